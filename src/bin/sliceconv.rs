@@ -1,0 +1,2 @@
+//! Converts scans into slice archives.
+fn main() {}

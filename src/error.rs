@@ -1,0 +1,106 @@
+//! Errors: one enum; every text says what, where, expected and found, and the way out where there is one.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Result of every fallible operation of this crate.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What can go wrong. New variants may be added.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The operating system refused an action on a file.
+    #[error("{path}: cannot {action}: {source}", path = path.display())]
+    Io {
+        /// File or folder acted on.
+        path: PathBuf,
+        /// What was tried, as a verb phrase: "open", "read 512 bytes at 4096".
+        action: String,
+        /// The operating system's own reason.
+        source: io::Error,
+    },
+    /// An input file (scan or mesh) cannot be used.
+    #[error("{path}: {at}: {reason}", path = path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// Where in it: "header, byte 96", "point 1064", "LAZ chunk 3".
+        at: String,
+        /// What was expected and found, and the way out.
+        reason: String,
+    },
+    /// An archive breaks a rule of `spec/slice-archive.md`.
+    #[error("rule {rule}: {part} at byte {offset}: expected {expected}, found {found}")]
+    Format {
+        /// Rule id of the specification, for example `H1`.
+        rule: &'static str,
+        /// Part of the archive: "header", "directory leaf 3", "page (4, -2, 0)".
+        part: String,
+        /// Byte offset of the part in the archive.
+        offset: u64,
+        /// What the rule asks for.
+        expected: String,
+        /// What the bytes say.
+        found: String,
+    },
+    /// A value lies beyond a stated limit.
+    #[error("{what}: {value} is beyond the limit of {max}")]
+    Limit {
+        /// The limited thing, with the way out.
+        what: String,
+        /// Value found.
+        value: String,
+        /// Greatest (or least) value allowed.
+        max: String,
+    },
+    /// A valid file uses something that this version does not read.
+    #[error("{what}: not supported by this version ({version}); {way_out}")]
+    Unsupported {
+        /// What the file asks for.
+        what: String,
+        /// Version of this crate.
+        version: &'static str,
+        /// What the user can do.
+        way_out: String,
+    },
+    /// A parameter makes no sense.
+    #[error("{what}: {reason}")]
+    Parameter {
+        /// Name of the parameter as the user knows it.
+        what: String,
+        /// Why it is refused and what is allowed.
+        reason: String,
+    },
+    /// The user or the calling program asked to stop; nothing was published.
+    #[error("interrupted: nothing was written, temporary files are removed")]
+    Interrupted,
+}
+
+impl Error {
+    /// An [`Error::Io`] for `path`.
+    pub fn io(path: impl AsRef<Path>, action: impl Into<String>, source: io::Error) -> Self {
+        Self::Io { path: path.as_ref().to_path_buf(), action: action.into(), source }
+    }
+
+    /// An [`Error::Input`] for `path`.
+    pub fn input(path: impl AsRef<Path>, at: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Input { path: path.as_ref().to_path_buf(), at: at.into(), reason: reason.into() }
+    }
+
+    /// An [`Error::Format`]; `rule` is the id in the specification.
+    pub fn format(
+        rule: &'static str,
+        part: impl Into<String>,
+        offset: u64,
+        expected: impl ToString,
+        found: impl ToString,
+    ) -> Self {
+        Self::Format { rule, part: part.into(), offset, expected: expected.to_string(), found: found.to_string() }
+    }
+
+    /// An [`Error::Parameter`].
+    pub fn parameter(what: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Parameter { what: what.into(), reason: reason.into() }
+    }
+}

@@ -1,0 +1,230 @@
+//! The integer grid: the one place where world coordinates are rounded.
+//!
+//! The grid is anchored at the coordinate origin of the scan, never at the corner of its data, so that the same place
+//! always falls into the same voxel whatever else is scanned around it. Pixels are half open: pixel `i` holds
+//! `i ≤ x·(1/t) < i + 1`. Heights are counted in quanta of `σ/255`; slice `s` holds the quanta `255·s .. 255·(s+1)`.
+//!
+//! Every function from world to grid is one correctly rounded multiplication and one rounding to an integer, hence
+//! monotone: `a ≤ b` in the world implies `pixel_of(a) ≤ pixel_of(b)`. Guarantee G1 (no missed point) rests on that
+//! alone and so holds at any coordinate, whatever the rounding error.
+
+use crate::{Error, Result};
+
+/// Edge of a tile and of a page in pixels; one row of a tile is one `u64`.
+pub const TILE_PIXELS: i64 = 64;
+/// Slices in one page.
+pub const PAGE_SLICES: i64 = 64;
+/// Height quanta in one slice.
+pub const SLICE_QUANTA: i64 = 255;
+/// Height quanta in one page.
+pub const PAGE_QUANTA: i64 = PAGE_SLICES * SLICE_QUANTA;
+/// Greatest pixel or slice index in magnitude, so that tile and layer indices fit `i32`.
+pub const MAX_INDEX: i64 = (1 << 36) - 1;
+
+/// Pixel size `t` and slice height `σ` of one archive, with the conversions between world and grid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frame {
+    pixel_m: f64,
+    slice_m: f64,
+    pixels_per_m: f64,
+    quanta_per_m: f64,
+}
+
+impl Frame {
+    /// A grid of pixels of `pixel_m` [m, 1e-6..=1e6] and slices of `slice_m` [m, 1e-6..=1e6].
+    pub fn new(pixel_m: f64, slice_m: f64) -> Result<Self> {
+        for (what, value) in [("pixel size", pixel_m), ("slice height", slice_m)] {
+            if !(1e-6..=1e6).contains(&value) {
+                return Err(Error::parameter(what, format!("{value} m lies outside 0.000001 to 1000000 m")));
+            }
+        }
+        Ok(Self { pixel_m, slice_m, pixels_per_m: 1.0 / pixel_m, quanta_per_m: SLICE_QUANTA as f64 / slice_m })
+    }
+
+    /// Pixel size `t` [m].
+    pub fn pixel_m(&self) -> f64 {
+        self.pixel_m
+    }
+
+    /// Slice height `σ` [m].
+    pub fn slice_m(&self) -> f64 {
+        self.slice_m
+    }
+
+    /// Height quantum `σ/255` [m].
+    pub fn quantum_m(&self) -> f64 {
+        self.slice_m / SLICE_QUANTA as f64
+    }
+
+    /// Fractional pixel coordinate of `x` (or `y`) [pixels].
+    #[inline]
+    pub fn pixels(&self, x: f64) -> f64 {
+        x * self.pixels_per_m
+    }
+
+    /// Fractional height of `z` [quanta].
+    #[inline]
+    pub fn quanta(&self, z: f64) -> f64 {
+        z * self.quanta_per_m
+    }
+
+    /// Index of the pixel that holds `x` (or `y`); saturates far outside [`MAX_INDEX`], 0 for NaN.
+    #[inline]
+    pub fn pixel_of(&self, x: f64) -> i64 {
+        self.pixels(x).floor() as i64
+    }
+
+    /// Greatest quantum at or below `z`.
+    #[inline]
+    pub fn quantum_floor(&self, z: f64) -> i64 {
+        self.quanta(z).floor() as i64
+    }
+
+    /// Least quantum at or above `z`.
+    #[inline]
+    pub fn quantum_ceil(&self, z: f64) -> i64 {
+        self.quanta(z).ceil() as i64
+    }
+
+    /// Index of the slice that holds `z`.
+    #[inline]
+    pub fn slice_of(&self, z: f64) -> i64 {
+        self.quantum_floor(z).div_euclid(SLICE_QUANTA)
+    }
+
+    /// World coordinate of the lower edge of pixel `i` [m], rounded to nearest.
+    pub fn edge_of_pixel(&self, i: i64) -> f64 {
+        i as f64 * self.pixel_m
+    }
+
+    /// World height of the bottom of slice `s` [m], rounded to nearest.
+    pub fn bottom_of_slice(&self, s: i64) -> f64 {
+        s as f64 * self.slice_m
+    }
+
+    /// A top of `quantum` as a world height [m]: not below any point whose [`quantum_ceil`](Self::quantum_ceil) is
+    /// `quantum`, and less than a few units in the last place above the exact value.
+    pub fn top_height(&self, quantum: i64) -> f64 {
+        let mut height = quantum as f64 / self.quanta_per_m;
+        while self.quanta(height) > quantum as f64 {
+            height = height.next_down();
+        }
+        while self.quanta(height.next_up()) <= quantum as f64 {
+            height = height.next_up();
+        }
+        height
+    }
+
+    /// A bottom of `quantum` as a world height [m]: not above any point whose
+    /// [`quantum_floor`](Self::quantum_floor) is `quantum`.
+    pub fn bottom_height(&self, quantum: i64) -> f64 {
+        -self.top_height(-quantum)
+    }
+}
+
+/// Names a page: a tile column in xy and one layer of [`PAGE_SLICES`] slices in it.
+///
+/// Keys are ordered as pages lie in the archive: tile columns along the Morton curve, the layer innermost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct PageKey {
+    /// Tile index along x: pixels `64·tx .. 64·(tx+1)`.
+    pub tx: i32,
+    /// Tile index along y.
+    pub ty: i32,
+    /// Layer index along z: slices `64·layer .. 64·(layer+1)`.
+    pub layer: i32,
+}
+
+impl PageKey {
+    /// Place of the tile column on the Morton curve: bits of `tx` and `ty` (each plus 2³¹) interleaved, `tx` lowest.
+    pub fn column(&self) -> u64 {
+        morton(self.tx, self.ty)
+    }
+
+    /// The key with this [`column`](Self::column) and layer.
+    pub fn from_column(column: u64, layer: i32) -> Self {
+        let half = |bits: u64| (gather_even_bits(bits) ^ (1 << 31)) as i32;
+        Self { tx: half(column), ty: half(column >> 1), layer }
+    }
+}
+
+impl Ord for PageKey {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        (self.column(), self.layer).cmp(&(other.column(), other.layer))
+    }
+}
+
+impl PartialOrd for PageKey {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl std::fmt::Display for PageKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "({}, {}, {})", self.tx, self.ty, self.layer)
+    }
+}
+
+/// Place of tile `(tx, ty)` on the Morton curve (see [`PageKey::column`]).
+pub fn morton(tx: i32, ty: i32) -> u64 {
+    let half = |v: i32| spread_bits(v as u32 ^ (1 << 31));
+    half(tx) | half(ty) << 1
+}
+
+fn spread_bits(v: u32) -> u64 {
+    let mut v = v as u64;
+    v = (v | v << 16) & 0x0000_FFFF_0000_FFFF;
+    v = (v | v << 8) & 0x00FF_00FF_00FF_00FF;
+    v = (v | v << 4) & 0x0F0F_0F0F_0F0F_0F0F;
+    v = (v | v << 2) & 0x3333_3333_3333_3333;
+    (v | v << 1) & 0x5555_5555_5555_5555
+}
+
+fn gather_even_bits(v: u64) -> u32 {
+    let mut v = v & 0x5555_5555_5555_5555;
+    v = (v | v >> 1) & 0x3333_3333_3333_3333;
+    v = (v | v >> 2) & 0x0F0F_0F0F_0F0F_0F0F;
+    v = (v | v >> 4) & 0x00FF_00FF_00FF_00FF;
+    v = (v | v >> 8) & 0x0000_FFFF_0000_FFFF;
+    (v | v >> 16) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn refuses_sizes_that_make_no_grid() {
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e-9] {
+            assert!(Frame::new(bad, 0.1).is_err());
+            assert!(Frame::new(0.1, bad).is_err());
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn morton_round_trips_and_orders_within_a_row_of_two(tx: i32, ty: i32, layer: i32) {
+            let key = PageKey { tx, ty, layer };
+            prop_assert_eq!(PageKey::from_column(key.column(), layer), key);
+        }
+
+        #[test]
+        fn heights_enclose_the_points_that_they_stand_for(z in -1e7f64..1e7, slice in 0.003f64..3.0) {
+            let frame = Frame::new(0.1, slice).unwrap();
+            let top = frame.top_height(frame.quantum_ceil(z));
+            let bottom = frame.bottom_height(frame.quantum_floor(z));
+            prop_assert!(bottom <= z && z <= top);
+            let slack = frame.quantum_m() + 1e-8;
+            prop_assert!(top - z <= slack && z - bottom <= slack);
+        }
+
+        #[test]
+        fn world_to_grid_is_monotone(a in -1e7f64..1e7, step in 0.0f64..1e-6, t in 0.001f64..1.0) {
+            let frame = Frame::new(t, 3.0 * t).unwrap();
+            prop_assert!(frame.pixel_of(a) <= frame.pixel_of(a + step));
+            prop_assert!(frame.quantum_ceil(a) <= frame.quantum_ceil(a + step));
+        }
+    }
+}

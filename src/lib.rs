@@ -1,0 +1,13 @@
+//! Walk in laser scans too large for memory.
+
+pub mod error;
+pub mod monitor;
+
+pub mod frame;
+
+pub mod plan;
+
+pub mod slice;
+
+pub use error::{Error, Result};
+pub use monitor::{Monitor, NoMonitor};

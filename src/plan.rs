@@ -1,0 +1,83 @@
+//! The plan of an archive: grid and options that decide its content. Archives of one plan can be compared and merged.
+
+use crate::frame::Frame;
+use crate::{Error, Result};
+
+/// How floors and obstacles are told apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Classifier {
+    /// Vertical runs of matter longer than the slope limit allows are obstacles.
+    Span,
+    /// The thesis' rule (algorithm 3.3) made independent of the order of points: two points of a voxel that differ
+    /// by more than a third of the slice height make it an obstacle.
+    Thesis,
+    /// Slope of a plane fitted to the points of 3 × 3 pixels.
+    Plane,
+}
+
+impl Classifier {
+    /// All classifiers, in the order of their codes in the archive.
+    pub const ALL: [Self; 3] = [Self::Span, Self::Thesis, Self::Plane];
+
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Span => "span",
+            Self::Thesis => "thesis",
+            Self::Plane => "plane",
+        }
+    }
+}
+
+/// Which axis of the input points up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Up {
+    /// z is up: coordinates are taken as they are.
+    #[default]
+    Z,
+    /// y is up: (x, y, z) becomes (x, −z, y).
+    Y,
+}
+
+/// Grid and options that decide an archive's content.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// The grid.
+    pub frame: Frame,
+    /// Steepest slope that can be stood on [degrees, 0..=90].
+    pub max_slope_deg: f64,
+    /// How far heights may be coarsened, always outwards [m, >= 0].
+    pub tolerance_m: f64,
+    /// How obstacles are found.
+    pub classifier: Classifier,
+    /// Voxels with fewer points are dropped [points, >= 1].
+    pub min_points: u32,
+    /// Up axis of the input.
+    pub up: Up,
+    /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.
+    pub exclude_classes: [u64; 4],
+}
+
+impl Plan {
+    /// Refuses values outside the limits stated at the fields.
+    pub fn check(&self) -> Result<()> {
+        if !(0.0..=90.0).contains(&self.max_slope_deg) {
+            let reason = format!("{} is no angle between 0 and 90 degrees", self.max_slope_deg);
+            return Err(Error::parameter("--max-slope", reason));
+        }
+        if !(0.0..=1e6).contains(&self.tolerance_m) {
+            let reason = format!("{} is no length between 0 and 1000000 m", self.tolerance_m);
+            return Err(Error::parameter("--tolerance", reason));
+        }
+        if self.min_points == 0 {
+            return Err(Error::parameter("--min-points", "0 is too few; 1 keeps every point"));
+        }
+        Ok(())
+    }
+
+    /// Whether points of LAS class `class` are left out.
+    pub fn excludes(&self, class: u8) -> bool {
+        self.exclude_classes[class as usize / 64] >> (class % 64) & 1 == 1
+    }
+}

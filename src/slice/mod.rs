@@ -1,0 +1,13 @@
+//! Columns, spans and pages: what an archive holds and what queries read.
+//!
+//! In: spans per pixel (from the voxel pass or a decoded page). Out: [`Page`], one tile column of 64 slices, laid out
+//! for queries. Memory: a page weighs [`Page::weight_bytes`], about 4 bytes per span, 2 per column, 2 KiB per page.
+//!
+//! A span is a maximal vertical run of matter in one pixel. Inside it no height is stored, so a wall costs one span
+//! however many slices it crosses, and slices inside a wall are equal by construction.
+
+mod page;
+mod span;
+
+pub use page::{BLOCK_PIXELS, BlockView, Page, PageBuilder};
+pub use span::Span;

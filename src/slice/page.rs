@@ -1,0 +1,317 @@
+//! A page in memory: one tile column (64 × 64 pixels) of 64 slices, as spans per pixel under a summary per block.
+//!
+//! Layout, outermost first: 64 blocks of 8 × 8 pixels in row order; per block a mask of slices with matter, a mask of
+//! pixels with matter and the *union* of its pixels' spans; per pixel with matter its spans, lowest first. A box that
+//! covers a whole block is answered by the block's union alone, and exactly: the union meets a height interval if and
+//! only if some pixel's span does. Only blocks that the box cuts need a look at their pixels.
+
+use super::span::Span;
+use crate::frame::{PAGE_QUANTA, SLICE_QUANTA, TILE_PIXELS};
+
+/// Edge of a block in pixels; its pixels are the bits of one `u64`.
+pub const BLOCK_PIXELS: u32 = 8;
+const BLOCKS: usize = 64;
+
+#[derive(Clone, Copy, Default, PartialEq, Eq, Debug)]
+struct Block {
+    /// Slices with matter.
+    slices: u64,
+    /// Pixels with matter, bit `8·(y % 8) + x % 8`.
+    pixels: u64,
+    first_column: u32,
+    first_span: u32,
+    first_union: u32,
+}
+
+/// All matter in one tile column of 64 slices. Immutable; see the module text for its layout.
+#[derive(Clone, PartialEq, Eq, Debug)]
+pub struct Page {
+    /// 64 blocks and a sentinel that ends the last one.
+    blocks: Box<[Block]>,
+    /// Per pixel with matter: its first span, relative to its block's.
+    columns: Box<[u16]>,
+    spans: Box<[Span]>,
+    /// Per block: disjoint unions of its floor spans and of its obstacle spans, lowest bottom first.
+    unions: Box<[Span]>,
+}
+
+/// One block of a page.
+#[derive(Clone, Copy)]
+pub struct BlockView<'a> {
+    page: &'a Page,
+    index: usize,
+}
+
+impl<'a> BlockView<'a> {
+    /// Slices of the page in which some pixel of the block has matter, as a mask.
+    #[inline]
+    pub fn slices(self) -> u64 {
+        self.page.blocks[self.index].slices
+    }
+
+    /// Pixels of the block with matter: bit `8·(y % 8) + x % 8`.
+    #[inline]
+    pub fn pixels(self) -> u64 {
+        self.page.blocks[self.index].pixels
+    }
+
+    /// Union of the block's floor spans and union of its obstacle spans: disjoint within a kind, lowest bottom first.
+    #[inline]
+    pub fn unions(self) -> &'a [Span] {
+        let first = self.page.blocks[self.index].first_union as usize;
+        let end = self.page.blocks[self.index + 1].first_union as usize;
+        &self.page.unions[first..end]
+    }
+
+    /// Spans of the pixel with bit number `bit` in [`pixels`](Self::pixels), lowest first; empty without matter.
+    #[inline]
+    pub fn column(self, bit: u32) -> &'a [Span] {
+        let [block, next] = [&self.page.blocks[self.index], &self.page.blocks[self.index + 1]];
+        if block.pixels >> bit & 1 == 0 {
+            return &[];
+        }
+        let rank = block.first_column as usize + (block.pixels & ((1 << bit) - 1)).count_ones() as usize;
+        let first = block.first_span + self.page.columns[rank] as u32;
+        let end = if rank + 1 < next.first_column as usize {
+            block.first_span + self.page.columns[rank + 1] as u32
+        } else {
+            next.first_span
+        };
+        &self.page.spans[first as usize..end as usize]
+    }
+}
+
+impl Page {
+    /// The block at block coordinates `bx`, `by` [0..8].
+    #[inline]
+    pub fn block(&self, bx: u32, by: u32) -> BlockView<'_> {
+        debug_assert!(bx < 8 && by < 8);
+        BlockView { page: self, index: ((by & 7) << 3 | bx & 7) as usize }
+    }
+
+    /// Spans of pixel (`px`, `py`) [0..64], lowest first.
+    #[inline]
+    pub fn column(&self, px: u32, py: u32) -> &[Span] {
+        self.block(px >> 3, py >> 3).column((py & 7) << 3 | px & 7)
+    }
+
+    /// All pixels with matter in row order (y, then x): `(px, py, spans)`.
+    pub fn columns(&self) -> impl Iterator<Item = (u32, u32, &[Span])> {
+        (0..TILE_PIXELS as u32)
+            .flat_map(|py| (0..TILE_PIXELS as u32).map(move |px| (px, py)))
+            .filter_map(|(px, py)| Some((px, py, self.column(px, py))).filter(|(_, _, spans)| !spans.is_empty()))
+    }
+
+    /// Slices of the page with matter, as a mask.
+    pub fn slices(&self) -> u64 {
+        self.blocks.iter().fold(0, |mask, block| mask | block.slices)
+    }
+
+    /// Number of spans.
+    pub fn span_count(&self) -> usize {
+        self.spans.len()
+    }
+
+    /// Number of occupied voxels, and how many of them hold obstacle.
+    pub fn voxel_counts(&self) -> (u64, u64) {
+        let mut counts = (0, 0);
+        for (_, _, spans) in self.columns() {
+            let mask = |only_obstacles: bool| {
+                let counted = spans.iter().filter(|s| s.is_obstacle() || !only_obstacles);
+                counted.fold(0u64, |mask, span| mask | span.slice_mask()).count_ones() as u64
+            };
+            counts.0 += mask(false);
+            counts.1 += mask(true);
+        }
+        counts
+    }
+
+    /// Bytes of memory that the page holds.
+    pub fn weight_bytes(&self) -> usize {
+        size_of::<Self>()
+            + size_of_val::<[Block]>(&self.blocks)
+            + size_of_val::<[u16]>(&self.columns)
+            + size_of_val::<[Span]>(&self.spans)
+            + size_of_val::<[Span]>(&self.unions)
+    }
+}
+
+/// Collects the spans of a page pixel by pixel; reusable, so that a page costs no more than its final allocations.
+#[derive(Debug)]
+pub struct PageBuilder {
+    /// Per pixel in block-major order: its range in `spans`.
+    ranges: Box<[(u32, u32)]>,
+    spans: Vec<Span>,
+}
+
+impl Default for PageBuilder {
+    fn default() -> Self {
+        Self { ranges: vec![(0, 0); (TILE_PIXELS * TILE_PIXELS) as usize].into(), spans: Vec::new() }
+    }
+}
+
+impl PageBuilder {
+    /// Forgets all spans.
+    pub fn clear(&mut self) {
+        self.ranges.fill((0, 0));
+        self.spans.clear();
+    }
+
+    /// Whether no pixel has a span.
+    pub fn is_empty(&self) -> bool {
+        self.spans.is_empty()
+    }
+
+    /// Sets the spans of pixel (`px`, `py`) [0..64]. They must be lowest first, at most one per slice, and apart: a
+    /// span begins above the top of the one below, or on it at a slice boundary if the two differ in kind. Returns
+    /// `false`, and takes nothing, if that does not hold or the pixel is set already.
+    #[must_use]
+    pub fn set_column(&mut self, px: u32, py: u32, spans: &[Span]) -> bool {
+        let apart = |pair: &[Span]| {
+            let (low, high) = (pair[0], pair[1]);
+            low.top() < high.bottom()
+                || low.top() == high.bottom()
+                    && low.top() % SLICE_QUANTA as u32 == 0
+                    && low.is_obstacle() != high.is_obstacle()
+        };
+        let pixel = Self::place(px, py);
+        if self.ranges[pixel].1 != 0 || !spans.windows(2).all(apart) || spans.len() > 64 {
+            return false;
+        }
+        let first = self.spans.len() as u32;
+        self.spans.extend_from_slice(spans);
+        self.ranges[pixel] = (first, spans.len() as u32);
+        true
+    }
+
+    fn place(px: u32, py: u32) -> usize {
+        assert!(px < TILE_PIXELS as u32 && py < TILE_PIXELS as u32, "pixel ({px}, {py}) lies outside the page");
+        let block = (py >> 3) << 3 | px >> 3;
+        (block << 6 | (py & 7) << 3 | px & 7) as usize
+    }
+
+    /// The page of all spans set so far.
+    pub fn build(&self) -> Page {
+        let mut blocks = Vec::with_capacity(BLOCKS + 1);
+        let mut columns = Vec::with_capacity(self.ranges.iter().filter(|range| range.1 > 0).count());
+        let mut spans: Vec<Span> = Vec::with_capacity(self.spans.len());
+        let mut unions = Vec::new();
+        let mut scratch = Vec::new();
+        for ranges in self.ranges.chunks_exact(64) {
+            let mut block = Block {
+                first_column: columns.len() as u32,
+                first_span: spans.len() as u32,
+                first_union: unions.len() as u32,
+                ..Block::default()
+            };
+            for (bit, &(first, count)) in ranges.iter().enumerate().filter(|(_, range)| range.1 > 0) {
+                block.pixels |= 1 << bit;
+                columns.push((spans.len() as u32 - block.first_span) as u16);
+                spans.extend_from_slice(&self.spans[first as usize..(first + count) as usize]);
+            }
+            let own = &spans[block.first_span as usize..];
+            block.slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
+            push_unions(own, &mut scratch, &mut unions);
+            blocks.push(block);
+        }
+        blocks.push(Block {
+            first_column: columns.len() as u32,
+            first_span: spans.len() as u32,
+            first_union: unions.len() as u32,
+            ..Block::default()
+        });
+        Page { blocks: blocks.into(), columns: columns.into(), spans: spans.into(), unions: unions.into() }
+    }
+}
+
+/// Appends the unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
+fn push_unions(spans: &[Span], scratch: &mut Vec<Span>, unions: &mut Vec<Span>) {
+    let first = unions.len();
+    for obstacle in [false, true] {
+        scratch.clear();
+        scratch.extend(spans.iter().filter(|span| span.is_obstacle() == obstacle));
+        scratch.sort_unstable_by_key(|span| span.bottom());
+        let mut run: Option<(u32, u32)> = None;
+        for span in scratch.iter() {
+            run = match run {
+                Some((bottom, top)) if span.bottom() <= top => Some((bottom, top.max(span.top()))),
+                ended => {
+                    unions.extend(ended.and_then(|(bottom, top)| Span::new(bottom, top, obstacle)));
+                    Some((span.bottom(), span.top()))
+                }
+            };
+        }
+        unions.extend(run.and_then(|(bottom, top)| Span::new(bottom, top, obstacle)));
+    }
+    unions[first..].sort_unstable_by_key(|span| (span.bottom(), span.is_obstacle()));
+}
+
+const _: () = assert!(PAGE_QUANTA < 1 << 14 && BLOCKS * 64 == (TILE_PIXELS * TILE_PIXELS) as usize);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    /// Columns as a builder accepts them: one span per chosen slice, kinds at random.
+    fn columns() -> impl Strategy<Value = BTreeMap<(u32, u32), Vec<Span>>> {
+        let span = (0u32..64, 0u32..250, 0u32..4, any::<bool>());
+        let column = proptest::collection::vec(span, 1..6).prop_map(|parts| {
+            let by_slice: BTreeMap<u32, _> = parts.into_iter().map(|(k, b, h, o)| (k, (b, h, o))).collect();
+            by_slice.into_iter().filter_map(|(k, (b, h, o))| Span::new(k * 255 + b, k * 255 + b + h, o)).collect()
+        });
+        proptest::collection::btree_map((0u32..64, 0u32..64), column, 0..200)
+    }
+
+    fn build(columns: &BTreeMap<(u32, u32), Vec<Span>>) -> Page {
+        let mut builder = PageBuilder::default();
+        for (&(px, py), spans) in columns {
+            assert!(builder.set_column(px, py, spans));
+        }
+        builder.build()
+    }
+
+    proptest! {
+        #[test]
+        fn gives_back_what_was_set(columns in columns()) {
+            let page = build(&columns);
+            for py in 0..64 {
+                for px in 0..64 {
+                    let expected = columns.get(&(px, py)).map_or(&[][..], |spans| spans);
+                    prop_assert_eq!(page.column(px, py), expected);
+                }
+            }
+        }
+
+        #[test]
+        fn unions_meet_an_interval_exactly_when_a_pixel_does(
+            columns in columns(), low in 0u32..16320, height in 0u32..600
+        ) {
+            let page = build(&columns);
+            let high = low + height;
+            for by in 0..8 {
+                for bx in 0..8 {
+                    for obstacle in [false, true] {
+                        let meets = |spans: &[Span]| {
+                            spans.iter().any(|s| s.is_obstacle() == obstacle && s.meets(low, high))
+                        };
+                        let by_pixels = (0..64).any(|bit| meets(page.block(bx, by).column(bit)));
+                        prop_assert_eq!(meets(page.block(bx, by).unions()), by_pixels);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn refuses_columns_that_are_not_canonical() {
+        let span = |b, t, o| Span::new(b, t, o).unwrap();
+        let mut builder = PageBuilder::default();
+        assert!(!builder.set_column(0, 0, &[span(10, 20, false), span(5, 6, false)]), "out of order");
+        assert!(!builder.set_column(0, 0, &[span(10, 255, true), span(255, 300, true)]), "should be joined");
+        assert!(!builder.set_column(0, 0, &[span(10, 20, true), span(20, 30, false)]), "touch inside a slice");
+        assert!(builder.set_column(0, 0, &[span(10, 255, true), span(255, 300, false)]));
+        assert!(!builder.set_column(0, 0, &[span(10, 20, true)]), "set twice");
+    }
+}

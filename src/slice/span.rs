@@ -1,0 +1,108 @@
+//! A span: a vertical run of matter in one pixel of one page.
+
+use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
+
+/// Bottom and top in quanta above the page's floor, and whether the matter is an obstacle; 4 bytes.
+///
+/// Both ends are inclusive: a span is the closed interval `[bottom, top]`, `0 ≤ bottom ≤ top ≤ 16320`.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(transparent)]
+pub struct Span(u32);
+
+const FIELD: u32 = (1 << 14) - 1;
+const OBSTACLE: u32 = 1 << 28;
+
+impl Span {
+    /// The span `[bottom, top]` [quanta above the page's floor]; `None` unless `bottom <= top <= 16320` and the
+    /// bottom lies below the page's end (a span that only touches the end belongs to the page above).
+    pub fn new(bottom: u32, top: u32, obstacle: bool) -> Option<Self> {
+        (bottom <= top && top <= PAGE_QUANTA as u32 && bottom < PAGE_QUANTA as u32)
+            .then_some(Self(bottom | top << 14 | if obstacle { OBSTACLE } else { 0 }))
+    }
+
+    /// Lowest quantum [quanta above the page's floor].
+    #[inline]
+    pub fn bottom(self) -> u32 {
+        self.0 & FIELD
+    }
+
+    /// Highest quantum [quanta above the page's floor].
+    #[inline]
+    pub fn top(self) -> u32 {
+        self.0 >> 14 & FIELD
+    }
+
+    /// Steeper than the slope limit, as opposed to floor that can be stood on.
+    #[inline]
+    pub fn is_obstacle(self) -> bool {
+        self.0 & OBSTACLE != 0
+    }
+
+    /// Whether the span and the closed interval `[low, high]` share a height.
+    #[inline]
+    pub fn meets(self, low: u32, high: u32) -> bool {
+        self.bottom() <= high && self.top() >= low
+    }
+
+    /// First and last slice of the page (0..=63) that hold matter of the span. A top on a slice boundary belongs to
+    /// the slice below it, unless the span is that boundary alone.
+    #[inline]
+    pub fn slices(self) -> (u32, u32) {
+        let unit = SLICE_QUANTA as u32;
+        let first = self.bottom() / unit;
+        (first, first.max(self.top().saturating_sub(1) / unit))
+    }
+
+    /// The slices of the span as a mask, bit `k` for slice `k` of the page.
+    #[inline]
+    pub fn slice_mask(self) -> u64 {
+        let (first, last) = self.slices();
+        (u64::MAX >> (63 - (last - first))) << first
+    }
+
+    /// The span's part inside slice `k` of the page, as quanta above that slice's floor (0..=255); `None` outside.
+    pub fn within_slice(self, k: u32) -> Option<(u8, u8)> {
+        let (first, last) = self.slices();
+        (first..=last).contains(&k).then(|| {
+            let floor = k * SLICE_QUANTA as u32;
+            let clip = |v: u32| v.saturating_sub(floor).min(SLICE_QUANTA as u32) as u8;
+            (clip(self.bottom()), clip(self.top()))
+        })
+    }
+}
+
+impl std::fmt::Debug for Span {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let kind = if self.is_obstacle() { "obstacle" } else { "floor" };
+        write!(f, "{kind} {}..={}", self.bottom(), self.top())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ends_on_slice_boundaries_belong_to_one_slice() {
+        let slices = |b, t| Span::new(b, t, false).unwrap().slices();
+        assert_eq!(slices(0, 0), (0, 0));
+        assert_eq!(slices(255, 255), (1, 1));
+        assert_eq!(slices(100, 255), (0, 0));
+        assert_eq!(slices(100, 256), (0, 1));
+        assert_eq!(slices(254, 511), (0, 2));
+        assert_eq!(slices(0, 16320), (0, 63));
+        assert_eq!(slices(16319, 16320), (63, 63));
+        assert_eq!(Span::new(16320, 16320, false), None);
+        assert_eq!(Span::new(3, 2, false), None);
+        assert_eq!(Span::new(0, 16320, true).unwrap().slice_mask(), u64::MAX);
+    }
+
+    #[test]
+    fn parts_within_slices_join_without_gap() {
+        let span = Span::new(100, 600, true).unwrap();
+        assert_eq!(span.within_slice(0), Some((100, 255)));
+        assert_eq!(span.within_slice(1), Some((0, 255)));
+        assert_eq!(span.within_slice(2), Some((0, 90)));
+        assert_eq!(span.within_slice(3), None);
+    }
+}

@@ -1,0 +1,2 @@
+//! Looks into slice archives.
+fn main() {}
