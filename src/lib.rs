@@ -9,5 +9,8 @@ pub mod plan;
 
 pub mod slice;
 
+#[cfg(feature = "convert")]
+mod voxel;
+
 pub use error::{Error, Result};
 pub use monitor::{Monitor, NoMonitor};

@@ -1,0 +1,512 @@
+//! Conversion: scans in, one archive out.
+//!
+//! Two passes over bounded memory. First every worker reads pieces of the input and sorts their points into runs by
+//! tile column. Then tile columns come out of the merged runs in archive order; workers fold them to voxels, judge
+//! floors and obstacles, form spans, and encode pages, and one thread writes these in order.
+//!
+//! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
+//! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
+
+use crate::archive::{ArchiveWriter, EncodedPage, Header, PageEncoder, Totals};
+use crate::frame::{Frame, PageKey};
+use crate::input::{Decoder, InputOptions, InputSet, Spacing, UnitCounts, Units, estimate_spacing};
+use crate::plan::{Classifier, Plan, Up};
+use crate::slice::columns::ColumnPages;
+use crate::slice::obstacle::Judge;
+use crate::voxel::fold::{Area, Folded, Patch, Voxel, fold_into};
+use crate::voxel::record::{ColumnKey, Record, Recorder};
+use crate::voxel::runs::{Job, Merge, RunBuilder, RunStore};
+use crate::{Error, Monitor, Result};
+use crossbeam_channel::{Receiver, Sender, bounded};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Mutex;
+
+/// Least memory budget [bytes].
+pub const MIN_MEMORY_BYTES: u64 = 64 << 20;
+/// Pixel size chosen automatically, in units of the scan's point spacing.
+pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
+/// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel and
+/// span that it may become.
+const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 16;
+/// Disk per point in the temporary file: its record, copies in the halo, and the index.
+const TEMP_BYTES_PER_POINT: u64 = 9;
+/// Jobs that may be finished before the oldest unfinished one.
+const JOBS_AHEAD_PER_THREAD: usize = 8;
+
+/// How the pixel size is chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PixelSize {
+    /// From the scan's own point spacing (costs one more pass over the input).
+    Auto,
+    /// This many metres.
+    Metres(f64),
+}
+
+/// What to convert, and how. See the README for the command line that sets these.
+#[derive(Debug, Clone)]
+pub struct ConvertOptions {
+    /// Files, folders and glob patterns.
+    pub inputs: Vec<PathBuf>,
+    /// The archive to write.
+    pub output: PathBuf,
+    /// Pixel size `t`.
+    pub pixel: PixelSize,
+    /// Slice height `σ` [m]; three pixel sizes by default (thesis, section 3.1.3).
+    pub slice_m: Option<f64>,
+    /// Steepest slope that can be stood on [degrees].
+    pub max_slope_deg: f64,
+    /// How far heights may be coarsened, outwards [m].
+    pub tolerance_m: f64,
+    /// How floors and obstacles are told apart.
+    pub classifier: Classifier,
+    /// Memory budget [bytes, at least 64 MiB].
+    pub memory_bytes: u64,
+    /// Worker threads [>= 1].
+    pub threads: usize,
+    /// Folder for temporary data.
+    pub temp_dir: PathBuf,
+    /// LAS classes left out, as in [`Plan::exclude_classes`].
+    pub exclude_classes: [u64; 4],
+    /// Voxels with fewer points are dropped.
+    pub min_points: u32,
+    /// Up axis of the input.
+    pub up: Up,
+    /// Unit of the input.
+    pub units: Units,
+    /// Whether an existing archive may be replaced.
+    pub overwrite: bool,
+}
+
+impl ConvertOptions {
+    /// Defaults of the command line for these inputs and this output.
+    pub fn new(inputs: Vec<PathBuf>, output: PathBuf) -> Self {
+        Self {
+            inputs,
+            output,
+            pixel: PixelSize::Auto,
+            slice_m: None,
+            max_slope_deg: 45.0,
+            tolerance_m: 0.0,
+            classifier: Classifier::Plane,
+            memory_bytes: 512 << 20,
+            threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
+            temp_dir: std::env::temp_dir(),
+            exclude_classes: [0; 4],
+            min_points: 1,
+            up: Up::Z,
+            units: Units::Auto,
+            overwrite: false,
+        }
+    }
+}
+
+/// What a conversion did.
+#[derive(Debug, Clone)]
+pub struct Report {
+    /// Header of the archive.
+    pub header: Header,
+    /// Point spacing found, if the pixel size was chosen automatically.
+    pub spacing: Option<Spacing>,
+    /// Bytes of temporary data written to disk.
+    pub temp_bytes: u64,
+    /// Points left out because a coordinate was not finite.
+    pub points_not_finite: u64,
+    /// Voxels dropped for having fewer than the least number of points, and with them their points.
+    pub voxels_dropped: u64,
+}
+
+/// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
+///
+/// Cost: time linear in the points, memory at most the budget plus a constant, disk at most 12 bytes per point where
+/// the points do not fit the budget. Errors: unusable input or options, full disk, interruption by `monitor`.
+pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
+    if options.memory_bytes < MIN_MEMORY_BYTES {
+        let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", options.memory_bytes);
+        return Err(Error::parameter("--memory", reason));
+    }
+    let threads = options.threads.max(1);
+    let input_options = InputOptions {
+        units: options.units,
+        up: options.up,
+        exclude_classes: options.exclude_classes,
+        memory_bytes: options.memory_bytes / 8 / threads as u64,
+    };
+    let set = InputSet::open(&options.inputs, input_options, monitor)?;
+    let (pixel_m, spacing) = match options.pixel {
+        PixelSize::Metres(pixel_m) => (pixel_m, None),
+        PixelSize::Auto => {
+            let spacing = estimate_spacing(&set, threads, monitor)?;
+            (round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2), Some(spacing))
+        }
+    };
+    let plan = Plan {
+        frame: Frame::new(pixel_m, options.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12)))?,
+        max_slope_deg: options.max_slope_deg,
+        tolerance_m: options.tolerance_m,
+        classifier: options.classifier,
+        min_points: options.min_points,
+        up: options.up,
+        exclude_classes: options.exclude_classes,
+    };
+    plan.check()?;
+    // Made first, so that an archive that must not be replaced is found before the work and not after it.
+    let mut writer = ArchiveWriter::create(&options.output, &plan, options.overwrite)?;
+
+    let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
+    check_free_space(options, &set)?;
+    let build_bytes = options.memory_bytes / 4 / threads as u64;
+    let read = read_points(&set, &plan, &store, build_bytes, threads, monitor)?;
+    if read.counts.read == 0 {
+        monitor.warn("the input holds no points: the archive is empty");
+    }
+    let max_records = options.memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD;
+    let voxels_dropped = write_columns(&plan, &store, max_records, threads, &mut writer, monitor)?;
+    let kept = read.counts.read - read.counts.withheld - read.counts.excluded - read.counts.not_finite;
+    let header = writer.finish(Totals {
+        points_read: read.counts.read,
+        points_kept: kept,
+        points_withheld: read.counts.withheld,
+        points_excluded: read.counts.excluded,
+        bounds: (kept > 0).then_some((read.min, read.max)),
+        crs: set.crs().unwrap_or_default().to_owned(),
+    })?;
+    Ok(Report {
+        header,
+        spacing,
+        temp_bytes: store.temp_bytes(),
+        points_not_finite: read.counts.not_finite,
+        voxels_dropped,
+    })
+}
+
+/// `value` to so many significant decimal digits.
+fn round_to_digits(value: f64, digits: usize) -> f64 {
+    format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
+}
+
+/// Refuses to begin what the disk will not hold. Headers may lie, so a count beyond one point per byte is not believed.
+fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
+    let points = set.points_stated().min(set.bytes());
+    let needed = (points * TEMP_BYTES_PER_POINT).saturating_sub(options.memory_bytes / 2);
+    let dir = &options.temp_dir;
+    let free = fs4::available_space(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
+    if needed > free {
+        let what = format!(
+            "temporary data for {points} points in {} [bytes] (choose a folder with --temp-dir or give more --memory)",
+            dir.display()
+        );
+        return Err(Error::Limit { what, value: needed.to_string(), max: free.to_string() });
+    }
+    Ok(())
+}
+
+/// What the first pass finds out; all of it independent of the order of points.
+#[derive(Debug, Clone, Copy)]
+struct Read {
+    counts: UnitCounts,
+    min: [f64; 3],
+    max: [f64; 3],
+}
+
+impl Read {
+    const NOTHING: Self = Self {
+        counts: UnitCounts { read: 0, withheld: 0, excluded: 0, not_finite: 0 },
+        min: [f64::INFINITY; 3],
+        max: [f64::NEG_INFINITY; 3],
+    };
+
+    fn merge(&mut self, other: &Self) {
+        self.counts.read += other.counts.read;
+        self.counts.withheld += other.counts.withheld;
+        self.counts.excluded += other.counts.excluded;
+        self.counts.not_finite += other.counts.not_finite;
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(other.min[axis]);
+            self.max[axis] = self.max[axis].max(other.max[axis]);
+        }
+    }
+}
+
+/// First pass: all points into runs.
+fn read_points(
+    set: &InputSet,
+    plan: &Plan,
+    store: &RunStore,
+    build_bytes: u64,
+    threads: usize,
+    monitor: &dyn Monitor,
+) -> Result<Read> {
+    monitor.stage("reading points", set.points_stated(), "points");
+    let recorder = Recorder::new(plan.frame);
+    let units = Mutex::new(set.units());
+    let next_unit = || units.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
+    let work = || -> Result<Read> {
+        let mut decoder = Decoder::new();
+        let mut builder = RunBuilder::new(recorder, build_bytes);
+        let mut read = Read::NOTHING;
+        while let Some(unit) = next_unit() {
+            if monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            let counts = decoder.decode(set, &unit, &mut |batch| {
+                let (mut min, mut max) = (Read::NOTHING.min, Read::NOTHING.max);
+                for (axis, values) in [&batch.x, &batch.y, &batch.z].into_iter().enumerate() {
+                    (min[axis], max[axis]) = range(values);
+                }
+                if batch.x.is_empty() {
+                    return Ok(());
+                }
+                if !recorder.reaches(min, max) {
+                    return Err(out_of_reach(&plan.frame, min, max));
+                }
+                read.merge(&Read { min, max, ..Read::NOTHING });
+                builder.push(&batch.x, &batch.y, &batch.z, store)
+            })?;
+            monitor.advance(counts.read);
+            read.merge(&Read { counts, ..Read::NOTHING });
+        }
+        builder.flush(store)?;
+        Ok(read)
+    };
+    let results: Vec<Result<Read>> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    });
+    let mut all = Read::NOTHING;
+    for result in results {
+        all.merge(&result?);
+    }
+    Ok(all)
+}
+
+/// Least and greatest value, in lanes that compile to vector instructions.
+fn range(values: &[f64]) -> (f64, f64) {
+    let (mut min, mut max) = ([f64::INFINITY; 8], [f64::NEG_INFINITY; 8]);
+    let (chunks, rest) = values.as_chunks::<8>();
+    for chunk in chunks {
+        for lane in 0..8 {
+            min[lane] = if chunk[lane] < min[lane] { chunk[lane] } else { min[lane] };
+            max[lane] = if chunk[lane] > max[lane] { chunk[lane] } else { max[lane] };
+        }
+    }
+    let min = min.iter().chain(rest).fold(f64::INFINITY, |a, &b| a.min(b));
+    let max = max.iter().chain(rest).fold(f64::NEG_INFINITY, |a, &b| a.max(b));
+    (min, max)
+}
+
+fn out_of_reach(frame: &Frame, min: [f64; 3], max: [f64; 3]) -> Error {
+    Error::Limit {
+        what: "coordinates that a grid of this pixel size reaches [m] (give a larger --pixel, or the unit by --units)"
+            .into(),
+        value: format!("{min:?} to {max:?}"),
+        max: format!("±{}", frame.pixel_m().min(frame.slice_m()) * crate::frame::MAX_INDEX as f64),
+    }
+}
+
+/// Pages of one job, in archive order, and the voxels dropped in it.
+struct Done {
+    number: u64,
+    records: u64,
+    pages: Vec<(PageKey, EncodedPage)>,
+    voxels_dropped: u64,
+}
+
+/// Second pass: tile columns out of the runs, into the archive. Returns the number of voxels dropped.
+fn write_columns(
+    plan: &Plan,
+    store: &RunStore,
+    max_records: u64,
+    threads: usize,
+    writer: &mut ArchiveWriter,
+    monitor: &dyn Monitor,
+) -> Result<u64> {
+    let merge = Merge::new(store);
+    monitor.stage("writing slices", merge.records(), "records");
+    let ahead = JOBS_AHEAD_PER_THREAD * threads;
+    let (job_in, job_out) = bounded::<(u64, Job)>(threads);
+    let (done_in, done_out) = bounded::<Result<Done>>(ahead);
+    // A job is given out against a token, and a token comes back when its pages are written: so no more than
+    // `ahead` jobs' pages ever wait for an earlier job.
+    let (token_in, token_out) = bounded::<()>(ahead);
+    for _ in 0..ahead {
+        let _ = token_in.send(());
+    }
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            let (jobs, done) = (job_out.clone(), done_in.clone());
+            let merge = &merge;
+            scope.spawn(move || work_on_columns(plan, merge, max_records, &jobs, &done));
+        }
+        drop(job_out);
+        let merge = &merge;
+        scope.spawn(move || {
+            let mut number = 0;
+            let given = merge.jobs(max_records, |job| {
+                // A closed channel means that the writer gave up; it knows why.
+                if token_out.recv().is_err() || job_in.send((number, job)).is_err() {
+                    return Err(Error::Interrupted);
+                }
+                number += 1;
+                Ok(())
+            });
+            if let Err(error) = given {
+                let _ = done_in.send(Err(error));
+            }
+        });
+        let written = write_in_order(writer, &done_out, &token_in, monitor);
+        // Both ends must go before the scope waits for the threads that may be blocked on them.
+        drop((done_out, token_in));
+        written
+    })
+}
+
+fn write_in_order(
+    writer: &mut ArchiveWriter,
+    done: &Receiver<Result<Done>>,
+    tokens: &Sender<()>,
+    monitor: &dyn Monitor,
+) -> Result<u64> {
+    let mut waiting = BTreeMap::new();
+    let (mut next, mut voxels_dropped) = (0, 0);
+    for result in done {
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        let result = result?;
+        waiting.insert(result.number, result);
+        while let Some(result) = waiting.remove(&next) {
+            next += 1;
+            voxels_dropped += result.voxels_dropped;
+            for (key, page) in result.pages {
+                writer.put(key, page)?;
+            }
+            monitor.advance(result.records);
+            let _ = tokens.send(());
+        }
+    }
+    Ok(voxels_dropped)
+}
+
+fn work_on_columns(
+    plan: &Plan,
+    merge: &Merge<'_>,
+    max_records: u64,
+    jobs: &Receiver<(u64, Job)>,
+    done: &Sender<Result<Done>>,
+) {
+    let mut worker = ColumnWorker::new(plan, max_records);
+    for (number, job) in jobs {
+        let result = worker.work(merge, &job).map(|(pages, voxels_dropped)| Done {
+            number,
+            records: job.records,
+            pages,
+            voxels_dropped,
+        });
+        let failed = result.is_err();
+        if done.send(result).is_err() || failed {
+            return;
+        }
+    }
+}
+
+type Pages = Vec<(PageKey, EncodedPage)>;
+
+/// Scratch of one worker of the second pass.
+struct ColumnWorker {
+    judge: Judge,
+    min_points: u32,
+    max_records: u64,
+    patch: Patch,
+    verdicts: Vec<bool>,
+    columns: ColumnPages,
+    encoder: PageEncoder,
+    records: Vec<Record>,
+}
+
+impl ColumnWorker {
+    fn new(plan: &Plan, max_records: u64) -> Self {
+        Self {
+            judge: Judge::new(plan),
+            min_points: plan.min_points,
+            max_records,
+            patch: Patch::default(),
+            verdicts: Vec::new(),
+            columns: ColumnPages::new(plan),
+            encoder: PageEncoder::new(),
+            records: Vec::new(),
+        }
+    }
+
+    fn work(&mut self, merge: &Merge<'_>, job: &Job) -> Result<(Pages, u64)> {
+        let mut pages = Pages::new();
+        let mut dropped = 0;
+        if job.records > self.max_records {
+            dropped += self.dense_area(merge, job, Area::TILE)?;
+            self.encode(job.columns[0].0, &mut pages)?;
+            return Ok((pages, dropped));
+        }
+        let mut records = std::mem::take(&mut self.records);
+        merge.load(job, &mut records)?;
+        let mut rest = &records[..];
+        for &(key, count) in &job.columns {
+            let (own, others) = rest.split_at(count as usize);
+            rest = others;
+            dropped += self.patch.fold(own, self.min_points, Area::TILE);
+            self.judge_and_add(Area::TILE);
+            self.encode(key, &mut pages)?;
+        }
+        self.records = records;
+        Ok((pages, dropped))
+    }
+
+    /// Folds a column of more records than memory holds: piece by piece, and in parts if the voxels are too many.
+    fn dense_area(&mut self, merge: &Merge<'_>, job: &Job, area: Area) -> Result<u64> {
+        let chunk = (self.max_records / 4).max(1 << 12) as usize;
+        let max_voxels = (self.max_records / 4).max(1 << 12) as usize;
+        let mut folded = Folded::new();
+        let mut too_many = false;
+        let mut own = Vec::new();
+        merge.stream(job, chunk, |records| {
+            if !too_many {
+                own.clear();
+                own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
+                fold_into(&mut folded, &mut own);
+                too_many = folded.len() > max_voxels;
+            }
+            Ok(())
+        })?;
+        if !too_many {
+            let dropped = self.patch.set_folded(&folded, self.min_points, area);
+            self.judge_and_add(area);
+            return Ok(dropped);
+        }
+        let Some(halves) = area.halves() else {
+            return Err(Error::Limit {
+                what: "occupied slices of one pixel and its neighbours (give more --memory)".into(),
+                value: format!("over {}", folded.len()),
+                max: max_voxels.to_string(),
+            });
+        };
+        drop(folded);
+        let mut dropped = 0;
+        for half in halves {
+            dropped += self.dense_area(merge, job, half)?;
+        }
+        Ok(dropped)
+    }
+
+    fn judge_and_add(&mut self, area: Area) {
+        self.judge.judge(&self.patch, area, &mut self.verdicts);
+        self.columns.add(&self.patch, area, &self.verdicts);
+    }
+
+    fn encode(&mut self, column: ColumnKey, pages: &mut Pages) -> Result<()> {
+        let Self { columns, encoder, .. } = self;
+        columns.finish(column.first_slice(), |layer, page| {
+            let key = PageKey::from_column(column.column, layer);
+            pages.push((key, encoder.encode(key, page)));
+            Ok(())
+        })
+    }
+}

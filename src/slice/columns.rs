@@ -1,0 +1,134 @@
+//! From voxels with verdicts to the pages of a tile column.
+
+use super::{Page, PageBuilder, Span};
+use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA};
+use crate::plan::Plan;
+use crate::voxel::fold::{Area, Patch};
+use crate::voxel::record::PATCH_PIXELS;
+
+/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this [quanta]: a
+/// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
+/// allows both: matter only ever fills the gap between points of vertically adjacent voxels.
+const JOIN_QUANTA: i64 = SLICE_QUANTA / 3;
+
+/// A piece of a span inside one page.
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    layer: u32,
+    pixel: u16,
+    span: Span,
+}
+
+/// Collects the spans of one tile column and hands out its pages. Memory: 12 bytes per span.
+#[derive(Debug)]
+pub struct ColumnPages {
+    /// Heights are rounded outwards to multiples of this within their slice (1: not at all) [quanta].
+    step: u32,
+    pieces: Vec<Piece>,
+    builder: PageBuilder,
+    column: Vec<Span>,
+}
+
+impl ColumnPages {
+    /// An empty column of an archive of `plan`.
+    pub fn new(plan: &Plan) -> Self {
+        let step = (plan.tolerance_m / plan.frame.quantum_m()).floor().clamp(1.0, SLICE_QUANTA as f64) as u32;
+        Self { step, pieces: Vec::new(), builder: PageBuilder::default(), column: Vec::new() }
+    }
+
+    /// Adds the spans of all pixels in `area`, with one verdict (true: obstacle) per voxel of `patch`.
+    pub fn add(&mut self, patch: &Patch, area: Area, verdicts: &[bool]) {
+        for y in area.y.0..area.y.1 {
+            for x in area.x.0..area.x.1 {
+                self.add_pixel(patch, (y as usize + 1) * PATCH_PIXELS + x as usize + 1, (y << 6 | x) as u16, verdicts);
+            }
+        }
+    }
+
+    fn add_pixel(&mut self, patch: &Patch, patch_pixel: usize, pixel: u16, verdicts: &[bool]) {
+        let range = patch.range(patch_pixel);
+        let mut open: Option<OpenSpan> = None;
+        for (voxel, &obstacle) in patch.voxels()[range.clone()].iter().zip(&verdicts[range]) {
+            let floor = i64::from(voxel.slice) * SLICE_QUANTA;
+            let bottom = floor + i64::from(u32::from(voxel.bottom) / self.step * self.step);
+            let top =
+                floor + i64::from((u32::from(voxel.top).div_ceil(self.step) * self.step).min(SLICE_QUANTA as u32));
+            open = Some(match open {
+                Some(below)
+                    if below.slice + 1 == voxel.slice
+                        && (below.obstacle && obstacle || bottom - below.top <= JOIN_QUANTA) =>
+                {
+                    if below.obstacle == obstacle {
+                        OpenSpan { top, slice: voxel.slice, ..below }
+                    } else {
+                        self.push(pixel, OpenSpan { top: floor, ..below });
+                        OpenSpan { bottom: floor, top, obstacle, slice: voxel.slice }
+                    }
+                }
+                apart => {
+                    if let Some(below) = apart {
+                        self.push(pixel, below);
+                    }
+                    OpenSpan { bottom, top, obstacle, slice: voxel.slice }
+                }
+            });
+        }
+        if let Some(last) = open {
+            self.push(pixel, last);
+        }
+    }
+
+    /// Cuts a span at page boundaries.
+    fn push(&mut self, pixel: u16, span: OpenSpan) {
+        let mut bottom = span.bottom;
+        loop {
+            let layer = bottom / PAGE_QUANTA;
+            let page_floor = layer * PAGE_QUANTA;
+            let top = span.top.min(page_floor + PAGE_QUANTA);
+            let piece = Span::new((bottom - page_floor) as u32, (top - page_floor) as u32, span.obstacle);
+            self.pieces.extend(piece.map(|span| Piece { layer: layer as u32, pixel, span }));
+            if top >= span.top {
+                return;
+            }
+            bottom = top;
+        }
+    }
+
+    /// Hands out the pages, lowest layer first, and forgets them. `first_slice` is the column block's lowest slice.
+    pub fn finish<E>(
+        &mut self,
+        first_slice: i64,
+        mut give: impl FnMut(i32, &Page) -> std::result::Result<(), E>,
+    ) -> std::result::Result<(), E> {
+        let Self { pieces, builder, column, .. } = self;
+        let place = |piece: &Piece| (piece.layer, piece.pixel);
+        if !pieces.is_sorted_by_key(place) {
+            // Stable, so the spans of a pixel stay in order of height.
+            pieces.sort_by_key(place);
+        }
+        for page in pieces.chunk_by(|a, b| a.layer == b.layer) {
+            builder.clear();
+            for pixel in page.chunk_by(|a, b| a.pixel == b.pixel) {
+                column.clear();
+                column.extend(pixel.iter().map(|piece| piece.span));
+                let (px, py) = (u32::from(pixel[0].pixel & 63), u32::from(pixel[0].pixel >> 6));
+                let canonical = builder.set_column(px, py, column);
+                debug_assert!(canonical, "pixel ({px}, {py}): {column:?}");
+            }
+            let layer = first_slice.div_euclid(PAGE_SLICES) + i64::from(page[0].layer);
+            give(layer as i32, &builder.build())?;
+        }
+        pieces.clear();
+        Ok(())
+    }
+}
+
+/// A span under construction, in quanta above the column block's floor.
+#[derive(Debug, Clone, Copy)]
+struct OpenSpan {
+    bottom: i64,
+    top: i64,
+    obstacle: bool,
+    /// Slice of its highest voxel.
+    slice: u32,
+}

@@ -1,0 +1,232 @@
+//! Floors and obstacles: the verdict per voxel.
+//!
+//! In: the voxels of a tile column with a halo of one pixel. Out: for each voxel whether it is an obstacle. Every rule
+//! reads exact integers, so verdicts depend neither on the order of points nor on where tiles and slices end.
+//!
+//! *Runs.* Voxels of one pixel in consecutive slices form a run when they are connected: three or more in a row, or
+//! two whose gap is at most one slice height. A plane of slope θ extends at most `√2·t·tan θ` within a pixel, whatever
+//! its heading; a run that extends further is steeper.
+//!
+//! - [`Classifier::Span`]: a run higher than `√2·t·tan(limit)` is an obstacle.
+//! - [`Classifier::Thesis`]: a voxel whose points differ by more than a third of the slice height (thesis, algorithm
+//!   3.3, with all points of the voxel in place of the last one, which removes its dependence on their order).
+//! - [`Classifier::Plane`]: runs clearly steeper than the limit are obstacles as above; any other voxel is judged by
+//!   the least-squares plane through the points of the connected voxels in 3 × 3 pixels. Where the points do not
+//!   determine a plane, or do not lie on one (stair edges, kerbs), the extents decide.
+
+use crate::frame::{Frame, SLICE_QUANTA};
+use crate::plan::{Classifier, Plan};
+use crate::voxel::fold::{Area, Moments, Patch, Voxel};
+use crate::voxel::record::{HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, SLICE_STEPS, SUBPIXELS};
+use nalgebra::{Matrix2, Vector2};
+
+/// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
+/// not make it an obstacle, and the fit is exact enough to tell.
+const CLEARLY_STEEPER_DEG: f64 = 10.0;
+/// A neighbour belongs to the same surface if a plane this much steeper than the limit could connect the two.
+const CONNECTED_STEEPER_DEG: f64 = 15.0;
+/// No angle beyond this is used as a bound: its tangent would connect everything.
+const STEEPEST_BOUND_DEG: f64 = 80.0;
+/// Least standard deviation of the points' places across their main direction that determines a plane [pixels].
+const LEAST_SPREAD_PIXELS: f64 = 0.2;
+/// Greatest root mean square distance of points from a plane that they are said to lie on [pixels].
+const GREATEST_RESIDUAL_PIXELS: f64 = 0.3;
+
+/// Judges voxels by one of the rules.
+#[derive(Debug, Clone, Copy)]
+pub struct Judge {
+    classifier: Classifier,
+    /// Slope in steps of height per 1/128 pixel, squared, above which a plane is an obstacle.
+    steep_squared: f64,
+    /// Extents of runs [quanta].
+    steep_run: f64,
+    clearly_steep_run: f64,
+    /// Vertical gap across which voxels of neighbouring pixels are connected [quanta].
+    reach: f64,
+    /// Vertical extent of a 3 × 3 × 3 neighbourhood that a surface at the limit cannot have [quanta].
+    steep_neighbourhood: f64,
+    /// Greatest mean square residual of a plane [steps²].
+    greatest_square: f64,
+}
+
+impl Judge {
+    /// A judge for archives of `plan`.
+    pub fn new(plan: &Plan) -> Self {
+        let frame: &Frame = &plan.frame;
+        let quanta_per_pixel = frame.pixel_m() / frame.quantum_m();
+        let tangent = |deg: f64| if deg >= 90.0 { f64::INFINITY } else { deg.to_radians().tan() };
+        let limit = plan.max_slope_deg;
+        let bound = |more: f64| (limit + more).min(STEEPEST_BOUND_DEG.max(limit));
+        let steps_per_pixel = frame.pixel_m() / frame.slice_m() * SLICE_STEPS as f64;
+        let steep = tangent(limit) * steps_per_pixel / SUBPIXELS as f64;
+        let run = |deg: f64| std::f64::consts::SQRT_2 * tangent(deg) * quanta_per_pixel;
+        Self {
+            classifier: plan.classifier,
+            steep_squared: steep * steep,
+            steep_run: run(limit),
+            clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
+            reach: tangent(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG)) * quanta_per_pixel,
+            steep_neighbourhood: 4.0 * tangent(limit) * quanta_per_pixel,
+            greatest_square: (GREATEST_RESIDUAL_PIXELS * steps_per_pixel).powi(2),
+        }
+    }
+
+    /// Sets `verdicts` to one verdict per voxel of `patch`: true for an obstacle. Only those of pixels in `area` are
+    /// meant to be used; the halo's are computed from less.
+    pub fn judge(&self, patch: &Patch, area: Area, verdicts: &mut Vec<bool>) {
+        verdicts.clear();
+        verdicts.resize(patch.voxels().len(), false);
+        match self.classifier {
+            Classifier::Thesis => {
+                for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
+                    *verdict = i64::from(voxel.top - voxel.bottom) > SLICE_QUANTA / 3;
+                }
+            }
+            Classifier::Span => mark_runs(patch, self.steep_run, verdicts),
+            Classifier::Plane => {
+                mark_runs(patch, self.clearly_steep_run, verdicts);
+                let steep_runs = verdicts.clone();
+                for y in area.y.0..area.y.1 {
+                    for x in area.x.0..area.x.1 {
+                        let pixel = (y as usize + 1) * PATCH_PIXELS + x as usize + 1;
+                        for number in patch.range(pixel) {
+                            if !steep_runs[number] {
+                                verdicts[number] = self.is_steep(patch, &steep_runs, pixel, number);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Verdict on one voxel by the surface around it.
+    fn is_steep(&self, patch: &Patch, steep_runs: &[bool], pixel: usize, number: usize) -> bool {
+        let centre = &patch.voxels()[number];
+        let first_slice = i64::from(centre.slice) - 1;
+        let (low, high) =
+            (quanta_above(centre, first_slice, centre.bottom), quanta_above(centre, first_slice, centre.top));
+        let mut sums = Moments::default();
+        let (mut lowest, mut highest) = (low, high);
+        for dy in 0..3 {
+            for dx in 0..3 {
+                let neighbour = pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1;
+                for other in slices_around(patch, neighbour, centre.slice) {
+                    let voxel = &patch.voxels()[other];
+                    let bottom = quanta_above(voxel, first_slice, voxel.bottom);
+                    let top = quanta_above(voxel, first_slice, voxel.top);
+                    (lowest, highest) = (lowest.min(bottom), highest.max(top));
+                    let gap = (bottom - high).max(low - top);
+                    if !steep_runs[other] && gap as f64 <= self.reach {
+                        let slices = i64::from(voxel.slice) - first_slice;
+                        sums.add_shifted(&voxel.moments, dx as i64, dy as i64, slices);
+                    }
+                }
+            }
+        }
+        match self.fit(&sums) {
+            Fit::Plane { slope_squared } => slope_squared > self.steep_squared,
+            Fit::NoPlane => self.run_extent(patch, pixel, number) as f64 > self.steep_run,
+            Fit::Undetermined => (highest - lowest) as f64 > self.steep_neighbourhood,
+        }
+    }
+
+    fn fit(&self, sums: &Moments) -> Fit {
+        let central =
+            |n: i64, ab: i64, a: i64, b: i64| (i128::from(n) * i128::from(ab) - i128::from(a) * i128::from(b)) as f64;
+        let Moments { n, u, v, w, .. } = *sums;
+        let [cuu, cuv, cvv] =
+            [(sums.uu, u, u), (sums.uv, u, v), (sums.vv, v, v)].map(|(ab, a, b)| central(n, ab, a, b));
+        let [cuw, cvw, cww] =
+            [(sums.uw, u, w), (sums.vw, v, w), (sums.ww, w, w)].map(|(ab, a, b)| central(n, ab, a, b));
+        let square = (n as f64) * (n as f64);
+        let half_trace = (cuu + cvv) / 2.0;
+        let half_difference = (cuu - cvv) / 2.0;
+        // Only operations that IEEE 754 rounds exactly, so that every machine gives the same verdict.
+        let smaller = half_trace - (half_difference * half_difference + cuv * cuv).sqrt();
+        let least = (LEAST_SPREAD_PIXELS * SUBPIXELS as f64).powi(2) * square;
+        let covariance = Matrix2::new(cuu, cuv, cuv, cvv);
+        let Some(inverse) = covariance.try_inverse().filter(|_| n >= 3 && smaller >= least) else {
+            return Fit::Undetermined;
+        };
+        let gradient = inverse * Vector2::new(cuw, cvw);
+        let residual = (cww - gradient.dot(&Vector2::new(cuw, cvw))) / square;
+        if residual > self.greatest_square {
+            return Fit::NoPlane;
+        }
+        Fit::Plane { slope_squared: gradient.norm_squared() }
+    }
+
+    /// Extent of the run that a voxel belongs to [quanta].
+    fn run_extent(&self, patch: &Patch, pixel: usize, number: usize) -> i64 {
+        let range = patch.range(pixel);
+        let voxels = &patch.voxels()[range.clone()];
+        runs(voxels).find(|run| run.contains(&(number - range.start))).map_or(0, |run| extent(&voxels[run]))
+    }
+}
+
+enum Fit {
+    Plane { slope_squared: f64 },
+    NoPlane,
+    Undetermined,
+}
+
+fn quanta_above(voxel: &Voxel, first_slice: i64, quantum: u8) -> i64 {
+    (i64::from(voxel.slice) - first_slice) * SLICE_QUANTA + i64::from(quantum)
+}
+
+/// Numbers of the voxels of a pixel in the slices `slice − 1 ..= slice + 1`.
+#[inline]
+fn slices_around(patch: &Patch, pixel: usize, slice: u32) -> std::ops::Range<usize> {
+    let range = patch.range(pixel);
+    let voxels = &patch.voxels()[range.clone()];
+    let first = if voxels.len() < 16 {
+        voxels.iter().take_while(|voxel| voxel.slice + 1 < slice).count()
+    } else {
+        voxels.partition_point(|voxel| voxel.slice + 1 < slice)
+    };
+    let count = voxels[first..].iter().take_while(|voxel| voxel.slice <= slice + 1).count();
+    range.start + first..range.start + first + count
+}
+
+/// Runs of connected voxels (see the module text) of one pixel, as ranges into `voxels`.
+fn runs(voxels: &[Voxel]) -> impl Iterator<Item = std::ops::Range<usize>> {
+    let mut next = 0;
+    std::iter::from_fn(move || {
+        let first = next;
+        let mut end = first + 1;
+        if first >= voxels.len() {
+            return None;
+        }
+        while end < voxels.len() && voxels[end].slice == voxels[end - 1].slice + 1 {
+            end += 1;
+        }
+        if end - first == 2 {
+            let gap = SLICE_QUANTA + i64::from(voxels[first + 1].bottom) - i64::from(voxels[first].top);
+            if gap > SLICE_QUANTA {
+                end = first + 1;
+            }
+        }
+        next = end;
+        Some(first..end)
+    })
+}
+
+fn extent(run: &[Voxel]) -> i64 {
+    let (first, last) = (&run[0], &run[run.len() - 1]);
+    (i64::from(last.slice) - i64::from(first.slice)) * SLICE_QUANTA + i64::from(last.top) - i64::from(first.bottom)
+}
+
+fn mark_runs(patch: &Patch, greatest_extent: f64, verdicts: &mut [bool]) {
+    for pixel in 0..PATCH_AREA {
+        let range = patch.range(pixel);
+        let voxels = &patch.voxels()[range.clone()];
+        for run in runs(voxels) {
+            if extent(&voxels[run.clone()]) as f64 > greatest_extent {
+                verdicts[range.start + run.start..range.start + run.end].fill(true);
+            }
+        }
+    }
+}
+
+const _: () = assert!(HALO_PIXELS == 1, "the windows of this file are 3 × 3 pixels");

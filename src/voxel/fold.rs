@@ -1,0 +1,327 @@
+//! Folds the records of a tile column into voxels.
+//!
+//! The fold of a voxel keeps minima, maxima and sums of integers only. It is associative and commutative to the last
+//! bit, so the order of points, files and threads cannot show in what comes out (guarantee G4), and voxels of parts of
+//! a scan add up to the voxels of the whole.
+
+use super::record::{
+    PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, pixel_of_voxel, top_quantum,
+};
+
+/// Sums over the points of one voxel, exact: place `u`, `v` in its pixel [1/128 pixel] and height `w` in its slice
+/// [steps, see [`Record::height`]]. Ten numbers determine the least-squares plane and its residual.
+///
+/// No sum overflows below 10⁹ points in a 3 × 3 × 3 neighbourhood (24,480² · 10⁹ < 2⁶³).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Moments {
+    pub n: i64,
+    pub u: i64,
+    pub v: i64,
+    pub w: i64,
+    pub uu: i64,
+    pub uv: i64,
+    pub vv: i64,
+    pub uw: i64,
+    pub vw: i64,
+    pub ww: i64,
+}
+
+impl Moments {
+    /// Adds one point.
+    #[inline]
+    pub fn add(&mut self, u: i64, v: i64, w: i64) {
+        self.n += 1;
+        self.u += u;
+        self.v += v;
+        self.w += w;
+        self.uu += u * u;
+        self.uv += u * v;
+        self.vv += v * v;
+        self.uw += u * w;
+        self.vw += v * w;
+        self.ww += w * w;
+    }
+
+    /// Adds the points of a voxel that lies `pixels_x`, `pixels_y` and `slices` away from the origin of these sums.
+    #[inline]
+    pub fn add_shifted(&mut self, of: &Self, pixels_x: i64, pixels_y: i64, slices: i64) {
+        let (a, b, c) = (pixels_x * SUBPIXELS, pixels_y * SUBPIXELS, slices * SLICE_STEPS);
+        self.n += of.n;
+        self.u += of.u + of.n * a;
+        self.v += of.v + of.n * b;
+        self.w += of.w + of.n * c;
+        self.uu += of.uu + 2 * a * of.u + of.n * a * a;
+        self.uv += of.uv + a * of.v + b * of.u + of.n * a * b;
+        self.vv += of.vv + 2 * b * of.v + of.n * b * b;
+        self.uw += of.uw + a * of.w + c * of.u + of.n * a * c;
+        self.vw += of.vw + b * of.w + c * of.v + of.n * b * c;
+        self.ww += of.ww + 2 * c * of.w + of.n * c * c;
+    }
+}
+
+/// All points of one voxel, folded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Voxel {
+    /// Slice above the first of the column's block.
+    pub slice: u32,
+    /// Greatest quantum at or below the lowest point, above the slice's floor (0..=254).
+    pub bottom: u8,
+    /// Least quantum at or above the highest point, above the slice's floor (0..=255).
+    pub top: u8,
+    /// Sums over the points.
+    pub moments: Moments,
+}
+
+impl Voxel {
+    fn of(record: Record) -> Self {
+        let mut voxel = Self { slice: record.slice(), bottom: u8::MAX, top: 0, moments: Moments::default() };
+        voxel.add(record);
+        voxel
+    }
+
+    #[inline]
+    fn add(&mut self, record: Record) {
+        let (height, (u, v)) = (record.height(), record.place());
+        self.bottom = self.bottom.min(bottom_quantum(height) as u8);
+        self.top = self.top.max(top_quantum(height) as u8);
+        self.moments.add(i64::from(u), i64::from(v), i64::from(height));
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.bottom = self.bottom.min(other.bottom);
+        self.top = self.top.max(other.top);
+        self.moments.add_shifted(&other.moments, 0, 0, 0);
+    }
+}
+
+/// A rectangle of pixels of a tile column, ends excluded, in pixels of the tile (0..=64).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Area {
+    /// First and end pixel along x.
+    pub x: (u32, u32),
+    /// First and end pixel along y.
+    pub y: (u32, u32),
+}
+
+impl Area {
+    /// The whole tile.
+    pub const TILE: Self = Self { x: (0, 64), y: (0, 64) };
+
+    /// Whether a patch pixel lies in the area or in the one-pixel halo around it.
+    #[inline]
+    pub fn holds_with_halo(&self, patch_pixel: usize) -> bool {
+        let (x, y) = ((patch_pixel % PATCH_PIXELS) as u32, (patch_pixel / PATCH_PIXELS) as u32);
+        // Patch coordinates are one more than the tile's, so `first` is the halo pixel before the area.
+        (self.x.0..=self.x.1 + 1).contains(&x) && (self.y.0..=self.y.1 + 1).contains(&y)
+    }
+
+    /// Whether a patch pixel lies in the area itself.
+    pub fn holds(&self, patch_pixel: usize) -> bool {
+        let (x, y) = ((patch_pixel % PATCH_PIXELS) as u32, (patch_pixel / PATCH_PIXELS) as u32);
+        (self.x.0 + 1..=self.x.1).contains(&x) && (self.y.0 + 1..=self.y.1).contains(&y)
+    }
+
+    /// Two halves along the longer edge; `None` for a single pixel.
+    pub fn halves(&self) -> Option<[Self; 2]> {
+        let (width, height) = (self.x.1 - self.x.0, self.y.1 - self.y.0);
+        if width.max(height) < 2 {
+            return None;
+        }
+        let (mut low, mut high) = (*self, *self);
+        if width >= height {
+            low.x.1 = self.x.0 + width / 2;
+            high.x.0 = low.x.1;
+        } else {
+            low.y.1 = self.y.0 + height / 2;
+            high.y.0 = low.y.1;
+        }
+        Some([low, high])
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> usize {
+        ((self.x.1 - self.x.0) * (self.y.1 - self.y.0)) as usize
+    }
+}
+
+/// The voxels of a tile column with its halo, pixel after pixel, lowest slice first.
+#[derive(Debug, Default)]
+pub struct Patch {
+    starts: Vec<u32>,
+    voxels: Vec<Voxel>,
+    sorted: Vec<Record>,
+}
+
+impl Patch {
+    /// All voxels.
+    pub fn voxels(&self) -> &[Voxel] {
+        &self.voxels
+    }
+
+    /// Numbers of the voxels of a patch pixel.
+    #[inline]
+    pub fn range(&self, patch_pixel: usize) -> std::ops::Range<usize> {
+        self.starts[patch_pixel] as usize..self.starts[patch_pixel + 1] as usize
+    }
+
+    /// Replaces the content by the fold of `records`. Voxels of fewer than `min_points` points are dropped; returns
+    /// how many were, without those in the halo around `area`.
+    pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area) -> u64 {
+        self.sort(records);
+        let sorted = std::mem::take(&mut self.sorted);
+        let voxels = sorted.chunk_by(|a, b| a.voxel() == b.voxel()).map(|points| {
+            let mut voxel = Voxel::of(points[0]);
+            points[1..].iter().for_each(|&point| voxel.add(point));
+            (points[0].pixel(), voxel)
+        });
+        let dropped = self.set(voxels, min_points, area);
+        self.sorted = sorted;
+        dropped
+    }
+
+    /// Replaces the content by voxels that were folded piecemeal (see [`fold_into`]).
+    pub fn set_folded(&mut self, folded: &Folded, min_points: u32, area: Area) -> u64 {
+        self.set(folded.iter().map(|&(key, voxel)| (pixel_of_voxel(key), voxel)), min_points, area)
+    }
+
+    fn set(&mut self, voxels: impl Iterator<Item = (usize, Voxel)>, min_points: u32, area: Area) -> u64 {
+        self.starts.clear();
+        self.voxels.clear();
+        let mut dropped = 0;
+        for (pixel, voxel) in voxels {
+            if voxel.moments.n < i64::from(min_points) {
+                dropped += u64::from(area.holds(pixel));
+                continue;
+            }
+            self.starts.resize(pixel + 1, self.voxels.len() as u32);
+            self.voxels.push(voxel);
+        }
+        self.starts.resize(PATCH_AREA + 1, self.voxels.len() as u32);
+        dropped
+    }
+
+    /// Sorts by pixel by counting, then within each pixel; a general sort is only as good on few records.
+    fn sort(&mut self, records: &[Record]) {
+        self.sorted.clear();
+        self.sorted.resize(records.len(), Record(0));
+        if records.len() < PATCH_AREA {
+            self.sorted.copy_from_slice(records);
+            self.sorted.sort_unstable();
+            return;
+        }
+        let mut next = [0u32; PATCH_AREA];
+        records.iter().for_each(|record| next[record.pixel()] += 1);
+        let mut start = 0;
+        for count in &mut next {
+            start += std::mem::replace(count, start);
+        }
+        for &record in records {
+            let place = &mut next[record.pixel()];
+            self.sorted[*place as usize] = record;
+            *place += 1;
+        }
+        let mut rest = &mut self.sorted[..];
+        let mut start = 0;
+        for end in next {
+            let (own, others) = rest.split_at_mut((end - start) as usize);
+            own.sort_unstable();
+            rest = others;
+            start = end;
+        }
+    }
+}
+
+/// Voxels in order of [`Record::voxel`].
+pub type Folded = Vec<(u64, Voxel)>;
+
+/// Folds `records` (in any order; they are sorted) into voxels folded before.
+pub fn fold_into(folded: &mut Folded, records: &mut [Record]) {
+    records.sort_unstable();
+    let before = std::mem::take(folded);
+    let mut before = before.into_iter().peekable();
+    for points in records.chunk_by(|a, b| a.voxel() == b.voxel()) {
+        let key = points[0].voxel();
+        while let Some(earlier) = before.next_if(|(earlier, _)| *earlier < key) {
+            folded.push(earlier);
+        }
+        let mut voxel = Voxel::of(points[0]);
+        points[1..].iter().for_each(|&point| voxel.add(point));
+        if let Some((_, same)) = before.next_if(|(earlier, _)| *earlier == key) {
+            voxel.merge(&same);
+        }
+        folded.push((key, voxel));
+    }
+    folded.extend(before);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Frame;
+    use crate::voxel::record::Recorder;
+    use proptest::prelude::*;
+
+    fn records(points: &[(f64, f64, f64)]) -> Vec<Record> {
+        let recorder = Recorder::new(Frame::new(0.5, 1.5).unwrap());
+        let mut records = Vec::new();
+        for &(x, y, z) in points {
+            recorder.record(x, y, z, |index, record| {
+                if (index.tx, index.ty) == (0, 0) {
+                    records.push(record);
+                }
+            });
+        }
+        records
+    }
+
+    proptest! {
+        #[test]
+        fn folding_in_pieces_and_in_any_order_is_folding_at_once(
+            points in proptest::collection::vec((-1.0f64..33.0, -1.0f64..33.0, -4.0f64..4.0), 1..6000),
+            piece in 1usize..500, min_points in 1u32..3
+        ) {
+            let mut records = records(&points);
+            let (mut at_once, mut piecemeal) = (Patch::default(), Patch::default());
+            let dropped = at_once.fold(&records, min_points, Area::TILE);
+            records.reverse();
+            let mut folded = Folded::new();
+            records.chunks_mut(piece).for_each(|piece| fold_into(&mut folded, piece));
+            prop_assert_eq!(piecemeal.set_folded(&folded, min_points, Area::TILE), dropped);
+            prop_assert_eq!(&at_once.voxels, &piecemeal.voxels);
+            prop_assert_eq!(&at_once.starts, &piecemeal.starts);
+            let points_kept: i64 = at_once.voxels.iter().map(|voxel| voxel.moments.n).sum();
+            prop_assert!(min_points > 1 || points_kept == records.len() as i64);
+        }
+
+        #[test]
+        fn shifted_sums_are_sums_of_shifted_points(
+            points in proptest::collection::vec((0i64..128, 0i64..128, 0i64..8160), 0..50),
+            (dx, dy, ds) in (0i64..3, 0i64..3, 0i64..3)
+        ) {
+            let (mut plain, mut shifted, mut direct) = <(Moments, Moments, Moments)>::default();
+            for &(u, v, w) in &points {
+                plain.add(u, v, w);
+                direct.add(u + dx * SUBPIXELS, v + dy * SUBPIXELS, w + ds * SLICE_STEPS);
+            }
+            shifted.add_shifted(&plain, dx, dy, ds);
+            prop_assert_eq!(shifted, direct);
+        }
+    }
+
+    #[test]
+    fn halves_cover_an_area_without_overlap_down_to_single_pixels() {
+        let mut open = vec![Area::TILE];
+        let mut seen = vec![false; 4096];
+        while let Some(area) = open.pop() {
+            match area.halves() {
+                Some(halves) => open.extend(halves),
+                None => {
+                    assert_eq!(area.pixels(), 1);
+                    let pixel = (area.y.0 * 64 + area.x.0) as usize;
+                    assert!(!std::mem::replace(&mut seen[pixel], true));
+                }
+            }
+        }
+        assert!(seen.iter().all(|&seen| seen));
+    }
+}

@@ -1,0 +1,238 @@
+//! One point as 8 bytes, relative to its tile column, and the names of tile columns.
+//!
+//! A record holds the point's voxel in its high bits and its place inside the voxel in its low bits, so that sorting
+//! records as integers groups them by pixel, then by slice, then by height. Records of one tile column include a
+//! *halo*, copies of the points in the first pixel beyond each edge, so that what looks at 3 × 3 pixels needs no
+//! other tile column.
+
+use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, TILE_PIXELS, morton};
+
+/// Pixels beyond each edge of a tile column whose points are copied into it.
+pub const HALO_PIXELS: i64 = 1;
+/// Edge of a tile column with its halo [pixels].
+pub const PATCH_PIXELS: usize = (TILE_PIXELS + 2 * HALO_PIXELS) as usize;
+/// Pixels of a tile column with its halo.
+pub const PATCH_AREA: usize = PATCH_PIXELS * PATCH_PIXELS;
+
+/// Steps per pixel edge at which the place of a point inside its pixel is kept.
+pub const SUBPIXELS: i64 = 1 << SUBPIXEL_BITS;
+const SUBPIXEL_BITS: u32 = 7;
+/// Steps per height quantum: 16 cells, each split into "on its lower end" and "above it" (see [`Record::bottom`]).
+const STEPS_PER_QUANTUM: i64 = 32;
+/// Steps per slice at which the height of a point is kept.
+pub const SLICE_STEPS: i64 = SLICE_QUANTA * STEPS_PER_QUANTUM;
+const HEIGHT_BITS: u32 = 13;
+const SLICE_BITS: u32 = 24;
+
+/// Slices in one block of a tile column; a column of a scan higher than that is cut into blocks.
+pub const BLOCK_SLICES: i64 = 1 << SLICE_BITS;
+
+const _: () = assert!(SLICE_STEPS <= 1 << HEIGHT_BITS && PATCH_AREA <= 1 << 13);
+const _: () = assert!(13 + SLICE_BITS + HEIGHT_BITS + 2 * SUBPIXEL_BITS == 64);
+
+/// A tile column, or one block of [`BLOCK_SLICES`] slices of a very high one. Ordered as its pages are in the archive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ColumnKey {
+    /// Place on the Morton curve (see [`crate::frame::PageKey::column`]).
+    pub column: u64,
+    /// Block of slices: slices `2²⁴·block − 2²³ .. 2²⁴·block + 2²³`.
+    pub block: i16,
+}
+
+impl ColumnKey {
+    /// Lowest slice of the block.
+    pub fn first_slice(self) -> i64 {
+        i64::from(self.block) * BLOCK_SLICES - BLOCK_SLICES / 2
+    }
+}
+
+/// A point relative to its tile column; see the module text for its layout.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(transparent)]
+pub struct Record(pub u64);
+
+impl Record {
+    fn new(pixel: u64, slice: u64, height: u64, u: u64, v: u64) -> Self {
+        Self((((pixel << SLICE_BITS | slice) << HEIGHT_BITS | height) << SUBPIXEL_BITS | u) << SUBPIXEL_BITS | v)
+    }
+
+    /// Pixel in the patch: `(y + 1)·66 + x + 1`, `x` and `y` from −1 to 64.
+    #[inline]
+    pub fn pixel(self) -> usize {
+        (self.0 >> (64 - 13)) as usize
+    }
+
+    /// Slice above the first of the column's block.
+    #[inline]
+    pub fn slice(self) -> u32 {
+        (self.0 >> (HEIGHT_BITS + 2 * SUBPIXEL_BITS)) as u32 & ((1 << SLICE_BITS) - 1)
+    }
+
+    /// Pixel and slice as one number; equal for points of one voxel.
+    #[inline]
+    pub fn voxel(self) -> u64 {
+        self.0 >> (HEIGHT_BITS + 2 * SUBPIXEL_BITS)
+    }
+
+    /// Height above the slice's floor [steps, 0..8160]. Even steps are exact multiples of 1/16 quantum, odd ones lie
+    /// between the multiples below and above; so both the floor and the ceiling to whole quanta can be told.
+    #[inline]
+    pub fn height(self) -> u32 {
+        (self.0 >> (2 * SUBPIXEL_BITS)) as u32 & ((1 << HEIGHT_BITS) - 1)
+    }
+
+    /// Place inside the pixel [1/128 pixel].
+    #[inline]
+    pub fn place(self) -> (u32, u32) {
+        let mask = (1 << SUBPIXEL_BITS) - 1;
+        ((self.0 >> SUBPIXEL_BITS) as u32 & mask, self.0 as u32 & mask)
+    }
+}
+
+/// The patch pixel of a number made by [`Record::voxel`].
+pub fn pixel_of_voxel(voxel: u64) -> usize {
+    (voxel >> SLICE_BITS) as usize
+}
+
+/// Greatest quantum at or below a height in steps.
+#[inline]
+pub fn bottom_quantum(steps: u32) -> u32 {
+    steps / STEPS_PER_QUANTUM as u32
+}
+
+/// Least quantum at or above a height in steps.
+#[inline]
+pub fn top_quantum(steps: u32) -> u32 {
+    (steps + STEPS_PER_QUANTUM as u32 - 1) / STEPS_PER_QUANTUM as u32
+}
+
+/// Turns world points into records.
+#[derive(Debug, Clone, Copy)]
+pub struct Recorder {
+    subpixels_per_m: f64,
+    cells_per_m: f64,
+    frame: Frame,
+}
+
+/// A tile column by its indices, cheaper to compare than a [`ColumnKey`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct ColumnIndex {
+    /// Tile index along x.
+    pub tx: i32,
+    /// Tile index along y.
+    pub ty: i32,
+    /// Block of slices.
+    pub block: i16,
+}
+
+impl ColumnIndex {
+    /// The key by which columns are ordered.
+    pub fn key(self) -> ColumnKey {
+        ColumnKey { column: morton(self.tx, self.ty), block: self.block }
+    }
+}
+
+#[inline]
+fn floor(value: f64) -> i64 {
+    // Plain `floor` is a function call on baseline x86-64; this is three instructions.
+    let whole = value as i64;
+    whole - i64::from((whole as f64) > value)
+}
+
+impl Recorder {
+    /// A recorder for the grid `frame`.
+    pub fn new(frame: Frame) -> Self {
+        // Multiplying by a power of two is exact, so these round just as the frame's own functions do.
+        Self {
+            subpixels_per_m: frame.pixels(1.0) * SUBPIXELS as f64,
+            cells_per_m: frame.quanta(1.0) * (STEPS_PER_QUANTUM / 2) as f64,
+            frame,
+        }
+    }
+
+    /// Whether all points within these bounds have an index on the grid.
+    pub fn reaches(&self, min: [f64; 3], max: [f64; 3]) -> bool {
+        let indices = |p: [f64; 3]| [self.frame.pixel_of(p[0]), self.frame.pixel_of(p[1]), self.frame.slice_of(p[2])];
+        indices(min).into_iter().chain(indices(max)).all(|index| index.abs() <= MAX_INDEX)
+    }
+
+    /// Gives `sink` the point's record, and its copies for tile columns whose halo it lies in. The point must be
+    /// within [`reaches`](Self::reaches).
+    #[inline]
+    pub fn record(&self, x: f64, y: f64, z: f64, mut sink: impl FnMut(ColumnIndex, Record)) {
+        let (fx, fy) = (floor(x * self.subpixels_per_m), floor(y * self.subpixels_per_m));
+        let cells = z * self.cells_per_m;
+        let cell = floor(cells);
+        let steps = 2 * cell + i64::from(cell as f64 != cells);
+        let slice = steps.div_euclid(SLICE_STEPS);
+        let height = (steps - slice * SLICE_STEPS) as u64;
+        let block = (slice + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
+        let slice = (slice + BLOCK_SLICES / 2 - block * BLOCK_SLICES) as u64;
+        let (i, j) = (fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS);
+        let (u, v) = ((fx & (SUBPIXELS - 1)) as u64, (fy & (SUBPIXELS - 1)) as u64);
+        let (tx, ty) = ((i >> 6) as i32, (j >> 6) as i32);
+        let (px, py) = (i & 63, j & 63);
+        let mut give = |dx: i64, dy: i64| {
+            let (px, py) = (px - dx * TILE_PIXELS + HALO_PIXELS, py - dy * TILE_PIXELS + HALO_PIXELS);
+            let pixel = (py * PATCH_PIXELS as i64 + px) as u64;
+            let index = ColumnIndex { tx: tx + dx as i32, ty: ty + dy as i32, block: block as i16 };
+            sink(index, Record::new(pixel, slice, height, u, v));
+        };
+        give(0, 0);
+        let beyond = |p: i64| i64::from(p >= TILE_PIXELS - HALO_PIXELS) - i64::from(p < HALO_PIXELS);
+        let (dx, dy) = (beyond(px), beyond(py));
+        if dx != 0 {
+            give(dx, 0);
+        }
+        if dy != 0 {
+            give(0, dy);
+        }
+        if dx != 0 && dy != 0 {
+            give(dx, dy);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn records_agree_with_the_frame(
+            x in -1e7f64..1e7, y in -1e3f64..1e3, z in -1e7f64..1e7, t in 0.01f64..1.0
+        ) {
+            let frame = Frame::new(t, 3.0 * t).unwrap();
+            let recorder = Recorder::new(frame);
+            prop_assert!(recorder.reaches([x, y, z], [x, y, z]));
+            let mut copies = 0;
+            recorder.record(x, y, z, |index, record| {
+                copies += 1;
+                let pixel = record.pixel() as i64;
+                let i = i64::from(index.tx) * 64 + pixel % PATCH_PIXELS as i64 - HALO_PIXELS;
+                let j = i64::from(index.ty) * 64 + pixel / PATCH_PIXELS as i64 - HALO_PIXELS;
+                assert_eq!((i, j), (frame.pixel_of(x), frame.pixel_of(y)));
+                let slice = index.key().first_slice() + i64::from(record.slice());
+                assert_eq!(slice, frame.slice_of(z));
+                let floor = slice * SLICE_QUANTA;
+                assert_eq!(floor + i64::from(bottom_quantum(record.height())), frame.quantum_floor(z));
+                assert_eq!(floor + i64::from(top_quantum(record.height())), frame.quantum_ceil(z));
+            });
+            prop_assert!((1..=4).contains(&copies));
+        }
+    }
+
+    #[test]
+    fn a_corner_point_goes_to_four_columns_and_an_inner_one_to_one() {
+        let recorder = Recorder::new(Frame::new(1.0, 3.0).unwrap());
+        let columns = |x, y| {
+            let mut found = Vec::new();
+            recorder.record(x, y, 0.0, |index, _| found.push((index.tx, index.ty)));
+            found
+        };
+        assert_eq!(columns(0.5, 0.5), [(0, 0), (-1, 0), (0, -1), (-1, -1)]);
+        assert_eq!(columns(63.5, 32.0), [(0, 0), (1, 0)]);
+        assert_eq!(columns(32.0, 32.0), [(0, 0)]);
+    }
+}
