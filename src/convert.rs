@@ -108,6 +108,8 @@ pub struct Report {
     pub header: Header,
     /// Point spacing found, if the pixel size was chosen automatically.
     pub spacing: Option<Spacing>,
+    /// Text of the coordinate reference system; empty if the input names none.
+    pub crs: String,
     /// Bytes of temporary data written to disk.
     pub temp_bytes: u64,
     /// Points left out because a coordinate was not finite.
@@ -395,6 +397,7 @@ fn work_on_columns(
     jobs: &Receiver<(u64, Job)>,
     done: &Sender<Result<Done>>,
 ) {
+    let _alarm = Alarm(done);
     let mut worker = ColumnWorker::new(plan, max_records);
     for (number, job) in jobs {
         let result = worker.work(merge, &job).map(|(pages, voxels_dropped)| Done {
@@ -406,6 +409,17 @@ fn work_on_columns(
         let failed = result.is_err();
         if done.send(result).is_err() || failed {
             return;
+        }
+    }
+}
+
+/// Wakes the writing thread if a worker panics; it would else wait for ever for that worker's job.
+struct Alarm<'a>(&'a Sender<Result<Done>>);
+
+impl Drop for Alarm<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let _ = self.0.send(Err(Error::Interrupted));
         }
     }
 }

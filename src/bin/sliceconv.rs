@@ -1,2 +1,270 @@
-//! Converts scans into slice archives.
-fn main() {}
+//! Converts LAS and LAZ scans into one slice archive: arguments, one call, printing, exit code.
+
+use clap::{Parser, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
+use slicewalk::input::Units;
+use slicewalk::plan::{Classifier, Up};
+use slicewalk::{Error, Monitor};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Converts LAS and LAZ scans of any size into one slice archive, in bounded memory.
+///
+/// Numbers in input units are metres. The archive appears complete under its name, or not at all.
+#[derive(Parser)]
+#[command(name = "sliceconv", version, max_term_width = 110)]
+struct Arguments {
+    /// Scans: files, folders, or glob patterns in quotes
+    #[arg(required = true, value_name = "INPUT")]
+    inputs: Vec<PathBuf>,
+    /// Archive to write
+    #[arg(short, long, value_name = "OUT.slices")]
+    output: PathBuf,
+    /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing
+    #[arg(long, default_value = "auto", value_name = "auto|METRES", value_parser = pixel_size)]
+    pixel: PixelSize,
+    /// Height of a slice in metres [default: three pixels]
+    #[arg(long, value_name = "METRES", value_parser = length)]
+    slice: Option<f64>,
+    /// Steepest slope that can be stood on, in degrees
+    #[arg(long, default_value_t = 45.0, value_name = "DEG")]
+    max_slope: f64,
+    /// How far heights may be coarsened, always outwards, in metres
+    #[arg(long, default_value_t = 0.0, value_name = "METRES")]
+    tolerance: f64,
+    /// How floors and obstacles are told apart
+    #[arg(long, value_enum, default_value_t = Rule::Plane)]
+    classifier: Rule,
+    /// Memory to use, at least 64MiB
+    #[arg(long, default_value = "512MiB", value_name = "SIZE", value_parser = size)]
+    memory: u64,
+    /// Worker threads [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Folder for temporary data [default: the system's]
+    #[arg(long, value_name = "DIR")]
+    temp_dir: Option<PathBuf>,
+    /// LAS classes to leave out, e.g. 7,18 for noise
+    #[arg(long, value_name = "CLASSES", value_delimiter = ',')]
+    exclude_class: Vec<u8>,
+    /// Drop voxels of fewer points (their points may then be missed)
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    min_points: u32,
+    /// Axis of the input that points up
+    #[arg(long, value_enum, default_value_t = Axis::Z)]
+    up: Axis,
+    /// Unit of the input: from its CRS, metres, feet, US survey feet, or metres per unit
+    #[arg(long, default_value = "auto", value_name = "auto|m|ft|us-ft|FACTOR", value_parser = units)]
+    units: Units,
+    /// Replace an existing archive
+    #[arg(long)]
+    force: bool,
+    /// No progress and no warnings
+    #[arg(long, short)]
+    quiet: bool,
+    /// Print what was done as JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Rule {
+    /// Vertical extent of connected matter in a pixel
+    Span,
+    /// Vertical extent within one voxel, as in the thesis
+    Thesis,
+    /// Slope of a plane fitted to 3 × 3 pixels
+    Plane,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Axis {
+    Z,
+    Y,
+}
+
+fn length(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("expected a length in metres above 0".into()),
+    }
+}
+
+fn pixel_size(text: &str) -> Result<PixelSize, String> {
+    if text == "auto" { Ok(PixelSize::Auto) } else { length(text).map(PixelSize::Metres) }
+}
+
+fn units(text: &str) -> Result<Units, String> {
+    Ok(match text {
+        "auto" => Units::Auto,
+        "m" => Units::Factor(1.0),
+        "ft" => Units::Factor(0.3048),
+        "us-ft" => Units::Factor(1200.0 / 3937.0),
+        factor => match factor.parse::<f64>() {
+            Ok(value) if value > 0.0 && value.is_finite() => Units::Factor(value),
+            _ => return Err("expected auto, m, ft, us-ft, or metres per unit above 0".into()),
+        },
+    })
+}
+
+fn size(text: &str) -> Result<u64, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit: u64 = match text[digits.len()..].to_ascii_lowercase().as_str() {
+        "" | "b" => 1,
+        "k" | "kib" => 1 << 10,
+        "m" | "mib" => 1 << 20,
+        "g" | "gib" => 1 << 30,
+        "t" | "tib" => 1 << 40,
+        "kb" => 1_000,
+        "mb" => 1_000_000,
+        "gb" => 1_000_000_000,
+        other => return Err(format!("unknown unit {other:?}: expected B, KiB, MiB, GiB, KB, MB or GB")),
+    };
+    let value: f64 = digits.trim().parse().map_err(|_| "expected a size such as 512MiB".to_owned())?;
+    if (0.0..1e18).contains(&value) { Ok((value * unit as f64) as u64) } else { Err("out of range".into()) }
+}
+
+/// Shows progress on a terminal and prints warnings on standard error.
+struct Terminal {
+    quiet: bool,
+    cancelled: &'static AtomicBool,
+    bar: Mutex<ProgressBar>,
+}
+
+impl Terminal {
+    fn bar(&self) -> std::sync::MutexGuard<'_, ProgressBar> {
+        self.bar.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+impl Monitor for Terminal {
+    fn stage(&self, name: &str, total: u64, unit: &str) {
+        if self.quiet {
+            return;
+        }
+        let bar = if total > 0 { ProgressBar::new(total) } else { ProgressBar::new_spinner() };
+        let template = format!("{{msg:16}} {{wide_bar}} {{human_pos}}/{{human_len}} {unit} {{per_sec}} {{eta}}");
+        if let Ok(style) = ProgressStyle::with_template(&template) {
+            bar.set_style(style);
+        }
+        bar.set_message(name.to_owned());
+        std::mem::replace(&mut *self.bar(), bar).finish_and_clear();
+    }
+
+    fn advance(&self, amount: u64) {
+        self.bar().inc(amount);
+    }
+
+    fn warn(&self, text: &str) {
+        if !self.quiet {
+            self.bar().suspend(|| eprintln!("sliceconv: warning: {text}"));
+        }
+    }
+
+    fn cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    static CANCELLED: AtomicBool = AtomicBool::new(false);
+    let terminal = Terminal { quiet: arguments.quiet, cancelled: &CANCELLED, bar: Mutex::new(ProgressBar::hidden()) };
+    let handler = ctrlc::set_handler(|| {
+        // The second signal means: at once. Temporary data vanishes with the process or is cleaned by the next run.
+        if CANCELLED.swap(true, Ordering::Relaxed) {
+            std::process::exit(1);
+        }
+    });
+    if let Err(error) = handler {
+        terminal.warn(&format!("cannot listen for Ctrl-C: {error}"));
+    }
+    let started = Instant::now();
+    let result = run(&arguments, &terminal);
+    terminal.bar().finish_and_clear();
+    match result {
+        Ok(report) => {
+            print_report(&arguments, &report, started.elapsed().as_secs_f64());
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("sliceconv: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments, monitor: &dyn Monitor) -> Result<Report, Error> {
+    let mut options = ConvertOptions::new(arguments.inputs.clone(), arguments.output.clone());
+    options.pixel = arguments.pixel;
+    options.slice_m = arguments.slice;
+    options.max_slope_deg = arguments.max_slope;
+    options.tolerance_m = arguments.tolerance;
+    options.classifier = match arguments.classifier {
+        Rule::Span => Classifier::Span,
+        Rule::Thesis => Classifier::Thesis,
+        Rule::Plane => Classifier::Plane,
+    };
+    options.memory_bytes = arguments.memory;
+    options.threads = arguments.threads.map_or(options.threads, usize::from);
+    options.temp_dir = arguments.temp_dir.clone().unwrap_or(options.temp_dir);
+    for class in &arguments.exclude_class {
+        options.exclude_classes[usize::from(class / 64)] |= 1 << (class % 64);
+    }
+    options.min_points = arguments.min_points;
+    options.up = match arguments.up {
+        Axis::Z => Up::Z,
+        Axis::Y => Up::Y,
+    };
+    options.units = arguments.units;
+    options.overwrite = arguments.force;
+    convert(&options, monitor)
+}
+
+fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
+    let header = &report.header;
+    if arguments.json {
+        let mut facts = slicewalk::info::header_info(header, &report.crs);
+        facts["points_not_finite"] = report.points_not_finite.into();
+        facts["voxels_dropped"] = report.voxels_dropped.into();
+        facts["temp_bytes"] = report.temp_bytes.into();
+        facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
+        facts["seconds"] = seconds.into();
+        println!("{facts:#}");
+    }
+    if arguments.quiet || arguments.json {
+        return;
+    }
+    let frame = &header.plan.frame;
+    if let Some(spacing) = &report.spacing {
+        eprintln!(
+            "pixel size {} m: 4 × the point spacing of {:.4} m (median over {} sampled points)",
+            frame.pixel_m(),
+            spacing.spacing_m,
+            spacing.sampled
+        );
+    }
+    let left_out = header.points_read - header.points_kept;
+    eprintln!(
+        "{}: {} points ({left_out} left out), {} voxels ({} obstacle) in {} slices of {} m",
+        arguments.output.display(),
+        header.points_kept,
+        header.voxels_occupied,
+        header.voxels_obstacle,
+        header.slice_count(),
+        frame.slice_m()
+    );
+    if report.voxels_dropped > 0 {
+        eprintln!("{} voxels of fewer than {} points dropped", report.voxels_dropped, header.plan.min_points);
+    }
+    eprintln!(
+        "{} bytes, {} bytes of temporary data, {seconds:.2} s, {:.2} M points/s",
+        header.file_bytes(),
+        report.temp_bytes,
+        header.points_read as f64 / seconds / 1e6
+    );
+}

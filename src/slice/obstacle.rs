@@ -230,3 +230,163 @@ fn mark_runs(patch: &Patch, greatest_extent: f64, verdicts: &mut [bool]) {
 }
 
 const _: () = assert!(HALO_PIXELS == 1, "the windows of this file are 3 × 3 pixels");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Up;
+    use crate::voxel::record::{Record, Recorder};
+
+    const T: f64 = 0.05;
+
+    fn plan(classifier: Classifier, max_slope_deg: f64) -> Plan {
+        Plan {
+            frame: Frame::new(T, 3.0 * T).unwrap(),
+            max_slope_deg,
+            tolerance_m: 0.0,
+            classifier,
+            min_points: 1,
+            up: Up::Z,
+            exclude_classes: [0; 4],
+        }
+    }
+
+    /// A small generator of uniform numbers in 0..1 and of nearly normal ones.
+    struct Random(u64);
+
+    impl Random {
+        fn uniform(&mut self) -> f64 {
+            self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (self.0 >> 11) as f64 / (1u64 << 53) as f64
+        }
+        fn normal(&mut self) -> f64 {
+            (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+        }
+    }
+
+    /// Shares of voxels judged obstacle among the inner pixels of tile (0, 0), which holds `points`.
+    fn obstacle_share(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> f64 {
+        let recorder = Recorder::new(plan.frame);
+        let mut records: Vec<Record> = Vec::new();
+        for [x, y, z] in points {
+            recorder.record(x, y, z, |index, record| {
+                if (index.tx, index.ty) == (0, 0) {
+                    records.push(record);
+                }
+            });
+        }
+        let mut patch = Patch::default();
+        patch.fold(&records, 1, Area::TILE);
+        let inner = Area { x: (4, 60), y: (4, 60) };
+        let mut verdicts = Vec::new();
+        Judge::new(plan).judge(&patch, inner, &mut verdicts);
+        let (mut all, mut obstacles) = (0, 0);
+        for pixel in (0..PATCH_AREA).filter(|&pixel| inner.holds(pixel)) {
+            for number in patch.range(pixel) {
+                all += 1;
+                obstacles += usize::from(verdicts[number]);
+            }
+        }
+        f64::from(obstacles as u32) / f64::from(all)
+    }
+
+    fn plane(slope_deg: f64, heading_deg: f64, per_edge: f64, noise: f64, random: &mut Random) -> Vec<[f64; 3]> {
+        let (slope, heading) = (slope_deg.to_radians(), heading_deg.to_radians());
+        let edge = 64.0 * T;
+        // Uniform on the plane itself, as a scanner at a fair distance sees it.
+        let count = (64.0 * per_edge).powi(2) / slope.cos().max(0.05);
+        let phase = random.uniform() * 3.0 * T;
+        (0..count as usize)
+            .map(|_| {
+                let (x, y) = (random.uniform() * edge, random.uniform() * edge);
+                let along = (x - edge / 2.0) * heading.cos() + (y - edge / 2.0) * heading.sin();
+                let z = phase + along * slope.tan();
+                let off = noise * random.normal();
+                let (nx, nz) = (-slope.sin(), slope.cos());
+                [x + off * nx * heading.cos(), y + off * nx * heading.sin(), z + off * nz]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_plane_rule_flips_at_the_limit_within_three_degrees_for_every_heading_and_phase() {
+        let mut random = Random(7);
+        for limit in [30.0, 45.0] {
+            let plan = plan(Classifier::Plane, limit);
+            for noise in [0.0, 0.002] {
+                for heading in [0.0, 15.0, 30.0, 45.0, 77.0, 90.0, 200.0] {
+                    for (slope, obstacle) in [
+                        (0.0, false),
+                        (limit - 10.0, false),
+                        (limit - 3.0, false),
+                        (limit + 3.0, true),
+                        (limit + 8.0, true),
+                        (limit + 15.0, true),
+                        (75.0, true),
+                        (85.0, true),
+                    ] {
+                        let share = obstacle_share(&plan, plane(slope, heading, 2.0, noise, &mut random).into_iter());
+                        let right = if obstacle { share } else { 1.0 - share };
+                        assert!(right >= 0.95, "limit {limit} slope {slope} heading {heading} noise {noise}: {right}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_flat_floor_on_a_slice_boundary_is_floor() {
+        let mut random = Random(3);
+        for classifier in [Classifier::Plane, Classifier::Span] {
+            let edge = 64.0 * T;
+            let points =
+                (0..60_000).map(|_| [random.uniform() * edge, random.uniform() * edge, 0.002 * random.normal()]);
+            assert_eq!(obstacle_share(&plan(classifier, 45.0), points.collect::<Vec<_>>().into_iter()), 0.0);
+        }
+    }
+
+    #[test]
+    fn stairs_are_floor_and_their_risers_are_not() {
+        let mut random = Random(5);
+        let edge = 64.0 * T;
+        let height = |x: f64| (x / 0.3).floor() * 0.18;
+        let treads: Vec<_> = (0..80_000)
+            .map(|_| (random.uniform() * edge, random.uniform() * edge))
+            .map(|(x, y)| [x, y, height(x)])
+            .collect();
+        let share = obstacle_share(&plan(Classifier::Plane, 45.0), treads.into_iter());
+        assert!(share < 0.01, "treads: {share}");
+        // A riser at x = 1.21, in the middle of a pixel, with its two treads.
+        let riser: Vec<_> = (0..20_000).map(|_| [1.21, random.uniform() * edge, random.uniform() * 0.18]).collect();
+        let share = obstacle_share(&plan(Classifier::Plane, 45.0), riser.into_iter());
+        assert!(share > 0.95, "riser: {share}");
+    }
+
+    #[test]
+    fn walls_are_obstacles_down_to_one_point_per_voxel() {
+        let mut random = Random(11);
+        let edge = 64.0 * T;
+        for (density, least) in [(10.0, 0.99), (1.0, 0.9)] {
+            // Points per voxel of the wall's pixels.
+            let count = (64.0 * (2.4 / (3.0 * T)) * density) as usize;
+            let wall: Vec<_> = (0..count).map(|_| [1.21, random.uniform() * edge, random.uniform() * 2.4]).collect();
+            let share = obstacle_share(&plan(Classifier::Plane, 45.0), wall.into_iter());
+            assert!(share >= least, "{density} points per voxel: {share}");
+        }
+    }
+
+    #[test]
+    fn mirrored_points_get_mirrored_verdicts() {
+        let mut random = Random(13);
+        let points = plane(45.0, 33.0, 2.0, 0.003, &mut random);
+        let edge = 64.0 * T;
+        // Keep off pixel borders, which are half open and so do not mirror.
+        let inside = |v: f64| ((v / T).fract() - 0.5).abs() < 0.49;
+        let points: Vec<_> = points.into_iter().filter(|p| inside(p[0]) && inside(p[1])).collect();
+        let mirrored = points.iter().map(|&[x, y, z]| [edge - x, y, z]).collect::<Vec<_>>();
+        let plan = plan(Classifier::Plane, 45.0);
+        let share = obstacle_share(&plan, points.into_iter());
+        assert!((0.05..0.95).contains(&share), "{share}: the test would show nothing");
+        assert!((share - obstacle_share(&plan, mirrored.into_iter())).abs() < 0.01);
+    }
+}
