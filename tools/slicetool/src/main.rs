@@ -1,2 +1,116 @@
-//! Looks into slice archives.
-fn main() {}
+//! Looks into slice archives. Results go to standard output, diagnostics to standard error; exit code 0 done, 1 failed
+//! (one line: what, where, way out), 2 usage.
+
+mod demo;
+mod diff;
+mod export;
+mod info;
+mod query;
+mod show;
+mod stats;
+mod verify;
+
+use clap::{Parser, Subcommand};
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// What ends a command early.
+pub enum Failure {
+    /// One line for standard error.
+    Text(String),
+    /// A result to print that nevertheless means failure, such as a list of findings.
+    Result(String),
+}
+
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Text(error.to_string())
+    }
+}
+
+/// Text for standard output, or a failure.
+pub type Outcome = Result<String, Failure>;
+
+/// Looks into slice archives.
+#[derive(Parser)]
+#[command(name = "slicetool", version, max_term_width = 110)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Print what an archive says of itself
+    Info {
+        archive: PathBuf,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Check every byte of an archive and list all findings
+    Verify {
+        archive: PathBuf,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Count what the scene needed: how pages and tiles are stored, and bytes by part
+    Stats {
+        archive: PathBuf,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Draw one slice in the thesis' colours: red height, green 255, blue 255 obstacle or 26 floor, black empty
+    Show(show::Arguments),
+    /// Compare the content of two archives
+    Diff {
+        a: PathBuf,
+        b: PathBuf,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Write one point per occupied voxel as PLY or LAS/LAZ
+    Export {
+        archive: PathBuf,
+        /// File to write; its ending (.ply, .las, .laz) decides the format
+        #[arg(short, long)]
+        output: PathBuf,
+    },
+    /// Answer boxes or rays from a CSV file
+    Query(query::Arguments),
+    /// Generate a scan, convert it, verify, query against brute force, draw slices
+    Demo(demo::Arguments),
+}
+
+fn main() -> ExitCode {
+    let outcome = match Arguments::parse().command {
+        Command::Info { archive, json } => info::run(&archive, json),
+        Command::Verify { archive, json } => verify::run(&archive, json),
+        Command::Stats { archive, json } => stats::run(&archive, json),
+        Command::Show(arguments) => show::run(&arguments),
+        Command::Diff { a, b, json } => diff::run(&a, &b, json),
+        Command::Export { archive, output } => export::run(&archive, &output),
+        Command::Query(arguments) => query::run(&arguments),
+        Command::Demo(arguments) => demo::run(&arguments),
+    };
+    let (text, code) = match outcome {
+        Ok(text) => (text, ExitCode::SUCCESS),
+        Err(Failure::Result(text)) => (text, ExitCode::FAILURE),
+        Err(Failure::Text(text)) => {
+            eprintln!("slicetool: {text}");
+            return ExitCode::FAILURE;
+        }
+    };
+    // A closed pipe (`slicetool query … | head`) is the reader's choice, not a failure.
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            eprintln!("slicetool: cannot write to standard output: {error}");
+            ExitCode::FAILURE
+        }
+        _ => code,
+    }
+}

@@ -1,0 +1,139 @@
+//! `slicetool diff`: compares what two archives hold, not how they hold it.
+
+use crate::{Failure, Outcome};
+use serde_json::json;
+use slicewalk::archive::{Archive, PageEntry};
+use slicewalk::slice::{Page, Span};
+use std::fmt::Write;
+use std::path::Path;
+
+#[derive(Default)]
+struct Difference {
+    pages_only_a: u64,
+    pages_only_b: u64,
+    pages_differing: u64,
+    voxels_only_a: u64,
+    voxels_only_b: u64,
+    voxels_of_other_kind: u64,
+    voxels_of_other_height: u64,
+    /// Greatest difference of a bottom or top inside a voxel [quanta].
+    greatest_quanta: u8,
+}
+
+/// Compares the archives at `a` and `b`, which must share their grid.
+pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
+    let (first, second) = (Archive::open(a)?, Archive::open(b)?);
+    if first.frame() != second.frame() {
+        let grid = |archive: &Archive| {
+            format!("pixel {} m, slice {} m", archive.frame().pixel_m(), archive.frame().slice_m())
+        };
+        return Err(Failure::Text(format!(
+            "{} and {} lie on different grids ({} and {}); convert one again with the other's --pixel and --slice",
+            a.display(),
+            b.display(),
+            grid(&first),
+            grid(&second)
+        )));
+    }
+    let difference = compare(&first, &second)?;
+    let identical = difference.pages_only_a + difference.pages_only_b + difference.pages_differing == 0;
+    let same_plan = first.header().plan_hash == second.header().plan_hash;
+    let quantum = first.frame().quantum_m();
+    let greatest = f64::from(difference.greatest_quanta) * quantum;
+    if json {
+        let facts = json!({
+            "identical": identical,
+            "same_plan": same_plan,
+            "pages": {
+                "only_a": difference.pages_only_a,
+                "only_b": difference.pages_only_b,
+                "differing": difference.pages_differing,
+            },
+            "voxels": {
+                "only_a": difference.voxels_only_a,
+                "only_b": difference.voxels_only_b,
+                "other_kind": difference.voxels_of_other_kind,
+                "other_height": difference.voxels_of_other_height,
+            },
+            "greatest_height_difference": greatest,
+        });
+        return Ok(format!("{facts:#}\n"));
+    }
+    let mut text = String::new();
+    writeln!(text, "plans {}", if same_plan { "are the same" } else { "differ" })?;
+    if identical {
+        writeln!(text, "content is identical")?;
+    } else {
+        let Difference { pages_only_a, pages_only_b, pages_differing, .. } = difference;
+        writeln!(text, "pages: {pages_only_a} only in A, {pages_only_b} only in B, {pages_differing} differ")?;
+        writeln!(
+            text,
+            "voxels: {} only in A, {} only in B, {} of other kind, {} of other height (by up to {greatest:.4} m)",
+            difference.voxels_only_a,
+            difference.voxels_only_b,
+            difference.voxels_of_other_kind,
+            difference.voxels_of_other_height
+        )?;
+    }
+    Ok(text)
+}
+
+/// Walks both directories side by side; memory: one page of each.
+fn compare(a: &Archive, b: &Archive) -> Result<Difference, Failure> {
+    let mut difference = Difference::default();
+    let (mut entries_a, mut entries_b) = (a.entries(), b.entries());
+    let (mut next_a, mut next_b) = (entries_a.next().transpose()?, entries_b.next().transpose()?);
+    let empty = slicewalk::slice::PageBuilder::default().build();
+    let load = |archive: &Archive, entry: Option<&PageEntry>| -> slicewalk::Result<Option<Page>> {
+        entry.map(|entry| archive.page(entry)).transpose()
+    };
+    while next_a.is_some() || next_b.is_some() {
+        let key_a = next_a.as_ref().map(|entry| entry.key);
+        let key_b = next_b.as_ref().map(|entry| entry.key);
+        let take_a = key_a.is_some_and(|a| key_b.is_none_or(|b| a <= b));
+        let take_b = key_b.is_some_and(|b| key_a.is_none_or(|a| b <= a));
+        let page_a = load(a, next_a.as_ref().filter(|_| take_a))?;
+        let page_b = load(b, next_b.as_ref().filter(|_| take_b))?;
+        match (&page_a, &page_b) {
+            (Some(_), None) => difference.pages_only_a += 1,
+            (None, Some(_)) => difference.pages_only_b += 1,
+            (page_a, page_b) => difference.pages_differing += u64::from(page_a != page_b),
+        }
+        if page_a != page_b {
+            count(page_a.as_ref().unwrap_or(&empty), page_b.as_ref().unwrap_or(&empty), &mut difference);
+        }
+        if take_a {
+            next_a = entries_a.next().transpose()?;
+        }
+        if take_b {
+            next_b = entries_b.next().transpose()?;
+        }
+    }
+    Ok(difference)
+}
+
+fn count(a: &Page, b: &Page, difference: &mut Difference) {
+    let slices = a.slices() | b.slices();
+    for pixel in 0..64 * 64 {
+        let (a, b) = (a.column(pixel & 63, pixel >> 6), b.column(pixel & 63, pixel >> 6));
+        if a == b {
+            continue;
+        }
+        for slice in (0..64).filter(|slice| slices >> slice & 1 == 1) {
+            let part = |spans: &[Span]| {
+                spans.iter().find_map(|span| Some((span.within_slice(slice)?, span.is_obstacle())))
+            };
+            match (part(a), part(b)) {
+                (Some(((bottom_a, top_a), kind_a)), Some(((bottom_b, top_b), kind_b))) => {
+                    difference.voxels_of_other_kind += u64::from(kind_a != kind_b);
+                    let quanta = bottom_a.abs_diff(bottom_b).max(top_a.abs_diff(top_b));
+                    difference.voxels_of_other_height += u64::from(quanta > 0);
+                    difference.greatest_quanta = difference.greatest_quanta.max(quanta);
+                }
+                (Some(_), None) => difference.voxels_only_a += 1,
+                (None, Some(_)) => difference.voxels_only_b += 1,
+                (None, None) => {}
+            }
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! `slicetool info`: what an archive says of itself.
+
+use crate::Outcome;
+use slicewalk::archive::Archive;
+use std::fmt::Write;
+use std::path::Path;
+
+/// Facts of the archive at `path`, as JSON or as text.
+pub fn run(path: &Path, json: bool) -> Outcome {
+    let archive = Archive::open(path)?;
+    let facts = slicewalk::info::info(&archive)?;
+    if json {
+        return Ok(format!("{facts:#}\n"));
+    }
+    let mut text = String::new();
+    if let serde_json::Value::Object(facts) = facts {
+        for (key, value) in facts {
+            let value = match value {
+                serde_json::Value::String(text) => text,
+                other => other.to_string(),
+            };
+            writeln!(text, "{key:16} {value}")?;
+        }
+    }
+    Ok(text)
+}

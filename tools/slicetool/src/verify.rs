@@ -1,0 +1,41 @@
+//! `slicetool verify`: checks every byte and lists all findings.
+
+use crate::{Failure, Outcome};
+use serde_json::json;
+use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
+use std::fmt::Write;
+use std::path::Path;
+
+/// Checks the archive at `path`. Findings are the result, and a failure.
+pub fn run(path: &Path, json: bool) -> Outcome {
+    let mut findings = Vec::new();
+    let summary = match Archive::open(path) {
+        Ok(archive) => Some(archive.verify(&NoMonitor, &mut |finding| findings.push(finding.to_string()))?),
+        // What keeps an archive from opening is a finding like any other; a file that cannot be read is not.
+        Err(error @ slicewalk::Error::Io { .. }) => return Err(error.into()),
+        Err(error) => {
+            findings.push(error.to_string());
+            None
+        }
+    };
+    let text = if json {
+        let pages = summary.as_ref().map(|summary| summary.pages);
+        let bytes = summary.as_ref().map(|summary| summary.bytes);
+        let facts = json!({ "ok": findings.is_empty(), "pages": pages, "bytes": bytes, "findings": findings });
+        format!("{facts:#}\n")
+    } else {
+        let mut text = String::new();
+        for finding in &findings {
+            writeln!(text, "{}: {finding}", path.display())?;
+        }
+        match summary {
+            Some(summary) if findings.is_empty() => {
+                writeln!(text, "{}: ok, {} pages, {} bytes", path.display(), summary.pages, summary.bytes)?;
+            }
+            _ => writeln!(text, "{}: {} findings", path.display(), findings.len())?,
+        }
+        text
+    };
+    if findings.is_empty() { Ok(text) } else { Err(Failure::Result(text)) }
+}
