@@ -15,7 +15,7 @@ pub fn header_info(header: &Header, crs: &str) -> Value {
     let bounds = header.bounds.map(|(min, max)| json!({ "min": min, "max": max }));
     let classes = (0..=255u8).filter(|&class| plan.excludes(class)).collect::<Vec<_>>();
     json!({
-        "format_version": format!("{}.{}", header.major, header.minor),
+        "format_version": format!("{}.{}", header.version.0, header.version.1),
         "pixel_size": plan.frame.pixel_m(),
         "slice_height": plan.frame.slice_m(),
         "height_quantum": plan.frame.quantum_m(),
@@ -25,19 +25,23 @@ pub fn header_info(header: &Header, crs: &str) -> Value {
         "points_kept": header.points_kept,
         "points_withheld": header.points_withheld,
         "points_excluded": header.points_excluded,
-        "slices": header.slice_count(),
+        "slices": slice_count(header),
         "lowest_slice": header.slices.map(|slices| slices.0),
         "tiles": {
-            "occupied": header.tiles_occupied,
-            "stored": header.tiles_stored,
-            "unique": header.tiles_unique,
+            "occupied": header.tiles.occupied,
+            "stored": header.tiles.stored,
+            "unique": header.tiles.unique,
         },
-        "pages": header.pages,
-        "voxels": { "occupied": header.voxels_occupied, "obstacle": header.voxels_obstacle },
+        "pages": {
+            "stored": header.pages.stored,
+            "shared": header.pages.shared,
+            "uniform": header.pages.uniform,
+        },
+        "voxels": { "occupied": header.voxels.occupied, "obstacle": header.voxels.obstacle },
         "bytes": {
-            "file": header.file_bytes(),
-            "tiles": header.page_bytes(),
-            "directory": header.directory_bytes(),
+            "file": header.file_len,
+            "tiles": header.bytes.pages,
+            "directory": header.bytes.head + header.bytes.directory,
         },
         "max_slope": plan.max_slope_deg,
         "tolerance": plan.tolerance_m,
@@ -48,4 +52,9 @@ pub fn header_info(header: &Header, crs: &str) -> Value {
         "plan_hash": format!("{:032x}", header.plan_hash),
         "crs": (!crs.is_empty()).then_some(crs),
     })
+}
+
+/// Number of slices from the lowest to the highest with matter.
+pub fn slice_count(header: &Header) -> i64 {
+    header.slices.map_or(0, |(lowest, highest)| highest - lowest + 1)
 }

@@ -253,9 +253,9 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         "{}: {} points ({left_out} left out), {} voxels ({} obstacle) in {} slices of {} m",
         arguments.output.display(),
         header.points_kept,
-        header.voxels_occupied,
-        header.voxels_obstacle,
-        header.slice_count(),
+        header.voxels.occupied,
+        header.voxels.obstacle,
+        slicewalk::info::slice_count(header),
         frame.slice_m()
     );
     if report.voxels_dropped > 0 {
@@ -263,7 +263,7 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
     }
     eprintln!(
         "{} bytes, {} bytes of temporary data, {seconds:.2} s, {:.2} M points/s",
-        header.file_bytes(),
+        header.file_len,
         report.temp_bytes,
         header.points_read as f64 / seconds / 1e6
     );

@@ -2,7 +2,7 @@
 
 use crate::{Failure, Outcome};
 use serde_json::json;
-use slicewalk::archive::{Archive, PageKind};
+use slicewalk::archive::{Archive, Place};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -30,7 +30,7 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     let stats = count(&archive)?;
     let header = archive.header();
     let per = |amount: u64, of: u64| if of == 0 { 0.0 } else { amount as f64 / of as f64 };
-    let bytes_per_voxel = per(header.file_bytes(), stats.voxels);
+    let bytes_per_voxel = per(header.file_len, stats.voxels);
     let memory_per_voxel = per(stats.memory_bytes, stats.voxels);
     if json {
         let by_kind = |counts: &[u64; 3]| {
@@ -44,9 +44,9 @@ pub fn run(path: &Path, json: bool) -> Outcome {
             "spans": { "all": stats.spans, "obstacle": stats.obstacle_spans },
             "voxels": { "occupied": stats.voxels, "obstacle": stats.obstacle_voxels, "without_height": stats.inner_voxels },
             "bytes": {
-                "file": header.file_bytes(),
-                "tiles": header.page_bytes(),
-                "directory": header.directory_bytes(),
+                "file": header.file_len,
+                "tiles": header.bytes.pages,
+                "directory": header.bytes.directory,
                 "per_voxel": bytes_per_voxel,
             },
             "resident_bytes": { "all": stats.memory_bytes, "per_voxel": memory_per_voxel },
@@ -75,9 +75,9 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     writeln!(
         text,
         "file {} bytes ({bytes_per_voxel:.2} per voxel): pages {}, directory {}; resident {} bytes ({memory_per_voxel:.2} per voxel)",
-        header.file_bytes(),
-        header.page_bytes(),
-        header.directory_bytes(),
+        header.file_len,
+        header.bytes.pages,
+        header.bytes.directory,
         stats.memory_bytes
     )?;
     Ok(text)
@@ -87,10 +87,10 @@ fn count(archive: &Archive) -> Result<Stats, Failure> {
     let mut stats = Stats::default();
     for entry in archive.entries() {
         let entry = entry?;
-        let kind = match entry.kind {
-            PageKind::Stored => 0,
-            PageKind::Shared => 1,
-            PageKind::Uniform(_) => 2,
+        let kind = match entry.place {
+            Place::Stored(_) => 0,
+            Place::Shared(_) => 1,
+            Place::Uniform(_) => 2,
         };
         stats.pages[kind] += 1;
         stats.tiles[kind] += u64::from(entry.slices.count_ones());

@@ -20,7 +20,7 @@ pub fn run(path: &Path, json: bool) -> Outcome {
         }
     };
     let text = if json {
-        let pages = summary.as_ref().map(|summary| summary.pages);
+        let pages = summary.as_ref().map(|summary| summary.pages.total());
         let bytes = summary.as_ref().map(|summary| summary.bytes);
         let facts = json!({ "ok": findings.is_empty(), "pages": pages, "bytes": bytes, "findings": findings });
         format!("{facts:#}\n")
@@ -31,7 +31,7 @@ pub fn run(path: &Path, json: bool) -> Outcome {
         }
         match summary {
             Some(summary) if findings.is_empty() => {
-                writeln!(text, "{}: ok, {} pages, {} bytes", path.display(), summary.pages, summary.bytes)?;
+                writeln!(text, "{}: ok, {} pages, {} bytes", path.display(), summary.pages.total(), summary.bytes)?;
             }
             _ => writeln!(text, "{}: {} findings", path.display(), findings.len())?,
         }
