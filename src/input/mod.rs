@@ -384,9 +384,9 @@ impl InputSet {
 
     /// Independent pieces of work, made as they are asked for: 131,072 points of a LAS file, one LAZ chunk, or a LAZ file
     /// that can only be read from its start.
-    pub fn units(&self) -> impl Iterator<Item = Unit> + '_ {
+    pub fn units(&self) -> impl Iterator<Item = Unit> + Send + '_ {
         self.files.iter().enumerate().flat_map(|(file, scan)| {
-            let units: Box<dyn Iterator<Item = Unit> + '_> = match &scan.content {
+            let units: Box<dyn Iterator<Item = Unit> + Send + '_> = match &scan.content {
                 Content::Plain { points } => {
                     let points = *points;
                     Box::new((0..points.div_ceil(UNIT_POINTS)).map(move |i| {
