@@ -39,8 +39,9 @@ pub(super) fn expand(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Vec<Pa
         // Where the system cannot resolve a path, opening the file will say why.
         let real = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
         match seen.get(&real) {
-            Some(first) => monitor
-                .warn(&format!("{}: the same file as {}; it is read once", path.display(), first.display())),
+            Some(first) => {
+                monitor.warn(&format!("{}: the same file as {}; it is read once", path.display(), first.display()))
+            }
             None => {
                 seen.insert(real, path.clone());
                 once.push(path);

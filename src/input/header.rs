@@ -67,8 +67,7 @@ impl Header {
             return bad("header, byte 94", reason);
         }
         if header_bytes < SHORTEST || u64::from(header_bytes) > file_bytes {
-            let reason =
-                format!("header length {header_bytes}, expected {SHORTEST} to the file's length {file_bytes}");
+            let reason = format!("header length {header_bytes}, expected {SHORTEST} to the file's length {file_bytes}");
             return bad("header, byte 94", reason);
         }
         if points_at < u64::from(header_bytes) {

@@ -51,7 +51,12 @@ pub(super) enum Body {
 
 impl Packing {
     /// Checks the LASzip record `body`; `memory_bytes` bounds what the models of extra bytes may take.
-    pub(super) fn read(source: &Source, body: &[u8], header: &Header, memory_bytes: u64) -> Result<(Self, Vec<String>)> {
+    pub(super) fn read(
+        source: &Source,
+        body: &[u8],
+        header: &Header,
+        memory_bytes: u64,
+    ) -> Result<(Self, Vec<String>)> {
         let bad = |reason: String| Error::input(source.path(), "LASzip record", reason);
         if body.len() < 34 {
             return Err(bad(format!("{} bytes long, expected 34 or more", body.len())));
