@@ -7,6 +7,9 @@ pub mod frame;
 
 pub mod plan;
 
+#[cfg(feature = "convert")]
+pub mod input;
+
 pub mod slice;
 
 #[cfg(feature = "convert")]

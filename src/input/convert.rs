@@ -1,0 +1,230 @@
+//! From point records to metres: the inner loop of both decoders.
+//!
+//! In: whole records as bytes, in the layout of a LAS file. Out: kept points in a [`PointBatch`].
+//! The arithmetic is exactly `(raw · scale + offset) · unit` in `f64`, each step rounded once (no fused operation), then
+//! the turn of the axes, so that an independent reader gets the same bits.
+
+use crate::input::{PointBatch, UnitCounts};
+use crate::plan::Up;
+
+/// Greatest coordinate that is kept, in magnitude [m].
+pub(super) const FARTHEST_M: f64 = 1e12;
+
+/// Raw integers to metres, z up.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Transform {
+    pub scale: [f64; 3],
+    pub offset: [f64; 3],
+    /// Metres per file unit along the file's x, y and z.
+    pub unit: [f64; 3],
+    pub up: Up,
+}
+
+impl Transform {
+    #[inline(always)]
+    fn axis(&self, axis: usize, raw: i32) -> f64 {
+        (f64::from(raw) * self.scale[axis] + self.offset[axis]) * self.unit[axis]
+    }
+
+    /// Whether no raw value leads to a coordinate beyond [`FARTHEST_M`].
+    fn always_near(&self) -> bool {
+        [i32::MIN, i32::MAX].iter().all(|&raw| (0..3).all(|a| self.axis(a, raw).abs() <= FARTHEST_M))
+    }
+
+    /// A corner given in file units [m, z up]; `None` if not finite.
+    pub(super) fn corner(&self, at: [f64; 3]) -> Option<[f64; 3]> {
+        let m = [at[0] * self.unit[0], at[1] * self.unit[1], at[2] * self.unit[2]];
+        let turned = match self.up {
+            Up::Z => m,
+            Up::Y => [m[0], -m[2], m[1]],
+        };
+        turned.iter().all(|v| v.is_finite()).then_some(turned)
+    }
+}
+
+/// Where flags and class lie in a record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Layout {
+    /// Formats 0 to 5: class in bits 0 to 4 of byte 15, withheld in its bit 7.
+    Old,
+    /// Formats 6 to 10: withheld in bit 2 of byte 15, class in byte 16.
+    Extended,
+}
+
+const WITHHELD: u8 = 1;
+const EXCLUDED: u8 = 2;
+
+/// Which points are left out, as tables over the bytes 15 and 16 of a record.
+#[derive(Debug, Clone)]
+pub(super) struct Filter {
+    byte_15: [u8; 256],
+    byte_16: [u8; 256],
+    /// No raw value can be out of range, so records without flags need no look at their coordinates.
+    always_near: bool,
+}
+
+impl Filter {
+    pub(super) fn new(layout: Layout, exclude: &[u64; 4], transform: &Transform) -> Self {
+        let excluded = |class: usize| if exclude[class / 64] >> (class % 64) & 1 == 1 { EXCLUDED } else { 0 };
+        let withheld = |byte: usize, bit: u32| if byte >> bit & 1 == 1 { WITHHELD } else { 0 };
+        let (byte_15, byte_16) = match layout {
+            Layout::Old => (std::array::from_fn(|b| withheld(b, 7) | excluded(b & 31)), [0; 256]),
+            Layout::Extended => (std::array::from_fn(|b| withheld(b, 2)), std::array::from_fn(excluded)),
+        };
+        Self { byte_15, byte_16, always_near: transform.always_near() }
+    }
+
+    #[inline(always)]
+    fn verdict(&self, record: &[u8]) -> u8 {
+        self.byte_15[usize::from(record[15])] | self.byte_16[usize::from(record[16])]
+    }
+}
+
+/// Replaces `batch` by the kept points of `records`, each `stride` (at least 20) bytes long; the rest of a record is
+/// ignored. Adds to `counts` all but `missing`.
+pub(super) fn convert(
+    records: &[u8],
+    stride: usize,
+    transform: &Transform,
+    filter: &Filter,
+    batch: &mut PointBatch,
+    counts: &mut UnitCounts,
+) {
+    let n = records.len() / stride;
+    counts.read += n as u64;
+    batch.resize(n);
+    let flagged = records.chunks_exact(stride).fold(0, |any, record| any | filter.verdict(record));
+    if flagged == 0 && filter.always_near {
+        // Known strides let the compiler unroll: the usual lengths of records without extra bytes.
+        match stride {
+            20 => whole::<20>(records, transform, batch),
+            26 => whole::<26>(records, transform, batch),
+            28 => whole::<28>(records, transform, batch),
+            30 => whole::<30>(records, transform, batch),
+            34 => whole::<34>(records, transform, batch),
+            36 => whole::<36>(records, transform, batch),
+            38 => whole::<38>(records, transform, batch),
+            _ => place(records.chunks_exact(stride), transform, batch),
+        }
+    } else {
+        let kept = sieve(records, stride, transform, filter, batch, counts);
+        batch.resize(kept);
+    }
+    if transform.up == Up::Y {
+        std::mem::swap(&mut batch.y, &mut batch.z);
+        batch.y.iter_mut().for_each(|y| *y = -*y);
+    }
+}
+
+fn whole<const STRIDE: usize>(records: &[u8], transform: &Transform, batch: &mut PointBatch) {
+    let (records, _) = records.as_chunks::<STRIDE>();
+    place(records.iter().map(|r| r.as_slice()), transform, batch);
+}
+
+#[inline(always)]
+fn raw(record: &[u8], axis: usize) -> i32 {
+    let at = 4 * axis;
+    i32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]])
+}
+
+#[inline(always)]
+fn place<'a>(records: impl Iterator<Item = &'a [u8]>, transform: &Transform, batch: &mut PointBatch) {
+    let places = batch.x.iter_mut().zip(&mut batch.y).zip(&mut batch.z);
+    for (record, ((x, y), z)) in records.zip(places) {
+        *x = transform.axis(0, raw(record, 0));
+        *y = transform.axis(1, raw(record, 1));
+        *z = transform.axis(2, raw(record, 2));
+    }
+}
+
+/// The same for slabs in which something is left out; returns the number of kept points, which come first in `batch`.
+fn sieve(
+    records: &[u8],
+    stride: usize,
+    transform: &Transform,
+    filter: &Filter,
+    batch: &mut PointBatch,
+    counts: &mut UnitCounts,
+) -> usize {
+    let mut kept = 0;
+    for record in records.chunks_exact(stride) {
+        let verdict = filter.verdict(record);
+        if verdict != 0 {
+            // A withheld point of an excluded class counts as withheld.
+            *(if verdict & WITHHELD != 0 { &mut counts.withheld } else { &mut counts.excluded }) += 1;
+            continue;
+        }
+        let point: [f64; 3] = std::array::from_fn(|axis| transform.axis(axis, raw(record, axis)));
+        if !point.iter().all(|v| v.abs() <= FARTHEST_M) {
+            counts.not_finite += 1;
+            continue;
+        }
+        [batch.x[kept], batch.y[kept], batch.z[kept]] = point;
+        kept += 1;
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(stride: usize, xyz: [i32; 3], byte_15: u8, byte_16: u8) -> Vec<u8> {
+        let mut bytes: Vec<u8> = xyz.iter().flat_map(|v| v.to_le_bytes()).collect();
+        bytes.resize(stride, 0xEE);
+        bytes[15] = byte_15;
+        bytes[16] = byte_16;
+        bytes
+    }
+
+    fn run(records: &[Vec<u8>], layout: Layout, exclude: [u64; 4], transform: Transform) -> (PointBatch, UnitCounts) {
+        let (mut batch, mut counts) = (PointBatch::default(), UnitCounts::default());
+        let filter = Filter::new(layout, &exclude, &transform);
+        convert(&records.concat(), records[0].len(), &transform, &filter, &mut batch, &mut counts);
+        (batch, counts)
+    }
+
+    const PLAIN: Transform = Transform { scale: [0.01; 3], offset: [1.0, -2.0, 3.0], unit: [1.0; 3], up: Up::Z };
+
+    #[test]
+    fn every_stride_gives_the_same_exact_coordinates() {
+        for stride in 20..=70 {
+            let records: Vec<_> = (0..9).map(|i| record(stride, [i, -i * 7, i32::MAX - i], 0, 0)).collect();
+            let (batch, counts) = run(&records, Layout::Extended, [0; 4], PLAIN);
+            assert_eq!(counts.read, 9);
+            for i in 0..9 {
+                assert_eq!(batch.x[i], i as f64 * 0.01 + 1.0);
+                assert_eq!(batch.y[i], -(i as f64) * 7.0 * 0.01 + -2.0);
+                assert_eq!(batch.z[i], f64::from(i32::MAX - i as i32) * 0.01 + 3.0);
+            }
+        }
+    }
+
+    #[test]
+    fn withheld_and_excluded_points_are_left_out_and_counted_in_both_layouts() {
+        let exclude = [1 << 7, 0, 1 << 2, 0]; // classes 7 and 130
+        let old: Vec<_> = [0, 0x80, 7, 0x87, 0x67, 2].map(|b| record(20, [1, 2, 3], b, 7)).into();
+        let (batch, counts) = run(&old, Layout::Old, exclude, PLAIN);
+        assert_eq!((batch.len(), counts.withheld, counts.excluded), (2, 2, 2));
+        let extended: Vec<_> =
+            [(0, 0), (4, 0), (0, 7), (4, 7), (3, 130), (0x80, 2)].map(|(f, c)| record(30, [1, 2, 3], f, c)).into();
+        let (batch, counts) = run(&extended, Layout::Extended, exclude, PLAIN);
+        assert_eq!((batch.len(), counts.withheld, counts.excluded, counts.read), (2, 2, 2, 6));
+    }
+
+    #[test]
+    fn far_and_infinite_coordinates_are_left_out_and_counted() {
+        let records: Vec<_> = [1, 1000, i32::MAX, -5].map(|v| record(34, [v, 0, 0], 0, 0)).into();
+        let (batch, counts) = run(&records, Layout::Old, [0; 4], Transform { scale: [1e10, 1.0, 1.0], ..PLAIN });
+        assert_eq!((batch.x.as_slice(), counts.not_finite), ([1e10 + 1.0, -5e10 + 1.0].as_slice(), 2));
+        let (batch, counts) = run(&records, Layout::Old, [0; 4], Transform { scale: [1e308, 1.0, 1.0], ..PLAIN });
+        assert_eq!((batch.len(), counts.not_finite), (0, 4));
+    }
+
+    #[test]
+    fn up_y_turns_z_to_minus_y_and_y_to_z() {
+        let turned = Transform { unit: [0.5, 0.5, 2.0], up: Up::Y, ..PLAIN };
+        let (batch, _) = run(&[record(26, [100, 200, 300], 0, 0)], Layout::Old, [0; 4], turned);
+        assert_eq!((batch.x[0], batch.y[0], batch.z[0]), (1.0, -12.0, 0.0));
+    }
+}

@@ -1,0 +1,508 @@
+//! LAZ: where its chunks lie, and their decoding in bounded memory.
+//!
+//! In: a checked header and the LASzip record. Out: a [`Body`] of chunks that can be decoded in any order, and whole
+//! point records. Sources: the LASzip 1.4 format as implemented by the crate `laz` 0.13, which does the arithmetic
+//! decoding; chunk table, chunk heads and counts are read and checked here.
+//!
+//! Memory of one decoder: one slab of records, one [`Window`], and for formats 6 to 10 the compressed layers of one chunk
+//! that are needed (x, y, z, flags, class only when classes are excluded); more than the budget is an error.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use laz::laszip::ChunkTable;
+use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
+use laz::{DecompressionSelection, LazItemType, LazVlr};
+
+use super::convert::Layout;
+use super::header::{Header, u16_at, u32_at, u64_at};
+use super::source::{Source, Window};
+use crate::{Error, Result};
+
+/// How the points of one LAZ file are packed.
+#[derive(Debug, Clone)]
+pub(super) struct Packing {
+    vlr: LazVlr,
+    layered: bool,
+    /// The whole file is one sequence without chunks or chunk table (compressor 1).
+    whole: bool,
+    /// Bytes of an unpacked record, by the items; a few writers state another length in the header.
+    pub record_bytes: usize,
+    pub layout: Layout,
+    /// Numbers of layer sizes at the head of a layered chunk.
+    layers: usize,
+}
+
+/// Size and points of one chunk.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Chunk {
+    pub bytes: u32,
+    pub points: u32,
+}
+
+/// What the points of a LAZ file turn out to be.
+#[derive(Debug)]
+pub(super) enum Body {
+    /// Chunks one after the other from byte `start` on. If `open`, the number of points of the last is not known and
+    /// its entry is the most it can hold.
+    Chunks { start: u64, chunks: Vec<Chunk>, open: bool },
+    /// One sequence of points, `len` bytes from `start` on.
+    Stream { start: u64, len: u64, points: u64 },
+}
+
+impl Packing {
+    /// Checks the LASzip record `body`; `memory_bytes` bounds what the models of extra bytes may take.
+    pub(super) fn read(
+        source: &Source,
+        body: &[u8],
+        header: &Header,
+        memory_bytes: u64,
+    ) -> Result<(Self, Vec<String>)> {
+        let bad = |reason: String| Error::input(source.path(), "LASzip record", reason);
+        if body.len() < 34 {
+            return Err(bad(format!("{} bytes long, expected 34 or more", body.len())));
+        }
+        let compressor = u16_at(body, 0);
+        let items = usize::from(u16_at(body, 32));
+        if items == 0 || items > 32 || body.len() < 34 + 6 * items {
+            return Err(bad(format!("it lists {items} items in {} bytes, expected 1 to 32 of 6 bytes", body.len())));
+        }
+        let vlr = LazVlr::from_buffer(body).map_err(|e| bad(e.to_string()))?;
+        let (layered, layout) = match vlr.items()[0].item_type() {
+            LazItemType::Point10 => (false, Layout::Old),
+            LazItemType::Point14 => (true, Layout::Extended),
+            other => return Err(bad(format!("its first item is {other:?}, expected a point"))),
+        };
+        if !matches!((compressor, layered), (1 | 2, false) | (3, true)) {
+            return Err(bad(format!("compressor {compressor} does not fit its items; 1 and 2 pack old points, 3 new")));
+        }
+        let (mut record_bytes, mut layers, mut extra) = (0, 0, 0u64);
+        for item in vlr.items() {
+            let (bytes, sizes) = match item.item_type() {
+                LazItemType::Point10 => (20, 0),
+                LazItemType::GpsTime => (8, 0),
+                LazItemType::RGB12 => (6, 0),
+                LazItemType::WavePacket13 => (29, 0),
+                LazItemType::Byte(n) => (usize::from(n), 0),
+                LazItemType::Point14 => (30, 9),
+                LazItemType::RGB14 => (6, 1),
+                LazItemType::RGBNIR14 => (8, 2),
+                LazItemType::WavePacket14 => (29, 1),
+                LazItemType::Byte14(n) => (usize::from(n), usize::from(n)),
+            };
+            record_bytes += bytes;
+            layers += sizes;
+            if let LazItemType::Byte(n) | LazItemType::Byte14(n) = item.item_type() {
+                extra += u64::from(n);
+            }
+        }
+        // Each extra byte has adaptive models of 256 symbols, in four contexts where layered: about 12 KiB.
+        if extra * (12 << 10) > memory_bytes {
+            return Err(Error::Limit {
+                what: format!("{}: models of {extra} extra bytes a point (raise --memory)", source.path().display()),
+                value: format!("{} KiB", extra * 12),
+                max: format!("{} KiB", memory_bytes >> 10),
+            });
+        }
+        let mut notes = Vec::new();
+        if record_bytes != usize::from(header.record_bytes) {
+            notes.push(format!(
+                "the header states records of {} bytes, the LASzip record {record_bytes}; the latter counts",
+                header.record_bytes
+            ));
+        }
+        let packing = Self { vlr, layered, whole: compressor == 1, record_bytes, layout, layers };
+        packing.decoder_exists(source)?;
+        Ok((packing, notes))
+    }
+
+    /// Whether chunks are stored in layers (formats 6 to 10).
+    pub(super) fn layered(&self) -> bool {
+        self.layered
+    }
+
+    /// Refuses item versions that have no decoder, before any point is read.
+    fn decoder_exists(&self, source: &Source) -> Result<()> {
+        let nothing = Window::new(source, 0, 0);
+        let made = isolate(|| match self.layered {
+            true => LayeredPointRecordDecompressor::new(nothing).set_fields_from(self.vlr.items()),
+            false => SequentialPointRecordDecompressor::new(nothing).set_fields_from(self.vlr.items()),
+        });
+        match made {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(error)) => Err(Error::Unsupported {
+                what: format!("{}: {error}", source.path().display()),
+                version: env!("CARGO_PKG_VERSION"),
+                way_out: "decompress the file to LAS with the program that wrote it".into(),
+            }),
+            Err(Panicked) => Err(Error::input(source.path(), "LASzip record", "damaged: no decoder can be made of it")),
+        }
+    }
+
+    /// Finds the chunks. Falls back from a lost or damaged chunk table to the heads of the chunks (formats 6 to 10) or
+    /// to one sequence. `most_chunks` bounds the index.
+    pub(super) fn body(
+        &self,
+        source: &Source,
+        header: &Header,
+        file_bytes: u64,
+        most_chunks: u64,
+        notes: &mut Vec<String>,
+    ) -> Result<Body> {
+        let stated = header.points_stated;
+        let data_at = header.points_at;
+        let bad = |reason: String| Error::input(source.path(), "LAZ points", reason);
+        if data_at >= file_bytes {
+            if stated > 0 {
+                notes.push(format!("the header states {stated} points, but the file ends before the first"));
+            }
+            return Ok(Body::Stream { start: file_bytes, len: 0, points: 0 });
+        }
+        let unfinished = || {
+            bad("the header states 0 points but data follow: the program that wrote this file was interrupted; write or \
+                 fetch the file again"
+                .into())
+        };
+        if self.whole {
+            let len = file_bytes - data_at;
+            return match stated {
+                0 if len >= self.record_bytes as u64 => Err(unfinished()),
+                _ => Ok(Body::Stream { start: data_at, len, points: stated }),
+            };
+        }
+        let start = data_at + 8;
+        let lost = match self.table(source, data_at, file_bytes, most_chunks)? {
+            Ok(chunks) => match self.with_counts(source, start, chunks, stated, notes)? {
+                Some(body) => return Ok(body),
+                None => return Err(unfinished()),
+            },
+            Err(Lost { reason, end }) => {
+                notes.push(format!("{reason}; its points are read without it, those of the last chunk may be lost"));
+                end
+            }
+        };
+        let len = lost.saturating_sub(start);
+        if self.layered {
+            let chunks = self.walk(source, start, start + len, stated, most_chunks)?;
+            let found: u64 = chunks.iter().map(|c| u64::from(c.points)).sum();
+            if found < stated {
+                notes.push(format!("the header states {stated} points, whole chunks hold {found}"));
+            }
+            return Ok(Body::Chunks { start, chunks, open: false });
+        }
+        if self.vlr.uses_variable_size_chunks() {
+            let reason = "its chunk table is lost and its chunks vary in length, so none can be found; write or fetch the \
+                          file again";
+            return Err(bad(reason.into()));
+        }
+        if stated == 0 && len >= self.record_bytes as u64 {
+            return Err(unfinished());
+        }
+        Ok(Body::Stream { start, len, points: stated })
+    }
+
+    /// Reads the chunk table. The inner error says why it cannot be used, and where the points end at the latest.
+    fn table(
+        &self,
+        source: &Source,
+        data_at: u64,
+        file_bytes: u64,
+        most_chunks: u64,
+    ) -> Result<std::result::Result<Vec<Chunk>, Lost>> {
+        let start = data_at + 8;
+        let lost = |reason: &str, end: u64| Ok(Err(Lost { reason: reason.to_string(), end }));
+        let place = |bytes: Option<Vec<u8>>| bytes.map(|b| u64_at(&b, 0));
+        let mut table_at = match place(source.bytes_at(data_at, 8)?) {
+            Some(at) => at,
+            None => return lost("the file ends before its first point", file_bytes),
+        };
+        if table_at == u64::MAX || table_at <= data_at {
+            // Written to a pipe: the place of the table stands at the very end.
+            table_at = place(source.bytes_at(file_bytes.saturating_sub(8), 8)?).unwrap_or(0);
+            if table_at < start || table_at > file_bytes.saturating_sub(16) {
+                return lost("it has no chunk table", file_bytes);
+            }
+        }
+        if table_at < start || table_at > file_bytes.saturating_sub(8) {
+            let reason = format!("its chunk table should begin at byte {table_at} of {file_bytes}: the file is cut");
+            return lost(&reason, file_bytes);
+        }
+        let Some(head) = source.bytes_at(table_at, 8)? else { return lost("its chunk table is cut", table_at) };
+        let (version, count) = (u32_at(&head, 0), u64::from(u32_at(&head, 4)));
+        let data_bytes = table_at - start;
+        // A chunk holds at least one record as it is, so this bounds what the count may size.
+        if version != 0 || count > data_bytes / self.record_bytes as u64 {
+            return lost(&format!("its chunk table (version {version}, {count} chunks) is damaged"), table_at);
+        }
+        check_count(source, count, most_chunks)?;
+        let variable = self.vlr.uses_variable_size_chunks();
+        let mut window = Window::new(source, table_at, file_bytes - table_at);
+        let table = match isolate(|| ChunkTable::read(&mut &mut window, variable)) {
+            Ok(Ok(table)) => table,
+            _ => return lost("its chunk table is damaged", table_at),
+        };
+        let chunks: Vec<Chunk> = table
+            .as_ref()
+            .iter()
+            .map(|entry| Chunk {
+                // The table holds 32-bit numbers, which `laz` extends by their sign.
+                bytes: entry.byte_count as u32,
+                points: if variable { entry.point_count as u32 } else { self.vlr.chunk_size() },
+            })
+            .collect();
+        let sum: u64 = chunks.iter().map(|c| u64::from(c.bytes)).sum();
+        if sum > data_bytes {
+            let reason = format!("its chunk table gives {sum} bytes to chunks that have {data_bytes}");
+            return lost(&reason, table_at);
+        }
+        Ok(Ok(chunks))
+    }
+
+    /// Settles the points of the last chunk; `None` when only the header could tell and it says 0.
+    fn with_counts(
+        &self,
+        source: &Source,
+        start: u64,
+        mut chunks: Vec<Chunk>,
+        stated: u64,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<Body>> {
+        let mut open = false;
+        if !self.vlr.uses_variable_size_chunks() {
+            let size = u64::from(self.vlr.chunk_size());
+            let at = start + chunks.iter().rev().skip(1).map(|c| u64::from(c.bytes)).sum::<u64>();
+            let before = chunks.len().saturating_sub(1) as u64 * size;
+            if let Some(last) = chunks.last_mut() {
+                match stated.checked_sub(before) {
+                    // The chunk knows better than the header.
+                    _ if self.layered => {
+                        let head = self.head(source, at, u64::from(last.bytes))?;
+                        last.points = head.map_or(0, |h| h.points).min(last.points);
+                    }
+                    Some(rest) if (1..=size).contains(&rest) => last.points = rest as u32,
+                    _ if stated == 0 => return Ok(None),
+                    _ => open = true,
+                }
+            }
+        }
+        let found: u64 = chunks.iter().map(|c| u64::from(c.points)).sum();
+        if open {
+            notes.push(format!(
+                "the header states {stated} points, but {} chunks cannot hold that many; the last is read to its end",
+                chunks.len()
+            ));
+        } else if found != stated {
+            notes.push(format!("the header states {stated} points, its chunks hold {found}"));
+        }
+        Ok(Some(Body::Chunks { start, chunks, open }))
+    }
+
+    /// Finds layered chunks by their heads alone, up to `stated` points (all, if 0) or the end.
+    fn walk(&self, source: &Source, start: u64, end: u64, stated: u64, most_chunks: u64) -> Result<Vec<Chunk>> {
+        let (mut at, mut points) = (start, 0);
+        let mut chunks = Vec::new();
+        while stated == 0 || points < stated {
+            let Some(head) = self.head(source, at, end - at)? else { break };
+            if head.points == 0 || head.bytes > end - at || head.bytes > u64::from(u32::MAX) {
+                break;
+            }
+            chunks.push(Chunk { bytes: head.bytes as u32, points: head.points });
+            check_count(source, chunks.len() as u64, most_chunks)?;
+            at += head.bytes;
+            points += u64::from(head.points);
+        }
+        Ok(chunks)
+    }
+
+    /// Head of the layered chunk at `at`: one plain record, the number of points, the sizes of the layers.
+    fn head(&self, source: &Source, at: u64, room: u64) -> Result<Option<Head>> {
+        let len = self.record_bytes + 4 + 4 * self.layers;
+        if room < len as u64 {
+            return Ok(None);
+        }
+        let Some(bytes) = source.bytes_at(at, len)? else { return Ok(None) };
+        let size = |layer: usize| u64::from(u32_at(&bytes, self.record_bytes + 4 + 4 * layer));
+        // Layers of a point: x and y, z, class, flags, then what is never needed here.
+        let needed = [size(0), size(1), size(2), size(3)];
+        let layers: u64 = (0..self.layers).map(size).sum();
+        Ok(Some(Head { points: u32_at(&bytes, self.record_bytes), bytes: len as u64 + layers, needed }))
+    }
+}
+
+/// Why a chunk table cannot be used, and where the points end at the latest.
+struct Lost {
+    reason: String,
+    end: u64,
+}
+
+/// Head of a layered chunk.
+struct Head {
+    points: u32,
+    bytes: u64,
+    needed: [u64; 4],
+}
+
+fn check_count(source: &Source, count: u64, most: u64) -> Result<()> {
+    if count <= most {
+        return Ok(());
+    }
+    Err(Error::Limit {
+        what: format!("{}: chunks of a LAZ file (raise --memory)", source.path().display()),
+        value: count.to_string(),
+        max: most.to_string(),
+    })
+}
+
+/// One run of the decoder over a chunk or stream.
+pub(super) struct Run<'a> {
+    pub source: &'a Source,
+    pub packing: &'a Packing,
+    pub start: u64,
+    pub len: u64,
+    /// Points to decode; at most so many if `open`.
+    pub points: u64,
+    /// Data may end before `points` are decoded.
+    pub open: bool,
+    /// Classes are needed.
+    pub classes: bool,
+    pub memory_bytes: u64,
+    /// Name for messages: "LAZ chunk 3".
+    pub name: String,
+}
+
+impl Run<'_> {
+    /// Decodes into `slab`, calling `sink` with whole records; returns the points decoded and the bytes left over.
+    pub(super) fn decode(
+        &self,
+        stream: bool,
+        slab: &mut [u8],
+        sink: &mut dyn FnMut(&[u8]) -> Result<()>,
+    ) -> Result<(u64, u64)> {
+        let window = Window::new(self.source, self.start, self.len);
+        if !self.packing.layered {
+            let chunk_points = if stream && !self.packing.whole { u64::from(self.packing.vlr.chunk_size()) } else { 0 };
+            return self.run(SequentialPointRecordDecompressor::new(window), chunk_points, slab, sink);
+        }
+        let Some(head) = self.packing.head(self.source, self.start, self.len)? else {
+            return Err(self.damaged(0, "it is too short for its head"));
+        };
+        let needed = head.needed[0] + head.needed[1] + head.needed[3] + if self.classes { head.needed[2] } else { 0 };
+        if head.bytes > self.len {
+            return Err(self.damaged(0, &format!("its layers take {} bytes, it has {}", head.bytes, self.len)));
+        }
+        if u64::from(head.points) != self.points {
+            return Err(self.damaged(0, &format!("it holds {} points, expected {}", head.points, self.points)));
+        }
+        if needed > self.memory_bytes {
+            return Err(Error::Limit {
+                what: format!("{}: {}: compressed bytes (raise --memory)", self.source.path().display(), self.name),
+                value: needed.to_string(),
+                max: self.memory_bytes.to_string(),
+            });
+        }
+        self.run(LayeredPointRecordDecompressor::new(window), 0, slab, sink)
+    }
+
+    fn run<'w, D: RecordDecompressor<Window<'w>>>(
+        &self,
+        mut decoder: D,
+        chunk_points: u64,
+        slab: &mut [u8],
+        sink: &mut dyn FnMut(&[u8]) -> Result<()>,
+    ) -> Result<(u64, u64)> {
+        let selection = DecompressionSelection::base().decompress_z().decompress_flags();
+        let selection = if self.classes { selection.decompress_classification() } else { selection };
+        let record_bytes = self.packing.record_bytes;
+        let items = self.packing.vlr.items();
+        let mut fresh = true;
+        let (mut done, mut in_chunk) = (0, 0);
+        while done < self.points {
+            let want = (slab.len() / record_bytes).min(usize::try_from(self.points - done).unwrap_or(usize::MAX));
+            let mut filled = 0;
+            let outcome = isolate(|| -> std::io::Result<()> {
+                for record in slab.chunks_exact_mut(record_bytes).take(want) {
+                    if fresh || (chunk_points > 0 && in_chunk == chunk_points) {
+                        decoder.reset();
+                        decoder.set_fields_from(items).map_err(std::io::Error::other)?;
+                        decoder.set_selection(selection);
+                        (fresh, in_chunk) = (false, 0);
+                    }
+                    decoder.decompress_next(record)?;
+                    filled += 1;
+                    in_chunk += 1;
+                }
+                Ok(())
+            });
+            if filled > 0 {
+                sink(&slab[..filled * record_bytes])?;
+            }
+            done += filled as u64;
+            match outcome {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) if error.kind() == std::io::ErrorKind::UnexpectedEof => match self.open {
+                    true => break,
+                    false => return Err(self.damaged(done, "its data end early")),
+                },
+                Ok(Err(error)) => return Err(Error::io(self.source.path(), format!("decode {}", self.name), error)),
+                Err(Panicked) => return Err(self.damaged(done, "the decoder cannot follow its data")),
+            }
+        }
+        let left = self.len.saturating_sub(decoder.get().position());
+        Ok((done, left))
+    }
+
+    fn damaged(&self, done: u64, what: &str) -> Error {
+        let reason = format!(
+            "damaged: {what}, after {done} of {} points; fetch or write the file again, or leave it out",
+            self.points
+        );
+        Error::input(self.source.path(), self.name.clone(), reason)
+    }
+}
+
+/// The decoder ran into a panic.
+struct Panicked;
+
+/// Runs `work`, which calls `laz` and nothing of ours that may panic.
+///
+/// The crate indexes and adds without checks in places that damaged bytes reach, so a panic there is a property of the
+/// file, not a mistake of the caller. Its state is dropped by all callers, hence `AssertUnwindSafe`. The panic
+/// hook still prints, unless the program asked for silence with [`quiet_decoder_panics`].
+fn isolate<T>(work: impl FnOnce() -> T) -> std::result::Result<T, Panicked> {
+    let _inside = Inside::enter();
+    catch_unwind(AssertUnwindSafe(work)).map_err(|_| Panicked)
+}
+
+thread_local! {
+    static INSIDE: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
+struct Inside;
+
+impl Inside {
+    fn enter() -> Self {
+        INSIDE.set(true);
+        Self
+    }
+}
+
+impl Drop for Inside {
+    fn drop(&mut self) {
+        INSIDE.set(false);
+    }
+}
+
+/// Keeps the panic hook silent while damaged LAZ data are being decoded; such panics become errors anyway.
+///
+/// This replaces the process's panic hook by one that hands all other panics to the hook found now. A library must not
+/// do that unasked: programs call it once, early, if they care for a clean standard error.
+pub fn quiet_decoder_panics() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| {
+        let before = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |about| {
+            if !INSIDE.try_with(|inside| inside.get()).unwrap_or(false) {
+                before(about);
+            }
+        }));
+    });
+}

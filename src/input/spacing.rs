@@ -1,0 +1,334 @@
+//! How far apart the points of a scan lie: the distance of a point to its nearest neighbour, as `--pixel auto` needs it.
+//!
+//! In: a set of scans. Out: the median over a sample, the same bits whatever the order of points and files and the
+//! number of threads (guarantee G4). Memory: below 24 MiB for any input and number of threads.
+//!
+//! A nearest neighbour can only be found where *all* points of a neighbourhood are kept, so whole blocks are sampled, not
+//! points: a block (a cube of the grid) is in the sample of round `m` when the top `m` bits of a mix of its indices are
+//! zero. Whenever more than [`MOST_POINTS`] points are held, `m` grows by one and blocks drop out. The final `m` is the
+//! least for which the points of all its blocks fit, which is a property of the set of points; this is bottom-k
+//! sampling (Cohen and Kaplan, "Summarizing Data using Bottom-k Sketches", 2007) with a rounded threshold.
+//! Which block size suits depends on the spacing itself, so several are sampled at once, and [`choose`] takes one.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+
+use super::{Decoder, InputSet, PointBatch, Unit};
+use crate::{Error, Monitor, Result};
+
+/// Points per metre of the finest grid of indices: a power of two, so that the product is exact.
+const FINEST_PER_M: f64 = 64.0;
+/// Edges of the blocks, as shifts of an index of the finest grid: 1/64, 1/4, 1, 4, 16, 64, 512 and 4096 m.
+const SHIFTS: [u32; 8] = [0, 4, 6, 8, 10, 12, 15, 18];
+/// Last level: single points, for scans that no block size suits.
+const LEVELS: usize = SHIFTS.len() + 1;
+/// Most points held at a level.
+const MOST_POINTS: usize = 40_000;
+/// Least number of distinct points at a level to be chosen.
+const ENOUGH_POINTS: usize = 1_000;
+/// Least number of blocks: fewer stand for one corner of the scan.
+const ENOUGH_BLOCKS: usize = 12;
+/// Points that a thread gathers at a level before it takes the lock.
+const LOCAL_POINTS: usize = 512;
+
+/// Result of [`estimate_spacing`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spacing {
+    /// Median distance of a point to its nearest neighbour that lies elsewhere [m].
+    pub spacing_m: f64,
+    /// Distinct points over which the median was taken.
+    pub sampled: u64,
+    /// Edge of the sampled blocks [m]; 0 when single points were sampled and the spacing was inferred from them.
+    pub block_m: f64,
+    /// Kept points of the scans.
+    pub points: u64,
+}
+
+/// Reads all of `set` once and estimates the distance between neighbouring points.
+///
+/// Fails when the scans hold fewer than two distinct points.
+pub fn estimate_spacing(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Spacing> {
+    monitor.stage("spacing", set.points_stated(), "points");
+    let shared = Shared::default();
+    let units = Mutex::new(set.units());
+    let failed = AtomicBool::new(false);
+    let points = AtomicUsize::new(0);
+    let work = || -> Result<()> {
+        let (mut decoder, mut local) = (Decoder::new(), Local::default());
+        while !failed.load(Ordering::Relaxed) {
+            let next: Option<Unit> = units.lock().unwrap_or_else(|e| e.into_inner()).next();
+            let Some(unit) = next else { break };
+            let counts = decoder.decode(set, &unit, &mut |batch| {
+                if monitor.cancelled() {
+                    return Err(Error::Interrupted);
+                }
+                local.take(batch, &shared);
+                monitor.advance(batch.len() as u64);
+                Ok(())
+            })?;
+            points.fetch_add(counts.kept() as usize, Ordering::Relaxed);
+        }
+        local.flush(&shared);
+        Ok(())
+    };
+    let guarded = || work().inspect_err(|_| failed.store(true, Ordering::Relaxed));
+    let outcomes: Vec<Result<()>> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (1..threads.max(1)).map(|_| scope.spawn(guarded)).collect();
+        let mut outcomes = vec![guarded()];
+        outcomes.extend(threads.into_iter().map(|t| t.join().unwrap_or_else(|p| std::panic::resume_unwind(p))));
+        outcomes
+    });
+    outcomes.into_iter().collect::<Result<()>>()?;
+    let levels = shared.levels.map(|l| l.into_inner().unwrap_or_else(|e| e.into_inner()));
+    choose(levels, points.into_inner() as u64).ok_or_else(|| {
+        Error::parameter("--pixel auto", "the scans hold fewer than two points apart; give the pixel size in metres")
+    })
+}
+
+/// Top bits of this decide whether a block is sampled: the finaliser of SplitMix64 over a weighted sum.
+#[inline(always)]
+fn mix(block: [i64; 3], level: usize) -> u64 {
+    let mut h = (block[0] as u64)
+        .wrapping_mul(0x9E37_79B9_7F4A_7C15)
+        .wrapping_add((block[1] as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F))
+        .wrapping_add((block[2] as u64).wrapping_mul(0x1656_67B1_9E37_79F9))
+        .wrapping_add((level as u64).wrapping_mul(0x27D4_EB2F_1656_67C5));
+    h = (h ^ h >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    h = (h ^ h >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+    h ^ h >> 31
+}
+
+/// Where `point` falls at `level`: a block, or (last level) the bits of the point itself.
+#[inline(always)]
+fn block_of(point: [f64; 3], level: usize) -> [i64; 3] {
+    match SHIFTS.get(level) {
+        // Adding 0 makes one zero of both.
+        None => point.map(|v| (v + 0.0).to_bits() as i64),
+        Some(shift) => point.map(|v| (v * FINEST_PER_M).floor() as i64 >> shift),
+    }
+}
+
+fn hash_of(point: [f64; 3], level: usize) -> u64 {
+    mix(block_of(point, level), level)
+}
+
+/// One level of the sample.
+#[derive(Default)]
+struct Level {
+    /// A block is in when its hash has this many leading zeros; from 64 on the level is empty for good.
+    round: u32,
+    points: Vec<[f64; 3]>,
+}
+
+impl Level {
+    fn add(&mut self, level: usize, points: &[[f64; 3]]) {
+        for &point in points {
+            if hash_of(point, level).leading_zeros() < self.round || self.round >= 64 {
+                continue;
+            }
+            self.points.push(point);
+            while self.points.len() > MOST_POINTS {
+                self.round += 1;
+                let round = self.round;
+                self.points.retain(|&p| round < 64 && hash_of(p, level).leading_zeros() >= round);
+            }
+        }
+    }
+}
+
+#[derive(Default)]
+struct Shared {
+    levels: [Mutex<Level>; LEVELS],
+    /// Copies of the rounds, at most too small: a filter before the lock.
+    rounds: [AtomicU32; LEVELS],
+}
+
+/// What one thread has gathered since it last took the lock.
+#[derive(Default)]
+struct Local {
+    points: [Vec<[f64; 3]>; LEVELS],
+}
+
+impl Local {
+    fn take(&mut self, batch: &PointBatch, shared: &Shared) {
+        for (level, held) in self.points.iter_mut().enumerate() {
+            let mut round = shared.rounds[level].load(Ordering::Relaxed);
+            if round >= 64 {
+                continue;
+            }
+            for ((&x, &y), &z) in batch.x.iter().zip(&batch.y).zip(&batch.z) {
+                let point = [x, y, z];
+                if hash_of(point, level).leading_zeros() >= round {
+                    held.push(point);
+                    if held.len() == LOCAL_POINTS {
+                        round = hand_over(held, level, shared);
+                    }
+                }
+            }
+        }
+    }
+
+    fn flush(&mut self, shared: &Shared) {
+        for (level, held) in self.points.iter_mut().enumerate() {
+            hand_over(held, level, shared);
+        }
+    }
+}
+
+fn hand_over(held: &mut Vec<[f64; 3]>, level: usize, shared: &Shared) -> u32 {
+    let mut into = shared.levels[level].lock().unwrap_or_else(|e| e.into_inner());
+    into.add(level, held);
+    held.clear();
+    shared.rounds[level].store(into.round, Ordering::Relaxed);
+    into.round
+}
+
+/// Takes the largest blocks of which the sample holds enough points in enough blocks. Larger blocks cut off fewer
+/// neighbours at their faces, more blocks stand for more of the scan. Then, in this order: a level that holds the whole
+/// scan; the level with the most points per block among those with enough points; single points, whose distances
+/// shrink by √2 for each halving of the sample as on a surface.
+fn choose(levels: [Level; LEVELS], points: u64) -> Option<Spacing> {
+    let mut samples = Vec::new();
+    for (level, mut sample) in levels.into_iter().enumerate() {
+        sample.points.sort_unstable_by(|a, b| order(a, b));
+        sample.points.dedup_by(|a, b| order(a, b).is_eq());
+        let mut blocks: Vec<[i64; 3]> = sample.points.iter().map(|&p| block_of(p, level)).collect();
+        blocks.sort_unstable();
+        blocks.dedup();
+        samples.push((level, sample, blocks.len()));
+    }
+    let result = |level: usize, sample: &[[f64; 3]], factor: f64| {
+        let block_m = SHIFTS.get(level).map_or(0.0, |&s| (1u64 << s) as f64 / FINEST_PER_M);
+        let spacing_m = median_distance(sample)? * factor;
+        Some(Spacing { spacing_m, sampled: sample.len() as u64, block_m, points })
+    };
+    let crowded = |(_, sample, blocks): &&(usize, Level, usize)| sample.points.len() >= 24 * blocks;
+    let enough = |(_, sample, _): &&(usize, Level, usize)| sample.points.len() >= ENOUGH_POINTS;
+    let blocks = &samples[..SHIFTS.len()];
+    let best = blocks
+        .iter()
+        .filter(enough)
+        .filter(crowded)
+        .rfind(|(_, _, blocks)| *blocks >= ENOUGH_BLOCKS)
+        .or_else(|| blocks.iter().rfind(|(_, sample, _)| sample.round == 0 && sample.points.len() > 1))
+        .or_else(|| blocks.iter().filter(enough).rfind(crowded));
+    if let Some((level, sample, _)) = best {
+        return result(*level, &sample.points, 1.0);
+    }
+    let (level, single, _) = &samples[SHIFTS.len()];
+    result(*level, &single.points, 0.5f64.powi(single.round as i32).sqrt())
+}
+
+fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
+    let key = |p: &[f64; 3]| p.map(|v| v + 0.0);
+    let (a, b) = (key(a), key(b));
+    a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2]))
+}
+
+/// Median (of an even number, the lower) distance of each of `points`, which are distinct, to its nearest other.
+fn median_distance(points: &[[f64; 3]]) -> Option<f64> {
+    if points.len() < 2 {
+        return None;
+    }
+    let mut tree = points.to_vec();
+    build(&mut tree, 0);
+    let mut squares: Vec<f64> = points
+        .iter()
+        .map(|p| {
+            let mut least = f64::INFINITY;
+            nearest(&tree, 0, p, &mut least);
+            least
+        })
+        .collect();
+    let middle = (squares.len() - 1) / 2;
+    let (_, median, _) = squares.select_nth_unstable_by(middle, f64::total_cmp);
+    Some(median.sqrt())
+}
+
+/// Orders `points` as a k-d tree (Bentley, 1975): the middle splits along the axis of its depth.
+fn build(points: &mut [[f64; 3]], depth: usize) {
+    if points.len() < 2 {
+        return;
+    }
+    let middle = points.len() / 2;
+    let axis = depth % 3;
+    points.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis]));
+    let (below, rest) = points.split_at_mut(middle);
+    build(below, depth + 1);
+    build(&mut rest[1..], depth + 1);
+}
+
+fn nearest(tree: &[[f64; 3]], depth: usize, from: &[f64; 3], least: &mut f64) {
+    if tree.is_empty() {
+        return;
+    }
+    let middle = tree.len() / 2;
+    let at = &tree[middle];
+    let square: f64 = (0..3).map(|a| (at[a] - from[a]) * (at[a] - from[a])).sum();
+    // Distinct points so close that the square vanishes are no neighbours either way.
+    if square > 0.0 && square < *least {
+        *least = square;
+    }
+    let ahead = from[depth % 3] - at[depth % 3];
+    let (below, above) = (&tree[..middle], &tree[middle + 1..]);
+    let (near, far) = if ahead < 0.0 { (below, above) } else { (above, below) };
+    nearest(near, depth + 1, from, least);
+    if ahead * ahead < *least {
+        nearest(far, depth + 1, from, least);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn estimate(points: &[[f64; 3]]) -> Option<Spacing> {
+        let shared = Shared::default();
+        for part in points.chunks(1000) {
+            let mut local = Local::default();
+            let column = |axis: usize| part.iter().map(|p| p[axis]).collect();
+            local.take(&PointBatch { x: column(0), y: column(1), z: column(2) }, &shared);
+            local.flush(&shared);
+        }
+        choose(shared.levels.map(|l| l.into_inner().unwrap()), points.len() as u64)
+    }
+
+    /// A floor of `n × n` points `step` apart, scattered by up to a quarter of it.
+    fn floor(n: i64, step: f64) -> Vec<[f64; 3]> {
+        let scatter = |i, j, a| (mix([i, j, a], 99) >> 40) as f64 / (1u64 << 24) as f64 * 0.5 - 0.25;
+        let point = |i: i64, j: i64| {
+            [0, 1, 2].map(|a| (([i, j, 0][a as usize]) as f64 + scatter(i, j, a)) * step + 1000.0 * step)
+        };
+        (0..n).flat_map(|i| (0..n).map(move |j| point(i, j))).collect()
+    }
+
+    #[test]
+    fn the_order_of_points_does_not_matter() {
+        let mut points = floor(400, 0.02);
+        let first = estimate(&points).unwrap();
+        points.reverse();
+        assert_eq!(estimate(&points).unwrap(), first);
+        points.sort_by_key(|&p| mix(block_of(p, SHIFTS.len()), 7));
+        assert_eq!(estimate(&points).unwrap(), first);
+    }
+
+    #[test]
+    fn spacings_from_a_tenth_of_a_millimetre_to_a_kilometre_are_found() {
+        for step in [1e-4, 1e-3, 0.01, 0.3, 2.0, 50.0, 1000.0] {
+            let found = estimate(&floor(600, step)).unwrap();
+            let ratio = found.spacing_m / step;
+            assert!((0.4..1.1).contains(&ratio), "{step}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn few_or_equal_points_are_told() {
+        assert!(estimate(&[]).is_none());
+        assert!(estimate(&[[1.0, 2.0, 3.0]; 100]).is_none());
+        assert!(estimate(&vec![[1.0, 2.0, 3.0]; 100_000]).is_none());
+        let two = estimate(&[[0.0; 3], [0.0, 3.0, 4.0], [0.0; 3]]).unwrap();
+        assert_eq!((two.spacing_m, two.sampled), (5.0, 2));
+        let twice: Vec<_> = floor(100, 0.1).into_iter().flat_map(|p| [p, p]).collect();
+        assert_eq!(estimate(&twice).unwrap().spacing_m, estimate(&floor(100, 0.1)).unwrap().spacing_m);
+    }
+}

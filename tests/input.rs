@@ -1,0 +1,819 @@
+//! Scan files as they are found in the world: what each of them gives, and what damage gives.
+//!
+//! Real files come from a folder that is not part of the repository; tests that need it say so and pass where it is
+//! missing. Damaged files are made here, out of a few lines of bytes.
+#![cfg(feature = "convert")]
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use laz::laszip::LazVlr;
+use laz::{LasZipCompressor, LazVlrBuilder};
+use slicewalk::input::spacing::estimate_spacing;
+use slicewalk::input::{BATCH_POINTS, Decoder, InputOptions, InputSet, Unit, UnitCounts, Units};
+use slicewalk::plan::Up;
+use slicewalk::{Error, Monitor, NoMonitor, Result};
+
+/// Keeps warnings.
+#[derive(Default)]
+struct Heard(Mutex<Vec<String>>);
+
+impl Monitor for Heard {
+    fn warn(&self, text: &str) {
+        assert!(!text.contains('\n'));
+        self.0.lock().unwrap().push(text.to_string());
+    }
+}
+
+/// What a set of files gives.
+#[derive(Debug, Default, Clone, PartialEq)]
+struct Read {
+    counts: UnitCounts,
+    points: Vec<[f64; 3]>,
+    warnings: String,
+}
+
+impl Read {
+    /// A sum over the bits of all coordinates in file order, as the reference script makes it from laspy's arrays.
+    fn sums(&self) -> [u64; 3] {
+        [0, 1, 2]
+            .map(|axis| self.points.iter().fold(0u64, |sum, p| sum.wrapping_mul(31).wrapping_add(p[axis].to_bits())))
+    }
+
+    fn sorted(&self) -> Vec<[u64; 3]> {
+        let mut bits: Vec<_> = self.points.iter().map(|p| p.map(f64::to_bits)).collect();
+        bits.sort_unstable();
+        bits
+    }
+}
+
+fn read(paths: &[PathBuf], options: InputOptions) -> Result<Read> {
+    slicewalk::input::quiet_decoder_panics();
+    let heard = Heard::default();
+    let set = InputSet::open(paths, options, &heard)?;
+    let mut all = Read::default();
+    let mut decoder = Decoder::new();
+    for unit in set.units() {
+        all.counts += decoder.decode(&set, &unit, &mut |batch| {
+            assert!((1..=BATCH_POINTS).contains(&batch.len()));
+            assert!(batch.y.len() == batch.len() && batch.z.len() == batch.len());
+            all.points.extend((0..batch.len()).map(|i| [batch.x[i], batch.y[i], batch.z[i]]));
+            Ok(())
+        })?;
+    }
+    assert_eq!(all.counts.kept(), all.points.len() as u64);
+    set.warn_of_losses(&heard);
+    all.warnings = heard.0.into_inner().unwrap().join("\n");
+    Ok(all)
+}
+
+fn read_one(path: &Path) -> Result<Read> {
+    read(&[path.to_path_buf()], InputOptions::default())
+}
+
+fn refusal(path: &Path) -> String {
+    let text = read_one(path).expect_err("should be refused").to_string();
+    assert!(!text.contains('\n') && text.starts_with(path.to_str().unwrap()), "{text}");
+    text
+}
+
+/// The folder of real data, or `None` (said on standard output) where it is missing.
+fn data() -> Option<PathBuf> {
+    let shared = match std::env::var_os("SLICEWALK_SHARED") {
+        Some(shared) => PathBuf::from(shared),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
+    };
+    let data = shared.join("data");
+    if !data.is_dir() {
+        println!("skipped: {} does not exist; SLICEWALK_SHARED names another place", data.display());
+        return None;
+    }
+    Some(data)
+}
+
+// ---- real files -----------------------------------------------------------------------------------------------------
+
+/// Points read and of these withheld, and a word that the warnings hold.
+const READABLE: &[(&str, u64, u64, &str)] = &[
+    ("indoor_two_storey_zup.laz", 808_042, 0, ""),
+    ("indoor_two_storey_yup.laz", 808_042, 0, ""),
+    ("room_single_station.laz", 112_624, 0, ""),
+    ("corridor_three_stations.laz", 239_668, 0, ""),
+    ("pump_room.laz", 155_201, 0, ""),
+    ("delft_city_block_ahn3.laz", 640_510, 0, ""),
+    ("isprs_csite2_town.laz", 486_800, 0, ""),
+    ("forest_plot_tls.laz", 114_024, 0, ""),
+    ("autzen_stadium.laz", 10_653_336, 0, "no unit of length is stated"),
+    ("odd/10_points_format_0.las", 10, 0, ""),
+    ("odd/10_points_format_1.las", 10, 0, ""),
+    ("odd/10_points_format_2.las", 10, 0, ""),
+    ("odd/10_points_format_3.las", 10, 0, ""),
+    ("odd/10_points_format_4.las", 10, 0, ""),
+    ("odd/10_points_format_5.las", 10, 0, ""),
+    ("odd/10_points_format_6.las", 10, 4, ""),
+    ("odd/10_points_format_7.las", 10, 4, ""),
+    ("odd/10_points_format_8.las", 10, 4, ""),
+    ("odd/10_points_format_9.las", 10, 4, ""),
+    ("odd/10_points_format_10.las", 10, 4, ""),
+    ("odd/10_points_format_6.laz", 10, 4, ""),
+    ("odd/10_points_format_10.laz", 10, 4, "records of 67 bytes, the LASzip record 38"),
+    ("odd/10_points_with_extra_bytes_format_7.las", 10, 4, ""),
+    ("odd/unregistered_extra_bytes.las", 4, 0, ""),
+    ("odd/pdrf10-1.5.las", 1024, 483, ""),
+    ("odd/pdrf10-1.5.laz", 1024, 483, ""),
+    ("odd/pdrf7-v4-1.4.laz", 1024, 512, ""),
+    ("odd/pdrf4-1.3.laz", 1024, 0, ""),
+    ("odd/pdrf9-1.4.laz", 1024, 494, ""),
+    ("odd/simple-laszip-compressor-version-1.2r0.laz", 1065, 0, ""),
+    ("odd/laszip-generated_with2bytespadding.laz", 1065, 0, ""),
+    ("odd/1.2-no-points.las", 0, 0, "states 1065 points, the file holds 0"),
+    ("odd/no-points.las", 0, 0, "holds no points"),
+    ("odd/1.2-with-color-clipped.las", 1064, 0, "states 1065 points, the file holds 1064"),
+    ("odd/bad_vlr_count.las", 10, 0, "3 records before the points, 2 fit"),
+    ("odd/garbage_nVariableLength.las", 718, 0, "1069128089 records before the points, 0 fit"),
+    ("odd/lots_of_vlr.las", 1, 0, ""),
+    ("odd/bad-geotiff-keys.las", 10, 0, ""),
+    ("odd/1.2-empty-geotiff-vlrs.las", 43, 0, ""),
+    ("odd/gps-time-nan.las", 1, 0, ""),
+    ("odd/spurious.las", 1065, 0, "degrees"),
+    ("odd/1.0_0.las", 1, 0, ""),
+    ("odd/epsg_4326.las", 5380, 0, "degrees"),
+    ("odd/hextest.las", 8, 0, ""),
+    ("odd/1.1_1.las", 1, 0, ""),
+    ("odd/bad_points_1.1.las", 1, 0, ""),
+    ("odd/certainty3d-color-utm-feet-navd88.las", 10_126, 0, ""),
+    ("odd/1_4_w_evlr.laz", 1000, 0, ""),
+    ("odd/simple1_3.las", 999, 0, "name 32632 as unit"),
+    ("odd/simple_with_page.copc.laz", 1065, 0, ""),
+    ("odd/1.2-with-color.copc.laz", 1065, 0, ""),
+    ("odd/no-points-1.3.laz", 0, 0, "holds no points"),
+    ("odd/point10-1.0.laz", 1, 0, ""),
+    ("odd/test_data_0436_6384_LA93_IGN69_single_point.laz", 1, 0, ""),
+    ("odd/las11_32-1-472-150-76.laz", 5658, 0, ""),
+    ("odd/multichunk.laz", 120_000, 0, ""),
+];
+
+const REFUSED: &[(&str, &str)] = &[
+    ("odd/Semis_2022_0906_6665_LA93_IGN69_nok.laz", "header length 0"),
+    ("odd/text_pointer_autzen.laz", "found text: \"version https://"),
+];
+
+/// [`Read::sums`] of the kept points as laspy 2.7 with lazrs 0.8 reads them, at one metre per unit.
+const LASPY: &[(&str, [u64; 3])] = &include!("input/laspy_sums.in");
+
+#[test]
+fn every_real_file_gives_its_points_or_one_clear_line() {
+    let Some(data) = data() else { return };
+    for &(name, points, withheld, warning) in READABLE {
+        let found = read_one(&data.join(name)).unwrap_or_else(|e| panic!("{e}"));
+        let expected = UnitCounts { read: points, withheld, ..UnitCounts::default() };
+        assert_eq!(found.counts, expected, "{name}");
+        assert!(found.warnings.contains(warning), "{name}: {}", found.warnings);
+    }
+    for &(name, text) in REFUSED {
+        let found = refusal(&data.join(name));
+        assert!(found.contains(text), "{found}");
+    }
+    for entry in std::fs::read_dir(data.join("odd")).unwrap() {
+        let name = format!("odd/{}", entry.unwrap().file_name().to_str().unwrap());
+        let known = READABLE.iter().map(|r| r.0).chain(REFUSED.iter().map(|r| r.0)).any(|n| n == name);
+        assert!(known, "{name} is in no list of this test");
+    }
+}
+
+#[test]
+fn coordinates_are_the_very_bits_that_laspy_gives() {
+    let Some(data) = data() else { return };
+    let options = InputOptions { units: Units::Factor(1.0), ..InputOptions::default() };
+    for &(name, sums) in LASPY {
+        assert_eq!(read(&[data.join(name)], options).unwrap().sums(), sums, "{name}");
+    }
+    let pairs = [
+        ("odd/pdrf10-1.5.laz", "odd/pdrf10-1.5.las"),
+        ("odd/10_points_format_10.laz", "odd/10_points_format_10.las"),
+        ("odd/simple-laszip-compressor-version-1.2r0.laz", "odd/laszip-generated_with2bytespadding.laz"),
+    ];
+    for (packed, plain) in pairs {
+        let [packed, plain] = [packed, plain].map(|n| read(&[data.join(n)], options).unwrap());
+        assert_eq!(packed.points, plain.points);
+    }
+}
+
+#[test]
+fn units_follow_the_reference_system_of_each_file() {
+    let Some(data) = data() else { return };
+    let us_foot = 1200.0 / 3937.0;
+    let cases = [
+        ("odd/1.2-with-color.copc.laz", [1.0, 1.0, us_foot], "COMPD_CS[\"NAD83 / Oregon LCC (m) + NAVD88"),
+        ("odd/1_4_w_evlr.laz", [us_foot; 3], "PROJCS[\"NAD83(HARN) / New Mexico Central (ftUS)\""),
+        ("odd/certainty3d-color-utm-feet-navd88.las", [us_foot; 3], "EPSG:2229"),
+        ("odd/1.1_1.las", [1.0; 3], "EPSG:26915"),
+        ("odd/epsg_4326.las", [1.0; 3], "EPSG:4326"),
+        ("odd/las11_32-1-472-150-76.laz", [1.0; 3], "EPSG:25832"),
+    ];
+    for (name, unit, crs) in cases {
+        let set = InputSet::open(&[data.join(name)], InputOptions::default(), &NoMonitor).unwrap();
+        assert_eq!(set.files()[0].unit_m(), unit, "{name}");
+        assert!(set.crs().unwrap().starts_with(crs), "{name}: {:?}", set.crs());
+        let options = InputOptions { units: Units::Factor(2.0), ..InputOptions::default() };
+        let heard = Heard::default();
+        let set = InputSet::open(&[data.join(name)], options, &heard).unwrap();
+        assert_eq!(set.files()[0].unit_m(), [2.0; 3], "--units overrides {name}");
+        assert!(!heard.0.into_inner().unwrap().concat().contains("degrees"));
+    }
+}
+
+#[test]
+fn z_up_and_y_up_twins_agree() {
+    let Some(data) = data() else { return };
+    let turned = InputOptions { up: Up::Y, ..InputOptions::default() };
+    let y_up = read(&[data.join("indoor_two_storey_yup.laz")], turned).unwrap();
+    let z_up = read_one(&data.join("indoor_two_storey_zup.laz")).unwrap();
+    let round = |all: &Read| {
+        let mut all: Vec<_> = all.points.iter().map(|p| p.map(|v| (v * 100.0).round() as i64)).collect();
+        all.sort_unstable();
+        all
+    };
+    assert_eq!(round(&y_up), round(&z_up));
+}
+
+#[test]
+fn spacings_are_near_those_in_the_data_table() {
+    let Some(data) = data() else { return };
+    let table = [
+        ("indoor_two_storey_zup.laz", 0.0141),
+        ("room_single_station.laz", 0.027),
+        ("corridor_three_stations.laz", 0.01),
+        ("pump_room.laz", 0.00465),
+        ("delft_city_block_ahn3.laz", 0.289),
+        ("isprs_csite2_town.laz", 0.03),
+        ("forest_plot_tls.laz", 0.0283),
+        ("autzen_stadium.laz", 0.797),
+    ];
+    for (name, median) in table {
+        let set = InputSet::open(&[data.join(name)], InputOptions::default(), &NoMonitor).unwrap();
+        let found = estimate_spacing(&set, 2, &NoMonitor).unwrap();
+        println!("{name}: {found:?}, table {median}");
+        assert!((0.7..1.4).contains(&(found.spacing_m / median)), "{name}: {found:?}, table {median}");
+        assert_eq!(estimate_spacing(&set, 1, &NoMonitor).unwrap(), found);
+    }
+}
+
+// ---- files made here --------------------------------------------------------------------------------------------
+
+/// A scan to be written and then spoilt.
+#[derive(Clone)]
+struct Scan {
+    version: u8,
+    format: u8,
+    scale: f64,
+    records: Vec<Vec<u8>>,
+    vlrs: Vec<(&'static str, u16, Vec<u8>)>,
+    evlrs: Vec<(&'static str, u16, Vec<u8>)>,
+}
+
+const RECORD_BYTES: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
+
+impl Scan {
+    fn new(version: u8, format: u8, points: u32) -> Self {
+        let mut state = 0x1234_5678_9ABC_DEF1u64;
+        let mut random = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 33) as i32
+        };
+        let bytes = RECORD_BYTES[usize::from(format)];
+        let records = (0..points as i32)
+            .map(|i| {
+                let mut record = vec![0u8; bytes];
+                for (axis, raw) in [i * 7 + random() % 50, random() % 10_000, random() % 300].into_iter().enumerate() {
+                    record[4 * axis..4 * axis + 4].copy_from_slice(&raw.to_le_bytes());
+                }
+                record[14] = 0x11; // return 1 of 1, in both layouts
+                record[if format < 6 { 15 } else { 16 }] = (random() % 6) as u8;
+                record
+            })
+            .collect();
+        Self { version, format, scale: 0.01, records, vlrs: Vec::new(), evlrs: Vec::new() }
+    }
+
+    fn expected(&self) -> Vec<[f64; 3]> {
+        let raw = |r: &[u8], a: usize| i32::from_le_bytes(r[4 * a..4 * a + 4].try_into().unwrap());
+        self.records.iter().map(|r| [0, 1, 2].map(|a| f64::from(raw(r, a)) * self.scale + 100.0)).collect()
+    }
+
+    fn head(&self, compressed: bool, vlrs: &[(&str, u16, Vec<u8>)]) -> Vec<u8> {
+        let header_bytes = [227, 227, 227, 235, 375, 393][usize::from(self.version)];
+        let mut out = vec![0u8; header_bytes];
+        let mut put = |at: usize, bytes: &[u8]| out[at..at + bytes.len()].copy_from_slice(bytes);
+        put(0, b"LASF");
+        put(24, &[1, self.version]);
+        put(94, &(header_bytes as u16).to_le_bytes());
+        let points_at = header_bytes + vlrs.iter().map(|v| 54 + v.2.len()).sum::<usize>();
+        put(96, &(points_at as u32).to_le_bytes());
+        put(100, &(vlrs.len() as u32).to_le_bytes());
+        put(104, &[self.format | if compressed { 0x80 } else { 0 }]);
+        put(105, &(self.records.first().map_or(RECORD_BYTES[usize::from(self.format)], Vec::len) as u16).to_le_bytes());
+        put(107, &(self.records.len() as u32).to_le_bytes());
+        for axis in 0..3 {
+            put(131 + 8 * axis, &self.scale.to_le_bytes());
+            put(155 + 8 * axis, &100f64.to_le_bytes());
+        }
+        if self.version >= 4 {
+            put(247, &(self.records.len() as u64).to_le_bytes());
+        }
+        for (user, id, body) in vlrs {
+            let mut head = [0u8; 54];
+            head[2..2 + user.len()].copy_from_slice(user.as_bytes());
+            head[18..20].copy_from_slice(&id.to_le_bytes());
+            head[20..22].copy_from_slice(&(body.len() as u16).to_le_bytes());
+            out.extend(head);
+            out.extend(body);
+        }
+        out
+    }
+
+    fn tail(&self, mut out: Vec<u8>) -> Vec<u8> {
+        if !self.evlrs.is_empty() {
+            let at = out.len() as u64;
+            out[235..243].copy_from_slice(&at.to_le_bytes());
+            out[243..247].copy_from_slice(&(self.evlrs.len() as u32).to_le_bytes());
+        }
+        for (user, id, body) in &self.evlrs {
+            let mut head = [0u8; 60];
+            head[2..2 + user.len()].copy_from_slice(user.as_bytes());
+            head[18..20].copy_from_slice(&id.to_le_bytes());
+            head[20..28].copy_from_slice(&(body.len() as u64).to_le_bytes());
+            out.extend(head);
+            out.extend(body);
+        }
+        out
+    }
+
+    fn las(&self) -> Vec<u8> {
+        let mut out = self.head(false, &self.vlrs);
+        out.extend(self.records.concat());
+        self.tail(out)
+    }
+
+    /// `chunk` points a chunk; 0 for chunks of 100, 300, 500 .. points.
+    fn laz(&self, chunk: u32) -> Vec<u8> {
+        let usual = RECORD_BYTES[usize::from(self.format)];
+        let extra = self.records.first().map_or(0, |r| r.len() - usual) as u16;
+        let builder = LazVlrBuilder::default().with_point_format(self.format, extra).unwrap();
+        let vlr = match chunk {
+            0 => builder.with_variable_chunk_size().build(),
+            n => builder.with_fixed_chunk_size(n).build(),
+        };
+        let mut body = Vec::new();
+        vlr.write_to(&mut body).unwrap();
+        let mut vlrs = vec![(LazVlr::USER_ID, LazVlr::RECORD_ID, body)];
+        vlrs.extend(self.vlrs.iter().cloned());
+        let mut file = std::io::Cursor::new(self.head(true, &vlrs));
+        file.set_position(file.get_ref().len() as u64);
+        let mut compressor = LasZipCompressor::new(file, vlr).unwrap();
+        let (mut left, mut next) = (100, 300);
+        for record in &self.records {
+            if chunk == 0 && left == 0 {
+                compressor.finish_current_chunk().unwrap();
+                (left, next) = (next, next + 200);
+            }
+            left -= 1;
+            compressor.compress_one(record).unwrap();
+        }
+        compressor.done().unwrap();
+        self.tail(compressor.into_inner().into_inner())
+    }
+}
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn file(&self, name: &str, bytes: &[u8]) -> PathBuf {
+        let path = self.0.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        path
+    }
+}
+
+#[test]
+fn every_format_reads_back_plain_and_packed_in_fixed_and_variable_chunks() {
+    let folder = Folder::new();
+    for format in 0..=10u8 {
+        let scan = Scan::new(if format < 6 { 3 } else { 4 }, format, 2500);
+        for (name, bytes) in
+            [("a.las", scan.las()), ("b.laz", scan.laz(1000)), ("c.laz", scan.laz(0)), ("d.laz", scan.laz(50_000))]
+        {
+            let found = read_one(&folder.file(name, &bytes)).unwrap_or_else(|e| panic!("format {format}: {e}"));
+            assert_eq!(found.counts.read, 2500, "format {format} {name}");
+            assert!(found.points == scan.expected(), "format {format} {name}");
+            assert!(
+                found.warnings.lines().all(|l| l.contains("no unit")),
+                "format {format} {name}: {}",
+                found.warnings
+            );
+        }
+    }
+}
+
+#[test]
+fn extra_bytes_are_stepped_over_and_bound_the_memory() {
+    let folder = Folder::new();
+    for format in [1, 7] {
+        let mut scan = Scan::new(4, format, 600);
+        scan.records.iter_mut().for_each(|r| r.extend((0..192).map(|i| i as u8)));
+        for (name, bytes) in [("a.las", scan.las()), ("b.laz", scan.laz(250))] {
+            let path = folder.file(name, &bytes);
+            assert!(read_one(&path).unwrap().points == scan.expected());
+            let options = InputOptions { memory_bytes: 1 << 20, ..InputOptions::default() };
+            match read(&[path], options) {
+                Ok(found) => assert!(name == "a.las" && found.points.len() == 600),
+                Err(error) => assert!(matches!(error, Error::Limit { .. }) && error.to_string().contains("--memory")),
+            }
+        }
+    }
+}
+
+#[test]
+fn withheld_points_and_classes_are_left_out_of_packed_files_too() {
+    let folder = Folder::new();
+    for format in [2u8, 8] {
+        let mut scan = Scan::new(4, format, 3000);
+        let (flag_bit, class_at) = if format < 6 { (0x80, 15) } else { (4, 16) };
+        scan.records.iter_mut().step_by(5).for_each(|r| r[15] |= flag_bit);
+        let class = |r: &Vec<u8>| r[class_at] & 31;
+        let withheld = |r: &Vec<u8>| r[15] & flag_bit != 0;
+        let options = InputOptions { exclude_classes: [1 << 3, 0, 0, 0], ..InputOptions::default() };
+        let all = scan.expected();
+        let kept: Vec<_> = std::iter::zip(&scan.records, &all)
+            .filter(|(r, _)| class(r) != 3 && !withheld(r))
+            .map(|(_, p)| *p)
+            .collect();
+        for (name, bytes) in [("a.las", scan.las()), ("b.laz", scan.laz(700))] {
+            let found = read(&[folder.file(name, &bytes)], options).unwrap();
+            assert_eq!((found.counts.withheld, found.counts.read), (600, 3000));
+            assert!(found.points == kept, "format {format} {name}");
+        }
+    }
+}
+
+#[test]
+fn a_cut_las_gives_its_whole_points_at_every_length() {
+    let folder = Folder::new();
+    let scan = Scan::new(2, 1, 40);
+    let (whole, expected) = (scan.las(), scan.expected());
+    for len in 0..whole.len() {
+        let path = folder.file("cut.las", &whole[..len]);
+        if len < 227 {
+            refusal(&path);
+            continue;
+        }
+        let found = read_one(&path).unwrap();
+        assert_eq!(found.points, expected[..(len - 227) / 28]);
+        assert!(found.warnings.contains("the header states 40 points"), "{}", found.warnings);
+    }
+}
+
+#[test]
+fn a_cut_laz_gives_the_points_before_the_cut_or_one_line() {
+    let folder = Folder::new();
+    for (format, chunk) in [(1u8, 500), (7, 500), (3, 0), (6, 0)] {
+        let scan = Scan::new(4, format, 2400);
+        let (whole, expected) = (scan.laz(chunk), scan.expected());
+        let mut most = 0;
+        for len in (0..whole.len()).step_by(97).chain([whole.len() - 1, whole.len() - 9]) {
+            let path = folder.file("cut.laz", &whole[..len]);
+            match read_one(&path) {
+                Ok(found) => {
+                    // The last point before a cut may be wrong in formats 0 to 5: the decoder reads ahead of it.
+                    let n = found.points.len().saturating_sub(if format < 6 { 1 } else { 0 });
+                    assert!(n <= 2400 && found.points[..n] == expected[..n], "format {format}, {len} bytes");
+                    assert!(
+                        found.warnings.contains("cut") || found.warnings.contains("ends before"),
+                        "{}",
+                        found.warnings
+                    );
+                    most = most.max(n);
+                }
+                Err(error) => assert!(!error.to_string().contains('\n')),
+            }
+        }
+        // Chunks of varying length cannot be found in formats 0 to 5 once their table is lost.
+        assert!(if (format, chunk) == (3, 0) { most == 0 } else { most > 1800 }, "format {format}: {most}");
+    }
+}
+
+#[test]
+fn a_lost_chunk_table_costs_nothing_where_chunks_can_be_found() {
+    let folder = Folder::new();
+    for (format, chunk) in [(0u8, 500), (6, 500), (7, 0)] {
+        let scan = Scan::new(4, format, 1700);
+        let good = scan.laz(chunk);
+        let at = u32::from_le_bytes(good[96..100].try_into().unwrap()) as usize;
+        let table = i64::from_le_bytes(good[at..at + 8].try_into().unwrap());
+        for place in [-1, 0, 17, i64::MAX, i64::MIN, table + 1, table - 1, good.len() as i64 - 3] {
+            let mut bytes = good.clone();
+            bytes[at..at + 8].copy_from_slice(&place.to_le_bytes());
+            match read_one(&folder.file("lost.laz", &bytes)) {
+                Ok(found) => {
+                    let n = found.points.len();
+                    assert!(n >= 1500 && found.points[..n] == scan.expected()[..n], "format {format}, {place}: {n}");
+                    assert!(n < 1700 || found.warnings.contains("chunk table"), "{}", found.warnings);
+                }
+                Err(error) => panic!("format {format}, table at {place}: {error}"),
+            }
+        }
+        // Written to a pipe: the place of the table stands at the end of the file.
+        let mut bytes = good.clone();
+        bytes[at..at + 8].copy_from_slice(&(-1i64).to_le_bytes());
+        bytes.extend(table.to_le_bytes());
+        let found = read_one(&folder.file("pipe.laz", &bytes)).unwrap();
+        assert!(found.points == scan.expected() && !found.warnings.contains("chunk table"), "{}", found.warnings);
+    }
+}
+
+#[test]
+fn counts_that_lie_are_survived() {
+    let folder = Folder::new();
+    let scan = Scan::new(2, 0, 1700);
+    let expected = scan.expected();
+    let stating = |bytes: &[u8], count: u32| {
+        let mut bytes = bytes.to_vec();
+        bytes[107..111].copy_from_slice(&count.to_le_bytes());
+        bytes
+    };
+    for count in [1, 1500, 1701, 2001, u32::MAX] {
+        let found = read_one(&folder.file("lie.las", &stating(&scan.las(), count))).unwrap();
+        assert_eq!(found.points, expected[..(count as usize).min(1700)]);
+        let found = read_one(&folder.file("lie.laz", &stating(&scan.laz(500), count))).unwrap();
+        assert!(found.points.len() >= 1500 && found.points[..1500] == expected[..1500], "{count}");
+    }
+    for bytes in [scan.las(), scan.laz(500)] {
+        let text = refusal(&folder.file("zero.laz", &stating(&bytes, 0)));
+        assert!(text.contains("states 0 points") && text.contains("interrupted"), "{text}");
+    }
+    // Layered chunks say themselves how many points they hold.
+    let scan = Scan::new(4, 6, 1700);
+    for count in [0u64, 1, 1500, 1699, 1701, u64::MAX] {
+        let mut bytes = scan.laz(500);
+        bytes[107..111].copy_from_slice(&0u32.to_le_bytes());
+        bytes[247..255].copy_from_slice(&count.to_le_bytes());
+        let found = read_one(&folder.file("lie.laz", &bytes)).unwrap();
+        assert!(found.points == scan.expected(), "{count}");
+        assert!(found.warnings.contains("its chunks hold 1700"), "{}", found.warnings);
+    }
+}
+
+#[test]
+fn hostile_headers_are_refused_in_one_line_and_size_nothing() {
+    let folder = Folder::new();
+    let las = Scan::new(4, 6, 10).las();
+    let cases: &[(usize, &[u8], &str)] = &[
+        (0, b"LASX", "expected \"LASF\""),
+        (0, &[0; 4], "the bytes 00 00 00 00"),
+        (25, &[9], "LAS version 1.9"),
+        (94, &[1, 0], "header length 1"),
+        (94, &[255, 255], "header length 65535"),
+        (96, &[10, 0, 0, 0], "the points begin at byte 10"),
+        (104, &[11], "point format 11"),
+        (104, &[0x86], "LASzip record that says how is missing"),
+        (105, &[29, 0], "records of 29 bytes"),
+        (131, &[0; 8], "scale of x is 0"),
+        (139, &f64::NAN.to_le_bytes(), "scale of y is NaN"),
+        (147, &f64::INFINITY.to_le_bytes(), "scale of z is inf"),
+        (171, &f64::NEG_INFINITY.to_le_bytes(), "offset of z is -inf"),
+    ];
+    for (at, bytes, text) in cases {
+        let mut bad = las.clone();
+        bad[*at..at + bytes.len()].copy_from_slice(bytes);
+        let found = read_one(&folder.file("bad.las", &bad)).unwrap_err().to_string();
+        assert!(found.contains(text) && !found.contains('\n'), "{found}");
+    }
+    let soft: &[(usize, &[u8])] = &[
+        (100, &[255; 4]),                 // records before the points
+        (243, &[255; 4]),                 // records after them, at byte 0
+        (131, &(-0.01f64).to_le_bytes()), // a mirrored axis means what it says
+        (179, &f64::NAN.to_le_bytes()),   // bounds are never trusted
+    ];
+    for (at, bytes) in soft {
+        let mut odd = las.clone();
+        odd[*at..at + bytes.len()].copy_from_slice(bytes);
+        assert_eq!(read_one(&folder.file("soft.las", &odd)).unwrap().counts.read, 10);
+    }
+    // Extended records far outside the file, and of absurd length.
+    for (at, len) in [(u64::MAX - 3, 0), (1 << 40, 5), (375, u64::MAX), (600, 1 << 50)] {
+        let mut scan = Scan::new(4, 6, 10);
+        scan.evlrs.push(("LASF_Projection", 2112, b"PROJCS[\"x\",UNIT[\"foot\",0.3048]]".to_vec()));
+        let mut odd = scan.las();
+        let place = odd.len() - 60 - 33;
+        odd[235..243].copy_from_slice(&at.to_le_bytes());
+        odd[place + 20..place + 28].copy_from_slice(&u64::to_le_bytes(len));
+        let _ = read_one(&folder.file("evlr.las", &odd)).map(|f| assert!(f.counts.read <= 10));
+    }
+}
+
+#[test]
+fn coordinates_out_of_range_are_counted_and_told_once() {
+    let folder = Folder::new();
+    let mut scan = Scan::new(2, 3, 200_000);
+    scan.scale = 1e9;
+    let found = read_one(&folder.file("far.las", &scan.las())).unwrap();
+    let near = scan.expected().iter().filter(|p| p.iter().all(|v| v.abs() <= 1e12)).count();
+    assert_eq!(found.points.len(), near);
+    assert_eq!(found.counts.not_finite, 200_000 - near as u64);
+    assert_eq!(found.warnings.matches("beyond 1e12 m").count(), 1);
+}
+
+#[test]
+fn the_reference_system_is_found_after_the_points_and_agreed_on_over_files() {
+    let folder = Folder::new();
+    let with = |name: &str, text: &str| {
+        let mut scan = Scan::new(4, 6, 5);
+        scan.evlrs.push(("other", 1, vec![1; 70]));
+        scan.evlrs.push(("LASF_Projection", 2112, text.as_bytes().to_vec()));
+        folder.file(name, &scan.las())
+    };
+    let feet = "PROJCS[\"b\",UNIT[\"foot\",0.3048]]";
+    let (a, b) = (with("a.las", feet), with("b.las", "PROJCS[\"a\",UNIT[\"metre\",1]]"));
+    let heard = Heard::default();
+    let set = InputSet::open(&[a.clone()], InputOptions::default(), &heard).unwrap();
+    assert_eq!((set.crs(), set.files()[0].unit_m()), (Some(feet), [0.3048; 3]));
+    assert!(heard.0.lock().unwrap().is_empty());
+    for order in [[a.clone(), b.clone()], [b, a]] {
+        let set = InputSet::open(&order, InputOptions::default(), &heard).unwrap();
+        assert!(set.crs().unwrap().starts_with("PROJCS[\"a\""));
+        assert_eq!(set.files()[0].unit_m(), [0.3048; 3]);
+    }
+    assert!(heard.0.lock().unwrap()[0].contains("different reference systems"));
+}
+
+#[test]
+fn flipped_bytes_give_points_or_one_line_and_never_a_panic() {
+    let folder = Folder::new();
+    let scans = [
+        Scan::new(2, 1, 300).laz(120),
+        Scan::new(4, 7, 300).laz(0),
+        Scan::new(4, 9, 200).laz(90),
+        Scan::new(4, 6, 60).las(),
+    ];
+    for (index, good) in scans.iter().enumerate() {
+        for at in (0..good.len()).filter(|at| *at < 700 || at % 5 == 0 || *at + 80 > good.len()) {
+            for flip in [0x01, 0x80, 0xFF] {
+                let mut bad = good.clone();
+                bad[at] ^= flip;
+                let path = folder.file("flip.laz", &bad);
+                if let Err(error) = read_one(&path) {
+                    let text = error.to_string();
+                    assert!(text.starts_with(path.to_str().unwrap()) && !text.contains('\n'), "scan {index}: {text}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn other_files_are_named_for_what_they_are() {
+    let folder = Folder::new();
+    let mesh = refusal(&folder.file("model.obj", b"v 0 0 0\n"));
+    assert!(mesh.contains("mesh"), "{mesh}");
+    let text = refusal(&folder.file("notes.laz", b"x y z\n1 2 3\n"));
+    assert!(text.contains("found text: \"x y z\""), "{text}");
+    assert!(refusal(&folder.file("nothing.las", b"")).contains("an empty file"));
+    assert!(refusal(&folder.0.path().join("none.las")).contains("cannot open"));
+    assert!(read_one(&folder.file("scan.dat", &Scan::new(2, 0, 3).las())).is_ok(), "a scan under another name");
+}
+
+#[test]
+fn threads_and_the_order_of_units_change_nothing() {
+    let folder = Folder::new();
+    let (plain, packed) = (Scan::new(2, 3, 300_000), Scan::new(4, 7, 20_000));
+    let paths = [folder.file("a.las", &plain.las()), folder.file("b.laz", &packed.laz(3000))];
+    let one = read(&paths, InputOptions::default()).unwrap();
+    let set = InputSet::open(&paths, InputOptions::default(), &NoMonitor).unwrap();
+    let mut units: Vec<Unit> = set.units().collect();
+    assert_eq!(units.len(), 3 + 7);
+    assert_eq!(units.iter().map(Unit::points).sum::<u64>(), set.points_stated());
+    units.reverse();
+    let all = Mutex::new(Read::default());
+    std::thread::scope(|scope| {
+        for part in units.chunks(4) {
+            let (set, all) = (&set, &all);
+            scope.spawn(move || {
+                let mut decoder = Decoder::new();
+                for unit in part {
+                    let mut points = Vec::new();
+                    let counts = decoder.decode(set, unit, &mut |b| {
+                        points.extend((0..b.len()).map(|i| [b.x[i], b.y[i], b.z[i]]));
+                        Ok(())
+                    });
+                    let mut all = all.lock().unwrap();
+                    all.counts += counts.unwrap();
+                    all.points.extend(points);
+                }
+            });
+        }
+    });
+    let all = all.into_inner().unwrap();
+    assert_eq!(all.counts, one.counts);
+    assert!(all.sorted() == one.sorted());
+}
+
+#[test]
+fn an_error_of_the_sink_ends_the_work() {
+    let folder = Folder::new();
+    let path = folder.file("a.laz", &Scan::new(4, 6, 20_000).laz(5000));
+    let set = InputSet::open(&[path], InputOptions::default(), &NoMonitor).unwrap();
+    let unit = set.units().next().unwrap();
+    let outcome = Decoder::new().decode(&set, &unit, &mut |_| Err(Error::Interrupted));
+    assert!(matches!(outcome, Err(Error::Interrupted)));
+}
+
+#[test]
+fn spacing_is_the_same_for_shuffled_points_split_files_and_any_number_of_threads() {
+    let folder = Folder::new();
+    let mut scan = Scan::new(2, 0, 150_000);
+    for (i, record) in scan.records.iter_mut().enumerate() {
+        let raw = [(i % 390) * 5 + i % 3, (i / 390) * 5 + i % 2, i % 4].map(|v| (v as i32).to_le_bytes());
+        record[..12].copy_from_slice(&raw.concat());
+    }
+    let spacing = |files: Vec<Vec<u8>>, threads| {
+        let paths: Vec<_> = files.iter().enumerate().map(|(i, f)| folder.file(&format!("{i}.laz"), f)).collect();
+        let set = InputSet::open(&paths, InputOptions::default(), &NoMonitor).unwrap();
+        estimate_spacing(&set, threads, &NoMonitor).unwrap()
+    };
+    let first = spacing(vec![scan.las()], 1);
+    assert!((0.04..0.06).contains(&first.spacing_m), "{first:?}");
+    let mut mixed = scan.clone();
+    let key: HashMap<Vec<u8>, usize> =
+        mixed.records.iter().enumerate().map(|(i, r)| (r.clone(), i.wrapping_mul(0x9E37_79B9) % 1_000_003)).collect();
+    mixed.records.sort_by_key(|r| key[r]);
+    assert_eq!(spacing(vec![mixed.laz(9000)], 3), first);
+    let mut parts = Vec::new();
+    for part in mixed.records.chunks(40_000) {
+        parts.push(Scan { records: part.to_vec(), ..mixed.clone() }.las());
+    }
+    assert_eq!(spacing(parts, 4), first);
+}
+
+// ---- speed, by hand: cargo test --release --test input speeds -- --ignored --nocapture --------------------------------
+
+#[test]
+#[ignore = "a measurement, not a check"]
+fn speeds() {
+    let time = |name: &str, path: &Path, threads: usize| {
+        for _ in 0..3 {
+            let set = InputSet::open(&[path.to_path_buf()], InputOptions::default(), &NoMonitor).unwrap();
+            let units = Mutex::new(set.units());
+            let start = std::time::Instant::now();
+            let total: u64 = std::thread::scope(|scope| {
+                let work = || {
+                    let (mut decoder, mut points, mut sum) = (Decoder::new(), 0, 0.0);
+                    loop {
+                        let Some(unit) = units.lock().unwrap().next() else { break };
+                        let counts = decoder.decode(&set, &unit, &mut |b| {
+                            sum += b.x[0] + b.y[b.len() - 1] + b.z[b.len() / 2];
+                            Ok(())
+                        });
+                        points += counts.unwrap().read;
+                    }
+                    std::hint::black_box(sum);
+                    points
+                };
+                let threads: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+                threads.into_iter().map(|t| t.join().unwrap()).sum()
+            });
+            let rate = total as f64 / start.elapsed().as_secs_f64() / 1e6;
+            println!("{name}, {threads} threads: {total} points, {rate:.1} M points/s");
+        }
+    };
+    let folder = Folder::new();
+    for format in [0u8, 3, 7] {
+        let mut scan = Scan::new(4, format, 0);
+        let some = Scan::new(4, format, 1_000_000).records.concat();
+        scan.records = vec![vec![0; RECORD_BYTES[usize::from(format)]]];
+        let mut bytes = scan.head(false, &[]);
+        bytes[107..111].copy_from_slice(&8_000_000u32.to_le_bytes());
+        bytes[247..255].copy_from_slice(&8_000_000u64.to_le_bytes());
+        (0..8).for_each(|_| bytes.extend(&some));
+        let path = folder.file("big.las", &bytes);
+        drop(bytes);
+        time(&format!("LAS format {format}"), &path, 1);
+        time(&format!("LAS format {format}"), &path, 2);
+        let set = InputSet::open(&[path], InputOptions::default(), &NoMonitor).unwrap();
+        let start = std::time::Instant::now();
+        estimate_spacing(&set, 1, &NoMonitor).unwrap();
+        println!("spacing, 1 thread: {:.1} M points/s", 8.0 / start.elapsed().as_secs_f64());
+    }
+    let packed = folder.file("packed.laz", &Scan::new(4, 7, 2_000_000).laz(50_000));
+    time("LAZ format 7 (made up)", &packed, 1);
+    if let Some(data) = data() {
+        time("autzen_stadium.laz", &data.join("autzen_stadium.laz"), 1);
+        time("autzen_stadium.laz", &data.join("autzen_stadium.laz"), 2);
+    }
+}
