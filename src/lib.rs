@@ -9,5 +9,11 @@ pub mod plan;
 
 pub mod slice;
 
+pub mod codec;
+
+pub mod archive;
+
+pub mod store;
+
 pub use error::{Error, Result};
 pub use monitor::{Monitor, NoMonitor};
