@@ -10,10 +10,24 @@ pub mod plan;
 #[cfg(feature = "convert")]
 pub mod input;
 
-pub mod slice;
-
 #[cfg(feature = "convert")]
 mod voxel;
+
+pub mod slice;
+
+pub mod codec;
+
+pub mod archive;
+
+#[cfg(feature = "convert")]
+pub mod convert;
+
+#[cfg(feature = "cli")]
+pub mod info;
+
+pub mod store;
+
+pub mod query;
 
 pub use error::{Error, Result};
 pub use monitor::{Monitor, NoMonitor};

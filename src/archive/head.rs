@@ -1,0 +1,497 @@
+//! Head and footer: fixed header fields, root directory, and the end that proves completeness (chapters 3 and 8).
+//!
+//! The head is read and checked as a whole: magic, length, checksum, then version and features, then every field.
+
+use super::FORMAT_VERSION;
+use crate::codec::{Reader, Violation};
+use crate::frame::{Frame, MAX_INDEX, PageKey};
+use crate::plan::{Classifier, Plan, Up};
+use crate::{Error, Result};
+use xxhash_rust::xxh3::xxh3_128;
+
+/// First bytes of an archive.
+pub(super) const MAGIC: [u8; 8] = *b"\x89SLIC\r\n\x1a";
+/// Last bytes of an archive.
+pub(super) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
+/// Greatest length of a head, and the length of one whose size was not known in advance [bytes].
+pub(super) const MAX_HEAD: usize = 16_384;
+/// Length of the fixed fields [bytes].
+pub(super) const FIXED: usize = 384;
+/// Length of a root record [bytes].
+const ROOT_RECORD: usize = 28;
+const CRC: usize = 4;
+/// Length of the footer [bytes].
+pub(super) const FOOTER: usize = 24;
+/// Most leaves that a root directory holds.
+pub(super) const MAX_LEAVES: usize = 512;
+/// Entries of a leaf in an archive that needs no more than [`MAX_LEAVES`] such leaves.
+pub(super) const MIN_LEAF_ENTRIES: u32 = 4096;
+/// Most entries of a leaf.
+pub(super) const MAX_LEAF_ENTRIES: u32 = 1 << 20;
+/// Greatest length of the metadata block [bytes].
+pub(super) const MAX_METADATA: u64 = 1 << 20;
+/// Where the canonical bytes of the plan lie in the head.
+const PLAN: std::ops::Range<usize> = 56..128;
+
+/// How many tiles (one slice of a page, where it holds matter) an archive has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Tiles {
+    /// All tiles with matter.
+    pub occupied: u64,
+    /// Those whose page has bytes of its own or shares those of another; the rest are uniform.
+    pub stored: u64,
+    /// Those whose page has bytes of its own.
+    pub unique: u64,
+}
+
+/// How many voxels an archive has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Voxels {
+    /// Voxels with matter.
+    pub occupied: u64,
+    /// Those with obstacle.
+    pub obstacle: u64,
+}
+
+/// How many pages of each kind an archive has.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Pages {
+    /// Pages with bytes of their own.
+    pub stored: u64,
+    /// Pages with the bytes of an earlier one.
+    pub shared: u64,
+    /// Pages told by one span.
+    pub uniform: u64,
+}
+
+impl Pages {
+    /// Pages of all kinds.
+    pub fn total(&self) -> u64 {
+        self.stored.saturating_add(self.shared).saturating_add(self.uniform)
+    }
+}
+
+/// Lengths of the sections in the order in which they lie, without gap; the footer ends the file [bytes].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Sections {
+    /// Header and root directory.
+    pub head: u64,
+    /// Pages.
+    pub pages: u64,
+    /// Leaf directories.
+    pub directory: u64,
+    /// Metadata block.
+    pub metadata: u64,
+}
+
+/// Least and greatest coordinates [m].
+pub type Bounds = ([f64; 3], [f64; 3]);
+
+/// What the head of an archive says about the whole.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Header {
+    /// Version of the format: major, minor.
+    pub version: (u16, u16),
+    /// Features that a reader must know.
+    pub features_required: u64,
+    /// Features that a reader may ignore.
+    pub features_optional: u64,
+    /// Length of the archive [bytes].
+    pub file_len: u64,
+    /// Grid and options of the conversion.
+    pub plan: Plan,
+    /// Identity of the plan: archives of equal hash can be compared and merged.
+    pub plan_hash: u128,
+    /// Points read from the input.
+    pub points_read: u64,
+    /// Points that made voxels.
+    pub points_kept: u64,
+    /// Points that the input marks as withheld.
+    pub points_withheld: u64,
+    /// Points of excluded classes.
+    pub points_excluded: u64,
+    /// Least and greatest coordinates of the kept points [m]; `None` without points.
+    pub bounds: Option<Bounds>,
+    /// Lowest and highest slice with matter, inclusive; `None` without matter.
+    pub slices: Option<(i64, i64)>,
+    /// Tiles.
+    pub tiles: Tiles,
+    /// Voxels.
+    pub voxels: Voxels,
+    /// Pages.
+    pub pages: Pages,
+    /// Lengths of the sections.
+    pub bytes: Sections,
+    /// CRC32C of the metadata block.
+    pub metadata_crc: u32,
+    /// Entries in each directory leaf but the last.
+    pub leaf_entries: u32,
+}
+
+impl Header {
+    /// Offset of the pages [bytes].
+    pub fn pages_offset(&self) -> u64 {
+        self.bytes.head
+    }
+
+    /// Offset of the leaf directories [bytes].
+    pub fn directory_offset(&self) -> u64 {
+        self.bytes.head + self.bytes.pages
+    }
+
+    /// Offset of the metadata block [bytes].
+    pub fn metadata_offset(&self) -> u64 {
+        self.directory_offset() + self.bytes.directory
+    }
+}
+
+/// A leaf as the root directory tells of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Leaf {
+    /// Key of its first entry.
+    pub first: PageKey,
+    pub entries: u32,
+    /// Offset from the start of the directory section; implied by the lengths of the leaves before it.
+    pub offset: u64,
+    pub stored_len: u32,
+    pub raw_len: u32,
+    pub crc: u32,
+}
+
+/// The 72 bytes that the hash of a plan covers, which are also its bytes in the head.
+fn plan_bytes(plan: &Plan) -> [u8; PLAN.end - PLAN.start] {
+    let mut bytes = [0; PLAN.end - PLAN.start];
+    // Adding zero turns -0 into 0: equal plans have equal bytes.
+    let sizes = [plan.frame.pixel_m(), plan.frame.slice_m(), plan.max_slope_deg + 0.0, plan.tolerance_m + 0.0];
+    for (slot, value) in bytes[..32].chunks_exact_mut(8).zip(sizes) {
+        slot.copy_from_slice(&value.to_le_bytes());
+    }
+    bytes[32] = Classifier::ALL.iter().position(|&c| c == plan.classifier).map_or(u8::MAX, |code| code as u8);
+    bytes[33] = (plan.up == Up::Y) as u8;
+    bytes[36..40].copy_from_slice(&plan.min_points.to_le_bytes());
+    for (slot, value) in bytes[40..].chunks_exact_mut(8).zip(plan.exclude_classes) {
+        slot.copy_from_slice(&value.to_le_bytes());
+    }
+    bytes
+}
+
+/// Identity of a plan: XXH3-128 of its canonical bytes.
+pub fn plan_hash(plan: &Plan) -> u128 {
+    xxh3_128(&plan_bytes(plan))
+}
+
+/// Length of a head for `leaves` leaves without padding [bytes].
+pub(super) fn exact_len(leaves: usize) -> usize {
+    FIXED + leaves * ROOT_RECORD + CRC
+}
+
+/// The head of an archive, as long as `header` says: at least [`exact_len`] and at most [`MAX_HEAD`].
+pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(header.bytes.head as usize);
+    out.extend(MAGIC);
+    out.extend(header.version.0.to_le_bytes());
+    out.extend(header.version.1.to_le_bytes());
+    out.extend((header.bytes.head as u32).to_le_bytes());
+    let word = |out: &mut Vec<u8>, value: u64| out.extend(value.to_le_bytes());
+    word(&mut out, header.features_required);
+    word(&mut out, header.features_optional);
+    word(&mut out, header.file_len);
+    out.extend(header.plan_hash.to_le_bytes());
+    debug_assert_eq!(out.len(), PLAN.start);
+    out.extend(plan_bytes(&header.plan));
+    for points in [header.points_read, header.points_kept, header.points_withheld, header.points_excluded] {
+        word(&mut out, points);
+    }
+    let (min, max) = header.bounds.unwrap_or_default();
+    for value in min.into_iter().chain(max) {
+        word(&mut out, (value + 0.0).to_bits());
+    }
+    let (first, last) = header.slices.unwrap_or((0, -1));
+    word(&mut out, first as u64);
+    word(&mut out, last as u64);
+    for count in [
+        header.tiles.occupied,
+        header.tiles.stored,
+        header.tiles.unique,
+        header.voxels.occupied,
+        header.voxels.obstacle,
+        header.pages.stored,
+        header.pages.shared,
+        header.pages.uniform,
+        header.bytes.pages,
+        header.bytes.directory,
+        header.bytes.metadata,
+    ] {
+        word(&mut out, count);
+    }
+    out.extend(header.metadata_crc.to_le_bytes());
+    out.extend(header.leaf_entries.to_le_bytes());
+    out.extend((leaves.len() as u32).to_le_bytes());
+    out.push(header.bounds.is_some() as u8);
+    out.resize(FIXED, 0);
+    for leaf in leaves {
+        out.extend(leaf.first.column().to_le_bytes());
+        out.extend(leaf.first.layer.to_le_bytes());
+        for value in [leaf.entries, leaf.stored_len, leaf.raw_len, leaf.crc] {
+            out.extend(value.to_le_bytes());
+        }
+    }
+    out.resize(header.bytes.head as usize - CRC, 0);
+    let crc = crc32c::crc32c(&out);
+    out.extend(crc.to_le_bytes());
+    out
+}
+
+/// The footer of an archive of `file_len` bytes whose head is `head`.
+pub(super) fn encode_footer(file_len: u64, head: &[u8]) -> [u8; FOOTER] {
+    let mut out = [0; FOOTER];
+    out[..8].copy_from_slice(&file_len.to_le_bytes());
+    out[8..12].copy_from_slice(&head[head.len() - CRC..]);
+    let crc = crc32c::crc32c(&out[..12]);
+    out[12..16].copy_from_slice(&crc.to_le_bytes());
+    out[16..].copy_from_slice(&END_MAGIC);
+    out
+}
+
+/// Checks the footer `bytes` of an archive of `file_len` bytes whose head is `head`.
+pub(super) fn check_footer(bytes: &[u8; FOOTER], file_len: u64, head: &[u8]) -> Result<()> {
+    let at = |violation: Violation| violation.at("footer", file_len - FOOTER as u64);
+    let expected = encode_footer(file_len, head);
+    if bytes[16..] != END_MAGIC {
+        return Err(at(Violation::new("F1", hex(&END_MAGIC), hex(&bytes[16..]))));
+    }
+    if crc32c::crc32c(&bytes[..12]).to_le_bytes() != bytes[12..16] {
+        return Err(at(Violation::new("F2", "the footer's checksum", hex(&bytes[12..16]))));
+    }
+    if *bytes != expected {
+        return Err(at(Violation::new("F3", format!("the footer of this head, {}", hex(&expected)), hex(bytes))));
+    }
+    Ok(())
+}
+
+/// Header and leaves from the first bytes of a file of `file_len` bytes, and how many of the bytes are the head's.
+/// `bytes` must reach to the end of the file or [`MAX_HEAD`] bytes far.
+pub(super) fn decode(bytes: &[u8], file_len: u64) -> Result<(Header, Vec<Leaf>)> {
+    let at = |violation: Violation| violation.at("head", 0);
+    let magic = &bytes[..bytes.len().min(MAGIC.len())];
+    if magic != MAGIC {
+        return Err(at(Violation::new("H1", format!("a slice archive, {}", hex(&MAGIC)), hex(magic))));
+    }
+    let least = exact_len(0) + FOOTER;
+    if bytes.len() < least {
+        return Err(at(Violation::new("H2", format!("at least {least} bytes in the file"), file_len)));
+    }
+    let head_len = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
+    if head_len < exact_len(0) || head_len > bytes.len().min(MAX_HEAD) {
+        let expected = format!("a head of {} to {} bytes", exact_len(0), bytes.len().min(MAX_HEAD));
+        return Err(at(Violation::new("H2", expected, head_len)));
+    }
+    let (covered, crc) = bytes[..head_len].split_at(head_len - CRC);
+    if crc32c::crc32c(covered).to_le_bytes() != crc {
+        return Err(at(Violation::new("H3", "the head's checksum", hex(crc))));
+    }
+    let (header, leaf_count) = decode_fixed(covered, file_len)?;
+    let leaves = decode_root(&covered[FIXED..], leaf_count, &header).map_err(at)?;
+    Ok((header, leaves))
+}
+
+fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
+    let at = |violation: Violation| violation.at("head", 0);
+    let mut reader = Reader::new(&covered[MAGIC.len()..FIXED], "H2");
+    let mut fields = || -> Result<_, Violation> {
+        let version = (u16::from_le_bytes(reader.array()?), u16::from_le_bytes(reader.array()?));
+        let head_len = reader.u32()?;
+        Ok((version, head_len, reader.u64()?, reader.u64()?, reader.u64()?))
+    };
+    let (version, head_len, features_required, features_optional, stated_len) = fields().map_err(at)?;
+    let unsupported = |what: String| Error::Unsupported {
+        what,
+        version: env!("CARGO_PKG_VERSION"),
+        way_out: "use a newer version, or convert the scan again with this one".into(),
+    };
+    if version.0 != FORMAT_VERSION.0 {
+        return Err(unsupported(format!("slice archive format {}.{} (rule H4)", version.0, version.1)));
+    }
+    if features_required != 0 {
+        let bits: Vec<_> = (0..64).filter(|bit| features_required >> bit & 1 == 1).map(|bit| bit.to_string()).collect();
+        return Err(unsupported(format!("required archive feature {} (rule H5)", bits.join(", "))));
+    }
+    if stated_len != file_len {
+        return Err(at(Violation::new("H6", format!("{stated_len} bytes in the file"), file_len)));
+    }
+    let mut rest = || -> Result<_, Violation> {
+        let plan_hash = u128::from_le_bytes(reader.array()?);
+        let plan = decode_plan(&reader.array()?, plan_hash)?;
+        let mut words = [0u64; 23];
+        for word in &mut words {
+            *word = reader.u64()?;
+        }
+        let [metadata_crc, leaf_entries, leaf_count] = [reader.u32()?, reader.u32()?, reader.u32()?];
+        let [has_bounds] = reader.array()?;
+        let reserved = reader.take(FIXED - 325)?;
+        reader = Reader::new(&[], "H2");
+        let float = |at: usize| f64::from_bits(words[at]);
+        let corner = |at: usize| [float(at), float(at + 1), float(at + 2)];
+        let bounds = decode_bounds(corner(4), corner(7), has_bounds)?;
+        let slices = decode_slices(words[10] as i64, words[11] as i64)?;
+        let header = Header {
+            version,
+            features_required,
+            features_optional,
+            file_len,
+            plan,
+            plan_hash,
+            points_read: words[0],
+            points_kept: words[1],
+            points_withheld: words[2],
+            points_excluded: words[3],
+            bounds,
+            slices,
+            tiles: Tiles { occupied: words[12], stored: words[13], unique: words[14] },
+            voxels: Voxels { occupied: words[15], obstacle: words[16] },
+            pages: Pages { stored: words[17], shared: words[18], uniform: words[19] },
+            bytes: Sections { head: head_len as u64, pages: words[20], directory: words[21], metadata: words[22] },
+            metadata_crc,
+            leaf_entries,
+        };
+        check_sums(&header)?;
+        if version.1 == FORMAT_VERSION.1 && reserved.iter().any(|&byte| byte != 0) {
+            return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
+        }
+        Ok((header, leaf_count as usize))
+    };
+    rest().map_err(at)
+}
+
+fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
+    let mut reader = Reader::new(bytes, "H7");
+    let sizes = [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
+    let [classifier, up, reserved_low, reserved_high] = reader.array()?;
+    let min_points = reader.u32()?;
+    let exclude_classes = [reader.u64()?, reader.u64()?, reader.u64()?, reader.u64()?];
+    let wrong = |error: Error| Violation::new("H7", "a plan within its limits", error);
+    let Some(&classifier) = Classifier::ALL.get(classifier as usize) else {
+        return Err(Violation::new("H7", "classifier 0, 1 or 2", classifier));
+    };
+    let up = match up {
+        0 => Up::Z,
+        1 => Up::Y,
+        other => return Err(Violation::new("H7", "up axis 0 or 1", other)),
+    };
+    let frame = Frame::new(sizes[0], sizes[1]).map_err(wrong)?;
+    let [_, _, max_slope_deg, tolerance_m] = sizes;
+    let plan = Plan { frame, max_slope_deg, tolerance_m, classifier, min_points, up, exclude_classes };
+    plan.check().map_err(wrong)?;
+    if [reserved_low, reserved_high] != [0, 0] || plan_bytes(&plan) != *bytes {
+        return Err(Violation::new("H7", "the canonical bytes of the plan", hex(bytes)));
+    }
+    let hash = xxh3_128(bytes);
+    if hash != stated_hash {
+        return Err(Violation::new("H7", format!("plan hash {hash:032x}"), format!("{stated_hash:032x}")));
+    }
+    Ok(plan)
+}
+
+fn decode_bounds(min: [f64; 3], max: [f64; 3], flag: u8) -> Result<Option<Bounds>, Violation> {
+    let canonical = |value: f64| value.is_finite() && value.to_bits() != (-0.0f64).to_bits();
+    let ordered = min.iter().zip(&max).all(|(min, max)| min <= max && canonical(*min) && canonical(*max));
+    let none = min.iter().chain(&max).all(|value| value.to_bits() == 0);
+    match flag {
+        1 if ordered => Ok(Some((min, max))),
+        0 if none => Ok(None),
+        _ => {
+            Err(Violation::new("H8", "finite bounds, least first, or none", format!("{min:?} to {max:?}, flag {flag}")))
+        }
+    }
+}
+
+fn decode_slices(first: i64, last: i64) -> Result<Option<(i64, i64)>, Violation> {
+    let inside = -MAX_INDEX - 1..=MAX_INDEX;
+    match (first, last) {
+        (0, -1) => Ok(None),
+        _ if first <= last && inside.contains(&first) && inside.contains(&last) => Ok(Some((first, last))),
+        _ => Err(Violation::new("H8", "lowest and highest slice in order", format!("{first} and {last}"))),
+    }
+}
+
+/// Rules H8 and H9: numbers that must fit together whatever the rest of the file says.
+fn check_sums(header: &Header) -> Result<(), Violation> {
+    let Header { tiles, voxels, pages, bytes, .. } = header;
+    let parts = [header.points_kept, header.points_withheld, header.points_excluded];
+    let points = parts.iter().try_fold(0u64, |sum, &part| sum.checked_add(part));
+    let wrong = |what: &str, found: String| Err(Violation::new("H8", what, found));
+    if points.is_none_or(|sum| sum > header.points_read) {
+        return wrong("no more points than were read", format!("{parts:?} of {}", header.points_read));
+    }
+    if tiles.unique > tiles.stored || tiles.stored > tiles.occupied {
+        return wrong("unique <= stored <= occupied tiles", format!("{tiles:?}"));
+    }
+    if voxels.obstacle > voxels.occupied || voxels.occupied < tiles.occupied {
+        return wrong("obstacle <= occupied voxels, one or more a tile", format!("{voxels:?}, {tiles:?}"));
+    }
+    let most = MAX_LEAVES as u64 * MAX_LEAF_ENTRIES as u64;
+    let counts = [pages.stored, pages.shared, pages.uniform];
+    if counts.iter().any(|&count| count > most) || pages.total() > most {
+        return wrong("at most 2^29 pages", format!("{pages:?}"));
+    }
+    if (pages.total() == 0) != header.slices.is_none() || tiles.occupied < pages.total() {
+        return wrong(
+            "one or more tiles a page, and slices exactly if there are pages",
+            format!("{pages:?}, {tiles:?}"),
+        );
+    }
+    let sections = [bytes.head, bytes.pages, bytes.directory, bytes.metadata, FOOTER as u64];
+    let sum = sections.iter().try_fold(0u64, |sum, &len| sum.checked_add(len));
+    if sum != Some(header.file_len) {
+        let expected = format!("sections that fill {} bytes", header.file_len);
+        return Err(Violation::new("H9", expected, format!("{sections:?}")));
+    }
+    if bytes.metadata > MAX_METADATA {
+        return Err(Violation::new("H9", format!("metadata of at most {MAX_METADATA} bytes"), bytes.metadata));
+    }
+    Ok(())
+}
+
+/// The root directory from the bytes between the fixed fields and the head's checksum.
+fn decode_root(bytes: &[u8], leaf_count: usize, header: &Header) -> Result<Vec<Leaf>, Violation> {
+    let total = header.pages.total();
+    let capacity = header.leaf_entries as u64;
+    if !header.leaf_entries.is_power_of_two() || !(MIN_LEAF_ENTRIES..=MAX_LEAF_ENTRIES).contains(&header.leaf_entries) {
+        return Err(Violation::new("R1", "leaves of 4096 to 2^20 entries, a power of two", header.leaf_entries));
+    }
+    if leaf_count as u64 != total.div_ceil(capacity) || leaf_count > MAX_LEAVES {
+        return Err(Violation::new("R1", format!("{} leaves", total.div_ceil(capacity)), leaf_count));
+    }
+    let Some((records, padding)) = bytes.split_at_checked(leaf_count * ROOT_RECORD) else {
+        return Err(Violation::new("R1", format!("room for {leaf_count} leaves"), format!("{} bytes", bytes.len())));
+    };
+    if padding.iter().any(|&byte| byte != 0) {
+        return Err(Violation::new("H10", "zeros after the root directory", "other bytes"));
+    }
+    let mut leaves: Vec<Leaf> = Vec::with_capacity(leaf_count);
+    let (mut offset, mut left) = (0u64, total);
+    for record in records.chunks_exact(ROOT_RECORD) {
+        let mut reader = Reader::new(record, "R1");
+        let column = reader.u64()?;
+        let layer = i32::from_le_bytes(reader.array()?);
+        let [entries, stored_len, raw_len, crc] = [reader.u32()?, reader.u32()?, reader.u32()?, reader.u32()?];
+        let first = PageKey::from_column(column, layer);
+        if leaves.last().is_some_and(|leaf| leaf.first >= first) {
+            return Err(Violation::new("R2", "leaves in ascending order of their first keys", first));
+        }
+        if entries as u64 != left.min(capacity) {
+            return Err(Violation::new("R3", format!("a leaf of {} entries", left.min(capacity)), entries));
+        }
+        leaves.push(Leaf { first, entries, offset, stored_len, raw_len, crc });
+        offset += stored_len as u64;
+        left -= entries as u64;
+    }
+    if offset != header.bytes.directory {
+        return Err(Violation::new("R4", format!("leaves of {} bytes in all", header.bytes.directory), offset));
+    }
+    Ok(leaves)
+}
+
+pub(super) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().take(32).map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,39 @@
+//! The slice archive: one file of pages under a directory (`spec/slice-archive.md`; files here follow its chapters).
+//!
+//! In: pages in ascending [`PageKey`](crate::frame::PageKey) order. Out: a file that appears complete under its name or
+//! not at all, and from it the pages again, by key, in at most three reads (head, directory leaf, page). Memory: the
+//! writer holds a few MiB however large the archive ([`ArchiveWriter`]); a reader holds the root directory
+//! (at most 16 KiB) and one leaf.
+
+mod head;
+
+mod directory;
+
+mod page;
+
+mod metadata;
+
+mod publish;
+
+mod dedup;
+
+mod spill;
+
+mod writer;
+
+mod reader;
+
+mod verify;
+
+pub use directory::{Extent, PageEntry, Place};
+pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels, plan_hash};
+pub use page::{EncodedPage, PageDecoder, PageEncoder};
+pub use reader::Archive;
+pub use verify::{Finding, VerifySummary};
+pub use writer::{ArchiveWriter, Totals};
+
+/// Version of the format that is written: major, minor.
+pub const FORMAT_VERSION: (u16, u16) = (1, 0);
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,183 @@
+//! Pages as they lie in the file: a leader that tells what they are, and one zstd frame (chapter 5).
+
+use super::directory::{Extent, PageEntry, Place};
+use super::head::hex;
+use crate::Result;
+use crate::codec::{MAX_RAW_PAGE, Packer, RawDecoder, RawEncoder, Unpacker, Violation};
+use crate::frame::{PageKey, TILE_PIXELS};
+use crate::slice::{Page, PageBuilder, Span};
+use xxhash_rust::xxh3::xxh3_64;
+
+/// First bytes of a page.
+const MAGIC: [u8; 4] = *b"\x89PAG";
+/// Length of a page's leader [bytes].
+pub(super) const LEADER: usize = 24;
+/// Greatest length of a page with its leader [bytes]: rounded up from what zstd needs for the longest encoding.
+pub(super) const MAX_STORED_PAGE: usize = MAX_RAW_PAGE + (MAX_RAW_PAGE >> 7) + 1024;
+
+/// A page ready to be put into an archive.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EncodedPage {
+    /// Leader and frame; empty for a page that one span tells.
+    pub(super) bytes: Vec<u8>,
+    pub(super) uniform: Option<Span>,
+    /// Identity of the frame, for sharing.
+    pub(super) hash: u64,
+    pub(super) key: PageKey,
+    /// Slices of the page with matter.
+    pub slices: u64,
+    /// Number of voxels with matter, and how many of them hold obstacle.
+    pub voxels: (u64, u64),
+}
+
+impl EncodedPage {
+    /// Bytes that the page takes in the archive, unless it shares those of another.
+    pub fn len_bytes(&self) -> usize {
+        self.bytes.len()
+    }
+
+    pub(super) fn crc(&self) -> u32 {
+        leader_crc(&self.bytes)
+    }
+
+    /// The bytes that decide whether two pages are equal.
+    pub(super) fn frame(&self) -> &[u8] {
+        &self.bytes[LEADER..]
+    }
+}
+
+fn leader_crc(bytes: &[u8]) -> u32 {
+    u32::from_le_bytes([bytes[20], bytes[21], bytes[22], bytes[23]])
+}
+
+/// Checksum of a page: its leader up to the checksum, then its frame.
+fn page_crc(bytes: &[u8]) -> u32 {
+    crc32c::crc32c_append(crc32c::crc32c(&bytes[..20]), &bytes[LEADER..])
+}
+
+/// Encodes pages; one per thread. Equal pages give equal bytes, whatever was encoded before.
+#[derive(Debug, Default)]
+pub struct PageEncoder {
+    raw: Vec<u8>,
+    encoder: RawEncoder,
+    packer: Packer,
+}
+
+impl PageEncoder {
+    /// An encoder with its own scratch memory (about 2 MiB once used).
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Encodes `page` under `key`.
+    pub fn encode(&mut self, key: PageKey, page: &Page) -> EncodedPage {
+        let (slices, voxels) = (page.slices(), page.voxel_counts());
+        let uniform = uniform_span(page);
+        if uniform.is_some() || page.span_count() == 0 {
+            return EncodedPage { bytes: Vec::new(), uniform, hash: 0, key, slices, voxels };
+        }
+        self.encoder.encode(page, &mut self.raw);
+        let mut bytes = Vec::with_capacity(LEADER + self.raw.len() / 2);
+        bytes.extend(MAGIC);
+        for index in [key.tx, key.ty, key.layer] {
+            bytes.extend(index.to_le_bytes());
+        }
+        bytes.resize(LEADER, 0);
+        let len = self.packer.pack(&self.raw, &mut bytes);
+        bytes[16..20].copy_from_slice(&(len as u32).to_le_bytes());
+        let crc = page_crc(&bytes);
+        bytes[20..24].copy_from_slice(&crc.to_le_bytes());
+        bytes.shrink_to_fit();
+        EncodedPage { hash: xxh3_64(&bytes[LEADER..]), bytes, uniform, key, slices, voxels }
+    }
+}
+
+/// The span that every pixel of the page holds and nothing else, if so.
+fn uniform_span(page: &Page) -> Option<Span> {
+    if page.span_count() != (TILE_PIXELS * TILE_PIXELS) as usize {
+        return None;
+    }
+    let &[span] = page.column(0, 0) else { return None };
+    page.columns().all(|(_, _, spans)| spans == [span]).then_some(span)
+}
+
+/// Decodes pages; one per thread.
+#[derive(Debug, Default)]
+pub struct PageDecoder {
+    unpacker: Unpacker,
+    decoder: RawDecoder,
+    builder: PageBuilder,
+    /// Bytes of the page in work, for whoever reads them.
+    pub(super) bytes: Vec<u8>,
+}
+
+impl PageDecoder {
+    /// A decoder with its own scratch memory (about 200 KiB, more for pages of many spans).
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The page of `entry` from `bytes`, those of its [`extent`](PageEntry::extent); none are needed for a uniform
+    /// page. Errors of the [`Format`](crate::Error::Format) family name the rule that `bytes` break.
+    pub fn decode(&mut self, entry: &PageEntry, bytes: &[u8]) -> Result<Page> {
+        let offset = entry.extent().map_or(0, |extent| extent.offset);
+        self.check_and_decode(entry, bytes).map_err(|violation| violation.at(format!("page {}", entry.key), offset))
+    }
+
+    fn check_and_decode(&mut self, entry: &PageEntry, bytes: &[u8]) -> Result<Page, Violation> {
+        let page = match entry.place {
+            Place::Uniform(span) => self.uniform(span),
+            Place::Stored(extent) | Place::Shared(extent) => {
+                check_leader(entry, extent, bytes)?;
+                let raw = self.unpacker.unpack(&bytes[LEADER..], MAX_RAW_PAGE, "P4")?;
+                self.decoder.decode(raw)?
+            }
+        };
+        if page.slices() != entry.slices {
+            let expected = format!("slices {:016x} as in the directory", entry.slices);
+            return Err(Violation::new("P9", expected, format!("{:016x}", page.slices())));
+        }
+        Ok(page)
+    }
+
+    /// The encoding that the bytes of a stored page hold, for comparison with a fresh one.
+    pub(super) fn raw(&mut self, bytes: &[u8]) -> Result<&[u8], Violation> {
+        self.unpacker.unpack(bytes.get(LEADER..).unwrap_or_default(), MAX_RAW_PAGE, "P4")
+    }
+
+    fn uniform(&mut self, span: Span) -> Page {
+        self.builder.clear();
+        for pixel in 0..(TILE_PIXELS * TILE_PIXELS) as u32 {
+            let taken = self.builder.set_column(pixel % 64, pixel / 64, &[span]);
+            debug_assert!(taken, "one span makes a column");
+        }
+        self.builder.build()
+    }
+}
+
+fn check_leader(entry: &PageEntry, extent: Extent, bytes: &[u8]) -> Result<(), Violation> {
+    if bytes.len() != extent.len as usize || bytes.len() <= LEADER {
+        return Err(Violation::new("P1", format!("a page of {} bytes", extent.len), bytes.len()));
+    }
+    if bytes[..4] != MAGIC {
+        return Err(Violation::new("P1", hex(&MAGIC), hex(&bytes[..4])));
+    }
+    let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+    if word(16) as usize != bytes.len() - LEADER {
+        return Err(Violation::new("P1", format!("a frame of {} bytes", bytes.len() - LEADER), word(16)));
+    }
+    let crc = page_crc(bytes);
+    if crc != word(20) || crc != extent.crc {
+        let found = format!("{:08x}, and {:08x} in the directory", word(20), extent.crc);
+        return Err(Violation::new("P2", format!("checksum {crc:08x}"), found));
+    }
+    let key = PageKey { tx: word(4) as i32, ty: word(8) as i32, layer: word(12) as i32 };
+    let fits = match entry.place {
+        Place::Shared(_) => key < entry.key,
+        _ => key == entry.key,
+    };
+    if !fits {
+        return Err(Violation::new("P3", format!("the bytes of page {} or of one that it shares", entry.key), key));
+    }
+    Ok(())
+}

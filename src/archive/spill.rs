@@ -1,0 +1,135 @@
+//! Directory entries of an archive in the making: a few in memory, the rest in a temporary file.
+//!
+//! How many entries a leaf holds depends on how many there are in all, so leaves are made at the end. Memory: 1.5 MiB
+//! for any number of pages; disk: 40 bytes a page beyond the first 32,768.
+
+use super::directory::{Extent, PageEntry, Place};
+use super::publish::PartFile;
+use crate::Result;
+use crate::codec::{Reader, span_bits, span_from_bits};
+use crate::frame::PageKey;
+use std::path::{Path, PathBuf};
+
+/// Entries kept in memory.
+const KEPT: usize = 1 << 15;
+const RECORD: usize = 40;
+
+/// The entries so far, in the order in which they came.
+#[derive(Debug)]
+pub(super) struct Entries {
+    target: PathBuf,
+    file: Option<PartFile>,
+    /// How many entries the file holds.
+    spilled: u64,
+    tail: Vec<PageEntry>,
+}
+
+impl Entries {
+    /// No entries; a temporary file, once needed, lies beside `target`.
+    pub fn new(target: &Path) -> Self {
+        Self { target: target.to_path_buf(), file: None, spilled: 0, tail: Vec::new() }
+    }
+
+    /// Number of entries.
+    pub fn len(&self) -> u64 {
+        self.spilled + self.tail.len() as u64
+    }
+
+    /// Adds an entry.
+    pub fn push(&mut self, entry: PageEntry) -> Result<()> {
+        if self.tail.len() == KEPT {
+            let file = match &mut self.file {
+                Some(file) => file,
+                none => none.insert(PartFile::create(&self.target)?),
+            };
+            let records: Vec<u8> = self.tail.iter().flat_map(record).collect();
+            file.write_at(self.spilled * RECORD as u64, &records)?;
+            self.spilled += self.tail.len() as u64;
+            self.tail.clear();
+        }
+        self.tail.push(entry);
+        Ok(())
+    }
+
+    /// Replaces `out` by the `count` entries from number `first` on.
+    pub fn read(&self, first: u64, count: usize, out: &mut Vec<PageEntry>) -> Result<()> {
+        out.clear();
+        let from_file = self.spilled.saturating_sub(first).min(count as u64) as usize;
+        if let Some(file) = self.file.as_ref().filter(|_| from_file > 0) {
+            let mut records = vec![0; from_file * RECORD];
+            file.read_at(first * RECORD as u64, &mut records)?;
+            for bytes in records.chunks_exact(RECORD) {
+                out.push(entry(bytes).ok_or_else(|| file.broken("read back directory entries"))?);
+            }
+        }
+        let start = (first + from_file as u64).saturating_sub(self.spilled) as usize;
+        out.extend_from_slice(&self.tail[start..start + count - from_file]);
+        Ok(())
+    }
+}
+
+fn record(entry: &PageEntry) -> [u8; RECORD] {
+    let mut out = [0; RECORD];
+    let (kind, extent) = match entry.place {
+        Place::Stored(extent) => (0, extent),
+        Place::Shared(extent) => (1, extent),
+        Place::Uniform(span) => (2, Extent { offset: 0, len: span_bits(span), crc: 0 }),
+    };
+    out[..8].copy_from_slice(&entry.key.column().to_le_bytes());
+    out[8..12].copy_from_slice(&entry.key.layer.to_le_bytes());
+    out[12] = kind;
+    out[16..24].copy_from_slice(&entry.slices.to_le_bytes());
+    out[24..32].copy_from_slice(&extent.offset.to_le_bytes());
+    out[32..36].copy_from_slice(&extent.len.to_le_bytes());
+    out[36..].copy_from_slice(&extent.crc.to_le_bytes());
+    out
+}
+
+fn entry(record: &[u8]) -> Option<PageEntry> {
+    let mut reader = Reader::new(record, "");
+    let column = reader.u64().ok()?;
+    let key = PageKey::from_column(column, reader.u32().ok()? as i32);
+    let kind = reader.u32().ok()?;
+    let slices = reader.u64().ok()?;
+    let extent = Extent { offset: reader.u64().ok()?, len: reader.u32().ok()?, crc: reader.u32().ok()? };
+    let place = match kind {
+        0 => Place::Stored(extent),
+        1 => Place::Shared(extent),
+        2 => Place::Uniform(span_from_bits(extent.len)?),
+        _ => return None,
+    };
+    Some(PageEntry { key, slices, place })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slice::Span;
+
+    #[test]
+    fn gives_back_entries_from_file_and_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut entries = Entries::new(&folder.path().join("a.slices"));
+        let made = |at: u64| {
+            let extent = Extent { offset: at << 20, len: at as u32, crc: !at as u32 };
+            let place = match at % 3 {
+                0 => Place::Stored(extent),
+                1 => Place::Shared(extent),
+                _ => Place::Uniform(Span::new(at as u32 % 100, 200, at % 2 == 1).unwrap()),
+            };
+            PageEntry { key: PageKey::from_column(at, -(at as i32)), slices: at << 30, place }
+        };
+        let count = 2 * KEPT as u64 + 5;
+        for at in 0..count {
+            entries.push(made(at)).unwrap();
+        }
+        assert_eq!(entries.len(), count);
+        let mut out = Vec::new();
+        for (first, len) in [(0, 7), (KEPT as u64 - 3, 9), (2 * KEPT as u64 - 2, 7), (count - 1, 1), (count, 0)] {
+            entries.read(first, len, &mut out).unwrap();
+            assert_eq!(out, (first..first + len as u64).map(made).collect::<Vec<_>>());
+        }
+        drop(entries);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}

@@ -1,0 +1,272 @@
+//! Writing an archive: pages in key order, then the directory, then the head, then the name (chapter 9).
+
+use super::dedup::Window;
+use super::directory::{Extent, PageEntry, Place, encode_leaf, key_in_grid};
+use super::head::{self, Bounds, Header, Leaf, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
+use super::page::EncodedPage;
+use super::publish::{PartFile, remove_leftovers};
+use super::spill::Entries;
+use super::{FORMAT_VERSION, metadata};
+use crate::codec::Packer;
+use crate::frame::PageKey;
+use crate::plan::Plan;
+use crate::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// Bytes collected before they are written. An archive whose pages all fit gets a head of exact length, so this is a
+/// constant of the bytes and must never follow a memory budget.
+const BUFFER: usize = 1 << 20;
+
+/// What the conversion counted beyond the pages themselves.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Totals {
+    /// Points read from the input.
+    pub points_read: u64,
+    /// Points that made voxels.
+    pub points_kept: u64,
+    /// Points that the input marks as withheld.
+    pub points_withheld: u64,
+    /// Points of excluded classes.
+    pub points_excluded: u64,
+    /// Least and greatest coordinates of the kept points [m].
+    pub bounds: Option<Bounds>,
+    /// Coordinate reference system as the input states it, at most 1 MiB; empty if unknown.
+    pub crs: String,
+}
+
+/// Writes an archive that appears complete under its name, or not at all.
+///
+/// Memory: about 9 MiB however many pages there are (1 MiB of pages, 1.5 MiB of entries, 4 MiB to find equal pages, one
+/// directory leaf). Disk: the archive, and 40 bytes a page while it is written. Dropping the writer removes its files.
+#[derive(Debug)]
+pub struct ArchiveWriter {
+    target: PathBuf,
+    overwrite: bool,
+    part: PartFile,
+    plan: Plan,
+    /// Bytes not yet written to the file.
+    buffer: Vec<u8>,
+    /// Bytes after the head that the file holds.
+    flushed: u64,
+    /// Where the bytes after the head begin, as long as nothing shorter is known.
+    base: u64,
+    entries: Entries,
+    window: Window,
+    last: Option<PageKey>,
+    counts: Header,
+}
+
+impl ArchiveWriter {
+    /// Starts an archive of `plan` that will replace `target`, or be new if `overwrite` is off. Temporary files that
+    /// dead writers of the same target left are removed.
+    pub fn create(target: &Path, plan: &Plan, overwrite: bool) -> Result<Self> {
+        plan.check()?;
+        check_target(target, overwrite)?;
+        remove_leftovers(target)?;
+        let counts = Header {
+            version: FORMAT_VERSION,
+            features_required: 0,
+            features_optional: 0,
+            file_len: 0,
+            plan: plan.clone(),
+            plan_hash: head::plan_hash(plan),
+            points_read: 0,
+            points_kept: 0,
+            points_withheld: 0,
+            points_excluded: 0,
+            bounds: None,
+            slices: None,
+            tiles: Default::default(),
+            voxels: Default::default(),
+            pages: Default::default(),
+            bytes: Default::default(),
+            metadata_crc: 0,
+            leaf_entries: MIN_LEAF_ENTRIES,
+        };
+        Ok(Self {
+            target: target.to_path_buf(),
+            overwrite,
+            part: PartFile::create(target)?,
+            plan: plan.clone(),
+            buffer: Vec::new(),
+            flushed: 0,
+            base: MAX_HEAD as u64,
+            entries: Entries::new(target),
+            window: Window::default(),
+            last: None,
+            counts,
+        })
+    }
+
+    /// The plan of the archive.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Adds a page. Keys must ascend, and the page must hold matter and be encoded under this key.
+    pub fn put(&mut self, key: PageKey, page: EncodedPage) -> Result<()> {
+        if self.last.is_some_and(|last| last >= key) || page.key != key || !key_in_grid(key) {
+            let last = self.last.map_or("nothing".into(), |last| last.to_string());
+            let reason = format!("put after {last}, encoded as {}; keys ascend, within ±2^30", page.key);
+            return Err(Error::parameter(format!("page {key}"), reason));
+        }
+        if page.slices == 0 {
+            return Err(Error::parameter(format!("page {key}"), "has no matter; leave it out"));
+        }
+        if self.entries.len() == MAX_LEAVES as u64 * MAX_LEAF_ENTRIES as u64 {
+            let what = "pages in one archive (use larger pixels, or several archives)".into();
+            return Err(Error::Limit { what, value: "more".into(), max: self.entries.len().to_string() });
+        }
+        let tiles = page.slices.count_ones() as u64;
+        let place = match page.uniform {
+            Some(span) => {
+                self.counts.pages.uniform += 1;
+                Place::Uniform(span)
+            }
+            None => {
+                self.counts.tiles.stored += tiles;
+                self.place(&page, tiles)?
+            }
+        };
+        let entry = PageEntry { key, slices: page.slices, place };
+        self.entries.push(entry)?;
+        self.last = Some(key);
+        self.counts.tiles.occupied += tiles;
+        self.counts.voxels.occupied += page.voxels.0;
+        self.counts.voxels.obstacle += page.voxels.1;
+        let (low, high) = entry.slice_range();
+        let (first, last) = self.counts.slices.unwrap_or((low, high));
+        self.counts.slices = Some((first.min(low), last.max(high)));
+        Ok(())
+    }
+
+    /// Finds equal bytes or appends those of `page`.
+    fn place(&mut self, page: &EncodedPage, tiles: u64) -> Result<Place> {
+        let len = page.bytes.len() as u32;
+        if let Some(extent) = self.window.candidate(page.hash, len) {
+            let mut same = vec![0; len as usize];
+            self.read_back(extent, &mut same)?;
+            if same[super::page::LEADER..] == *page.frame() {
+                self.counts.pages.shared += 1;
+                return Ok(Place::Shared(extent));
+            }
+        }
+        let extent = Extent { offset: self.flushed + self.buffer.len() as u64, len, crc: page.crc() };
+        self.append(&page.bytes)?;
+        self.window.insert(page.hash, extent);
+        self.counts.pages.stored += 1;
+        self.counts.tiles.unique += tiles;
+        Ok(Place::Stored(extent))
+    }
+
+    fn read_back(&self, extent: Extent, buf: &mut [u8]) -> Result<()> {
+        match extent.offset.checked_sub(self.flushed) {
+            Some(start) => {
+                buf.copy_from_slice(&self.buffer[start as usize..start as usize + buf.len()]);
+                Ok(())
+            }
+            None => self.part.read_at(self.base + extent.offset, buf),
+        }
+    }
+
+    /// Appends to the bytes after the head. What was appended in one call lies wholly in the buffer or in the file.
+    fn append(&mut self, bytes: &[u8]) -> Result<()> {
+        if self.buffer.len() + bytes.len() > BUFFER {
+            self.flush()?;
+        }
+        self.buffer.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        if !self.buffer.is_empty() {
+            self.part.write_at(self.base + self.flushed, &self.buffer)?;
+            self.flushed += self.buffer.len() as u64;
+            self.buffer.clear();
+        }
+        Ok(())
+    }
+
+    /// Writes directory, metadata, footer and head, brings all to disk and gives the archive its name. On any error
+    /// nothing appears and what was there stays.
+    pub fn finish(mut self, totals: Totals) -> Result<Header> {
+        let mut header = self.counts.clone();
+        let leaf_entries = leaf_entries(self.entries.len());
+        let leaf_count = self.entries.len().div_ceil(leaf_entries as u64) as usize;
+        if self.flushed == 0 {
+            self.base = head::exact_len(leaf_count) as u64;
+        }
+        let pages = self.flushed + self.buffer.len() as u64;
+        let leaves = self.append_leaves(leaf_entries)?;
+        let metadata = metadata::encode(&totals.crs)?;
+        self.append(&metadata)?;
+
+        let directory = leaves.iter().map(|leaf| leaf.stored_len as u64).sum();
+        header.bytes = Sections { head: self.base, pages, directory, metadata: metadata.len() as u64 };
+        header.file_len = header.metadata_offset() + header.bytes.metadata + head::FOOTER as u64;
+        header.points_read = totals.points_read;
+        header.points_kept = totals.points_kept;
+        header.points_withheld = totals.points_withheld;
+        header.points_excluded = totals.points_excluded;
+        header.bounds = totals.bounds;
+        header.metadata_crc = crc32c::crc32c(&metadata);
+        header.leaf_entries = leaf_entries;
+        let head = head::encode(&header, &leaves);
+        // Totals that contradict each other would make an archive that nobody can open.
+        head::decode(&[&head[..], &[0; head::FOOTER]].concat(), header.file_len)?;
+
+        self.append(&head::encode_footer(header.file_len, &head))?;
+        self.flush()?;
+        self.part.write_at(0, &head)?;
+        check_target(&self.target, self.overwrite)?;
+        self.part.publish(&self.target)?;
+        Ok(header)
+    }
+
+    fn append_leaves(&mut self, leaf_entries: u32) -> Result<Vec<Leaf>> {
+        let mut leaves = Vec::new();
+        let (mut entries, mut raw, mut stored) = (Vec::new(), Vec::new(), Vec::new());
+        let mut packer = Packer::new();
+        let (mut first, mut offset) = (0, 0);
+        while first < self.entries.len() {
+            let count = (self.entries.len() - first).min(leaf_entries as u64) as usize;
+            self.entries.read(first, count, &mut entries)?;
+            encode_leaf(&entries, &mut raw);
+            stored.clear();
+            packer.pack(&raw, &mut stored);
+            leaves.push(Leaf {
+                first: entries[0].key,
+                entries: count as u32,
+                offset,
+                stored_len: stored.len() as u32,
+                raw_len: raw.len() as u32,
+                crc: crc32c::crc32c(&stored),
+            });
+            self.append(&stored)?;
+            first += count as u64;
+            offset += stored.len() as u64;
+        }
+        Ok(leaves)
+    }
+}
+
+/// Entries of a leaf: as few as fit the root directory.
+fn leaf_entries(total: u64) -> u32 {
+    let mut entries = MIN_LEAF_ENTRIES;
+    while total.div_ceil(entries as u64) > MAX_LEAVES as u64 {
+        entries *= 2;
+    }
+    entries
+}
+
+fn check_target(target: &Path, overwrite: bool) -> Result<()> {
+    match std::fs::metadata(target) {
+        Ok(existing) if !existing.is_file() => {
+            Err(Error::parameter(target.display().to_string(), "exists and is no regular file; choose another name"))
+        }
+        Ok(_) if !overwrite => {
+            Err(Error::parameter(target.display().to_string(), "exists already; --force replaces it"))
+        }
+        _ => Ok(()),
+    }
+}

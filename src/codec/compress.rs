@@ -1,0 +1,140 @@
+//! One zstd frame around an encoded page or directory (specification, chapter 2).
+//!
+//! Frames are made at a fixed level by one thread, without dictionary or zstd's own checksum, and always state their
+//! content size, so that a reader allocates what is needed and no more. Equal input gives equal frames as long as the
+//! zstd library stays the same; a reader accepts any conforming frame.
+
+use super::Violation;
+use zstd::bulk::{Compressor, Decompressor};
+use zstd::zstd_safe;
+
+/// Compression level. Level 3 against 1, 6 and 9: see the measurements in the specification, chapter 12.
+pub const LEVEL: i32 = 3;
+
+/// Compresses byte strings.
+pub struct Packer(Compressor<'static>);
+
+impl Packer {
+    /// A packer with its own zstd state (about 1 MiB once used).
+    pub fn new() -> Self {
+        Self(Compressor::new(LEVEL).expect("memory for the state of a compressor"))
+    }
+
+    /// Appends the frame of `raw` to `out` and returns the frame's length.
+    pub fn pack(&mut self, raw: &[u8], out: &mut Vec<u8>) -> usize {
+        let start = out.len();
+        out.resize(start + zstd_safe::compress_bound(raw.len()), 0);
+        let len = self.0.compress_to_buffer(raw, &mut out[start..]).expect("room for the longest frame");
+        out.truncate(start + len);
+        len
+    }
+}
+
+impl Default for Packer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl std::fmt::Debug for Packer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Packer")
+    }
+}
+
+/// Decompresses byte strings into a buffer that it keeps.
+pub struct Unpacker {
+    state: Decompressor<'static>,
+    raw: Vec<u8>,
+}
+
+impl Unpacker {
+    /// An unpacker with its own zstd state (about 150 KiB).
+    pub fn new() -> Self {
+        let state = Decompressor::new().expect("memory for the state of a decompressor");
+        Self { state, raw: Vec::new() }
+    }
+
+    /// The content of `frame`, which must be exactly one zstd frame that states a content size of at most `max_len`
+    /// bytes; otherwise it breaks `rule`.
+    pub fn unpack(&mut self, frame: &[u8], max_len: usize, rule: &'static str) -> Result<&[u8], Violation> {
+        let wrong = |found: String| Violation::new(rule, "one zstd frame with its content size", found);
+        let len = match zstd_safe::get_frame_content_size(frame) {
+            Ok(Some(len)) if len <= max_len as u64 => len as usize,
+            Ok(Some(len)) => return Err(Violation::new(rule, format!("at most {max_len} bytes in the frame"), len)),
+            Ok(None) => return Err(wrong("no content size".into())),
+            Err(_) => return Err(wrong("no frame header".into())),
+        };
+        match zstd_safe::find_frame_compressed_size(frame) {
+            Ok(size) if size == frame.len() => {}
+            Ok(size) => return Err(wrong(format!("a frame of {size} bytes in {} bytes", frame.len()))),
+            Err(code) => return Err(wrong(zstd_safe::get_error_name(code).into())),
+        }
+        self.raw.clear();
+        self.raw.resize(len, 0);
+        match self.state.decompress_to_buffer(frame, &mut self.raw[..]) {
+            Ok(written) if written == len => Ok(&self.raw),
+            Ok(written) => Err(wrong(format!("{written} bytes where the frame states {len}"))),
+            Err(error) => Err(wrong(error.to_string())),
+        }
+    }
+}
+
+impl Default for Unpacker {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl std::fmt::Debug for Unpacker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Unpacker")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn refuses_two_frames_trailing_bytes_and_large_contents() {
+        let mut frame = Vec::new();
+        Packer::new().pack(&[7; 1000], &mut frame);
+        let mut unpacker = Unpacker::new();
+        assert_eq!(unpacker.unpack(&frame, 1000, "P4").unwrap(), &[7; 1000]);
+        assert_eq!(unpacker.unpack(&frame, 999, "P4").unwrap_err().rule, "P4");
+        let twice = [&frame[..], &frame].concat();
+        assert!(unpacker.unpack(&twice, 9999, "P4").is_err());
+        assert!(unpacker.unpack(&[&frame[..], &[0]].concat(), 9999, "P4").is_err());
+        assert!(unpacker.unpack(&frame[..frame.len() - 1], 9999, "P4").is_err());
+        assert!(unpacker.unpack(&[], 9999, "P4").is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn a_used_packer_gives_the_bytes_of_a_fresh_one(
+            inputs in proptest::collection::vec(proptest::collection::vec(0u8..4, 0..3000), 1..5)
+        ) {
+            let (mut used, mut unpacker) = (Packer::new(), Unpacker::new());
+            for input in &inputs {
+                let (mut first, mut second) = (Vec::new(), vec![1, 2]);
+                used.pack(input, &mut first);
+                Packer::new().pack(input, &mut second);
+                prop_assert_eq!(&first[..], &second[2..]);
+                prop_assert_eq!(unpacker.unpack(&first, 3000, "P4").unwrap(), &input[..]);
+            }
+        }
+
+        #[test]
+        fn random_bytes_are_refused_without_a_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+            let framed = [&[0x28, 0xB5, 0x2F, 0xFD][..], &bytes].concat();
+            let mut unpacker = Unpacker::new();
+            for input in [&bytes, &framed] {
+                if let Ok(raw) = unpacker.unpack(input, 5000, "P4") {
+                    prop_assert!(raw.len() <= 5000);
+                }
+            }
+        }
+    }
+}

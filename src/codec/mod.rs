@@ -1,0 +1,106 @@
+//! Codecs: pages to bytes and back, no files, no clocks, no threads.
+//!
+//! In: a [`Page`](crate::slice::Page). Out: at most [`MAX_RAW_PAGE`] bytes, and from them the same page again. Memory:
+//! one scratch of at most a few MiB per codec object. The bytes are described in `spec/slice-archive.md`, chapter 6.
+//!
+//! The first byte of an encoded page names its model ([`Model`]); each model is one small file of this module. Decoders
+//! take hostile bytes: every number is checked before it sizes, indexes or bounds a loop, and a broken rule comes back
+//! as a [`Violation`], which the archive turns into an error with its place in the file.
+
+mod bytes;
+mod columns;
+mod compress;
+
+pub use bytes::{Reader, put_varint, unzigzag, zigzag};
+pub use compress::{Packer, Unpacker};
+
+use crate::Error;
+use crate::slice::{Page, PageBuilder, Span};
+
+/// Most spans that a page can hold: 64 in each of its 4,096 pixels.
+pub const MAX_PAGE_SPANS: usize = 64 * 64 * 64;
+/// Greatest length of an encoded page before compression [bytes].
+pub const MAX_RAW_PAGE: usize = 1 + columns::MAX_LEN;
+
+/// A rule of the specification that bytes break; [`Violation::at`] adds where they lie.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Violation {
+    /// Rule id of the specification.
+    pub rule: &'static str,
+    /// What the rule asks for.
+    pub expected: String,
+    /// What the bytes say.
+    pub found: String,
+}
+
+impl Violation {
+    /// The violation of `rule`.
+    pub fn new(rule: &'static str, expected: impl ToString, found: impl ToString) -> Self {
+        Self { rule, expected: expected.to_string(), found: found.to_string() }
+    }
+
+    /// As an error about `part` of the archive, which begins at byte `offset`.
+    pub fn at(self, part: impl Into<String>, offset: u64) -> Error {
+        Error::format(self.rule, part, offset, self.expected, self.found)
+    }
+}
+
+/// How the content of a page is written down; the discriminant is the code in the file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+#[repr(u8)]
+pub enum Model {
+    /// All spans of all pixels, each predicted from its neighbours.
+    Columns = 1,
+}
+
+/// Encodes pages; keeps its scratch, so that a page costs no allocation.
+#[derive(Debug, Default)]
+pub struct RawEncoder {
+    columns: columns::Scratch,
+}
+
+impl RawEncoder {
+    /// Replaces `out` by the encoding of `page`, which must hold matter: at most [`MAX_RAW_PAGE`] bytes.
+    pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
+        out.clear();
+        out.push(Model::Columns as u8);
+        columns::encode(page, &mut self.columns, out);
+    }
+}
+
+/// Decodes pages; keeps its scratch, so that a page costs no more than its own allocations.
+#[derive(Debug, Default)]
+pub struct RawDecoder {
+    columns: columns::Scratch,
+    builder: PageBuilder,
+}
+
+impl RawDecoder {
+    /// The page that `raw` encodes. Linear in `raw`; breaks of rules P5 to P8 are errors.
+    pub fn decode(&mut self, raw: &[u8]) -> Result<Page, Violation> {
+        self.builder.clear();
+        match raw.split_first() {
+            Some((&code, body)) if code == Model::Columns as u8 => {
+                columns::decode(body, &mut self.columns, &mut self.builder)?;
+            }
+            Some((code, _)) => return Err(Violation::new("P5", "a model of version 1: 1", code)),
+            None => return Err(Violation::new("P5", "a model", "no byte")),
+        }
+        Ok(self.builder.build())
+    }
+}
+
+/// A span as it is stored in directories: bottom in bits 0..14, top in bits 14..28, obstacle in bit 28.
+pub fn span_bits(span: Span) -> u32 {
+    span.bottom() | span.top() << 14 | (span.is_obstacle() as u32) << 28
+}
+
+/// The span of [`span_bits`]; `None` if the bits make none.
+pub fn span_from_bits(bits: u32) -> Option<Span> {
+    let field = |shift: u32| bits >> shift & 0x3FFF;
+    (bits >> 29 == 0).then(|| Span::new(field(0), field(14), bits >> 28 & 1 == 1)).flatten()
+}
+
+#[cfg(test)]
+pub(crate) use columns::tests as columns_tests;

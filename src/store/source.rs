@@ -1,0 +1,159 @@
+//! The one seam for bytes: a file read by position, a file mapped into memory, bytes in memory, or your own.
+//!
+//! In: an offset and a length. Out: bytes, or an error. Memory: none of its own. Everything above asks here, so a test
+//! that counts, delays, cuts or damages reads needs to know nothing else.
+
+use crate::{Error, Result};
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Bytes of fixed length that can be read anywhere, by several threads at once.
+pub trait ByteSource: Send + Sync {
+    /// Number of bytes, as it was when the source was opened.
+    fn len(&self) -> u64;
+
+    /// Whether there is no byte at all.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Fills `buf` with the bytes from `offset` on. Fewer bytes than that are an error.
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()>;
+}
+
+impl<S: ByteSource + ?Sized> ByteSource for std::sync::Arc<S> {
+    fn len(&self) -> u64 {
+        (**self).len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        (**self).read_at(offset, buf)
+    }
+}
+
+/// A file read by position. A file cut while it is open gives an error, never a crash.
+#[derive(Debug)]
+pub struct FileSource {
+    file: File,
+    path: PathBuf,
+    len: u64,
+}
+
+impl FileSource {
+    /// Opens the file at `path`.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let (file, len) = open_file(path)?;
+        Ok(Self { file, path: path.to_path_buf(), len })
+    }
+}
+
+impl ByteSource for FileSource {
+    fn len(&self) -> u64 {
+        self.len
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        read_exact_at(&self.file, offset, buf).map_err(|source| read_error(&self.path, offset, buf.len(), source))
+    }
+}
+
+/// A file mapped into memory: the fastest source while nobody changes the file.
+///
+/// Condition: the file must not be written to or cut while the map lives. A cut file ends the process with a signal
+/// instead of an error. Archives are published by rename and never changed in place, so replacing one is safe; where
+/// others may truncate files, use [`FileSource`].
+#[derive(Debug)]
+pub struct MapSource {
+    map: memmap2::Mmap,
+    path: PathBuf,
+}
+
+impl MapSource {
+    /// Maps the file at `path`; see the type's condition.
+    #[allow(unsafe_code)]
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let (file, _) = open_file(path)?;
+        // SAFETY: the map is read-only, and the type's condition, repeated at every constructor that leads here,
+        // forbids changing the file while the map lives.
+        let map = unsafe { memmap2::Mmap::map(&file) };
+        let map = map.map_err(|source| Error::io(path, "map into memory", source))?;
+        Ok(Self { map, path: path.to_path_buf() })
+    }
+}
+
+impl ByteSource for MapSource {
+    fn len(&self) -> u64 {
+        self.map.len() as u64
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        copy_from(&self.map, offset, buf).map_err(|source| read_error(&self.path, offset, buf.len(), source))
+    }
+}
+
+/// Bytes held in memory.
+#[derive(Debug, Clone)]
+pub struct MemorySource(std::sync::Arc<[u8]>);
+
+impl MemorySource {
+    /// The source of `bytes`.
+    pub fn new(bytes: impl Into<std::sync::Arc<[u8]>>) -> Self {
+        Self(bytes.into())
+    }
+}
+
+impl ByteSource for MemorySource {
+    fn len(&self) -> u64 {
+        self.0.len() as u64
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        copy_from(&self.0, offset, buf).map_err(|source| read_error(Path::new("memory"), offset, buf.len(), source))
+    }
+}
+
+fn open_file(path: &Path) -> Result<(File, u64)> {
+    let file = File::open(path).map_err(|source| Error::io(path, "open", source))?;
+    let metadata = file.metadata().map_err(|source| Error::io(path, "ask for the length", source))?;
+    if metadata.is_dir() {
+        return Err(Error::io(path, "open", io::ErrorKind::IsADirectory.into()));
+    }
+    Ok((file, metadata.len()))
+}
+
+fn copy_from(bytes: &[u8], offset: u64, buf: &mut [u8]) -> io::Result<()> {
+    let start = usize::try_from(offset).ok().filter(|&start| start <= bytes.len());
+    let wanted = start.and_then(|start| bytes[start..].get(..buf.len()));
+    buf.copy_from_slice(wanted.ok_or(io::ErrorKind::UnexpectedEof)?);
+    Ok(())
+}
+
+fn read_error(path: &Path, offset: u64, len: usize, source: io::Error) -> Error {
+    Error::io(path, format!("read {len} bytes at {offset}"), source)
+}
+
+/// Fills `buf` from byte `offset` of `file` without moving a shared cursor.
+#[cfg(unix)]
+pub(crate) fn read_exact_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<()> {
+    std::os::unix::fs::FileExt::read_exact_at(file, buf, offset)
+}
+
+/// Fills `buf` from byte `offset` of `file`.
+#[cfg(windows)]
+pub(crate) fn read_exact_at(file: &File, mut offset: u64, mut buf: &mut [u8]) -> io::Result<()> {
+    while !buf.is_empty() {
+        match std::os::windows::fs::FileExt::seek_read(file, buf, offset) {
+            Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(read) => {
+                buf = &mut buf[read..];
+                offset += read as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}
