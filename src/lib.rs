@@ -9,5 +9,9 @@ pub mod plan;
 
 pub mod slice;
 
+pub mod store;
+
+pub mod query;
+
 pub use error::{Error, Result};
 pub use monitor::{Monitor, NoMonitor};

@@ -64,11 +64,10 @@ impl<'a> BlockView<'a> {
         self.page.blocks[self.place].pixels
     }
 
-    /// From the block's lowest bottom to its highest top, an obstacle if any span is; `None` without matter.
+    /// From the block's lowest bottom to its highest top, an obstacle if any span is; meaningless without matter.
     #[inline]
-    pub fn hull(self) -> Option<Span> {
-        let block = &self.page.blocks[self.place];
-        (block.pixels != 0).then_some(block.hull)
+    pub(crate) fn hull(self) -> Span {
+        self.page.blocks[self.place].hull
     }
 
     /// Union of the block's floor spans and union of its obstacle spans: disjoint within a kind, lowest bottom first.
