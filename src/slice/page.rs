@@ -1,9 +1,15 @@
 //! A page in memory: one tile column (64 × 64 pixels) of 64 slices, as spans per pixel under a summary per block.
 //!
-//! Layout, outermost first: 64 blocks of 8 × 8 pixels in row order; per block a mask of slices with matter, a mask of
-//! pixels with matter and the *union* of its pixels' spans; per pixel with matter its spans, lowest first. A box that
-//! covers a whole block is answered by the block's union alone, and exactly: the union meets a height interval if and
-//! only if some pixel's span does. Only blocks that the box cuts need a look at their pixels.
+//! Layout, outermost first. Blocks are 8 × 8 pixels, numbered in row order; only those with matter are stored.
+//!
+//! 1. Per block a mask of slices with matter, eight blocks to a cache line: most queries end here.
+//! 2. Per block a record of 32 bytes: mask of pixels with matter, the *hull* of all its spans, where its rows begin.
+//! 3. Per block the *unions* of its floor spans and of its obstacle spans, then its spans in row order.
+//!
+//! A shape of constant height that covers all pixels with matter of a block is answered by the unions alone, and
+//! exactly: the union meets a height interval if and only if some pixel's span does. Where the shape cuts a block, the
+//! spans of the rows concerned lie one behind the other, each with its pixel's `x % 8`, so that one loop without
+//! branches tests them all (see [`Span`]).
 
 use super::span::Span;
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA, TILE_PIXELS};
@@ -12,72 +18,93 @@ use crate::frame::{PAGE_QUANTA, SLICE_QUANTA, TILE_PIXELS};
 pub const BLOCK_PIXELS: u32 = 8;
 const BLOCKS: usize = 64;
 
-#[derive(Clone, Copy, Default, PartialEq, Eq, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
 struct Block {
-    /// Slices with matter.
-    slices: u64,
     /// Pixels with matter, bit `8·(y % 8) + x % 8`.
     pixels: u64,
-    first_column: u32,
-    first_span: u32,
-    first_union: u32,
+    /// First of the block's unions and spans in the page's.
+    first: u32,
+    /// Lowest bottom, highest top; obstacle if any span is.
+    hull: Span,
+    /// Where each row's spans begin, counted from `first`; the unions lie before row 0.
+    rows: [u16; 8],
 }
 
 /// All matter in one tile column of 64 slices. Immutable; see the module text for its layout.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub struct Page {
-    /// 64 blocks and a sentinel that ends the last one.
+    /// Slices with matter.
+    slices: u64,
+    /// Blocks with matter, bit `8·by + bx`.
+    occupied: u64,
+    /// Per block its place in the arrays below; blocks without matter share the sentinel at the end.
+    places: [u8; BLOCKS],
+    block_slices: Box<[u64]>,
     blocks: Box<[Block]>,
-    /// Per pixel with matter: its first span, relative to its block's.
-    columns: Box<[u16]>,
     spans: Box<[Span]>,
-    /// Per block: disjoint unions of its floor spans and of its obstacle spans, lowest bottom first.
-    unions: Box<[Span]>,
 }
 
 /// One block of a page.
 #[derive(Clone, Copy)]
 pub struct BlockView<'a> {
     page: &'a Page,
-    index: usize,
+    place: usize,
 }
 
 impl<'a> BlockView<'a> {
     /// Slices of the page in which some pixel of the block has matter, as a mask.
     #[inline]
     pub fn slices(self) -> u64 {
-        self.page.blocks[self.index].slices
+        self.page.block_slices[self.place]
     }
 
     /// Pixels of the block with matter: bit `8·(y % 8) + x % 8`.
     #[inline]
     pub fn pixels(self) -> u64 {
-        self.page.blocks[self.index].pixels
+        self.page.blocks[self.place].pixels
+    }
+
+    /// From the block's lowest bottom to its highest top, an obstacle if any span is; meaningless without matter.
+    #[inline]
+    pub(crate) fn hull(self) -> Span {
+        self.page.blocks[self.place].hull
     }
 
     /// Union of the block's floor spans and union of its obstacle spans: disjoint within a kind, lowest bottom first.
     #[inline]
     pub fn unions(self) -> &'a [Span] {
-        let first = self.page.blocks[self.index].first_union as usize;
-        let end = self.page.blocks[self.index + 1].first_union as usize;
-        &self.page.unions[first..end]
+        let block = &self.page.blocks[self.place];
+        let first = block.first as usize;
+        &self.page.spans[first..first + block.rows[0] as usize]
+    }
+
+    /// Spans of the rows `y0..=y1` [0..8], row by row, within a row pixel by pixel, lowest first.
+    #[inline]
+    pub(crate) fn rows(self, y0: u32, y1: u32) -> &'a [Span] {
+        let block = &self.page.blocks[self.place];
+        if block.pixels == 0 {
+            return &[];
+        }
+        let first = block.first as usize + block.rows[y0 as usize & 7] as usize;
+        let end = if y1 < 7 {
+            block.first as usize + block.rows[y1 as usize + 1] as usize
+        } else {
+            self.page.blocks[self.place + 1].first as usize
+        };
+        &self.page.spans[first..end]
     }
 
     /// Spans of the pixel with bit number `bit` in [`pixels`](Self::pixels), lowest first; empty without matter.
     #[inline]
     pub fn column(self, bit: u32) -> &'a [Span] {
-        let [block, next] = [&self.page.blocks[self.index], &self.page.blocks[self.index + 1]];
-        if block.pixels >> bit & 1 == 0 {
+        if self.pixels() >> bit & 1 == 0 {
             return &[];
         }
-        let rank = block.first_column as usize + (block.pixels & ((1 << bit) - 1)).count_ones() as usize;
-        let first = block.first_span + self.page.columns[rank] as u32;
-        let end = if rank + 1 < next.first_column as usize {
-            block.first_span + self.page.columns[rank + 1] as u32
-        } else {
-            next.first_span
-        };
-        &self.page.spans[first as usize..end as usize]
+        let (x, y) = (bit & 7, bit >> 3);
+        let row = self.rows(y, y);
+        let first = row.iter().take_while(|span| span.lane() < x).count();
+        let count = row[first..].iter().take_while(|span| span.lane() == x).count();
+        &row[first..first + count]
     }
 }
 
@@ -86,7 +113,27 @@ impl Page {
     #[inline]
     pub fn block(&self, bx: u32, by: u32) -> BlockView<'_> {
         debug_assert!(bx < 8 && by < 8);
-        BlockView { page: self, index: ((by & 7) << 3 | bx & 7) as usize }
+        self.block_at((by & 7) << 3 | bx & 7)
+    }
+
+    /// The block with number `8·by + bx`.
+    #[inline]
+    pub(crate) fn block_at(&self, number: u32) -> BlockView<'_> {
+        BlockView { page: self, place: self.places[(number & 63) as usize] as usize }
+    }
+
+    /// Those of `blocks` (bit `8·by + bx`) that have matter in one of `slices`.
+    #[inline]
+    pub(crate) fn blocks_in(&self, blocks: u64, slices: u64) -> u64 {
+        let mut left = blocks & self.occupied;
+        let mut found = 0;
+        while left != 0 {
+            let number = left.trailing_zeros();
+            left &= left - 1;
+            let mask = self.block_slices[self.places[number as usize] as usize];
+            found |= u64::from(mask & slices != 0) << number;
+        }
+        found
     }
 
     /// Spans of pixel (`px`, `py`) [0..64], lowest first.
@@ -104,12 +151,12 @@ impl Page {
 
     /// Slices of the page with matter, as a mask.
     pub fn slices(&self) -> u64 {
-        self.blocks.iter().fold(0, |mask, block| mask | block.slices)
+        self.slices
     }
 
     /// Number of spans.
     pub fn span_count(&self) -> usize {
-        self.spans.len()
+        self.spans.len() - self.blocks.iter().map(|block| block.rows[0] as usize).sum::<usize>()
     }
 
     /// Number of occupied voxels, and how many of them hold obstacle.
@@ -129,10 +176,9 @@ impl Page {
     /// Bytes of memory that the page holds.
     pub fn weight_bytes(&self) -> usize {
         size_of::<Self>()
+            + size_of_val::<[u64]>(&self.block_slices)
             + size_of_val::<[Block]>(&self.blocks)
-            + size_of_val::<[u16]>(&self.columns)
             + size_of_val::<[Span]>(&self.spans)
-            + size_of_val::<[Span]>(&self.unions)
     }
 }
 
@@ -192,35 +238,52 @@ impl PageBuilder {
 
     /// The page of all spans set so far.
     pub fn build(&self) -> Page {
-        let mut blocks = Vec::with_capacity(BLOCKS + 1);
-        let mut columns = Vec::with_capacity(self.ranges.iter().filter(|range| range.1 > 0).count());
-        let mut spans: Vec<Span> = Vec::with_capacity(self.spans.len());
-        let mut unions = Vec::new();
+        let occupied = |ranges: &[(u32, u32)]| ranges.iter().any(|range| range.1 > 0);
+        let count = self.ranges.chunks_exact(64).filter(|ranges| occupied(ranges)).count();
+        let mut page_slices = 0;
+        let mut mask = 0;
+        let mut places = [count as u8; BLOCKS];
+        let mut block_slices = Vec::with_capacity(count + 1);
+        let mut blocks: Vec<Block> = Vec::with_capacity(count + 1);
+        let mut spans: Vec<Span> = Vec::with_capacity(self.spans.len() + 2 * count);
+        let mut own: Vec<Span> = Vec::new();
         let mut scratch = Vec::new();
-        for ranges in self.ranges.chunks_exact(64) {
-            let mut block = Block {
-                first_column: columns.len() as u32,
-                first_span: spans.len() as u32,
-                first_union: unions.len() as u32,
-                ..Block::default()
-            };
-            for (bit, &(first, count)) in ranges.iter().enumerate().filter(|(_, range)| range.1 > 0) {
-                block.pixels |= 1 << bit;
-                columns.push((spans.len() as u32 - block.first_span) as u16);
-                spans.extend_from_slice(&self.spans[first as usize..(first + count) as usize]);
+        for (number, ranges) in self.ranges.chunks_exact(64).enumerate().filter(|(_, ranges)| occupied(ranges)) {
+            mask |= 1 << number;
+            places[number] = blocks.len() as u8;
+            own.clear();
+            let mut block = Block { pixels: 0, first: spans.len() as u32, hull: Span::ZERO, rows: [0; 8] };
+            for (bit, &(first, count)) in ranges.iter().enumerate() {
+                if bit % 8 == 0 {
+                    block.rows[bit / 8] = own.len() as u16;
+                }
+                block.pixels |= u64::from(count > 0) << bit;
+                let column = &self.spans[first as usize..(first + count) as usize];
+                own.extend(column.iter().map(|span| span.in_lane(bit as u32 % 8)));
             }
-            let own = &spans[block.first_span as usize..];
-            block.slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
-            push_unions(own, &mut scratch, &mut unions);
+            push_unions(&own, &mut scratch, &mut spans);
+            let unions = &spans[block.first as usize..];
+            let top = unions.iter().map(|span| span.top()).max().unwrap_or(0);
+            block.hull = Span::new(unions[0].bottom(), top, unions.iter().any(|span| span.is_obstacle()))
+                .expect("unions lie inside the page");
+            let union_count = unions.len() as u16;
+            block.rows.iter_mut().for_each(|start| *start += union_count);
+            let slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
+            page_slices |= slices;
+            block_slices.push(slices);
             blocks.push(block);
+            spans.extend_from_slice(&own);
         }
-        blocks.push(Block {
-            first_column: columns.len() as u32,
-            first_span: spans.len() as u32,
-            first_union: unions.len() as u32,
-            ..Block::default()
-        });
-        Page { blocks: blocks.into(), columns: columns.into(), spans: spans.into(), unions: unions.into() }
+        block_slices.push(0);
+        blocks.push(Block { pixels: 0, first: spans.len() as u32, hull: Span::ZERO, rows: [0; 8] });
+        Page {
+            slices: page_slices,
+            occupied: mask,
+            places,
+            block_slices: block_slices.into(),
+            blocks: blocks.into(),
+            spans: spans.into(),
+        }
     }
 }
 

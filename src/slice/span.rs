@@ -5,14 +5,36 @@ use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 /// Bottom and top in quanta above the page's floor, and whether the matter is an obstacle; 4 bytes.
 ///
 /// Both ends are inclusive: a span is the closed interval `[bottom, top]`, `0 ≤ bottom ≤ top ≤ 16320`.
-#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+///
+/// Three bits are left over. Inside a page they hold the pixel's `x % 8`, so that a run of spans over several pixels can
+/// be filtered without a look at where each pixel begins; they are no part of the span's value.
+#[derive(Clone, Copy)]
 #[repr(transparent)]
 pub struct Span(u32);
 
 const FIELD: u32 = (1 << 14) - 1;
 const OBSTACLE: u32 = 1 << 28;
+const LANE_SHIFT: u32 = 29;
+const VALUE: u32 = (1 << LANE_SHIFT) - 1;
+
+impl PartialEq for Span {
+    fn eq(&self, other: &Self) -> bool {
+        self.0 & VALUE == other.0 & VALUE
+    }
+}
+
+impl Eq for Span {}
+
+impl std::hash::Hash for Span {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        (self.0 & VALUE).hash(state);
+    }
+}
 
 impl Span {
+    /// A placeholder where there is no matter.
+    pub(super) const ZERO: Self = Self(0);
+
     /// The span `[bottom, top]` [quanta above the page's floor]; `None` unless `bottom <= top <= 16320` and the
     /// bottom lies below the page's end (a span that only touches the end belongs to the page above).
     pub fn new(bottom: u32, top: u32, obstacle: bool) -> Option<Self> {
@@ -36,6 +58,17 @@ impl Span {
     #[inline]
     pub fn is_obstacle(self) -> bool {
         self.0 & OBSTACLE != 0
+    }
+
+    /// The pixel's `x % 8`, for a span that a page holds.
+    #[inline]
+    pub(crate) fn lane(self) -> u32 {
+        self.0 >> LANE_SHIFT
+    }
+
+    /// The span as a page holds it in a pixel with `x % 8 == lane`.
+    pub(super) fn in_lane(self, lane: u32) -> Self {
+        Self(self.0 & VALUE | lane << LANE_SHIFT)
     }
 
     /// Whether the span and the closed interval `[low, high]` share a height.

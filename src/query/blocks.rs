@@ -1,0 +1,184 @@
+//! One page against one shape.
+
+use super::grid::Heights;
+use super::grid::sealed::OnPixels;
+use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
+use crate::slice::{Page, Span};
+
+/// What touched: a set of [`MATTER`] and [`OBSTACLE`].
+pub(super) type Kinds = u32;
+/// Matter of either kind.
+pub(super) const MATTER: Kinds = 1;
+/// An obstacle; never without [`MATTER`].
+pub(super) const OBSTACLE: Kinds = 2;
+
+#[inline]
+fn kinds_of(span: Span) -> Kinds {
+    MATTER | u32::from(span.is_obstacle()) << 1
+}
+
+/// Slices in which a span must lie to meet the local heights `low..=high` [0..=16320]: a span that ends at `low` on a
+/// slice boundary belongs to the slice below.
+#[inline]
+pub(super) fn slices_between(low: u32, high: u32) -> u64 {
+    let first = low.saturating_sub(1) / SLICE_QUANTA as u32;
+    let last = (high / SLICE_QUANTA as u32).min(63);
+    u64::MAX >> (63 - last) & u64::MAX << first
+}
+
+/// A height above the origin as a height in the page with floor `base`, clamped to the page [quanta].
+#[inline]
+pub(super) fn local(height: i64, base: i64) -> u32 {
+    height.saturating_sub(base).clamp(0, PAGE_QUANTA) as u32
+}
+
+/// The page that a shape is held against.
+pub(super) struct Place<'a> {
+    pub page: &'a Page,
+    /// First pixel of the page, and the height of its floor [quanta].
+    pub i: i64,
+    pub j: i64,
+    pub base: i64,
+    /// Blocks that the shape's rectangle meets.
+    pub blocks: u64,
+}
+
+impl Place<'_> {
+    /// `heights` in this page.
+    #[inline]
+    pub fn local(&self, heights: Heights) -> (u32, u32) {
+        (local(heights.low, self.base), local(heights.high, self.base))
+    }
+
+    /// First pixel of block `number`.
+    #[inline]
+    pub fn corner(&self, number: u32) -> (i64, i64) {
+        (self.i + i64::from((number & 7) * 8), self.j + i64::from((number >> 3) * 8))
+    }
+}
+
+/// What `shape` touches between local heights `low` and `high`, at least until it is one of `until`.
+#[inline]
+pub(super) fn touched<G: OnPixels>(place: &Place<'_>, shape: &G, low: u32, high: u32, until: Kinds) -> Kinds {
+    let mut found = 0;
+    let mut blocks = place.page.blocks_in(place.blocks, slices_between(low, high));
+    while blocks != 0 && found & until == 0 {
+        let number = blocks.trailing_zeros();
+        blocks &= blocks - 1;
+        found |= touched_in_block(place, number, shape, low, high, found);
+    }
+    found
+}
+
+/// What `shape` touches in one block, unless it is among what is `known` to be touched.
+#[inline]
+fn touched_in_block<G: OnPixels>(
+    place: &Place<'_>,
+    number: u32,
+    shape: &G,
+    mut low: u32,
+    mut high: u32,
+    known: Kinds,
+) -> Kinds {
+    let block = place.page.block_at(number);
+    let hull = block.hull();
+    let (i, j) = place.corner(number);
+    if !G::UPRIGHT {
+        (low, high) = place.local(shape.heights_over(i, j, 8));
+    }
+    if !hull.meets(low, high) || kinds_of(hull) & !known == 0 {
+        return 0;
+    }
+    let mask = shape.mask(i, j);
+    let pixels = mask & block.pixels();
+    if pixels == 0 {
+        return 0;
+    }
+    let by_unions = meeting(block.unions(), 0, 7, low, high);
+    if by_unions & !known == 0 || G::UPRIGHT && pixels == block.pixels() {
+        return by_unions;
+    }
+    let mut kinds = 0;
+    if G::UPRIGHT {
+        for_each_strip(mask, |strip| {
+            kinds |= meeting(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high);
+        });
+    } else {
+        for_each_bit(pixels, |bit| {
+            let (low, high) = place.local(shape.heights_over(i + i64::from(bit & 7), j + i64::from(bit >> 3), 1));
+            kinds |= meeting(block.column(bit), 0, 7, low, high);
+        });
+    }
+    kinds
+}
+
+/// Rows `y0..=y1` of a block between lanes `x0..=x1`.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Strip {
+    pub y0: u32,
+    pub y1: u32,
+    pub x0: u32,
+    pub x1: u32,
+}
+
+/// Cuts `mask` (pixels of a block, contiguous in each row) into strips of equal rows.
+#[inline]
+pub(super) fn for_each_strip(mut mask: u64, mut f: impl FnMut(Strip)) {
+    let mut y = 0;
+    while mask != 0 {
+        let skipped = mask.trailing_zeros() / 8;
+        mask >>= 8 * skipped;
+        y += skipped;
+        let row = mask & 0xFF;
+        let rows = (mask ^ (row * 0x0101_0101_0101_0101)).trailing_zeros() / 8;
+        f(Strip { y0: y, y1: y + rows - 1, x0: row.trailing_zeros(), x1: 63 - row.leading_zeros() });
+        mask = mask.checked_shr(8 * rows).unwrap_or(0);
+        y += rows;
+    }
+}
+
+#[inline]
+pub(super) fn for_each_bit(mut mask: u64, mut f: impl FnMut(u32)) {
+    while mask != 0 {
+        f(mask.trailing_zeros());
+        mask &= mask - 1;
+    }
+}
+
+/// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`. No branch inside, so that it vectorises.
+#[inline]
+fn meeting(spans: &[Span], x0: u32, x1: u32, low: u32, high: u32) -> Kinds {
+    let width = x1 - x0;
+    spans.iter().fold(0, |kinds, &span| {
+        let meets = (span.bottom() <= high) & (span.top() >= low) & (span.lane().wrapping_sub(x0) <= width);
+        kinds | kinds_of(span) & (u32::from(meets)).wrapping_neg()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masks_are_cut_into_strips_of_equal_rows() {
+        let strips = |mask| {
+            let mut strips = Vec::new();
+            for_each_strip(mask, |s| strips.push((s.y0, s.y1, s.x0, s.x1)));
+            strips
+        };
+        assert_eq!(strips(0), []);
+        assert_eq!(strips(u64::MAX), [(0, 7, 0, 7)]);
+        assert_eq!(strips(0x80 << 56), [(7, 7, 7, 7)]);
+        assert_eq!(strips(0x3C_7E_7E_3C << 8), [(1, 1, 2, 5), (2, 3, 1, 6), (4, 4, 2, 5)]);
+        assert_eq!(strips(0x01_00_01), [(0, 0, 0, 0), (2, 2, 0, 0)]);
+    }
+
+    #[test]
+    fn a_top_on_a_slice_boundary_is_looked_for_in_the_slice_below() {
+        assert_eq!(slices_between(255, 255), 0b11);
+        assert_eq!(slices_between(256, 256), 0b10);
+        assert_eq!(slices_between(0, 0), 0b1);
+        assert_eq!(slices_between(0, 16320), u64::MAX);
+        assert_eq!(slices_between(16320, 16320), 1 << 63);
+    }
+}

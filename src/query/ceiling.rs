@@ -1,0 +1,155 @@
+//! The lowest underside of matter above a footprint.
+
+use super::blocks::{Place, for_each_bit, local, slices_between};
+use super::columns::{Tile, floor_of, for_each_column, layers};
+use super::grid::Shape;
+use super::grid::sealed::OnPixels;
+use super::missing::{Answer, Missing, note};
+use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
+use crate::slice::Span;
+use crate::store::{PageSet, PageSlot};
+use std::ops::ControlFlow;
+
+/// World height of the lowest ceiling above the footprint of `shape`, looked for from height `from` [m] up to
+/// `from + height` [m, >= 0, may be infinite]; `None` if there is none.
+///
+/// A ceiling is the underside of matter of either kind: the bottom of a span on which no other matter of the same pixel
+/// ends. Matter that goes on from page to page is one span. The answer is not above the ceiling's lowest point and at
+/// most one quantum (a slice height / 255) below it; `from` is compared in quanta, as for
+/// [`floor_under`](super::floor_under). A NaN finds nothing.
+///
+/// Cost: like [`overlaps`](super::overlaps), over the layers from `from` up to the first ceiling.
+pub fn ceiling_above<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, height: f64) -> Answer<Option<f64>> {
+    if from.is_nan() || height.is_nan() {
+        return Answer::Known(None);
+    }
+    let frame = set.frame();
+    let shape = shape.on_grid(frame);
+    let search = CeilingSearch::new(frame.quantum_ceil(from), frame.quantum_floor(from + height));
+    let search = search.run(set, &shape);
+    Answer::new(search.best.map(|bottom| frame.bottom_height(bottom)), search.missing)
+}
+
+/// Searches for the lowest underside at or above `from`: a bottom on which no other matter of its column ends.
+struct CeilingSearch {
+    /// Least bottom that counts [quanta].
+    from: i64,
+    /// Bottoms count up to here; falls with every one found.
+    most: i64,
+    best: Option<i64>,
+    missing: Option<Missing>,
+}
+
+impl CeilingSearch {
+    /// Bottoms from `from` to `most` [quanta].
+    fn new(from: i64, most: i64) -> Self {
+        Self { from, most, best: None, missing: None }
+    }
+
+    /// Searches all tile columns under `shape`; of the missing pages keeps those that could hold a lower underside.
+    fn run<S: PageSet, G: OnPixels>(mut self, set: &S, shape: &G) -> Self {
+        for_each_column(set, shape.rect(), |tile, slots| {
+            self.column(shape, tile, slots);
+            ControlFlow::Continue(())
+        });
+        match (self.missing, self.best) {
+            (Some(_), Some(best)) => {
+                let again = Self { missing: None, best: None, ..self }.run(set, shape);
+                Self { best: again.best.or(Some(best)), ..again }
+            }
+            _ => self,
+        }
+    }
+
+    /// The pages of one tile column, from the bottom up.
+    fn column<G: OnPixels, T: PageSlot>(&mut self, shape: &G, tile: &Tile, slots: &[T]) {
+        if self.from > self.most {
+            return;
+        }
+        let first = self.from.div_euclid(PAGE_QUANTA);
+        // One layer more: undersides on a page's floor need the page below.
+        let mut below: Option<&T> = None;
+        for slot in layers(slots, first.saturating_sub(1), self.most.div_euclid(PAGE_QUANTA)) {
+            let base = floor_of(slot.layer());
+            if base > self.most {
+                break;
+            }
+            let (from, most) = (local(self.from, base), local(self.most, base));
+            let in_range = i64::from(slot.layer()) >= first;
+            if in_range && slot.slices() & slices_between(from, most) != 0 {
+                let below = below.filter(|below| below.layer() + 1 == slot.layer());
+                match slot.page() {
+                    Some(page) => {
+                        let place = tile.place(page, slot.layer());
+                        let found = lowest_underside(&place, shape, from, most, below, || {
+                            note(&mut self.missing, tile.key(slot.layer() - 1));
+                        });
+                        if let Some(bottom) = found {
+                            self.best = Some(base + i64::from(bottom));
+                            self.most = base + i64::from(bottom) - 1;
+                        }
+                    }
+                    None => note(&mut self.missing, tile.key(slot.layer())),
+                }
+            }
+            below = Some(slot);
+        }
+    }
+}
+
+/// Lowest underside of the page from `from` to `most` [0..=16320] in the footprint. Calls `unknown` if an underside on
+/// the page's floor depends on the page below, and that is not in memory.
+fn lowest_underside<G: OnPixels, T: PageSlot>(
+    place: &Place<'_>,
+    shape: &G,
+    from: u32,
+    mut most: u32,
+    below: Option<&T>,
+    mut unknown: impl FnMut(),
+) -> Option<u32> {
+    let mut best = None;
+    for_each_bit(place.page.blocks_in(place.blocks, slices_between(from, most)), |number| {
+        let block = place.page.block_at(number);
+        let reach = |spans: &[Span]| spans.iter().any(|span| span.meets(from, most));
+        if best == Some(from) || !reach(block.unions()) {
+            return;
+        }
+        let (i, j) = place.corner(number);
+        let pixels = shape.mask(i, j) & block.pixels();
+        // Bottoms inside a slice are undersides; the lowest of all pixels is that of the lowest union.
+        let first = block.unions()[0].bottom();
+        if pixels == block.pixels() && first >= from && !first.is_multiple_of(SLICE_QUANTA as u32) {
+            best = Some(first);
+            most = first - 1;
+            return;
+        }
+        for_each_bit(pixels, |bit| {
+            let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
+            let mut ended = None;
+            for span in block.column(bit).iter().take_while(|span| span.bottom() <= most) {
+                let bottom = span.bottom();
+                if bottom >= from && ended != Some(bottom) && !(bottom == 0 && hangs_on(below, px, py, &mut unknown)) {
+                    best = Some(bottom);
+                    // `most` may pass below `from`, and then nothing more is found.
+                    most = bottom.saturating_sub(1);
+                    break;
+                }
+                ended = Some(span.top());
+            }
+        });
+    });
+    best
+}
+
+/// Whether matter of the page below reaches its end in pixel (`px`, `py`).
+fn hangs_on<T: PageSlot>(below: Option<&T>, px: u32, py: u32, unknown: &mut impl FnMut()) -> bool {
+    let Some(below) = below else { return false };
+    match below.page() {
+        Some(page) => page.column(px, py).last().is_some_and(|span| i64::from(span.top()) == PAGE_QUANTA),
+        None if below.slices() >> 63 == 0 => false,
+        None => {
+            unknown();
+            true
+        }
+    }
+}

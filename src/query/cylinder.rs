@@ -1,0 +1,82 @@
+//! Upright cylinders.
+
+use super::disc::{Disc, makes_a_disc};
+use super::grid::sealed::{OnGrid, OnPixels};
+use super::grid::{Heights, Rect};
+use crate::frame::Frame;
+use crate::{Error, Result};
+use nalgebra::Point3;
+
+/// A closed upright cylinder in world coordinates [m].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cylinder {
+    feet: Point3<f64>,
+    radius: f64,
+    height: f64,
+}
+
+impl Cylinder {
+    /// The cylinder of `radius` [m, >= 0] that stands on `feet` (the middle of its bottom face) and is `height` tall
+    /// [m, >= 0]. NaN and infinite values are refused.
+    pub fn new(feet: Point3<f64>, radius: f64, height: f64) -> Result<Self> {
+        if makes_a_disc(feet.coords.as_slice(), radius) && height.is_finite() && height >= 0.0 {
+            Ok(Self { feet, radius, height })
+        } else {
+            let reason = format!("no cylinder at {feet} has radius {radius} and height {height}");
+            Err(Error::parameter("cylinder", reason))
+        }
+    }
+
+    /// Middle of the bottom face [m].
+    pub fn feet(&self) -> Point3<f64> {
+        self.feet
+    }
+
+    /// Radius [m].
+    pub fn radius(&self) -> f64 {
+        self.radius
+    }
+
+    /// Height [m].
+    pub fn height(&self) -> f64 {
+        self.height
+    }
+}
+
+impl OnGrid for Cylinder {
+    type Grid = GridCylinder;
+
+    #[inline]
+    fn on_grid(&self, frame: &Frame) -> GridCylinder {
+        GridCylinder {
+            disc: Disc::new(frame, self.feet.x, self.feet.y, self.radius),
+            heights: Heights::of(frame, self.feet.z, self.feet.z + self.height),
+        }
+    }
+}
+
+/// A cylinder on the grid.
+#[derive(Debug, Clone, Copy)]
+pub struct GridCylinder {
+    disc: Disc,
+    heights: Heights,
+}
+
+impl OnPixels for GridCylinder {
+    const UPRIGHT: bool = true;
+
+    #[inline]
+    fn rect(&self) -> Rect {
+        self.disc.rect()
+    }
+
+    #[inline]
+    fn heights(&self) -> Heights {
+        self.heights
+    }
+
+    #[inline]
+    fn mask(&self, i: i64, j: i64) -> u64 {
+        self.disc.mask(i, j)
+    }
+}

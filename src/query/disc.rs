@@ -1,0 +1,137 @@
+//! The footprint of round shapes: pixels that a disc touches.
+//!
+//! All rounding errors are covered by margins of [`SLACK`] of the magnitudes involved, outwards: a pixel that holds a
+//! point of the disc is always in the footprint, and no pixel farther than the margins from the disc is.
+
+use super::grid::Rect;
+use crate::frame::Frame;
+
+/// Relative margin, 16 times the rounding error of one operation. Longest chain of operations below: 8.
+pub(super) const SLACK: f64 = 16.0 * f64::EPSILON / 2.0;
+
+/// `v` moved away from zero's side: down by the margin.
+#[inline]
+pub(super) fn lower(v: f64) -> f64 {
+    v - v.abs() * SLACK
+}
+
+/// `v` moved up by the margin.
+#[inline]
+pub(super) fn upper(v: f64) -> f64 {
+    v + v.abs() * SLACK
+}
+
+/// A closed disc in world coordinates on a grid of pixels.
+#[derive(Debug, Clone, Copy)]
+pub struct Disc {
+    frame: Frame,
+    x: f64,
+    y: f64,
+    /// Grown by the margin.
+    radius: f64,
+}
+
+impl Disc {
+    pub fn new(frame: &Frame, x: f64, y: f64, radius: f64) -> Self {
+        Self { frame: *frame, x, y, radius: upper(radius) }
+    }
+
+    /// The radius with its margin [m].
+    #[inline]
+    pub fn radius(&self) -> f64 {
+        self.radius
+    }
+
+    #[inline]
+    pub fn rect(&self) -> Rect {
+        let (i0, i1) = self.pixels(self.x, self.radius);
+        let (j0, j1) = self.pixels(self.y, self.radius);
+        Rect { i0, i1, j0, j1 }
+    }
+
+    /// Pixels that hold a coordinate of `center - half ..= center + half`.
+    #[inline]
+    fn pixels(&self, center: f64, half: f64) -> (i64, i64) {
+        (self.frame.pixel_of(lower(center - half)), self.frame.pixel_of(upper(center + half)))
+    }
+
+    /// Distance from `center` to the pixels `first..first + count`: not above the true one [m].
+    #[inline]
+    fn gap(&self, center: f64, first: i64, count: i64) -> f64 {
+        let low = lower(self.frame.edge_of_pixel(first));
+        let high = upper(self.frame.edge_of_pixel(first + count));
+        lower((low - center).max(center - high).max(0.0))
+    }
+
+    /// Half of the chord at `distance` from the middle: not below the true one; `None` outside the disc [m].
+    #[inline]
+    pub fn half_chord(&self, distance: f64) -> Option<f64> {
+        let rest = self.radius - distance;
+        (rest >= 0.0).then(|| upper((rest * (self.radius + distance)).sqrt()))
+    }
+
+    /// Distance from the middle to the square of `edge` pixels that begins at (`i`, `j`): not above the true one [m].
+    #[inline]
+    pub fn distance_to(&self, i: i64, j: i64, edge: i64) -> f64 {
+        let (x, y) = (self.gap(self.x, i, edge), self.gap(self.y, j, edge));
+        lower((x * x + y * y).sqrt())
+    }
+
+    /// Whether the square of 8 × 8 pixels that begins at (`i`, `j`) lies inside the disc. May be `false` by an ulp
+    /// where it does.
+    #[inline]
+    fn holds_block(&self, i: i64, j: i64) -> bool {
+        let far = |center: f64, first: i64| {
+            let (low, high) = (self.frame.edge_of_pixel(first), self.frame.edge_of_pixel(first + 8));
+            (center - low).max(high - center)
+        };
+        let (x, y) = (far(self.x, i), far(self.y, j));
+        x * x + y * y <= self.radius * self.radius
+    }
+
+    /// Pixels of the disc in the block that begins at (`i`, `j`), row by row contiguous.
+    #[inline]
+    pub fn mask(&self, i: i64, j: i64) -> u64 {
+        if self.holds_block(i, j) {
+            return u64::MAX;
+        }
+        (0..8).fold(0, |mask, row| {
+            let Some(half) = self.half_chord(self.gap(self.y, j + row, 1)) else { return mask };
+            let (first, last) = self.pixels(self.x, half);
+            if last < i || first > i + 7 {
+                return mask;
+            }
+            let (x0, x1) = ((first - i).max(0), (last - i).min(7));
+            mask | ((2u64 << x1) - (1u64 << x0)) << (8 * row)
+        })
+    }
+}
+
+/// Whether `values` are finite and `radius` is finite and not negative.
+pub(super) fn makes_a_disc(values: &[f64], radius: f64) -> bool {
+    values.iter().all(|v| v.is_finite()) && radius.is_finite() && radius >= 0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn pixels_of_points_inside_are_in_the_mask(
+            x in -1e7f64..1e7, y in -1e7f64..1e7, r in 0.0f64..3.0, u in 0.0f64..1.0, angle in 0.0f64..6.3
+        ) {
+            let frame = Frame::new(0.05, 0.15).unwrap();
+            let disc = Disc::new(&frame, x, y, r);
+            let d = r * u.sqrt() * (1.0 - 1e-15);
+            let (px, py) = (x + d * angle.cos(), y + d * angle.sin());
+            prop_assume!((px - x).hypot(py - y) <= r);
+            let (i, j) = (frame.pixel_of(px), frame.pixel_of(py));
+            let (bi, bj) = (i & !7, j & !7);
+            prop_assert!(disc.mask(bi, bj) >> ((j - bj) * 8 + i - bi) & 1 == 1);
+            let rect = disc.rect();
+            prop_assert!(rect.i0 <= i && i <= rect.i1 && rect.j0 <= j && j <= rect.j1);
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! The highest floor under a footprint.
+
+use super::blocks::{Place, for_each_bit, for_each_strip, local, slices_between};
+use super::columns::{Tile, floor_of, for_each_column, layers};
+use super::grid::Shape;
+use super::grid::sealed::OnPixels;
+use super::missing::{Answer, Missing, note};
+use crate::frame::{Frame, PAGE_QUANTA};
+use crate::slice::{Page, Span};
+use crate::store::{PageSet, PageSlot};
+use std::ops::ControlFlow;
+
+/// World height of the highest floor under the footprint of `shape`, looked for from height `from` [m] down to
+/// `from - depth` [m, >= 0, may be infinite]; `None` if there is none.
+///
+/// Floor is the top of a span that is no obstacle; what counts are the pixels that the shape's footprint touches,
+/// whatever the shape's own heights. The answer is not below the floor's highest point and at most one quantum (a slice
+/// height / 255) above it. `from` is compared in quanta: a floor that shares its quantum with `from` is found. Matter
+/// that goes on from page to page is one span. A NaN finds nothing.
+///
+/// Cost: like [`overlaps`](super::overlaps), over the layers from `from` down to the first floor.
+pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
+    if from.is_nan() || depth.is_nan() {
+        return Answer::Known(None);
+    }
+    let frame = set.frame();
+    let shape = shape.on_grid(frame);
+    let search = FloorSearch::new(frame.quantum_ceil(from - depth), frame.quantum_floor(from));
+    search.run(set, &shape).answer(frame)
+}
+
+/// Searches for the highest top of a floor span at or below `limit`.
+#[derive(Clone, Copy)]
+pub(super) struct FloorSearch {
+    /// Greatest top that counts [quanta].
+    limit: i64,
+    /// Tops count from here on; grows with every floor found.
+    least: i64,
+    best: Option<i64>,
+    pub missing: Option<Missing>,
+}
+
+impl FloorSearch {
+    /// Tops from `least` to `limit` [quanta].
+    pub fn new(least: i64, limit: i64) -> Self {
+        Self { limit, least, best: None, missing: None }
+    }
+
+    /// Searches all tile columns under `shape`.
+    #[inline]
+    fn run<S: PageSet, G: OnPixels>(mut self, set: &S, shape: &G) -> Self {
+        for_each_column(set, shape.rect(), |tile, slots| {
+            self.column(shape, tile, slots);
+            ControlFlow::Continue(())
+        });
+        self.settle(set, shape)
+    }
+
+    /// Ends a search over all tile columns: of the missing pages keeps those that could hold a higher floor than found.
+    #[inline]
+    pub fn settle<S: PageSet, G: OnPixels>(self, set: &S, shape: &G) -> Self {
+        match (self.missing, self.best) {
+            (Some(_), Some(_)) => Self { missing: None, best: None, ..self }.run(set, shape).or(self.best),
+            _ => self,
+        }
+    }
+
+    fn or(self, best: Option<i64>) -> Self {
+        Self { best: self.best.or(best), ..self }
+    }
+
+    /// World height of the floor found.
+    pub fn floor_z(&self, frame: &Frame) -> Option<f64> {
+        self.best.map(|top| frame.top_height(top))
+    }
+
+    fn answer(self, frame: &Frame) -> Answer<Option<f64>> {
+        Answer::new(self.floor_z(frame), self.missing)
+    }
+
+    /// The pages of one tile column, from the top down.
+    #[inline]
+    pub fn column<G: OnPixels, T: PageSlot>(&mut self, shape: &G, tile: &Tile, slots: &[T]) {
+        if self.least > self.limit {
+            return;
+        }
+        let first = self.least.saturating_sub(1).div_euclid(PAGE_QUANTA);
+        let last = self.limit.div_euclid(PAGE_QUANTA);
+        let mut above: Option<&T> = None;
+        for slot in layers(slots, first, last).iter().rev() {
+            let base = floor_of(slot.layer());
+            if base + PAGE_QUANTA < self.least {
+                break;
+            }
+            let (least, limit) = (local(self.least, base), local(self.limit, base));
+            if slot.slices() & slices_between(least, limit) != 0 {
+                match slot.page() {
+                    Some(page) => {
+                        let above = above.filter(|above| above.layer() == slot.layer() + 1);
+                        let place = tile.place(page, slot.layer());
+                        if let Some(top) = highest_top(&place, shape, least, limit, above) {
+                            self.best = Some(base + i64::from(top));
+                            self.least = base + i64::from(top) + 1;
+                        }
+                    }
+                    None => note(&mut self.missing, tile.key(slot.layer())),
+                }
+            }
+            above = Some(slot);
+        }
+    }
+}
+
+/// Highest top of a floor span of the page from `least` to `limit` [0..=16320] in the footprint.
+#[inline]
+fn highest_top<G: OnPixels, T: PageSlot>(
+    place: &Place<'_>,
+    shape: &G,
+    mut least: u32,
+    limit: u32,
+    above: Option<&T>,
+) -> Option<u32> {
+    const END: u32 = PAGE_QUANTA as u32;
+    // Tops on the page's end may go on in the page above: those need a look at each pixel.
+    let inner_limit = limit.min(END - 1);
+    let mut best = None;
+    for_each_bit(place.page.blocks_in(place.blocks, slices_between(least, limit)), |number| {
+        let block = place.page.block_at(number);
+        if block.hull().top() < least {
+            return;
+        }
+        let floors = block.unions().iter().filter(|span| !span.is_obstacle() && span.bottom() <= limit);
+        let Some(union) = floors.max_by_key(|span| span.top()).filter(|span| span.top() >= least) else { return };
+        let (i, j) = place.corner(number);
+        let mask = shape.mask(i, j);
+        let pixels = mask & block.pixels();
+        if pixels == 0 {
+            return;
+        }
+        let mut highest = 0;
+        if pixels == block.pixels() && union.top() <= inner_limit {
+            highest = union.top() + 1;
+        } else {
+            for_each_strip(mask, |strip| {
+                highest = highest.max(top_in(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, inner_limit));
+            });
+            let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
+            if limit == END && union.top() == END {
+                for_each_bit(pixels, |bit| {
+                    let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
+                    if highest <= END && ends(bit) && !goes_on(above, px, py) {
+                        highest = END + 1;
+                    }
+                });
+            }
+        }
+        if highest > least {
+            best = Some(highest - 1);
+            least = highest;
+        }
+    });
+    best
+}
+
+/// Highest top of a floor span of lanes `x0..=x1` up to `limit`, plus 1; 0 if there is none.
+#[inline]
+fn top_in(spans: &[Span], x0: u32, x1: u32, limit: u32) -> u32 {
+    let width = x1 - x0;
+    spans.iter().fold(0, |highest: u32, &span| {
+        let counts = !span.is_obstacle() & (span.top() <= limit) & (span.lane().wrapping_sub(x0) <= width);
+        highest.max((span.top() + 1) & u32::from(counts).wrapping_neg())
+    })
+}
+
+/// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory it
+/// has been counted as missing: the search from the top down came by it.
+fn goes_on<T: PageSlot>(above: Option<&T>, px: u32, py: u32) -> bool {
+    let Some(above) = above else { return false };
+    match above.page() {
+        Some(page) => starts_with_floor(page, px, py),
+        None => above.slices() & 1 != 0,
+    }
+}
+
+fn starts_with_floor(page: &Page, px: u32, py: u32) -> bool {
+    page.column(px, py).first().is_some_and(|span| span.bottom() == 0 && !span.is_obstacle())
+}

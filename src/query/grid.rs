@@ -1,0 +1,110 @@
+//! Shapes on the grid: which pixels a shape covers, and between which heights.
+
+use crate::frame::Frame;
+
+/// A shape that queries accept: [`Aabb`](super::Aabb), [`Cylinder`](super::Cylinder), [`Sphere`](super::Sphere).
+pub trait Shape: sealed::OnGrid {}
+
+impl<T: sealed::OnGrid> Shape for T {}
+
+/// Pixels `i0..=i1` × `j0..=j1`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Rect {
+    pub i0: i64,
+    pub i1: i64,
+    pub j0: i64,
+    pub j1: i64,
+}
+
+/// Heights that matter meets if its bottom is at most `high` and its top at least `low` [quanta]. For a shape between two
+/// neighbouring quanta `low` is `high + 1`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Heights {
+    pub low: i64,
+    pub high: i64,
+}
+
+impl Heights {
+    /// Of the closed world interval `[low, high]` [m].
+    #[inline]
+    pub fn of(frame: &Frame, low: f64, high: f64) -> Self {
+        Self { low: frame.quantum_ceil(low), high: frame.quantum_floor(high) }
+    }
+}
+
+/// What a walk over blocks needs to know of a shape. Public only in name: the module is private.
+pub(super) mod sealed {
+    use super::{Heights, Rect};
+    use crate::frame::Frame;
+
+    /// A shape that can be taken to a grid.
+    pub trait OnGrid {
+        type Grid: OnPixels;
+        fn on_grid(&self, frame: &Frame) -> Self::Grid;
+    }
+
+    /// A shape on a grid.
+    pub trait OnPixels {
+        /// Whether the heights are the same over all pixels of the footprint.
+        const UPRIGHT: bool;
+
+        /// Smallest rectangle that holds the footprint.
+        fn rect(&self) -> Rect;
+
+        /// Heights over the whole footprint.
+        fn heights(&self) -> Heights;
+
+        /// Pixels of the footprint in the block of 8 × 8 pixels that begins at pixel (`i`, `j`), bit `8·dy + dx`. The
+        /// bits of a row are contiguous.
+        fn mask(&self, i: i64, j: i64) -> u64;
+
+        /// Heights over the square of `edge` pixels that begins at pixel (`i`, `j`) and meets the footprint.
+        fn heights_over(&self, _i: i64, _j: i64, _edge: i64) -> Heights {
+            self.heights()
+        }
+    }
+}
+
+/// Mask of the bits `first..=last` [0..8] of every row of a block.
+#[inline]
+pub(super) fn column_bits(first: u32, last: u32) -> u64 {
+    let row = (2u64 << last) - (1u64 << first);
+    row * 0x0101_0101_0101_0101
+}
+
+/// Mask of the rows `first..=last` [0..8] of a block.
+#[inline]
+pub(super) fn row_bits(first: u32, last: u32) -> u64 {
+    u64::MAX >> (8 * (7 - last)) & u64::MAX << (8 * first)
+}
+
+impl Rect {
+    /// The rectangle's part in the square of `8·scale` pixels that begins at (`i`, `j`), as a mask over its 8 × 8 squares
+    /// of `1 << shift` pixels. The two must meet.
+    #[inline]
+    pub(super) fn bits(&self, i: i64, j: i64, shift: u32) -> u64 {
+        let last = (8 << shift) - 1;
+        let cell = |value: i64, origin: i64| (value.saturating_sub(origin).clamp(0, last) as u32) >> shift;
+        column_bits(cell(self.i0, i), cell(self.i1, i)) & row_bits(cell(self.j0, j), cell(self.j1, j))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rectangles_become_masks() {
+        assert_eq!(column_bits(0, 7), u64::MAX);
+        assert_eq!(column_bits(7, 7), 0x8080_8080_8080_8080);
+        assert_eq!(row_bits(0, 7), u64::MAX);
+        assert_eq!(row_bits(7, 7), 0xFF << 56);
+        assert_eq!(row_bits(2, 3), 0xFFFF_0000);
+        let rect = Rect { i0: -3, i1: 9, j0: 6, j1: 6 };
+        assert_eq!(rect.bits(-8, 0, 0), 0b1110_0000 << 48);
+        assert_eq!(rect.bits(8, 0, 0), 0b0000_0011 << 48);
+        assert_eq!(rect.bits(0, 0, 3), 0b0000_0011);
+        let huge = Rect { i0: i64::MIN / 2, i1: i64::MAX / 2, j0: i64::MIN / 2, j1: i64::MAX / 2 };
+        assert_eq!(huge.bits(64, 64, 3), u64::MAX);
+    }
+}

@@ -1,0 +1,62 @@
+//! Everything that a walker asks in one go.
+
+use super::blocks::{MATTER, OBSTACLE};
+use super::columns::{Touch, for_each_column};
+use super::floor::FloorSearch;
+use super::grid::Shape;
+use super::grid::sealed::OnPixels;
+use super::missing::Answer;
+use crate::store::PageSet;
+use std::ops::ControlFlow;
+
+/// What a shape touches, and the floor under it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Probe {
+    /// The shape touches matter.
+    pub hit: bool,
+    /// The shape touches an obstacle.
+    pub obstacle: bool,
+    /// World height [m] of the highest floor at or below the shape's top, at any depth, in the pixels of its footprint
+    /// (see [`floor_under`](super::floor_under)).
+    pub floor_z: Option<f64>,
+}
+
+/// What `shape` touches, and the floor under it, in one walk over the pages. Not loaded if a page that is not in memory
+/// could change any of the three.
+///
+/// Cost: an [`overlaps`](super::overlaps) that does not end before the first obstacle, and a
+/// [`floor_under`](super::floor_under).
+pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
+    let shape = shape.on_grid(set.frame());
+    let mut touch = Touch::new(&shape, OBSTACLE);
+    let mut floor = FloorSearch::new(i64::MIN, shape.heights().high);
+    for_each_column(set, shape.rect(), |tile, slots| {
+        if touch.found & OBSTACLE == 0 {
+            // A break only says that nothing more can be learnt about touching.
+            let _ = touch.column(&shape, tile, slots);
+        }
+        floor.column(&shape, tile, slots);
+        ControlFlow::Continue(())
+    });
+    let floor = floor.settle(set, &shape);
+    let (hit, obstacle) = (touch.found & MATTER != 0, touch.found & OBSTACLE != 0);
+    let mut missing = floor.missing;
+    if let (Some(more), false) = (touch.missing, obstacle) {
+        match &mut missing {
+            Some(missing) => more.keys().iter().for_each(|key| missing.push(*key)),
+            None => missing = Some(more),
+        }
+    }
+    Answer::new(Probe { hit, obstacle, floor_z: floor.floor_z(set.frame()) }, missing)
+}
+
+/// [`probe`] for each of `shapes`, in order, into `answers`.
+///
+/// # Panics
+/// If `answers` is shorter than `shapes`.
+pub fn probe_batch<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers: &mut [Answer<Probe>]) {
+    assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
+    for (shape, answer) in shapes.iter().zip(answers) {
+        *answer = probe(set, shape);
+    }
+}

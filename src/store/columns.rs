@@ -1,0 +1,212 @@
+//! An immutable table from tile column to its run of slots.
+
+use crate::frame::PageKey;
+use std::ops::Range;
+
+/// Smallest and greatest key of a set along each axis, both inclusive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct KeyBounds {
+    /// Least `tx`, `ty`, layer.
+    pub min: [i32; 3],
+    /// Greatest `tx`, `ty`, layer.
+    pub max: [i32; 3],
+}
+
+/// Slots sorted by key, with an open-addressing table from tile column to run.
+#[derive(Debug)]
+pub(super) struct Columns<T> {
+    slots: Box<[T]>,
+    /// Runs in the order of their keys, and a sentinel that ends the last one.
+    runs: Box<[Run]>,
+    tiles: Table,
+    /// Regions of 64 × 64 tiles that hold a run.
+    regions: Table,
+    bounds: Option<KeyBounds>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Run {
+    tx: i32,
+    ty: i32,
+    first: u32,
+}
+
+impl<T> Columns<T> {
+    /// Takes slots of distinct keys in any order.
+    ///
+    /// # Panics
+    /// If a key occurs twice or there are 2³² slots: sources promise neither happens.
+    pub fn new(mut slots: Vec<(PageKey, T)>) -> Self {
+        slots.sort_unstable_by_key(|(key, _)| *key);
+        assert!(u32::try_from(slots.len()).is_ok(), "{} pages are too many", slots.len());
+        let mut runs: Vec<Run> = Vec::new();
+        let mut bounds: Option<KeyBounds> = None;
+        for (at, (key, _)) in slots.iter().enumerate() {
+            assert!(at == 0 || slots[at - 1].0 != *key, "page {key} is given twice");
+            let along = [key.tx, key.ty, key.layer];
+            let bounds = bounds.get_or_insert(KeyBounds { min: along, max: along });
+            for (axis, &value) in along.iter().enumerate() {
+                bounds.min[axis] = bounds.min[axis].min(value);
+                bounds.max[axis] = bounds.max[axis].max(value);
+            }
+            if runs.last().is_none_or(|run| (run.tx, run.ty) != (key.tx, key.ty)) {
+                runs.push(Run { tx: key.tx, ty: key.ty, first: at as u32 });
+            }
+        }
+        // Along the Morton curve the tiles of a region lie one behind the other.
+        let mut regions: Vec<(i32, i32)> = runs.iter().map(|run| (run.tx >> 6, run.ty >> 6)).collect();
+        regions.dedup();
+        let end = slots.len() as u32;
+        let ends: Vec<u32> = runs.iter().skip(1).map(|run| run.first).chain([end]).collect();
+        let tiles = runs.iter().zip(ends).map(|(run, end)| (run.tx, run.ty, run.first..end));
+        let tiles = Table::new(tiles.collect());
+        let regions = Table::new(regions.into_iter().map(|(rx, ry)| (rx, ry, 0..1)).collect());
+        runs.push(Run { tx: 0, ty: 0, first: end });
+        let slots = slots.into_iter().map(|(_, slot)| slot).collect();
+        Self { slots, runs: runs.into(), tiles, regions, bounds }
+    }
+
+    /// Where the slots of tile column (`tx`, `ty`) lie.
+    #[inline]
+    pub fn range(&self, tx: i32, ty: i32) -> Range<usize> {
+        self.tiles.get(tx, ty)
+    }
+
+    /// The slots of tile column (`tx`, `ty`).
+    #[inline]
+    pub fn column(&self, tx: i32, ty: i32) -> &[T] {
+        &self.slots[self.range(tx, ty)]
+    }
+
+    /// Whether some tile (`64·rx..`, `64·ry..`) has slots.
+    #[inline]
+    pub fn has_region(&self, rx: i32, ry: i32) -> bool {
+        !self.regions.get(rx, ry).is_empty()
+    }
+
+    /// Number of tile columns.
+    pub fn column_count(&self) -> usize {
+        self.runs.len() - 1
+    }
+
+    /// The tile column with this number.
+    pub fn column_at(&self, number: usize) -> (i32, i32, &[T]) {
+        let (run, next) = (self.runs[number], self.runs[number + 1]);
+        (run.tx, run.ty, &self.slots[run.first as usize..next.first as usize])
+    }
+
+    pub fn bounds(&self) -> Option<KeyBounds> {
+        self.bounds
+    }
+
+    pub fn slots(&self) -> &[T] {
+        &self.slots
+    }
+
+    pub fn slot_mut(&mut self, at: usize) -> &mut T {
+        &mut self.slots[at]
+    }
+
+    /// Bytes of the tables and the slots themselves, without what slots own.
+    pub fn weight_bytes(&self) -> usize {
+        size_of_val::<[T]>(&self.slots)
+            + size_of_val::<[Run]>(&self.runs)
+            + size_of_val::<[Cell]>(&self.tiles.cells)
+            + size_of_val::<[Cell]>(&self.regions.cells)
+    }
+}
+
+/// From pairs of indices to ranges that are not empty: Fibonacci hashing (Knuth, vol. 3, section 6.4) and linear
+/// probing at a load of at most one half, so that a lookup reads one or two neighbouring lines.
+#[derive(Debug)]
+struct Table {
+    /// Power of two in length.
+    cells: Box<[Cell]>,
+    /// Right shift of a 64-bit hash to an index of `cells`.
+    shift: u32,
+}
+
+/// Free if `count` is 0.
+#[derive(Debug, Clone, Copy, Default)]
+struct Cell {
+    name: u64,
+    first: u32,
+    count: u32,
+}
+
+impl Table {
+    fn new(entries: Vec<(i32, i32, Range<u32>)>) -> Self {
+        let count = (2 * entries.len()).next_power_of_two().max(2);
+        let mut table = Self { cells: vec![Cell::default(); count].into(), shift: 64 - count.trailing_zeros() };
+        for (x, y, range) in entries {
+            let name = name(x, y);
+            let mut at = table.home(name);
+            while table.cells[at].count != 0 {
+                at = (at + 1) & (count - 1);
+            }
+            table.cells[at] = Cell { name, first: range.start, count: range.end - range.start };
+        }
+        table
+    }
+
+    #[inline]
+    fn home(&self, name: u64) -> usize {
+        (name.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> self.shift) as usize
+    }
+
+    #[inline]
+    fn get(&self, x: i32, y: i32) -> Range<usize> {
+        let name = name(x, y);
+        let mut at = self.home(name);
+        loop {
+            let cell = &self.cells[at];
+            if cell.name == name || cell.count == 0 {
+                return cell.first as usize..cell.first as usize + cell.count as usize;
+            }
+            at = (at + 1) & (self.cells.len() - 1);
+        }
+    }
+}
+
+#[inline]
+fn name(x: i32, y: i32) -> u64 {
+    u64::from(x as u32) << 32 | u64::from(y as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    proptest! {
+        #[test]
+        fn finds_every_column_and_no_other(keys in proptest::collection::btree_set((-5i32..5, -5i32..5, -3i32..3), 0..80)) {
+            let slots: Vec<_> = keys.iter().map(|&(tx, ty, layer)| (PageKey { tx, ty, layer }, layer)).collect();
+            let mut expected: BTreeMap<(i32, i32), Vec<i32>> = BTreeMap::new();
+            for &(tx, ty, layer) in &keys {
+                expected.entry((tx, ty)).or_default().push(layer);
+            }
+            let columns = Columns::new(slots);
+            for tx in -6..6 {
+                for ty in -6..6 {
+                    let found = columns.column(tx, ty);
+                    prop_assert_eq!(found, expected.get(&(tx, ty)).map_or(&[][..], |layers| layers));
+                }
+            }
+            prop_assert_eq!(columns.column_count(), expected.len());
+            for number in 0..columns.column_count() {
+                let (tx, ty, layers) = columns.column_at(number);
+                prop_assert_eq!(layers, &expected[&(tx, ty)][..]);
+            }
+        }
+    }
+
+    #[test]
+    fn tile_zero_zero_is_told_apart_from_a_free_cell() {
+        let columns = Columns::new(vec![(PageKey { tx: 1, ty: 0, layer: 0 }, ())]);
+        assert!(columns.column(0, 0).is_empty());
+        assert_eq!(columns.column(1, 0).len(), 1);
+        assert!(Columns::<()>::new(Vec::new()).column(0, 0).is_empty());
+    }
+}
