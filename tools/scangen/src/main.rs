@@ -1,0 +1,245 @@
+//! `scangen`: writes a seeded scan of a scene, and its truth.
+
+use clap::{Parser, ValueEnum};
+use scangen::geometry::Placement;
+use scangen::sample::{Amount, Mode, Order, ScannerSpec, shuffle};
+use scangen::write::{Chunks, WriteSpec, Written, write_samples, write_triangles_obj, write_truth_json};
+use scangen::{Params, Result, SCENES, SampleSpec, Scene};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// Writes a seeded scan of a scene with closed-form truth as LAS or LAZ.
+///
+/// `scangen list` names the scenes and their parameters; `scangen demo -o demo.laz` writes the demonstration house.
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Args {
+    /// Scene, `demo`, or `list`
+    scene: String,
+    /// Output; the name decides between .las and .laz
+    #[arg(short, long, required_unless_present = "truth", required_unless_present = "obj")]
+    output: Option<PathBuf>,
+    /// Same seed, same bytes
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Points in all (scanner: rays)
+    #[arg(long, conflicts_with = "density")]
+    points: Option<u64>,
+    /// Points per square metre (scanner: at one metre) [default: 100]
+    #[arg(long)]
+    density: Option<f64>,
+    /// Standard deviation of the noise, never beyond 6 times it [m]
+    #[arg(long, default_value_t = 0.0)]
+    noise: f64,
+    /// Adds X,Y,Z to the scene and makes it the file's offset
+    #[arg(long, value_parser = triple, allow_hyphen_values = true)]
+    origin: Option<Triple>,
+    /// Rotates the scene about the vertical first [degrees]
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    rotate: f64,
+    /// Shifts the scene by X,Y,Z
+    #[arg(long, value_parser = triple, allow_hyphen_values = true)]
+    translate: Option<Triple>,
+    /// How points are drawn
+    #[arg(long, value_enum, default_value_t = ModeArg::Direct)]
+    mode: ModeArg,
+    /// Order of directly drawn points
+    #[arg(long, value_enum, default_value_t = OrderArg::Random)]
+    order: OrderArg,
+    /// Scanner: a station at X,Y,Z, as often as needed [default: the scene's]
+    #[arg(long, value_parser = triple, allow_hyphen_values = true)]
+    station: Vec<Triple>,
+    /// Scanner: range [m]
+    #[arg(long, default_value_t = 120.0)]
+    range: f64,
+    /// Scanner: share of edges that give a mixed pixel
+    #[arg(long, default_value_t = 0.2)]
+    mixed: f64,
+    /// Scanner: people walking around each station
+    #[arg(long, default_value_t = 0)]
+    people: usize,
+    /// Outliers per point, 0 to 1
+    #[arg(long, default_value_t = 0.0)]
+    outliers: f64,
+    /// Greatest distance of an outlier from its point [m]
+    #[arg(long, default_value_t = 20.0)]
+    outlier_distance: f64,
+    /// Exact repetitions per point, 0 to 1
+    #[arg(long, default_value_t = 0.0)]
+    duplicates: f64,
+    /// Leaves out the points within RADIUS of X,Y, as often as needed
+    #[arg(long, value_name = "X,Y,RADIUS", value_parser = triple, allow_hyphen_values = true)]
+    hole: Vec<Triple>,
+    /// Shuffles the points (through temporary files next to the output)
+    #[arg(long)]
+    shuffle: bool,
+    /// A parameter of the scene, as often as needed
+    #[arg(long, value_name = "KEY=VALUE")]
+    param: Vec<String>,
+    /// Writes the truth as JSON
+    #[arg(long)]
+    truth: Option<PathBuf>,
+    /// Writes the scene as a mesh
+    #[arg(long)]
+    obj: Option<PathBuf>,
+    /// LAS point data record format, 0 to 10
+    #[arg(long, default_value_t = 0)]
+    format: u8,
+    /// Coordinate step [m]
+    #[arg(long, default_value_t = 0.001)]
+    scale: f64,
+    /// Points per LAZ chunk
+    #[arg(long, default_value_t = 50_000)]
+    chunk: u32,
+    /// LAZ chunks of 1 to --chunk points instead of equal ones
+    #[arg(long)]
+    variable_chunks: bool,
+    /// File with the coordinate system as WKT
+    #[arg(long)]
+    crs_wkt: Option<PathBuf>,
+    /// Class and weight of surface points, as often as needed
+    #[arg(long, value_name = "CLASS=WEIGHT", value_parser = class_weight)]
+    class: Vec<(u8, f64)>,
+    /// Share of points flagged as withheld
+    #[arg(long, default_value_t = 0.0)]
+    withheld: f64,
+}
+
+type Triple = [f64; 3];
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum ModeArg {
+    Direct,
+    Scanner,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum OrderArg {
+    Random,
+    Surfaces,
+    Grid,
+}
+
+fn triple(text: &str) -> std::result::Result<Triple, String> {
+    let numbers: std::result::Result<Vec<f64>, _> = text.split(',').map(|n| n.trim().parse()).collect();
+    let numbers = numbers.map_err(|e| e.to_string())?;
+    numbers.try_into().map_err(|_| "expected three numbers with commas between them".to_owned())
+}
+
+fn class_weight(text: &str) -> std::result::Result<(u8, f64), String> {
+    let (class, weight) = text.split_once('=').ok_or("expected CLASS=WEIGHT")?;
+    Ok((class.parse().map_err(|_| "a class is 0 to 255")?, weight.parse().map_err(|_| "a weight is a number")?))
+}
+
+fn main() -> ExitCode {
+    // Clap ends with 2 on wrong usage and with 0 after help.
+    if std::env::args().nth(1).is_some_and(|a| a == "list") && std::env::args().len() == 2 {
+        print!("{}", list());
+        return ExitCode::SUCCESS;
+    }
+    let args = Args::parse();
+    match run(&args) {
+        Ok(summary) => {
+            eprint!("{summary}");
+            ExitCode::SUCCESS
+        }
+        Err(error @ scangen::Error::Parameter { .. }) => fail(&error, 2),
+        Err(error) => fail(&error, 1),
+    }
+}
+
+fn fail(error: &scangen::Error, code: u8) -> ExitCode {
+    eprintln!("scangen: {error}");
+    ExitCode::from(code)
+}
+
+fn list() -> String {
+    let mut text = String::new();
+    for scene in SCENES {
+        text += &format!("{:<10}{}\n", scene.name, scene.about);
+        for p in scene.params {
+            text += &format!("{:<10}  --param {}={}  {} ({} to {})\n", "", p.name, p.default, p.about, p.min, p.max);
+        }
+    }
+    text + "demo      the house, scanned from nine stations, for the project's demonstration\n"
+}
+
+fn run(args: &Args) -> Result<String> {
+    let mut params = Params::new();
+    args.param.iter().try_for_each(|p| params.parse(p))?;
+    let demo = args.scene == "demo";
+    let origin = args.origin.unwrap_or_default();
+    let shift = args.translate.unwrap_or_default();
+    let translate = [0, 1, 2].map(|a| shift[a] + origin[a]);
+    let scene = Scene::named(if demo { "house" } else { &args.scene }, &params)?;
+    let scene = scene.placed(&Placement { rotate_deg: args.rotate, translate });
+    let mut summary = String::new();
+    if let Some(path) = &args.output {
+        let written = write_points(args, &scene, demo, origin, path)?;
+        summary += &format!("{}: {} points, {} bytes\n", path.display(), written.points, written.len_bytes);
+    }
+    if let Some(path) = &args.truth {
+        write_truth_json(path, &scene)?;
+        summary += &format!("{}: {} surfaces\n", path.display(), scene.surfaces().len());
+    }
+    if let Some(path) = &args.obj {
+        summary += &format!("{}: {} triangles\n", path.display(), write_triangles_obj(path, &scene, 0.1)?);
+    }
+    Ok(summary)
+}
+
+fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &PathBuf) -> Result<Written> {
+    let amount = args.points.map_or(Amount::Density(args.density.unwrap_or(100.0)), Amount::Count);
+    let mode = match args.mode {
+        ModeArg::Scanner => Mode::Scanner(ScannerSpec {
+            stations: args.station.clone(),
+            range_m: args.range,
+            mixed_rate: args.mixed,
+            people: args.people,
+        }),
+        ModeArg::Direct => Mode::Direct(match args.order {
+            OrderArg::Random => Order::Random,
+            OrderArg::Surfaces => Order::Surfaces,
+            OrderArg::Grid => Order::Grid,
+        }),
+    };
+    let sampling = SampleSpec {
+        mode,
+        amount,
+        noise_m: args.noise,
+        outlier_rate: args.outliers,
+        outlier_distance_m: args.outlier_distance,
+        duplicate_rate: args.duplicates,
+        holes: args.hole.clone(),
+    };
+    let mut writing = WriteSpec::for_path(path);
+    let chunks = if args.variable_chunks { Chunks::Variable } else { Chunks::Fixed };
+    writing.compression = writing.compression.map(|_| chunks(args.chunk));
+    let crs = args.crs_wkt.as_ref().map(|p| {
+        std::fs::read_to_string(p).map(|t| t.trim().to_owned()).map_err(|e| scangen::Error::io(p, "read", e))
+    });
+    let writing = WriteSpec {
+        format: args.format,
+        scale: [args.scale; 3],
+        offset: origin,
+        crs_wkt: crs.transpose()?,
+        classes: args.class.clone(),
+        withheld_share: args.withheld,
+        seed: args.seed,
+        ..writing
+    };
+    let samples: Box<dyn Iterator<Item = scangen::Sample>> = if demo {
+        Box::new(scangen::demo::demo_samples(scene, args.seed)?)
+    } else {
+        Box::new(scene.samples(args.seed, &sampling)?)
+    };
+    if !args.shuffle {
+        return write_samples(path, samples, &writing);
+    }
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
+    let mut failed = None;
+    let shuffled = shuffle(samples, args.seed, folder)?;
+    let good = shuffled.map_while(|s| s.map_err(|e| failed = Some(e)).ok());
+    let written = write_samples(path, good, &writing)?;
+    failed.map_or(Ok(written), Err)
+}

@@ -1,0 +1,169 @@
+//! A terrestrial scanner: rays from stations at even angles, the nearest surface wins.
+
+use super::{Amount, Kind, Sample, SampleSpec, ScannerSpec, Stream};
+use crate::geometry::{Vec3, add, scale, sin_cos_deg};
+use crate::shape::{Cylinder, Shape};
+use crate::{Error, Result, Scene, Truth};
+
+/// Time of one full turn [s]; people walk meanwhile.
+const TURN_S: f64 = 60.0;
+/// Neighbouring rays whose ranges differ by more are an edge [m].
+const EDGE_M: f64 = 0.3;
+
+/// Someone who walks to and fro on a line.
+struct Person {
+    from: [f64; 2],
+    step: [f64; 2],
+    foot: f64,
+    phase_s: f64,
+}
+
+impl Person {
+    const RADIUS_M: f64 = 0.25;
+    const HEIGHT_M: f64 = 1.75;
+    /// Time from one end of the line to the other [s].
+    const LEG_S: f64 = 5.0;
+
+    fn at(&self, time_s: f64) -> Shape {
+        let t = (time_s + self.phase_s) / Self::LEG_S;
+        let along = (t - 2.0 * (t / 2.0).floor() - 1.0).abs();
+        let center = [self.from[0] + along * self.step[0], self.from[1] + along * self.step[1]];
+        let (z_min, z_max) = (self.foot, self.foot + Self::HEIGHT_M);
+        Shape::Cylinder(Cylinder { center, radius: Self::RADIUS_M, z_min, z_max })
+    }
+}
+
+/// The scan, ray after ray: station, column (azimuth), then elevation from the nadir up.
+pub(super) struct Scan<'a> {
+    scene: &'a Scene,
+    stations: Vec<Vec3>,
+    spec: ScannerSpec,
+    noise_m: f64,
+    noise: Stream,
+    extras: Stream,
+    elevations: Vec<(f64, f64)>,
+    columns: u64,
+    station: usize,
+    column: u64,
+    row: usize,
+    heading: (f64, f64),
+    people: Vec<Person>,
+    bodies: Vec<Shape>,
+    last: Option<(f64, u32)>,
+    waiting: Option<Sample>,
+}
+
+impl<'a> Scan<'a> {
+    pub fn new(scene: &'a Scene, seed: u64, spec: &ScannerSpec, common: &SampleSpec) -> Result<Self> {
+        let stations = if spec.stations.is_empty() { scene.stations().to_vec() } else { spec.stations.clone() };
+        let step = match common.amount {
+            // n columns of n/2 rays at each station.
+            Amount::Count(rays) => 360.0 / (2.0 * rays as f64 / stations.len().max(1) as f64).sqrt().max(4.0),
+            Amount::Density(density) => (1.0 / density.sqrt()).to_degrees(),
+        };
+        if !(1e-4..=90.0).contains(&step) {
+            return Err(Error::parameter("scanner", format!("an angular step of {step}° lies outside 0.0001 to 90")));
+        }
+        let empty = matches!(common.amount, Amount::Count(0));
+        let rows = (180.0 / step).round() as usize;
+        let columns = if empty { 0 } else { (360.0 / step).round() as u64 };
+        let elevations =
+            (0..rows).map(|i| sin_cos_deg((i as f64 + 0.5) * 180.0 / rows as f64 - 90.0)).collect::<Vec<_>>();
+        let mut scan = Self {
+            scene,
+            stations,
+            spec: spec.clone(),
+            noise_m: common.noise_m,
+            noise: Stream::new(seed, 1),
+            extras: Stream::new(seed, 3),
+            elevations,
+            columns,
+            station: 0,
+            column: 0,
+            row: 0,
+            heading: (0.0, 1.0),
+            people: Vec::new(),
+            bodies: Vec::new(),
+            last: None,
+            waiting: None,
+        };
+        scan.set_up();
+        Ok(scan)
+    }
+
+    /// Moves people to the station at hand and begins its first column.
+    fn set_up(&mut self) {
+        let Some(at) = self.stations.get(self.station).copied() else { return };
+        let mut crowd = Vec::new();
+        for _ in 0..self.spec.people {
+            let (s, c) = sin_cos_deg(360.0 * self.extras.unit());
+            let away = 1.0 + 3.0 * self.extras.unit();
+            let from = [at[0] + away * c, at[1] + away * s];
+            let (s, c) = sin_cos_deg(360.0 * self.extras.unit());
+            let foot = self.scene.floor_under(from[0], from[1], at[2]).map_or(at[2] - 1.7, |(z, _)| z);
+            let phase_s = Person::LEG_S * 2.0 * self.extras.unit();
+            crowd.push(Person { from, step: [4.0 * c, 4.0 * s], foot, phase_s });
+        }
+        self.people = crowd;
+        self.begin_column();
+    }
+
+    fn begin_column(&mut self) {
+        let turn = self.column as f64 / self.columns.max(1) as f64;
+        self.heading = sin_cos_deg(360.0 * turn);
+        self.bodies = self.people.iter().map(|p| p.at(TURN_S * turn)).collect();
+        self.row = 0;
+        self.last = None;
+    }
+
+    /// Casts one ray.
+    fn shoot(&mut self, origin: Vec3, dir: Vec3) -> Option<Sample> {
+        let mut hit = self.scene.raycast(origin, dir, self.spec.range_m).map(|(t, i)| (t, i as u32, Kind::Surface));
+        for body in &self.bodies {
+            let limit = hit.map_or(self.spec.range_m, |h| h.0);
+            if let Some(t) = body.raycast(origin, dir, 0.0, limit) {
+                hit = Some((t, hit.map_or(0, |h| h.1), Kind::Moving));
+            }
+        }
+        let before = self.last;
+        self.last = hit.map(|(t, i, _)| (t, i));
+        let (range, surface, kind) = hit?;
+        if let Some((other, _)) = before.filter(|b| (b.0 - range).abs() > EDGE_M && self.spec.mixed_rate > 0.0) {
+            if self.extras.unit() < self.spec.mixed_rate {
+                let between = range + (other - range) * self.extras.unit();
+                let position = add(origin, scale(dir, between));
+                self.waiting = Some(Sample { position, kind: Kind::Mixed, surface });
+            }
+        }
+        let noise = if self.noise_m > 0.0 { self.noise_m * self.noise.normal() } else { 0.0 };
+        Some(Sample { position: add(origin, scale(dir, range + noise)), kind, surface })
+    }
+}
+
+impl Iterator for Scan<'_> {
+    type Item = Sample;
+
+    fn next(&mut self) -> Option<Sample> {
+        if let Some(mixed) = self.waiting.take() {
+            return Some(mixed);
+        }
+        loop {
+            let origin = *self.stations.get(self.station)?;
+            if self.column >= self.columns {
+                (self.station, self.column) = (self.station + 1, 0);
+                self.set_up();
+                continue;
+            }
+            let Some((sin, cos)) = self.elevations.get(self.row).copied() else {
+                self.column += 1;
+                self.begin_column();
+                continue;
+            };
+            self.row += 1;
+            let (s, c) = self.heading;
+            if let Some(sample) = self.shoot(origin, [cos * c, cos * s, sin]) {
+                return Some(sample);
+            }
+        }
+    }
+}

@@ -1,0 +1,10 @@
+//! Files: points as LAS or LAZ, surfaces as JSON and OBJ.
+
+mod json;
+mod las;
+mod obj;
+mod record;
+
+pub use json::{truth_json, write_truth_json};
+pub use las::{Chunks, WriteSpec, Written, write_las, write_samples};
+pub use obj::write_triangles_obj;
