@@ -241,13 +241,14 @@ fn z_up_and_y_up_twins_agree() {
 #[test]
 fn spacings_are_near_those_in_the_data_table() {
     let Some(data) = data() else { return };
+    // Medians over distinct points (scipy's k-d tree); the table's own are the same where no point occurs twice.
     let table = [
         ("indoor_two_storey_zup.laz", 0.0141),
         ("room_single_station.laz", 0.027),
         ("corridor_three_stations.laz", 0.01),
         ("pump_room.laz", 0.00465),
         ("delft_city_block_ahn3.laz", 0.289),
-        ("isprs_csite2_town.laz", 0.03),
+        ("isprs_csite2_town.laz", 0.04),
         ("forest_plot_tls.laz", 0.0283),
         ("autzen_stadium.laz", 0.797),
     ];
@@ -255,7 +256,7 @@ fn spacings_are_near_those_in_the_data_table() {
         let set = InputSet::open(&[data.join(name)], InputOptions::default(), &NoMonitor).unwrap();
         let found = estimate_spacing(&set, 2, &NoMonitor).unwrap();
         println!("{name}: {found:?}, table {median}");
-        assert!((0.7..1.4).contains(&(found.spacing_m / median)), "{name}: {found:?}, table {median}");
+        assert!((0.8..1.25).contains(&(found.spacing_m / median)), "{name}: {found:?}, table {median}");
         assert_eq!(estimate_spacing(&set, 1, &NoMonitor).unwrap(), found);
     }
 }
@@ -548,9 +549,15 @@ fn counts_that_lie_are_survived() {
         bytes[107..111].copy_from_slice(&count.to_le_bytes());
         bytes
     };
-    for count in [1, 1500, 1701, 2001, u32::MAX] {
+    for count in [1, 1500, 1690, 1701, 2001, u32::MAX] {
         let found = read_one(&folder.file("lie.las", &stating(&scan.las(), count))).unwrap();
         assert_eq!(found.points, expected[..(count as usize).min(1700)]);
+        if count == 1701 {
+            // Cannot be told from damage in the last chunk, which is the likelier of the two.
+            let text = refusal(&folder.file("lie.laz", &stating(&scan.laz(500), count)));
+            assert!(text.contains("LAZ chunk 3: damaged") && text.contains("after 200 of 201"), "{text}");
+            continue;
+        }
         let found = read_one(&folder.file("lie.laz", &stating(&scan.laz(500), count))).unwrap();
         assert!(found.points.len() >= 1500 && found.points[..1500] == expected[..1500], "{count}");
     }

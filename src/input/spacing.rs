@@ -23,11 +23,13 @@ const SHIFTS: [u32; 8] = [0, 4, 6, 8, 10, 12, 15, 18];
 /// Last level: single points, for scans that no block size suits.
 const LEVELS: usize = SHIFTS.len() + 1;
 /// Most points held at a level.
-const MOST_POINTS: usize = 40_000;
+const MOST_POINTS: usize = 60_000;
 /// Least number of distinct points at a level to be chosen.
 const ENOUGH_POINTS: usize = 1_000;
 /// Least number of blocks: fewer stand for one corner of the scan.
 const ENOUGH_BLOCKS: usize = 12;
+/// Least mean number of distinct points in a block.
+const ENOUGH_IN_BLOCK: usize = 64;
 /// Points that a thread gathers at a level before it takes the lock.
 const LOCAL_POINTS: usize = 512;
 
@@ -183,10 +185,11 @@ fn hand_over(held: &mut Vec<[f64; 3]>, level: usize, shared: &Shared) -> u32 {
     into.round
 }
 
-/// Takes the largest blocks of which the sample holds enough points in enough blocks. Larger blocks cut off fewer
-/// neighbours at their faces, more blocks stand for more of the scan. Then, in this order: a level that holds the whole
-/// scan; the level with the most points per block among those with enough points; single points, whose distances
-/// shrink by √2 for each halving of the sample as on a surface.
+/// Takes the smallest blocks that hold enough points each: smaller blocks are more in number and so stand for more of the
+/// scan, whose density varies by orders of magnitude (eight real scans came within 12 % of their exact median so, and
+/// up to 2.2 times off with the largest blocks); with fewer points in them, too many neighbours are cut off at
+/// their faces. Then, in this order: blocks that hold the whole scan; few blocks; single points, whose distances
+/// grow by √2 for each halving of the sample as on a surface.
 fn choose(levels: [Level; LEVELS], points: u64) -> Option<Spacing> {
     let mut samples = Vec::new();
     for (level, mut sample) in levels.into_iter().enumerate() {
@@ -202,16 +205,18 @@ fn choose(levels: [Level; LEVELS], points: u64) -> Option<Spacing> {
         let spacing_m = median_distance(sample)? * factor;
         Some(Spacing { spacing_m, sampled: sample.len() as u64, block_m, points })
     };
-    let crowded = |(_, sample, blocks): &&(usize, Level, usize)| sample.points.len() >= 24 * blocks;
-    let enough = |(_, sample, _): &&(usize, Level, usize)| sample.points.len() >= ENOUGH_POINTS;
+    let crowded = |least: usize| {
+        move |(_, sample, blocks): &&(usize, Level, usize)| {
+            sample.points.len() >= ENOUGH_POINTS.max(least * blocks) && *blocks > 0
+        }
+    };
     let blocks = &samples[..SHIFTS.len()];
     let best = blocks
         .iter()
-        .filter(enough)
-        .filter(crowded)
-        .rfind(|(_, _, blocks)| *blocks >= ENOUGH_BLOCKS)
+        .filter(|(_, _, blocks)| *blocks >= ENOUGH_BLOCKS)
+        .find(crowded(ENOUGH_IN_BLOCK))
         .or_else(|| blocks.iter().rfind(|(_, sample, _)| sample.round == 0 && sample.points.len() > 1))
-        .or_else(|| blocks.iter().filter(enough).rfind(crowded));
+        .or_else(|| blocks.iter().find(crowded(ENOUGH_IN_BLOCK / 2)));
     if let Some((level, sample, _)) = best {
         return result(*level, &sample.points, 1.0);
     }
