@@ -43,6 +43,9 @@ pub(super) fn decode(bytes: &[u8], crc: u32) -> Result<String, Violation> {
         if tag == CRS {
             let text = std::str::from_utf8(content);
             crs = text.map_err(|error| Violation::new("M3", "text in UTF-8", error))?.to_owned();
+            if crs.is_empty() {
+                return Err(Violation::new("M3", "a text", "none"));
+            }
         }
         last = Some(tag);
         rest = &rest[8 + len..];
@@ -66,6 +69,7 @@ mod tests {
         assert_eq!(read(&[&crs[..], &crs].concat()), Err("M2"));
         assert_eq!(read(&crs[..crs.len() - 1]), Err("M2"));
         assert_eq!(read(&record(b"CRS ", &[0xFF])), Err("M3"));
+        assert_eq!(read(&record(b"CRS ", b"")), Err("M3"));
         assert_eq!(decode(&crs, 0).map_err(|violation| violation.rule), Err("M1"));
         assert!(matches!(encode(&"x".repeat(1 << 20)), Err(Error::Limit { .. })));
     }

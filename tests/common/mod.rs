@@ -1,0 +1,185 @@
+//! Small archives, sources that count and fail, and a readable form of an archive's content.
+#![allow(dead_code, reason = "each test file uses a part")]
+
+use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Totals};
+use slicewalk::frame::{Frame, PageKey};
+use slicewalk::plan::{Classifier, Plan, Up};
+use slicewalk::slice::{Page, PageBuilder, Span};
+use slicewalk::store::{ByteSource, MemorySource};
+use slicewalk::{Error, Result};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Pages of an archive by key.
+pub type Pages = BTreeMap<PageKey, Page>;
+
+/// Pixels of 0.1 m, slices of 0.3 m.
+pub fn plan() -> Plan {
+    Plan {
+        frame: Frame::new(0.1, 0.3).unwrap(),
+        max_slope_deg: 45.0,
+        tolerance_m: 0.0,
+        classifier: Classifier::Span,
+        min_points: 1,
+        up: Up::Z,
+        exclude_classes: [0; 4],
+    }
+}
+
+/// A page from spans by pixel.
+pub fn page(columns: impl IntoIterator<Item = ((u32, u32), Vec<Span>)>) -> Page {
+    let mut builder = PageBuilder::default();
+    for ((px, py), spans) in columns {
+        assert!(builder.set_column(px, py, &spans), "({px}, {py}): {spans:?}");
+    }
+    builder.build()
+}
+
+/// The worked example of the specification.
+pub fn two_pixels() -> (Pages, Totals) {
+    let span = |bottom, top| vec![Span::new(bottom, top, false).unwrap()];
+    let page = page([((0, 0), span(10, 14)), ((1, 0), span(12, 15))]);
+    let bounds = Some(([0.04, 0.02, 0.0125], [0.13, 0.05, 0.017]));
+    let totals = Totals { points_read: 3, points_kept: 3, bounds, crs: "EPSG:28992".into(), ..Totals::default() };
+    (BTreeMap::from([(key(0, 0, 0), page)]), totals)
+}
+
+/// Numbers that look random and are the same everywhere (an LCG after Knuth).
+pub struct Random(pub u64);
+
+impl Random {
+    /// A number below `limit`.
+    pub fn below(&mut self, limit: u32) -> u32 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        ((self.0 >> 33) as u32) % limit
+    }
+}
+
+/// A rough floor, a wall over two layers, equal, uniform and sparse pages, on both sides of the origin.
+pub fn scene() -> (Pages, Totals) {
+    let mut random = Random(7);
+    let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
+    let mut pages = Pages::new();
+    let floor = |random: &mut Random| {
+        page((0..20 * 30).map(|at| {
+            let bottom = 700 + at % 20 * 3 + random.below(5);
+            ((at % 20, 10 + at / 20), vec![span(bottom, bottom + 2 + random.below(6), false)])
+        }))
+    };
+    pages.insert(key(-1, 0, 0), floor(&mut random));
+    pages.insert(key(0, 0, 0), floor(&mut random));
+    let wall = |bottom, top| page((0..64).map(|py| ((40, py), vec![span(bottom, top, true)])));
+    pages.insert(key(-1, -1, -1), wall(16000, 16320));
+    pages.insert(key(-1, -1, 0), wall(0, 900));
+    pages.insert(key(1, 0, 0), wall(0, 900));
+    let slab = page((0..4096).map(|at| ((at % 64, at / 64), vec![span(255, 600, false)])));
+    pages.insert(key(0, 0, 1), slab);
+    let sparse = (0..40).map(|at| {
+        let px = random.below(60) / 8 * 8 + at % 8;
+        let column = (0..1 + random.below(4)).map(|k| span(k * 900 + random.below(200), k * 900 + 300, at % 2 == 0));
+        ((px, at), column.collect::<Vec<_>>())
+    });
+    pages.insert(key(2, -3, 5), page(sparse.collect::<BTreeMap<_, _>>()));
+    let totals = Totals {
+        points_read: 5000,
+        points_kept: 4321,
+        points_withheld: 9,
+        points_excluded: 100,
+        bounds: Some(([-6.4, -19.2, -19.2], [19.2, 6.4, 115.5])),
+        crs: "a made-up place".into(),
+    };
+    (pages, totals)
+}
+
+/// A key.
+pub fn key(tx: i32, ty: i32, layer: i32) -> PageKey {
+    PageKey { tx, ty, layer }
+}
+
+/// The bytes of an archive.
+pub fn archive((pages, totals): &(Pages, Totals)) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("test.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    let mut encoder = PageEncoder::new();
+    for (&key, page) in pages {
+        writer.put(key, encoder.encode(key, page)).unwrap();
+    }
+    writer.finish(totals.clone()).unwrap();
+    std::fs::read(&target).unwrap()
+}
+
+/// All pages of an archive, or the first error.
+pub fn read_all(archive: &Archive) -> Result<Pages> {
+    archive.entries().map(|entry| entry.and_then(|entry| Ok((entry.key, archive.page(&entry)?)))).collect()
+}
+
+/// All that an archive says, as text.
+pub fn render(archive: &Archive) -> String {
+    let header = archive.header();
+    let mut out = String::new();
+    let mut line = |text: std::fmt::Arguments<'_>| writeln!(out, "{text}").unwrap();
+    line(format_args!("version {}.{}", header.version.0, header.version.1));
+    line(format_args!("pixel {} slice {}", archive.frame().pixel_m(), archive.frame().slice_m()));
+    line(format_args!("slope {} tolerance {}", header.plan.max_slope_deg, header.plan.tolerance_m));
+    line(format_args!("classifier {} up {:?}", header.plan.classifier.name(), header.plan.up));
+    line(format_args!("min_points {} exclude {:?}", header.plan.min_points, header.plan.exclude_classes));
+    line(format_args!("plan {:032x}", header.plan_hash));
+    line(format_args!(
+        "points read {} kept {} withheld {} excluded {}",
+        header.points_read, header.points_kept, header.points_withheld, header.points_excluded
+    ));
+    line(format_args!("bounds {:?}", header.bounds));
+    line(format_args!("slices {:?}", header.slices));
+    line(format_args!("{:?}", header.tiles));
+    line(format_args!("{:?}", header.voxels));
+    line(format_args!("{:?}", header.pages));
+    line(format_args!("crs {}", archive.crs().unwrap()));
+    for entry in archive.entries().map(Result::unwrap) {
+        let kind = match entry.place {
+            Place::Stored(_) => "stored",
+            Place::Shared(_) => "shared",
+            Place::Uniform(_) => "uniform",
+        };
+        line(format_args!("page {} {kind} slices {:016x}", entry.key, entry.slices));
+        if let Place::Uniform(span) = entry.place {
+            line(format_args!("  all: {span:?}"));
+            continue;
+        }
+        for (px, py, spans) in archive.page(&entry).unwrap().columns() {
+            line(format_args!("  {px},{py}: {spans:?}"));
+        }
+    }
+    out
+}
+
+/// Counts reads and fails on one of them.
+pub struct Watched {
+    source: MemorySource,
+    /// Reads so far.
+    pub reads: AtomicU64,
+    /// Number of the read that fails, from 0.
+    pub fails: u64,
+}
+
+impl Watched {
+    /// A source of `bytes` whose read number `fails` fails.
+    pub fn new(bytes: &[u8], fails: u64) -> Arc<Self> {
+        Arc::new(Self { source: MemorySource::new(bytes), reads: AtomicU64::new(0), fails })
+    }
+}
+
+impl ByteSource for Watched {
+    fn len(&self) -> u64 {
+        self.source.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        if self.reads.fetch_add(1, Ordering::Relaxed) == self.fails {
+            return Err(Error::io("test", "read", std::io::ErrorKind::Other.into()));
+        }
+        self.source.read_at(offset, buf)
+    }
+}
