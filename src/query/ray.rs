@@ -5,7 +5,7 @@
 //! computed from the cell's index instead of summed up, so errors do not grow with the number of steps. And cells are
 //! grown by a margin, so a ray along an edge or through a corner looks at the cells on both sides.
 
-use super::blocks::{local, slices_between};
+use super::blocks::{local, local_heights, slices_between};
 use super::columns::{floor_of, layers, layers_of};
 use super::disc::SLACK;
 use super::grid::{Heights, Rect};
@@ -108,12 +108,13 @@ pub fn cast<S: PageSet>(set: &S, ray: &Ray) -> Answer<Option<RayHit>> {
         let tiles = Rect { i0: tile(0).0, i1: tile(0).1, j0: tile(1).0, j1: tile(1).1 };
         let regions = Rect { i0: region(0).0, i1: region(0).1, j0: region(1).0, j1: region(1).1 };
         let _ = line.cells(6 + 6, regions, t0, t1, |rx, ry, t0, t1| {
+            search.go_on(t0)?;
             if set.has_region(rx as i32, ry as i32) {
                 line.cells(6, tiles.part(rx << 6, ry << 6, 64), t0, t1, |tx, ty, t0, t1| {
                     search.tile(set.column(tx as i32, ty as i32), tx as i32, ty as i32, t0, t1)
                 })?;
             }
-            search.go_on(t1)
+            ControlFlow::Continue(())
         });
     }
     let hit = search.best.map(|(distance, normal, obstacle)| RayHit { distance, normal, obstacle });
@@ -260,16 +261,18 @@ struct Search {
 }
 
 impl Search {
-    /// Whether anything behind `t` can still be the first hit.
+    /// Whether matter at `t` or behind can still be the first hit. Asked when a cell is entered, not when one is left: a
+    /// ray along an edge is in the cells on both sides at once.
     #[inline]
     fn go_on(&self, t: f64) -> ControlFlow<()> {
         match self.best {
-            Some((distance, ..)) if distance <= t => ControlFlow::Break(()),
+            Some((distance, ..)) if distance < t => ControlFlow::Break(()),
             _ => ControlFlow::Continue(()),
         }
     }
 
     fn tile<T: PageSlot>(&mut self, slots: &[T], tx: i32, ty: i32, t0: f64, t1: f64) -> ControlFlow<()> {
+        self.go_on(t0)?;
         let heights = self.line.heights(t0, t1);
         let (first, last) = layers_of(heights);
         let slots = layers(slots, first, last);
@@ -290,20 +293,20 @@ impl Search {
                 None => note(&mut self.missing, PageKey { tx, ty, layer: slot.layer() }),
             }
         }
-        self.go_on(t1)
+        ControlFlow::Continue(())
     }
 
     fn page(&mut self, page: &Page, tx: i32, ty: i32, base: i64, t0: f64, t1: f64) {
         let line = self.line;
         let (bi, bj) = (i64::from(tx) * 8, i64::from(ty) * 8);
         let _ = line.cells(3, square(bi, bj), t0, t1, |i, j, t0, t1| {
+            self.go_on(t0)?;
             let block = page.block((i - bi) as u32, (j - bj) as u32);
-            let heights = line.heights(t0, t1);
-            let (low, high) = (local(heights.low, base), local(heights.high, base));
-            if block.slices() & slices_between(low, high) != 0 && block.hull().meets(low, high) {
+            let heights = local_heights(line.heights(t0, t1), base);
+            if heights.is_some_and(|(a, b)| block.slices() & slices_between(a, b) != 0 && block.hull().meets(a, b)) {
                 self.block(block, i * 8, j * 8, base, t0, t1);
             }
-            self.go_on(t1)
+            ControlFlow::Continue(())
         });
     }
 
@@ -311,18 +314,18 @@ impl Search {
         let line = self.line;
         let pixels = block.pixels();
         let _ = line.cells(0, square(i0, j0), t0, t1, |i, j, t0, t1| {
+            self.go_on(t0)?;
             let bit = (j - j0) as u32 * 8 + (i - i0) as u32;
             if pixels >> bit & 1 == 1 {
                 self.pixel(block.column(bit), i, j, base, t0, t1);
             }
-            self.go_on(t1)
+            ControlFlow::Continue(())
         });
     }
 
     fn pixel(&mut self, spans: &[Span], i: i64, j: i64, base: i64, t0: f64, t1: f64) {
         let line = &self.line;
-        let heights = line.heights(t0, t1);
-        let (low, high) = (local(heights.low, base), local(heights.high, base));
+        let Some((low, high)) = local_heights(line.heights(t0, t1), base) else { return };
         for span in spans.iter().filter(|span| span.meets(low, high)) {
             // From the pixel's sides alone: what `t0` and `t1` owe to the page's floor and end is no face.
             let (t0, t1) = line.clip(0, i as f64, (i + 1) as f64, 0.0, line.max);
