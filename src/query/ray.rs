@@ -17,6 +17,10 @@ use crate::{Error, Result};
 use nalgebra::{Point3, Vector3};
 use std::ops::ControlFlow;
 
+/// Growth of cells relative to the largest coordinate involved. Of the position of a point on the ray, its rounding to
+/// the grid, direction and length account for 10 rounding errors, the crossing of an edge for 5.
+const MARGIN: f64 = 1.5 * SLACK;
+
 /// A half-line of limited length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
@@ -75,7 +79,8 @@ pub struct RayHit {
 /// memory could hold matter before that.
 ///
 /// Matter is as for [all queries](super#what-touching-means); squares are closed and grown by at most 2⁻⁴⁸ of the
-/// coordinates, so a ray through an input point always hits. Distances are as exact as `f64` positions along the ray.
+/// coordinates, so a ray through an input point always hits; a ray that grazes a face may meet it earlier by as much over the sine of
+/// their angle.
 /// Where the ray enters a side and a span's end at once, the side's normal is given.
 ///
 /// Cost: about 10 ns per tile column and per block with matter at the ray's heights, and per pixel in these.
@@ -144,7 +149,7 @@ impl Line {
     #[inline]
     fn at(&self, axis: usize, t: f64) -> (f64, f64) {
         let way = t * self.speed[axis];
-        (self.origin[axis] + way, (self.origin[axis].abs() + way.abs()) * SLACK)
+        (self.origin[axis] + way, self.origin[axis].abs().max(way.abs()) * MARGIN)
     }
 
     /// The part of `t0..=t1` in which the coordinate along `axis` lies in `low..=high`, grown by the margin; empty if the
@@ -152,7 +157,7 @@ impl Line {
     #[inline]
     fn clip(&self, axis: usize, low: f64, high: f64, t0: f64, t1: f64) -> (f64, f64) {
         let origin = self.origin[axis];
-        let margin = (low.abs() + high.abs() + origin.abs()) * SLACK;
+        let margin = low.abs().max(high.abs()).max(origin.abs()) * MARGIN;
         let (low, high) = (low - margin - origin, high + margin - origin);
         let speed = self.speed[axis];
         if speed == 0.0 {
