@@ -32,6 +32,13 @@ pub(super) fn local(height: i64, base: i64) -> u32 {
     height.saturating_sub(base).clamp(0, PAGE_QUANTA) as u32
 }
 
+/// `heights` in the page with floor `base`; `None` if they lie outside.
+#[inline]
+pub(super) fn local_heights(heights: Heights, base: i64) -> Option<(u32, u32)> {
+    let meets = heights.low <= base + PAGE_QUANTA && heights.high >= base;
+    meets.then(|| (local(heights.low, base), local(heights.high, base)))
+}
+
 /// The page that a shape is held against.
 pub(super) struct Place<'a> {
     pub page: &'a Page,
@@ -44,12 +51,6 @@ pub(super) struct Place<'a> {
 }
 
 impl Place<'_> {
-    /// `heights` in this page.
-    #[inline]
-    pub fn local(&self, heights: Heights) -> (u32, u32) {
-        (local(heights.low, self.base), local(heights.high, self.base))
-    }
-
     /// First pixel of block `number`.
     #[inline]
     pub fn corner(&self, number: u32) -> (i64, i64) {
@@ -84,7 +85,8 @@ fn touched_in_block<G: OnPixels>(
     let hull = block.hull();
     let (i, j) = place.corner(number);
     if !G::UPRIGHT {
-        (low, high) = place.local(shape.heights_over(i, j, 8));
+        let Some(narrower) = local_heights(shape.heights_over(i, j, 8), place.base) else { return 0 };
+        (low, high) = narrower;
     }
     if !hull.meets(low, high) || kinds_of(hull) & !known == 0 {
         return 0;
@@ -105,7 +107,8 @@ fn touched_in_block<G: OnPixels>(
         });
     } else {
         for_each_bit(pixels, |bit| {
-            let (low, high) = place.local(shape.heights_over(i + i64::from(bit & 7), j + i64::from(bit >> 3), 1));
+            let heights = shape.heights_over(i + i64::from(bit & 7), j + i64::from(bit >> 3), 1);
+            let Some((low, high)) = local_heights(heights, place.base) else { return };
             kinds |= meeting(block.column(bit), 0, 7, low, high);
         });
     }

@@ -5,7 +5,7 @@
 //! computed from the cell's index instead of summed up, so errors do not grow with the number of steps. And cells are
 //! grown by a margin, so a ray along an edge or through a corner looks at the cells on both sides.
 
-use super::blocks::{local, slices_between};
+use super::blocks::{local, local_heights, slices_between};
 use super::columns::{floor_of, layers, layers_of};
 use super::disc::SLACK;
 use super::grid::{Heights, Rect};
@@ -16,6 +16,10 @@ use crate::store::{KeyBounds, PageSet, PageSlot};
 use crate::{Error, Result};
 use nalgebra::{Point3, Vector3};
 use std::ops::ControlFlow;
+
+/// Growth of cells relative to the largest coordinate involved. Of the position of a point on the ray, its rounding to
+/// the grid, direction and length account for 10 rounding errors, the crossing of an edge for 5.
+const MARGIN: f64 = 1.5 * SLACK;
 
 /// A half-line of limited length.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -75,7 +79,8 @@ pub struct RayHit {
 /// memory could hold matter before that.
 ///
 /// Matter is as for [all queries](super#what-touching-means); squares are closed and grown by at most 2⁻⁴⁸ of the
-/// coordinates, so a ray through an input point always hits. Distances are as exact as `f64` positions along the ray.
+/// coordinates, so a ray through an input point always hits; a ray that grazes a face may meet it earlier by as much over the sine of
+/// their angle.
 /// Where the ray enters a side and a span's end at once, the side's normal is given.
 ///
 /// Cost: about 10 ns per tile column and per block with matter at the ray's heights, and per pixel in these.
@@ -108,12 +113,13 @@ pub fn cast<S: PageSet>(set: &S, ray: &Ray) -> Answer<Option<RayHit>> {
         let tiles = Rect { i0: tile(0).0, i1: tile(0).1, j0: tile(1).0, j1: tile(1).1 };
         let regions = Rect { i0: region(0).0, i1: region(0).1, j0: region(1).0, j1: region(1).1 };
         let _ = line.cells(6 + 6, regions, t0, t1, |rx, ry, t0, t1| {
+            search.go_on(t0)?;
             if set.has_region(rx as i32, ry as i32) {
                 line.cells(6, tiles.part(rx << 6, ry << 6, 64), t0, t1, |tx, ty, t0, t1| {
                     search.tile(set.column(tx as i32, ty as i32), tx as i32, ty as i32, t0, t1)
                 })?;
             }
-            search.go_on(t1)
+            ControlFlow::Continue(())
         });
     }
     let hit = search.best.map(|(distance, normal, obstacle)| RayHit { distance, normal, obstacle });
@@ -143,7 +149,7 @@ impl Line {
     #[inline]
     fn at(&self, axis: usize, t: f64) -> (f64, f64) {
         let way = t * self.speed[axis];
-        (self.origin[axis] + way, (self.origin[axis].abs() + way.abs()) * SLACK)
+        (self.origin[axis] + way, self.origin[axis].abs().max(way.abs()) * MARGIN)
     }
 
     /// The part of `t0..=t1` in which the coordinate along `axis` lies in `low..=high`, grown by the margin; empty if the
@@ -151,7 +157,7 @@ impl Line {
     #[inline]
     fn clip(&self, axis: usize, low: f64, high: f64, t0: f64, t1: f64) -> (f64, f64) {
         let origin = self.origin[axis];
-        let margin = (low.abs() + high.abs() + origin.abs()) * SLACK;
+        let margin = low.abs().max(high.abs()).max(origin.abs()) * MARGIN;
         let (low, high) = (low - margin - origin, high + margin - origin);
         let speed = self.speed[axis];
         if speed == 0.0 {
@@ -260,16 +266,18 @@ struct Search {
 }
 
 impl Search {
-    /// Whether anything behind `t` can still be the first hit.
+    /// Whether matter at `t` or behind can still be the first hit. Asked when a cell is entered, not when one is left: a
+    /// ray along an edge is in the cells on both sides at once.
     #[inline]
     fn go_on(&self, t: f64) -> ControlFlow<()> {
         match self.best {
-            Some((distance, ..)) if distance <= t => ControlFlow::Break(()),
+            Some((distance, ..)) if distance < t => ControlFlow::Break(()),
             _ => ControlFlow::Continue(()),
         }
     }
 
     fn tile<T: PageSlot>(&mut self, slots: &[T], tx: i32, ty: i32, t0: f64, t1: f64) -> ControlFlow<()> {
+        self.go_on(t0)?;
         let heights = self.line.heights(t0, t1);
         let (first, last) = layers_of(heights);
         let slots = layers(slots, first, last);
@@ -290,20 +298,20 @@ impl Search {
                 None => note(&mut self.missing, PageKey { tx, ty, layer: slot.layer() }),
             }
         }
-        self.go_on(t1)
+        ControlFlow::Continue(())
     }
 
     fn page(&mut self, page: &Page, tx: i32, ty: i32, base: i64, t0: f64, t1: f64) {
         let line = self.line;
         let (bi, bj) = (i64::from(tx) * 8, i64::from(ty) * 8);
         let _ = line.cells(3, square(bi, bj), t0, t1, |i, j, t0, t1| {
+            self.go_on(t0)?;
             let block = page.block((i - bi) as u32, (j - bj) as u32);
-            let heights = line.heights(t0, t1);
-            let (low, high) = (local(heights.low, base), local(heights.high, base));
-            if block.slices() & slices_between(low, high) != 0 && block.hull().meets(low, high) {
+            let heights = local_heights(line.heights(t0, t1), base);
+            if heights.is_some_and(|(a, b)| block.slices() & slices_between(a, b) != 0 && block.hull().meets(a, b)) {
                 self.block(block, i * 8, j * 8, base, t0, t1);
             }
-            self.go_on(t1)
+            ControlFlow::Continue(())
         });
     }
 
@@ -311,18 +319,18 @@ impl Search {
         let line = self.line;
         let pixels = block.pixels();
         let _ = line.cells(0, square(i0, j0), t0, t1, |i, j, t0, t1| {
+            self.go_on(t0)?;
             let bit = (j - j0) as u32 * 8 + (i - i0) as u32;
             if pixels >> bit & 1 == 1 {
                 self.pixel(block.column(bit), i, j, base, t0, t1);
             }
-            self.go_on(t1)
+            ControlFlow::Continue(())
         });
     }
 
     fn pixel(&mut self, spans: &[Span], i: i64, j: i64, base: i64, t0: f64, t1: f64) {
         let line = &self.line;
-        let heights = line.heights(t0, t1);
-        let (low, high) = (local(heights.low, base), local(heights.high, base));
+        let Some((low, high)) = local_heights(line.heights(t0, t1), base) else { return };
         for span in spans.iter().filter(|span| span.meets(low, high)) {
             // From the pixel's sides alone: what `t0` and `t1` owe to the page's floor and end is no face.
             let (t0, t1) = line.clip(0, i as f64, (i + 1) as f64, 0.0, line.max);

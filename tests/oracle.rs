@@ -1,0 +1,312 @@
+//! Queries against brute force: over the raw points (guarantees G1 and G2) and over the spans (equality).
+
+#[path = "oracle/brute.rs"]
+mod brute;
+#[path = "oracle/scene.rs"]
+mod scene;
+
+use nalgebra::{Point3, Vector3};
+use proptest::prelude::*;
+use scene::{Columns, Random, Scene, pages_of};
+use slicewalk::frame::PageKey;
+use slicewalk::query::*;
+use slicewalk::store::{Region, Store};
+
+/// The stated bound on phantoms of round shapes and rays at 10⁷ m, and room for the tests' own rounding [m].
+const SLACK: f64 = 4e-8;
+
+#[test]
+fn boxes_hit_exactly_the_spans_and_no_point_is_missed() {
+    for (scene, mut random) in Scene::all() {
+        let store = scene.store();
+        let (t, s) = (scene.frame.pixel_m() + SLACK, scene.frame.slice_m() + SLACK);
+        for _ in 0..400 {
+            let shape = scene.random_box(&mut random);
+            let heights = scene.quanta(shape.min().z, shape.max().z);
+            let (hit, obstacle) = scene.touches(scene.pixels_of(&shape), heights);
+            let expected = if hit { Overlap::Hit } else { Overlap::Clear };
+            assert_eq!(overlaps(&store, &shape), expected, "{shape:?}");
+            let floor_z = scene.floor(scene.pixels_of(&shape), (i64::MIN, heights.1));
+            assert_eq!(probe(&store, &shape), Answer::Known(Probe { hit, obstacle, floor_z }), "{shape:?}");
+
+            let holds_point = |grow: Vector3<f64>| {
+                let (min, max) = (shape.min() - grow, shape.max() + grow);
+                scene.points.iter().any(|p| (0..3).all(|axis| min[axis] <= p[axis] && p[axis] <= max[axis]))
+            };
+            assert!(hit || !holds_point(Vector3::zeros()), "G1: {shape:?}");
+            assert!(!hit || holds_point(Vector3::new(t, t, s)), "G2: {shape:?}");
+        }
+    }
+}
+
+#[test]
+fn cylinders_and_spheres_miss_no_point_and_hit_no_phantom() {
+    for (scene, mut random) in Scene::all() {
+        let store = scene.store();
+        let (t, s) = (scene.frame.pixel_m(), scene.frame.slice_m());
+        for _ in 0..200 {
+            let c = scene.random_point(&mut random);
+            let most = [0.0, 0.5, 5.0, 40.0][random.below(4)];
+            let r = t * random.in_range(0.0, most);
+            let h = s * random.in_range(0.0, 10.0);
+            let is_hit = |answer| {
+                assert!(!matches!(answer, Overlap::NotLoaded(_)));
+                answer == Overlap::Hit
+            };
+            let cylinder = is_hit(overlaps(&store, &Cylinder::new(c, r, h).unwrap()));
+            let sphere = is_hit(overlaps(&store, &Sphere::new(c, r).unwrap()));
+
+            // Whether a point lies in the shape, grown along the axes and then outwards.
+            let beyond = |v: f64, grow: f64| (v.abs() - grow).max(0.0);
+            let in_cylinder = |grow: f64, grow_z: f64, slack: f64| {
+                scene.points.iter().any(|p| {
+                    let d = p - c;
+                    beyond(d.x, grow).powi(2) + beyond(d.y, grow).powi(2) <= (r + slack).powi(2)
+                        && p.z >= c.z - grow_z - slack
+                        && p.z <= c.z + h + grow_z + slack
+                })
+            };
+            let in_sphere = |grow: f64, grow_z: f64, slack: f64| {
+                scene.points.iter().any(|p| {
+                    let d = p - c;
+                    let rest = Vector3::new(beyond(d.x, grow), beyond(d.y, grow), beyond(d.z, grow_z));
+                    rest.norm_squared() <= (r + slack).powi(2)
+                })
+            };
+            assert!(cylinder || !in_cylinder(0.0, 0.0, 0.0), "G1: cylinder {c} {r} {h}");
+            assert!(!cylinder || in_cylinder(t, s, SLACK), "G2: cylinder {c} {r} {h}");
+            assert!(sphere || !in_sphere(0.0, 0.0, 0.0), "G1: sphere {c} {r}");
+            assert!(!sphere || in_sphere(t, s, SLACK), "G2: sphere {c} {r}");
+
+            // Against the spans: equal, but for matter that is within rounding errors of the rim.
+            let heights = scene.quanta(c.z, c.z + h);
+            let by_spans = |r: f64| scene.touches(scene.pixels_near(c.x, c.y, r), heights).0;
+            assert!(cylinder || !by_spans(r - SLACK), "cylinder {c} {r} {h}");
+            assert!(!cylinder || by_spans(r + SLACK), "cylinder {c} {r} {h}");
+            let distance = scene.distance(c);
+            assert!(sphere || distance > r - SLACK, "sphere {c} {r}: {distance}");
+            assert!(!sphere || distance <= r + SLACK, "sphere {c} {r}: {distance}");
+        }
+    }
+}
+
+#[test]
+fn floors_and_ceilings_are_those_of_the_spans_whatever_the_pages() {
+    for (scene, mut random) in Scene::all() {
+        let store = scene.store();
+        for _ in 0..200 {
+            let shape = scene.random_box(&mut random);
+            let from = scene.random_point(&mut random).z;
+            let reach = [f64::INFINITY, random.in_range(0.0, 80.0) * scene.frame.slice_m()][random.below(2)];
+            let floor = scene.floor(scene.pixels_of(&shape), scene.quanta(from - reach, from));
+            assert_eq!(floor_under(&store, &shape, from, reach), Answer::Known(floor), "{shape:?} {from} {reach}");
+            let ceiling = scene.ceiling(scene.pixels_of(&shape), scene.quanta(from, from + reach));
+            assert_eq!(ceiling_above(&store, &shape, from, reach), Answer::Known(ceiling), "{shape:?} {from} {reach}");
+        }
+    }
+}
+
+#[test]
+fn rays_end_at_the_first_span() {
+    for (scene, mut random) in Scene::all() {
+        let store = scene.store();
+        for _ in 0..200 {
+            let from = scene.random_point(&mut random);
+            let mut way = scene.random_point(&mut random) - from;
+            for axis in 0..3 {
+                if random.chance(25) {
+                    way[axis] = 0.0;
+                }
+            }
+            if way.norm() == 0.0 {
+                way.z = -1.0;
+            }
+            let max = [f64::INFINITY, way.norm() * random.in_range(0.0, 3.0)][random.below(2)];
+            let ray = Ray::new(from, way, max).unwrap();
+            let Answer::Known(hit) = cast(&store, &ray) else { panic!("all pages are in memory") };
+            let distance = hit.map(|hit| hit.distance);
+            // A grazing ray enters a grown span much earlier than the span, and may miss a shrunk one.
+            let (first, last) = (scene.cast(&ray, SLACK), scene.cast(&ray, -SLACK));
+            if let Some(last) = last {
+                assert!(distance.is_some_and(|d| d <= last + SLACK), "{ray:?}: {hit:?}, expected {last}");
+            }
+            if let Some(hit) = hit {
+                let d = hit.distance;
+                assert!(first.is_some_and(|first| d >= first - SLACK), "{ray:?}: {d}, expected {first:?}");
+                assert!((0.0..=max).contains(&d), "{ray:?}: {d}");
+                let faces = hit.normal.norm() == 1.0 && hit.normal.dot(&ray.direction()) < 0.0;
+                assert!(faces || hit.normal == Vector3::zeros() && d == 0.0, "{ray:?} {hit:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_ray_along_an_axis_through_a_point_hits() {
+    for (scene, mut random) in Scene::all() {
+        let store = scene.store();
+        for _ in 0..200 {
+            let point = scene.points[random.below(scene.points.len())];
+            let axis = random.below(3);
+            let mut way = Vector3::zeros();
+            way[axis] = [1.0, -1.0][random.below(2)];
+            let ray = Ray::new(point - way * scene.frame.pixel_m() * 100.0, way, f64::INFINITY).unwrap();
+            let Answer::Known(Some(hit)) = cast(&store, &ray) else { panic!("{ray:?} passes through {point}") };
+            let beyond = (ray.at(hit.distance) - point).dot(&way);
+            assert!(beyond <= SLACK, "{ray:?} passes through {point}, and hits {beyond} m beyond: {hit:?}");
+        }
+    }
+}
+
+#[test]
+fn pages_not_in_memory_are_never_taken_for_empty() {
+    for (scene, mut random) in Scene::all() {
+        let full = scene.store();
+        let around = scene.pages[0].0;
+        let some: Vec<_> = scene.pages.iter().map(|page| page.0).filter(|_| random.chance(40)).collect();
+        let part = scene.part(&some);
+        for _ in 0..50 {
+            let shape = scene.random_box(&mut random);
+            let sphere = Sphere::new(shape.min(), (shape.max() - shape.min()).norm() / 3.0).unwrap();
+            let boxes = (overlaps(&part, &shape), overlaps(&full, &shape));
+            let spheres = (overlaps(&part, &sphere), overlaps(&full, &sphere));
+            for (partial, whole) in [boxes, spheres] {
+                match partial {
+                    Overlap::NotLoaded(missing) => {
+                        assert!(missing.count() > 0 && missing.keys().iter().all(|key| !some.contains(key)));
+                    }
+                    known => assert_eq!(known, whole),
+                }
+            }
+            let from = shape.max().z;
+            let way = scene.random_point(&mut random) - shape.min();
+            let ray = Ray::new(shape.min(), way + Vector3::new(0.0, 0.0, 1e-3), f64::INFINITY).unwrap();
+            let infinite = f64::INFINITY;
+            settle(&scene, &some, &full, around, |store| probe(store, &shape));
+            settle(&scene, &some, &full, around, |store| floor_under(store, &shape, from, infinite));
+            settle(&scene, &some, &full, around, |store| ceiling_above(store, &shape, from, infinite));
+            settle(&scene, &some, &full, around, |store| cast(store, &ray));
+        }
+    }
+}
+
+/// What a query says to be missing is enough: loading it again and again leads to the answer.
+fn settle<T: PartialEq + std::fmt::Debug>(
+    scene: &Scene,
+    loaded: &[PageKey],
+    full: &Store,
+    around: PageKey,
+    query: impl Fn(&Store) -> Answer<T>,
+) {
+    let mut store = scene.part(loaded);
+    loop {
+        match query(&store) {
+            Answer::NotLoaded(missing) => {
+                let report = store.load_missing(missing.keys(), around).unwrap();
+                assert!(report.loaded == missing.keys().len(), "{missing:?} {report:?}");
+            }
+            known => return assert_eq!(known, query(full)),
+        }
+    }
+}
+
+#[test]
+fn shapes_beyond_all_bounds_are_answered_at_once() {
+    let (scene, _) = Scene::all().nth(4).unwrap();
+    let mut pages = scene.pages.clone();
+    // One outlier stretches the bounds to the end of the grid.
+    let far = (1 << 30) - 1;
+    pages.push((PageKey { tx: far, ty: -far, layer: far }, pages[0].1.clone()));
+    let store = Store::from_pages(scene.frame, pages);
+    let infinite = f64::INFINITY;
+    let everything = |z0, z1| Aabb::new([-infinite, -1e300, z0].into(), [infinite, 1e12, z1].into()).unwrap();
+    assert_eq!(overlaps(&store, &everything(-infinite, infinite)), Overlap::Hit);
+    assert_eq!(overlaps(&store, &everything(-1e15, -1e14)), Overlap::Clear);
+    assert_eq!(overlaps(&store, &everything(1e14, infinite)), Overlap::Clear);
+    assert!(probe(&store, &everything(-1e15, 1e15)).known().unwrap().floor_z.is_some());
+    let big = Sphere::new(Point3::new(0.0, 0.0, -1e10), 0.9e10).unwrap();
+    assert_eq!(overlaps(&store, &big), Overlap::Clear);
+    let below = Ray::new(Point3::new(-1e12, 3.0, -1e12), Vector3::new(1.0, 0.0, 1e-9), infinite).unwrap();
+    assert_eq!(cast(&store, &below), Answer::Known(None));
+    let above = scene.origin + Vector3::new(0.0, 0.0, 1e4);
+    let across = Ray::new(above, Vector3::new(1.0, -1.0, 0.0), infinite).unwrap();
+    assert_eq!(cast(&store, &across), Answer::Known(None));
+}
+
+#[test]
+fn refuses_shapes_that_are_none() {
+    let p = |x, y, z| Point3::new(x, y, z);
+    assert!(Aabb::new(p(0.0, f64::NAN, 0.0), p(1.0, 1.0, 1.0)).is_err());
+    assert!(Aabb::new(p(0.0, 2.0, 0.0), p(1.0, 1.0, 1.0)).is_err());
+    assert!(Cylinder::new(p(0.0, 0.0, 0.0), -1.0, 1.0).is_err());
+    assert!(Cylinder::new(p(0.0, 0.0, 0.0), 1.0, f64::NAN).is_err());
+    assert!(Sphere::new(p(0.0, f64::INFINITY, 0.0), 1.0).is_err());
+    assert!(Ray::new(p(0.0, 0.0, 0.0), Vector3::zeros(), 1.0).is_err());
+    assert!(Ray::new(p(0.0, 0.0, 0.0), Vector3::x(), -1.0).is_err());
+    assert!(Ray::new(p(0.0, 0.0, 0.0), Vector3::x() * 1e-310, 1.0).is_ok());
+}
+
+#[test]
+fn the_cache_stays_in_its_budget_and_keeps_the_nearest() {
+    let (scene, _) = Scene::all().nth(6).unwrap();
+    let total: usize = scene.pages.iter().map(|page| page.1.weight_bytes()).sum();
+    let mut store = Store::with_budget(scene.source(), total / 2).unwrap();
+    let all = Region { min: [i32::MIN; 3], max: [i32::MAX; 3] };
+    for (around, _) in &scene.pages {
+        let report = store.load(&all, *around).unwrap();
+        assert!(store.weight_bytes() <= store.budget_bytes());
+        assert_eq!(report.loaded + report.already + report.left_out, scene.pages.len());
+        assert!(report.left_out > 0);
+        let own = Region { min: [around.tx, around.ty, around.layer], max: [around.tx, around.ty, around.layer] };
+        assert_eq!(store.load(&own, *around).unwrap().already, 1, "the nearest page is there");
+    }
+    let mut none = Store::with_budget(scene.source(), 0).unwrap();
+    let report = none.load(&all, scene.pages[0].0).unwrap();
+    assert_eq!((report.loaded, report.left_out, none.weight_bytes()), (0, scene.pages.len(), 0));
+}
+
+#[test]
+fn batches_answer_like_single_queries() {
+    let (scene, mut random) = Scene::all().nth(5).unwrap();
+    let store = scene.store();
+    let boxes: Vec<_> = (0..100).map(|_| scene.random_box(&mut random)).collect();
+    let mut answers = vec![Overlap::Clear; boxes.len()];
+    overlaps_batch(&store, &boxes, &mut answers);
+    let mut probes = vec![Answer::Known(Probe::default()); boxes.len()];
+    probe_batch(&store, &boxes, &mut probes);
+    for (n, shape) in boxes.iter().enumerate() {
+        assert_eq!(answers[n], overlaps(&store, shape));
+        assert_eq!(probes[n], probe(&store, shape));
+    }
+}
+
+proptest! {
+    #[test]
+    fn growing_a_box_never_turns_hit_into_clear(
+        seed in 0u64..500, grow in prop::array::uniform6(0.0f64..0.5), which in 0u64..1000
+    ) {
+        let scene = Scene::new(seed, [0.0, 5e5, -1e7][seed as usize % 3], 100);
+        let store = scene.store();
+        let shape = scene.random_box(&mut Random(which));
+        let (a, b) = (Vector3::new(grow[0], grow[1], grow[2]), Vector3::new(grow[3], grow[4], grow[5]));
+        let grown = Aabb::new(shape.min() - a, shape.max() + b).unwrap();
+        if overlaps(&store, &shape) == Overlap::Hit {
+            prop_assert_eq!(overlaps(&store, &grown), Overlap::Hit);
+        }
+    }
+
+    #[test]
+    fn every_shape_of_no_size_at_a_point_hits_it(x in -1e7f64..1e7, y in -1e7f64..1e7, z in -1e5f64..1e5) {
+        let mut scene = Scene::new(1, 0.0, 1);
+        let frame = &scene.frame;
+        let matter = (frame.quantum_floor(z), frame.quantum_ceil(z), false);
+        scene.pages = pages_of(&Columns::from([((frame.pixel_of(x), frame.pixel_of(y)), vec![matter])]));
+        let store = scene.store();
+        let p = Point3::new(x, y, z);
+        prop_assert_eq!(overlaps(&store, &Aabb::new(p, p).unwrap()), Overlap::Hit);
+        prop_assert_eq!(overlaps(&store, &Sphere::new(p, 0.0).unwrap()), Overlap::Hit);
+        prop_assert_eq!(overlaps(&store, &Cylinder::new(p, 0.0, 0.0).unwrap()), Overlap::Hit);
+        let ray = Ray::new(p, Vector3::new(1.0, 2.0, -3.0), 0.0).unwrap();
+        prop_assert!(cast(&store, &ray).known().flatten().is_some_and(|hit| hit.distance == 0.0));
+    }
+}
