@@ -9,7 +9,8 @@
 
 use crate::archive::{ArchiveWriter, EncodedPage, Header, PageEncoder, Totals};
 use crate::frame::{Frame, PageKey};
-use crate::input::{Decoder, InputOptions, InputSet, Spacing, UnitCounts, Units, estimate_spacing};
+use crate::input::spacing::{Spacing, estimate_spacing};
+use crate::input::{Decoder, InputOptions, InputSet, UnitCounts, Units};
 use crate::plan::{Classifier, Plan, Up};
 use crate::slice::columns::ColumnPages;
 use crate::slice::obstacle::Judge;
@@ -164,7 +165,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     }
     let max_records = options.memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD;
     let voxels_dropped = write_columns(&plan, &store, max_records, threads, &mut writer, monitor)?;
-    let kept = read.counts.read - read.counts.withheld - read.counts.excluded - read.counts.not_finite;
+    let kept = read.counts.kept();
     let header = writer.finish(Totals {
         points_read: read.counts.read,
         points_kept: kept,
@@ -175,6 +176,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     })?;
     Ok(Report {
         header,
+        crs: set.crs().unwrap_or_default().to_owned(),
         spacing,
         temp_bytes: store.temp_bytes(),
         points_not_finite: read.counts.not_finite,
@@ -213,16 +215,13 @@ struct Read {
 
 impl Read {
     const NOTHING: Self = Self {
-        counts: UnitCounts { read: 0, withheld: 0, excluded: 0, not_finite: 0 },
+        counts: UnitCounts { read: 0, withheld: 0, excluded: 0, not_finite: 0, missing: 0 },
         min: [f64::INFINITY; 3],
         max: [f64::NEG_INFINITY; 3],
     };
 
     fn merge(&mut self, other: &Self) {
-        self.counts.read += other.counts.read;
-        self.counts.withheld += other.counts.withheld;
-        self.counts.excluded += other.counts.excluded;
-        self.counts.not_finite += other.counts.not_finite;
+        self.counts += other.counts;
         for axis in 0..3 {
             self.min[axis] = self.min[axis].min(other.min[axis]);
             self.max[axis] = self.max[axis].max(other.max[axis]);

@@ -137,11 +137,6 @@ impl Area {
         }
         Some([low, high])
     }
-
-    /// Number of pixels.
-    pub fn pixels(&self) -> usize {
-        ((self.x.1 - self.x.0) * (self.y.1 - self.y.0)) as usize
-    }
 }
 
 /// The voxels of a tile column with its halo, pixel after pixel, lowest slice first.
@@ -316,7 +311,7 @@ mod tests {
             match area.halves() {
                 Some(halves) => open.extend(halves),
                 None => {
-                    assert_eq!(area.pixels(), 1);
+                    assert_eq!((area.x.1, area.y.1), (area.x.0 + 1, area.y.0 + 1));
                     let pixel = (area.y.0 * 64 + area.x.0) as usize;
                     assert!(!std::mem::replace(&mut seen[pixel], true));
                 }

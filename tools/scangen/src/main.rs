@@ -215,9 +215,10 @@ fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &P
     let mut writing = WriteSpec::for_path(path);
     let chunks = if args.variable_chunks { Chunks::Variable } else { Chunks::Fixed };
     writing.compression = writing.compression.map(|_| chunks(args.chunk));
-    let crs = args.crs_wkt.as_ref().map(|p| {
-        std::fs::read_to_string(p).map(|t| t.trim().to_owned()).map_err(|e| scangen::Error::io(p, "read", e))
-    });
+    let crs = args
+        .crs_wkt
+        .as_ref()
+        .map(|p| std::fs::read_to_string(p).map(|t| t.trim().to_owned()).map_err(|e| scangen::Error::io(p, "read", e)));
     let writing = WriteSpec {
         format: args.format,
         scale: [args.scale; 3],

@@ -24,9 +24,8 @@ struct Difference {
 pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
     let (first, second) = (Archive::open(a)?, Archive::open(b)?);
     if first.frame() != second.frame() {
-        let grid = |archive: &Archive| {
-            format!("pixel {} m, slice {} m", archive.frame().pixel_m(), archive.frame().slice_m())
-        };
+        let grid =
+            |archive: &Archive| format!("pixel {} m, slice {} m", archive.frame().pixel_m(), archive.frame().slice_m());
         return Err(Failure::Text(format!(
             "{} and {} lie on different grids ({} and {}); convert one again with the other's --pixel and --slice",
             a.display(),
@@ -120,9 +119,8 @@ fn count(a: &Page, b: &Page, difference: &mut Difference) {
             continue;
         }
         for slice in (0..64).filter(|slice| slices >> slice & 1 == 1) {
-            let part = |spans: &[Span]| {
-                spans.iter().find_map(|span| Some((span.within_slice(slice)?, span.is_obstacle())))
-            };
+            let part =
+                |spans: &[Span]| spans.iter().find_map(|span| Some((span.within_slice(slice)?, span.is_obstacle())));
             match (part(a), part(b)) {
                 (Some(((bottom_a, top_a), kind_a)), Some(((bottom_b, top_b), kind_b))) => {
                     difference.voxels_of_other_kind += u64::from(kind_a != kind_b);

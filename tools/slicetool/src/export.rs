@@ -34,10 +34,7 @@ pub fn run(path: &Path, output: &Path) -> Outcome {
     Ok(format!("{}: {count} points\n", output.display()))
 }
 
-fn each_voxel(
-    archive: &Archive,
-    mut give: impl FnMut(&VoxelPoint) -> Result<(), Failure>,
-) -> Result<(), Failure> {
+fn each_voxel(archive: &Archive, mut give: impl FnMut(&VoxelPoint) -> Result<(), Failure>) -> Result<(), Failure> {
     let frame = archive.frame();
     for entry in archive.entries() {
         let entry = entry?;

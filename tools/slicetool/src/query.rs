@@ -1,7 +1,6 @@
 //! `slicetool query`: boxes or rays from a CSV file, answers as CSV.
 
 use crate::{Failure, Outcome};
-use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::{Aabb, Answer, Missing, Ray, cast, probe};
@@ -70,7 +69,9 @@ fn complete<T>(store: &mut Store, ask: impl Fn(&Store) -> Answer<T>) -> Result<T
         let keys = missing.keys();
         let around = keys.first().copied().unwrap_or(PageKey { tx: 0, ty: 0, layer: 0 });
         if store.load_missing(keys, around)?.loaded == 0 {
-            return Err(Failure::Text("one query needs more pages at once than fit in memory; give more --cache".into()));
+            return Err(Failure::Text(
+                "one query needs more pages at once than fit in memory; give more --cache".into(),
+            ));
         }
     }
 }
@@ -122,9 +123,9 @@ fn answer<const IN: usize, const OUT: usize>(
         let mut values = [0.0; IN];
         for (value, (&place, column)) in values.iter_mut().zip(order.iter().zip(columns)) {
             let field = row.get(place).unwrap_or_default();
-            *value = field.parse().map_err(|_| {
-                failed(&format!("line {line}"), &format!("{column} is {field:?}; expected a number"))
-            })?;
+            *value = field
+                .parse()
+                .map_err(|_| failed(&format!("line {line}"), &format!("{column} is {field:?}; expected a number")))?;
         }
         let answers = ask(values).map_err(|failure| match failure {
             Failure::Text(reason) => failed(&format!("line {line}"), &reason),

@@ -34,7 +34,11 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     let memory_per_voxel = per(stats.memory_bytes, stats.voxels);
     if json {
         let by_kind = |counts: &[u64; 3]| {
-            KINDS.iter().zip(counts).map(|(kind, count)| ((*kind).to_owned(), json!(count))).collect::<serde_json::Map<_, _>>()
+            KINDS
+                .iter()
+                .zip(counts)
+                .map(|(kind, count)| ((*kind).to_owned(), json!(count)))
+                .collect::<serde_json::Map<_, _>>()
         };
         let facts = json!({
             "pages": by_kind(&stats.pages),
@@ -75,10 +79,7 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     writeln!(
         text,
         "file {} bytes ({bytes_per_voxel:.2} per voxel): pages {}, directory {}; resident {} bytes ({memory_per_voxel:.2} per voxel)",
-        header.file_len,
-        header.bytes.pages,
-        header.bytes.directory,
-        stats.memory_bytes
+        header.file_len, header.bytes.pages, header.bytes.directory, stats.memory_bytes
     )?;
     Ok(text)
 }

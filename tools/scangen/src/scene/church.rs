@@ -53,12 +53,7 @@ fn build(b: &mut Builder, bays: usize, bay: f64, nave: f64, aisle: f64, radius: 
     b.arch([0.0, 0.0, crown], [0.0, 1.0, 0.0], half, [length + choir, 0.0, 0.0], 48, 0.0);
     let doors = [outer - 1.0, 0.0, outer + 1.0, 3.0];
     b.wall(Wall { from: [0.0, -outer], to: [0.0, outer], thickness: 0.0, z: [0.0, crown] }, &[doors]);
-    let east = Wall {
-        from: [length + choir, -half],
-        to: [length + choir, half],
-        thickness: 0.0,
-        z: [step, crown],
-    };
+    let east = Wall { from: [length + choir, -half], to: [length + choir, half], thickness: 0.0, z: [step, crown] };
     b.wall(east, &[[half - 1.0, 3.0, half + 1.0, crown - 0.5]]);
     b.station([0.3 * length, 0.0, 1.7]);
     b.station([0.8 * length, half + ARCADE_M + aisle / 2.0, 1.7]);

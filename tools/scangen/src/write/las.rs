@@ -96,7 +96,9 @@ impl WriteSpec {
             return Err(fault(format!("scale {:?} or offset {:?} is not usable", self.scale, self.offset)));
         }
         if !(0.0..=1.0).contains(&self.withheld_share) || self.classes.iter().any(|c| !c.1.is_finite() || c.1 < 0.0) {
-            return Err(fault("shares of classes and withheld points must be 0 or more, withheld at most 1".to_owned()));
+            return Err(fault(
+                "shares of classes and withheld points must be 0 or more, withheld at most 1".to_owned(),
+            ));
         }
         if let Some((class, _)) = self.classes.iter().find(|c| self.format < 6 && c.0 > 31) {
             return Err(fault(format!("class {class} does not fit format {}; use formats 6 to 10", self.format)));
