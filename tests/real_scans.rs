@@ -5,6 +5,7 @@
 
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+use slicewalk::input::Units;
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
 use slicewalk::{Monitor, NoMonitor};
@@ -48,8 +49,9 @@ struct Truth {
 impl Truth {
     fn read(path: &Path, metres_per_unit: f64, cell: f64) -> Self {
         let mut reader = las::Reader::from_path(path).unwrap();
+        let all = reader.read_all().unwrap();
         let points: Vec<[f64; 3]> =
-            reader.points().map(|point| point.unwrap()).map(|p| [p.x, p.y, p.z].map(|v| v * metres_per_unit)).collect();
+            all.x().zip(all.y()).zip(all.z()).map(|((x, y), z)| [x, y, z].map(|v| v * metres_per_unit)).collect();
         let fold = |start: f64, pick: fn(f64, f64) -> f64| {
             [0, 1, 2].map(|axis| points.iter().fold(start, |extreme, point| pick(extreme, point[axis])))
         };
@@ -100,6 +102,8 @@ fn check(name: &str, pixel: f64, metres_per_unit: f64) {
     options.pixel = PixelSize::Metres(pixel);
     options.memory_bytes = 64 << 20;
     options.temp_dir = dir.path().to_owned();
+    // None of the scans says its unit, though one is in feet.
+    options.units = Units::Factor(metres_per_unit);
     let report = convert(&options, &Quiet).unwrap();
 
     let truth = Truth::read(&path, metres_per_unit, 16.0 * pixel);
@@ -125,7 +129,7 @@ fn check(name: &str, pixel: f64, metres_per_unit: f64) {
         };
         let half = [0, 1, 2].map(|_| 0.5 * pixel * 0.1 * 400f64.powf(random.uniform()));
         let (min, max) = ([0, 1, 2].map(|a| centre[a] - half[a]), [0, 1, 2].map(|a| centre[a] + half[a]));
-        let answer = overlaps(&store, &Aabb::new(min.into(), max.into()));
+        let answer = overlaps(&store, &Aabb::new(min.into(), max.into()).unwrap());
         let grow = [pixel, pixel, frame.slice_m()];
         if truth.holds(min, max) {
             assert_eq!(answer, Overlap::Hit, "{name}: box {min:?} to {max:?} misses a point (G1)");
