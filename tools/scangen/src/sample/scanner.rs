@@ -5,9 +5,9 @@ use crate::geometry::{Vec3, add, scale, sin_cos_deg};
 use crate::shape::{Cylinder, Shape};
 use crate::{Error, Result, Scene, Truth};
 
-/// Time of one full turn [s]; people walk meanwhile.
+/// Time of one full turn `[s]`; people walk meanwhile.
 const TURN_S: f64 = 60.0;
-/// Neighbouring rays whose ranges differ by more are an edge [m].
+/// Neighbouring rays whose ranges differ by more are an edge `[m]`.
 const EDGE_M: f64 = 0.3;
 
 /// Someone who walks to and fro on a line.
@@ -21,7 +21,7 @@ struct Person {
 impl Person {
     const RADIUS_M: f64 = 0.25;
     const HEIGHT_M: f64 = 1.75;
-    /// Time from one end of the line to the other [s].
+    /// Time from one end of the line to the other `[s]`.
     const LEG_S: f64 = 5.0;
 
     fn at(&self, time_s: f64) -> Shape {
@@ -128,12 +128,13 @@ impl<'a> Scan<'a> {
         let before = self.last;
         self.last = hit.map(|(t, i, _)| (t, i));
         let (range, surface, kind) = hit?;
-        if let Some((other, _)) = before.filter(|b| (b.0 - range).abs() > EDGE_M && self.spec.mixed_rate > 0.0) {
-            if self.extras.unit() < self.spec.mixed_rate {
-                let between = range + (other - range) * self.extras.unit();
-                let position = add(origin, scale(dir, between));
-                self.waiting = Some(Sample { position, kind: Kind::Mixed, surface });
-            }
+        if let Some((other, _)) = before.filter(|b| (b.0 - range).abs() > EDGE_M)
+            && self.spec.mixed_rate > 0.0
+            && self.extras.unit() < self.spec.mixed_rate
+        {
+            let between = range + (other - range) * self.extras.unit();
+            let position = add(origin, scale(dir, between));
+            self.waiting = Some(Sample { position, kind: Kind::Mixed, surface });
         }
         let noise = if self.noise_m > 0.0 { self.noise_m * self.noise.normal() } else { 0.0 };
         Some(Sample { position: add(origin, scale(dir, range + noise)), kind, surface })

@@ -20,15 +20,15 @@ pub struct Builder {
 pub struct Flight {
     /// Middle of the foot of the first riser.
     pub foot: Vec3,
-    /// Direction of climbing, anticlockwise from x [°].
+    /// Direction of climbing, anticlockwise from x `[°]`.
     pub heading_deg: f64,
     /// Number of risers; there is one tread less, for the last riser ends at the landing.
     pub risers: usize,
-    /// Height of a riser [m].
+    /// Height of a riser `[m]`.
     pub riser: f64,
-    /// Depth of a tread [m].
+    /// Depth of a tread `[m]`.
     pub tread: f64,
-    /// Width [m].
+    /// Width `[m]`.
     pub width: f64,
 }
 
@@ -39,7 +39,7 @@ pub struct Wall {
     pub from: [f64; 2],
     /// End of that face; along x or y in most scenes, any direction will do.
     pub to: [f64; 2],
-    /// Thickness, to the left of that line [m, >= 0]; 0 makes a single sheet.
+    /// Thickness, to the left of that line `[m, >= 0]`; 0 makes a single sheet.
     pub thickness: f64,
     /// Foot and top.
     pub z: [f64; 2],

@@ -17,9 +17,9 @@ pub(super) const CHURCH: SceneInfo = SceneInfo {
     build: |p, b| build(b, p[0] as usize, p[1], p[2], p[3], p[4], p[5]),
 };
 
-/// Thickness of the wall over the arcades [m].
+/// Thickness of the wall over the arcades `[m]`.
 const ARCADE_M: f64 = 0.7;
-/// Height of the columns [m].
+/// Height of the columns `[m]`.
 const SPRINGING_M: f64 = 4.5;
 
 fn build(b: &mut Builder, bays: usize, bay: f64, nave: f64, aisle: f64, radius: f64, step: f64) {
@@ -53,12 +53,7 @@ fn build(b: &mut Builder, bays: usize, bay: f64, nave: f64, aisle: f64, radius: 
     b.arch([0.0, 0.0, crown], [0.0, 1.0, 0.0], half, [length + choir, 0.0, 0.0], 48, 0.0);
     let doors = [outer - 1.0, 0.0, outer + 1.0, 3.0];
     b.wall(Wall { from: [0.0, -outer], to: [0.0, outer], thickness: 0.0, z: [0.0, crown] }, &[doors]);
-    let east = Wall {
-        from: [length + choir, -half],
-        to: [length + choir, half],
-        thickness: 0.0,
-        z: [step, crown],
-    };
+    let east = Wall { from: [length + choir, -half], to: [length + choir, half], thickness: 0.0, z: [step, crown] };
     b.wall(east, &[[half - 1.0, 3.0, half + 1.0, crown - 0.5]]);
     b.station([0.3 * length, 0.0, 1.7]);
     b.station([0.8 * length, half + ARCADE_M + aisle / 2.0, 1.7]);

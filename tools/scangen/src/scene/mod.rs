@@ -129,7 +129,7 @@ impl Scene {
         self.bounds
     }
 
-    /// Area of all surfaces, both sides counted once [m²].
+    /// Area of all surfaces, both sides counted once `[m²]`.
     pub fn area(&self) -> f64 {
         self.surfaces.iter().map(|s| s.shape.area()).sum()
     }

@@ -1,7 +1,7 @@
 //! Scenes for one question each: a plane, ramps, stairs, a corridor, columns, terrain, an endless floor.
 
-use super::{SceneInfo, param};
 use super::build::{Builder, Flight, Wall};
+use super::{SceneInfo, param};
 use crate::geometry::{scale, sin_cos_deg};
 use crate::shape::{Polygon, Shape, Terrain, Wave};
 use std::f64::consts::TAU;

@@ -83,10 +83,8 @@ impl Polygon {
 
     pub(super) fn height_at(&self, x: f64, y: f64) -> Option<f64> {
         let nz = self.normal[2];
-        let inside_box = x >= self.bounds.min[0]
-            && x <= self.bounds.max[0]
-            && y >= self.bounds.min[1]
-            && y <= self.bounds.max[1];
+        let inside_box =
+            x >= self.bounds.min[0] && x <= self.bounds.max[0] && y >= self.bounds.min[1] && y <= self.bounds.max[1];
         if !inside_box || nz.abs() < 1e-9 {
             return None;
         }
