@@ -98,11 +98,11 @@ impl<'a> Scan<'a> {
         for _ in 0..self.spec.people {
             let (s, c) = sin_cos_deg(360.0 * self.extras.unit());
             let away = 1.0 + 3.0 * self.extras.unit();
-            let from = [at[0] + away * c, at[1] + away * s];
-            let (s, c) = sin_cos_deg(360.0 * self.extras.unit());
+            // Across the line of sight: nobody walks through the scanner.
+            let from = [at[0] + away * c + 2.0 * s, at[1] + away * s - 2.0 * c];
             let foot = self.scene.floor_under(from[0], from[1], at[2]).map_or(at[2] - 1.7, |(z, _)| z);
             let phase_s = Person::LEG_S * 2.0 * self.extras.unit();
-            crowd.push(Person { from, step: [4.0 * c, 4.0 * s], foot, phase_s });
+            crowd.push(Person { from, step: [-4.0 * s, 4.0 * c], foot, phase_s });
         }
         self.people = crowd;
         self.begin_column();

@@ -179,9 +179,9 @@ impl Builder {
         }
     }
 
-    /// Adds a half-round arch of `facets` flat facets, swept by `sweep`: from `origin` (middle of the springing line) it
-    /// spans `±radius` along the horizontal unit vector `across`. With `spandrel` > 0 its two faces are filled up to
-    /// that height above the springing.
+    /// Adds a half-round arch of `facets` flat facets, swept by `sweep`: from `origin` (middle of the springing line)
+    /// it spans `±radius` along the horizontal unit vector `across`. With `spandrel` above `radius` its two faces are
+    /// filled up to that height above the springing.
     pub fn arch(&mut self, origin: Vec3, across: Vec3, radius: f64, sweep: Vec3, facets: usize, spandrel: f64) {
         let at = |i: usize| {
             let (s, c) = sin_cos_deg(180.0 * i as f64 / facets as f64);

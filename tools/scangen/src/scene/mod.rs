@@ -1,7 +1,7 @@
 //! Scenes: named sets of surfaces with parameters.
 //!
-//! Each file builds the scenes of one subject; [`build`] holds the carpentry they share (walls with openings, slabs with
-//! holes, stairs, columns).
+//! Each file builds the scenes of one subject; [`build`] holds the carpentry they share (walls with openings, slabs
+//! with holes, stairs, columns).
 
 pub mod build;
 mod church;

@@ -1,5 +1,5 @@
-//! LAS and LAZ of any size in bounded memory: records are formed here and streamed out; the header, by `las`, is written
-//! first with zeros and at the end with the true counts and bounds.
+//! LAS and LAZ of any size in bounded memory: records are formed here and streamed out; the header, by `las`, is
+//! written first with zeros and at the end with the true counts and bounds.
 
 use super::record::{MAX_RECORD, Record, class_of, encode, record_len};
 use crate::geometry::{Aabb, Vec3};
