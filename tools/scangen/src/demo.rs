@@ -5,7 +5,7 @@ use crate::{Params, Result, Scene, WriteSpec, Written, write_samples};
 use std::path::Path;
 
 /// Rays cast for the demonstration.
-const RAYS: u64 = 1_400_000;
+const RAYS: u64 = 1_000_000;
 
 impl Scene {
     /// The house of three storeys that `demo` shows; [`Scene::walk`] leads from the ground floor to the top.
@@ -23,10 +23,10 @@ pub fn demo_spec() -> SampleSpec {
     SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(RAYS).with_noise(0.003) }
 }
 
-/// The demonstration's points: the scan, and directly drawn points that fill its shadows (120 per m²), for a floor with
+/// The demonstration's points: the scan, and directly drawn points that fill its shadows (300 per m²), for a floor with
 /// holes would end the walk.
 pub fn demo_samples(scene: &Scene, seed: u64) -> Result<impl Iterator<Item = Sample> + '_> {
-    let fill = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(400.0).with_noise(0.003) };
+    let fill = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(300.0).with_noise(0.003) };
     Ok(scene.samples(seed, &demo_spec())?.chain(scene.samples(seed, &fill)?))
 }
 

@@ -165,9 +165,9 @@ pub fn interval_gap(a0: f64, a1: f64, b0: f64, b1: f64) -> f64 {
 /// Rotation about the vertical axis, then a shift: where a scene stands in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Placement {
-    /// Anticlockwise rotation about the z axis through the scene's origin [°].
+    /// Anticlockwise rotation about the z axis through the scene's origin `[°]`.
     pub rotate_deg: f64,
-    /// Shift after the rotation [m].
+    /// Shift after the rotation `[m]`.
     pub translate: Vec3,
 }
 

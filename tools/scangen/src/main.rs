@@ -5,7 +5,7 @@ use scangen::geometry::Placement;
 use scangen::sample::{Amount, Mode, Order, ScannerSpec, shuffle};
 use scangen::write::{Chunks, WriteSpec, Written, write_samples, write_triangles_obj, write_truth_json};
 use scangen::{Params, Result, SCENES, SampleSpec, Scene};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Writes a seeded scan of a scene with closed-form truth as LAS or LAZ.
@@ -82,6 +82,9 @@ struct Args {
     /// Writes the scene as a mesh
     #[arg(long)]
     obj: Option<PathBuf>,
+    /// Longest step on curved surfaces of the mesh [m]
+    #[arg(long, default_value_t = 0.25)]
+    obj_step: f64,
     /// LAS point data record format, 0 to 10
     #[arg(long, default_value_t = 0)]
     format: u8,
@@ -183,12 +186,12 @@ fn run(args: &Args) -> Result<String> {
         summary += &format!("{}: {} surfaces\n", path.display(), scene.surfaces().len());
     }
     if let Some(path) = &args.obj {
-        summary += &format!("{}: {} triangles\n", path.display(), write_triangles_obj(path, &scene, 0.1)?);
+        summary += &format!("{}: {} triangles\n", path.display(), write_triangles_obj(path, &scene, args.obj_step)?);
     }
     Ok(summary)
 }
 
-fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &PathBuf) -> Result<Written> {
+fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &Path) -> Result<Written> {
     let amount = args.points.map_or(Amount::Density(args.density.unwrap_or(100.0)), Amount::Count);
     let mode = match args.mode {
         ModeArg::Scanner => Mode::Scanner(ScannerSpec {

@@ -18,10 +18,10 @@ pub trait Truth {
     /// count, undersides do.
     fn floor_under(&self, x: f64, y: f64, z: f64) -> Option<(f64, f64)>;
 
-    /// Lowest surface strictly above `z` over `(x, y)`: its height, and its slope [°].
+    /// Lowest surface strictly above `z` over `(x, y)`: its height, and its slope `[°]`.
     fn ceiling_above(&self, x: f64, y: f64, z: f64) -> Option<(f64, f64)>;
 
-    /// Slope of surface `surface` at (or next to) `(x, y)` [°, 0..=90].
+    /// Slope of surface `surface` at (or next to) `(x, y)` `[°, 0..=90]`.
     ///
     /// # Panics
     /// When there is no such surface.

@@ -75,9 +75,9 @@ pub enum Mode {
 pub struct ScannerSpec {
     /// Where it stands; empty: the scene's own stations.
     pub stations: Vec<Vec3>,
-    /// Range [m, > 0].
+    /// Range `[m, > 0]`.
     pub range_m: f64,
-    /// Share of edges (neighbouring rays whose ranges differ by 0.3 m or more) that give a mixed pixel [0..=1].
+    /// Share of edges (neighbouring rays whose ranges differ by 0.3 m or more) that give a mixed pixel `[0..=1]`.
     pub mixed_rate: f64,
     /// People who walk to and fro around each station.
     pub people: usize,
@@ -96,13 +96,13 @@ pub struct SampleSpec {
     pub mode: Mode,
     /// How many.
     pub amount: Amount,
-    /// Standard deviation of the noise, along the normal (direct) or the ray (scanner); never beyond 6 times it [m].
+    /// Standard deviation of the noise, along the normal (direct) or the ray (scanner); never beyond 6 times it `[m]`.
     pub noise_m: f64,
-    /// Outliers added per point [0..=1].
+    /// Outliers added per point `[0..=1]`.
     pub outlier_rate: f64,
-    /// Greatest distance of an outlier from the point it is added to; it is at least half that [m].
+    /// Greatest distance of an outlier from the point it is added to; it is at least half that `[m]`.
     pub outlier_distance_m: f64,
-    /// Points repeated exactly, per point [0..=1].
+    /// Points repeated exactly, per point `[0..=1]`.
     pub duplicate_rate: f64,
     /// Places without data: x, y, radius.
     pub holes: Vec<[f64; 3]>,
@@ -132,7 +132,7 @@ impl SampleSpec {
         Self { mode: Mode::Scanner(ScannerSpec::default()), ..Self::direct_count(rays) }
     }
 
-    /// The same with noise of this standard deviation [m].
+    /// The same with noise of this standard deviation `[m]`.
     pub fn with_noise(self, noise_m: f64) -> Self {
         Self { noise_m, ..self }
     }

@@ -5,9 +5,9 @@ use crate::geometry::{Vec3, add, scale, sin_cos_deg};
 use crate::shape::{Cylinder, Shape};
 use crate::{Error, Result, Scene, Truth};
 
-/// Time of one full turn [s]; people walk meanwhile.
+/// Time of one full turn `[s]`; people walk meanwhile.
 const TURN_S: f64 = 60.0;
-/// Neighbouring rays whose ranges differ by more are an edge [m].
+/// Neighbouring rays whose ranges differ by more are an edge `[m]`.
 const EDGE_M: f64 = 0.3;
 
 /// Someone who walks to and fro on a line.
@@ -21,7 +21,7 @@ struct Person {
 impl Person {
     const RADIUS_M: f64 = 0.25;
     const HEIGHT_M: f64 = 1.75;
-    /// Time from one end of the line to the other [s].
+    /// Time from one end of the line to the other `[s]`.
     const LEG_S: f64 = 5.0;
 
     fn at(&self, time_s: f64) -> Shape {
@@ -98,11 +98,11 @@ impl<'a> Scan<'a> {
         for _ in 0..self.spec.people {
             let (s, c) = sin_cos_deg(360.0 * self.extras.unit());
             let away = 1.0 + 3.0 * self.extras.unit();
-            let from = [at[0] + away * c, at[1] + away * s];
-            let (s, c) = sin_cos_deg(360.0 * self.extras.unit());
+            // Across the line of sight: nobody walks through the scanner.
+            let from = [at[0] + away * c + 2.0 * s, at[1] + away * s - 2.0 * c];
             let foot = self.scene.floor_under(from[0], from[1], at[2]).map_or(at[2] - 1.7, |(z, _)| z);
             let phase_s = Person::LEG_S * 2.0 * self.extras.unit();
-            crowd.push(Person { from, step: [4.0 * c, 4.0 * s], foot, phase_s });
+            crowd.push(Person { from, step: [-4.0 * s, 4.0 * c], foot, phase_s });
         }
         self.people = crowd;
         self.begin_column();
@@ -128,12 +128,13 @@ impl<'a> Scan<'a> {
         let before = self.last;
         self.last = hit.map(|(t, i, _)| (t, i));
         let (range, surface, kind) = hit?;
-        if let Some((other, _)) = before.filter(|b| (b.0 - range).abs() > EDGE_M && self.spec.mixed_rate > 0.0) {
-            if self.extras.unit() < self.spec.mixed_rate {
-                let between = range + (other - range) * self.extras.unit();
-                let position = add(origin, scale(dir, between));
-                self.waiting = Some(Sample { position, kind: Kind::Mixed, surface });
-            }
+        if let Some((other, _)) = before.filter(|b| (b.0 - range).abs() > EDGE_M)
+            && self.spec.mixed_rate > 0.0
+            && self.extras.unit() < self.spec.mixed_rate
+        {
+            let between = range + (other - range) * self.extras.unit();
+            let position = add(origin, scale(dir, between));
+            self.waiting = Some(Sample { position, kind: Kind::Mixed, surface });
         }
         let noise = if self.noise_m > 0.0 { self.noise_m * self.noise.normal() } else { 0.0 };
         Some(Sample { position: add(origin, scale(dir, range + noise)), kind, surface })

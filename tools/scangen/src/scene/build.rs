@@ -20,15 +20,15 @@ pub struct Builder {
 pub struct Flight {
     /// Middle of the foot of the first riser.
     pub foot: Vec3,
-    /// Direction of climbing, anticlockwise from x [°].
+    /// Direction of climbing, anticlockwise from x `[°]`.
     pub heading_deg: f64,
     /// Number of risers; there is one tread less, for the last riser ends at the landing.
     pub risers: usize,
-    /// Height of a riser [m].
+    /// Height of a riser `[m]`.
     pub riser: f64,
-    /// Depth of a tread [m].
+    /// Depth of a tread `[m]`.
     pub tread: f64,
-    /// Width [m].
+    /// Width `[m]`.
     pub width: f64,
 }
 
@@ -39,7 +39,7 @@ pub struct Wall {
     pub from: [f64; 2],
     /// End of that face; along x or y in most scenes, any direction will do.
     pub to: [f64; 2],
-    /// Thickness, to the left of that line [m, >= 0]; 0 makes a single sheet.
+    /// Thickness, to the left of that line `[m, >= 0]`; 0 makes a single sheet.
     pub thickness: f64,
     /// Foot and top.
     pub z: [f64; 2],
@@ -179,9 +179,9 @@ impl Builder {
         }
     }
 
-    /// Adds a half-round arch of `facets` flat facets, swept by `sweep`: from `origin` (middle of the springing line) it
-    /// spans `±radius` along the horizontal unit vector `across`. With `spandrel` > 0 its two faces are filled up to
-    /// that height above the springing.
+    /// Adds a half-round arch of `facets` flat facets, swept by `sweep`: from `origin` (middle of the springing line)
+    /// it spans `±radius` along the horizontal unit vector `across`. With `spandrel` above `radius` its two faces are
+    /// filled up to that height above the springing.
     pub fn arch(&mut self, origin: Vec3, across: Vec3, radius: f64, sweep: Vec3, facets: usize, spandrel: f64) {
         let at = |i: usize| {
             let (s, c) = sin_cos_deg(180.0 * i as f64 / facets as f64);

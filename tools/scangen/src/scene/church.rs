@@ -17,9 +17,9 @@ pub(super) const CHURCH: SceneInfo = SceneInfo {
     build: |p, b| build(b, p[0] as usize, p[1], p[2], p[3], p[4], p[5]),
 };
 
-/// Thickness of the wall over the arcades [m].
+/// Thickness of the wall over the arcades `[m]`.
 const ARCADE_M: f64 = 0.7;
-/// Height of the columns [m].
+/// Height of the columns `[m]`.
 const SPRINGING_M: f64 = 4.5;
 
 fn build(b: &mut Builder, bays: usize, bay: f64, nave: f64, aisle: f64, radius: f64, step: f64) {

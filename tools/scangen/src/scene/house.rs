@@ -109,10 +109,10 @@ fn shell(b: &mut Builder, [w, d]: [f64; 2], thick: f64, z: [f64; 2], ground: boo
         let n = ((len - from) / 3.0) as usize;
         (0..n).map(|i| from + 3.0 * i as f64).map(|u| [u + 0.9, sill, u + 2.1, head]).collect()
     };
-    let mut front = windows(w, 4.0);
+    let mut front = windows(w, 4.6);
     front.push(if ground { [2.0, z[0], 2.0 + door, head] } else { [2.0, sill, 3.2, head] });
     b.wall(Wall { from: [0.0, -thick], to: [w, -thick], thickness: thick, z }, &front);
-    b.wall(Wall { from: [0.0, d], to: [w, d], thickness: thick, z }, &windows(w, 0.0));
+    b.wall(Wall { from: [0.0, d], to: [w, d], thickness: thick, z }, &windows(w, -0.6));
     b.wall(Wall { from: [0.0, -thick], to: [0.0, d + thick], thickness: thick, z }, &windows(d, 0.5));
     b.wall(Wall { from: [w + thick, -thick], to: [w + thick, d + thick], thickness: thick, z }, &[]);
 }

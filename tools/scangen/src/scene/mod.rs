@@ -1,7 +1,7 @@
 //! Scenes: named sets of surfaces with parameters.
 //!
-//! Each file builds the scenes of one subject; [`build`] holds the carpentry they share (walls with openings, slabs with
-//! holes, stairs, columns).
+//! Each file builds the scenes of one subject; [`build`] holds the carpentry they share (walls with openings, slabs
+//! with holes, stairs, columns).
 
 pub mod build;
 mod church;
@@ -129,7 +129,7 @@ impl Scene {
         self.bounds
     }
 
-    /// Area of all surfaces, both sides counted once [m²].
+    /// Area of all surfaces, both sides counted once `[m²]`.
     pub fn area(&self) -> f64 {
         self.surfaces.iter().map(|s| s.shape.area()).sum()
     }

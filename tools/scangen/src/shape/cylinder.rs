@@ -8,11 +8,11 @@ use std::f64::consts::TAU;
 pub struct Cylinder {
     /// Axis in plan: x, y.
     pub center: [f64; 2],
-    /// Radius [m, > 0].
+    /// Radius `[m, > 0]`.
     pub radius: f64,
     /// Lower end.
     pub z_min: f64,
-    /// Upper end [> `z_min`].
+    /// Upper end `[> z_min]`.
     pub z_max: f64,
 }
 

@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 pub struct Disc {
     /// Centre.
     pub center: Vec3,
-    /// Radius [m, > 0].
+    /// Radius `[m, > 0]`.
     pub radius: f64,
 }
 

@@ -52,12 +52,12 @@ impl Shape {
         each!(self, s => s.bounds())
     }
 
-    /// Area [m²]; exact but for terrain, where it is a fixed midpoint rule.
+    /// Area `[m²]`; exact but for terrain, where it is a fixed midpoint rule.
     pub fn area(&self) -> f64 {
         each!(self, s => s.area())
     }
 
-    /// Distance between the closed box and the surface [m]; 0 if they meet.
+    /// Distance between the closed box and the surface `[m]`; 0 if they meet.
     pub fn distance_to_box(&self, query: &Aabb) -> f64 {
         each!(self, s => s.distance_to_box(query))
     }
@@ -67,7 +67,7 @@ impl Shape {
         each!(self, s => s.height_at(x, y))
     }
 
-    /// Angle between the surface at (or next to) `(x, y)` and the horizontal [°, 0..=90].
+    /// Angle between the surface at (or next to) `(x, y)` and the horizontal `[°, 0..=90]`.
     pub fn slope_deg_at(&self, x: f64, y: f64) -> f64 {
         each!(self, s => s.slope_deg_at(x, y))
     }
@@ -82,7 +82,7 @@ impl Shape {
         each!(self, s => s.raycast(origin, dir, t_min, t_max))
     }
 
-    /// Size of the rectangle `[0, w] × [0, h]` of surface coordinates [m].
+    /// Size of the rectangle `[0, w] × [0, h]` of surface coordinates `[m]`.
     pub fn chart_size(&self) -> [f64; 2] {
         each!(self, s => s.chart_size())
     }
@@ -111,7 +111,7 @@ impl Shape {
         }
     }
 
-    /// Triangles that cover the surface; curved ones are cut into steps of at most `step_m` [m, > 0].
+    /// Triangles that cover the surface; curved ones are cut into steps of at most `step_m` `[m, > 0]`.
     pub fn triangles(&self, step_m: f64, emit: &mut dyn FnMut([Vec3; 3])) {
         each!(self, s => s.triangles(step_m, emit))
     }

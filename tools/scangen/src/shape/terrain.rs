@@ -1,17 +1,18 @@
 //! Terrain: a height field given by a closed formula, a sum of sines over a rectangle.
 
-use crate::geometry::{Aabb, Placement, Vec3, add, scale, sin_cos_deg, unit};
+use super::Polygon;
+use crate::geometry::{Aabb, Placement, Vec3, add, scale, sin_cos_deg, sub, unit};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
 /// One term `amplitude · sin(kx·x + ky·y + phase)`, in the terrain's own coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wave {
-    /// Amplitude [m].
+    /// Amplitude `[m]`.
     pub amplitude: f64,
-    /// Wave vector [rad/m].
+    /// Wave vector `[rad/m]`.
     pub k: [f64; 2],
-    /// Phase [rad].
+    /// Phase `[rad]`.
     pub phase: f64,
 }
 
@@ -20,9 +21,9 @@ pub struct Wave {
 pub struct Terrain {
     /// Centre of the rectangle, and the height the sines are added to.
     pub center: Vec3,
-    /// Half the edges of the rectangle [m].
+    /// Half the edges of the rectangle `[m]`.
     pub half: [f64; 2],
-    /// Heading of the terrain's own x axis, anticlockwise from the world's [°].
+    /// Heading of the terrain's own x axis, anticlockwise from the world's `[°]`.
     pub heading_deg: f64,
     /// The terms.
     pub waves: Vec<Wave>,
@@ -173,47 +174,20 @@ impl Terrain {
         }
     }
 
-    /// Branch and bound over the plan: a cell's surface stays within `slope·ρ` (or gradient and `bend·ρ²/2`) of the
-    /// height at its middle, which bounds the cell's distance from below; the surface point at its middle bounds the
-    /// whole from above. Ends when both are within [`Self::TOLERANCE_M`]: the answer is the distance of a point on the
-    /// surface, or 0 where that is below the tolerance.
+    /// Branch and bound over the plan. A cell's surface stays within `slope·ρ` of the height at its middle, and within
+    /// `bend·ρ²/2` of the tangent plane there; the exact distance to that piece of plane, less and plus this, bounds
+    /// the cell's from both sides. Ends when no cell can be nearer than the best by [`Self::TOLERANCE_M`].
     pub(super) fn distance_to_box(&self, query: &Aabb) -> f64 {
-        let (_, slope, bend) = self.limits();
-        let turned = sin_cos_deg(self.heading_deg).0 != 0.0 && sin_cos_deg(self.heading_deg).1 != 0.0;
-        let mut best = f64::INFINITY;
-        let mut open = BinaryHeap::new();
-        let consider = |mid: [f64; 2], half: [f64; 2], best: &mut f64, open: &mut BinaryHeap<Cell>| {
-            let rise = self.rise(mid[0], mid[1]);
-            let point = self.to_world(mid[0], mid[1], rise);
-            *best = best.min(query.point_distance_squared(point).sqrt());
-            let rho = (half[0] * half[0] + half[1] * half[1]).sqrt();
-            let [gx, gy] = self.gradient(mid[0], mid[1]);
-            let local = (gx * gx + gy * gy).sqrt() * rho + 0.5 * bend * rho * rho;
-            let swing = (slope * rho).min(local);
-            let reach = if turned {
-                [rho, rho]
-            } else if sin_cos_deg(self.heading_deg).0 == 0.0 {
-                half
-            } else {
-                [half[1], half[0]]
-            };
-            let around = Aabb::new(
-                [point[0] - reach[0], point[1] - reach[1], point[2] - swing],
-                [point[0] + reach[0], point[1] + reach[1], point[2] + swing],
-            );
-            let low = around.distance_squared(query).sqrt();
-            if low + Self::TOLERANCE_M < *best {
-                open.push(Cell { low, mid, half });
-            }
-        };
+        let mut search =
+            Search { terrain: self, query, limits: self.limits(), best: f64::INFINITY, open: BinaryHeap::new() };
         // The place next to the box is the likeliest nearest one: a good first bound saves most cells.
-        let start = self.to_local(query.center()[0], query.center()[1]);
-        let start = [start[0].clamp(-self.half[0], self.half[0]), start[1].clamp(-self.half[1], self.half[1])];
-        let near = self.to_world(start[0], start[1], self.rise(start[0], start[1]));
-        best = best.min(query.point_distance_squared(near).sqrt());
-        consider([0.0; 2], self.half, &mut best, &mut open);
-        while let Some(cell) = open.pop() {
-            if best == 0.0 || cell.low + Self::TOLERANCE_M >= best {
+        let [x, y, _] = query.center();
+        let at = self.to_local(x, y);
+        let [u, v] = [0, 1].map(|a| at[a].clamp(-self.half[a], self.half[a]));
+        search.best = query.point_distance_squared(self.to_world(u, v, self.rise(u, v))).sqrt();
+        search.consider([0.0; 2], self.half);
+        while let Some(cell) = search.open.pop() {
+            if search.best == 0.0 || cell.low + Self::TOLERANCE_M >= search.best {
                 break;
             }
             let wide = if cell.half[0] >= cell.half[1] { 0 } else { 1 };
@@ -222,10 +196,50 @@ impl Terrain {
             for side in [-1.0, 1.0] {
                 let mut mid = cell.mid;
                 mid[wide] += side * half[wide];
-                consider(mid, half, &mut best, &mut open);
+                search.consider(mid, half);
             }
         }
-        if best <= Self::TOLERANCE_M { 0.0 } else { best }
+        if search.best <= Self::TOLERANCE_M { 0.0 } else { search.best }
+    }
+}
+
+/// The state of one search for the nearest place.
+struct Search<'a> {
+    terrain: &'a Terrain,
+    query: &'a Aabb,
+    /// Greatest rise, slope and bend.
+    limits: (f64, f64, f64),
+    best: f64,
+    open: BinaryHeap<Cell>,
+}
+
+impl Search<'_> {
+    /// Bounds the cell `mid ± half` and keeps it if it can matter.
+    fn consider(&mut self, mid: [f64; 2], half: [f64; 2]) {
+        let (t, (_, slope, bend)) = (self.terrain, self.limits);
+        let point = t.to_world(mid[0], mid[1], t.rise(mid[0], mid[1]));
+        self.best = self.best.min(self.query.point_distance_squared(point).sqrt());
+        let rho = (half[0] * half[0] + half[1] * half[1]).sqrt();
+        let swing = slope * rho;
+        let around = Aabb::new(
+            [point[0] - rho, point[1] - rho, point[2] - swing],
+            [point[0] + rho, point[1] + rho, point[2] + swing],
+        );
+        let mut low = around.distance_squared(self.query).sqrt();
+        let off_plane = 0.5 * bend * rho * rho;
+        if low + Terrain::TOLERANCE_M < self.best && off_plane < swing {
+            let [gx, gy] = t.gradient(mid[0], mid[1]);
+            let (s, c) = sin_cos_deg(t.heading_deg);
+            let edges = [[c, s, gx], [-s, c, gy]].map(|d| scale(d, 2.0));
+            let [a, b] = [scale(edges[0], half[0]), scale(edges[1], half[1])];
+            let corner = sub(point, scale(add(a, b), 0.5));
+            let plane = Polygon::parallelogram(corner, a, b).distance_to_box(self.query);
+            low = low.max(plane - off_plane);
+            self.best = self.best.min(plane + off_plane);
+        }
+        if low + Terrain::TOLERANCE_M < self.best {
+            self.open.push(Cell { low, mid, half });
+        }
     }
 }
 

@@ -8,8 +8,8 @@ use std::path::Path;
 /// The scene's surfaces, walk and stations as JSON. Lengths in metres, angles in degrees but for wave phases and wave
 /// vectors (radians, radians per metre). The index of a surface is its place in the list.
 ///
-/// Kinds: `polygon` (planar, convex, `vertices` in order), `cylinder` (upright, lateral surface), `disc` (horizontal),
-/// `terrain` (`z = center.z + Σ amplitude·sin(kx·u + ky·v + phase)` with `(u, v)` the plan coordinates about the centre,
+/// Kinds: `polygon` (planar, convex, `vertices` in order), `cylinder` (upright, lateral surface), `disc`
+/// (horizontal), `terrain` (`z = center.z + Σ amplitude·sin(kx·u + ky·v + phase)` with `(u, v)` the plan coordinates about the centre,
 /// turned back by `heading_deg`, for `|u| ≤ half[0]`, `|v| ≤ half[1]`).
 pub fn truth_json(scene: &Scene) -> Value {
     let surfaces: Vec<Value> = scene.surfaces().iter().map(|s| surface(&s.shape, s.label)).collect();
@@ -30,7 +30,8 @@ fn surface(shape: &Shape, label: &str) -> Value {
     match shape {
         Shape::Polygon(p) => json!({ "kind": "polygon", "label": label, "vertices": p.vertices() }),
         Shape::Cylinder(c) => json!({
-            "kind": "cylinder", "label": label, "center": c.center, "radius": c.radius, "z_min": c.z_min, "z_max": c.z_max,
+            "kind": "cylinder", "label": label, "center": c.center, "radius": c.radius,
+            "z_min": c.z_min, "z_max": c.z_max,
         }),
         Shape::Disc(d) => json!({ "kind": "disc", "label": label, "center": d.center, "radius": d.radius }),
         Shape::Terrain(t) => {

@@ -1,5 +1,5 @@
-//! LAS and LAZ of any size in bounded memory: records are formed here and streamed out; the header, by `las`, is written
-//! first with zeros and at the end with the true counts and bounds.
+//! LAS and LAZ of any size in bounded memory: records are formed here and streamed out; the header, by `las`, is
+//! written first with zeros and at the end with the true counts and bounds.
 
 use super::record::{MAX_RECORD, Record, class_of, encode, record_len};
 use crate::geometry::{Aabb, Vec3};
@@ -14,20 +14,20 @@ use std::path::Path;
 /// Sizes of LAZ chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Chunks {
-    /// Every chunk but the last holds this many points [> 0].
+    /// Every chunk but the last holds this many points `[> 0]`.
     Fixed(u32),
-    /// Chunks hold from 1 to this many points, drawn per chunk [> 0]; seeking readers often get these wrong.
+    /// Chunks hold from 1 to this many points, drawn per chunk `[> 0]`; seeking readers often get these wrong.
     Variable(u32),
 }
 
 /// How points become a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WriteSpec {
-    /// Point data record format [0..=10].
+    /// Point data record format `[0..=10]`.
     pub format: u8,
     /// LAS version; none: 1.2 for formats 0 to 3, 1.3 for 4 and 5, 1.4 for 6 to 10.
     pub version: Option<(u8, u8)>,
-    /// Metres per coordinate step, by axis [> 0].
+    /// Metres per coordinate step, by axis `[> 0]`.
     pub scale: Vec3,
     /// Added to scaled coordinates, by axis.
     pub offset: Vec3,
@@ -37,7 +37,7 @@ pub struct WriteSpec {
     pub crs_wkt: Option<String>,
     /// Classes of points that are neither outliers nor mixed pixels, with their weights; empty: 1 for all.
     pub classes: Vec<(u8, f64)>,
-    /// Share of points flagged as withheld [0..=1].
+    /// Share of points flagged as withheld `[0..=1]`.
     pub withheld_share: f64,
     /// Draws classes, flags and variable chunks.
     pub seed: u64,
@@ -155,7 +155,7 @@ pub struct Written {
     pub points: u64,
     /// Bounds of the points as readers get them; [`Aabb::EMPTY`] without points.
     pub bounds: Aabb,
-    /// Length of the file [bytes].
+    /// Length of the file `[bytes]`.
     pub len_bytes: u64,
 }
 
@@ -259,9 +259,9 @@ impl<'a> Stock<'a> {
     #[inline]
     fn record(&mut self, path: &Path, sample: &Sample) -> Result<Record> {
         let grid = self.spec.grid(sample.position).ok_or_else(|| self.misfit(path, sample))?;
-        for axis in 0..3 {
-            self.low[axis] = self.low[axis].min(grid[axis]);
-            self.high[axis] = self.high[axis].max(grid[axis]);
+        for (axis, value) in grid.into_iter().enumerate() {
+            self.low[axis] = self.low[axis].min(value);
+            self.high[axis] = self.high[axis].max(value);
         }
         let mut class = class_of(sample.kind);
         if let Some((total, last)) = self.weights.last().filter(|_| class == 1) {

@@ -2,7 +2,7 @@
 
 use crate::sample::Kind;
 
-/// Lengths of point formats 0 to 10 [bytes].
+/// Lengths of point formats 0 to 10 `[bytes]`.
 const LENGTHS: [usize; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 /// Longest record.
 pub(super) const MAX_RECORD: usize = 67;
@@ -16,7 +16,7 @@ pub(super) struct Record {
     pub index: u64,
 }
 
-/// Length of a record of `format` [bytes]; none for an unknown format.
+/// Length of a record of `format` `[bytes]`; none for an unknown format.
 pub(super) fn record_len(format: u8) -> Option<usize> {
     LENGTHS.get(usize::from(format)).copied()
 }
