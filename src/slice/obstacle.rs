@@ -3,9 +3,10 @@
 //! In: the voxels of a tile column with a halo of one pixel. Out: for each voxel whether it is an obstacle. Every rule
 //! reads exact integers, so verdicts depend neither on the order of points nor on where tiles and slices end.
 //!
-//! *Runs.* Voxels of one pixel in consecutive slices form a run when they are connected: three or more in a row, or
-//! two whose gap is at most one slice height. A plane of slope θ extends at most `√2·t·tan θ` within a pixel, whatever
-//! its heading; a run that extends further is steeper.
+//! *Runs.* Voxels of one pixel in adjacent slices are connected when the gap between their points is at most a pixel's
+//! width, or when a neighbouring pixel has matter well inside the gap: so walls of few points are runs, while the top
+//! and the underside of a floor slab, with nothing between, are not. A plane of slope θ extends at most `√2·t·tan θ`
+//! within a pixel, whatever its heading; a run that extends further is steeper.
 //!
 //! - [`Classifier::Span`]: a run higher than `√2·t·tan(limit)` is an obstacle.
 //! - [`Classifier::Thesis`]: a voxel whose points differ by more than a third of the slice height (thesis, algorithm
@@ -43,8 +44,12 @@ pub struct Judge {
     clearly_steep_run: f64,
     /// Vertical gap across which voxels of neighbouring pixels are connected [quanta].
     reach: f64,
-    /// Vertical extent of a 3 × 3 × 3 neighbourhood that a surface at the limit cannot have [quanta].
+    /// Vertical extent of connected matter in a 3 × 3 × 3 neighbourhood that a surface at the limit cannot have [quanta].
     steep_neighbourhood: f64,
+    /// Gap between voxels of one pixel across which they are connected without further evidence [quanta].
+    pixel: f64,
+    /// How far a surface at the limit can reach into a gap from its ends, one pixel further [quanta].
+    intrusion: f64,
     /// Greatest mean square residual of a plane [steps²].
     greatest_square: f64,
 }
@@ -67,6 +72,8 @@ impl Judge {
             clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
             reach: tangent(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG)) * quanta_per_pixel,
             steep_neighbourhood: 4.0 * tangent(limit) * quanta_per_pixel,
+            pixel: quanta_per_pixel,
+            intrusion: run(limit),
             greatest_square: (GREATEST_RESIDUAL_PIXELS * steps_per_pixel).powi(2),
         }
     }
@@ -82,17 +89,20 @@ impl Judge {
                     *verdict = i64::from(voxel.top - voxel.bottom) > SLICE_QUANTA / 3;
                 }
             }
-            Classifier::Span => mark_runs(patch, self.steep_run, verdicts),
+            Classifier::Span => self.mark_runs(patch, area, self.steep_run, verdicts),
             Classifier::Plane => {
-                mark_runs(patch, self.clearly_steep_run, verdicts);
-                let steep_runs = verdicts.clone();
-                for y in area.y.0..area.y.1 {
-                    for x in area.x.0..area.x.1 {
-                        let pixel = (y as usize + 1) * PATCH_PIXELS + x as usize + 1;
-                        for number in patch.range(pixel) {
-                            if !steep_runs[number] {
-                                verdicts[number] = self.is_steep(patch, &steep_runs, pixel, number);
-                            }
+                self.mark_runs(patch, area, self.clearly_steep_run, verdicts);
+                // What stays out of the fits is decided by each pixel alone, so that it does not depend on which
+                // neighbours of the halo are at hand.
+                let mut steep_alone = vec![false; verdicts.len()];
+                for pixel in 0..PATCH_AREA {
+                    let alone = |below: &Voxel, above: &Voxel| gap(below, above) as f64 <= self.pixel;
+                    mark_steep(patch, pixel, alone, self.clearly_steep_run, &mut steep_alone);
+                }
+                for pixel in area.patch_pixels() {
+                    for number in patch.range(pixel) {
+                        if !verdicts[number] {
+                            verdicts[number] = self.is_steep(patch, &steep_alone, pixel, number);
                         }
                     }
                 }
@@ -100,35 +110,91 @@ impl Judge {
         }
     }
 
+    /// Marks the runs of all pixels in `area` that extend further than `greatest_extent` [quanta].
+    fn mark_runs(&self, patch: &Patch, area: Area, greatest_extent: f64, verdicts: &mut [bool]) {
+        for pixel in area.patch_pixels() {
+            let connected = |below: &Voxel, above: &Voxel| self.connected(patch, pixel, below, above);
+            mark_steep(patch, pixel, connected, greatest_extent, verdicts);
+        }
+    }
+
+    /// Whether two voxels of `pixel` in adjacent slices are parts of one run (see the module text).
+    fn connected(&self, patch: &Patch, pixel: usize, below: &Voxel, above: &Voxel) -> bool {
+        let gap = gap(below, above) as f64;
+        if gap <= self.pixel {
+            return true;
+        }
+        let margin = (gap / 4.0).max(self.intrusion);
+        if 2.0 * margin >= gap {
+            return false;
+        }
+        let first_slice = i64::from(below.slice) - 1;
+        let low = quanta_above(below, first_slice, below.top) as f64 + margin;
+        let high = quanta_above(above, first_slice, above.bottom) as f64 - margin;
+        neighbourhood(pixel).any(|(neighbour, ..)| {
+            patch.voxels()[slices_around(patch, neighbour, below.slice)].iter().any(|voxel| {
+                let bottom = quanta_above(voxel, first_slice, voxel.bottom) as f64;
+                let top = quanta_above(voxel, first_slice, voxel.top) as f64;
+                low <= bottom && top <= high
+            })
+        })
+    }
+
     /// Verdict on one voxel by the surface around it.
-    fn is_steep(&self, patch: &Patch, steep_runs: &[bool], pixel: usize, number: usize) -> bool {
+    fn is_steep(&self, patch: &Patch, steep_alone: &[bool], pixel: usize, number: usize) -> bool {
         let centre = &patch.voxels()[number];
         let first_slice = i64::from(centre.slice) - 1;
         let (low, high) =
             (quanta_above(centre, first_slice, centre.bottom), quanta_above(centre, first_slice, centre.top));
         let mut sums = Moments::default();
-        let (mut lowest, mut highest) = (low, high);
-        for dy in 0..3 {
-            for dx in 0..3 {
-                let neighbour = pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1;
-                for other in slices_around(patch, neighbour, centre.slice) {
-                    let voxel = &patch.voxels()[other];
-                    let bottom = quanta_above(voxel, first_slice, voxel.bottom);
-                    let top = quanta_above(voxel, first_slice, voxel.top);
-                    (lowest, highest) = (lowest.min(bottom), highest.max(top));
-                    let gap = (bottom - high).max(low - top);
-                    if !steep_runs[other] && gap as f64 <= self.reach {
-                        let slices = i64::from(voxel.slice) - first_slice;
-                        sums.add_shifted(&voxel.moments, dx as i64, dy as i64, slices);
-                    }
+        for (neighbour, dx, dy) in neighbourhood(pixel) {
+            for other in slices_around(patch, neighbour, centre.slice) {
+                let voxel = &patch.voxels()[other];
+                let bottom = quanta_above(voxel, first_slice, voxel.bottom);
+                let top = quanta_above(voxel, first_slice, voxel.top);
+                let gap = (bottom - high).max(low - top);
+                if !steep_alone[other] && gap as f64 <= self.reach {
+                    sums.add_shifted(&voxel.moments, dx, dy, i64::from(voxel.slice) - first_slice);
                 }
             }
         }
         match self.fit(&sums) {
             Fit::Plane { slope_squared } => slope_squared > self.steep_squared,
             Fit::NoPlane => self.run_extent(patch, pixel, number) as f64 > self.steep_run,
-            Fit::Undetermined => (highest - lowest) as f64 > self.steep_neighbourhood,
+            Fit::Undetermined => self.chain_extent(patch, pixel, centre) as f64 > self.steep_neighbourhood,
         }
+    }
+
+    /// Vertical extent of the matter in the 3 × 3 × 3 neighbourhood of a voxel that is connected to it by gaps that a
+    /// surface near the limit can have [quanta].
+    fn chain_extent(&self, patch: &Patch, pixel: usize, centre: &Voxel) -> i64 {
+        let first_slice = i64::from(centre.slice) - 1;
+        let interval = |voxel: &Voxel| {
+            (quanta_above(voxel, first_slice, voxel.bottom), quanta_above(voxel, first_slice, voxel.top))
+        };
+        let mut intervals = [(0, 0); 27];
+        let mut count = 0;
+        for (neighbour, ..) in neighbourhood(pixel) {
+            for voxel in &patch.voxels()[slices_around(patch, neighbour, centre.slice)] {
+                intervals[count] = interval(voxel);
+                count += 1;
+            }
+        }
+        let intervals = &mut intervals[..count];
+        intervals.sort_unstable();
+        let (mut low, mut high) = interval(centre);
+        for &(bottom, top) in intervals.iter() {
+            if bottom >= low && (bottom - high) as f64 <= self.reach {
+                high = high.max(top);
+            }
+        }
+        intervals.sort_unstable_by_key(|&(_, top)| std::cmp::Reverse(top));
+        for &(bottom, top) in intervals.iter() {
+            if top <= high && (low - top) as f64 <= self.reach {
+                low = low.min(bottom);
+            }
+        }
+        high - low
     }
 
     fn fit(&self, sums: &Moments) -> Fit {
@@ -161,7 +227,9 @@ impl Judge {
     fn run_extent(&self, patch: &Patch, pixel: usize, number: usize) -> i64 {
         let range = patch.range(pixel);
         let voxels = &patch.voxels()[range.clone()];
-        runs(voxels).find(|run| run.contains(&(number - range.start))).map_or(0, |run| extent(&voxels[run]))
+        runs(voxels, |below, above| self.connected(patch, pixel, below, above))
+            .find(|run| run.contains(&(number - range.start)))
+            .map_or(0, |run| extent(&voxels[run]))
     }
 }
 
@@ -189,26 +257,35 @@ fn slices_around(patch: &Patch, pixel: usize, slice: u32) -> std::ops::Range<usi
     range.start + first..range.start + first + count
 }
 
-/// Runs of connected voxels (see the module text) of one pixel, as ranges into `voxels`.
-fn runs(voxels: &[Voxel]) -> impl Iterator<Item = std::ops::Range<usize>> {
+/// The 3 × 3 pixels around a patch pixel, with their places 0..3 in x and y.
+fn neighbourhood(pixel: usize) -> impl Iterator<Item = (usize, i64, i64)> {
+    (0..9).map(move |place| {
+        let (dx, dy) = (place % 3, place / 3);
+        (pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1, dx as i64, dy as i64)
+    })
+}
+
+/// Gap between the points of two voxels of one pixel in adjacent slices [quanta].
+fn gap(below: &Voxel, above: &Voxel) -> i64 {
+    SLICE_QUANTA + i64::from(above.bottom) - i64::from(below.top)
+}
+
+/// Runs of voxels of one pixel in adjacent slices, each `connected` to the next, as ranges into `voxels`.
+fn runs(voxels: &[Voxel], connected: impl Fn(&Voxel, &Voxel) -> bool) -> impl Iterator<Item = std::ops::Range<usize>> {
     let mut next = 0;
     std::iter::from_fn(move || {
         let first = next;
-        let mut end = first + 1;
         if first >= voxels.len() {
             return None;
         }
-        while end < voxels.len() && voxels[end].slice == voxels[end - 1].slice + 1 {
-            end += 1;
+        next += 1;
+        while next < voxels.len()
+            && voxels[next].slice == voxels[next - 1].slice + 1
+            && connected(&voxels[next - 1], &voxels[next])
+        {
+            next += 1;
         }
-        if end - first == 2 {
-            let gap = SLICE_QUANTA + i64::from(voxels[first + 1].bottom) - i64::from(voxels[first].top);
-            if gap > SLICE_QUANTA {
-                end = first + 1;
-            }
-        }
-        next = end;
-        Some(first..end)
+        Some(first..next)
     })
 }
 
@@ -217,14 +294,19 @@ fn extent(run: &[Voxel]) -> i64 {
     (i64::from(last.slice) - i64::from(first.slice)) * SLICE_QUANTA + i64::from(last.top) - i64::from(first.bottom)
 }
 
-fn mark_runs(patch: &Patch, greatest_extent: f64, verdicts: &mut [bool]) {
-    for pixel in 0..PATCH_AREA {
-        let range = patch.range(pixel);
-        let voxels = &patch.voxels()[range.clone()];
-        for run in runs(voxels) {
-            if extent(&voxels[run.clone()]) as f64 > greatest_extent {
-                verdicts[range.start + run.start..range.start + run.end].fill(true);
-            }
+/// Marks the runs of one pixel that extend further than `greatest_extent` [quanta].
+fn mark_steep(
+    patch: &Patch,
+    pixel: usize,
+    connected: impl Fn(&Voxel, &Voxel) -> bool,
+    greatest_extent: f64,
+    verdicts: &mut [bool],
+) {
+    let range = patch.range(pixel);
+    let voxels = &patch.voxels()[range.clone()];
+    for run in runs(voxels, connected) {
+        if extent(&voxels[run.clone()]) as f64 > greatest_extent {
+            verdicts[range.start + run.start..range.start + run.end].fill(true);
         }
     }
 }
@@ -342,6 +424,29 @@ mod tests {
             let points =
                 (0..60_000).map(|_| [random.uniform() * edge, random.uniform() * edge, 0.002 * random.normal()]);
             assert_eq!(obstacle_share(&plan(classifier, 45.0), points.collect::<Vec<_>>().into_iter()), 0.0);
+        }
+    }
+
+    #[test]
+    fn a_slab_scanned_from_above_and_below_is_floor_wherever_its_slices_begin() {
+        let mut random = Random(17);
+        let edge = 64.0 * T;
+        for phase in 0..16 {
+            for thickness in [0.08, 0.12, 0.2, 0.25, 0.3] {
+                let top = f64::from(phase) * 3.0 * T / 16.0;
+                let points: Vec<_> = (0..40_000)
+                    .map(|n| {
+                        let z = if n % 2 == 0 { top } else { top - thickness };
+                        [random.uniform() * edge, random.uniform() * edge, z + 0.003 * random.normal()]
+                    })
+                    .collect();
+                for classifier in [Classifier::Plane, Classifier::Span] {
+                    let share = obstacle_share(&plan(classifier, 45.0), points.iter().copied());
+                    // Below twice the pixel size the two faces are one run, and a wall for the narrower rule.
+                    let allowed = if thickness < 2.0 * T { 1.0 } else { 0.001 };
+                    assert!(share <= allowed, "{classifier:?}, {thickness} m thick, top at {top}: {share}");
+                }
+            }
         }
     }
 

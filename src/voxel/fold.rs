@@ -121,6 +121,12 @@ impl Area {
         (self.x.0 + 1..=self.x.1).contains(&x) && (self.y.0 + 1..=self.y.1).contains(&y)
     }
 
+    /// The patch pixels of the area, row after row.
+    pub fn patch_pixels(self) -> impl Iterator<Item = usize> {
+        let pixel = |x: u32, y: u32| (y as usize + 1) * PATCH_PIXELS + x as usize + 1;
+        (self.y.0..self.y.1).flat_map(move |y| (self.x.0..self.x.1).map(move |x| pixel(x, y)))
+    }
+
     /// Two halves along the longer edge; `None` for a single pixel.
     pub fn halves(&self) -> Option<[Self; 2]> {
         let (width, height) = (self.x.1 - self.x.0, self.y.1 - self.y.0);
