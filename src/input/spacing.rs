@@ -5,10 +5,10 @@
 //!
 //! A nearest neighbour can only be found where *all* points of a neighbourhood are kept, so whole blocks are sampled, not
 //! points: a block (a cube of the grid) is in the sample of round `m` when the top `m` bits of a mix of its indices are
-//! zero. Whenever more than [`MOST_POINTS`] points are held, `m` grows by one and blocks drop out. The final `m` is the
+//! zero. Whenever more than `MOST_POINTS` points are held, `m` grows by one and blocks drop out. The final `m` is the
 //! least for which the points of all its blocks fit, which is a property of the set of points; this is bottom-k
 //! sampling (Cohen and Kaplan, "Summarizing Data using Bottom-k Sketches", 2007) with a rounded threshold.
-//! Which block size suits depends on the spacing itself, so several are sampled at once, and [`choose`] takes one.
+//! Which block size suits depends on the spacing itself, so several are sampled at once, and `choose` takes one.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
