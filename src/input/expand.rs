@@ -76,7 +76,10 @@ fn matches(input: &Path, pattern: &str, found: &mut Vec<PathBuf>) -> Result<()> 
     let before = found.len();
     let paths = glob::glob(pattern).map_err(|e| Error::input(input, "pattern", e.to_string()))?;
     for path in paths {
-        let path = path.map_err(|e| Error::io(e.path().to_path_buf(), "list", e.into()))?;
+        let path = path.map_err(|e| {
+            let at = e.path().to_path_buf();
+            Error::io(at, "list", e.into())
+        })?;
         if is_scan(&path) && !path.is_dir() {
             found.push(path);
         }

@@ -169,7 +169,7 @@ mod tests {
 
     #[test]
     fn a_window_reads_and_seeks_like_the_bytes_it_shows() {
-        let all: Vec<u8> = (0..300_000u32).map(|i| (i * 7 >> 3) as u8).collect();
+        let all: Vec<u8> = (0..300_000u32).map(|i| ((i * 7) >> 3) as u8).collect();
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(&all).unwrap();
         let source = Source::open(file.path()).unwrap();
