@@ -71,6 +71,7 @@ impl Archive {
             raw: Vec::new(),
             chunk: (0, Vec::new()),
             next: Some(header.pages_offset()),
+            lost_leaf: false,
             stored: VecDeque::new(),
         };
         pass.check(self.crs().map(|_| header.bytes.metadata));
@@ -81,6 +82,7 @@ impl Archive {
                     pass.report(error, &format!("directory leaf {index}"), header.directory_offset());
                     // Where the pages of the next leaf begin can no longer be known.
                     pass.next = None;
+                    pass.lost_leaf = true;
                     continue;
                 }
             };
@@ -108,6 +110,8 @@ struct Pass<'a> {
     chunk: (u64, Vec<u8>),
     /// Where the next stored page must begin; unknown after a damaged leaf.
     next: Option<u64>,
+    /// Some stored pages are not known because the leaf that tells of them is damaged.
+    lost_leaf: bool,
     /// The most recent stored pages, which later ones may share; ascending.
     stored: VecDeque<(Extent, u64)>,
 }
@@ -184,8 +188,8 @@ impl Pass<'_> {
                 let first = self.stored.partition_point(|(stored, _)| stored.offset < extent.offset);
                 match self.stored.get(first) {
                     Some(&(stored, slices)) if stored == extent && slices == entry.slices => Ok(()),
-                    // Pages of a damaged leaf are not known here; their bytes are checked all the same.
-                    _ if self.next.is_none() || self.summary.findings > 0 => Ok(()),
+                    // What it shares may be of the lost leaf; the bytes are checked all the same.
+                    _ if self.lost_leaf => Ok(()),
                     other => {
                         let expected = format!("one of the last {WINDOW} stored pages");
                         Err(Violation::new("D10", expected, format!("{extent:?} of {other:?}")))
