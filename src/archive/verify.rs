@@ -70,6 +70,7 @@ impl Archive {
             encoder: RawEncoder::default(),
             raw: Vec::new(),
             chunk: (0, Vec::new()),
+            shared: Vec::new(),
             next: Some(header.pages_offset()),
             lost_leaf: false,
             stored: VecDeque::new(),
@@ -108,6 +109,8 @@ struct Pass<'a> {
     raw: Vec<u8>,
     /// Bytes read ahead, and where they begin.
     chunk: (u64, Vec<u8>),
+    /// Bytes of a shared page, which lie far behind the chunk.
+    shared: Vec<u8>,
     /// Where the next stored page must begin; unknown after a damaged leaf.
     next: Option<u64>,
     /// Some stored pages are not known because the leaf that tells of them is damaged.
@@ -204,8 +207,17 @@ impl Pass<'_> {
         let Some(extent) = entry.extent() else {
             return Ok(self.decoder.decode(entry, &[])?.voxel_counts());
         };
-        let chunk = self.read(extent)?;
-        let bytes = &self.chunk.1[chunk..chunk + extent.len as usize];
+        let bytes = match entry.place {
+            Place::Shared(_) => {
+                self.shared.resize(extent.len as usize, 0);
+                self.archive.source().read_at(extent.offset, &mut self.shared)?;
+                &self.shared[..]
+            }
+            _ => {
+                let start = self.read_ahead(extent)?;
+                &self.chunk.1[start..start + extent.len as usize]
+            }
+        };
         let page = self.decoder.decode(entry, bytes)?;
         self.encoder.encode(&page, &mut self.raw);
         let stored = self.decoder.raw(bytes).map_err(|violation| violation.at("page", extent.offset))?;
@@ -220,7 +232,7 @@ impl Pass<'_> {
     }
 
     /// Makes the chunk hold `extent` and returns where in the chunk it begins.
-    fn read(&mut self, extent: Extent) -> Result<usize> {
+    fn read_ahead(&mut self, extent: Extent) -> Result<usize> {
         let (start, bytes) = &mut self.chunk;
         let end = extent.offset + extent.len as u64;
         if extent.offset < *start || end > *start + bytes.len() as u64 {
