@@ -70,7 +70,9 @@ impl Archive {
             encoder: RawEncoder::default(),
             raw: Vec::new(),
             chunk: (0, Vec::new()),
+            shared: Vec::new(),
             next: Some(header.pages_offset()),
+            lost_leaf: false,
             stored: VecDeque::new(),
         };
         pass.check(self.crs().map(|_| header.bytes.metadata));
@@ -81,6 +83,7 @@ impl Archive {
                     pass.report(error, &format!("directory leaf {index}"), header.directory_offset());
                     // Where the pages of the next leaf begin can no longer be known.
                     pass.next = None;
+                    pass.lost_leaf = true;
                     continue;
                 }
             };
@@ -106,8 +109,12 @@ struct Pass<'a> {
     raw: Vec<u8>,
     /// Bytes read ahead, and where they begin.
     chunk: (u64, Vec<u8>),
+    /// Bytes of a shared page, which lie far behind the chunk.
+    shared: Vec<u8>,
     /// Where the next stored page must begin; unknown after a damaged leaf.
     next: Option<u64>,
+    /// Some stored pages are not known because the leaf that tells of them is damaged.
+    lost_leaf: bool,
     /// The most recent stored pages, which later ones may share; ascending.
     stored: VecDeque<(Extent, u64)>,
 }
@@ -184,8 +191,8 @@ impl Pass<'_> {
                 let first = self.stored.partition_point(|(stored, _)| stored.offset < extent.offset);
                 match self.stored.get(first) {
                     Some(&(stored, slices)) if stored == extent && slices == entry.slices => Ok(()),
-                    // Pages of a damaged leaf are not known here; their bytes are checked all the same.
-                    _ if self.next.is_none() || self.summary.findings > 0 => Ok(()),
+                    // What it shares may be of the lost leaf; the bytes are checked all the same.
+                    _ if self.lost_leaf => Ok(()),
                     other => {
                         let expected = format!("one of the last {WINDOW} stored pages");
                         Err(Violation::new("D10", expected, format!("{extent:?} of {other:?}")))
@@ -200,8 +207,17 @@ impl Pass<'_> {
         let Some(extent) = entry.extent() else {
             return Ok(self.decoder.decode(entry, &[])?.voxel_counts());
         };
-        let chunk = self.read(extent)?;
-        let bytes = &self.chunk.1[chunk..chunk + extent.len as usize];
+        let bytes = match entry.place {
+            Place::Shared(_) => {
+                self.shared.resize(extent.len as usize, 0);
+                self.archive.source().read_at(extent.offset, &mut self.shared)?;
+                &self.shared[..]
+            }
+            _ => {
+                let start = self.read_ahead(extent)?;
+                &self.chunk.1[start..start + extent.len as usize]
+            }
+        };
         let page = self.decoder.decode(entry, bytes)?;
         self.encoder.encode(&page, &mut self.raw);
         let stored = self.decoder.raw(bytes).map_err(|violation| violation.at("page", extent.offset))?;
@@ -216,7 +232,7 @@ impl Pass<'_> {
     }
 
     /// Makes the chunk hold `extent` and returns where in the chunk it begins.
-    fn read(&mut self, extent: Extent) -> Result<usize> {
+    fn read_ahead(&mut self, extent: Extent) -> Result<usize> {
         let (start, bytes) = &mut self.chunk;
         let end = extent.offset + extent.len as u64;
         if extent.offset < *start || end > *start + bytes.len() as u64 {

@@ -1,6 +1,6 @@
 //! Codecs: pages to bytes and back, no files, no clocks, no threads.
 //!
-//! In: a [`Page`](crate::slice::Page). Out: at most [`MAX_RAW_PAGE`] bytes, and from them the same page again. Memory:
+//! In: a [`Page`]. Out: at most [`MAX_RAW_PAGE`] bytes, and from them the same page again. Memory:
 //! one scratch of at most a few MiB per codec object. The bytes are described in `spec/slice-archive.md`, chapter 6.
 //!
 //! The first byte of an encoded page names its model ([`Model`]); each model is one small file of this module. Decoders

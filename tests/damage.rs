@@ -1,0 +1,458 @@
+//! Damage and forgery: every flipped, cut, added or zeroed byte is reported with the rule it breaks, or does no harm;
+//! and bytes whose checksums were put right again break the rule that protects against them. Nothing panics, nothing
+//! allocates more than the limits of the specification.
+
+mod common;
+
+use common::{archive, read_all, scene, two_pixels};
+use proptest::prelude::*;
+use slicewalk::archive::{Archive, Finding};
+use slicewalk::codec::{Packer, Unpacker};
+use slicewalk::{Error, NoMonitor};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Notes the largest allocation.
+struct Noting;
+
+static LARGEST: AtomicUsize = AtomicUsize::new(0);
+
+// SAFETY: passes every call on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Noting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        LARGEST.fetch_max(layout.size(), Ordering::Relaxed);
+        // SAFETY: as for the caller.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, ptr: *mut u8, layout: Layout) {
+        // SAFETY: as for the caller.
+        unsafe { System.dealloc(ptr, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Noting = Noting;
+
+/// Content of the largest leaf that the specification allows, in memory: 2²⁰ entries of 48 bytes.
+const LIMIT: usize = 48 << 20;
+
+/// Rules that `bytes` break: that of the error on opening, or those of all findings.
+fn rules(bytes: &[u8]) -> Vec<&'static str> {
+    match Archive::from_bytes(bytes.to_vec()) {
+        Ok(archive) => {
+            let mut rules = Vec::new();
+            archive.verify(&NoMonitor, &mut |finding: Finding| rules.push(finding.rule)).unwrap();
+            rules
+        }
+        Err(Error::Format { rule, .. }) => vec![rule],
+        Err(Error::Unsupported { what, .. }) if what.contains("H4") => vec!["H4"],
+        Err(Error::Unsupported { what, .. }) if what.contains("H5") => vec!["H5"],
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// First letters of the rules that protect the byte at `at`.
+fn family(parts: &Parts, at: usize) -> &'static str {
+    let ends = [parts.head.len(), parts.pages.len(), parts.stored_leaf().len(), parts.metadata.len()];
+    let mut end = 0;
+    for (len, family) in ends.iter().zip(["H", "P", "D", "M"]) {
+        end += len;
+        if at < end {
+            return family;
+        }
+    }
+    "F"
+}
+
+#[test]
+fn every_flipped_bit_is_reported_by_the_rules_of_its_section() {
+    for (made, every_bit) in [(two_pixels(), true), (scene(), false)] {
+        let good = archive(&made);
+        let parts = Parts::of(&good);
+        for at in 0..good.len() {
+            for bit in (0..8).filter(|bit| every_bit || at % 8 == *bit) {
+                let mut bytes = good.clone();
+                bytes[at] ^= 1 << bit;
+                let found = rules(&bytes);
+                let family = family(&parts, at);
+                assert!(!found.is_empty(), "byte {at} bit {bit}");
+                assert!(found.iter().all(|rule| rule.starts_with(family)), "byte {at} bit {bit}: {found:?}");
+                if let Ok(archive) = Archive::from_bytes(bytes)
+                    && let Ok(pages) = read_all(&archive)
+                {
+                    assert_eq!(pages, made.0, "byte {at} bit {bit}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn every_cut_and_every_added_byte_is_found_on_opening() {
+    let good = archive(&scene());
+    for len in 0..good.len() {
+        let found = rules(&good[..len]);
+        assert!(["H1", "H2", "H6"].contains(&found[0]), "{len} bytes: {found:?}");
+    }
+    for tail in [&[0][..], b"\n", &[0; 20_000], &good] {
+        assert_eq!(rules(&[&good[..], tail].concat()), ["H6"]);
+        assert!(["H1", "H3"].contains(&rules(&[tail, &good].concat())[0]) || tail == good);
+    }
+    assert_eq!(rules(&[&good[..], &good].concat()), ["H6"]);
+}
+
+#[test]
+fn zeroed_ranges_are_reported_or_were_zero() {
+    let made = scene();
+    let good = archive(&made);
+    for len in [1, 4, 64, 512] {
+        for at in (0..good.len()).step_by(if len == 1 { 1 } else { 7 }) {
+            let mut bytes = good.clone();
+            let end = (at + len).min(good.len());
+            bytes[at..end].fill(0);
+            assert_eq!(rules(&bytes).is_empty(), bytes == good, "{len} bytes from {at}");
+        }
+    }
+}
+
+/// An archive of one leaf in parts, to be put together again with right lengths and checksums.
+#[derive(Clone)]
+struct Parts {
+    head: Vec<u8>,
+    pages: Vec<u8>,
+    leaf: Vec<u8>,
+    metadata: Vec<u8>,
+}
+
+fn word(bytes: &[u8], at: usize) -> usize {
+    u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
+}
+
+fn put(bytes: &mut [u8], at: usize, value: u64, len: usize) {
+    bytes[at..at + len].copy_from_slice(&value.to_le_bytes()[..len]);
+}
+
+impl Parts {
+    fn of(bytes: &[u8]) -> Self {
+        let mut at = 0;
+        let mut take = |len: usize| {
+            at += len;
+            bytes[at - len..at].to_vec()
+        };
+        let head = take(word(bytes, 12));
+        let pages = take(word(bytes, 288));
+        let stored = take(word(bytes, 296));
+        let metadata = take(word(bytes, 304));
+        let leaf = Unpacker::new().unpack(&stored, 1 << 20, "").unwrap().to_vec();
+        Self { head, pages, leaf, metadata }
+    }
+
+    fn stored_leaf(&self) -> Vec<u8> {
+        let mut stored = Vec::new();
+        Packer::new().pack(&self.leaf, &mut stored);
+        stored
+    }
+
+    /// Puts the head's numbers right, lets `forge` spoil them, and puts the checksums right.
+    fn build(&self, forge: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
+        let (mut head, stored) = (self.head.clone(), self.stored_leaf());
+        let lens = [self.pages.len(), stored.len(), self.metadata.len()];
+        let file_len = head.len() + lens.iter().sum::<usize>() + 24;
+        put(&mut head, 32, file_len as u64, 8);
+        for (field, len) in lens.iter().enumerate() {
+            put(&mut head, 288 + 8 * field, *len as u64, 8);
+        }
+        put(&mut head, 312, crc32c::crc32c(&self.metadata) as u64, 4);
+        put(&mut head, 384 + 16, stored.len() as u64, 4);
+        put(&mut head, 384 + 20, self.leaf.len() as u64, 4);
+        put(&mut head, 384 + 24, crc32c::crc32c(&stored) as u64, 4);
+        forge(&mut head);
+        let end = head.len() - 4;
+        let crc = crc32c::crc32c(&head[..end]) as u64;
+        put(&mut head, end, crc, 4);
+        let mut footer = vec![0; 12];
+        put(&mut footer, 0, file_len as u64, 8);
+        put(&mut footer, 8, crc, 4);
+        let crc = crc32c::crc32c(&footer);
+        footer.extend(crc.to_le_bytes());
+        [&head[..], &self.pages, &stored, &self.metadata, &footer, b"\x89CILS\r\n\x1a"].concat()
+    }
+
+    /// Replaces the encoding of the only page and puts lengths and checksums right.
+    fn with_page(&self, raw: &[u8]) -> Self {
+        let mut pages = self.pages[..24].to_vec();
+        let len = Packer::new().pack(raw, &mut pages);
+        put(&mut pages, 16, len as u64, 4);
+        Self { pages, ..self.clone() }.with_leader()
+    }
+
+    /// Puts the checksum of the only page right, and its length and checksum in the leaf.
+    fn with_leader(mut self) -> Self {
+        let crc = crc32c::crc32c_append(crc32c::crc32c(&self.pages[..20]), &self.pages[24..]);
+        put(&mut self.pages, 20, crc as u64, 4);
+        let mut len = Vec::new();
+        slicewalk::codec::put_varint(&mut len, self.pages.len() as u64);
+        // Base, column, layer, kind: one byte each; eight bytes of slices; then the length.
+        self.leaf = [&self.leaf[..12], &len, &crc.to_le_bytes()].concat();
+        self
+    }
+
+    fn raw_page(&self) -> Vec<u8> {
+        Unpacker::new().unpack(&self.pages[24..], 1 << 20, "").unwrap().to_vec()
+    }
+}
+
+#[test]
+fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
+    let parts = Parts::of(&archive(&two_pixels()));
+    assert_eq!(parts.build(|_| ()), archive(&two_pixels()));
+    let hash = |head: &mut Vec<u8>| {
+        let hash = xxhash_rust::xxh3::xxh3_128(&head[56..128]);
+        head[40..56].copy_from_slice(&hash.to_le_bytes());
+    };
+    type Forge = fn(&mut Vec<u8>);
+    // Rule, whether the plan's hash is put right, what is wrong.
+    let cases: [(&str, bool, Forge); 33] = [
+        ("H1", false, |head| head[0] = b'S'),
+        ("H2", false, |head| put(head, 12, 387, 4)),
+        ("H2", false, |head| put(head, 12, 16_385, 4)),
+        ("H2", false, |head| put(head, 12, u32::MAX as u64, 4)),
+        ("H4", false, |head| head[8] = 2),
+        ("H5", false, |head| head[20] = 1),
+        ("H6", false, |head| head[32] ^= 1),
+        ("H7", false, |head| head[40] ^= 1),
+        ("H7", true, |head| put(head, 56, 0, 8)),
+        ("H7", true, |head| put(head, 64, f64::NAN.to_bits(), 8)),
+        ("H7", true, |head| put(head, 72, 91f64.to_bits(), 8)),
+        ("H7", true, |head| put(head, 80, (-0f64).to_bits(), 8)),
+        ("H7", true, |head| head[88] = 3),
+        ("H7", true, |head| head[89] = 2),
+        ("H7", true, |head| head[90] = 1),
+        ("H7", true, |head| head[92] = 0),
+        ("H8", false, |head| put(head, 136, 4, 8)),
+        ("H8", false, |head| put(head, 144, u64::MAX, 8)),
+        ("H8", false, |head| put(head, 160, f64::INFINITY.to_bits(), 8)),
+        ("H8", false, |head| put(head, 184, 0, 8)),
+        ("H8", false, |head| head[324] = 2),
+        ("H8", false, |head| put(head, 208, 1, 8)),
+        ("H8", false, |head| put(head, 240, 2, 8)),
+        ("H8", false, |head| put(head, 256, 3, 8)),
+        ("H8", false, |head| put(head, 264, u64::MAX, 8)),
+        ("H9", false, |head| put(head, 288, u64::MAX, 8)),
+        ("H9", false, |head| put(head, 304, 17, 8)),
+        ("H10", false, |head| head[383] = 1),
+        ("R1", false, |head| put(head, 316, 4095, 4)),
+        ("R1", false, |head| put(head, 320, 2, 4)),
+        ("R3", false, |head| put(head, 384 + 12, 2, 4)),
+        ("R4", false, |head| put(head, 384 + 16, 1 << 31, 4)),
+        ("H6", false, |head| put(head, 32, 0, 8)),
+    ];
+    for (number, (rule, hashed, forge)) in cases.into_iter().enumerate() {
+        let bytes = parts.build(|head| {
+            forge(head);
+            if hashed {
+                hash(head);
+            }
+        });
+        assert_eq!(rules(&bytes), [rule], "case {number}");
+    }
+    let unknown_but_optional = parts.build(|head| head[24] = 1);
+    assert_eq!(rules(&unknown_but_optional), [""; 0]);
+    let newer = parts.build(|head| {
+        head[10] = 1;
+        head[383] = 1;
+    });
+    assert_eq!(rules(&newer), [""; 0], "a newer minor version may use reserved bytes");
+}
+
+#[test]
+fn footers_that_belong_elsewhere_are_refused() {
+    let good = archive(&two_pixels());
+    let other = archive(&scene());
+    let swapped = [&good[..good.len() - 24], &other[other.len() - 24..]].concat();
+    assert_eq!(rules(&swapped), ["F3"]);
+}
+
+#[test]
+fn totals_that_are_not_those_of_the_pages_are_found() {
+    let parts = Parts::of(&archive(&scene()));
+    let cases: [(&str, usize, u64); 5] =
+        [("T1", 272, 0), ("T2", 240, 1), ("T3", 256, 0), ("T4", 216, 0), ("T4", 208, -9i64 as u64)];
+    for (rule, at, value) in cases {
+        let bytes = parts.build(|head| {
+            put(head, at, value, 8);
+            if rule == "T1" {
+                // One shared page less, one uniform page more.
+                put(head, 280, 2, 8);
+            }
+        });
+        assert_eq!(rules(&bytes), [rule]);
+    }
+}
+
+#[test]
+fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
+    let parts = Parts::of(&archive(&two_pixels()));
+    let raw = parts.raw_page();
+    let build = |raw: &[u8]| parts.with_page(raw).build(|_| ());
+    assert_eq!(build(&raw), archive(&two_pixels()));
+    let changed = |at: usize, value: u8| {
+        let mut raw = raw.clone();
+        raw[at] = value;
+        raw
+    };
+    // Model 0, occupancy 1, counts 513, bottoms 515 and 517, thicknesses 519 and 521, obstacles 523.
+    let cases = [
+        ("P5", changed(0, 2)),
+        ("P5", vec![]),
+        ("P6", raw[..100].to_vec()),
+        ("P6", raw[..514].to_vec()),
+        ("P6", raw[..523].to_vec()),
+        ("P6", [&raw[..], &[0]].concat()),
+        ("P7", changed(1, 0xFF)),
+        ("P6", [&[1][..], &[0; 512]].concat()),
+        ("P7", changed(513, 0)),
+        ("P7", changed(513, 65)),
+        ("P7", changed(517, 64)),
+        ("P7", changed(521, 64)),
+        ("P7", changed(523, 4)),
+        ("P8", changed(515, 1)),
+        ("P8", changed(519, 1)),
+        ("P9", changed(518, 8)),
+    ];
+    for (number, (rule, raw)) in cases.into_iter().enumerate() {
+        assert_eq!(rules(&build(&raw)), [rule], "case {number}");
+    }
+    // Two spans in pixel (0, 0), the upper one at 11: not apart from 10 ..= 14.
+    let mut overlapping = raw[..513].to_vec();
+    overlapping[1] = 1;
+    overlapping.extend([2, 20, 5, 0, 0, 8, 7, 0, 0, 0]);
+    assert_eq!(rules(&build(&overlapping)), ["P8"]);
+    let bomb = vec![0; 2 << 20];
+    assert_eq!(rules(&build(&bomb)), ["P4"]);
+    let leader = |at: usize, value: u64| {
+        let mut parts = parts.clone();
+        put(&mut parts.pages, at, value, 4);
+        rules(&parts.with_leader().build(|_| ()))
+    };
+    assert_eq!(leader(0, 0), ["P1"]);
+    assert_eq!(leader(16, 5), ["P1"]);
+    assert_eq!(leader(4, 1), ["P3"]);
+    let mut wrong_crc = parts.clone();
+    let end = wrong_crc.leaf.len() - 1;
+    wrong_crc.leaf[end] ^= 1;
+    assert_eq!(rules(&wrong_crc.build(|_| ())), ["P2"]);
+}
+
+#[test]
+fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
+    let parts = Parts::of(&archive(&two_pixels()));
+    let with = |leaf: Vec<u8>| Parts { leaf, ..parts.clone() };
+    let changed = |at: usize, value: u8| {
+        let mut leaf = parts.leaf.clone();
+        leaf[at] = value;
+        rules(&with(leaf).build(|_| ()))
+    };
+    assert_eq!(changed(0, 0x80), ["D3"]);
+    assert_eq!(changed(0, 1), ["D6"]);
+    assert_eq!(changed(1, 1), ["D4"]);
+    assert_eq!(changed(2, 1), ["D4"]);
+    assert_eq!(changed(3, 3), ["D5"]);
+    assert_eq!(changed(3, 1), ["D6"], "a shared page needs a distance");
+    assert_eq!(changed(3, 2), ["D8"], "a uniform page needs a span");
+    assert_eq!(changed(4, 0), ["D7"]);
+    assert_eq!(changed(4, 2), ["P9"]);
+    assert_eq!(changed(12, 24), ["D6"]);
+    assert_eq!(changed(12, 56), ["D6"]);
+    assert_eq!(changed(12, 54), ["P1", "D9"]);
+    assert_eq!(rules(&with(parts.leaf[..16].to_vec()).build(|_| ())), ["D3"]);
+    assert_eq!(rules(&with([&parts.leaf[..], &[0]].concat()).build(|_| ())), ["D3"]);
+    assert_eq!(rules(&with(vec![0; 3 << 20]).build(|_| ())), ["D2"]);
+    assert_eq!(rules(&parts.build(|head| put(head, 384 + 20, 16, 4))), ["D2"]);
+    assert_eq!(rules(&parts.build(|head| head[384 + 24] ^= 1)), ["D1"]);
+
+    // In the scene, page 5 in order shares the bytes of an earlier one: let it point between two pages.
+    let parts = Parts::of(&archive(&scene()));
+    let entries = Archive::from_bytes(archive(&scene())).unwrap().leaf(0).unwrap();
+    let paged = entries.iter().filter(|entry| entry.extent().is_some()).count();
+    // The distance is the last varint before the checksums and the one uniform span.
+    let at = parts.leaf.len() - 4 - 4 * paged - 1;
+    let mut leaf = parts.leaf.clone();
+    leaf[at] ^= 1;
+    let found = rules(&Parts { leaf, ..parts.clone() }.build(|_| ()));
+    assert!(found[0] == "D10", "{found:?}");
+}
+
+#[test]
+fn metadata_with_right_checksums_and_wrong_records_are_found() {
+    let parts = Parts::of(&archive(&two_pixels()));
+    let with = |metadata: &[u8]| rules(&Parts { metadata: metadata.to_vec(), ..parts.clone() }.build(|_| ()));
+    assert_eq!(with(b"CRS \xFF\xFF\xFF\xFF"), ["M2"]);
+    assert_eq!(with(b"CRS \x01\0\0\0\xFF"), ["M3"]);
+    assert_eq!(with(b"zzzz\0\0\0\0"), [""; 0], "unknown records are skipped");
+    assert_eq!(with(&[]), [""; 0]);
+}
+
+#[test]
+fn a_failing_read_is_an_error_or_a_finding() {
+    let made = scene();
+    let bytes = archive(&made);
+    for fails in 0..20 {
+        let source = common::Watched::new(&bytes, fails);
+        match Archive::from_source(Box::new(source.clone())) {
+            Err(error) => assert!(fails == 0 && matches!(error, Error::Io { .. })),
+            Ok(archive) => match read_all(&archive) {
+                Err(error) => assert!(matches!(error, Error::Io { .. }), "{error}"),
+                Ok(pages) => assert_eq!(pages, made.0),
+            },
+        }
+        let source = common::Watched::new(&bytes, fails);
+        if let Ok(archive) = Archive::from_source(Box::new(source.clone())) {
+            let mut found = Vec::new();
+            archive.verify(&NoMonitor, &mut |finding| found.push(finding.rule)).unwrap();
+            assert!(found.iter().all(|rule| *rule == "S1"), "read {fails}: {found:?}");
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn forged_bytes_never_panic_and_never_allocate_beyond_the_limits(
+        part in 0usize..4, changes in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..6), of_scene: bool
+    ) {
+        let mut parts = Parts::of(&archive(&if of_scene { scene() } else { two_pixels() }));
+        let raw = (!of_scene && part == 1).then(|| parts.raw_page());
+        let mut bytes = [parts.head.clone(), raw.unwrap_or(parts.pages.clone()), parts.leaf.clone(), parts.metadata.clone()];
+        for (at, value) in changes {
+            let place = at.index(bytes[part].len());
+            bytes[part][place] = value;
+        }
+        let [head, pages, leaf, metadata] = bytes;
+        match part {
+            0 => {}
+            1 if of_scene => parts.pages = pages,
+            1 => parts = parts.with_page(&pages),
+            2 => parts.leaf = leaf,
+            _ => parts.metadata = metadata,
+        }
+        let forged = parts.build(|good| {
+            if part == 0 {
+                *good = head;
+            }
+        });
+        rules(&forged);
+        if let Ok(archive) = Archive::from_bytes(forged) {
+            let _ = read_all(&archive);
+        }
+        prop_assert!(LARGEST.load(Ordering::Relaxed) <= LIMIT);
+    }
+
+    #[test]
+    fn any_bytes_are_refused(bytes in proptest::collection::vec(any::<u8>(), 0..600), magic: bool) {
+        let bytes = if magic { [b"\x89SLIC\r\n\x1a\x01\0\0\0\xA0\x01\0\0", &bytes[..]].concat() } else { bytes };
+        prop_assert!(!rules(&bytes).is_empty());
+    }
+}
