@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Mutex;
 
-/// Least memory budget [bytes].
+/// Least memory budget (bytes).
 pub const MIN_MEMORY_BYTES: u64 = 64 << 20;
 /// Pixel size chosen automatically, in units of the scan's point spacing.
 pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
@@ -53,11 +53,11 @@ pub struct ConvertOptions {
     pub output: PathBuf,
     /// Pixel size `t`.
     pub pixel: PixelSize,
-    /// Slice height `σ` [m]; three pixel sizes by default (thesis, section 3.1.3).
+    /// Slice height `σ` (m); three pixel sizes by default (thesis, section 3.1.3).
     pub slice_m: Option<f64>,
-    /// Steepest slope that can be stood on [degrees].
+    /// Steepest slope that can be stood on (degrees).
     pub max_slope_deg: f64,
-    /// How far heights may be coarsened, outwards [m].
+    /// How far heights may be coarsened, outwards (m).
     pub tolerance_m: f64,
     /// How floors and obstacles are told apart.
     pub classifier: Classifier,
@@ -197,7 +197,7 @@ fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
     let free = fs4::available_space(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
     if needed > free {
         let what = format!(
-            "temporary data for {points} points in {} [bytes] (choose a folder with --temp-dir or give more --memory)",
+            "temporary data for {points} points in {} (bytes) (choose a folder with --temp-dir or give more --memory)",
             dir.display()
         );
         return Err(Error::Limit { what, value: needed.to_string(), max: free.to_string() });
@@ -301,7 +301,7 @@ fn range(values: &[f64]) -> (f64, f64) {
 
 fn out_of_reach(frame: &Frame, min: [f64; 3], max: [f64; 3]) -> Error {
     Error::Limit {
-        what: "coordinates that a grid of this pixel size reaches [m] (give a larger --pixel, or the unit by --units)"
+        what: "coordinates that a grid of this pixel size reaches (m) (give a larger --pixel, or the unit by --units)"
             .into(),
         value: format!("{min:?} to {max:?}"),
         max: format!("±{}", frame.pixel_m().min(frame.slice_m()) * crate::frame::MAX_INDEX as f64),

@@ -6,7 +6,7 @@ use crate::plan::Plan;
 use crate::voxel::fold::{Area, Patch};
 use crate::voxel::record::PATCH_PIXELS;
 
-/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this [quanta]: a
+/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta): a
 /// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
 /// allows both: matter only ever fills the gap between points of vertically adjacent voxels.
 const JOIN_QUANTA: i64 = SLICE_QUANTA / 3;
@@ -22,7 +22,7 @@ struct Piece {
 /// Collects the spans of one tile column and hands out its pages. Memory: 12 bytes per span.
 #[derive(Debug)]
 pub struct ColumnPages {
-    /// Heights are rounded outwards to multiples of this within their slice (1: not at all) [quanta].
+    /// Heights are rounded outwards to multiples of this within their slice (1: not at all) (quanta).
     step: u32,
     pieces: Vec<Piece>,
     builder: PageBuilder,

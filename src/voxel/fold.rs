@@ -8,6 +8,10 @@ use super::record::{
     PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, pixel_of_voxel, top_quantum,
 };
 
+/// Parts of a slice in [`Voxel::bins`].
+pub const BINS: i64 = 16;
+const BIN_STEPS: u32 = (SLICE_STEPS / BINS) as u32;
+
 /// Sums over the points of one voxel, exact: place `u`, `v` in its pixel [1/128 pixel] and height `w` in its slice
 /// [steps, see [`Record::height`]]. Ten numbers determine the least-squares plane and its residual.
 ///
@@ -68,13 +72,15 @@ pub struct Voxel {
     pub bottom: u8,
     /// Least quantum at or above the highest point, above the slice's floor (0..=255).
     pub top: u8,
+    /// Sixteenths of the slice that hold points: what lies between bottom and top, matter or void.
+    pub bins: u16,
     /// Sums over the points.
     pub moments: Moments,
 }
 
 impl Voxel {
     fn of(record: Record) -> Self {
-        let mut voxel = Self { slice: record.slice(), bottom: u8::MAX, top: 0, moments: Moments::default() };
+        let mut voxel = Self { slice: record.slice(), bottom: u8::MAX, top: 0, bins: 0, moments: Moments::default() };
         voxel.add(record);
         voxel
     }
@@ -84,12 +90,14 @@ impl Voxel {
         let (height, (u, v)) = (record.height(), record.place());
         self.bottom = self.bottom.min(bottom_quantum(height) as u8);
         self.top = self.top.max(top_quantum(height) as u8);
+        self.bins |= 1 << (height / BIN_STEPS);
         self.moments.add(i64::from(u), i64::from(v), i64::from(height));
     }
 
     fn merge(&mut self, other: &Self) {
         self.bottom = self.bottom.min(other.bottom);
         self.top = self.top.max(other.top);
+        self.bins |= other.bins;
         self.moments.add_shifted(&other.moments, 0, 0, 0);
     }
 }
