@@ -10,12 +10,7 @@ pub(super) type Kinds = u32;
 /// Matter of either kind.
 pub(super) const MATTER: Kinds = 1;
 /// An obstacle; never without [`MATTER`].
-pub(super) const OBSTACLE: Kinds = 2;
-
-#[inline]
-fn kinds_of(span: Span) -> Kinds {
-    MATTER | u32::from(span.is_obstacle()) << 1
-}
+pub(super) const OBSTACLE: Kinds = Span::OBSTACLE_KIND;
 
 /// Slices in which a span must lie to meet the local heights `low..=high` [0..=16320]: a span that ends at `low` on a
 /// slice boundary belongs to the slice below.
@@ -82,34 +77,31 @@ fn touched_in_block<G: OnPixels>(
     known: Kinds,
 ) -> Kinds {
     let block = place.page.block_at(number);
-    let hull = block.hull();
     let (i, j) = place.corner(number);
     if !G::UPRIGHT {
         let Some(narrower) = local_heights(shape.heights_over(i, j, 8), place.base) else { return 0 };
         (low, high) = narrower;
     }
-    if !hull.meets(low, high) || kinds_of(hull) & !known == 0 {
-        return 0;
+    let (first, more) = block.union_quads();
+    let by_unions = meeting(more, meeting(std::slice::from_ref(first), 0, low, high), low, high);
+    if by_unions & !known == 0 || G::UPRIGHT && shape.holds(i, j) {
+        return by_unions;
     }
     let mask = shape.mask(i, j);
     let pixels = mask & block.pixels();
-    if pixels == 0 {
-        return 0;
-    }
-    let by_unions = meeting(block.unions(), 0, 7, low, high);
-    if by_unions & !known == 0 || G::UPRIGHT && pixels == block.pixels() {
-        return by_unions;
+    if pixels == 0 || G::UPRIGHT && pixels == block.pixels() {
+        return if pixels == 0 { 0 } else { by_unions };
     }
     let mut kinds = 0;
     if G::UPRIGHT {
         for_each_strip(mask, |strip| {
-            kinds |= meeting(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high);
+            kinds |= meeting_in_lanes(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high);
         });
     } else {
         for_each_bit(pixels, |bit| {
             let heights = shape.heights_over(i + i64::from(bit & 7), j + i64::from(bit >> 3), 1);
             let Some((low, high)) = local_heights(heights, place.base) else { return };
-            kinds |= meeting(block.column(bit), 0, 7, low, high);
+            kinds |= meeting_in_lanes(block.column(bit), 0, 7, low, high);
         });
     }
     kinds
@@ -148,14 +140,44 @@ pub(super) fn for_each_bit(mut mask: u64, mut f: impl FnMut(u32)) {
     }
 }
 
-/// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`. No branch inside, so that it vectorises.
+/// `kinds`, and the kinds of those spans that meet `low..=high`. No branch inside, so that it vectorises.
 #[inline]
-fn meeting(spans: &[Span], x0: u32, x1: u32, low: u32, high: u32) -> Kinds {
-    let width = x1 - x0;
-    spans.iter().fold(0, |kinds, &span| {
-        let meets = (span.bottom() <= high) & (span.top() >= low) & (span.lane().wrapping_sub(x0) <= width);
-        kinds | kinds_of(span) & (u32::from(meets)).wrapping_neg()
+fn meeting(quads: &[[Span; 4]], kinds: Kinds, low: u32, high: u32) -> Kinds {
+    quads.iter().fold(kinds, |kinds, quad| {
+        let each = quad.map(|span| span.kinds() & select(meets(span, low, high)));
+        kinds | each[0] | each[1] | each[2] | each[3]
     })
+}
+
+/// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`.
+#[inline]
+fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high: u32) -> Kinds {
+    let kinds = |span: Span| span.kinds() & select(meets(span, low, high) & in_lanes(span, x0, x1));
+    let (eights, rest) = spans.as_chunks::<8>();
+    let gathered = eights.iter().fold([0; 8], |mut gathered, eight| {
+        for (all, &span) in gathered.iter_mut().zip(eight) {
+            *all |= kinds(span);
+        }
+        gathered
+    });
+    rest.iter().fold(0, |all, &span| all | kinds(span)) | gathered.iter().fold(0, |all, kinds| all | kinds)
+}
+
+/// Signed comparisons of values below 2³¹: the plain x86-64 instruction set has no others for vectors.
+#[inline]
+fn meets(span: Span, low: u32, high: u32) -> bool {
+    (span.bottom() as i32 <= high as i32) & (span.top() as i32 >= low as i32)
+}
+
+#[inline]
+pub(super) fn in_lanes(span: Span, x0: u32, x1: u32) -> bool {
+    (span.lane() as i32 >= x0 as i32) & (span.lane() as i32 <= x1 as i32)
+}
+
+/// All bits if `condition`, else none.
+#[inline]
+pub(super) fn select(condition: bool) -> u32 {
+    u32::from(condition).wrapping_neg()
 }
 
 #[cfg(test)]

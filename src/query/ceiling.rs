@@ -6,7 +6,6 @@ use super::grid::Shape;
 use super::grid::sealed::OnPixels;
 use super::missing::{Answer, Missing, note};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
-use crate::slice::Span;
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
@@ -110,14 +109,13 @@ fn lowest_underside<G: OnPixels, T: PageSlot>(
     let mut best = None;
     for_each_bit(place.page.blocks_in(place.blocks, slices_between(from, most)), |number| {
         let block = place.page.block_at(number);
-        let reach = |spans: &[Span]| spans.iter().any(|span| span.meets(from, most));
-        if best == Some(from) || !reach(block.unions()) {
+        if best == Some(from) || !block.unions().any(|span| span.meets(from, most)) {
             return;
         }
         let (i, j) = place.corner(number);
         let pixels = shape.mask(i, j) & block.pixels();
         // Bottoms inside a slice are undersides; the lowest of all pixels is that of the lowest union.
-        let first = block.unions()[0].bottom();
+        let first = block.unions().map(|span| span.bottom()).next().unwrap_or(0);
         if pixels == block.pixels() && first >= from && !first.is_multiple_of(SLICE_QUANTA as u32) {
             best = Some(first);
             most = first - 1;

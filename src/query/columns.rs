@@ -1,9 +1,9 @@
 //! The walk that all footprint queries share: tile columns under a shape, and the pages in them.
 
-use super::blocks::{self, Kinds, MATTER, Place};
+use super::blocks::{self, Kinds, Place};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Rect};
-use super::missing::{Missing, Overlap, note};
+use super::missing::{Missing, note};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 use crate::slice::Page;
 use crate::store::{PageSet, PageSlot};
@@ -87,16 +87,14 @@ pub(super) fn for_each_column<S: PageSet>(
 
 /// Those of `slots` with layers `first..=last`.
 #[inline]
-pub(super) fn layers<T: PageSlot>(slots: &[T], first: i64, last: i64) -> &[T] {
-    // Most columns have a few layers: counting is faster than searching.
-    if slots.len() <= 8 {
-        let below = slots.iter().filter(|slot| i64::from(slot.layer()) < first).count();
-        let until = slots.iter().filter(|slot| i64::from(slot.layer()) <= last).count();
-        return slots.get(below..until).unwrap_or(&[]);
+pub(super) fn layers<T: PageSlot>(slots: &[T], first: i64, last: i64) -> impl DoubleEndedIterator<Item = &T> + Clone {
+    // Most columns have a few layers: looking at each is faster than searching.
+    let (mut below, mut until) = (0, slots.len());
+    if slots.len() > 8 {
+        below = slots.partition_point(|slot| i64::from(slot.layer()) < first);
+        until = slots.partition_point(|slot| i64::from(slot.layer()) <= last).max(below);
     }
-    let below = slots.partition_point(|slot| i64::from(slot.layer()) < first);
-    let until = slots.partition_point(|slot| i64::from(slot.layer()) <= last);
-    slots.get(below..until).unwrap_or(&[])
+    slots[below..until].iter().filter(move |slot| (first..=last).contains(&i64::from(slot.layer())))
 }
 
 /// First and last layer that can hold matter meeting `heights`: a top on a page's floor lies in the page below.
@@ -111,7 +109,6 @@ pub(super) struct Touch {
     layers: (i64, i64),
     until: Kinds,
     pub found: Kinds,
-    pub missing: Option<Missing>,
 }
 
 impl Touch {
@@ -119,39 +116,39 @@ impl Touch {
     #[inline]
     pub fn new<G: OnPixels>(shape: &G, until: Kinds) -> Self {
         let heights = shape.heights();
-        Self { heights, layers: layers_of(heights), until, found: 0, missing: None }
+        Self { heights, layers: layers_of(heights), until, found: 0 }
+    }
+
+    /// Whether one of the wanted kinds is found.
+    #[inline]
+    pub fn done(&self) -> bool {
+        self.found & self.until != 0
     }
 
     /// The pages of one tile column; breaks when one of the wanted kinds is found.
     #[inline]
-    pub fn column<G: OnPixels, T: PageSlot>(&mut self, shape: &G, tile: &Tile, slots: &[T]) -> ControlFlow<()> {
+    pub fn column<G: OnPixels, T: PageSlot>(
+        &mut self,
+        shape: &G,
+        tile: &Tile,
+        slots: &[T],
+        missing: &mut Option<Missing>,
+    ) -> ControlFlow<()> {
         for slot in layers(slots, self.layers.0, self.layers.1) {
             let base = floor_of(slot.layer());
             let (low, high) = (blocks::local(self.heights.low, base), blocks::local(self.heights.high, base));
             if slot.slices() & blocks::slices_between(low, high) == 0 {
                 continue;
             }
-            match slot.page() {
-                Some(page) => {
-                    let place = tile.place(page, slot.layer());
-                    self.found |= blocks::touched(&place, shape, low, high, self.until);
-                    if self.found & self.until != 0 {
-                        return ControlFlow::Break(());
-                    }
-                }
-                None => note(&mut self.missing, tile.key(slot.layer())),
+            let Some(page) = slot.page() else {
+                note(missing, tile.key(slot.layer()));
+                continue;
+            };
+            self.found |= blocks::touched(&tile.place(page, slot.layer()), shape, low, high, self.until);
+            if self.done() {
+                return ControlFlow::Break(());
             }
         }
         ControlFlow::Continue(())
-    }
-
-    /// The answer of the two-valued question whether anything was touched.
-    #[inline]
-    pub fn overlap(self) -> Overlap {
-        match self.missing {
-            _ if self.found & MATTER != 0 => Overlap::Hit,
-            Some(missing) => Overlap::NotLoaded(missing),
-            None => Overlap::Clear,
-        }
     }
 }

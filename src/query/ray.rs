@@ -280,10 +280,9 @@ impl Search {
         self.go_on(t0)?;
         let heights = self.line.heights(t0, t1);
         let (first, last) = layers_of(heights);
-        let slots = layers(slots, first, last);
+        let mut slots = layers(slots, first, last);
         let upward = self.line.speed[2] >= 0.0;
-        for n in 0..slots.len() {
-            let slot = &slots[if upward { n } else { slots.len() - 1 - n }];
+        while let Some(slot) = if upward { slots.next() } else { slots.next_back() } {
             let base = floor_of(slot.layer());
             let (low, high) = (local(heights.low, base), local(heights.high, base));
             if slot.slices() & slices_between(low, high) == 0 {
@@ -308,7 +307,7 @@ impl Search {
             self.go_on(t0)?;
             let block = page.block((i - bi) as u32, (j - bj) as u32);
             let heights = local_heights(line.heights(t0, t1), base);
-            if heights.is_some_and(|(a, b)| block.slices() & slices_between(a, b) != 0 && block.hull().meets(a, b)) {
+            if heights.is_some_and(|(a, b)| block.slices() & slices_between(a, b) != 0) {
                 self.block(block, i * 8, j * 8, base, t0, t1);
             }
             ControlFlow::Continue(())

@@ -3,8 +3,9 @@
 //! Layout, outermost first. Blocks are 8 × 8 pixels, numbered in row order; only those with matter are stored.
 //!
 //! 1. Per block a mask of slices with matter, eight blocks to a cache line: most queries end here.
-//! 2. Per block a record of 32 bytes: mask of pixels with matter, the *hull* of all its spans, where its rows begin.
-//! 3. Per block the *unions* of its floor spans and of its obstacle spans, then its spans in row order.
+//! 2. Per block a record of 48 bytes: the *unions* of its floor spans and of its obstacle spans, if they are at most four,
+//!    mask of pixels with matter, where its rows begin.
+//! 3. Per block the unions beyond four, then its spans in row order.
 //!
 //! A shape of constant height that covers all pixels with matter of a block is answered by the unions alone, and
 //! exactly: the union meets a height interval if and only if some pixel's span does. Where the shape cuts a block, the
@@ -20,14 +21,21 @@ const BLOCKS: usize = 64;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 struct Block {
+    /// The lowest unions, filled up with [`Span::NEVER`].
+    unions: [Span; 4],
     /// Pixels with matter, bit `8·(y % 8) + x % 8`.
     pixels: u64,
-    /// First of the block's unions and spans in the page's.
+    /// First of the block's further unions and spans in the page's.
     first: u32,
-    /// Lowest bottom, highest top; obstacle if any span is.
-    hull: Span,
-    /// Where each row's spans begin, counted from `first`; the unions lie before row 0.
+    /// Where each row's spans begin, counted from `first`. Before row 0 lie the unions beyond four, filled up to a
+    /// multiple of four.
     rows: [u16; 8],
+}
+
+impl Block {
+    fn without_matter(first: usize) -> Self {
+        Self { unions: [Span::NEVER; 4], pixels: 0, first: first as u32, rows: [0; 8] }
+    }
 }
 
 /// All matter in one tile column of 64 slices. Immutable; see the module text for its layout.
@@ -64,18 +72,19 @@ impl<'a> BlockView<'a> {
         self.page.blocks[self.place].pixels
     }
 
-    /// From the block's lowest bottom to its highest top, an obstacle if any span is; meaningless without matter.
-    #[inline]
-    pub(crate) fn hull(self) -> Span {
-        self.page.blocks[self.place].hull
+    /// Unions of the block's floor spans and unions of its obstacle spans: disjoint within a kind, lowest bottom first.
+    pub fn unions(self) -> impl Iterator<Item = Span> {
+        let (first, more) = self.union_quads();
+        first.iter().chain(more.as_flattened()).copied().take_while(|span| *span != Span::NEVER)
     }
 
-    /// Union of the block's floor spans and union of its obstacle spans: disjoint within a kind, lowest bottom first.
+    /// The unions in groups of four, filled up with spans that meet nothing.
     #[inline]
-    pub fn unions(self) -> &'a [Span] {
+    pub(crate) fn union_quads(self) -> (&'a [Span; 4], &'a [[Span; 4]]) {
         let block = &self.page.blocks[self.place];
         let first = block.first as usize;
-        &self.page.spans[first..first + block.rows[0] as usize]
+        let more = &self.page.spans[first..first + block.rows[0] as usize];
+        (&block.unions, more.as_chunks().0)
     }
 
     /// Spans of the rows `y0..=y1` [0..8], row by row, within a row pixel by pixel, lowest first.
@@ -156,7 +165,8 @@ impl Page {
 
     /// Number of spans.
     pub fn span_count(&self) -> usize {
-        self.spans.len() - self.blocks.iter().map(|block| block.rows[0] as usize).sum::<usize>()
+        let further_unions = self.blocks.iter().map(|block| block.rows[0] as usize).sum::<usize>();
+        self.spans.len() - further_unions
     }
 
     /// Number of occupied voxels, and how many of them hold obstacle.
@@ -246,13 +256,12 @@ impl PageBuilder {
         let mut block_slices = Vec::with_capacity(count + 1);
         let mut blocks: Vec<Block> = Vec::with_capacity(count + 1);
         let mut spans: Vec<Span> = Vec::with_capacity(self.spans.len() + 2 * count);
-        let mut own: Vec<Span> = Vec::new();
-        let mut scratch = Vec::new();
+        let (mut own, mut unions, mut scratch) = (Vec::new(), Vec::new(), Vec::new());
         for (number, ranges) in self.ranges.chunks_exact(64).enumerate().filter(|(_, ranges)| occupied(ranges)) {
             mask |= 1 << number;
             places[number] = blocks.len() as u8;
             own.clear();
-            let mut block = Block { pixels: 0, first: spans.len() as u32, hull: Span::ZERO, rows: [0; 8] };
+            let mut block = Block::without_matter(spans.len());
             for (bit, &(first, count)) in ranges.iter().enumerate() {
                 if bit % 8 == 0 {
                     block.rows[bit / 8] = own.len() as u16;
@@ -261,13 +270,13 @@ impl PageBuilder {
                 let column = &self.spans[first as usize..(first + count) as usize];
                 own.extend(column.iter().map(|span| span.in_lane(bit as u32 % 8)));
             }
-            push_unions(&own, &mut scratch, &mut spans);
-            let unions = &spans[block.first as usize..];
-            let top = unions.iter().map(|span| span.top()).max().unwrap_or(0);
-            block.hull = Span::new(unions[0].bottom(), top, unions.iter().any(|span| span.is_obstacle()))
-                .expect("unions lie inside the page");
-            let union_count = unions.len() as u16;
-            block.rows.iter_mut().for_each(|start| *start += union_count);
+            push_unions(&own, &mut scratch, &mut unions);
+            let (lowest, further) = unions.split_at(unions.len().min(4));
+            block.unions[..lowest.len()].copy_from_slice(lowest);
+            spans.extend_from_slice(further);
+            let filled = further.len().next_multiple_of(4);
+            spans.resize(block.first as usize + filled, Span::NEVER);
+            block.rows.iter_mut().for_each(|start| *start += filled as u16);
             let slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
             page_slices |= slices;
             block_slices.push(slices);
@@ -275,7 +284,7 @@ impl PageBuilder {
             spans.extend_from_slice(&own);
         }
         block_slices.push(0);
-        blocks.push(Block { pixels: 0, first: spans.len() as u32, hull: Span::ZERO, rows: [0; 8] });
+        blocks.push(Block::without_matter(spans.len()));
         Page {
             slices: page_slices,
             occupied: mask,
@@ -287,9 +296,9 @@ impl PageBuilder {
     }
 }
 
-/// Appends the unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
+/// Sets `unions` to the unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
 fn push_unions(spans: &[Span], scratch: &mut Vec<Span>, unions: &mut Vec<Span>) {
-    let first = unions.len();
+    unions.clear();
     for obstacle in [false, true] {
         scratch.clear();
         scratch.extend(spans.iter().filter(|span| span.is_obstacle() == obstacle));
@@ -306,7 +315,7 @@ fn push_unions(spans: &[Span], scratch: &mut Vec<Span>, unions: &mut Vec<Span>) 
         }
         unions.extend(run.and_then(|(bottom, top)| Span::new(bottom, top, obstacle)));
     }
-    unions[first..].sort_unstable_by_key(|span| (span.bottom(), span.is_obstacle()));
+    unions.sort_unstable_by_key(|span| (span.bottom(), span.is_obstacle()));
 }
 
 const _: () = assert!(PAGE_QUANTA < 1 << 14 && BLOCKS * 64 == (TILE_PIXELS * TILE_PIXELS) as usize);
@@ -356,11 +365,10 @@ mod tests {
             for by in 0..8 {
                 for bx in 0..8 {
                     for obstacle in [false, true] {
-                        let meets = |spans: &[Span]| {
-                            spans.iter().any(|s| s.is_obstacle() == obstacle && s.meets(low, high))
-                        };
-                        let by_pixels = (0..64).any(|bit| meets(page.block(bx, by).column(bit)));
-                        prop_assert_eq!(meets(page.block(bx, by).unions()), by_pixels);
+                        let meets = |s: &Span| s.is_obstacle() == obstacle && s.meets(low, high);
+                        let block = page.block(bx, by);
+                        let by_pixels = (0..64).any(|bit| block.column(bit).iter().any(meets));
+                        prop_assert_eq!(block.unions().any(|s| meets(&s)), by_pixels);
                     }
                 }
             }
