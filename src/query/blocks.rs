@@ -2,6 +2,7 @@
 
 use super::grid::Heights;
 use super::grid::sealed::OnPixels;
+use super::scan::{meeting, meeting_in_lanes};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::slice::{Page, Span};
 
@@ -61,7 +62,7 @@ pub(super) fn touched<G: OnPixels>(place: &Place<'_>, shape: &G, low: u32, high:
     while blocks != 0 && found & until == 0 {
         let number = blocks.trailing_zeros();
         blocks &= blocks - 1;
-        found |= touched_in_block(place, number, shape, low, high, found);
+        found |= touched_in_block(place, number, shape, (low, high), found, until);
     }
     found
 }
@@ -72,9 +73,9 @@ fn touched_in_block<G: OnPixels>(
     place: &Place<'_>,
     number: u32,
     shape: &G,
-    mut low: u32,
-    mut high: u32,
+    (mut low, mut high): (u32, u32),
     known: Kinds,
+    until: Kinds,
 ) -> Kinds {
     let block = place.page.block_at(number);
     let (i, j) = place.corner(number);
@@ -95,13 +96,13 @@ fn touched_in_block<G: OnPixels>(
     let mut kinds = 0;
     if G::UPRIGHT {
         for_each_strip(mask, |strip| {
-            kinds |= meeting_in_lanes(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high);
+            kinds |= meeting_in_lanes(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high, until);
         });
     } else {
         for_each_bit(pixels, |bit| {
             let heights = shape.heights_over(i + i64::from(bit & 7), j + i64::from(bit >> 3), 1);
             let Some((low, high)) = local_heights(heights, place.base) else { return };
-            kinds |= meeting_in_lanes(block.column(bit), 0, 7, low, high);
+            kinds |= meeting_in_lanes(block.column(bit), 0, 7, low, high, until);
         });
     }
     kinds
@@ -138,46 +139,6 @@ pub(super) fn for_each_bit(mut mask: u64, mut f: impl FnMut(u32)) {
         f(mask.trailing_zeros());
         mask &= mask - 1;
     }
-}
-
-/// `kinds`, and the kinds of those spans that meet `low..=high`. No branch inside, so that it vectorises.
-#[inline]
-fn meeting(quads: &[[Span; 4]], kinds: Kinds, low: u32, high: u32) -> Kinds {
-    quads.iter().fold(kinds, |kinds, quad| {
-        let each = quad.map(|span| span.kinds() & select(meets(span, low, high)));
-        kinds | each[0] | each[1] | each[2] | each[3]
-    })
-}
-
-/// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`.
-#[inline]
-fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high: u32) -> Kinds {
-    let kinds = |span: Span| span.kinds() & select(meets(span, low, high) & in_lanes(span, x0, x1));
-    let (eights, rest) = spans.as_chunks::<8>();
-    let gathered = eights.iter().fold([0; 8], |mut gathered, eight| {
-        for (all, &span) in gathered.iter_mut().zip(eight) {
-            *all |= kinds(span);
-        }
-        gathered
-    });
-    rest.iter().fold(0, |all, &span| all | kinds(span)) | gathered.iter().fold(0, |all, kinds| all | kinds)
-}
-
-/// Signed comparisons of values below 2³¹: the plain x86-64 instruction set has no others for vectors.
-#[inline]
-fn meets(span: Span, low: u32, high: u32) -> bool {
-    (span.bottom() as i32 <= high as i32) & (span.top() as i32 >= low as i32)
-}
-
-#[inline]
-pub(super) fn in_lanes(span: Span, x0: u32, x1: u32) -> bool {
-    (span.lane() as i32 >= x0 as i32) & (span.lane() as i32 <= x1 as i32)
-}
-
-/// All bits if `condition`, else none.
-#[inline]
-pub(super) fn select(condition: bool) -> u32 {
-    u32::from(condition).wrapping_neg()
 }
 
 #[cfg(test)]

@@ -1,10 +1,11 @@
 //! The highest floor under a footprint.
 
-use super::blocks::{Place, for_each_bit, for_each_strip, in_lanes, local, select, slices_between};
+use super::blocks::{Place, for_each_bit, for_each_strip, local, slices_between};
 use super::columns::{Tile, floor_of, for_each_column, layers};
 use super::grid::Shape;
 use super::grid::sealed::OnPixels;
 use super::missing::{Answer, Missing, note};
+use super::scan::{select, top_in_lanes};
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{PageSet, PageSlot};
@@ -154,7 +155,8 @@ fn highest_top<G: OnPixels, T: PageSlot>(
         }
         let mut highest = 0;
         for_each_strip(mask, |strip| {
-            highest = highest.max(top_in(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, inner_limit));
+            let rows = block.rows(strip.y0, strip.y1);
+            highest = highest.max(top_in_lanes(rows, strip.x0, strip.x1, inner_limit, by_union));
         });
         let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
         if limit == END && by_union > END {
@@ -180,15 +182,6 @@ fn highest_union(block: BlockView<'_>, limit: u32) -> u32 {
         highest.max(tops[0].max(tops[1]).max(tops[2].max(tops[3])))
     };
     more.iter().fold(highest(0, first), highest)
-}
-
-/// Highest top of a floor span of lanes `x0..=x1` up to `limit`, plus 1; 0 if there is none.
-#[inline]
-fn top_in(spans: &[Span], x0: u32, x1: u32, limit: u32) -> u32 {
-    spans.iter().fold(0, |highest: u32, &span| {
-        let counts = !span.is_obstacle() & (span.top() <= limit) & in_lanes(span, x0, x1);
-        highest.max((span.top() + 1) & select(counts))
-    })
 }
 
 /// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory it

@@ -35,6 +35,7 @@ mod grid;
 mod missing;
 mod probe;
 mod ray;
+mod scan;
 mod sphere;
 
 pub use aabb::Aabb;
