@@ -4,7 +4,7 @@ use super::grid::Heights;
 use super::grid::sealed::OnPixels;
 use super::scan::{meeting, meeting_in_lanes};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
-use crate::slice::{Page, Span};
+use crate::slice::{BlockView, Page, Span};
 
 /// What touched: a set of [`MATTER`] and [`OBSTACLE`].
 pub(super) type Kinds = u32;
@@ -13,12 +13,17 @@ pub(super) const MATTER: Kinds = 1;
 /// An obstacle; never without [`MATTER`].
 pub(super) const OBSTACLE: Kinds = Span::OBSTACLE_KIND;
 
-/// Slices in which a span must lie to meet the local heights `low..=high` [0..=16320]: a span that ends at `low` on a
-/// slice boundary belongs to the slice below.
+/// First and last slice in which a span can lie that meets the local heights `low..=high` [0..=16320]: one that ends at
+/// `low` on a slice boundary belongs to the slice below.
+#[inline]
+pub(super) fn slices_of(low: u32, high: u32) -> (u32, u32) {
+    (low.saturating_sub(1) / SLICE_QUANTA as u32, (high / SLICE_QUANTA as u32).min(63))
+}
+
+/// The same slices as a mask.
 #[inline]
 pub(super) fn slices_between(low: u32, high: u32) -> u64 {
-    let first = low.saturating_sub(1) / SLICE_QUANTA as u32;
-    let last = (high / SLICE_QUANTA as u32).min(63);
+    let (first, last) = slices_of(low, high);
     u64::MAX >> (63 - last) & u64::MAX << first
 }
 
@@ -47,6 +52,13 @@ pub(super) struct Place<'a> {
 }
 
 impl Place<'_> {
+    /// Blocks under the shape with matter in the slices of local heights `low..=high`.
+    #[inline]
+    pub fn blocks_between(&self, low: u32, high: u32) -> u64 {
+        let (first, last) = slices_of(low, high);
+        self.blocks & self.page.blocks_in(first, last)
+    }
+
     /// First pixel of block `number`.
     #[inline]
     pub fn corner(&self, number: u32) -> (i64, i64) {
@@ -58,7 +70,7 @@ impl Place<'_> {
 #[inline]
 pub(super) fn touched<G: OnPixels>(place: &Place<'_>, shape: &G, low: u32, high: u32, until: Kinds) -> Kinds {
     let mut found = 0;
-    let mut blocks = place.page.blocks_in(place.blocks, slices_between(low, high));
+    let mut blocks = place.blocks_between(low, high);
     while blocks != 0 && found & until == 0 {
         let number = blocks.trailing_zeros();
         blocks &= blocks - 1;
@@ -83,8 +95,7 @@ fn touched_in_block<G: OnPixels>(
         let Some(narrower) = local_heights(shape.heights_over(i, j, 8), place.base) else { return 0 };
         (low, high) = narrower;
     }
-    let (first, more) = block.union_quads();
-    let by_unions = meeting(more, meeting(std::slice::from_ref(first), 0, low, high), low, high);
+    let by_unions = kinds_by_unions(block, low, high);
     if by_unions & !known == 0 || G::UPRIGHT && shape.holds(i, j) {
         return by_unions;
     }
@@ -106,6 +117,19 @@ fn touched_in_block<G: OnPixels>(
         });
     }
     kinds
+}
+
+/// Kinds of matter in any of the block's pixels that meet `low..=high`.
+#[inline]
+fn kinds_by_unions(block: BlockView<'_>, low: u32, high: u32) -> Kinds {
+    let (first, more) = block.union_quads();
+    meeting(more, meeting(std::slice::from_ref(first), 0, low, high), low, high)
+}
+
+/// Whether any of the block's pixels has matter that meets `low..=high`.
+#[inline]
+pub(super) fn touches_union(block: BlockView<'_>, low: u32, high: u32) -> bool {
+    kinds_by_unions(block, low, high) != 0
 }
 
 /// Rows `y0..=y1` of a block between lanes `x0..=x1`.

@@ -2,8 +2,8 @@
 
 use super::blocks::{Place, for_each_bit, for_each_strip, local, slices_between};
 use super::columns::{Tile, floor_of, for_each_column, layers};
-use super::grid::Shape;
 use super::grid::sealed::OnPixels;
+use super::grid::{Heights, Shape};
 use super::missing::{Answer, Missing, note};
 use super::scan::{select, top_in_lanes};
 use crate::frame::{Frame, PAGE_QUANTA};
@@ -85,10 +85,9 @@ impl FloorSearch {
         if self.least > self.limit {
             return;
         }
-        let first = self.least.saturating_sub(1).div_euclid(PAGE_QUANTA);
-        let last = self.limit.div_euclid(PAGE_QUANTA);
+        let heights = Heights { low: self.least, high: self.limit };
         let mut above: Option<&T> = None;
-        for slot in layers(slots, first, last).rev() {
+        for slot in layers(slots, heights).rev() {
             let base = floor_of(slot.layer());
             if base + PAGE_QUANTA < self.least {
                 break;
@@ -133,7 +132,7 @@ fn highest_top<G: OnPixels, T: PageSlot>(
     };
     // Blocks that lie wholly in the footprint first: their unions answer, and leave little to look for in the others.
     let mut cut = 0u64;
-    for_each_bit(place.page.blocks_in(place.blocks, slices_between(least, limit)), |number| {
+    for_each_bit(place.blocks_between(least, limit), |number| {
         let (i, j) = place.corner(number);
         match highest_union(place.page.block_at(number), limit) {
             top if top <= least => {}

@@ -2,7 +2,8 @@
 //!
 //! Layout, outermost first. Blocks are 8 × 8 pixels, numbered in row order; only those with matter are stored.
 //!
-//! 1. Per block a mask of slices with matter, eight blocks to a cache line: most queries end here.
+//! 1. Per slice with matter a mask of blocks with matter in it: one pass over the slices that a shape spans leaves the
+//!    few blocks that can matter.
 //! 2. Per block a record of 48 bytes: the *unions* of its floor spans and of its obstacle spans, if they are at most four,
 //!    mask of pixels with matter, where its rows begin.
 //! 3. Per block the unions beyond four, then its spans in row order.
@@ -43,11 +44,10 @@ impl Block {
 pub struct Page {
     /// Slices with matter.
     slices: u64,
-    /// Blocks with matter, bit `8·by + bx`.
-    occupied: u64,
     /// Per block its place in the arrays below; blocks without matter share the sentinel at the end.
     places: [u8; BLOCKS],
-    block_slices: Box<[u64]>,
+    /// Per slice with matter its blocks with matter, bit `8·by + bx`.
+    slice_blocks: Box<[u64]>,
     blocks: Box<[Block]>,
     spans: Box<[Span]>,
 }
@@ -61,9 +61,15 @@ pub struct BlockView<'a> {
 
 impl<'a> BlockView<'a> {
     /// Slices of the page in which some pixel of the block has matter, as a mask.
-    #[inline]
     pub fn slices(self) -> u64 {
-        self.page.block_slices[self.place]
+        let number = self.page.places.iter().position(|&place| usize::from(place) == self.place).unwrap_or(0);
+        let mut left = self.page.slices;
+        let with_matter = self.page.slice_blocks.iter().map(|blocks| {
+            let slice = left & left.wrapping_neg();
+            left ^= slice;
+            if blocks >> number & 1 == 1 { slice } else { 0 }
+        });
+        with_matter.fold(0, |slices, slice| slices | slice)
     }
 
     /// Pixels of the block with matter: bit `8·(y % 8) + x % 8`.
@@ -131,18 +137,20 @@ impl Page {
         BlockView { page: self, place: self.places[(number & 63) as usize] as usize }
     }
 
-    /// Those of `blocks` (bit `8·by + bx`) that have matter in one of `slices`.
+    /// Blocks (bit `8·by + bx`) with matter in one of the slices `first..=last` [0..64].
     #[inline]
-    pub(crate) fn blocks_in(&self, blocks: u64, slices: u64) -> u64 {
-        let mut left = blocks & self.occupied;
-        let mut found = 0;
-        while left != 0 {
-            let number = left.trailing_zeros();
-            left &= left - 1;
-            let mask = self.block_slices[self.places[number as usize] as usize];
-            found |= u64::from(mask & slices != 0) << number;
+    pub(crate) fn blocks_in(&self, first: u32, last: u32) -> u64 {
+        let upto = self.slices & u64::MAX >> (63 - last);
+        let below = (self.slices & !(u64::MAX << first)).count_ones() as usize;
+        let slices = &self.slice_blocks[below..upto.count_ones() as usize];
+        let (quads, rest) = slices.as_chunks::<4>();
+        let or = |all: [u64; 4], quad: &[u64; 4]| [0, 1, 2, 3].map(|n| all[n] | quad[n]);
+        let mut all = quads.iter().fold([0; 4], or);
+        match slices.last_chunk() {
+            Some(last) => all = or(all, last),
+            None => all[0] = rest.iter().fold(0, |all, blocks| all | blocks),
         }
-        found
+        all[0] | all[1] | all[2] | all[3]
     }
 
     /// Spans of pixel (`px`, `py`) [0..64], lowest first.
@@ -186,7 +194,7 @@ impl Page {
     /// Bytes of memory that the page holds.
     pub fn weight_bytes(&self) -> usize {
         size_of::<Self>()
-            + size_of_val::<[u64]>(&self.block_slices)
+            + size_of_val::<[u64]>(&self.slice_blocks)
             + size_of_val::<[Block]>(&self.blocks)
             + size_of_val::<[Span]>(&self.spans)
     }
@@ -251,14 +259,12 @@ impl PageBuilder {
         let occupied = |ranges: &[(u32, u32)]| ranges.iter().any(|range| range.1 > 0);
         let count = self.ranges.chunks_exact(64).filter(|ranges| occupied(ranges)).count();
         let mut page_slices = 0;
-        let mut mask = 0;
+        let mut slice_blocks = [0u64; 64];
         let mut places = [count as u8; BLOCKS];
-        let mut block_slices = Vec::with_capacity(count + 1);
         let mut blocks: Vec<Block> = Vec::with_capacity(count + 1);
         let mut spans: Vec<Span> = Vec::with_capacity(self.spans.len() + 2 * count);
         let (mut own, mut unions, mut scratch) = (Vec::new(), Vec::new(), Vec::new());
         for (number, ranges) in self.ranges.chunks_exact(64).enumerate().filter(|(_, ranges)| occupied(ranges)) {
-            mask |= 1 << number;
             places[number] = blocks.len() as u8;
             own.clear();
             let mut block = Block::without_matter(spans.len());
@@ -279,17 +285,17 @@ impl PageBuilder {
             block.rows.iter_mut().for_each(|start| *start += filled as u16);
             let slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
             page_slices |= slices;
-            block_slices.push(slices);
+            for (slice, blocks) in slice_blocks.iter_mut().enumerate() {
+                *blocks |= (slices >> slice & 1) << number;
+            }
             blocks.push(block);
             spans.extend_from_slice(&own);
         }
-        block_slices.push(0);
         blocks.push(Block::without_matter(spans.len()));
         Page {
             slices: page_slices,
-            occupied: mask,
             places,
-            block_slices: block_slices.into(),
+            slice_blocks: slice_blocks.into_iter().filter(|&blocks| blocks != 0).collect(),
             blocks: blocks.into(),
             spans: spans.into(),
         }
@@ -352,6 +358,15 @@ mod tests {
                 for px in 0..64 {
                     let expected = columns.get(&(px, py)).map_or(&[][..], |spans| spans);
                     prop_assert_eq!(page.column(px, py), expected);
+                }
+            }
+            for (bx, by) in (0..64).map(|n| (n % 8, n / 8)) {
+                let spans = (0..64).flat_map(|bit| page.block(bx, by).column(bit));
+                let slices = spans.fold(0, |mask, span| mask | span.slice_mask());
+                prop_assert_eq!(page.block(bx, by).slices(), slices);
+                for (first, last) in [(0, 63), (0, 0), (63, 63), (5, 9), (17, 40)] {
+                    let meets = slices & u64::MAX << first & u64::MAX >> (63 - last) != 0;
+                    prop_assert_eq!(page.blocks_in(first, last) >> (by * 8 + bx) & 1 == 1, meets);
                 }
             }
         }
