@@ -80,6 +80,11 @@ impl OnPixels for GridBox {
     }
 
     #[inline]
+    fn holds(&self, i: i64, j: i64) -> bool {
+        (self.rect.i0 <= i) & (i + 7 <= self.rect.i1) & (self.rect.j0 <= j) & (j + 7 <= self.rect.j1)
+    }
+
+    #[inline]
     fn mask(&self, i: i64, j: i64) -> u64 {
         self.rect.bits(i, j, 0)
     }

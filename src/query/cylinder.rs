@@ -76,6 +76,11 @@ impl OnPixels for GridCylinder {
     }
 
     #[inline]
+    fn holds(&self, i: i64, j: i64) -> bool {
+        self.disc.holds(i, j)
+    }
+
+    #[inline]
     fn mask(&self, i: i64, j: i64) -> u64 {
         self.disc.mask(i, j)
     }

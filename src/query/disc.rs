@@ -80,7 +80,7 @@ impl Disc {
     /// Whether the square of 8 × 8 pixels that begins at (`i`, `j`) lies inside the disc. May be `false` by an ulp
     /// where it does.
     #[inline]
-    fn holds_block(&self, i: i64, j: i64) -> bool {
+    pub fn holds(&self, i: i64, j: i64) -> bool {
         let far = |center: f64, first: i64| {
             let (low, high) = (self.frame.edge_of_pixel(first), self.frame.edge_of_pixel(first + 8));
             (center - low).max(high - center)
@@ -92,9 +92,6 @@ impl Disc {
     /// Pixels of the disc in the block that begins at (`i`, `j`), row by row contiguous.
     #[inline]
     pub fn mask(&self, i: i64, j: i64) -> u64 {
-        if self.holds_block(i, j) {
-            return u64::MAX;
-        }
         (0..8).fold(0, |mask, row| {
             let Some(half) = self.half_chord(self.gap(self.y, j + row, 1)) else { return mask };
             let (first, last) = self.pixels(self.x, half);

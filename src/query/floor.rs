@@ -2,11 +2,12 @@
 
 use super::blocks::{Place, for_each_bit, for_each_strip, local, slices_between};
 use super::columns::{Tile, floor_of, for_each_column, layers};
-use super::grid::Shape;
 use super::grid::sealed::OnPixels;
+use super::grid::{Heights, Shape};
 use super::missing::{Answer, Missing, note};
+use super::scan::{select, top_in_lanes};
 use crate::frame::{Frame, PAGE_QUANTA};
-use crate::slice::{Page, Span};
+use crate::slice::{BlockView, Page, Span};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
@@ -84,10 +85,9 @@ impl FloorSearch {
         if self.least > self.limit {
             return;
         }
-        let first = self.least.saturating_sub(1).div_euclid(PAGE_QUANTA);
-        let last = self.limit.div_euclid(PAGE_QUANTA);
+        let heights = Heights { low: self.least, high: self.limit };
         let mut above: Option<&T> = None;
-        for slot in layers(slots, first, last).iter().rev() {
+        for slot in layers(slots, heights).rev() {
             let base = floor_of(slot.layer());
             if base + PAGE_QUANTA < self.least {
                 break;
@@ -124,52 +124,63 @@ fn highest_top<G: OnPixels, T: PageSlot>(
     // Tops on the page's end may go on in the page above: those need a look at each pixel.
     let inner_limit = limit.min(END - 1);
     let mut best = None;
-    for_each_bit(place.page.blocks_in(place.blocks, slices_between(least, limit)), |number| {
+    let mut found = |highest: u32, least: &mut u32| {
+        if highest > *least {
+            best = Some(highest - 1);
+            *least = highest;
+        }
+    };
+    // Blocks that lie wholly in the footprint first: their unions answer, and leave little to look for in the others.
+    let mut cut = 0u64;
+    for_each_bit(place.blocks_between(least, limit), |number| {
+        let (i, j) = place.corner(number);
+        match highest_union(place.page.block_at(number), limit) {
+            top if top <= least => {}
+            top if top <= inner_limit + 1 && shape.holds(i, j) => found(top, &mut least),
+            _ => cut |= 1 << number,
+        }
+    });
+    for_each_bit(cut, |number| {
         let block = place.page.block_at(number);
-        if block.hull().top() < least {
+        let by_union = highest_union(block, limit);
+        if by_union <= least {
             return;
         }
-        let floors = block.unions().iter().filter(|span| !span.is_obstacle() && span.bottom() <= limit);
-        let Some(union) = floors.max_by_key(|span| span.top()).filter(|span| span.top() >= least) else { return };
         let (i, j) = place.corner(number);
         let mask = shape.mask(i, j);
         let pixels = mask & block.pixels();
-        if pixels == 0 {
-            return;
+        if pixels == block.pixels() && by_union <= inner_limit + 1 {
+            return found(by_union, &mut least);
         }
         let mut highest = 0;
-        if pixels == block.pixels() && union.top() <= inner_limit {
-            highest = union.top() + 1;
-        } else {
-            for_each_strip(mask, |strip| {
-                highest = highest.max(top_in(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, inner_limit));
+        for_each_strip(mask, |strip| {
+            let rows = block.rows(strip.y0, strip.y1);
+            highest = highest.max(top_in_lanes(rows, strip.x0, strip.x1, inner_limit, by_union));
+        });
+        let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
+        if limit == END && by_union > END {
+            for_each_bit(pixels, |bit| {
+                let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
+                if highest <= END && ends(bit) && !goes_on(above, px, py) {
+                    highest = END + 1;
+                }
             });
-            let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
-            if limit == END && union.top() == END {
-                for_each_bit(pixels, |bit| {
-                    let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
-                    if highest <= END && ends(bit) && !goes_on(above, px, py) {
-                        highest = END + 1;
-                    }
-                });
-            }
         }
-        if highest > least {
-            best = Some(highest - 1);
-            least = highest;
-        }
+        found(highest, &mut least);
     });
     best
 }
 
-/// Highest top of a floor span of lanes `x0..=x1` up to `limit`, plus 1; 0 if there is none.
+/// Highest top of a union of floor spans that begins at or below `limit`, plus 1; 0 if there is none. That top itself
+/// may lie above `limit`.
 #[inline]
-fn top_in(spans: &[Span], x0: u32, x1: u32, limit: u32) -> u32 {
-    let width = x1 - x0;
-    spans.iter().fold(0, |highest: u32, &span| {
-        let counts = !span.is_obstacle() & (span.top() <= limit) & (span.lane().wrapping_sub(x0) <= width);
-        highest.max((span.top() + 1) & u32::from(counts).wrapping_neg())
-    })
+fn highest_union(block: BlockView<'_>, limit: u32) -> u32 {
+    let (first, more) = block.union_quads();
+    let highest = |highest: u32, quad: &[Span; 4]| {
+        let tops = quad.map(|span| (span.top() + 1) & select(!span.is_obstacle() & (span.bottom() <= limit)));
+        highest.max(tops[0].max(tops[1]).max(tops[2].max(tops[3])))
+    };
+    more.iter().fold(highest(0, first), highest)
 }
 
 /// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory it

@@ -54,6 +54,10 @@ pub(super) mod sealed {
         /// Heights over the whole footprint.
         fn heights(&self) -> Heights;
 
+        /// Whether the whole block of 8 × 8 pixels that begins at pixel (`i`, `j`) lies in the footprint; may be `false`
+        /// where it does.
+        fn holds(&self, i: i64, j: i64) -> bool;
+
         /// Pixels of the footprint in the block of 8 × 8 pixels that begins at pixel (`i`, `j`), bit `8·dy + dx`. The
         /// bits of a row are contiguous.
         fn mask(&self, i: i64, j: i64) -> u64;

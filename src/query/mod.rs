@@ -35,6 +35,7 @@ mod grid;
 mod missing;
 mod probe;
 mod ray;
+mod scan;
 mod sphere;
 
 pub use aabb::Aabb;
@@ -60,8 +61,13 @@ use grid::sealed::OnPixels;
 pub fn overlaps<S: PageSet, H: Shape>(set: &S, shape: &H) -> Overlap {
     let shape = shape.on_grid(set.frame());
     let mut touch = Touch::new(&shape, MATTER);
-    for_each_column(set, shape.rect(), |tile, slots| touch.column(&shape, tile, slots));
-    touch.overlap()
+    let mut missing = None;
+    for_each_column(set, shape.rect(), |tile, slots| touch.column(&shape, tile, slots, &mut missing));
+    match missing {
+        _ if touch.done() => Overlap::Hit,
+        Some(missing) => Overlap::NotLoaded(missing),
+        None => Overlap::Clear,
+    }
 }
 
 /// [`overlaps`] for each of `shapes`, in order, into `answers`.

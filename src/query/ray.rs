@@ -5,8 +5,8 @@
 //! computed from the cell's index instead of summed up, so errors do not grow with the number of steps. And cells are
 //! grown by a margin, so a ray along an edge or through a corner looks at the cells on both sides.
 
-use super::blocks::{local, local_heights, slices_between};
-use super::columns::{floor_of, layers, layers_of};
+use super::blocks::{local, local_heights, slices_between, touches_union};
+use super::columns::{floor_of, layers};
 use super::disc::SLACK;
 use super::grid::{Heights, Rect};
 use super::missing::{Answer, Missing, note};
@@ -279,11 +279,9 @@ impl Search {
     fn tile<T: PageSlot>(&mut self, slots: &[T], tx: i32, ty: i32, t0: f64, t1: f64) -> ControlFlow<()> {
         self.go_on(t0)?;
         let heights = self.line.heights(t0, t1);
-        let (first, last) = layers_of(heights);
-        let slots = layers(slots, first, last);
+        let mut slots = layers(slots, heights);
         let upward = self.line.speed[2] >= 0.0;
-        for n in 0..slots.len() {
-            let slot = &slots[if upward { n } else { slots.len() - 1 - n }];
+        while let Some(slot) = if upward { slots.next() } else { slots.next_back() } {
             let base = floor_of(slot.layer());
             let (low, high) = (local(heights.low, base), local(heights.high, base));
             if slot.slices() & slices_between(low, high) == 0 {
@@ -308,7 +306,7 @@ impl Search {
             self.go_on(t0)?;
             let block = page.block((i - bi) as u32, (j - bj) as u32);
             let heights = local_heights(line.heights(t0, t1), base);
-            if heights.is_some_and(|(a, b)| block.slices() & slices_between(a, b) != 0 && block.hull().meets(a, b)) {
+            if heights.is_some_and(|(low, high)| touches_union(block, low, high)) {
                 self.block(block, i * 8, j * 8, base, t0, t1);
             }
             ControlFlow::Continue(())

@@ -74,6 +74,11 @@ impl OnPixels for GridSphere {
     }
 
     #[inline]
+    fn holds(&self, i: i64, j: i64) -> bool {
+        self.disc.holds(i, j)
+    }
+
+    #[inline]
     fn mask(&self, i: i64, j: i64) -> u64 {
         self.disc.mask(i, j)
     }
