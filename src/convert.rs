@@ -14,7 +14,7 @@ use crate::input::{Decoder, InputOptions, InputSet, UnitCounts, Units};
 use crate::plan::{Classifier, Plan, Up};
 use crate::slice::columns::ColumnPages;
 use crate::slice::obstacle::Judge;
-use crate::voxel::fold::{Area, Folded, Patch, Voxel, fold_into};
+use crate::voxel::fold::{Area, Folded, Folder, Patch, Voxel, fold_into};
 use crate::voxel::record::{ColumnKey, Record, Recorder};
 use crate::voxel::runs::{Job, Merge, RunBuilder, RunStore};
 use crate::{Error, Monitor, Result};
@@ -434,6 +434,7 @@ struct ColumnWorker {
     min_points: u32,
     max_records: u64,
     patch: Patch,
+    folder: Folder,
     verdicts: Vec<bool>,
     columns: ColumnPages,
     encoder: PageEncoder,
@@ -447,6 +448,7 @@ impl ColumnWorker {
             min_points: plan.min_points,
             max_records,
             patch: Patch::default(),
+            folder: Folder::default(),
             verdicts: Vec::new(),
             columns: ColumnPages::new(plan),
             encoder: PageEncoder::new(),
@@ -487,7 +489,7 @@ impl ColumnWorker {
             if !too_many {
                 own.clear();
                 own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
-                fold_into(&mut folded, &mut own);
+                fold_into(&mut folded, &own, &mut self.folder);
                 too_many = folded.len() > max_voxels;
             }
             Ok(())

@@ -38,10 +38,9 @@ impl ColumnPages {
 
     /// Adds the spans of all pixels in `area`, with one verdict (true: obstacle) per voxel of `patch`.
     pub fn add(&mut self, patch: &Patch, area: Area, verdicts: &[bool]) {
-        for y in area.y.0..area.y.1 {
-            for x in area.x.0..area.x.1 {
-                self.add_pixel(patch, (y as usize + 1) * PATCH_PIXELS + x as usize + 1, (y << 6 | x) as u16, verdicts);
-            }
+        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+            let (x, y) = (pixel % PATCH_PIXELS - 1, pixel / PATCH_PIXELS - 1);
+            self.add_pixel(patch, pixel, (y << 6 | x) as u16, verdicts);
         }
     }
 

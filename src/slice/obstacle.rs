@@ -19,7 +19,7 @@
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::plan::{Classifier, Plan};
 use crate::voxel::fold::{Area, BINS, Moments, Patch, Voxel};
-use crate::voxel::record::{HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, SLICE_STEPS, SUBPIXELS};
+use crate::voxel::record::{HALO_PIXELS, PATCH_PIXELS, SLICE_STEPS, SUBPIXELS};
 use nalgebra::{Matrix2, Vector2};
 
 /// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
@@ -96,11 +96,11 @@ impl Judge {
                 // What stays out of the fits is decided by each pixel alone, so that it does not depend on which
                 // neighbours of the halo are at hand.
                 let mut steep_alone = vec![false; verdicts.len()];
-                for pixel in 0..PATCH_AREA {
+                for pixel in patch.occupied() {
                     let alone = |below: &Piece, above: &Piece| (above.low - below.high) as f64 <= self.pixel;
                     mark_steep(patch, pixel, alone, self.clearly_steep_run, &mut steep_alone);
                 }
-                for pixel in area.patch_pixels() {
+                for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
                     for number in patch.range(pixel) {
                         if !verdicts[number] {
                             verdicts[number] = self.is_steep(patch, &steep_alone, pixel, number);
@@ -113,7 +113,7 @@ impl Judge {
 
     /// Marks the runs of all pixels in `area` that extend further than `greatest_extent` (quanta).
     fn mark_runs(&self, patch: &Patch, area: Area, greatest_extent: f64, verdicts: &mut [bool]) {
-        for pixel in area.patch_pixels() {
+        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
             let connected = |below: &Piece, above: &Piece| self.connected(patch, pixel, below, above);
             mark_steep(patch, pixel, connected, greatest_extent, verdicts);
         }
@@ -394,7 +394,7 @@ mod tests {
         let mut verdicts = Vec::new();
         Judge::new(plan).judge(&patch, inner, &mut verdicts);
         let (mut all, mut obstacles) = (0, 0);
-        for pixel in (0..PATCH_AREA).filter(|&pixel| inner.holds(pixel)) {
+        for pixel in patch.occupied().filter(|&pixel| inner.holds(pixel)) {
             for number in patch.range(pixel) {
                 all += 1;
                 obstacles += usize::from(verdicts[number]);

@@ -4,9 +4,7 @@
 //! bit, so the order of points, files and threads cannot show in what comes out (guarantee G4), and voxels of parts of
 //! a scan add up to the voxels of the whole.
 
-use super::record::{
-    PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, pixel_of_voxel, top_quantum,
-};
+use super::record::{PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, top_quantum};
 
 /// Parts of a slice in [`Voxel::bins`].
 pub const BINS: i64 = 16;
@@ -129,12 +127,6 @@ impl Area {
         (self.x.0 + 1..=self.x.1).contains(&x) && (self.y.0 + 1..=self.y.1).contains(&y)
     }
 
-    /// The patch pixels of the area, row after row.
-    pub fn patch_pixels(self) -> impl Iterator<Item = usize> {
-        let pixel = |x: u32, y: u32| (y as usize + 1) * PATCH_PIXELS + x as usize + 1;
-        (self.y.0..self.y.1).flat_map(move |y| (self.x.0..self.x.1).map(move |x| pixel(x, y)))
-    }
-
     /// Two halves along the longer edge; `None` for a single pixel.
     pub fn halves(&self) -> Option<[Self; 2]> {
         let (width, height) = (self.x.1 - self.x.0, self.y.1 - self.y.0);
@@ -153,18 +145,99 @@ impl Area {
     }
 }
 
+/// Slices of one pixel that are told apart at once; more than that far apart in one pixel costs a search.
+const RECENT: usize = 1 << 10;
+
+/// Folds records into voxels, one pixel after another; its scratch is reused.
+#[derive(Debug)]
+pub struct Folder {
+    by_pixel: Vec<Record>,
+    voxels: Vec<Voxel>,
+    /// Number in `voxels` of the last voxel whose slice has this remainder; may be left over from an earlier pixel.
+    recent: Box<[u32; RECENT]>,
+}
+
+impl Default for Folder {
+    fn default() -> Self {
+        Self { by_pixel: Vec::new(), voxels: Vec::new(), recent: Box::new([0; RECENT]) }
+    }
+}
+
+impl Folder {
+    /// Calls `give` with every pixel that has records, in order, and its voxels, lowest slice first.
+    pub fn fold(&mut self, records: &[Record], mut give: impl FnMut(usize, &[Voxel])) {
+        self.sort_by_pixel(records);
+        let Self { by_pixel, voxels, recent } = self;
+        for points in by_pixel.chunk_by(|a, b| a.pixel() == b.pixel()) {
+            voxels.clear();
+            for &point in points {
+                let slice = point.slice();
+                let place = &mut recent[slice as usize % RECENT];
+                let found = match voxels.get(*place as usize) {
+                    Some(voxel) if voxel.slice == slice => Some(*place as usize),
+                    // Another slice of this pixel has the same remainder, so this one may hide behind it.
+                    Some(voxel) if voxel.slice as usize % RECENT == slice as usize % RECENT => {
+                        voxels.iter().position(|voxel| voxel.slice == slice)
+                    }
+                    _ => None,
+                };
+                match found {
+                    Some(number) => {
+                        *place = number as u32;
+                        voxels[number].add(point);
+                    }
+                    None => {
+                        *place = voxels.len() as u32;
+                        voxels.push(Voxel::of(point));
+                    }
+                }
+            }
+            voxels.sort_unstable_by_key(|voxel| voxel.slice);
+            give(points[0].pixel(), voxels);
+        }
+    }
+
+    /// Sorts by pixel: many records by counting; a general sort is only as good on few.
+    fn sort_by_pixel(&mut self, records: &[Record]) {
+        self.by_pixel.clear();
+        if records.len() < PATCH_AREA / 4 {
+            self.by_pixel.extend_from_slice(records);
+            self.by_pixel.sort_unstable();
+            return;
+        }
+        self.by_pixel.resize(records.len(), Record(0));
+        let mut next = [0u32; PATCH_AREA];
+        records.iter().for_each(|record| next[record.pixel()] += 1);
+        let mut start = 0;
+        for count in &mut next {
+            start += std::mem::replace(count, start);
+        }
+        for &record in records {
+            let place = &mut next[record.pixel()];
+            self.by_pixel[*place as usize] = record;
+            *place += 1;
+        }
+    }
+}
+
 /// The voxels of a tile column with its halo, pixel after pixel, lowest slice first.
 #[derive(Debug, Default)]
 pub struct Patch {
     starts: Vec<u32>,
+    occupied: Vec<u16>,
     voxels: Vec<Voxel>,
-    sorted: Vec<Record>,
+    folder: Folder,
 }
 
 impl Patch {
     /// All voxels.
     pub fn voxels(&self) -> &[Voxel] {
         &self.voxels
+    }
+
+    /// Patch pixels with voxels, in order.
+    pub fn occupied(&self) -> impl Iterator<Item = usize> + '_ {
+        self.occupied.iter().map(|&pixel| usize::from(pixel))
     }
 
     /// Numbers of the voxels of a patch pixel.
@@ -176,90 +249,74 @@ impl Patch {
     /// Replaces the content by the fold of `records`. Voxels of fewer than `min_points` points are dropped; returns
     /// how many were, without those in the halo around `area`.
     pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area) -> u64 {
-        self.sort(records);
-        let sorted = std::mem::take(&mut self.sorted);
-        let voxels = sorted.chunk_by(|a, b| a.voxel() == b.voxel()).map(|points| {
-            let mut voxel = Voxel::of(points[0]);
-            points[1..].iter().for_each(|&point| voxel.add(point));
-            (points[0].pixel(), voxel)
-        });
-        let dropped = self.set(voxels, min_points, area);
-        self.sorted = sorted;
+        let mut folder = std::mem::take(&mut self.folder);
+        self.clear();
+        let mut dropped = 0;
+        folder.fold(records, |pixel, voxels| dropped += self.push(pixel, voxels.iter().copied(), min_points, area));
+        self.end();
+        self.folder = folder;
         dropped
     }
 
     /// Replaces the content by voxels that were folded piecemeal (see [`fold_into`]).
     pub fn set_folded(&mut self, folded: &Folded, min_points: u32, area: Area) -> u64 {
-        self.set(folded.iter().map(|&(key, voxel)| (pixel_of_voxel(key), voxel)), min_points, area)
-    }
-
-    fn set(&mut self, voxels: impl Iterator<Item = (usize, Voxel)>, min_points: u32, area: Area) -> u64 {
-        self.starts.clear();
-        self.voxels.clear();
+        self.clear();
         let mut dropped = 0;
-        for (pixel, voxel) in voxels {
-            if voxel.moments.n < i64::from(min_points) {
-                dropped += u64::from(area.holds(pixel));
-                continue;
-            }
-            self.starts.resize(pixel + 1, self.voxels.len() as u32);
-            self.voxels.push(voxel);
+        for voxels in folded.chunk_by(|a, b| a.0 == b.0) {
+            dropped += self.push(voxels[0].0, voxels.iter().map(|voxel| voxel.1), min_points, area);
         }
-        self.starts.resize(PATCH_AREA + 1, self.voxels.len() as u32);
+        self.end();
         dropped
     }
 
-    /// Sorts by pixel by counting, then within each pixel; a general sort is only as good on few records.
-    fn sort(&mut self, records: &[Record]) {
-        self.sorted.clear();
-        self.sorted.resize(records.len(), Record(0));
-        if records.len() < PATCH_AREA {
-            self.sorted.copy_from_slice(records);
-            self.sorted.sort_unstable();
-            return;
+    fn clear(&mut self) {
+        self.starts.clear();
+        self.occupied.clear();
+        self.voxels.clear();
+    }
+
+    /// Adds the voxels of the next pixel; returns how many of the area's were dropped.
+    fn push(&mut self, pixel: usize, voxels: impl Iterator<Item = Voxel>, min_points: u32, area: Area) -> u64 {
+        let first = self.voxels.len();
+        let mut dropped = 0;
+        self.voxels.extend(voxels.filter(|voxel| {
+            let kept = voxel.moments.n >= i64::from(min_points);
+            dropped += u64::from(!kept && area.holds(pixel));
+            kept
+        }));
+        if self.voxels.len() > first {
+            self.starts.resize(pixel + 1, first as u32);
+            self.occupied.push(pixel as u16);
         }
-        let mut next = [0u32; PATCH_AREA];
-        records.iter().for_each(|record| next[record.pixel()] += 1);
-        let mut start = 0;
-        for count in &mut next {
-            start += std::mem::replace(count, start);
-        }
-        for &record in records {
-            let place = &mut next[record.pixel()];
-            self.sorted[*place as usize] = record;
-            *place += 1;
-        }
-        let mut rest = &mut self.sorted[..];
-        let mut start = 0;
-        for end in next {
-            let (own, others) = rest.split_at_mut((end - start) as usize);
-            own.sort_unstable();
-            rest = others;
-            start = end;
-        }
+        dropped
+    }
+
+    fn end(&mut self) {
+        self.starts.resize(PATCH_AREA + 1, self.voxels.len() as u32);
     }
 }
 
-/// Voxels in order of [`Record::voxel`].
-pub type Folded = Vec<(u64, Voxel)>;
+/// Voxels with their patch pixel, in order of pixel and slice.
+pub type Folded = Vec<(usize, Voxel)>;
 
-/// Folds `records` (in any order; they are sorted) into voxels folded before.
-pub fn fold_into(folded: &mut Folded, records: &mut [Record]) {
-    records.sort_unstable();
+/// Folds `records` into voxels folded before.
+pub fn fold_into(folded: &mut Folded, records: &[Record], folder: &mut Folder) {
     let before = std::mem::take(folded);
+    folded.reserve(before.len());
     let mut before = before.into_iter().peekable();
-    for points in records.chunk_by(|a, b| a.voxel() == b.voxel()) {
-        let key = points[0].voxel();
-        while let Some(earlier) = before.next_if(|(earlier, _)| *earlier < key) {
-            folded.push(earlier);
+    folder.fold(records, |pixel, voxels| {
+        for voxel in voxels {
+            let key = (pixel, voxel.slice);
+            while let Some(earlier) = before.next_if(|(pixel, earlier)| (*pixel, earlier.slice) < key) {
+                folded.push(earlier);
+            }
+            let mut voxel = *voxel;
+            if let Some((_, same)) = before.next_if(|(pixel, earlier)| (*pixel, earlier.slice) == key) {
+                voxel.merge(&same);
+            }
+            folded.push((pixel, voxel));
         }
-        let mut voxel = Voxel::of(points[0]);
-        points[1..].iter().for_each(|&point| voxel.add(point));
-        if let Some((_, same)) = before.next_if(|(earlier, _)| *earlier == key) {
-            voxel.merge(&same);
-        }
-        folded.push((key, voxel));
-    }
+    });
     folded.extend(before);
 }
 
@@ -293,8 +350,8 @@ mod tests {
             let (mut at_once, mut piecemeal) = (Patch::default(), Patch::default());
             let dropped = at_once.fold(&records, min_points, Area::TILE);
             records.reverse();
-            let mut folded = Folded::new();
-            records.chunks_mut(piece).for_each(|piece| fold_into(&mut folded, piece));
+            let (mut folded, mut folder) = (Folded::new(), Folder::default());
+            records.chunks(piece).for_each(|piece| fold_into(&mut folded, piece, &mut folder));
             prop_assert_eq!(piecemeal.set_folded(&folded, min_points, Area::TILE), dropped);
             prop_assert_eq!(&at_once.voxels, &piecemeal.voxels);
             prop_assert_eq!(&at_once.starts, &piecemeal.starts);
@@ -315,6 +372,16 @@ mod tests {
             shifted.add_shifted(&plain, dx, dy, ds);
             prop_assert_eq!(shifted, direct);
         }
+    }
+
+    #[test]
+    fn slices_far_apart_in_one_pixel_are_told_apart() {
+        let points: Vec<_> = (0..9000).map(|n| (0.2, 0.2, f64::from(n * 7919 % 4500) * 1.5 + 0.1)).collect();
+        let mut patch = Patch::default();
+        patch.fold(&records(&points), 1, Area::TILE);
+        assert_eq!(patch.voxels().len(), 4500);
+        assert!(patch.voxels().is_sorted_by_key(|voxel| voxel.slice));
+        assert!(patch.voxels().iter().all(|voxel| voxel.moments.n == 2));
     }
 
     #[test]

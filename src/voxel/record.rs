@@ -68,12 +68,6 @@ impl Record {
         (self.0 >> (HEIGHT_BITS + 2 * SUBPIXEL_BITS)) as u32 & ((1 << SLICE_BITS) - 1)
     }
 
-    /// Pixel and slice as one number; equal for points of one voxel.
-    #[inline]
-    pub fn voxel(self) -> u64 {
-        self.0 >> (HEIGHT_BITS + 2 * SUBPIXEL_BITS)
-    }
-
     /// Height above the slice's floor [steps, 0..8160]. Even steps are exact multiples of 1/16 quantum, odd ones lie
     /// between the multiples below and above; so both the floor and the ceiling to whole quanta can be told.
     #[inline]
@@ -87,11 +81,6 @@ impl Record {
         let mask = (1 << SUBPIXEL_BITS) - 1;
         ((self.0 >> SUBPIXEL_BITS) as u32 & mask, self.0 as u32 & mask)
     }
-}
-
-/// The patch pixel of a number made by [`Record::voxel`].
-pub fn pixel_of_voxel(voxel: u64) -> usize {
-    (voxel >> SLICE_BITS) as usize
 }
 
 /// Greatest quantum at or below a height in steps.

@@ -64,6 +64,8 @@ pub struct RunBuilder {
     numbers: Vec<u32>,
     columns: Vec<(ColumnIndex, u32)>,
     lookup: HashMap<ColumnIndex, u32, BuildHasherDefault<ColumnHasher>>,
+    /// Number of the last column met at this place of a 16 × 16 pattern; may be left over from an earlier run.
+    recent: [u32; 256],
 }
 
 impl RunBuilder {
@@ -77,6 +79,7 @@ impl RunBuilder {
             numbers: Vec::new(),
             columns: Vec::new(),
             lookup: HashMap::default(),
+            recent: [0; 256],
         }
     }
 
@@ -93,21 +96,21 @@ impl RunBuilder {
                 self.records.reserve_exact(self.capacity);
                 self.numbers.reserve_exact(self.capacity);
             }
-            let mut last = (ColumnIndex { tx: 0, ty: 0, block: i16::MIN }, 0u32);
             let (records, numbers) = (&mut self.records, &mut self.numbers);
-            let (columns, lookup) = (&mut self.columns, &mut self.lookup);
+            let (columns, lookup, recent) = (&mut self.columns, &mut self.lookup, &mut self.recent);
             for ((&x, &y), &z) in x[chunk.clone()].iter().zip(&y[chunk.clone()]).zip(&z[chunk]) {
                 self.recorder.record(x, y, z, |index, record| {
-                    if index != last.0 {
-                        let number = *lookup.entry(index).or_insert_with(|| {
+                    // Points of a scan jump between few columns; most are found here without hashing.
+                    let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
+                    if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
+                        *place = *lookup.entry(index).or_insert_with(|| {
                             columns.push((index, 0));
                             (columns.len() - 1) as u32
                         });
-                        last = (index, number);
                     }
-                    columns[last.1 as usize].1 += 1;
+                    columns[*place as usize].1 += 1;
                     records.push(record);
-                    numbers.push(last.1);
+                    numbers.push(*place);
                 });
             }
         }
