@@ -382,7 +382,7 @@ mod tests {
         let recorder = Recorder::new(plan.frame);
         let mut records: Vec<Record> = Vec::new();
         for [x, y, z] in points {
-            recorder.record(x, y, z, |index, record| {
+            recorder.record(&[x], &[y], &[z], |index, record| {
                 if (index.tx, index.ty) == (0, 0) {
                     records.push(record);
                 }

@@ -331,7 +331,7 @@ mod tests {
         let recorder = Recorder::new(Frame::new(0.5, 1.5).unwrap());
         let mut records = Vec::new();
         for &(x, y, z) in points {
-            recorder.record(x, y, z, |index, record| {
+            recorder.record(&[x], &[y], &[z], |index, record| {
                 if (index.tx, index.ty) == (0, 0) {
                     records.push(record);
                 }

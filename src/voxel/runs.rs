@@ -8,7 +8,7 @@
 //! Memory: `retain_bytes` for runs kept, 20 bytes per record of each run under construction, 4 KiB per run on disk
 //! while merging. Disk: 8 bytes per record plus 3 to 12 bytes per tile column and run.
 
-use super::record::{ColumnIndex, ColumnKey, Record, Recorder};
+use super::record::{BATCH, ColumnIndex, ColumnKey, Record, Recorder};
 use crate::{Error, Result};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -86,9 +86,8 @@ impl RunBuilder {
     /// Adds points (all within [`Recorder::reaches`]); a full run goes to `store`.
     pub fn push(&mut self, x: &[f64], y: &[f64], z: &[f64], store: &RunStore) -> Result<()> {
         // A point yields at most four records, so a chunk that fits four-fold needs no check inside the loop.
-        const CHUNK: usize = 1 << 11;
-        for start in (0..x.len()).step_by(CHUNK) {
-            let chunk = start..(start + CHUNK).min(x.len());
+        for start in (0..x.len()).step_by(BATCH) {
+            let chunk = start..(start + BATCH).min(x.len());
             if self.records.len() + 4 * chunk.len() > self.capacity {
                 self.flush(store)?;
             }
@@ -98,21 +97,19 @@ impl RunBuilder {
             }
             let (records, numbers) = (&mut self.records, &mut self.numbers);
             let (columns, lookup, recent) = (&mut self.columns, &mut self.lookup, &mut self.recent);
-            for ((&x, &y), &z) in x[chunk.clone()].iter().zip(&y[chunk.clone()]).zip(&z[chunk]) {
-                self.recorder.record(x, y, z, |index, record| {
-                    // Points of a scan jump between few columns; most are found here without hashing.
-                    let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
-                    if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
-                        *place = *lookup.entry(index).or_insert_with(|| {
-                            columns.push((index, 0));
-                            (columns.len() - 1) as u32
-                        });
-                    }
-                    columns[*place as usize].1 += 1;
-                    records.push(record);
-                    numbers.push(*place);
-                });
-            }
+            self.recorder.record(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], |index, record| {
+                // Points of a scan jump between few columns; most are found here without hashing.
+                let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
+                if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
+                    *place = *lookup.entry(index).or_insert_with(|| {
+                        columns.push((index, 0));
+                        (columns.len() - 1) as u32
+                    });
+                }
+                columns[*place as usize].1 += 1;
+                records.push(record);
+                numbers.push(*place);
+            });
         }
         Ok(())
     }
@@ -575,7 +572,7 @@ mod tests {
     fn expected(recorder: Recorder, (x, y, z): &(Vec<f64>, Vec<f64>, Vec<f64>)) -> Columns {
         let mut columns = Columns::new();
         for number in 0..x.len() {
-            recorder.record(x[number], y[number], z[number], |index, record| {
+            recorder.record(&x[number..=number], &y[number..=number], &z[number..=number], |index, record| {
                 columns.entry(index.key()).or_default().push(record);
             });
         }
