@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Mutex;
 
-/// Least memory budget [bytes].
+/// Least memory budget (bytes).
 pub const MIN_MEMORY_BYTES: u64 = 64 << 20;
 /// Pixel size chosen automatically, in units of the scan's point spacing.
 pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
@@ -53,11 +53,11 @@ pub struct ConvertOptions {
     pub output: PathBuf,
     /// Pixel size `t`.
     pub pixel: PixelSize,
-    /// Slice height `σ` [m]; three pixel sizes by default (thesis, section 3.1.3).
+    /// Slice height `σ` (m); three pixel sizes by default (thesis, section 3.1.3).
     pub slice_m: Option<f64>,
-    /// Steepest slope that can be stood on [degrees].
+    /// Steepest slope that can be stood on (degrees).
     pub max_slope_deg: f64,
-    /// How far heights may be coarsened, outwards [m].
+    /// How far heights may be coarsened, outwards (m).
     pub tolerance_m: f64,
     /// How floors and obstacles are told apart.
     pub classifier: Classifier,

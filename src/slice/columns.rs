@@ -22,7 +22,7 @@ struct Piece {
 /// Collects the spans of one tile column and hands out its pages. Memory: 12 bytes per span.
 #[derive(Debug)]
 pub struct ColumnPages {
-    /// Heights are rounded outwards to multiples of this within their slice (1: not at all) [quanta].
+    /// Heights are rounded outwards to multiples of this within their slice (1: not at all) (quanta).
     step: u32,
     pieces: Vec<Piece>,
     builder: PageBuilder,

@@ -9,7 +9,7 @@ use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, TILE_PIXELS, morton};
 
 /// Pixels beyond each edge of a tile column whose points are copied into it.
 pub const HALO_PIXELS: i64 = 1;
-/// Edge of a tile column with its halo [pixels].
+/// Edge of a tile column with its halo (pixels).
 pub const PATCH_PIXELS: usize = (TILE_PIXELS + 2 * HALO_PIXELS) as usize;
 /// Pixels of a tile column with its halo.
 pub const PATCH_AREA: usize = PATCH_PIXELS * PATCH_PIXELS;
