@@ -12,7 +12,7 @@ use crate::slice::Span;
 pub struct Extent {
     /// First byte [bytes from the start of the archive].
     pub offset: u64,
-    /// Length [bytes].
+    /// Length (bytes).
     pub len: u32,
     /// CRC32C of the page as its leader holds it.
     pub crc: u32,
@@ -68,7 +68,7 @@ const MAX_ENTRY: usize = 10 + 5 + 1 + 8 + 5 + 10 + 4;
 /// Greatest layer and tile index in magnitude (toward −∞ one more).
 const MAX_TILE: i32 = (MAX_INDEX / PAGE_SLICES) as i32;
 
-/// Greatest length of a leaf of `entries` entries before compression [bytes].
+/// Greatest length of a leaf of `entries` entries before compression (bytes).
 pub(super) fn max_raw_len(entries: u32) -> u64 {
     10 + entries as u64 * MAX_ENTRY as u64
 }

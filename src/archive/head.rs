@@ -13,14 +13,14 @@ use xxhash_rust::xxh3::xxh3_128;
 pub(super) const MAGIC: [u8; 8] = *b"\x89SLIC\r\n\x1a";
 /// Last bytes of an archive.
 pub(super) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
-/// Greatest length of a head, and the length of one whose size was not known in advance [bytes].
+/// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
 pub(super) const MAX_HEAD: usize = 16_384;
-/// Length of the fixed fields [bytes].
+/// Length of the fixed fields (bytes).
 pub(super) const FIXED: usize = 384;
-/// Length of a root record [bytes].
+/// Length of a root record (bytes).
 const ROOT_RECORD: usize = 28;
 const CRC: usize = 4;
-/// Length of the footer [bytes].
+/// Length of the footer (bytes).
 pub(super) const FOOTER: usize = 24;
 /// Most leaves that a root directory holds.
 pub(super) const MAX_LEAVES: usize = 512;
@@ -28,7 +28,7 @@ pub(super) const MAX_LEAVES: usize = 512;
 pub(super) const MIN_LEAF_ENTRIES: u32 = 4096;
 /// Most entries of a leaf.
 pub(super) const MAX_LEAF_ENTRIES: u32 = 1 << 20;
-/// Greatest length of the metadata block [bytes].
+/// Greatest length of the metadata block (bytes).
 pub(super) const MAX_METADATA: u64 = 1 << 20;
 /// Where the canonical bytes of the plan lie in the head.
 const PLAN: std::ops::Range<usize> = 56..128;
@@ -71,7 +71,7 @@ impl Pages {
     }
 }
 
-/// Lengths of the sections in the order in which they lie, without gap; the footer ends the file [bytes].
+/// Lengths of the sections in the order in which they lie, without gap; the footer ends the file (bytes).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sections {
     /// Header and root directory.
@@ -84,7 +84,7 @@ pub struct Sections {
     pub metadata: u64,
 }
 
-/// Least and greatest coordinates [m].
+/// Least and greatest coordinates (m).
 pub type Bounds = ([f64; 3], [f64; 3]);
 
 /// What the head of an archive says about the whole.
@@ -96,7 +96,7 @@ pub struct Header {
     pub features_required: u64,
     /// Features that a reader may ignore.
     pub features_optional: u64,
-    /// Length of the archive [bytes].
+    /// Length of the archive (bytes).
     pub file_len: u64,
     /// Grid and options of the conversion.
     pub plan: Plan,
@@ -110,7 +110,7 @@ pub struct Header {
     pub points_withheld: u64,
     /// Points of excluded classes.
     pub points_excluded: u64,
-    /// Least and greatest coordinates of the kept points [m]; `None` without points.
+    /// Least and greatest coordinates of the kept points (m); `None` without points.
     pub bounds: Option<Bounds>,
     /// Lowest and highest slice with matter, inclusive; `None` without matter.
     pub slices: Option<(i64, i64)>,
@@ -129,17 +129,17 @@ pub struct Header {
 }
 
 impl Header {
-    /// Offset of the pages [bytes].
+    /// Offset of the pages (bytes).
     pub fn pages_offset(&self) -> u64 {
         self.bytes.head
     }
 
-    /// Offset of the leaf directories [bytes].
+    /// Offset of the leaf directories (bytes).
     pub fn directory_offset(&self) -> u64 {
         self.bytes.head + self.bytes.pages
     }
 
-    /// Offset of the metadata block [bytes].
+    /// Offset of the metadata block (bytes).
     pub fn metadata_offset(&self) -> u64 {
         self.directory_offset() + self.bytes.directory
     }
@@ -180,7 +180,7 @@ pub fn plan_hash(plan: &Plan) -> u128 {
     xxh3_128(&plan_bytes(plan))
 }
 
-/// Length of a head for `leaves` leaves without padding [bytes].
+/// Length of a head for `leaves` leaves without padding (bytes).
 pub(super) fn exact_len(leaves: usize) -> usize {
     FIXED + leaves * ROOT_RECORD + CRC
 }

@@ -10,7 +10,7 @@ use xxhash_rust::xxh3::xxh3_64;
 
 /// First bytes of a page.
 const MAGIC: [u8; 4] = *b"\x89PAG";
-/// Length of a page's leader [bytes].
+/// Length of a page's leader (bytes).
 pub(super) const LEADER: usize = 24;
 /// Greatest length of a page with its leader [bytes]: rounded up from what zstd needs for the longest encoding.
 pub(super) const MAX_STORED_PAGE: usize = MAX_RAW_PAGE + (MAX_RAW_PAGE >> 7) + 1024;

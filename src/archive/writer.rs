@@ -28,7 +28,7 @@ pub struct Totals {
     pub points_withheld: u64,
     /// Points of excluded classes.
     pub points_excluded: u64,
-    /// Least and greatest coordinates of the kept points [m].
+    /// Least and greatest coordinates of the kept points (m).
     pub bounds: Option<Bounds>,
     /// Coordinate reference system as the input states it, at most 1 MiB; empty if unknown.
     pub crs: String,

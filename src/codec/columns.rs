@@ -18,7 +18,7 @@ const MAX_COLUMN: usize = 64;
 /// Differences are taken modulo 2¹⁴, which holds every height of a page.
 const MODULUS: u32 = 1 << 14;
 
-/// Greatest length of an encoding [bytes].
+/// Greatest length of an encoding (bytes).
 pub const MAX_LEN: usize = ROWS * 8 + PIXELS + 4 * MAX_PAGE_SPANS + MAX_PAGE_SPANS / 8;
 
 /// Spans coded so far, and where each pixel's begin; reused from page to page.

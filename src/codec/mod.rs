@@ -19,7 +19,7 @@ use crate::slice::{Page, PageBuilder, Span};
 
 /// Most spans that a page can hold: 64 in each of its 4,096 pixels.
 pub const MAX_PAGE_SPANS: usize = 64 * 64 * 64;
-/// Greatest length of an encoded page before compression [bytes].
+/// Greatest length of an encoded page before compression (bytes).
 pub const MAX_RAW_PAGE: usize = 1 + columns::MAX_LEN;
 
 /// A rule of the specification that bytes break; [`Violation::at`] adds where they lie.

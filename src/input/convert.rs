@@ -7,7 +7,7 @@
 use crate::input::{PointBatch, UnitCounts};
 use crate::plan::Up;
 
-/// Greatest coordinate that is kept, in magnitude [m].
+/// Greatest coordinate that is kept, in magnitude (m).
 pub(super) const FARTHEST_M: f64 = 1e12;
 
 /// Raw integers to metres, z up.

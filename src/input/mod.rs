@@ -41,7 +41,7 @@ pub use self::laz::quiet_decoder_panics;
 pub const BATCH_POINTS: usize = 1 << 16;
 /// Points of one [`Unit`] of a plain LAS file.
 const UNIT_POINTS: u64 = 1 << 17;
-/// Longest slab of undecoded records [bytes]; fits a second-level cache beside the batch.
+/// Longest slab of undecoded records (bytes); fits a second-level cache beside the batch.
 const SLAB_BYTES: usize = 1 << 20;
 
 /// Length of a file unit.
@@ -50,7 +50,7 @@ pub enum Units {
     /// As the file's reference system says; metres where it says nothing.
     #[default]
     Auto,
-    /// Metres per unit, for x, y and z of every file [m, > 0].
+    /// Metres per unit, for x, y and z of every file (m, > 0).
     Factor(f64),
 }
 
@@ -63,7 +63,7 @@ pub struct InputOptions {
     pub up: Up,
     /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.
     pub exclude_classes: [u64; 4],
-    /// What one decoder may hold of one compressed LAZ chunk, and the set of chunk tables [bytes].
+    /// What one decoder may hold of one compressed LAZ chunk, and the set of chunk tables (bytes).
     pub memory_bytes: u64,
 }
 
@@ -76,11 +76,11 @@ impl Default for InputOptions {
 /// Kept points in metres, z up; the three columns are equally long.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PointBatch {
-    /// Coordinates along x [m].
+    /// Coordinates along x (m).
     pub x: Vec<f64>,
-    /// Coordinates along y [m].
+    /// Coordinates along y (m).
     pub y: Vec<f64>,
-    /// Heights [m].
+    /// Heights (m).
     pub z: Vec<f64>,
 }
 
@@ -237,7 +237,7 @@ impl ScanFile {
         &self.path
     }
 
-    /// Its length [bytes].
+    /// Its length (bytes).
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
@@ -418,7 +418,7 @@ impl InputSet {
         self.files.iter().map(ScanFile::points_expected).fold(0, u64::saturating_add)
     }
 
-    /// Length of all files [bytes]: for progress only.
+    /// Length of all files (bytes): for progress only.
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(|f| f.bytes).fold(0, u64::saturating_add)
     }

@@ -8,7 +8,7 @@ use super::header::{Header, u16_at, u64_at};
 use super::source::Source;
 use crate::Result;
 
-/// Longest kept record [bytes]; a longer one is passed over with a note.
+/// Longest kept record (bytes); a longer one is passed over with a note.
 const KEPT_BYTES: u64 = 1 << 20;
 /// Most records looked at, before and after the points each.
 const MOST_RECORDS: u32 = 1 << 16;

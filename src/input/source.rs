@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use crate::{Error, Result};
 
-/// Read-ahead of a [`Window`] [bytes].
+/// Read-ahead of a [`Window`] (bytes).
 const WINDOW_BYTES: usize = 64 << 10;
 
 /// An open scan file.
@@ -29,7 +29,7 @@ impl Source {
         &self.path
     }
 
-    /// Length of the file now [bytes].
+    /// Length of the file now (bytes).
     pub(super) fn len(&self) -> Result<u64> {
         Ok(self.file.metadata().map_err(|e| Error::io(&self.path, "read the length", e))?.len())
     }
@@ -89,7 +89,7 @@ impl<'a> Window<'a> {
         Self { source, start, len, held_at: 0, held: Vec::new(), next: 0 }
     }
 
-    /// Position in the window [bytes].
+    /// Position in the window (bytes).
     pub(super) fn position(&self) -> u64 {
         self.held_at + self.next as u64
     }

@@ -36,11 +36,11 @@ const LOCAL_POINTS: usize = 512;
 /// Result of [`estimate_spacing`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spacing {
-    /// Median distance of a point to its nearest neighbour that lies elsewhere [m].
+    /// Median distance of a point to its nearest neighbour that lies elsewhere (m).
     pub spacing_m: f64,
     /// Distinct points over which the median was taken.
     pub sampled: u64,
-    /// Edge of the sampled blocks [m]; 0 when single points were sampled and the spacing was inferred from them.
+    /// Edge of the sampled blocks (m); 0 when single points were sampled and the spacing was inferred from them.
     pub block_m: f64,
     /// Kept points of the scans.
     pub points: u64,

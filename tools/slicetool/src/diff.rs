@@ -16,7 +16,7 @@ struct Difference {
     voxels_only_b: u64,
     voxels_of_other_kind: u64,
     voxels_of_other_height: u64,
-    /// Greatest difference of a bottom or top inside a voxel [quanta].
+    /// Greatest difference of a bottom or top inside a voxel (quanta).
     greatest_quanta: u8,
 }
 
