@@ -71,6 +71,8 @@ pub struct ConvertOptions {
     pub exclude_classes: [u64; 4],
     /// Voxels with fewer points are dropped.
     pub min_points: u32,
+    /// Whether voxels without matter in any of the 26 voxels around them are dropped.
+    pub drop_isolated: bool,
     /// Up axis of the input.
     pub up: Up,
     /// Unit of the input.
@@ -95,6 +97,7 @@ impl ConvertOptions {
             temp_dir: std::env::temp_dir(),
             exclude_classes: [0; 4],
             min_points: 1,
+            drop_isolated: false,
             up: Up::Z,
             units: Units::Auto,
             overwrite: false,
@@ -115,7 +118,8 @@ pub struct Report {
     pub temp_bytes: u64,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
-    /// Voxels dropped for having fewer than the least number of points, and with them their points.
+    /// Voxels dropped for having fewer than the least number of points or for being isolated, and with them their
+    /// points: boxes that hold only such points are no hits (G1 holds for all other points).
     pub voxels_dropped: u64,
 }
 
@@ -149,6 +153,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         tolerance_m: options.tolerance_m,
         classifier: options.classifier,
         min_points: options.min_points,
+        drop_isolated: options.drop_isolated,
         up: options.up,
         exclude_classes: options.exclude_classes,
     };
@@ -432,6 +437,7 @@ type Pages = Vec<(PageKey, EncodedPage)>;
 struct ColumnWorker {
     judge: Judge,
     min_points: u32,
+    drop_isolated: bool,
     max_records: u64,
     patch: Patch,
     folder: Folder,
@@ -446,6 +452,7 @@ impl ColumnWorker {
         Self {
             judge: Judge::new(plan),
             min_points: plan.min_points,
+            drop_isolated: plan.drop_isolated,
             max_records,
             patch: Patch::default(),
             folder: Folder::default(),
@@ -470,8 +477,7 @@ impl ColumnWorker {
         for &(key, count) in &job.columns {
             let (own, others) = rest.split_at(count as usize);
             rest = others;
-            dropped += self.patch.fold(own, self.min_points, Area::TILE);
-            self.judge_and_add(Area::TILE);
+            dropped += self.patch.fold(own, self.min_points, Area::TILE) + self.judge_and_add(Area::TILE);
             self.encode(key, &mut pages)?;
         }
         self.records = records;
@@ -496,8 +502,7 @@ impl ColumnWorker {
         })?;
         if !too_many {
             let dropped = self.patch.set_folded(&folded, self.min_points, area);
-            self.judge_and_add(area);
-            return Ok(dropped);
+            return Ok(dropped + self.judge_and_add(area));
         }
         let Some(halves) = area.halves() else {
             return Err(Error::Limit {
@@ -514,9 +519,12 @@ impl ColumnWorker {
         Ok(dropped)
     }
 
-    fn judge_and_add(&mut self, area: Area) {
+    /// Returns how many isolated voxels were dropped.
+    fn judge_and_add(&mut self, area: Area) -> u64 {
+        let dropped = if self.drop_isolated { self.patch.drop_isolated(area) } else { 0 };
         self.judge.judge(&self.patch, area, &mut self.verdicts);
         self.columns.add(&self.patch, area, &self.verdicts);
+        dropped
     }
 
     fn encode(&mut self, column: ColumnKey, pages: &mut Pages) -> Result<()> {

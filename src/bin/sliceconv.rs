@@ -54,6 +54,9 @@ struct Arguments {
     /// Drop voxels of fewer points (their points may then be missed)
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     min_points: u32,
+    /// Drop voxels without matter in any of the 26 around them (their points may then be missed)
+    #[arg(long)]
+    drop_isolated: bool,
     /// Axis of the input that points up
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
@@ -216,6 +219,7 @@ fn run(arguments: &Arguments, monitor: &dyn Monitor) -> Result<Report, Error> {
         options.exclude_classes[usize::from(class / 64)] |= 1 << (class % 64);
     }
     options.min_points = arguments.min_points;
+    options.drop_isolated = arguments.drop_isolated;
     options.up = match arguments.up {
         Axis::Z => Up::Z,
         Axis::Y => Up::Y,
@@ -259,7 +263,7 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         frame.slice_m()
     );
     if report.voxels_dropped > 0 {
-        eprintln!("{} voxels of fewer than {} points dropped", report.voxels_dropped, header.plan.min_points);
+        eprintln!("{} voxels of too few points or without neighbours dropped, and their points", report.voxels_dropped);
     }
     eprintln!(
         "{} bytes, {} bytes of temporary data, {seconds:.2} s, {:.2} M points/s",

@@ -18,8 +18,8 @@
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::plan::{Classifier, Plan};
-use crate::voxel::fold::{Area, BINS, Moments, Patch, Voxel};
-use crate::voxel::record::{HALO_PIXELS, PATCH_PIXELS, SLICE_STEPS, SUBPIXELS};
+use crate::voxel::fold::{Area, BINS, Moments, Patch, Voxel, neighbourhood};
+use crate::voxel::record::{SLICE_STEPS, SUBPIXELS};
 use nalgebra::{Matrix2, Vector2};
 
 /// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
@@ -132,7 +132,7 @@ impl Judge {
         let (low, high) = (below.high as f64 + margin, above.low as f64 - margin);
         let slice = (below.high / SLICE_QUANTA) as u32;
         neighbourhood(pixel).any(|(neighbour, ..)| {
-            let voxels = &patch.voxels()[slices_around(patch, neighbour, slice)];
+            let voxels = &patch.voxels()[patch.around(neighbour, slice)];
             pieces(voxels).any(|piece| low <= piece.low as f64 && piece.high as f64 <= high)
         })
     }
@@ -145,7 +145,7 @@ impl Judge {
             (quanta_above(centre, first_slice, centre.bottom), quanta_above(centre, first_slice, centre.top));
         let mut sums = Moments::default();
         for (neighbour, dx, dy) in neighbourhood(pixel) {
-            for other in slices_around(patch, neighbour, centre.slice) {
+            for other in patch.around(neighbour, centre.slice) {
                 let voxel = &patch.voxels()[other];
                 let bottom = quanta_above(voxel, first_slice, voxel.bottom);
                 let top = quanta_above(voxel, first_slice, voxel.top);
@@ -168,7 +168,7 @@ impl Judge {
         const SLICE: u32 = BINS as u32;
         let mut bins = 0u64;
         for (neighbour, ..) in neighbourhood(pixel) {
-            for voxel in &patch.voxels()[slices_around(patch, neighbour, centre.slice)] {
+            for voxel in &patch.voxels()[patch.around(neighbour, centre.slice)] {
                 // Slices below, at and above the centre take the bits 0, 16 and 32.
                 bins |= u64::from(voxel.bins) << ((voxel.slice + 1 - centre.slice) * SLICE);
             }
@@ -241,28 +241,6 @@ enum Fit {
 
 fn quanta_above(voxel: &Voxel, first_slice: i64, quantum: u8) -> i64 {
     (i64::from(voxel.slice) - first_slice) * SLICE_QUANTA + i64::from(quantum)
-}
-
-/// Numbers of the voxels of a pixel in the slices `slice − 1 ..= slice + 1`.
-#[inline]
-fn slices_around(patch: &Patch, pixel: usize, slice: u32) -> std::ops::Range<usize> {
-    let range = patch.range(pixel);
-    let voxels = &patch.voxels()[range.clone()];
-    let first = if voxels.len() < 16 {
-        voxels.iter().take_while(|voxel| voxel.slice + 1 < slice).count()
-    } else {
-        voxels.partition_point(|voxel| voxel.slice + 1 < slice)
-    };
-    let count = voxels[first..].iter().take_while(|voxel| voxel.slice <= slice + 1).count();
-    range.start + first..range.start + first + count
-}
-
-/// The 3 × 3 pixels around a patch pixel, with their places 0..3 in x and y.
-fn neighbourhood(pixel: usize) -> impl Iterator<Item = (usize, i64, i64)> {
-    (0..9).map(move |place| {
-        let (dx, dy) = (place % 3, place / 3);
-        (pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1, dx as i64, dy as i64)
-    })
 }
 
 /// A stretch of matter in one voxel, in quanta above the column block's floor.
@@ -342,8 +320,6 @@ fn mark_steep(
     });
 }
 
-const _: () = assert!(HALO_PIXELS == 1, "the windows of this file are 3 × 3 pixels");
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -359,6 +335,7 @@ mod tests {
             tolerance_m: 0.0,
             classifier,
             min_points: 1,
+            drop_isolated: false,
             up: Up::Z,
             exclude_classes: [0; 4],
         }

@@ -4,7 +4,9 @@
 //! bit, so the order of points, files and threads cannot show in what comes out (guarantee G4), and voxels of parts of
 //! a scan add up to the voxels of the whole.
 
-use super::record::{PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, top_quantum};
+use super::record::{
+    HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, top_quantum,
+};
 
 /// Parts of a slice in [`Voxel::bins`].
 pub const BINS: i64 = 16;
@@ -269,6 +271,42 @@ impl Patch {
         dropped
     }
 
+    /// Numbers of the voxels of a patch pixel in the slices `slice − 1 ..= slice + 1`.
+    #[inline]
+    pub fn around(&self, patch_pixel: usize, slice: u32) -> std::ops::Range<usize> {
+        let range = self.range(patch_pixel);
+        let voxels = &self.voxels[range.clone()];
+        let first = if voxels.len() < 16 {
+            voxels.iter().take_while(|voxel| voxel.slice + 1 < slice).count()
+        } else {
+            voxels.partition_point(|voxel| voxel.slice + 1 < slice)
+        };
+        let count = voxels[first..].iter().take_while(|voxel| voxel.slice <= slice + 1).count();
+        range.start + first..range.start + first + count
+    }
+
+    /// Drops the voxels of `area` that have no other voxel in the 3 × 3 × 3 around them, and returns how many. A lone
+    /// voxel is in nobody's neighbourhood, so it makes no difference that those of the halo stay.
+    pub fn drop_isolated(&mut self, area: Area) -> u64 {
+        let mut kept = vec![true; self.voxels.len()];
+        for pixel in self.occupied().filter(|&pixel| area.holds(pixel)) {
+            for number in self.range(pixel) {
+                let slice = self.voxels[number].slice;
+                let around: usize = neighbourhood(pixel).map(|(other, ..)| self.around(other, slice).len()).sum();
+                kept[number] = around > 1;
+            }
+        }
+        let (starts, occupied, voxels) =
+            (std::mem::take(&mut self.starts), std::mem::take(&mut self.occupied), std::mem::take(&mut self.voxels));
+        for pixel in occupied {
+            let range = starts[usize::from(pixel)] as usize..starts[usize::from(pixel) + 1] as usize;
+            let stay = range.filter(|&number| kept[number]).map(|number| voxels[number]);
+            self.push(usize::from(pixel), stay, 1, area);
+        }
+        self.end();
+        (voxels.len() - self.voxels.len()) as u64
+    }
+
     fn clear(&mut self) {
         self.starts.clear();
         self.occupied.clear();
@@ -295,6 +333,16 @@ impl Patch {
         self.starts.resize(PATCH_AREA + 1, self.voxels.len() as u32);
     }
 }
+
+/// The 3 × 3 pixels around a patch pixel that is not in the halo, with their places 0..3 in x and y.
+pub fn neighbourhood(patch_pixel: usize) -> impl Iterator<Item = (usize, i64, i64)> {
+    (0..9).map(move |place| {
+        let (dx, dy) = (place % 3, place / 3);
+        (patch_pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1, dx as i64, dy as i64)
+    })
+}
+
+const _: () = assert!(HALO_PIXELS == 1, "neighbourhoods are 3 × 3 pixels");
 
 /// Voxels with their patch pixel, in order of pixel and slice.
 pub type Folded = Vec<(usize, Voxel)>;
@@ -382,6 +430,24 @@ mod tests {
         assert_eq!(patch.voxels().len(), 4500);
         assert!(patch.voxels().is_sorted_by_key(|voxel| voxel.slice));
         assert!(patch.voxels().iter().all(|voxel| voxel.moments.n == 2));
+    }
+
+    #[test]
+    fn only_voxels_alone_in_their_neighbourhood_are_dropped() {
+        let points = [
+            (5.2, 5.2, 0.1),
+            (9.2, 9.2, 0.1),
+            (9.7, 9.7, 1.6),
+            (20.2, 20.2, 0.1),
+            (20.2, 20.2, 3.1),
+            (31.7, 3.2, 0.1),
+            (32.2, 3.2, 0.1),
+        ];
+        let mut patch = Patch::default();
+        patch.fold(&records(&points), 1, Area::TILE);
+        assert_eq!(patch.drop_isolated(Area::TILE), 3, "one alone, two a slice apart; not the diagonal pair");
+        assert_eq!(patch.voxels().len(), 4, "the last pair lies across the tile's edge and stays");
+        assert_eq!(patch.occupied().count(), 4);
     }
 
     #[test]
