@@ -41,28 +41,28 @@ impl Frame {
         Ok(Self { pixel_m, slice_m, pixels_per_m: 1.0 / pixel_m, quanta_per_m: SLICE_QUANTA as f64 / slice_m })
     }
 
-    /// Pixel size `t` [m].
+    /// Pixel size `t` \[m\].
     pub fn pixel_m(&self) -> f64 {
         self.pixel_m
     }
 
-    /// Slice height `σ` [m].
+    /// Slice height `σ` \[m\].
     pub fn slice_m(&self) -> f64 {
         self.slice_m
     }
 
-    /// Height quantum `σ/255` [m].
+    /// Height quantum `σ/255` \[m\].
     pub fn quantum_m(&self) -> f64 {
         self.slice_m / SLICE_QUANTA as f64
     }
 
-    /// Fractional pixel coordinate of `x` (or `y`) [pixels].
+    /// Fractional pixel coordinate of `x` (or `y`) \[pixels\].
     #[inline]
     pub fn pixels(&self, x: f64) -> f64 {
         x * self.pixels_per_m
     }
 
-    /// Fractional height of `z` [quanta].
+    /// Fractional height of `z` \[quanta\].
     #[inline]
     pub fn quanta(&self, z: f64) -> f64 {
         z * self.quanta_per_m
@@ -92,17 +92,17 @@ impl Frame {
         self.quantum_floor(z).div_euclid(SLICE_QUANTA)
     }
 
-    /// World coordinate of the lower edge of pixel `i` [m], rounded to nearest.
+    /// World coordinate of the lower edge of pixel `i` \[m\], rounded to nearest.
     pub fn edge_of_pixel(&self, i: i64) -> f64 {
         i as f64 * self.pixel_m
     }
 
-    /// World height of the bottom of slice `s` [m], rounded to nearest.
+    /// World height of the bottom of slice `s` \[m\], rounded to nearest.
     pub fn bottom_of_slice(&self, s: i64) -> f64 {
         s as f64 * self.slice_m
     }
 
-    /// A top of `quantum` as a world height [m]: not below any point whose [`quantum_ceil`](Self::quantum_ceil) is
+    /// A top of `quantum` as a world height \[m\]: not below any point whose [`quantum_ceil`](Self::quantum_ceil) is
     /// `quantum`, and less than a few units in the last place above the exact value.
     pub fn top_height(&self, quantum: i64) -> f64 {
         let mut height = quantum as f64 / self.quanta_per_m;
@@ -115,7 +115,7 @@ impl Frame {
         height
     }
 
-    /// A bottom of `quantum` as a world height [m]: not above any point whose
+    /// A bottom of `quantum` as a world height \[m\]: not above any point whose
     /// [`quantum_floor`](Self::quantum_floor) is `quantum`.
     pub fn bottom_height(&self, quantum: i64) -> f64 {
         -self.top_height(-quantum)
@@ -124,8 +124,8 @@ impl Frame {
 
 /// Greatest integer at or below `v`; saturates at ±2⁵⁰, 0 for NaN.
 ///
-/// Without SSE 4.1 `f64::floor` is a call, and a checked conversion several branches; a query needs six. Adding 1.5 · 2⁵²
-/// rounds to the nearest integer and leaves that in the low bits (Hacker's Delight, section 17-2).
+/// Without SSE 4.1 `f64::floor` is a call, and a checked conversion several branches; a query needs six. Adding 1.5 ·
+/// 2⁵² rounds to the nearest integer and leaves that in the low bits (Hacker's Delight, section 17-2).
 #[inline]
 pub(crate) fn floor_index(v: f64) -> i64 {
     const LIMIT: f64 = (1u64 << 50) as f64;

@@ -27,7 +27,7 @@ pub(super) fn slices_between(low: u32, high: u32) -> u64 {
     u64::MAX >> (63 - last) & u64::MAX << first
 }
 
-/// A height above the origin as a height in the page with floor `base`, clamped to the page [quanta].
+/// A height above the origin as a height in the page with floor `base`, clamped to the page \[quanta\].
 #[inline]
 pub(super) fn local(height: i64, base: i64) -> u32 {
     (height - base).clamp(0, PAGE_QUANTA) as u32
@@ -43,7 +43,7 @@ pub(super) fn local_heights(heights: Heights, base: i64) -> Option<(u32, u32)> {
 /// The page that a shape is held against.
 pub(super) struct Place<'a> {
     pub page: &'a Page,
-    /// First pixel of the page, and the height of its floor [quanta].
+    /// First pixel of the page, and the height of its floor \[quanta\].
     pub i: i64,
     pub j: i64,
     pub base: i64,

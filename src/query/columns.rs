@@ -38,7 +38,7 @@ impl Tile {
     }
 }
 
-/// Height of a layer's floor [quanta].
+/// Height of a layer's floor \[quanta\].
 #[inline]
 pub(super) fn floor_of(layer: i32) -> i64 {
     i64::from(layer) * PAGE_QUANTA
@@ -81,7 +81,8 @@ pub(super) fn for_each_column<S: PageSet>(
     }
 }
 
-/// Looks at all columns of `set` for those with `tx0..=tx1`, `ty0..=ty1`. Apart, so that `f` is inlined where it counts.
+/// Looks at all columns of `set` for those with `tx0..=tx1`, `ty0..=ty1`. Apart, so that `f` is inlined where it
+/// counts.
 #[inline(never)]
 fn among_all_columns<S: PageSet>(
     set: &S,

@@ -11,7 +11,7 @@ use crate::slice::{BlockView, Page, Span};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
-/// World height of the highest floor under the footprint of `shape`, looked for from height `from` [m] down to
+/// World height of the highest floor under the footprint of `shape`, looked for from height `from` \[m\] down to
 /// `from - depth` [m, >= 0, may be infinite]; `None` if there is none.
 ///
 /// Floor is the top of a span that is no obstacle; what counts are the pixels that the shape's footprint touches,
@@ -33,7 +33,7 @@ pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f
 /// Searches for the highest top of a floor span at or below `limit`.
 #[derive(Clone, Copy)]
 pub(super) struct FloorSearch {
-    /// Greatest top that counts [quanta].
+    /// Greatest top that counts \[quanta\].
     limit: i64,
     /// Tops count from here on; grows with every floor found.
     least: i64,
@@ -42,7 +42,7 @@ pub(super) struct FloorSearch {
 }
 
 impl FloorSearch {
-    /// Tops from `least` to `limit` [quanta].
+    /// Tops from `least` to `limit` \[quanta\].
     pub fn new(least: i64, limit: i64) -> Self {
         Self { limit, least, best: None, missing: None }
     }
@@ -183,8 +183,8 @@ fn highest_union(block: BlockView<'_>, limit: u32) -> u32 {
     more.iter().fold(highest(0, first), highest)
 }
 
-/// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory it
-/// has been counted as missing: the search from the top down came by it.
+/// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory
+/// it has been counted as missing: the search from the top down came by it.
 fn goes_on<T: PageSlot>(above: Option<&T>, px: u32, py: u32) -> bool {
     let Some(above) = above else { return false };
     match above.page() {

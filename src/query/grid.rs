@@ -16,8 +16,8 @@ pub struct Rect {
     pub j1: i64,
 }
 
-/// Heights within ±2⁵⁰ that matter meets if its bottom is at most `high` and its top at least `low` [quanta]. For a shape between two
-/// neighbouring quanta `low` is `high + 1`.
+/// Heights within ±2⁵⁰ that matter meets if its bottom is at most `high` and its top at least `low` \[quanta\]. For a
+/// shape between two neighbouring quanta `low` is `high + 1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Heights {
     pub low: i64,
@@ -25,7 +25,7 @@ pub struct Heights {
 }
 
 impl Heights {
-    /// Of the closed world interval `[low, high]` [m].
+    /// Of the closed world interval `[low, high]` \[m\].
     #[inline]
     pub fn of(frame: &Frame, low: f64, high: f64) -> Self {
         Self { low: frame.quantum_ceil(low), high: frame.quantum_floor(high) }
@@ -54,8 +54,8 @@ pub(super) mod sealed {
         /// Heights over the whole footprint.
         fn heights(&self) -> Heights;
 
-        /// Whether the whole block of 8 × 8 pixels that begins at pixel (`i`, `j`) lies in the footprint; may be `false`
-        /// where it does.
+        /// Whether the whole block of 8 × 8 pixels that begins at pixel (`i`, `j`) lies in the footprint; may be
+        /// `false` where it does.
         fn holds(&self, i: i64, j: i64) -> bool;
 
         /// Pixels of the footprint in the block of 8 × 8 pixels that begins at pixel (`i`, `j`), bit `8·dy + dx`. The
@@ -83,8 +83,8 @@ pub(super) fn row_bits(first: u32, last: u32) -> u64 {
 }
 
 impl Rect {
-    /// The rectangle's part in the square of `8·scale` pixels that begins at (`i`, `j`), as a mask over its 8 × 8 squares
-    /// of `1 << shift` pixels. The two must meet.
+    /// The rectangle's part in the square of `8·scale` pixels that begins at (`i`, `j`), as a mask over its 8 × 8
+    /// squares of `1 << shift` pixels. The two must meet.
     #[inline]
     pub(super) fn bits(&self, i: i64, j: i64, shift: u32) -> u64 {
         let last = (8 << shift) - 1;

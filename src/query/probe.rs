@@ -16,8 +16,8 @@ pub struct Probe {
     pub hit: bool,
     /// The shape touches an obstacle.
     pub obstacle: bool,
-    /// World height [m] of the highest floor at or below the shape's top, at any depth, in the pixels of its footprint
-    /// (see [`floor_under`](super::floor_under)).
+    /// World height \[m\] of the highest floor at or below the shape's top, at any depth, in the pixels of its
+    /// footprint (see [`floor_under`](super::floor_under)).
     pub floor_z: Option<f64>,
 }
 

@@ -4,7 +4,7 @@
 //!
 //! 1. Per slice a mask of blocks with matter in it: one pass over the slices that a shape spans leaves the
 //!    few blocks that can matter.
-//! 2. Per block a record of 48 bytes: the *unions* of its floor spans and of its obstacle spans, if they are at most four,
+//! 2. Per block a record of 48 bytes: the *unions* of its floor spans and of its obstacle spans, if at most four, the
 //!    mask of pixels with matter, where its rows begin.
 //! 3. Per block the unions beyond four, then its spans in row order.
 //!
