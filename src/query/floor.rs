@@ -132,41 +132,54 @@ fn highest_top<G: OnPixels, T: PageSlot>(
     };
     // Blocks that lie wholly in the footprint first: their unions answer, and leave little to look for in the others.
     let mut cut = 0u64;
+    let mut unions = [0u16; 64];
+    let mut highest_cut = (0, 0);
     for_each_bit(place.blocks_between(least, limit), |number| {
-        let (i, j) = place.corner(number);
-        match highest_union(place.page.block_at(number), limit) {
-            top if top <= least => {}
-            top if top <= inner_limit + 1 && shape.holds(i, j) => found(top, &mut least),
-            _ => cut |= 1 << number,
-        }
-    });
-    for_each_bit(cut, |number| {
-        let block = place.page.block_at(number);
-        let by_union = highest_union(block, limit);
-        if by_union <= least {
+        let top = highest_union(place.page.block_at(number), limit);
+        if top <= least {
             return;
         }
         let (i, j) = place.corner(number);
-        let mask = shape.mask(i, j);
-        let pixels = mask & block.pixels();
-        if pixels == block.pixels() && by_union <= inner_limit + 1 {
-            return found(by_union, &mut least);
+        if top <= inner_limit + 1 && shape.holds(i, j) {
+            return found(top, &mut least);
         }
-        let mut highest = 0;
-        for_each_strip(mask, |strip| {
-            let rows = block.rows(strip.y0, strip.y1);
-            highest = highest.max(top_in_lanes(rows, strip.x0, strip.x1, inner_limit, by_union));
-        });
-        let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
-        if limit == END && by_union > END {
-            for_each_bit(pixels, |bit| {
-                let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
-                if highest <= END && ends(bit) && !goes_on(above, px, py) {
-                    highest = END + 1;
-                }
+        cut |= 1 << number;
+        unions[number as usize & 63] = top as u16;
+        if top > highest_cut.0 {
+            highest_cut = (top, number);
+        }
+    });
+    // Of the others the one that promises most: what is found there mostly settles the rest.
+    let first = cut & 1u64.checked_shl(highest_cut.1).unwrap_or(0);
+    [first, cut & !first].into_iter().for_each(|blocks| {
+        for_each_bit(blocks, |number| {
+            let by_union = u32::from(unions[number as usize & 63]);
+            if by_union <= least {
+                return;
+            }
+            let block = place.page.block_at(number);
+            let (i, j) = place.corner(number);
+            let mask = shape.mask(i, j);
+            let pixels = mask & block.pixels();
+            if pixels == block.pixels() && by_union <= inner_limit + 1 {
+                return found(by_union, &mut least);
+            }
+            let mut highest = 0;
+            for_each_strip(mask, |strip| {
+                let rows = block.rows(strip.y0, strip.y1);
+                highest = highest.max(top_in_lanes(rows, strip.x0, strip.x1, inner_limit, by_union));
             });
-        }
-        found(highest, &mut least);
+            let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
+            if limit == END && by_union > END {
+                for_each_bit(pixels, |bit| {
+                    let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
+                    if highest <= END && ends(bit) && !goes_on(above, px, py) {
+                        highest = END + 1;
+                    }
+                });
+            }
+            found(highest, &mut least);
+        })
     });
     best
 }
