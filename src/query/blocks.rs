@@ -27,10 +27,10 @@ pub(super) fn slices_between(low: u32, high: u32) -> u64 {
     u64::MAX >> (63 - last) & u64::MAX << first
 }
 
-/// A height above the origin as a height in the page with floor `base`, clamped to the page [quanta].
+/// A height above the origin as a height in the page with floor `base`, clamped to the page (quanta).
 #[inline]
 pub(super) fn local(height: i64, base: i64) -> u32 {
-    height.saturating_sub(base).clamp(0, PAGE_QUANTA) as u32
+    (height - base).clamp(0, PAGE_QUANTA) as u32
 }
 
 /// `heights` in the page with floor `base`; `None` if they lie outside.
@@ -43,7 +43,7 @@ pub(super) fn local_heights(heights: Heights, base: i64) -> Option<(u32, u32)> {
 /// The page that a shape is held against.
 pub(super) struct Place<'a> {
     pub page: &'a Page,
-    /// First pixel of the page, and the height of its floor [quanta].
+    /// First pixel of the page, and the height of its floor (quanta).
     pub i: i64,
     pub j: i64,
     pub base: i64,
@@ -99,6 +99,20 @@ fn touched_in_block<G: OnPixels>(
     if by_unions & !known == 0 || G::UPRIGHT && shape.holds(i, j) {
         return by_unions;
     }
+    touched_in_pixels(block, shape, (i, j, place.base), (low, high), by_unions, until)
+}
+
+/// What `shape` touches in a block that it may cut and that holds matter at its heights. Apart, because few blocks get
+/// here, and the way to them is faster with less to keep in mind.
+#[inline(never)]
+fn touched_in_pixels<G: OnPixels>(
+    block: BlockView<'_>,
+    shape: &G,
+    (i, j, base): (i64, i64, i64),
+    (low, high): (u32, u32),
+    by_unions: Kinds,
+    until: Kinds,
+) -> Kinds {
     let mask = shape.mask(i, j);
     let pixels = mask & block.pixels();
     if pixels == 0 || G::UPRIGHT && pixels == block.pixels() {
@@ -109,12 +123,18 @@ fn touched_in_block<G: OnPixels>(
         for_each_strip(mask, |strip| {
             kinds |= meeting_in_lanes(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high, until);
         });
-    } else {
-        for_each_bit(pixels, |bit| {
-            let heights = shape.heights_over(i + i64::from(bit & 7), j + i64::from(bit >> 3), 1);
-            let Some((low, high)) = local_heights(heights, place.base) else { return };
-            kinds |= meeting_in_lanes(block.column(bit), 0, 7, low, high, until);
-        });
+        return kinds;
+    }
+    for y in 0..8 {
+        let lanes = pixels >> (8 * y) & 0xFF;
+        let row = if lanes == 0 { &[] } else { block.rows(y, y) };
+        for span in row.iter().filter(|span| lanes >> span.lane() & 1 == 1 && span.meets(low, high)) {
+            // The heights over one pixel cost two roots: asked for only where it matters.
+            let over_pixel = shape.heights_over(i + i64::from(span.lane()), j + i64::from(y), 1);
+            if local_heights(over_pixel, base).is_some_and(|(low, high)| span.meets(low, high)) {
+                kinds |= span.kinds();
+            }
+        }
     }
     kinds
 }

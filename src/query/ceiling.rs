@@ -9,7 +9,7 @@ use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
-/// World height of the lowest ceiling above the footprint of `shape`, looked for from height `from` [m] up to
+/// World height of the lowest ceiling above the footprint of `shape`, looked for from height `from` (m) up to
 /// `from + height` [m, >= 0, may be infinite]; `None` if there is none.
 ///
 /// A ceiling is the underside of matter of either kind: the bottom of a span on which no other matter of the same pixel
@@ -31,7 +31,7 @@ pub fn ceiling_above<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, height
 
 /// Searches for the lowest underside at or above `from`: a bottom on which no other matter of its column ends.
 struct CeilingSearch {
-    /// Least bottom that counts [quanta].
+    /// Least bottom that counts (quanta).
     from: i64,
     /// Bottoms count up to here; falls with every one found.
     most: i64,
@@ -40,7 +40,7 @@ struct CeilingSearch {
 }
 
 impl CeilingSearch {
-    /// Bottoms from `from` to `most` [quanta].
+    /// Bottoms from `from` to `most` (quanta).
     fn new(from: i64, most: i64) -> Self {
         Self { from, most, best: None, missing: None }
     }

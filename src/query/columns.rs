@@ -38,7 +38,7 @@ impl Tile {
     }
 }
 
-/// Height of a layer's floor [quanta].
+/// Height of a layer's floor (quanta).
 #[inline]
 pub(super) fn floor_of(layer: i32) -> i64 {
     i64::from(layer) * PAGE_QUANTA
@@ -61,8 +61,8 @@ pub(super) fn for_each_column<S: PageSet>(
         return;
     }
     // Inside the bounds: indices fit `i32`, and counts 33 bits.
-    let tiles = (tx1 - tx0 + 1).saturating_mul(ty1 - ty0 + 1);
-    if tiles > 4 && tiles > set.column_count() as i64 {
+    let few = tx1 - tx0 <= 1 && ty1 - ty0 <= 1;
+    if !few && (tx1 - tx0 + 1).saturating_mul(ty1 - ty0 + 1) > set.column_count() as i64 {
         return among_all_columns(set, rect, [tx0, tx1, ty0, ty1], &mut f);
     }
     let (mut tx, mut ty) = (tx0, ty0);
@@ -81,7 +81,8 @@ pub(super) fn for_each_column<S: PageSet>(
     }
 }
 
-/// Looks at all columns of `set` for those with `tx0..=tx1`, `ty0..=ty1`. Apart, so that `f` is inlined where it counts.
+/// Looks at all columns of `set` for those with `tx0..=tx1`, `ty0..=ty1`. Apart, so that `f` is inlined where it
+/// counts.
 #[inline(never)]
 fn among_all_columns<S: PageSet>(
     set: &S,

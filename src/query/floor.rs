@@ -11,7 +11,7 @@ use crate::slice::{BlockView, Page, Span};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
-/// World height of the highest floor under the footprint of `shape`, looked for from height `from` [m] down to
+/// World height of the highest floor under the footprint of `shape`, looked for from height `from` (m) down to
 /// `from - depth` [m, >= 0, may be infinite]; `None` if there is none.
 ///
 /// Floor is the top of a span that is no obstacle; what counts are the pixels that the shape's footprint touches,
@@ -33,7 +33,7 @@ pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f
 /// Searches for the highest top of a floor span at or below `limit`.
 #[derive(Clone, Copy)]
 pub(super) struct FloorSearch {
-    /// Greatest top that counts [quanta].
+    /// Greatest top that counts (quanta).
     limit: i64,
     /// Tops count from here on; grows with every floor found.
     least: i64,
@@ -42,7 +42,7 @@ pub(super) struct FloorSearch {
 }
 
 impl FloorSearch {
-    /// Tops from `least` to `limit` [quanta].
+    /// Tops from `least` to `limit` (quanta).
     pub fn new(least: i64, limit: i64) -> Self {
         Self { limit, least, best: None, missing: None }
     }
@@ -132,41 +132,54 @@ fn highest_top<G: OnPixels, T: PageSlot>(
     };
     // Blocks that lie wholly in the footprint first: their unions answer, and leave little to look for in the others.
     let mut cut = 0u64;
+    let mut unions = [0u16; 64];
+    let mut highest_cut = (0, 0);
     for_each_bit(place.blocks_between(least, limit), |number| {
-        let (i, j) = place.corner(number);
-        match highest_union(place.page.block_at(number), limit) {
-            top if top <= least => {}
-            top if top <= inner_limit + 1 && shape.holds(i, j) => found(top, &mut least),
-            _ => cut |= 1 << number,
-        }
-    });
-    for_each_bit(cut, |number| {
-        let block = place.page.block_at(number);
-        let by_union = highest_union(block, limit);
-        if by_union <= least {
+        let top = highest_union(place.page.block_at(number), limit);
+        if top <= least {
             return;
         }
         let (i, j) = place.corner(number);
-        let mask = shape.mask(i, j);
-        let pixels = mask & block.pixels();
-        if pixels == block.pixels() && by_union <= inner_limit + 1 {
-            return found(by_union, &mut least);
+        if top <= inner_limit + 1 && shape.holds(i, j) {
+            return found(top, &mut least);
         }
-        let mut highest = 0;
-        for_each_strip(mask, |strip| {
-            let rows = block.rows(strip.y0, strip.y1);
-            highest = highest.max(top_in_lanes(rows, strip.x0, strip.x1, inner_limit, by_union));
-        });
-        let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
-        if limit == END && by_union > END {
-            for_each_bit(pixels, |bit| {
-                let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
-                if highest <= END && ends(bit) && !goes_on(above, px, py) {
-                    highest = END + 1;
-                }
+        cut |= 1 << number;
+        unions[number as usize & 63] = top as u16;
+        if top > highest_cut.0 {
+            highest_cut = (top, number);
+        }
+    });
+    // Of the others the one that promises most: what is found there mostly settles the rest.
+    let first = cut & 1u64.checked_shl(highest_cut.1).unwrap_or(0);
+    [first, cut & !first].into_iter().for_each(|blocks| {
+        for_each_bit(blocks, |number| {
+            let by_union = u32::from(unions[number as usize & 63]);
+            if by_union <= least {
+                return;
+            }
+            let block = place.page.block_at(number);
+            let (i, j) = place.corner(number);
+            let mask = shape.mask(i, j);
+            let pixels = mask & block.pixels();
+            if pixels == block.pixels() && by_union <= inner_limit + 1 {
+                return found(by_union, &mut least);
+            }
+            let mut highest = 0;
+            for_each_strip(mask, |strip| {
+                let rows = block.rows(strip.y0, strip.y1);
+                highest = highest.max(top_in_lanes(rows, strip.x0, strip.x1, inner_limit, by_union));
             });
-        }
-        found(highest, &mut least);
+            let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
+            if limit == END && by_union > END {
+                for_each_bit(pixels, |bit| {
+                    let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
+                    if highest <= END && ends(bit) && !goes_on(above, px, py) {
+                        highest = END + 1;
+                    }
+                });
+            }
+            found(highest, &mut least);
+        })
     });
     best
 }
@@ -183,8 +196,8 @@ fn highest_union(block: BlockView<'_>, limit: u32) -> u32 {
     more.iter().fold(highest(0, first), highest)
 }
 
-/// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory it
-/// has been counted as missing: the search from the top down came by it.
+/// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory
+/// it has been counted as missing: the search from the top down came by it.
 fn goes_on<T: PageSlot>(above: Option<&T>, px: u32, py: u32) -> bool {
     let Some(above) = above else { return false };
     match above.page() {

@@ -48,7 +48,8 @@ pub(super) fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high:
     gather(spans, kinds, |a, b| a | b, |all| all & until != 0)
 }
 
-/// Highest top up to `limit` of a floor span of lanes `x0..=x1`, plus 1; 0 if there is none. Ends when it reaches `bound`.
+/// Highest top up to `limit` of a floor span of lanes `x0..=x1`, plus 1; 0 if there is none. Ends when it reaches
+/// `bound`.
 #[inline]
 pub(super) fn top_in_lanes(spans: &[Span], x0: u32, x1: u32, limit: u32, bound: u32) -> u32 {
     let top = |span: Span| {

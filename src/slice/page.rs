@@ -2,9 +2,9 @@
 //!
 //! Layout, outermost first. Blocks are 8 × 8 pixels, numbered in row order; only those with matter are stored.
 //!
-//! 1. Per slice with matter a mask of blocks with matter in it: one pass over the slices that a shape spans leaves the
+//! 1. Per slice a mask of blocks with matter in it: one pass over the slices that a shape spans leaves the
 //!    few blocks that can matter.
-//! 2. Per block a record of 48 bytes: the *unions* of its floor spans and of its obstacle spans, if they are at most four,
+//! 2. Per block a record of 48 bytes: the *unions* of its floor spans and of its obstacle spans, if at most four, the
 //!    mask of pixels with matter, where its rows begin.
 //! 3. Per block the unions beyond four, then its spans in row order.
 //!
@@ -46,7 +46,7 @@ pub struct Page {
     slices: u64,
     /// Per block its place in the arrays below; blocks without matter share the sentinel at the end.
     places: [u8; BLOCKS],
-    /// Per slice with matter its blocks with matter, bit `8·by + bx`.
+    /// From the lowest to the highest slice with matter: its blocks with matter, bit `8·by + bx`.
     slice_blocks: Box<[u64]>,
     blocks: Box<[Block]>,
     spans: Box<[Span]>,
@@ -63,13 +63,9 @@ impl<'a> BlockView<'a> {
     /// Slices of the page in which some pixel of the block has matter, as a mask.
     pub fn slices(self) -> u64 {
         let number = self.page.places.iter().position(|&place| usize::from(place) == self.place).unwrap_or(0);
-        let mut left = self.page.slices;
-        let with_matter = self.page.slice_blocks.iter().map(|blocks| {
-            let slice = left & left.wrapping_neg();
-            left ^= slice;
-            if blocks >> number & 1 == 1 { slice } else { 0 }
-        });
-        with_matter.fold(0, |slices, slice| slices | slice)
+        let with_matter = self.page.slice_blocks.iter().rev();
+        let slices = with_matter.fold(0, |slices, blocks| slices << 1 | blocks >> number & 1);
+        slices << self.page.slices.trailing_zeros().min(63)
     }
 
     /// Pixels of the block with matter: bit `8·(y % 8) + x % 8`.
@@ -140,9 +136,10 @@ impl Page {
     /// Blocks (bit `8·by + bx`) with matter in one of the slices `first..=last` [0..64].
     #[inline]
     pub(crate) fn blocks_in(&self, first: u32, last: u32) -> u64 {
-        let upto = self.slices & u64::MAX >> (63 - last);
-        let below = (self.slices & !(u64::MAX << first)).count_ones() as usize;
-        let slices = &self.slice_blocks[below..upto.count_ones() as usize];
+        let lowest = self.slices.trailing_zeros();
+        let below = first.saturating_sub(lowest) as usize;
+        let upto = (last + 1).saturating_sub(lowest) as usize;
+        let slices = self.slice_blocks.get(below..upto.min(self.slice_blocks.len())).unwrap_or(&[]);
         let (quads, rest) = slices.as_chunks::<4>();
         let or = |all: [u64; 4], quad: &[u64; 4]| [0, 1, 2, 3].map(|n| all[n] | quad[n]);
         let mut all = quads.iter().fold([0; 4], or);
@@ -292,10 +289,11 @@ impl PageBuilder {
             spans.extend_from_slice(&own);
         }
         blocks.push(Block::without_matter(spans.len()));
+        let lowest = if page_slices == 0 { 0 } else { page_slices.trailing_zeros() as usize };
         Page {
             slices: page_slices,
             places,
-            slice_blocks: slice_blocks.into_iter().filter(|&blocks| blocks != 0).collect(),
+            slice_blocks: slice_blocks[lowest..64 - page_slices.leading_zeros() as usize].into(),
             blocks: blocks.into(),
             spans: spans.into(),
         }

@@ -6,8 +6,8 @@ use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 ///
 /// Both ends are inclusive: a span is the closed interval `[bottom, top]`, `0 ≤ bottom ≤ top ≤ 16320`.
 ///
-/// Three bits are left over. Inside a page they hold the pixel's `x % 8`, so that a run of spans over several pixels can
-/// be filtered without a look at where each pixel begins; they are no part of the span's value.
+/// Three bits are left over. Inside a page they hold the pixel's `x % 8`, so that a run of spans over several pixels
+/// can be filtered without a look at where each pixel begins; they are no part of the span's value.
 #[derive(Clone, Copy)]
 #[repr(transparent)]
 pub struct Span(u32);
@@ -63,7 +63,8 @@ impl Span {
         self.0 & OBSTACLE != 0
     }
 
-    /// Bit 0 set, and bit 28 ([`OBSTACLE_KIND`](Self::OBSTACLE_KIND)) for an obstacle: what loops without branches gather.
+    /// Bit 0 set, and bit 28 ([`OBSTACLE_KIND`](Self::OBSTACLE_KIND)) for an obstacle: what loops without branches
+    /// gather.
     #[inline]
     pub(crate) fn kinds(self) -> u32 {
         self.0 & OBSTACLE | 1

@@ -128,7 +128,13 @@ fn read_ours(path: &Path, threads: usize) -> u64 {
         let (mut decoder, mut count) = (Decoder::new(), 0);
         loop {
             let Some(unit) = units.lock().expect("no panic").next() else { return count };
-            count += decoder.decode(&set, &unit, &mut |batch| Ok(drop(black_box(batch)))).expect("points").read;
+            count += decoder
+                .decode(&set, &unit, &mut |batch| {
+                    black_box(batch);
+                    Ok(())
+                })
+                .expect("points")
+                .read;
         }
     };
     std::thread::scope(|scope| {
