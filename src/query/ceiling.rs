@@ -24,7 +24,9 @@ pub fn ceiling_above<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, height
     }
     let frame = set.frame();
     let shape = shape.on_grid(frame);
-    let search = CeilingSearch::new(frame.quantum_ceil(from), frame.quantum_floor(from + height));
+    // Apart, because infinity less infinity is no number.
+    let highest = if height == f64::INFINITY { f64::INFINITY } else { from + height };
+    let search = CeilingSearch::new(frame.quantum_ceil(from), frame.quantum_floor(highest));
     let search = search.run(set, &shape);
     Answer::new(search.best.map(|bottom| frame.bottom_height(bottom)), search.missing)
 }

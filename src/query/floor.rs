@@ -26,7 +26,9 @@ pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f
     }
     let frame = set.frame();
     let shape = shape.on_grid(frame);
-    let search = FloorSearch::new(frame.quantum_ceil(from - depth), frame.quantum_floor(from));
+    // Apart, because infinity less infinity is no number.
+    let lowest = if depth == f64::INFINITY { f64::NEG_INFINITY } else { from - depth };
+    let search = FloorSearch::new(frame.quantum_ceil(lowest), frame.quantum_floor(from));
     search.run(set, &shape).answer(frame)
 }
 

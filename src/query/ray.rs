@@ -83,7 +83,8 @@ pub struct RayHit {
 /// coordinates, so a ray through an input point always hits; a ray that grazes a face may meet it earlier by as much
 /// over the sine of their angle. Where the ray enters a side and a span's end at once, the side's normal is given.
 ///
-/// Cost: about 10 ns per tile column and per block with matter at the ray's heights, and per pixel in these.
+/// Cost: a step per tile column on the way, per block in pages with matter at the ray's heights, and per pixel in blocks
+/// with matter there; a region of 64 × 64 tiles without pages is one step.
 ///
 /// ```
 /// use nalgebra::{Point3, Vector3};

@@ -1,5 +1,5 @@
 //! A furnished building of two storeys as a scanner sees it: floors, ceilings, both faces of walls with doors, tables,
-//! stools, shelves, pillars. A sixth to a fifth of the floor is taken.
+//! stools, shelves, pillars.
 
 use crate::Random;
 use nalgebra::{Point3, Vector3};
