@@ -123,19 +123,24 @@ impl Frame {
 }
 
 /// Greatest integer at or below `v`; saturates at ±2⁵⁰, 0 for NaN.
-///
-/// Without SSE 4.1 `f64::floor` is a call, and a checked conversion several branches; a query needs six. Adding 1.5 · 2⁵²
-/// rounds to the nearest integer and leaves that in the low bits (Hacker's Delight, section 17-2).
 #[inline]
 pub(crate) fn floor_index(v: f64) -> i64 {
     const LIMIT: f64 = (1u64 << 50) as f64;
-    const SHIFT: f64 = (3u64 << 51) as f64;
     let v = if v.is_nan() { 0.0 } else { v };
     let v = if v < LIMIT { v } else { LIMIT };
-    let v = if v > -LIMIT { v } else { -LIMIT };
+    floor_small(if v > -LIMIT { v } else { -LIMIT })
+}
+
+/// Greatest integer at or below `v`, for magnitudes up to 2⁵⁰.
+///
+/// Without SSE 4.1 `f64::floor` is a call, and a checked conversion several branches; a query needs six. Adding 1.5 · 2⁵²
+/// rounds to the nearest integer and leaves that in the low bits (Hacker's Delight, section 17-2), and it vectorises.
+#[inline]
+pub(crate) fn floor_small(v: f64) -> i64 {
+    const SHIFT: f64 = (3u64 << 51) as f64;
     let nearest = v + SHIFT;
     let too_high = nearest - SHIFT > v;
-    (nearest.to_bits() as i64 - SHIFT.to_bits() as i64) - i64::from(too_high)
+    (nearest.to_bits() as i64).wrapping_sub(SHIFT.to_bits() as i64) - i64::from(too_high)
 }
 
 /// Names a page: a tile column in xy and one layer of [`PAGE_SLICES`] slices in it.

@@ -5,7 +5,7 @@
 //! *halo*, copies of the points in the first pixel beyond each edge, so that what looks at 3 × 3 pixels needs no
 //! other tile column.
 
-use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, TILE_PIXELS, morton};
+use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, TILE_PIXELS, floor_small, morton};
 
 /// Pixels beyond each edge of a tile column whose points are copied into it.
 pub const HALO_PIXELS: i64 = 1;
@@ -121,16 +121,6 @@ impl ColumnIndex {
     }
 }
 
-/// Greatest integer at or below `value`, for magnitudes below 2⁵¹. Adding 1.5·2⁵² leaves the nearest integer in the low
-/// bits: three instructions that vectorise, where `f64::floor` is a function call on baseline x86-64.
-#[inline]
-fn floor(value: f64) -> i64 {
-    const MAGIC: f64 = 1.5 * (1u64 << 52) as f64;
-    let shifted = value + MAGIC;
-    let nearest = (shifted.to_bits() as i64).wrapping_sub(MAGIC.to_bits() as i64);
-    nearest - i64::from(shifted - MAGIC > value)
-}
-
 /// Points whose places are computed in one go.
 pub const BATCH: usize = 1 << 10;
 
@@ -157,9 +147,9 @@ impl Recorder {
         let mut places = [[0i64; 3]; BATCH];
         for (((place, &x), &y), &z) in places.iter_mut().zip(x).zip(y).zip(z) {
             let cells = z * self.cells_per_m;
-            let cell = floor(cells);
+            let cell = floor_small(cells);
             let between = (cell as f64 != cells) as i64;
-            *place = [floor(x * self.subpixels_per_m), floor(y * self.subpixels_per_m), 2 * cell + between];
+            *place = [floor_small(x * self.subpixels_per_m), floor_small(y * self.subpixels_per_m), 2 * cell + between];
         }
         for &[fx, fy, steps] in &places[..x.len().min(y.len()).min(z.len())] {
             self.place(fx, fy, steps, &mut sink);
