@@ -10,18 +10,19 @@
 use crate::archive::{ArchiveWriter, EncodedPage, Header, PageEncoder, Totals};
 use crate::frame::{Frame, PageKey};
 use crate::input::spacing::{Spacing, estimate_spacing};
-use crate::input::{Decoder, InputOptions, InputSet, UnitCounts, Units};
+use crate::input::{Decoder, InputOptions, InputSet, ScanFile, UnitCounts, Units};
 use crate::plan::{Classifier, Plan, Up};
 use crate::slice::columns::ColumnPages;
 use crate::slice::obstacle::Judge;
 use crate::voxel::fold::{Area, Folded, Folder, Patch, Voxel, fold_into};
-use crate::voxel::record::{ColumnKey, Record, Recorder};
+use crate::voxel::record::{ColumnKey, PATCH_AREA, Record, Recorder};
 use crate::voxel::runs::{Job, Merge, RunBuilder, RunStore};
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, NoMonitor, Result};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Least memory budget (bytes).
 pub const MIN_MEMORY_BYTES: u64 = 64 << 20;
@@ -32,6 +33,10 @@ pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
 const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 16;
 /// Disk per point in the temporary file: its record, copies in the halo, and the index.
 const TEMP_BYTES_PER_POINT: u64 = 9;
+/// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
+const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(u64, Voxel)>() as u64;
+/// Memory of a small page that waits to be written, beyond its bytes.
+const PAGE_BYTES: u64 = 256;
 /// Jobs that may be finished before the oldest unfinished one.
 const JOBS_AHEAD_PER_THREAD: usize = 8;
 
@@ -144,6 +149,8 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         PixelSize::Metres(pixel_m) => (pixel_m, None),
         PixelSize::Auto => {
             let spacing = estimate_spacing(&set, threads, monitor)?;
+            // The same losses come up again in the pass that counts; they are told then.
+            set.warn_of_losses(&NoMonitor);
             (round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2), Some(spacing))
         }
     };
@@ -165,11 +172,11 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     check_free_space(options, &set)?;
     let build_bytes = options.memory_bytes / 4 / threads as u64;
     let read = read_points(&set, &plan, &store, build_bytes, threads, monitor)?;
+    set.warn_of_losses(monitor);
     if read.counts.read == 0 {
         monitor.warn("the input holds no points: the archive is empty");
     }
-    let max_records = options.memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD;
-    let voxels_dropped = write_columns(&plan, &store, max_records, threads, &mut writer, monitor)?;
+    let voxels_dropped = write_columns(&plan, &store, options.memory_bytes, threads, &mut writer, monitor)?;
     let kept = read.counts.kept();
     let header = writer.finish(Totals {
         points_read: read.counts.read,
@@ -247,15 +254,21 @@ fn read_points(
     let recorder = Recorder::new(plan.frame);
     let units = Mutex::new(set.units());
     let next_unit = || units.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
+    // What one worker cannot do ends the work of all, not only its own.
+    let failed = AtomicBool::new(false);
+    let of_files = Mutex::new(vec![Read::NOTHING; set.files().len()]);
     let work = || -> Result<Read> {
         let mut decoder = Decoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
         let mut read = Read::NOTHING;
         while let Some(unit) = next_unit() {
-            if monitor.cancelled() {
-                return Err(Error::Interrupted);
-            }
-            let counts = decoder.decode(set, &unit, &mut |batch| {
+            let mut of_unit = Read::NOTHING;
+            of_unit.counts = decoder.decode(set, &unit, &mut |batch| {
+                // A unit may be a whole file, so one look per unit would be too few.
+                if monitor.cancelled() || failed.load(Ordering::Relaxed) {
+                    return Err(Error::Interrupted);
+                }
+                monitor.advance(batch.len() as u64);
                 let (mut min, mut max) = (Read::NOTHING.min, Read::NOTHING.max);
                 for (axis, values) in [&batch.x, &batch.y, &batch.z].into_iter().enumerate() {
                     (min[axis], max[axis]) = range(values);
@@ -266,15 +279,20 @@ fn read_points(
                 if !recorder.reaches(min, max) {
                     return Err(out_of_reach(&plan.frame, min, max));
                 }
-                read.merge(&Read { min, max, ..Read::NOTHING });
+                of_unit.merge(&Read { min, max, ..Read::NOTHING });
                 builder.push(&batch.x, &batch.y, &batch.z, store)
             })?;
-            monitor.advance(counts.read);
-            read.merge(&Read { counts, ..Read::NOTHING });
+            monitor.advance(of_unit.counts.read - of_unit.counts.kept());
+            read.merge(&of_unit);
+            of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[unit.file()].merge(&of_unit);
+        }
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
         }
         builder.flush(store)?;
         Ok(read)
     };
+    let work = || work().inspect_err(|_| failed.store(true, Ordering::Relaxed));
     let results: Vec<Result<Read>> = std::thread::scope(|scope| {
         let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
         workers
@@ -283,10 +301,44 @@ fn read_points(
             .collect()
     });
     let mut all = Read::NOTHING;
+    let mut stopped = false;
     for result in results {
-        all.merge(&result?);
+        match result {
+            Ok(read) => all.merge(&read),
+            // Stopped by another's error, which says more.
+            Err(Error::Interrupted) => stopped = true,
+            Err(error) => return Err(error),
+        }
     }
+    if stopped {
+        return Err(Error::Interrupted);
+    }
+    warn_of_bounds(set, &of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner), monitor);
     Ok(all)
+}
+
+/// One warning if headers state other bounds than the points have: the archive's are those of the points, and a user
+/// who compares the two should know which is wrong.
+fn warn_of_bounds(set: &InputSet, of_files: &[Read], monitor: &dyn Monitor) {
+    let disagrees = |(file, read): &(&ScanFile, &Read)| {
+        let kept = read.counts.kept();
+        // Points left out may be those at the corners; then the stated box may well be larger.
+        let all = kept == read.counts.read && read.counts.missing == 0;
+        kept > 0 && file.bounds_disagree(read.min, read.max, all)
+    };
+    let mut found = set.files().iter().zip(of_files).filter(disagrees);
+    if let Some((file, read)) = found.next() {
+        let others = match found.count() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        monitor.warn(&format!(
+            "{}{others}: the header states other bounds than the points have; theirs are used: {:?} to {:?}",
+            file.path().display(),
+            read.min,
+            read.max
+        ));
+    }
 }
 
 /// Least and greatest value, in lanes that compile to vector instructions.
@@ -325,7 +377,7 @@ struct Done {
 fn write_columns(
     plan: &Plan,
     store: &RunStore,
-    max_records: u64,
+    memory_bytes: u64,
     threads: usize,
     writer: &mut ArchiveWriter,
     monitor: &dyn Monitor,
@@ -333,6 +385,9 @@ fn write_columns(
     let merge = Merge::new(store);
     monitor.stage("writing slices", merge.records(), "records");
     let ahead = JOBS_AHEAD_PER_THREAD * threads;
+    let max_records = memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD;
+    let max_columns = (memory_bytes / 8 / ahead as u64 / PAGE_BYTES).max(1);
+    let dense = Dense { one_at_a_time: Mutex::new(()), max_voxels: memory_bytes / 4 / DENSE_BYTES_PER_VOXEL };
     let (job_in, job_out) = bounded::<(u64, Job)>(threads);
     let (done_in, done_out) = bounded::<Result<Done>>(ahead);
     // A job is given out against a token, and a token comes back when its pages are written: so no more than
@@ -344,14 +399,15 @@ fn write_columns(
     std::thread::scope(|scope| {
         for _ in 0..threads {
             let (jobs, done) = (job_out.clone(), done_in.clone());
-            let merge = &merge;
-            scope.spawn(move || work_on_columns(plan, merge, max_records, &jobs, &done));
+            let (merge, dense) = (&merge, &dense);
+            let worker = ColumnWorker::new(plan, max_records, dense, monitor);
+            scope.spawn(move || work_on_columns(worker, merge, &jobs, &done));
         }
         drop(job_out);
         let merge = &merge;
         scope.spawn(move || {
             let mut number = 0;
-            let given = merge.jobs(max_records, |job| {
+            let given = merge.jobs(max_records, max_columns, |job| {
                 // A closed channel means that the writer gave up; it knows why.
                 if token_out.recv().is_err() || job_in.send((number, job)).is_err() {
                     return Err(Error::Interrupted);
@@ -398,14 +454,12 @@ fn write_in_order(
 }
 
 fn work_on_columns(
-    plan: &Plan,
+    mut worker: ColumnWorker<'_>,
     merge: &Merge<'_>,
-    max_records: u64,
     jobs: &Receiver<(u64, Job)>,
     done: &Sender<Result<Done>>,
 ) {
     let _alarm = Alarm(done);
-    let mut worker = ColumnWorker::new(plan, max_records);
     for (number, job) in jobs {
         let result = worker.work(merge, &job).map(|(pages, voxels_dropped)| Done {
             number,
@@ -433,8 +487,18 @@ impl Drop for Alarm<'_> {
 
 type Pages = Vec<(PageKey, EncodedPage)>;
 
+/// What the workers share for columns that do not fit.
+struct Dense {
+    /// Held by the one worker that may use as much memory as all workers together.
+    one_at_a_time: Mutex<()>,
+    /// Voxels that it may then hold.
+    max_voxels: u64,
+}
+
 /// Scratch of one worker of the second pass.
-struct ColumnWorker {
+struct ColumnWorker<'a> {
+    dense: &'a Dense,
+    monitor: &'a dyn Monitor,
     judge: Judge,
     min_points: u32,
     drop_isolated: bool,
@@ -447,9 +511,11 @@ struct ColumnWorker {
     records: Vec<Record>,
 }
 
-impl ColumnWorker {
-    fn new(plan: &Plan, max_records: u64) -> Self {
+impl<'a> ColumnWorker<'a> {
+    fn new(plan: &Plan, max_records: u64, dense: &'a Dense, monitor: &'a dyn Monitor) -> Self {
         Self {
+            dense,
+            monitor,
             judge: Judge::new(plan),
             min_points: plan.min_points,
             drop_isolated: plan.drop_isolated,
@@ -467,7 +533,7 @@ impl ColumnWorker {
         let mut pages = Pages::new();
         let mut dropped = 0;
         if job.records > self.max_records {
-            dropped += self.dense_area(merge, job, Area::TILE)?;
+            dropped += self.dense_column(merge, job)?;
             self.encode(job.columns[0].0, &mut pages)?;
             return Ok((pages, dropped));
         }
@@ -484,39 +550,85 @@ impl ColumnWorker {
         Ok((pages, dropped))
     }
 
-    /// Folds a column of more records than memory holds: piece by piece, and in parts if the voxels are too many.
-    fn dense_area(&mut self, merge: &Merge<'_>, job: &Job, area: Area) -> Result<u64> {
-        let chunk = (self.max_records / 4).max(1 << 12) as usize;
-        let max_voxels = (self.max_records / 4).max(1 << 12) as usize;
-        let mut folded = Folded::new();
-        let mut too_many = false;
-        let mut own = Vec::new();
-        merge.stream(job, chunk, |records| {
-            if !too_many {
-                own.clear();
-                own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
-                fold_into(&mut folded, &own, &mut self.folder);
-                too_many = folded.len() > max_voxels;
-            }
-            Ok(())
-        })?;
-        if !too_many {
-            let dropped = self.patch.set_folded(&folded, self.min_points, area);
-            return Ok(dropped + self.judge_and_add(area));
+    /// Works on a column of more records than memory holds. Where they make few voxels, one pass folds them piece by
+    /// piece; else the column is cut into areas of few enough records, with one pass for each.
+    ///
+    /// Cost: passes over the column's records, as many as it holds `max_records` (and some for the halos).
+    fn dense_column(&mut self, merge: &Merge<'_>, job: &Job) -> Result<u64> {
+        if let Some(dropped) = self.fold_piecemeal(merge, job, Area::TILE, self.max_records / 4)? {
+            return Ok(dropped);
         }
-        let Some(halves) = area.halves() else {
-            return Err(Error::Limit {
-                what: "occupied slices of one pixel and its neighbours (give more --memory)".into(),
-                value: format!("over {}", folded.len()),
-                max: max_voxels.to_string(),
-            });
-        };
-        drop(folded);
+        let mut counts = vec![0u64; PATCH_AREA];
+        self.stream(merge, job, |records| {
+            records.iter().for_each(|record| counts[record.pixel()] += 1);
+            true
+        })?;
         let mut dropped = 0;
-        for half in halves {
-            dropped += self.dense_area(merge, job, half)?;
+        let mut open = vec![Area::TILE];
+        while let Some(area) = open.pop() {
+            let with_halo: u64 = (0..PATCH_AREA).filter(|&pixel| area.holds_with_halo(pixel)).map(|p| counts[p]).sum();
+            if with_halo <= self.max_records {
+                let mut own = std::mem::take(&mut self.records);
+                own.clear();
+                own.reserve_exact(with_halo as usize);
+                self.stream(merge, job, |records| {
+                    own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
+                    true
+                })?;
+                dropped += self.patch.fold(&own, self.min_points, area) + self.judge_and_add(area);
+                self.records = own;
+            } else if let Some([low, high]) = area.halves() {
+                // The last is taken first, and spans are to come in order of pixels where they can.
+                open.extend([high, low]);
+            } else {
+                let dense = self.dense;
+                let _alone = dense.one_at_a_time.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                self.patch = Patch::default();
+                let folded = self.fold_piecemeal(merge, job, area, dense.max_voxels)?;
+                self.patch = Patch::default();
+                dropped += folded.ok_or_else(|| Error::Limit {
+                    what: "occupied slices of one pixel and its neighbours (give more --memory, or a larger --slice)"
+                        .into(),
+                    value: "more".into(),
+                    max: dense.max_voxels.to_string(),
+                })?;
+            }
         }
         Ok(dropped)
+    }
+
+    /// Folds the records of `area` piece by piece; `None` if they make more than `max_voxels`.
+    fn fold_piecemeal(&mut self, merge: &Merge<'_>, job: &Job, area: Area, max_voxels: u64) -> Result<Option<u64>> {
+        let mut folder = std::mem::take(&mut self.folder);
+        let mut folded = Folded::new();
+        let mut own = Vec::new();
+        let fits = self.stream(merge, job, |records| {
+            own.clear();
+            own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
+            fold_into(&mut folded, &own, &mut folder);
+            folded.len() as u64 <= max_voxels
+        })?;
+        self.folder = folder;
+        if !fits {
+            return Ok(None);
+        }
+        let dropped = self.patch.set_folded(&folded, self.min_points, area);
+        drop(folded);
+        Ok(Some(dropped + self.judge_and_add(area)))
+    }
+
+    /// All records of a column, piece by piece, until `take` has enough; whether it saw all.
+    fn stream(&self, merge: &Merge<'_>, job: &Job, mut take: impl FnMut(&[Record]) -> bool) -> Result<bool> {
+        let chunk = (self.max_records / 4).max(1 << 12) as usize;
+        let mut all = true;
+        merge.stream(job, chunk, |records| {
+            if self.monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            all = take(records);
+            Ok(all)
+        })?;
+        Ok(all)
     }
 
     /// Returns how many isolated voxels were dropped.

@@ -6,6 +6,7 @@ use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
 use slicewalk::input::Units;
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::{Error, Monitor};
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
@@ -164,7 +165,7 @@ impl Monitor for Terminal {
 
     fn warn(&self, text: &str) {
         if !self.quiet {
-            self.bar().suspend(|| eprintln!("sliceconv: warning: {text}"));
+            self.bar().suspend(|| say(&format!("sliceconv: warning: {text}")));
         }
     }
 
@@ -175,6 +176,7 @@ impl Monitor for Terminal {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
+    slicewalk::input::quiet_decoder_panics();
     static CANCELLED: AtomicBool = AtomicBool::new(false);
     let terminal = Terminal { quiet: arguments.quiet, cancelled: &CANCELLED, bar: Mutex::new(ProgressBar::hidden()) };
     let handler = ctrlc::set_handler(|| {
@@ -195,10 +197,19 @@ fn main() -> ExitCode {
             ExitCode::SUCCESS
         }
         Err(error) => {
-            eprintln!("sliceconv: {error}");
-            ExitCode::FAILURE
+            say(&format!("sliceconv: {error}"));
+            // An option that can be seen to be wrong without any input is wrong usage.
+            match error {
+                Error::Parameter { what, .. } if what.starts_with("--") && what != "--pixel auto" => ExitCode::from(2),
+                _ => ExitCode::FAILURE,
+            }
         }
     }
+}
+
+/// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.
+fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 fn run(arguments: &Arguments, monitor: &dyn Monitor) -> Result<Report, Error> {
@@ -238,22 +249,23 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         facts["temp_bytes"] = report.temp_bytes.into();
         facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
         facts["seconds"] = seconds.into();
-        println!("{facts:#}");
+        // The archive is written; that nobody reads about it is no failure.
+        let _ = writeln!(std::io::stdout(), "{facts:#}");
     }
     if arguments.quiet || arguments.json {
         return;
     }
     let frame = &header.plan.frame;
     if let Some(spacing) = &report.spacing {
-        eprintln!(
+        say(&format!(
             "pixel size {} m: 4 × the point spacing of {:.4} m (median over {} sampled points)",
             frame.pixel_m(),
             spacing.spacing_m,
             spacing.sampled
-        );
+        ));
     }
     let left_out = header.points_read - header.points_kept;
-    eprintln!(
+    say(&format!(
         "{}: {} points ({left_out} left out), {} voxels ({} obstacle) in {} slices of {} m",
         arguments.output.display(),
         header.points_kept,
@@ -261,14 +273,15 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         header.voxels.obstacle,
         slicewalk::info::slice_count(header),
         frame.slice_m()
-    );
+    ));
     if report.voxels_dropped > 0 {
-        eprintln!("{} voxels of too few points or without neighbours dropped, and their points", report.voxels_dropped);
+        let dropped = report.voxels_dropped;
+        say(&format!("{dropped} voxels of too few points or without neighbours dropped, and their points"));
     }
-    eprintln!(
+    say(&format!(
         "{} bytes, {} bytes of temporary data, {seconds:.2} s, {:.2} M points/s",
         header.file_len,
         report.temp_bytes,
         header.points_read as f64 / seconds / 1e6
-    );
+    ));
 }

@@ -293,6 +293,21 @@ impl ScanFile {
     }
 }
 
+impl ScanFile {
+    /// Whether the bounds that its header claims are not those of points from `min` to `max`, give or take a step of
+    /// its coordinates. Unless these are `all` of its points, the claim may be larger.
+    pub fn bounds_disagree(&self, min: [f64; 3], max: [f64; 3], all: bool) -> bool {
+        let Some(stated) = self.bounds_stated() else { return true };
+        let step =
+            (0..3).map(|axis| (self.transform.scale[axis] * self.transform.unit[axis]).abs()).fold(0.0, f64::max);
+        (0..3).any(|axis| {
+            let slack = step + 1e-9 * min[axis].abs().max(max[axis].abs());
+            let (below, above) = (stated.min[axis] - min[axis], max[axis] - stated.max[axis]);
+            below.max(above) > slack || all && below.min(above) < -slack
+        })
+    }
+}
+
 /// What a file leaves open about its units.
 #[derive(Debug, Default, Clone, Copy)]
 struct Unclear {

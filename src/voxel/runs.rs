@@ -5,8 +5,8 @@
 //! each with the ranges of records that belong to it. Every run is read from front to back, whatever the order of the
 //! input, so neither shuffled points nor a huge extent turn the disk's work into single small reads.
 //!
-//! Memory: `retain_bytes` for runs kept, 20 bytes per record of each run under construction, 4 KiB per run on disk
-//! while merging. Disk: 8 bytes per record plus 3 to 12 bytes per tile column and run.
+//! Memory: `retain_bytes` for runs kept, 20 bytes per record and 120 per tile column of each run under construction,
+//! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile column and run.
 
 use super::record::{BATCH, ColumnIndex, ColumnKey, Record, Recorder};
 use crate::{Error, Result};
@@ -20,8 +20,12 @@ use std::sync::Mutex;
 
 /// Bytes per record of a run under construction: the record, its column number and its sorted copy.
 pub const BUILD_BYTES: u64 = 20;
+/// Bytes per tile column of a run under construction: its place in the list and in the lookup, both of which double
+/// as they grow, and in the order and the index made at the end. A run of scattered points is mostly this.
+const COLUMN_BYTES: usize = 120;
 const RECORD_BYTES: u64 = size_of::<Record>() as u64;
-const INDEX_CHUNK_BYTES: usize = 4096;
+/// Read-ahead in the index of a run on disk, least and most.
+const INDEX_CHUNK_BYTES: (u64, u64) = (256, 4096);
 const COPY_BYTES: usize = 1 << 16;
 
 /// Mixes the few bytes of a [`ColumnIndex`]; the keys come from coordinates, and a slow map is the worst a crafted
@@ -88,7 +92,8 @@ impl RunBuilder {
         // A point yields at most four records, so a chunk that fits four-fold needs no check inside the loop.
         for start in (0..x.len()).step_by(BATCH) {
             let chunk = start..(start + BATCH).min(x.len());
-            if self.records.len() + 4 * chunk.len() > self.capacity {
+            let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
+            if self.records.len() + columns + 4 * chunk.len() > self.capacity {
                 self.flush(store)?;
             }
             if self.records.capacity() == 0 {
@@ -140,6 +145,7 @@ impl RunBuilder {
         self.numbers.clear();
         self.columns.clear();
         self.lookup.clear();
+        index.shrink_to_fit();
         store.add(sorted, index)
     }
 }
@@ -366,6 +372,8 @@ struct Cursor {
     /// Next byte of the index to fetch, counted from its start.
     fetched: u64,
     segments_left: u64,
+    /// Most index bytes to fetch at once.
+    chunk_bytes: usize,
     /// The segment at hand and the record where it begins.
     segment: Option<Segment>,
     first_record: u64,
@@ -378,13 +386,14 @@ impl std::fmt::Debug for SegmentCoder {
 }
 
 impl Cursor {
-    fn new(run: &Run, store: &RunStore) -> Result<Self> {
+    fn new(run: &Run, store: &RunStore, chunk_bytes: usize) -> Result<Self> {
         let mut cursor = Self {
             coder: SegmentCoder::default(),
             chunk: Vec::new(),
             used: 0,
             fetched: 0,
             segments_left: run.columns,
+            chunk_bytes,
             segment: None,
             first_record: 0,
         };
@@ -399,17 +408,17 @@ impl Cursor {
             return Ok(());
         }
         self.segments_left -= 1;
-        let Self { coder, chunk, used, fetched, .. } = self;
+        let Self { coder, chunk, used, fetched, chunk_bytes, .. } = self;
         self.segment = Some(coder.decode(|| {
             if *used == chunk.len() {
                 match &run.place {
                     Place::Memory { index, .. } => {
-                        let end = index.len().min(*fetched as usize + INDEX_CHUNK_BYTES);
+                        let end = index.len().min(*fetched as usize + *chunk_bytes);
                         chunk.clear();
                         chunk.extend_from_slice(&index[*fetched as usize..end]);
                     }
                     Place::Disk { index_at, index_bytes, .. } => {
-                        chunk.resize(((index_bytes - *fetched) as usize).min(INDEX_CHUNK_BYTES), 0);
+                        chunk.resize(((index_bytes - *fetched) as usize).min(*chunk_bytes), 0);
                         store.read(chunk, index_at + *fetched)?;
                     }
                 }
@@ -460,10 +469,13 @@ impl<'a> Merge<'a> {
         self.runs.iter().map(|run| run.records).sum()
     }
 
-    /// Calls `give` with one job after another, each of at most `max_records` or of a single column. Memory: 4 KiB per
-    /// run and what the job lists.
-    pub fn jobs(&self, max_records: u64, mut give: impl FnMut(Job) -> Result<()>) -> Result<()> {
-        let mut cursors = self.runs.iter().map(|run| Cursor::new(run, self.store)).collect::<Result<Vec<_>>>()?;
+    /// Calls `give` with one job after another, each of at most `max_columns` columns and `max_records` records, or of a
+    /// single column. Memory: up to 4 KiB per run and what the job lists.
+    pub fn jobs(&self, max_records: u64, max_columns: u64, mut give: impl FnMut(Job) -> Result<()>) -> Result<()> {
+        let (least, most) = INDEX_CHUNK_BYTES;
+        let chunk_bytes = (self.store.retain_bytes / 8 / self.runs.len().max(1) as u64).clamp(least, most) as usize;
+        let cursor = |run| Cursor::new(run, self.store, chunk_bytes);
+        let mut cursors = self.runs.iter().map(cursor).collect::<Result<Vec<_>>>()?;
         let key_of = |cursor: &Cursor| cursor.segment.map(|segment| segment.key);
         let mut heap: BinaryHeap<_> =
             cursors.iter().enumerate().filter_map(|(run, cursor)| Some(Reverse((key_of(cursor)?, run)))).collect();
@@ -480,7 +492,8 @@ impl<'a> Merge<'a> {
             }
             let segment_of = |run: usize, cursors: &[Cursor]| cursors[run].segment.map_or(0, |segment| segment.records);
             let records: u64 = same.iter().map(|&run| u64::from(segment_of(run, &cursors))).sum();
-            if !job.columns.is_empty() && job.records + records > max_records {
+            let full = job.records + records > max_records || job.columns.len() as u64 >= max_columns;
+            if !job.columns.is_empty() && full {
                 part_of.fill(usize::MAX);
                 give(std::mem::take(&mut job))?;
             }
@@ -528,8 +541,9 @@ impl<'a> Merge<'a> {
         Ok(())
     }
 
-    /// Calls `take` with all records of a job's only column, `chunk` records at a time, in no particular order.
-    pub fn stream(&self, job: &Job, chunk: usize, mut take: impl FnMut(&[Record]) -> Result<()>) -> Result<()> {
+    /// Calls `take` with all records of a job's only column, at most `chunk` records at a time, in no particular order,
+    /// as long as it asks for more.
+    pub fn stream(&self, job: &Job, chunk: usize, mut take: impl FnMut(&[Record]) -> Result<bool>) -> Result<()> {
         let mut buffer = Vec::new();
         for part in &job.parts {
             let mut left: u64 = part.columns.iter().map(|column| u64::from(column.1)).sum();
@@ -537,7 +551,9 @@ impl<'a> Merge<'a> {
             while left > 0 {
                 buffer.resize(left.min(chunk as u64) as usize, Record(0));
                 self.store.read_records(&self.runs[part.run], first, &mut buffer)?;
-                take(&buffer)?;
+                if !take(&buffer)? {
+                    return Ok(());
+                }
                 first += buffer.len() as u64;
                 left -= buffer.len() as u64;
             }
@@ -597,7 +613,8 @@ mod tests {
             let mut found = Columns::new();
             let mut streamed = Columns::new();
             merge
-                .jobs(max_records, |job| {
+                .jobs(max_records, 1000, |job| {
+                    assert!(job.columns.len() <= 1000);
                     assert!(job.records <= max_records || job.columns.len() == 1);
                     let mut records = Vec::new();
                     merge.load(&job, &mut records)?;
@@ -612,7 +629,7 @@ mod tests {
                         let of_column = streamed.entry(job.columns[0].0).or_default();
                         merge.stream(&job, 100, |chunk| {
                             of_column.extend_from_slice(chunk);
-                            Ok(())
+                            Ok(true)
                         })?;
                     }
                     Ok(())
