@@ -36,6 +36,10 @@ mod missing;
 mod probe;
 mod ray;
 mod sphere;
+mod sweep;
+mod sweep_descent;
+mod sweep_near;
+mod sweep_solid;
 
 pub use aabb::Aabb;
 pub use ceiling::ceiling_above;
@@ -46,6 +50,9 @@ pub use missing::{Answer, MISSING_KEYS, Missing, Overlap};
 pub use probe::{Probe, probe, probe_batch};
 pub use ray::{Ray, RayHit, cast};
 pub use sphere::Sphere;
+pub use sweep::{SweepHit, sweep, sweep_batch};
+pub use sweep_near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
+pub use sweep_solid::Solid;
 
 use crate::store::PageSet;
 use blocks::MATTER;
