@@ -292,7 +292,11 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
             assert_eq!(a.is_some(), b.is_some());
             if let (Some(a), Some(b)) = (a, b) {
                 assert!((a.fraction - b.fraction).abs() < 1e-12, "{a:?} {b:?}");
-                assert_eq!((a.normal, a.obstacle), (b.normal, b.obstacle), "{a:?} {b:?}");
+                assert_eq!(a.normal, b.normal, "{a:?} {b:?}");
+                if a.begins_inside() {
+                    continue;
+                }
+                assert_eq!(a.obstacle, b.obstacle);
                 assert_eq!([a.pixel[0] + 37, a.pixel[1] - 23], b.pixel);
             }
         }
@@ -390,7 +394,9 @@ fn pages_not_in_memory_are_never_taken_for_free() {
                     keys.extend_from_slice(missing.keys());
                 }
                 if let Answer::Known(hit) = a {
-                    assert_eq!(Answer::Known(hit), sweep(&full, &shape, motion));
+                    let whole = sweep(&full, &shape, motion).known().flatten();
+                    let inside = |hit: Option<SweepHit>| hit.is_some_and(|hit| hit.begins_inside());
+                    assert!(hit == whole || inside(hit) && inside(whole), "{hit:?} {whole:?}");
                 }
                 if let Answer::Known(near) = b {
                     assert_eq!(Answer::Known(near), clearance(&full, &shape, max));

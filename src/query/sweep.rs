@@ -7,7 +7,7 @@
 use super::missing::{Answer, Missing, note};
 use super::sweep_descent::{Cell, Visit, descend};
 use super::sweep_solid::{Contact, Moving, Solid};
-use crate::frame::{Frame, PageKey};
+use crate::frame::{Frame, PageKey, floor_index};
 use crate::store::PageSet;
 use nalgebra::Vector3;
 
@@ -48,7 +48,7 @@ impl SweepHit {
 /// on both sides, so nothing stops it there; give it some height.
 ///
 /// The answer does not depend on page, tile or slice boundaries: of contacts at the same time the one against z is taken
-/// before x before y, then an obstacle before floor. A motion that is not finite is stopped at 0.
+/// before x before y, then an obstacle before floor; of a shape that begins inside, any span that it is in. A motion that is not finite is stopped at 0.
 ///
 /// Cost: as [`overlaps`](super::overlaps) over the pixels swept; of long ways only what lies along them is looked at.
 ///
@@ -167,15 +167,15 @@ impl Visit for Search {
     fn enter(&mut self, cell: &Cell) -> bool {
         let meeting = self.moving.meeting(cell);
         // A shape that begins inside looks for no better place.
-        meeting.is_some() && meeting.enter.max(-1.0) <= self.best.at
+        meeting.is_some() && meeting.enter <= self.best.at && self.best.at >= 0.0
     }
 
     #[inline]
     fn span(&mut self, cell: &Cell, obstacle: bool, pixel: [i64; 2]) {
-        if !self.enter(cell) {
+        if self.best.at < 0.0 {
             return;
         }
-        if let Some(Contact { at, normal }) = self.moving.contact(cell) {
+        if let Some(Contact { at, normal }) = self.moving.contact(cell, self.best.at) {
             let found = Best { at, normal, obstacle, pixel, bottom: cell.lo[2], top: cell.hi[2] };
             if found.before(&self.best) {
                 self.best = found;
@@ -185,6 +185,17 @@ impl Visit for Search {
 
     fn missing(&mut self, key: PageKey) {
         note(&mut self.missing, key);
+    }
+
+    #[inline]
+    fn heights(&self, low: i64, high: i64) -> (i64, i64) {
+        // Two quanta for rounding, and for contacts at the same time.
+        let (v, at) = (self.moving.v[2], self.best.at.clamp(0.0, 1.0));
+        if v < 0.0 {
+            (low.max(floor_index(self.moving.rest.lo[2] + v * at) - 2), high)
+        } else {
+            (low, high.min(floor_index(self.moving.rest.hi[2] + v * at) + 2))
+        }
     }
 
     #[inline]

@@ -34,6 +34,12 @@ pub(super) trait Visit {
     /// A page that is not in memory and has matter in a cell that can matter.
     fn missing(&mut self, key: PageKey);
 
+    /// The part of the heights `low..=high` in which matter can still matter.
+    #[inline]
+    fn heights(&self, low: i64, high: i64) -> (i64, i64) {
+        (low, high)
+    }
+
     /// Least and greatest coordinate along the other axis of x and y that can matter between `lo` and `hi` along `axis`.
     #[inline]
     fn across(&self, _axis: usize, _lo: f64, _hi: f64) -> (f64, f64) {
@@ -118,7 +124,8 @@ fn column<T: PageSlot, V: Visit>(area: &Area, tx: i32, ty: i32, slots: &[T], vis
     for n in 0..slots.len() {
         let slot = &slots[if area.backward[2] { slots.len() - 1 - n } else { n }];
         let base = floor_of(slot.layer());
-        let window = (local(area.low, base), local(area.high, base));
+        let (low, high) = visit.heights(area.low, area.high);
+        let window = (local(low, base), local(high, base));
         let slices = slot.slices() & slices_between(window.0, window.1);
         if slices == 0 {
             continue;
@@ -129,18 +136,21 @@ fn column<T: PageSlot, V: Visit>(area: &Area, tx: i32, ty: i32, slots: &[T], vis
             continue;
         }
         match slot.page() {
-            Some(held) => page(area, held, i, j, base, window, visit),
+            Some(held) => page(area, held, i, j, base, visit),
             None => visit.missing(PageKey { tx, ty, layer: slot.layer() }),
         }
     }
 }
 
 #[inline]
-fn page<V: Visit>(area: &Area, page: &Page, i: i64, j: i64, base: i64, (low, high): (u32, u32), visit: &mut V) {
-    let meets = |span: Span| span.meets(low, high);
+fn page<V: Visit>(area: &Area, page: &Page, i: i64, j: i64, base: i64, visit: &mut V) {
+    let (low, high) = (local(area.low, base), local(area.high, base));
     let blocks = page.blocks_in(area.rect.bits(i, j, 3), slices_between(low, high));
     for_each_bit(blocks, |number| {
         let block = page.block_at(number);
+        let (low, high) = visit.heights(area.low, area.high);
+        let (low, high) = (local(low, base), local(high, base));
+        let meets = |span: Span| span.meets(low, high);
         let (bi, bj) = (i + i64::from(number & 7) * 8, j + i64::from(number >> 3) * 8);
         let cell = |span: Span, i: i64, j: i64, edge: i64| {
             Cell::square(i, j, edge, base + i64::from(span.bottom()), base + i64::from(span.top()))

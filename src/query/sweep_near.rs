@@ -220,7 +220,7 @@ impl Visit for WayOut {
     }
 
     fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
-        if self.moving.contact(cell).is_some() {
+        if self.moving.contact(cell, 1.0).is_some() {
             self.most = self.most.max(self.way(cell));
         }
     }

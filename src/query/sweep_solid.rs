@@ -192,14 +192,19 @@ impl Moving {
         (self.rest.lo[other] + t0.min(t1) - 1.0, self.rest.hi[other] + t0.max(t1) + 1.0)
     }
 
-    /// The first contact with `cell`, within the motion.
+    /// The first contact with `cell`, within the motion and not after `until`.
     #[inline]
-    pub fn contact(&self, cell: &Cell) -> Option<Contact> {
+    pub fn contact(&self, cell: &Cell, until: f64) -> Option<Contact> {
         let meetings: [Meeting; 3] = std::array::from_fn(|a| self.axis(a, cell.lo[a], cell.hi[a]));
         let hull = meetings[0].and(meetings[1]).and(meetings[2]);
-        if !hull.is_some() {
+        if !hull.is_some() || hull.enter > until {
             return None;
         }
+        self.form_contact(cell, &meetings, hull)
+    }
+
+    #[inline]
+    fn form_contact(&self, cell: &Cell, meetings: &[Meeting; 3], hull: Meeting) -> Option<Contact> {
         match self.rest.form {
             Form::Box if hull.enter < 0.0 => Some(Contact::INSIDE),
             Form::Box => {
@@ -212,6 +217,11 @@ impl Moving {
             }
             Form::Cylinder { radius } => {
                 let round = Round::new(self, cell, [1.0, 1.0, 0.0], 2);
+                if self.v[0] == 0.0 && self.v[1] == 0.0 {
+                    let over = norm(round.away(0.0)) < radius - 2.0 * round.slack;
+                    let first = Contact { at: hull.enter, normal: self.face(2) };
+                    return over.then_some(if hull.enter < 0.0 { Contact::INSIDE } else { first });
+                }
                 let contact = round.contact(radius, meetings[2])?;
                 Some(
                     if contact.at >= 0.0 && meetings[2].enter >= contact.at && meetings[2].enter > round.enter(radius) {
@@ -265,7 +275,7 @@ impl Round {
     }
 
     /// From the nearest point of the box to the centre at time `t`.
-    fn from_box(&self, t: f64) -> [f64; 3] {
+    fn away(&self, t: f64) -> [f64; 3] {
         std::array::from_fn(|a| {
             let p = self.p[a] + t * self.v[a];
             if a < self.axes { p - p.clamp(self.lo[a], self.hi[a]) } else { 0.0 }
@@ -313,7 +323,7 @@ impl Round {
 
     /// The first contact while `also`.
     fn contact(&self, radius: f64, also: Meeting) -> Option<Contact> {
-        let begin = self.from_box(0.0);
+        let begin = self.away(0.0);
         let distance = norm(begin);
         if distance < radius - 2.0 * self.slack && also.enter < 0.0 {
             return Some(Contact::INSIDE);
@@ -330,7 +340,7 @@ impl Round {
             return None;
         }
         let at = self.enter(radius).max(also.enter).clamp(0.0, 1.0);
-        let normal = self.from_box(at);
+        let normal = self.away(at);
         let length = norm(normal);
         // The centre inside the box: only a shape without extent gets there first.
         let normal = if length > 0.0 { normal.map(|v| v / length) } else { unit_against(self.v) };
