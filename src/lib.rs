@@ -29,5 +29,7 @@ pub mod store;
 
 pub mod query;
 
+pub mod walk;
+
 pub use error::{Error, Result};
 pub use monitor::{Monitor, NoMonitor};

@@ -40,6 +40,7 @@ mod sweep;
 mod sweep_descent;
 mod sweep_near;
 mod sweep_solid;
+mod sweep_step;
 
 pub use aabb::Aabb;
 pub use ceiling::ceiling_above;
@@ -53,6 +54,7 @@ pub use sphere::Sphere;
 pub use sweep::{SweepHit, sweep, sweep_batch};
 pub use sweep_near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
 pub use sweep_solid::Solid;
+pub use sweep_step::{mean_floor_under, top_under};
 
 use crate::store::PageSet;
 use blocks::MATTER;
