@@ -25,6 +25,9 @@ pub mod convert;
 #[cfg(feature = "cli")]
 pub mod info;
 
+#[cfg(feature = "cli")]
+pub mod size;
+
 pub mod store;
 
 pub mod query;
