@@ -5,6 +5,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
 use slicewalk::input::Units;
 use slicewalk::plan::{Classifier, Up};
+use slicewalk::size::parse_size;
 use slicewalk::{Error, Monitor};
 use std::io::Write;
 use std::path::PathBuf;
@@ -41,7 +42,7 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = Rule::Plane)]
     classifier: Rule,
     /// Memory to use, at least 64MiB
-    #[arg(long, default_value = "512MiB", value_name = "SIZE", value_parser = size)]
+    #[arg(long, default_value = "512MiB", value_name = "SIZE", value_parser = parse_size)]
     memory: u64,
     /// Worker threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -113,23 +114,6 @@ fn units(text: &str) -> Result<Units, String> {
             _ => return Err("expected auto, m, ft, us-ft, or metres per unit above 0".into()),
         },
     })
-}
-
-fn size(text: &str) -> Result<u64, String> {
-    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let unit: u64 = match text[digits.len()..].to_ascii_lowercase().as_str() {
-        "" | "b" => 1,
-        "k" | "kib" => 1 << 10,
-        "m" | "mib" => 1 << 20,
-        "g" | "gib" => 1 << 30,
-        "t" | "tib" => 1 << 40,
-        "kb" => 1_000,
-        "mb" => 1_000_000,
-        "gb" => 1_000_000_000,
-        other => return Err(format!("unknown unit {other:?}: expected B, KiB, MiB, GiB, KB, MB or GB")),
-    };
-    let value: f64 = digits.trim().parse().map_err(|_| "expected a size such as 512MiB".to_owned())?;
-    if (0.0..1e18).contains(&value) { Ok((value * unit as f64) as u64) } else { Err("out of range".into()) }
 }
 
 /// Shows progress on a terminal and prints warnings on standard error.
