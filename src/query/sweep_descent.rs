@@ -1,10 +1,10 @@
 //! The way down to the spans that a moving or growing shape may meet: tile columns, pages, blocks, spans. What is worth a
 //! look is decided by a visitor that is asked about boxes, from large to small.
 
-use super::blocks::{for_each_bit, local, slices_between};
+use super::blocks::{for_each_bit, local, slices_between, slices_of};
 use super::columns::{floor_of, layers};
-use super::grid::Rect;
-use crate::frame::{PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
+use super::grid::{Heights, Rect};
+use crate::frame::{PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::slice::{Page, Span};
 use crate::store::{PageSet, PageSlot};
 
@@ -119,10 +119,8 @@ pub(super) fn descend<S: PageSet, V: Visit>(set: &S, area: &Area, visit: &mut V)
 #[inline]
 fn column<T: PageSlot, V: Visit>(area: &Area, tx: i32, ty: i32, slots: &[T], visit: &mut V) {
     let (i, j) = (i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS);
-    let (first, last) = (area.low.saturating_sub(1).div_euclid(PAGE_QUANTA), area.high.div_euclid(PAGE_QUANTA));
-    let slots = layers(slots, first, last);
-    for n in 0..slots.len() {
-        let slot = &slots[if area.backward[2] { slots.len() - 1 - n } else { n }];
+    let mut slots = layers(slots, Heights { low: area.low, high: area.high });
+    while let Some(slot) = if area.backward[2] { slots.next_back() } else { slots.next() } {
         let base = floor_of(slot.layer());
         let (low, high) = visit.heights(area.low, area.high);
         let window = (local(low, base), local(high, base));
@@ -145,7 +143,8 @@ fn column<T: PageSlot, V: Visit>(area: &Area, tx: i32, ty: i32, slots: &[T], vis
 #[inline]
 fn page<V: Visit>(area: &Area, page: &Page, i: i64, j: i64, base: i64, visit: &mut V) {
     let (low, high) = (local(area.low, base), local(area.high, base));
-    let blocks = page.blocks_in(area.rect.bits(i, j, 3), slices_between(low, high));
+    let (first, last) = slices_of(low, high);
+    let blocks = area.rect.bits(i, j, 3) & page.blocks_in(first, last);
     for_each_bit(blocks, |number| {
         let block = page.block_at(number);
         let (low, high) = visit.heights(area.low, area.high);
@@ -155,10 +154,7 @@ fn page<V: Visit>(area: &Area, page: &Page, i: i64, j: i64, base: i64, visit: &m
         let cell = |span: Span, i: i64, j: i64, edge: i64| {
             Cell::square(i, j, edge, base + i64::from(span.bottom()), base + i64::from(span.top()))
         };
-        if !meets(block.hull()) || !visit.enter(&cell(block.hull(), bi, bj, 8)) {
-            return;
-        }
-        if !block.unions().iter().any(|&union| meets(union) && visit.enter(&cell(union, bi, bj, 8))) {
+        if !block.unions().any(|union| meets(union) && visit.enter(&cell(union, bi, bj, 8))) {
             return;
         }
         let clamp = |v: i64, origin: i64| (v.saturating_sub(origin)).clamp(0, 7) as u32;
