@@ -14,7 +14,7 @@ use crate::input::{Decoder, InputOptions, InputSet, ScanFile, UnitCounts, Units}
 use crate::plan::{Classifier, Plan, Up};
 use crate::slice::columns::ColumnPages;
 use crate::slice::obstacle::Judge;
-use crate::voxel::fold::{Area, Folded, Patch, Voxel, fold_into};
+use crate::voxel::fold::{Area, Folded, Folder, Patch, Voxel, fold_into};
 use crate::voxel::record::{ColumnKey, PATCH_AREA, Record, Recorder};
 use crate::voxel::runs::{Job, Merge, RunBuilder, RunStore};
 use crate::{Error, Monitor, NoMonitor, Result};
@@ -76,6 +76,8 @@ pub struct ConvertOptions {
     pub exclude_classes: [u64; 4],
     /// Voxels with fewer points are dropped.
     pub min_points: u32,
+    /// Whether voxels without matter in any of the 26 voxels around them are dropped.
+    pub drop_isolated: bool,
     /// Up axis of the input.
     pub up: Up,
     /// Unit of the input.
@@ -100,6 +102,7 @@ impl ConvertOptions {
             temp_dir: std::env::temp_dir(),
             exclude_classes: [0; 4],
             min_points: 1,
+            drop_isolated: false,
             up: Up::Z,
             units: Units::Auto,
             overwrite: false,
@@ -120,7 +123,8 @@ pub struct Report {
     pub temp_bytes: u64,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
-    /// Voxels dropped for having fewer than the least number of points, and with them their points.
+    /// Voxels dropped for having fewer than the least number of points or for being isolated, and with them their
+    /// points: boxes that hold only such points are no hits (G1 holds for all other points).
     pub voxels_dropped: u64,
 }
 
@@ -156,6 +160,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         tolerance_m: options.tolerance_m,
         classifier: options.classifier,
         min_points: options.min_points,
+        drop_isolated: options.drop_isolated,
         up: options.up,
         exclude_classes: options.exclude_classes,
     };
@@ -204,7 +209,7 @@ fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
     let free = fs4::available_space(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
     if needed > free {
         let what = format!(
-            "temporary data for {points} points in {} [bytes] (choose a folder with --temp-dir or give more --memory)",
+            "temporary data for {points} points in {} (bytes) (choose a folder with --temp-dir or give more --memory)",
             dir.display()
         );
         return Err(Error::Limit { what, value: needed.to_string(), max: free.to_string() });
@@ -353,7 +358,7 @@ fn range(values: &[f64]) -> (f64, f64) {
 
 fn out_of_reach(frame: &Frame, min: [f64; 3], max: [f64; 3]) -> Error {
     Error::Limit {
-        what: "coordinates that a grid of this pixel size reaches [m] (give a larger --pixel, or the unit by --units)"
+        what: "coordinates that a grid of this pixel size reaches (m) (give a larger --pixel, or the unit by --units)"
             .into(),
         value: format!("{min:?} to {max:?}"),
         max: format!("±{}", frame.pixel_m().min(frame.slice_m()) * crate::frame::MAX_INDEX as f64),
@@ -496,8 +501,10 @@ struct ColumnWorker<'a> {
     monitor: &'a dyn Monitor,
     judge: Judge,
     min_points: u32,
+    drop_isolated: bool,
     max_records: u64,
     patch: Patch,
+    folder: Folder,
     verdicts: Vec<bool>,
     columns: ColumnPages,
     encoder: PageEncoder,
@@ -511,8 +518,10 @@ impl<'a> ColumnWorker<'a> {
             monitor,
             judge: Judge::new(plan),
             min_points: plan.min_points,
+            drop_isolated: plan.drop_isolated,
             max_records,
             patch: Patch::default(),
+            folder: Folder::default(),
             verdicts: Vec::new(),
             columns: ColumnPages::new(plan),
             encoder: PageEncoder::new(),
@@ -534,8 +543,7 @@ impl<'a> ColumnWorker<'a> {
         for &(key, count) in &job.columns {
             let (own, others) = rest.split_at(count as usize);
             rest = others;
-            dropped += self.patch.fold(own, self.min_points, Area::TILE);
-            self.judge_and_add(Area::TILE);
+            dropped += self.patch.fold(own, self.min_points, Area::TILE) + self.judge_and_add(Area::TILE);
             self.encode(key, &mut pages)?;
         }
         self.records = records;
@@ -567,9 +575,8 @@ impl<'a> ColumnWorker<'a> {
                     own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
                     true
                 })?;
-                dropped += self.patch.fold(&own, self.min_points, area);
+                dropped += self.patch.fold(&own, self.min_points, area) + self.judge_and_add(area);
                 self.records = own;
-                self.judge_and_add(area);
             } else if let Some([low, high]) = area.halves() {
                 // The last is taken first, and spans are to come in order of pixels where they can.
                 open.extend([high, low]);
@@ -592,21 +599,22 @@ impl<'a> ColumnWorker<'a> {
 
     /// Folds the records of `area` piece by piece; `None` if they make more than `max_voxels`.
     fn fold_piecemeal(&mut self, merge: &Merge<'_>, job: &Job, area: Area, max_voxels: u64) -> Result<Option<u64>> {
+        let mut folder = std::mem::take(&mut self.folder);
         let mut folded = Folded::new();
         let mut own = Vec::new();
         let fits = self.stream(merge, job, area, |records| {
             own.clear();
             own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
-            fold_into(&mut folded, &mut own);
+            fold_into(&mut folded, &own, &mut folder);
             folded.len() as u64 <= max_voxels
         })?;
+        self.folder = folder;
         if !fits {
             return Ok(None);
         }
         let dropped = self.patch.set_folded(&folded, self.min_points, area);
         drop(folded);
-        self.judge_and_add(area);
-        Ok(Some(dropped))
+        Ok(Some(dropped + self.judge_and_add(area)))
     }
 
     /// The records of a column in `area` and its halo, and others, piece by piece, until `take` has enough; whether it
@@ -630,9 +638,12 @@ impl<'a> ColumnWorker<'a> {
         Ok(all)
     }
 
-    fn judge_and_add(&mut self, area: Area) {
+    /// Returns how many isolated voxels were dropped.
+    fn judge_and_add(&mut self, area: Area) -> u64 {
+        let dropped = if self.drop_isolated { self.patch.drop_isolated(area) } else { 0 };
         self.judge.judge(&self.patch, area, &mut self.verdicts);
         self.columns.add(&self.patch, area, &self.verdicts);
+        dropped
     }
 
     fn encode(&mut self, column: ColumnKey, pages: &mut Pages) -> Result<()> {

@@ -47,6 +47,7 @@ pub fn header_info(header: &Header, crs: &str) -> Value {
         "tolerance": plan.tolerance_m,
         "classifier": plan.classifier.name(),
         "min_points": plan.min_points,
+        "drop_isolated": plan.drop_isolated,
         "up": match plan.up { crate::plan::Up::Z => "z", crate::plan::Up::Y => "y" },
         "excluded_classes": classes,
         "plan_hash": format!("{:032x}", header.plan_hash),

@@ -25,9 +25,14 @@ pub mod convert;
 #[cfg(feature = "cli")]
 pub mod info;
 
+#[cfg(feature = "cli")]
+pub mod size;
+
 pub mod store;
 
 pub mod query;
+
+pub mod walk;
 
 pub use error::{Error, Result};
 pub use monitor::{Monitor, NoMonitor};

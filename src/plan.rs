@@ -53,6 +53,8 @@ pub struct Plan {
     pub classifier: Classifier,
     /// Voxels with fewer points are dropped [points, >= 1].
     pub min_points: u32,
+    /// Whether voxels without matter in any of the 26 voxels around them are dropped.
+    pub drop_isolated: bool,
     /// Up axis of the input.
     pub up: Up,
     /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.

@@ -224,6 +224,11 @@ fn shapes_beyond_all_bounds_are_answered_at_once() {
     assert_eq!(overlaps(&store, &everything(-1e15, -1e14)), Overlap::Clear);
     assert_eq!(overlaps(&store, &everything(1e14, infinite)), Overlap::Clear);
     assert!(probe(&store, &everything(-1e15, 1e15)).known().unwrap().floor_z.is_some());
+    let whole = everything(-infinite, infinite);
+    let highest = floor_under(&store, &whole, infinite, infinite).known().unwrap();
+    assert!(highest.is_some() && highest == floor_under(&store, &whole, 1e15, 2e15).known().unwrap());
+    let lowest = ceiling_above(&store, &whole, -infinite, infinite).known().unwrap();
+    assert!(lowest.is_some() && lowest == ceiling_above(&store, &whole, -1e15, 2e15).known().unwrap());
     let big = Sphere::new(Point3::new(0.0, 0.0, -1e10), 0.9e10).unwrap();
     assert_eq!(overlaps(&store, &big), Overlap::Clear);
     let below = Ray::new(Point3::new(-1e12, 3.0, -1e12), Vector3::new(1.0, 0.0, 1e-9), infinite).unwrap();

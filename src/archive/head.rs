@@ -168,6 +168,7 @@ fn plan_bytes(plan: &Plan) -> [u8; PLAN.end - PLAN.start] {
     }
     bytes[32] = Classifier::ALL.iter().position(|&c| c == plan.classifier).map_or(u8::MAX, |code| code as u8);
     bytes[33] = (plan.up == Up::Y) as u8;
+    bytes[34] = plan.drop_isolated as u8;
     bytes[36..40].copy_from_slice(&plan.min_points.to_le_bytes());
     for (slot, value) in bytes[40..].chunks_exact_mut(8).zip(plan.exclude_classes) {
         slot.copy_from_slice(&value.to_le_bytes());
@@ -366,7 +367,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
 fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
     let mut reader = Reader::new(bytes, "H7");
     let sizes = [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
-    let [classifier, up, reserved_low, reserved_high] = reader.array()?;
+    let [classifier, up, drop_isolated, reserved] = reader.array()?;
     let min_points = reader.u32()?;
     let exclude_classes = [reader.u64()?, reader.u64()?, reader.u64()?, reader.u64()?];
     let wrong = |error: Error| Violation::new("H7", "a plan within its limits", error);
@@ -378,11 +379,16 @@ fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
         1 => Up::Y,
         other => return Err(Violation::new("H7", "up axis 0 or 1", other)),
     };
+    let drop_isolated = match drop_isolated {
+        0 => false,
+        1 => true,
+        other => return Err(Violation::new("H7", "drop_isolated 0 or 1", other)),
+    };
     let frame = Frame::new(sizes[0], sizes[1]).map_err(wrong)?;
     let [_, _, max_slope_deg, tolerance_m] = sizes;
-    let plan = Plan { frame, max_slope_deg, tolerance_m, classifier, min_points, up, exclude_classes };
+    let plan = Plan { frame, max_slope_deg, tolerance_m, classifier, min_points, drop_isolated, up, exclude_classes };
     plan.check().map_err(wrong)?;
-    if [reserved_low, reserved_high] != [0, 0] || plan_bytes(&plan) != *bytes {
+    if reserved != 0 || plan_bytes(&plan) != *bytes {
         return Err(Violation::new("H7", "the canonical bytes of the plan", hex(bytes)));
     }
     let hash = xxh3_128(bytes);

@@ -20,6 +20,7 @@ fn plan() -> Plan {
         tolerance_m: 0.0,
         classifier: Classifier::Span,
         min_points: 1,
+        drop_isolated: false,
         up: Up::Z,
         exclude_classes: [1 << 7, 0, 0, 0],
     }

@@ -5,6 +5,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
 use slicewalk::input::Units;
 use slicewalk::plan::{Classifier, Up};
+use slicewalk::size::parse_size;
 use slicewalk::{Error, Monitor};
 use std::io::Write;
 use std::path::PathBuf;
@@ -41,7 +42,7 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = Rule::Plane)]
     classifier: Rule,
     /// Memory to use, at least 64MiB
-    #[arg(long, default_value = "512MiB", value_name = "SIZE", value_parser = size)]
+    #[arg(long, default_value = "512MiB", value_name = "SIZE", value_parser = parse_size)]
     memory: u64,
     /// Worker threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -55,6 +56,9 @@ struct Arguments {
     /// Drop voxels of fewer points (their points may then be missed)
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     min_points: u32,
+    /// Drop voxels without matter in any of the 26 around them (their points may then be missed)
+    #[arg(long)]
+    drop_isolated: bool,
     /// Axis of the input that points up
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
@@ -110,23 +114,6 @@ fn units(text: &str) -> Result<Units, String> {
             _ => return Err("expected auto, m, ft, us-ft, or metres per unit above 0".into()),
         },
     })
-}
-
-fn size(text: &str) -> Result<u64, String> {
-    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let unit: u64 = match text[digits.len()..].to_ascii_lowercase().as_str() {
-        "" | "b" => 1,
-        "k" | "kib" => 1 << 10,
-        "m" | "mib" => 1 << 20,
-        "g" | "gib" => 1 << 30,
-        "t" | "tib" => 1 << 40,
-        "kb" => 1_000,
-        "mb" => 1_000_000,
-        "gb" => 1_000_000_000,
-        other => return Err(format!("unknown unit {other:?}: expected B, KiB, MiB, GiB, KB, MB or GB")),
-    };
-    let value: f64 = digits.trim().parse().map_err(|_| "expected a size such as 512MiB".to_owned())?;
-    if (0.0..1e18).contains(&value) { Ok((value * unit as f64) as u64) } else { Err("out of range".into()) }
 }
 
 /// Shows progress on a terminal and prints warnings on standard error.
@@ -227,6 +214,7 @@ fn run(arguments: &Arguments, monitor: &dyn Monitor) -> Result<Report, Error> {
         options.exclude_classes[usize::from(class / 64)] |= 1 << (class % 64);
     }
     options.min_points = arguments.min_points;
+    options.drop_isolated = arguments.drop_isolated;
     options.up = match arguments.up {
         Axis::Z => Up::Z,
         Axis::Y => Up::Y,
@@ -271,7 +259,8 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         frame.slice_m()
     ));
     if report.voxels_dropped > 0 {
-        say(&format!("{} voxels of fewer than {} points dropped", report.voxels_dropped, header.plan.min_points));
+        let dropped = report.voxels_dropped;
+        say(&format!("{dropped} voxels of too few points or without neighbours dropped, and their points"));
     }
     say(&format!(
         "{} bytes, {} bytes of temporary data, {seconds:.2} s, {:.2} M points/s",

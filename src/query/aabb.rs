@@ -6,7 +6,7 @@ use crate::frame::Frame;
 use crate::{Error, Result};
 use nalgebra::{Point3, Vector3};
 
-/// A closed axis-aligned box in world coordinates [m].
+/// A closed axis-aligned box in world coordinates (m).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Aabb {
     min: Point3<f64>,
@@ -14,7 +14,7 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box from `min` to `max`, both inclusive [m]. Infinite sides are allowed; a NaN, or a minimum above its
+    /// The box from `min` to `max`, both inclusive (m). Infinite sides are allowed; a NaN, or a minimum above its
     /// maximum, is refused.
     pub fn new(min: Point3<f64>, max: Point3<f64>) -> Result<Self> {
         // Written so that NaN fails.
@@ -31,12 +31,12 @@ impl Aabb {
         Self::new(feet - half, feet + half + Vector3::new(0.0, 0.0, size.z))
     }
 
-    /// Lower corner [m].
+    /// Lower corner (m).
     pub fn min(&self) -> Point3<f64> {
         self.min
     }
 
-    /// Upper corner [m].
+    /// Upper corner (m).
     pub fn max(&self) -> Point3<f64> {
         self.max
     }
@@ -77,6 +77,11 @@ impl OnPixels for GridBox {
     #[inline]
     fn heights(&self) -> Heights {
         self.heights
+    }
+
+    #[inline]
+    fn holds(&self, i: i64, j: i64) -> bool {
+        (self.rect.i0 <= i) & (i + 7 <= self.rect.i1) & (self.rect.j0 <= j) & (j + 7 <= self.rect.j1)
     }
 
     #[inline]

@@ -2,34 +2,35 @@
 
 use super::grid::Heights;
 use super::grid::sealed::OnPixels;
+use super::scan::{meeting, meeting_in_lanes};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
-use crate::slice::{Page, Span};
+use crate::slice::{BlockView, Page, Span};
 
 /// What touched: a set of [`MATTER`] and [`OBSTACLE`].
 pub(super) type Kinds = u32;
 /// Matter of either kind.
 pub(super) const MATTER: Kinds = 1;
 /// An obstacle; never without [`MATTER`].
-pub(super) const OBSTACLE: Kinds = 2;
+pub(super) const OBSTACLE: Kinds = Span::OBSTACLE_KIND;
 
+/// First and last slice in which a span can lie that meets the local heights `low..=high` [0..=16320]: one that ends at
+/// `low` on a slice boundary belongs to the slice below.
 #[inline]
-fn kinds_of(span: Span) -> Kinds {
-    MATTER | u32::from(span.is_obstacle()) << 1
+pub(super) fn slices_of(low: u32, high: u32) -> (u32, u32) {
+    (low.saturating_sub(1) / SLICE_QUANTA as u32, (high / SLICE_QUANTA as u32).min(63))
 }
 
-/// Slices in which a span must lie to meet the local heights `low..=high` [0..=16320]: a span that ends at `low` on a
-/// slice boundary belongs to the slice below.
+/// The same slices as a mask.
 #[inline]
 pub(super) fn slices_between(low: u32, high: u32) -> u64 {
-    let first = low.saturating_sub(1) / SLICE_QUANTA as u32;
-    let last = (high / SLICE_QUANTA as u32).min(63);
+    let (first, last) = slices_of(low, high);
     u64::MAX >> (63 - last) & u64::MAX << first
 }
 
-/// A height above the origin as a height in the page with floor `base`, clamped to the page [quanta].
+/// A height above the origin as a height in the page with floor `base`, clamped to the page (quanta).
 #[inline]
 pub(super) fn local(height: i64, base: i64) -> u32 {
-    height.saturating_sub(base).clamp(0, PAGE_QUANTA) as u32
+    (height - base).clamp(0, PAGE_QUANTA) as u32
 }
 
 /// `heights` in the page with floor `base`; `None` if they lie outside.
@@ -42,7 +43,7 @@ pub(super) fn local_heights(heights: Heights, base: i64) -> Option<(u32, u32)> {
 /// The page that a shape is held against.
 pub(super) struct Place<'a> {
     pub page: &'a Page,
-    /// First pixel of the page, and the height of its floor [quanta].
+    /// First pixel of the page, and the height of its floor (quanta).
     pub i: i64,
     pub j: i64,
     pub base: i64,
@@ -51,6 +52,13 @@ pub(super) struct Place<'a> {
 }
 
 impl Place<'_> {
+    /// Blocks under the shape with matter in the slices of local heights `low..=high`.
+    #[inline]
+    pub fn blocks_between(&self, low: u32, high: u32) -> u64 {
+        let (first, last) = slices_of(low, high);
+        self.blocks & self.page.blocks_in(first, last)
+    }
+
     /// First pixel of block `number`.
     #[inline]
     pub fn corner(&self, number: u32) -> (i64, i64) {
@@ -62,11 +70,11 @@ impl Place<'_> {
 #[inline]
 pub(super) fn touched<G: OnPixels>(place: &Place<'_>, shape: &G, low: u32, high: u32, until: Kinds) -> Kinds {
     let mut found = 0;
-    let mut blocks = place.page.blocks_in(place.blocks, slices_between(low, high));
+    let mut blocks = place.blocks_between(low, high);
     while blocks != 0 && found & until == 0 {
         let number = blocks.trailing_zeros();
         blocks &= blocks - 1;
-        found |= touched_in_block(place, number, shape, low, high, found);
+        found |= touched_in_block(place, number, shape, (low, high), found, until);
     }
     found
 }
@@ -77,42 +85,71 @@ fn touched_in_block<G: OnPixels>(
     place: &Place<'_>,
     number: u32,
     shape: &G,
-    mut low: u32,
-    mut high: u32,
+    (mut low, mut high): (u32, u32),
     known: Kinds,
+    until: Kinds,
 ) -> Kinds {
     let block = place.page.block_at(number);
-    let hull = block.hull();
     let (i, j) = place.corner(number);
     if !G::UPRIGHT {
         let Some(narrower) = local_heights(shape.heights_over(i, j, 8), place.base) else { return 0 };
         (low, high) = narrower;
     }
-    if !hull.meets(low, high) || kinds_of(hull) & !known == 0 {
-        return 0;
+    let by_unions = kinds_by_unions(block, low, high);
+    if by_unions & !known == 0 || G::UPRIGHT && shape.holds(i, j) {
+        return by_unions;
     }
+    touched_in_pixels(block, shape, (i, j, place.base), (low, high), by_unions, until)
+}
+
+/// What `shape` touches in a block that it may cut and that holds matter at its heights. Apart, because few blocks get
+/// here, and the way to them is faster with less to keep in mind.
+#[inline(never)]
+fn touched_in_pixels<G: OnPixels>(
+    block: BlockView<'_>,
+    shape: &G,
+    (i, j, base): (i64, i64, i64),
+    (low, high): (u32, u32),
+    by_unions: Kinds,
+    until: Kinds,
+) -> Kinds {
     let mask = shape.mask(i, j);
     let pixels = mask & block.pixels();
-    if pixels == 0 {
-        return 0;
-    }
-    let by_unions = meeting(block.unions(), 0, 7, low, high);
-    if by_unions & !known == 0 || G::UPRIGHT && pixels == block.pixels() {
-        return by_unions;
+    if pixels == 0 || G::UPRIGHT && pixels == block.pixels() {
+        return if pixels == 0 { 0 } else { by_unions };
     }
     let mut kinds = 0;
     if G::UPRIGHT {
         for_each_strip(mask, |strip| {
-            kinds |= meeting(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high);
+            kinds |= meeting_in_lanes(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high, until);
         });
-    } else {
-        for_each_bit(pixels, |bit| {
-            let heights = shape.heights_over(i + i64::from(bit & 7), j + i64::from(bit >> 3), 1);
-            let Some((low, high)) = local_heights(heights, place.base) else { return };
-            kinds |= meeting(block.column(bit), 0, 7, low, high);
-        });
+        return kinds;
+    }
+    for y in 0..8 {
+        let lanes = pixels >> (8 * y) & 0xFF;
+        let row = if lanes == 0 { &[] } else { block.rows(y, y) };
+        for span in row.iter().filter(|span| lanes >> span.lane() & 1 == 1 && span.meets(low, high)) {
+            // The heights over one pixel cost two roots: asked for only where it matters.
+            let over_pixel = shape.heights_over(i + i64::from(span.lane()), j + i64::from(y), 1);
+            if local_heights(over_pixel, base).is_some_and(|(low, high)| span.meets(low, high)) {
+                kinds |= span.kinds();
+            }
+        }
     }
     kinds
+}
+
+/// Kinds of matter in any of the block's pixels that meet `low..=high`.
+#[inline]
+fn kinds_by_unions(block: BlockView<'_>, low: u32, high: u32) -> Kinds {
+    let (first, more) = block.union_quads();
+    meeting(more, meeting(std::slice::from_ref(first), 0, low, high), low, high)
+}
+
+/// Whether any of the block's pixels has matter that meets `low..=high`.
+#[inline]
+pub(super) fn touches_union(block: BlockView<'_>, low: u32, high: u32) -> bool {
+    kinds_by_unions(block, low, high) != 0
 }
 
 /// Rows `y0..=y1` of a block between lanes `x0..=x1`.
@@ -146,16 +183,6 @@ pub(super) fn for_each_bit(mut mask: u64, mut f: impl FnMut(u32)) {
         f(mask.trailing_zeros());
         mask &= mask - 1;
     }
-}
-
-/// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`. No branch inside, so that it vectorises.
-#[inline]
-fn meeting(spans: &[Span], x0: u32, x1: u32, low: u32, high: u32) -> Kinds {
-    let width = x1 - x0;
-    spans.iter().fold(0, |kinds, &span| {
-        let meets = (span.bottom() <= high) & (span.top() >= low) & (span.lane().wrapping_sub(x0) <= width);
-        kinds | kinds_of(span) & (u32::from(meets)).wrapping_neg()
-    })
 }
 
 #[cfg(test)]

@@ -2,15 +2,14 @@
 
 use super::blocks::{Place, for_each_bit, local, slices_between};
 use super::columns::{Tile, floor_of, for_each_column, layers};
-use super::grid::Shape;
 use super::grid::sealed::OnPixels;
+use super::grid::{Heights, Shape};
 use super::missing::{Answer, Missing, note};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
-use crate::slice::Span;
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
-/// World height of the lowest ceiling above the footprint of `shape`, looked for from height `from` [m] up to
+/// World height of the lowest ceiling above the footprint of `shape`, looked for from height `from` (m) up to
 /// `from + height` [m, >= 0, may be infinite]; `None` if there is none.
 ///
 /// A ceiling is the underside of matter of either kind: the bottom of a span on which no other matter of the same pixel
@@ -25,14 +24,16 @@ pub fn ceiling_above<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, height
     }
     let frame = set.frame();
     let shape = shape.on_grid(frame);
-    let search = CeilingSearch::new(frame.quantum_ceil(from), frame.quantum_floor(from + height));
+    // Apart, because infinity less infinity is no number.
+    let highest = if height == f64::INFINITY { f64::INFINITY } else { from + height };
+    let search = CeilingSearch::new(frame.quantum_ceil(from), frame.quantum_floor(highest));
     let search = search.run(set, &shape);
     Answer::new(search.best.map(|bottom| frame.bottom_height(bottom)), search.missing)
 }
 
 /// Searches for the lowest underside at or above `from`: a bottom on which no other matter of its column ends.
 struct CeilingSearch {
-    /// Least bottom that counts [quanta].
+    /// Least bottom that counts (quanta).
     from: i64,
     /// Bottoms count up to here; falls with every one found.
     most: i64,
@@ -41,7 +42,7 @@ struct CeilingSearch {
 }
 
 impl CeilingSearch {
-    /// Bottoms from `from` to `most` [quanta].
+    /// Bottoms from `from` to `most` (quanta).
     fn new(from: i64, most: i64) -> Self {
         Self { from, most, best: None, missing: None }
     }
@@ -66,16 +67,16 @@ impl CeilingSearch {
         if self.from > self.most {
             return;
         }
-        let first = self.from.div_euclid(PAGE_QUANTA);
-        // One layer more: undersides on a page's floor need the page below.
+        // From the page below on: undersides on a page's floor depend on it.
+        let heights = Heights { low: self.from.saturating_sub(1), high: self.most };
         let mut below: Option<&T> = None;
-        for slot in layers(slots, first.saturating_sub(1), self.most.div_euclid(PAGE_QUANTA)) {
+        for slot in layers(slots, heights) {
             let base = floor_of(slot.layer());
             if base > self.most {
                 break;
             }
             let (from, most) = (local(self.from, base), local(self.most, base));
-            let in_range = i64::from(slot.layer()) >= first;
+            let in_range = base + PAGE_QUANTA > self.from;
             if in_range && slot.slices() & slices_between(from, most) != 0 {
                 let below = below.filter(|below| below.layer() + 1 == slot.layer());
                 match slot.page() {
@@ -108,16 +109,15 @@ fn lowest_underside<G: OnPixels, T: PageSlot>(
     mut unknown: impl FnMut(),
 ) -> Option<u32> {
     let mut best = None;
-    for_each_bit(place.page.blocks_in(place.blocks, slices_between(from, most)), |number| {
+    for_each_bit(place.blocks_between(from, most), |number| {
         let block = place.page.block_at(number);
-        let reach = |spans: &[Span]| spans.iter().any(|span| span.meets(from, most));
-        if best == Some(from) || !reach(block.unions()) {
+        if best == Some(from) || !block.unions().any(|span| span.meets(from, most)) {
             return;
         }
         let (i, j) = place.corner(number);
         let pixels = shape.mask(i, j) & block.pixels();
         // Bottoms inside a slice are undersides; the lowest of all pixels is that of the lowest union.
-        let first = block.unions()[0].bottom();
+        let first = block.unions().map(|span| span.bottom()).next().unwrap_or(0);
         if pixels == block.pixels() && first >= from && !first.is_multiple_of(SLICE_QUANTA as u32) {
             best = Some(first);
             most = first - 1;

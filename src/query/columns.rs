@@ -1,9 +1,9 @@
 //! The walk that all footprint queries share: tile columns under a shape, and the pages in them.
 
-use super::blocks::{self, Kinds, MATTER, Place};
+use super::blocks::{self, Kinds, Place};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Rect};
-use super::missing::{Missing, Overlap, note};
+use super::missing::{Missing, note};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 use crate::slice::Page;
 use crate::store::{PageSet, PageSlot};
@@ -38,7 +38,7 @@ impl Tile {
     }
 }
 
-/// Height of a layer's floor [quanta].
+/// Height of a layer's floor (quanta).
 #[inline]
 pub(super) fn floor_of(layer: i32) -> i64 {
     i64::from(layer) * PAGE_QUANTA
@@ -54,104 +54,109 @@ pub(super) fn for_each_column<S: PageSet>(
 ) {
     let Some(bounds) = set.bounds() else { return };
     let tiles = |first: i64, last: i64, axis: usize| {
-        let first = (first >> 6).max(i64::from(bounds.min[axis])) as i32;
-        let last = (last >> 6).min(i64::from(bounds.max[axis])) as i32;
-        (first, last)
+        ((first >> 6).max(i64::from(bounds.min[axis])), (last >> 6).min(i64::from(bounds.max[axis])))
     };
-    let clamp = |value: i64| value.clamp(i64::from(i32::MIN) << 6, i64::from(i32::MAX) << 6);
-    let (tx0, tx1) = tiles(clamp(rect.i0), clamp(rect.i1), 0);
-    let (ty0, ty1) = tiles(clamp(rect.j0), clamp(rect.j1), 1);
+    let ((tx0, tx1), (ty0, ty1)) = (tiles(rect.i0, rect.i1, 0), tiles(rect.j0, rect.j1, 1));
     if tx0 > tx1 || ty0 > ty1 {
         return;
     }
-    let tiles = (u64::from(tx1.abs_diff(tx0)) + 1).saturating_mul(u64::from(ty1.abs_diff(ty0)) + 1);
-    if tiles <= 4 || tiles <= set.column_count() as u64 {
-        for ty in ty0..=ty1 {
-            for tx in tx0..=tx1 {
-                let slots = set.column(tx, ty);
-                if !slots.is_empty() && f(&Tile::new(tx, ty, rect), slots).is_break() {
-                    return;
-                }
-            }
+    // Inside the bounds: indices fit `i32`, and counts 33 bits.
+    let few = tx1 - tx0 <= 1 && ty1 - ty0 <= 1;
+    if !few && (tx1 - tx0 + 1).saturating_mul(ty1 - ty0 + 1) > set.column_count() as i64 {
+        return among_all_columns(set, rect, [tx0, tx1, ty0, ty1], &mut f);
+    }
+    let (mut tx, mut ty) = (tx0, ty0);
+    loop {
+        let slots = set.column(tx as i32, ty as i32);
+        if !slots.is_empty() && f(&Tile::new(tx as i32, ty as i32, rect), slots).is_break() {
+            return;
         }
-    } else {
-        for number in 0..set.column_count() {
-            let (tx, ty, slots) = set.column_at(number);
-            let under = (tx0..=tx1).contains(&tx) && (ty0..=ty1).contains(&ty);
-            if under && f(&Tile::new(tx, ty, rect), slots).is_break() {
+        tx += 1;
+        if tx > tx1 {
+            (tx, ty) = (tx0, ty + 1);
+            if ty > ty1 {
                 return;
             }
         }
     }
 }
 
-/// Those of `slots` with layers `first..=last`.
-#[inline]
-pub(super) fn layers<T: PageSlot>(slots: &[T], first: i64, last: i64) -> &[T] {
-    // Most columns have a few layers: counting is faster than searching.
-    if slots.len() <= 8 {
-        let below = slots.iter().filter(|slot| i64::from(slot.layer()) < first).count();
-        let until = slots.iter().filter(|slot| i64::from(slot.layer()) <= last).count();
-        return slots.get(below..until).unwrap_or(&[]);
+/// Looks at all columns of `set` for those with `tx0..=tx1`, `ty0..=ty1`. Apart, so that `f` is inlined where it
+/// counts.
+#[inline(never)]
+fn among_all_columns<S: PageSet>(
+    set: &S,
+    rect: Rect,
+    [tx0, tx1, ty0, ty1]: [i64; 4],
+    f: &mut impl FnMut(&Tile, &[S::Slot]) -> ControlFlow<()>,
+) {
+    for number in 0..set.column_count() {
+        let (tx, ty, slots) = set.column_at(number);
+        let under = (tx0..=tx1).contains(&i64::from(tx)) && (ty0..=ty1).contains(&i64::from(ty));
+        if under && f(&Tile::new(tx, ty, rect), slots).is_break() {
+            return;
+        }
     }
-    let below = slots.partition_point(|slot| i64::from(slot.layer()) < first);
-    let until = slots.partition_point(|slot| i64::from(slot.layer()) <= last);
-    slots.get(below..until).unwrap_or(&[])
 }
 
-/// First and last layer that can hold matter meeting `heights`: a top on a page's floor lies in the page below.
+/// Those of `slots` whose pages can hold matter that meets `heights`; a top on a page's floor lies in the page below.
 #[inline]
-pub(super) fn layers_of(heights: Heights) -> (i64, i64) {
-    (heights.low.saturating_sub(1).div_euclid(PAGE_QUANTA), heights.high.div_euclid(PAGE_QUANTA))
+pub(super) fn layers<T: PageSlot>(slots: &[T], heights: Heights) -> impl DoubleEndedIterator<Item = &T> + Clone {
+    let below = move |slot: &T| floor_of(slot.layer()) + PAGE_QUANTA < heights.low;
+    let above = move |slot: &T| floor_of(slot.layer()) > heights.high;
+    // Most columns have a few layers: looking at each is faster than searching.
+    let (mut first, mut end) = (0, slots.len());
+    if slots.len() > 8 {
+        first = slots.partition_point(below);
+        end = slots.partition_point(|slot| !above(slot)).max(first);
+    }
+    slots[first..end].iter().filter(move |slot| !below(slot) & !above(slot))
 }
 
 /// Collects what a shape touches.
 pub(super) struct Touch {
     heights: Heights,
-    layers: (i64, i64),
     until: Kinds,
     pub found: Kinds,
-    pub missing: Option<Missing>,
 }
 
 impl Touch {
     /// Collects what `shape` touches, until that is one of the kinds in `until`.
     #[inline]
     pub fn new<G: OnPixels>(shape: &G, until: Kinds) -> Self {
-        let heights = shape.heights();
-        Self { heights, layers: layers_of(heights), until, found: 0, missing: None }
+        Self { heights: shape.heights(), until, found: 0 }
+    }
+
+    /// Whether one of the wanted kinds is found.
+    #[inline]
+    pub fn done(&self) -> bool {
+        self.found & self.until != 0
     }
 
     /// The pages of one tile column; breaks when one of the wanted kinds is found.
     #[inline]
-    pub fn column<G: OnPixels, T: PageSlot>(&mut self, shape: &G, tile: &Tile, slots: &[T]) -> ControlFlow<()> {
-        for slot in layers(slots, self.layers.0, self.layers.1) {
+    pub fn column<G: OnPixels, T: PageSlot>(
+        &mut self,
+        shape: &G,
+        tile: &Tile,
+        slots: &[T],
+        missing: &mut Option<Missing>,
+    ) -> ControlFlow<()> {
+        for slot in layers(slots, self.heights) {
             let base = floor_of(slot.layer());
             let (low, high) = (blocks::local(self.heights.low, base), blocks::local(self.heights.high, base));
             if slot.slices() & blocks::slices_between(low, high) == 0 {
                 continue;
             }
-            match slot.page() {
-                Some(page) => {
-                    let place = tile.place(page, slot.layer());
-                    self.found |= blocks::touched(&place, shape, low, high, self.until);
-                    if self.found & self.until != 0 {
-                        return ControlFlow::Break(());
-                    }
-                }
-                None => note(&mut self.missing, tile.key(slot.layer())),
+            let Some(page) = slot.page() else {
+                note(missing, tile.key(slot.layer()));
+                continue;
+            };
+            self.found |= blocks::touched(&tile.place(page, slot.layer()), shape, low, high, self.until);
+            if self.done() {
+                return ControlFlow::Break(());
             }
         }
         ControlFlow::Continue(())
-    }
-
-    /// The answer of the two-valued question whether anything was touched.
-    #[inline]
-    pub fn overlap(self) -> Overlap {
-        match self.missing {
-            _ if self.found & MATTER != 0 => Overlap::Hit,
-            Some(missing) => Overlap::NotLoaded(missing),
-            None => Overlap::Clear,
-        }
     }
 }

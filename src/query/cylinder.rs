@@ -7,7 +7,7 @@ use crate::frame::Frame;
 use crate::{Error, Result};
 use nalgebra::Point3;
 
-/// A closed upright cylinder in world coordinates [m].
+/// A closed upright cylinder in world coordinates (m).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cylinder {
     feet: Point3<f64>,
@@ -27,17 +27,17 @@ impl Cylinder {
         }
     }
 
-    /// Middle of the bottom face [m].
+    /// Middle of the bottom face (m).
     pub fn feet(&self) -> Point3<f64> {
         self.feet
     }
 
-    /// Radius [m].
+    /// Radius (m).
     pub fn radius(&self) -> f64 {
         self.radius
     }
 
-    /// Height [m].
+    /// Height (m).
     pub fn height(&self) -> f64 {
         self.height
     }
@@ -73,6 +73,11 @@ impl OnPixels for GridCylinder {
     #[inline]
     fn heights(&self) -> Heights {
         self.heights
+    }
+
+    #[inline]
+    fn holds(&self, i: i64, j: i64) -> bool {
+        self.disc.holds(i, j)
     }
 
     #[inline]

@@ -36,7 +36,7 @@ impl Disc {
         Self { frame: *frame, x, y, radius: upper(radius) }
     }
 
-    /// The radius with its margin [m].
+    /// The radius with its margin (m).
     #[inline]
     pub fn radius(&self) -> f64 {
         self.radius
@@ -55,7 +55,7 @@ impl Disc {
         (self.frame.pixel_of(lower(center - half)), self.frame.pixel_of(upper(center + half)))
     }
 
-    /// Distance from `center` to the pixels `first..first + count`: not above the true one [m].
+    /// Distance from `center` to the pixels `first..first + count`: not above the true one (m).
     #[inline]
     fn gap(&self, center: f64, first: i64, count: i64) -> f64 {
         let low = lower(self.frame.edge_of_pixel(first));
@@ -63,14 +63,14 @@ impl Disc {
         lower((low - center).max(center - high).max(0.0))
     }
 
-    /// Half of the chord at `distance` from the middle: not below the true one; `None` outside the disc [m].
+    /// Half of the chord at `distance` from the middle: not below the true one; `None` outside the disc (m).
     #[inline]
     pub fn half_chord(&self, distance: f64) -> Option<f64> {
         let rest = self.radius - distance;
         (rest >= 0.0).then(|| upper((rest * (self.radius + distance)).sqrt()))
     }
 
-    /// Distance from the middle to the square of `edge` pixels that begins at (`i`, `j`): not above the true one [m].
+    /// Distance from the middle to the square of `edge` pixels that begins at (`i`, `j`): not above the true one (m).
     #[inline]
     pub fn distance_to(&self, i: i64, j: i64, edge: i64) -> f64 {
         let (x, y) = (self.gap(self.x, i, edge), self.gap(self.y, j, edge));
@@ -80,7 +80,7 @@ impl Disc {
     /// Whether the square of 8 × 8 pixels that begins at (`i`, `j`) lies inside the disc. May be `false` by an ulp
     /// where it does.
     #[inline]
-    fn holds_block(&self, i: i64, j: i64) -> bool {
+    pub fn holds(&self, i: i64, j: i64) -> bool {
         let far = |center: f64, first: i64| {
             let (low, high) = (self.frame.edge_of_pixel(first), self.frame.edge_of_pixel(first + 8));
             (center - low).max(high - center)
@@ -92,9 +92,6 @@ impl Disc {
     /// Pixels of the disc in the block that begins at (`i`, `j`), row by row contiguous.
     #[inline]
     pub fn mask(&self, i: i64, j: i64) -> u64 {
-        if self.holds_block(i, j) {
-            return u64::MAX;
-        }
         (0..8).fold(0, |mask, row| {
             let Some(half) = self.half_chord(self.gap(self.y, j + row, 1)) else { return mask };
             let (first, last) = self.pixels(self.x, half);

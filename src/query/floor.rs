@@ -2,15 +2,16 @@
 
 use super::blocks::{Place, for_each_bit, for_each_strip, local, slices_between};
 use super::columns::{Tile, floor_of, for_each_column, layers};
-use super::grid::Shape;
 use super::grid::sealed::OnPixels;
+use super::grid::{Heights, Shape};
 use super::missing::{Answer, Missing, note};
+use super::scan::{select, top_in_lanes};
 use crate::frame::{Frame, PAGE_QUANTA};
-use crate::slice::{Page, Span};
+use crate::slice::{BlockView, Page, Span};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 
-/// World height of the highest floor under the footprint of `shape`, looked for from height `from` [m] down to
+/// World height of the highest floor under the footprint of `shape`, looked for from height `from` (m) down to
 /// `from - depth` [m, >= 0, may be infinite]; `None` if there is none.
 ///
 /// Floor is the top of a span that is no obstacle; what counts are the pixels that the shape's footprint touches,
@@ -25,14 +26,16 @@ pub fn floor_under<S: PageSet, H: Shape>(set: &S, shape: &H, from: f64, depth: f
     }
     let frame = set.frame();
     let shape = shape.on_grid(frame);
-    let search = FloorSearch::new(frame.quantum_ceil(from - depth), frame.quantum_floor(from));
+    // Apart, because infinity less infinity is no number.
+    let lowest = if depth == f64::INFINITY { f64::NEG_INFINITY } else { from - depth };
+    let search = FloorSearch::new(frame.quantum_ceil(lowest), frame.quantum_floor(from));
     search.run(set, &shape).answer(frame)
 }
 
 /// Searches for the highest top of a floor span at or below `limit`.
 #[derive(Clone, Copy)]
 pub(super) struct FloorSearch {
-    /// Greatest top that counts [quanta].
+    /// Greatest top that counts (quanta).
     limit: i64,
     /// Tops count from here on; grows with every floor found.
     least: i64,
@@ -41,7 +44,7 @@ pub(super) struct FloorSearch {
 }
 
 impl FloorSearch {
-    /// Tops from `least` to `limit` [quanta].
+    /// Tops from `least` to `limit` (quanta).
     pub fn new(least: i64, limit: i64) -> Self {
         Self { limit, least, best: None, missing: None }
     }
@@ -84,10 +87,9 @@ impl FloorSearch {
         if self.least > self.limit {
             return;
         }
-        let first = self.least.saturating_sub(1).div_euclid(PAGE_QUANTA);
-        let last = self.limit.div_euclid(PAGE_QUANTA);
+        let heights = Heights { low: self.least, high: self.limit };
         let mut above: Option<&T> = None;
-        for slot in layers(slots, first, last).iter().rev() {
+        for slot in layers(slots, heights).rev() {
             let base = floor_of(slot.layer());
             if base + PAGE_QUANTA < self.least {
                 break;
@@ -124,28 +126,53 @@ fn highest_top<G: OnPixels, T: PageSlot>(
     // Tops on the page's end may go on in the page above: those need a look at each pixel.
     let inner_limit = limit.min(END - 1);
     let mut best = None;
-    for_each_bit(place.page.blocks_in(place.blocks, slices_between(least, limit)), |number| {
-        let block = place.page.block_at(number);
-        if block.hull().top() < least {
+    let mut found = |highest: u32, least: &mut u32| {
+        if highest > *least {
+            best = Some(highest - 1);
+            *least = highest;
+        }
+    };
+    // Blocks that lie wholly in the footprint first: their unions answer, and leave little to look for in the others.
+    let mut cut = 0u64;
+    let mut unions = [0u16; 64];
+    let mut highest_cut = (0, 0);
+    for_each_bit(place.blocks_between(least, limit), |number| {
+        let top = highest_union(place.page.block_at(number), limit);
+        if top <= least {
             return;
         }
-        let floors = block.unions().iter().filter(|span| !span.is_obstacle() && span.bottom() <= limit);
-        let Some(union) = floors.max_by_key(|span| span.top()).filter(|span| span.top() >= least) else { return };
         let (i, j) = place.corner(number);
-        let mask = shape.mask(i, j);
-        let pixels = mask & block.pixels();
-        if pixels == 0 {
-            return;
+        if top <= inner_limit + 1 && shape.holds(i, j) {
+            return found(top, &mut least);
         }
-        let mut highest = 0;
-        if pixels == block.pixels() && union.top() <= inner_limit {
-            highest = union.top() + 1;
-        } else {
+        cut |= 1 << number;
+        unions[number as usize & 63] = top as u16;
+        if top > highest_cut.0 {
+            highest_cut = (top, number);
+        }
+    });
+    // Of the others the one that promises most: what is found there mostly settles the rest.
+    let first = cut & 1u64.checked_shl(highest_cut.1).unwrap_or(0);
+    [first, cut & !first].into_iter().for_each(|blocks| {
+        for_each_bit(blocks, |number| {
+            let by_union = u32::from(unions[number as usize & 63]);
+            if by_union <= least {
+                return;
+            }
+            let block = place.page.block_at(number);
+            let (i, j) = place.corner(number);
+            let mask = shape.mask(i, j);
+            let pixels = mask & block.pixels();
+            if pixels == block.pixels() && by_union <= inner_limit + 1 {
+                return found(by_union, &mut least);
+            }
+            let mut highest = 0;
             for_each_strip(mask, |strip| {
-                highest = highest.max(top_in(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, inner_limit));
+                let rows = block.rows(strip.y0, strip.y1);
+                highest = highest.max(top_in_lanes(rows, strip.x0, strip.x1, inner_limit, by_union));
             });
             let ends = |bit: u32| block.column(bit).last().is_some_and(|span| !span.is_obstacle() && span.top() == END);
-            if limit == END && union.top() == END {
+            if limit == END && by_union > END {
                 for_each_bit(pixels, |bit| {
                     let (px, py) = ((number & 7) << 3 | bit & 7, number & 56 | bit >> 3);
                     if highest <= END && ends(bit) && !goes_on(above, px, py) {
@@ -153,27 +180,26 @@ fn highest_top<G: OnPixels, T: PageSlot>(
                     }
                 });
             }
-        }
-        if highest > least {
-            best = Some(highest - 1);
-            least = highest;
-        }
+            found(highest, &mut least);
+        })
     });
     best
 }
 
-/// Highest top of a floor span of lanes `x0..=x1` up to `limit`, plus 1; 0 if there is none.
+/// Highest top of a union of floor spans that begins at or below `limit`, plus 1; 0 if there is none. That top itself
+/// may lie above `limit`.
 #[inline]
-fn top_in(spans: &[Span], x0: u32, x1: u32, limit: u32) -> u32 {
-    let width = x1 - x0;
-    spans.iter().fold(0, |highest: u32, &span| {
-        let counts = !span.is_obstacle() & (span.top() <= limit) & (span.lane().wrapping_sub(x0) <= width);
-        highest.max((span.top() + 1) & u32::from(counts).wrapping_neg())
-    })
+fn highest_union(block: BlockView<'_>, limit: u32) -> u32 {
+    let (first, more) = block.union_quads();
+    let highest = |highest: u32, quad: &[Span; 4]| {
+        let tops = quad.map(|span| (span.top() + 1) & select(!span.is_obstacle() & (span.bottom() <= limit)));
+        highest.max(tops[0].max(tops[1]).max(tops[2].max(tops[3])))
+    };
+    more.iter().fold(highest(0, first), highest)
 }
 
-/// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory it
-/// has been counted as missing: the search from the top down came by it.
+/// Whether floor that ends at the page's end in pixel (`px`, `py`) goes on in the page above. If that is not in memory
+/// it has been counted as missing: the search from the top down came by it.
 fn goes_on<T: PageSlot>(above: Option<&T>, px: u32, py: u32) -> bool {
     let Some(above) = above else { return false };
     match above.page() {

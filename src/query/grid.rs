@@ -7,7 +7,7 @@ pub trait Shape: sealed::OnGrid {}
 
 impl<T: sealed::OnGrid> Shape for T {}
 
-/// Pixels `i0..=i1` × `j0..=j1`.
+/// Pixels `i0..=i1` × `j0..=j1`, within ±2⁵⁰ as [`Frame`] gives them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rect {
     pub i0: i64,
@@ -16,8 +16,8 @@ pub struct Rect {
     pub j1: i64,
 }
 
-/// Heights that matter meets if its bottom is at most `high` and its top at least `low` [quanta]. For a shape between two
-/// neighbouring quanta `low` is `high + 1`.
+/// Heights within ±2⁵⁰ that matter meets if its bottom is at most `high` and its top at least `low` (quanta). For a
+/// shape between two neighbouring quanta `low` is `high + 1`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Heights {
     pub low: i64,
@@ -25,7 +25,7 @@ pub struct Heights {
 }
 
 impl Heights {
-    /// Of the closed world interval `[low, high]` [m].
+    /// Of the closed world interval `[low, high]` (m).
     #[inline]
     pub fn of(frame: &Frame, low: f64, high: f64) -> Self {
         Self { low: frame.quantum_ceil(low), high: frame.quantum_floor(high) }
@@ -54,6 +54,10 @@ pub(super) mod sealed {
         /// Heights over the whole footprint.
         fn heights(&self) -> Heights;
 
+        /// Whether the whole block of 8 × 8 pixels that begins at pixel (`i`, `j`) lies in the footprint; may be
+        /// `false` where it does.
+        fn holds(&self, i: i64, j: i64) -> bool;
+
         /// Pixels of the footprint in the block of 8 × 8 pixels that begins at pixel (`i`, `j`), bit `8·dy + dx`. The
         /// bits of a row are contiguous.
         fn mask(&self, i: i64, j: i64) -> u64;
@@ -79,12 +83,12 @@ pub(super) fn row_bits(first: u32, last: u32) -> u64 {
 }
 
 impl Rect {
-    /// The rectangle's part in the square of `8·scale` pixels that begins at (`i`, `j`), as a mask over its 8 × 8 squares
-    /// of `1 << shift` pixels. The two must meet.
+    /// The rectangle's part in the square of `8·scale` pixels that begins at (`i`, `j`), as a mask over its 8 × 8
+    /// squares of `1 << shift` pixels. The two must meet.
     #[inline]
     pub(super) fn bits(&self, i: i64, j: i64, shift: u32) -> u64 {
         let last = (8 << shift) - 1;
-        let cell = |value: i64, origin: i64| (value.saturating_sub(origin).clamp(0, last) as u32) >> shift;
+        let cell = |value: i64, origin: i64| ((value - origin).clamp(0, last) as u32) >> shift;
         column_bits(cell(self.i0, i), cell(self.i1, i)) & row_bits(cell(self.j0, j), cell(self.j1, j))
     }
 }
@@ -104,7 +108,8 @@ mod tests {
         assert_eq!(rect.bits(-8, 0, 0), 0b1110_0000 << 48);
         assert_eq!(rect.bits(8, 0, 0), 0b0000_0011 << 48);
         assert_eq!(rect.bits(0, 0, 3), 0b0000_0011);
-        let huge = Rect { i0: i64::MIN / 2, i1: i64::MAX / 2, j0: i64::MIN / 2, j1: i64::MAX / 2 };
+        let end = 1 << 50;
+        let huge = Rect { i0: -end, i1: end, j0: -end, j1: end };
         assert_eq!(huge.bits(64, 64, 3), u64::MAX);
     }
 }

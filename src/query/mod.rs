@@ -1,17 +1,19 @@
 //! Exact questions about the matter in a set of pages: does a shape touch it, where is the floor, what does a ray hit.
 //!
-//! In: a [`PageSet`] (usually a [`Store`](crate::store::Store)) and shapes in world coordinates [m, `f64`]. Out: answers
-//! of three kinds: clear, hit, or "not loaded" with the pages that are missing. No query allocates, locks or waits.
+//! In: a [`PageSet`] (usually a [`Store`](crate::store::Store)) and shapes in world coordinates [m, `f64`]. Out:
+//! answers of three kinds: clear, hit, or "not loaded" with the pages that are missing. No query allocates, locks or
+//! waits.
 //!
 //! # What touching means
 //!
-//! Matter is a set of closed boxes: a span of pixel `(i, j)` fills the pixel's square and all heights from its bottom to
-//! its top. Shapes are closed, and touching counts as a hit. All shapes are taken to the grid by the monotone functions
-//! of [`Frame`](crate::frame::Frame), so the answer does not depend on where page, tile or slice boundaries lie, and:
+//! Matter is a set of closed boxes: a span of pixel `(i, j)` fills the pixel's square and all heights from its bottom
+//! to its top. Shapes are closed, and touching counts as a hit. All shapes are taken to the grid by the monotone
+//! functions of [`Frame`](crate::frame::Frame), so the answer does not depend on where page, tile or slice boundaries
+//! lie, and:
 //!
 //! - **G1**: a shape that contains an input point is a hit, at any coordinate up to ±10⁷ m.
-//! - **G2**: a shape that contains no input point even when grown by the pixel size in x and y and by the slice height in
-//!   z is clear. A box is exact: it is a hit if and only if pixels `pixel_of(xmin)..=pixel_of(xmax)`,
+//! - **G2**: a shape that contains no input point even when grown by the pixel size in x and y and by the slice height
+//!   in z is clear. A box is exact: it is a hit if and only if pixels `pixel_of(xmin)..=pixel_of(xmax)`,
 //!   `pixel_of(ymin)..=pixel_of(ymax)` hold a span with `bottom ≤ quantum_floor(zmax)` and `top ≥ quantum_ceil(zmin)`.
 //!   For round shapes and rays squares and radii grow by rounding errors: at most 2⁻⁴⁸ of the largest coordinate
 //!   (4·10⁻⁸ m at 10⁷ m) on top of G2, always towards "hit".
@@ -22,7 +24,8 @@
 //! # Method
 //!
 //! Broad phase and narrow phase of the thesis (algorithm 3.4) in one descent: tile columns under the shape, pages by
-//! their slice mask, blocks of 8 × 8 pixels by theirs, then the union of the block's spans, then the spans of its pixels.
+//! their slice mask, blocks of 8 × 8 pixels by theirs, then the union of the block's spans, then the spans of its
+//! pixels.
 
 mod aabb;
 mod blocks;
@@ -35,7 +38,13 @@ mod grid;
 mod missing;
 mod probe;
 mod ray;
+mod scan;
 mod sphere;
+mod sweep;
+mod sweep_descent;
+mod sweep_near;
+mod sweep_solid;
+mod sweep_step;
 
 pub use aabb::Aabb;
 pub use ceiling::ceiling_above;
@@ -46,6 +55,10 @@ pub use missing::{Answer, MISSING_KEYS, Missing, Overlap};
 pub use probe::{Probe, probe, probe_batch};
 pub use ray::{Ray, RayHit, cast};
 pub use sphere::Sphere;
+pub use sweep::{SweepHit, sweep, sweep_batch};
+pub use sweep_near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
+pub use sweep_solid::Solid;
+pub use sweep_step::{mean_floor_under, top_under};
 
 use crate::store::PageSet;
 use blocks::MATTER;
@@ -54,14 +67,19 @@ use grid::sealed::OnPixels;
 
 /// Whether `shape` touches matter. Ends at the first hit.
 ///
-/// Cost: a few nanoseconds per tile column (64 × 64 pixels) and block (8 × 8 pixels) under the shape, less when it hits.
-/// Exactness: see the [module text](self).
+/// Cost: a few nanoseconds per tile column (64 × 64 pixels) and block (8 × 8 pixels) under the shape, less when it
+/// hits. Exactness: see the [module text](self).
 #[inline]
 pub fn overlaps<S: PageSet, H: Shape>(set: &S, shape: &H) -> Overlap {
     let shape = shape.on_grid(set.frame());
     let mut touch = Touch::new(&shape, MATTER);
-    for_each_column(set, shape.rect(), |tile, slots| touch.column(&shape, tile, slots));
-    touch.overlap()
+    let mut missing = None;
+    for_each_column(set, shape.rect(), |tile, slots| touch.column(&shape, tile, slots, &mut missing));
+    match missing {
+        _ if touch.done() => Overlap::Hit,
+        Some(missing) => Overlap::NotLoaded(missing),
+        None => Overlap::Clear,
+    }
 }
 
 /// [`overlaps`] for each of `shapes`, in order, into `answers`.

@@ -16,8 +16,8 @@ pub struct Probe {
     pub hit: bool,
     /// The shape touches an obstacle.
     pub obstacle: bool,
-    /// World height [m] of the highest floor at or below the shape's top, at any depth, in the pixels of its footprint
-    /// (see [`floor_under`](super::floor_under)).
+    /// World height (m) of the highest floor at or below the shape's top, at any depth, in the pixels of its
+    /// footprint (see [`floor_under`](super::floor_under)).
     pub floor_z: Option<f64>,
 }
 
@@ -29,11 +29,12 @@ pub struct Probe {
 pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
     let shape = shape.on_grid(set.frame());
     let mut touch = Touch::new(&shape, OBSTACLE);
-    let mut floor = FloorSearch::new(i64::MIN, shape.heights().high);
+    let mut untouched = None;
+    let mut floor = FloorSearch::new(-1 << 50, shape.heights().high);
     for_each_column(set, shape.rect(), |tile, slots| {
-        if touch.found & OBSTACLE == 0 {
+        if !touch.done() {
             // A break only says that nothing more can be learnt about touching.
-            let _ = touch.column(&shape, tile, slots);
+            let _ = touch.column(&shape, tile, slots, &mut untouched);
         }
         floor.column(&shape, tile, slots);
         ControlFlow::Continue(())
@@ -41,7 +42,7 @@ pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
     let floor = floor.settle(set, &shape);
     let (hit, obstacle) = (touch.found & MATTER != 0, touch.found & OBSTACLE != 0);
     let mut missing = floor.missing;
-    if let (Some(more), false) = (touch.missing, obstacle) {
+    if let (Some(more), false) = (untouched, obstacle) {
         match &mut missing {
             Some(missing) => more.keys().iter().for_each(|key| missing.push(*key)),
             None => missing = Some(more),

@@ -1,12 +1,12 @@
 //! Rays: the first matter along a half-line.
 //!
 //! Cells are stepped through as by Amanatides and Woo (1987), on four levels: regions of 64 × 64 tiles, tiles, blocks,
-//! pixels; a cell without matter at the ray's heights is left in one step. Two things differ from the paper. Crossings are
-//! computed from the cell's index instead of summed up, so errors do not grow with the number of steps. And cells are
-//! grown by a margin, so a ray along an edge or through a corner looks at the cells on both sides.
+//! pixels; a cell without matter at the ray's heights is left in one step. Two things differ from the paper. Crossings
+//! are computed from the cell's index instead of summed up, so errors do not grow with the number of steps. And cells
+//! are grown by a margin, so a ray along an edge or through a corner looks at the cells on both sides.
 
-use super::blocks::{local, local_heights, slices_between};
-use super::columns::{floor_of, layers, layers_of};
+use super::blocks::{local, local_heights, slices_between, touches_union};
+use super::columns::{floor_of, layers};
 use super::disc::SLACK;
 use super::grid::{Heights, Rect};
 use super::missing::{Answer, Missing, note};
@@ -30,7 +30,8 @@ pub struct Ray {
 }
 
 impl Ray {
-    /// The ray from `origin` [m] along `direction` (of any length but zero) for `max` metres [m, >= 0, may be infinite].
+    /// The ray from `origin` (m) along `direction` (of any length but zero) for `max` metres [m, >= 0, may be
+    /// infinite].
     pub fn new(origin: Point3<f64>, direction: Vector3<f64>, max: f64) -> Result<Self> {
         let scale = direction.amax();
         let finite = origin.iter().all(|v| v.is_finite()) && direction.iter().all(|v| v.is_finite());
@@ -42,7 +43,7 @@ impl Ray {
         Ok(Self { origin, direction: (direction / scale).normalize(), max })
     }
 
-    /// Where the ray begins [m].
+    /// Where the ray begins (m).
     pub fn origin(&self) -> Point3<f64> {
         self.origin
     }
@@ -52,12 +53,12 @@ impl Ray {
         self.direction
     }
 
-    /// Length [m].
+    /// Length (m).
     pub fn max(&self) -> f64 {
         self.max
     }
 
-    /// The point at `distance` from the origin [m].
+    /// The point at `distance` from the origin (m).
     pub fn at(&self, distance: f64) -> Point3<f64> {
         self.origin + self.direction * distance
     }
@@ -66,7 +67,7 @@ impl Ray {
 /// The first matter along a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RayHit {
-    /// Distance from the origin [m].
+    /// Distance from the origin (m).
     pub distance: f64,
     /// Outward normal of the face that was hit: ±x or ±y for the side of a pixel, ±z for the top or bottom of a span.
     /// Zero if the ray begins in or on matter: then there is no such face, and the distance is 0.
@@ -79,11 +80,11 @@ pub struct RayHit {
 /// memory could hold matter before that.
 ///
 /// Matter is as for [all queries](super#what-touching-means); squares are closed and grown by at most 2⁻⁴⁸ of the
-/// coordinates, so a ray through an input point always hits; a ray that grazes a face may meet it earlier by as much over the sine of
-/// their angle.
-/// Where the ray enters a side and a span's end at once, the side's normal is given.
+/// coordinates, so a ray through an input point always hits; a ray that grazes a face may meet it earlier by as much
+/// over the sine of their angle. Where the ray enters a side and a span's end at once, the side's normal is given.
 ///
-/// Cost: about 10 ns per tile column and per block with matter at the ray's heights, and per pixel in these.
+/// Cost: a step per tile column on the way, per block in pages with matter at the ray's heights, and per pixel in blocks
+/// with matter there; a region of 64 × 64 tiles without pages is one step.
 ///
 /// ```
 /// use nalgebra::{Point3, Vector3};
@@ -134,7 +135,7 @@ struct Line {
     speed: [f64; 3],
     /// Axis of x and y along which the ray crosses more pixels.
     major: usize,
-    /// Length [m].
+    /// Length (m).
     max: f64,
 }
 
@@ -145,15 +146,15 @@ impl Line {
         Self { origin, speed, major: usize::from(speed[1].abs() > speed[0].abs()), max: ray.max }
     }
 
-    /// Position along `axis` at distance `t`, and its margin [grid units].
+    /// Position along `axis` at distance `t`, and its margin \[grid units\].
     #[inline]
     fn at(&self, axis: usize, t: f64) -> (f64, f64) {
         let way = t * self.speed[axis];
         (self.origin[axis] + way, self.origin[axis].abs().max(way.abs()) * MARGIN)
     }
 
-    /// The part of `t0..=t1` in which the coordinate along `axis` lies in `low..=high`, grown by the margin; empty if the
-    /// first exceeds the second.
+    /// The part of `t0..=t1` in which the coordinate along `axis` lies in `low..=high`, grown by the margin; empty if
+    /// the first exceeds the second.
     #[inline]
     fn clip(&self, axis: usize, low: f64, high: f64, t0: f64, t1: f64) -> (f64, f64) {
         let origin = self.origin[axis];
@@ -266,8 +267,8 @@ struct Search {
 }
 
 impl Search {
-    /// Whether matter at `t` or behind can still be the first hit. Asked when a cell is entered, not when one is left: a
-    /// ray along an edge is in the cells on both sides at once.
+    /// Whether matter at `t` or behind can still be the first hit. Asked when a cell is entered, not when one is left:
+    /// a ray along an edge is in the cells on both sides at once.
     #[inline]
     fn go_on(&self, t: f64) -> ControlFlow<()> {
         match self.best {
@@ -279,11 +280,9 @@ impl Search {
     fn tile<T: PageSlot>(&mut self, slots: &[T], tx: i32, ty: i32, t0: f64, t1: f64) -> ControlFlow<()> {
         self.go_on(t0)?;
         let heights = self.line.heights(t0, t1);
-        let (first, last) = layers_of(heights);
-        let slots = layers(slots, first, last);
+        let mut slots = layers(slots, heights);
         let upward = self.line.speed[2] >= 0.0;
-        for n in 0..slots.len() {
-            let slot = &slots[if upward { n } else { slots.len() - 1 - n }];
+        while let Some(slot) = if upward { slots.next() } else { slots.next_back() } {
             let base = floor_of(slot.layer());
             let (low, high) = (local(heights.low, base), local(heights.high, base));
             if slot.slices() & slices_between(low, high) == 0 {
@@ -308,7 +307,7 @@ impl Search {
             self.go_on(t0)?;
             let block = page.block((i - bi) as u32, (j - bj) as u32);
             let heights = local_heights(line.heights(t0, t1), base);
-            if heights.is_some_and(|(a, b)| block.slices() & slices_between(a, b) != 0 && block.hull().meets(a, b)) {
+            if heights.is_some_and(|(low, high)| touches_union(block, low, high)) {
                 self.block(block, i * 8, j * 8, base, t0, t1);
             }
             ControlFlow::Continue(())

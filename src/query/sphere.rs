@@ -7,7 +7,7 @@ use crate::frame::Frame;
 use crate::{Error, Result};
 use nalgebra::Point3;
 
-/// A closed ball in world coordinates [m].
+/// A closed ball in world coordinates (m).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sphere {
     center: Point3<f64>,
@@ -24,12 +24,12 @@ impl Sphere {
         }
     }
 
-    /// Middle [m].
+    /// Middle (m).
     pub fn center(&self) -> Point3<f64> {
         self.center
     }
 
-    /// Radius [m].
+    /// Radius (m).
     pub fn radius(&self) -> f64 {
         self.radius
     }
@@ -71,6 +71,11 @@ impl OnPixels for GridSphere {
     #[inline]
     fn heights(&self) -> Heights {
         self.heights_within(self.disc.radius())
+    }
+
+    #[inline]
+    fn holds(&self, i: i64, j: i64) -> bool {
+        self.disc.holds(i, j)
     }
 
     #[inline]

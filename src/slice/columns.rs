@@ -6,7 +6,7 @@ use crate::plan::Plan;
 use crate::voxel::fold::{Area, Patch};
 use crate::voxel::record::PATCH_PIXELS;
 
-/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this [quanta]: a
+/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta): a
 /// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
 /// allows both: matter only ever fills the gap between points of vertically adjacent voxels.
 const JOIN_QUANTA: i64 = SLICE_QUANTA / 3;
@@ -38,10 +38,9 @@ impl ColumnPages {
 
     /// Adds the spans of all pixels in `area`, with one verdict (true: obstacle) per voxel of `patch`.
     pub fn add(&mut self, patch: &Patch, area: Area, verdicts: &[bool]) {
-        for y in area.y.0..area.y.1 {
-            for x in area.x.0..area.x.1 {
-                self.add_pixel(patch, (y as usize + 1) * PATCH_PIXELS + x as usize + 1, (y << 6 | x) as u16, verdicts);
-            }
+        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+            let (x, y) = (pixel % PATCH_PIXELS - 1, pixel / PATCH_PIXELS - 1);
+            self.add_pixel(patch, pixel, (y << 6 | x) as u16, verdicts);
         }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! In: spans per pixel (from the voxel pass or a decoded page). Out: [`Page`], one tile column of 64 slices, laid out
 //! for queries. Memory: a page weighs [`Page::weight_bytes`]: 4 bytes per span, about 48 per block of 8 × 8 pixels that
-//! has matter, 200 per page.
+//! has matter, 8 per slice from the lowest with matter to the highest, 180 per page.
 //!
 //! A span is a maximal vertical run of matter in one pixel. Inside it no height is stored, so a wall costs one span
 //! however many slices it crosses, and slices inside a wall are equal by construction.

@@ -2,9 +2,11 @@
 //!
 //! Layout, outermost first. Blocks are 8 × 8 pixels, numbered in row order; only those with matter are stored.
 //!
-//! 1. Per block a mask of slices with matter, eight blocks to a cache line: most queries end here.
-//! 2. Per block a record of 32 bytes: mask of pixels with matter, the *hull* of all its spans, where its rows begin.
-//! 3. Per block the *unions* of its floor spans and of its obstacle spans, then its spans in row order.
+//! 1. Per slice a mask of blocks with matter in it: one pass over the slices that a shape spans leaves the
+//!    few blocks that can matter.
+//! 2. Per block a record of 48 bytes: the *unions* of its floor spans and of its obstacle spans, if at most four, the
+//!    mask of pixels with matter, where its rows begin.
+//! 3. Per block the unions beyond four, then its spans in row order.
 //!
 //! A shape of constant height that covers all pixels with matter of a block is answered by the unions alone, and
 //! exactly: the union meets a height interval if and only if some pixel's span does. Where the shape cuts a block, the
@@ -20,14 +22,21 @@ const BLOCKS: usize = 64;
 
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 struct Block {
+    /// The lowest unions, filled up with [`Span::NEVER`].
+    unions: [Span; 4],
     /// Pixels with matter, bit `8·(y % 8) + x % 8`.
     pixels: u64,
-    /// First of the block's unions and spans in the page's.
+    /// First of the block's further unions and spans in the page's.
     first: u32,
-    /// Lowest bottom, highest top; obstacle if any span is.
-    hull: Span,
-    /// Where each row's spans begin, counted from `first`; the unions lie before row 0.
+    /// Where each row's spans begin, counted from `first`. Before row 0 lie the unions beyond four, filled up to a
+    /// multiple of four.
     rows: [u16; 8],
+}
+
+impl Block {
+    fn without_matter(first: usize) -> Self {
+        Self { unions: [Span::NEVER; 4], pixels: 0, first: first as u32, rows: [0; 8] }
+    }
 }
 
 /// All matter in one tile column of 64 slices. Immutable; see the module text for its layout.
@@ -35,11 +44,10 @@ struct Block {
 pub struct Page {
     /// Slices with matter.
     slices: u64,
-    /// Blocks with matter, bit `8·by + bx`.
-    occupied: u64,
     /// Per block its place in the arrays below; blocks without matter share the sentinel at the end.
     places: [u8; BLOCKS],
-    block_slices: Box<[u64]>,
+    /// From the lowest to the highest slice with matter: its blocks with matter, bit `8·by + bx`.
+    slice_blocks: Box<[u64]>,
     blocks: Box<[Block]>,
     spans: Box<[Span]>,
 }
@@ -53,9 +61,11 @@ pub struct BlockView<'a> {
 
 impl<'a> BlockView<'a> {
     /// Slices of the page in which some pixel of the block has matter, as a mask.
-    #[inline]
     pub fn slices(self) -> u64 {
-        self.page.block_slices[self.place]
+        let number = self.page.places.iter().position(|&place| usize::from(place) == self.place).unwrap_or(0);
+        let with_matter = self.page.slice_blocks.iter().rev();
+        let slices = with_matter.fold(0, |slices, blocks| slices << 1 | blocks >> number & 1);
+        slices << self.page.slices.trailing_zeros().min(63)
     }
 
     /// Pixels of the block with matter: bit `8·(y % 8) + x % 8`.
@@ -64,18 +74,19 @@ impl<'a> BlockView<'a> {
         self.page.blocks[self.place].pixels
     }
 
-    /// From the block's lowest bottom to its highest top, an obstacle if any span is; meaningless without matter.
-    #[inline]
-    pub(crate) fn hull(self) -> Span {
-        self.page.blocks[self.place].hull
+    /// Unions of the block's floor spans and unions of its obstacle spans: disjoint within a kind, lowest bottom first.
+    pub fn unions(self) -> impl Iterator<Item = Span> {
+        let (first, more) = self.union_quads();
+        first.iter().chain(more.as_flattened()).copied().take_while(|span| *span != Span::NEVER)
     }
 
-    /// Union of the block's floor spans and union of its obstacle spans: disjoint within a kind, lowest bottom first.
+    /// The unions in groups of four, filled up with spans that meet nothing.
     #[inline]
-    pub fn unions(self) -> &'a [Span] {
+    pub(crate) fn union_quads(self) -> (&'a [Span; 4], &'a [[Span; 4]]) {
         let block = &self.page.blocks[self.place];
         let first = block.first as usize;
-        &self.page.spans[first..first + block.rows[0] as usize]
+        let more = &self.page.spans[first..first + block.rows[0] as usize];
+        (&block.unions, more.as_chunks().0)
     }
 
     /// Spans of the rows `y0..=y1` [0..8], row by row, within a row pixel by pixel, lowest first.
@@ -122,18 +133,21 @@ impl Page {
         BlockView { page: self, place: self.places[(number & 63) as usize] as usize }
     }
 
-    /// Those of `blocks` (bit `8·by + bx`) that have matter in one of `slices`.
+    /// Blocks (bit `8·by + bx`) with matter in one of the slices `first..=last` [0..64].
     #[inline]
-    pub(crate) fn blocks_in(&self, blocks: u64, slices: u64) -> u64 {
-        let mut left = blocks & self.occupied;
-        let mut found = 0;
-        while left != 0 {
-            let number = left.trailing_zeros();
-            left &= left - 1;
-            let mask = self.block_slices[self.places[number as usize] as usize];
-            found |= u64::from(mask & slices != 0) << number;
+    pub(crate) fn blocks_in(&self, first: u32, last: u32) -> u64 {
+        let lowest = self.slices.trailing_zeros();
+        let below = first.saturating_sub(lowest) as usize;
+        let upto = (last + 1).saturating_sub(lowest) as usize;
+        let slices = self.slice_blocks.get(below..upto.min(self.slice_blocks.len())).unwrap_or(&[]);
+        let (quads, rest) = slices.as_chunks::<4>();
+        let or = |all: [u64; 4], quad: &[u64; 4]| [0, 1, 2, 3].map(|n| all[n] | quad[n]);
+        let mut all = quads.iter().fold([0; 4], or);
+        match slices.last_chunk() {
+            Some(last) => all = or(all, last),
+            None => all[0] = rest.iter().fold(0, |all, blocks| all | blocks),
         }
-        found
+        all[0] | all[1] | all[2] | all[3]
     }
 
     /// Spans of pixel (`px`, `py`) [0..64], lowest first.
@@ -156,7 +170,8 @@ impl Page {
 
     /// Number of spans.
     pub fn span_count(&self) -> usize {
-        self.spans.len() - self.blocks.iter().map(|block| block.rows[0] as usize).sum::<usize>()
+        let further_unions = self.blocks.iter().map(|block| block.rows[0] as usize).sum::<usize>();
+        self.spans.len() - further_unions
     }
 
     /// Number of occupied voxels, and how many of them hold obstacle.
@@ -176,7 +191,7 @@ impl Page {
     /// Bytes of memory that the page holds.
     pub fn weight_bytes(&self) -> usize {
         size_of::<Self>()
-            + size_of_val::<[u64]>(&self.block_slices)
+            + size_of_val::<[u64]>(&self.slice_blocks)
             + size_of_val::<[Block]>(&self.blocks)
             + size_of_val::<[Span]>(&self.spans)
     }
@@ -241,18 +256,15 @@ impl PageBuilder {
         let occupied = |ranges: &[(u32, u32)]| ranges.iter().any(|range| range.1 > 0);
         let count = self.ranges.chunks_exact(64).filter(|ranges| occupied(ranges)).count();
         let mut page_slices = 0;
-        let mut mask = 0;
+        let mut slice_blocks = [0u64; 64];
         let mut places = [count as u8; BLOCKS];
-        let mut block_slices = Vec::with_capacity(count + 1);
         let mut blocks: Vec<Block> = Vec::with_capacity(count + 1);
         let mut spans: Vec<Span> = Vec::with_capacity(self.spans.len() + 2 * count);
-        let mut own: Vec<Span> = Vec::new();
-        let mut scratch = Vec::new();
+        let (mut own, mut unions, mut scratch) = (Vec::new(), Vec::new(), Vec::new());
         for (number, ranges) in self.ranges.chunks_exact(64).enumerate().filter(|(_, ranges)| occupied(ranges)) {
-            mask |= 1 << number;
             places[number] = blocks.len() as u8;
             own.clear();
-            let mut block = Block { pixels: 0, first: spans.len() as u32, hull: Span::ZERO, rows: [0; 8] };
+            let mut block = Block::without_matter(spans.len());
             for (bit, &(first, count)) in ranges.iter().enumerate() {
                 if bit % 8 == 0 {
                     block.rows[bit / 8] = own.len() as u16;
@@ -261,35 +273,36 @@ impl PageBuilder {
                 let column = &self.spans[first as usize..(first + count) as usize];
                 own.extend(column.iter().map(|span| span.in_lane(bit as u32 % 8)));
             }
-            push_unions(&own, &mut scratch, &mut spans);
-            let unions = &spans[block.first as usize..];
-            let top = unions.iter().map(|span| span.top()).max().unwrap_or(0);
-            block.hull = Span::new(unions[0].bottom(), top, unions.iter().any(|span| span.is_obstacle()))
-                .expect("unions lie inside the page");
-            let union_count = unions.len() as u16;
-            block.rows.iter_mut().for_each(|start| *start += union_count);
+            push_unions(&own, &mut scratch, &mut unions);
+            let (lowest, further) = unions.split_at(unions.len().min(4));
+            block.unions[..lowest.len()].copy_from_slice(lowest);
+            spans.extend_from_slice(further);
+            let filled = further.len().next_multiple_of(4);
+            spans.resize(block.first as usize + filled, Span::NEVER);
+            block.rows.iter_mut().for_each(|start| *start += filled as u16);
             let slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
             page_slices |= slices;
-            block_slices.push(slices);
+            for (slice, blocks) in slice_blocks.iter_mut().enumerate() {
+                *blocks |= (slices >> slice & 1) << number;
+            }
             blocks.push(block);
             spans.extend_from_slice(&own);
         }
-        block_slices.push(0);
-        blocks.push(Block { pixels: 0, first: spans.len() as u32, hull: Span::ZERO, rows: [0; 8] });
+        blocks.push(Block::without_matter(spans.len()));
+        let lowest = if page_slices == 0 { 0 } else { page_slices.trailing_zeros() as usize };
         Page {
             slices: page_slices,
-            occupied: mask,
             places,
-            block_slices: block_slices.into(),
+            slice_blocks: slice_blocks[lowest..64 - page_slices.leading_zeros() as usize].into(),
             blocks: blocks.into(),
             spans: spans.into(),
         }
     }
 }
 
-/// Appends the unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
+/// Sets `unions` to the unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
 fn push_unions(spans: &[Span], scratch: &mut Vec<Span>, unions: &mut Vec<Span>) {
-    let first = unions.len();
+    unions.clear();
     for obstacle in [false, true] {
         scratch.clear();
         scratch.extend(spans.iter().filter(|span| span.is_obstacle() == obstacle));
@@ -306,7 +319,7 @@ fn push_unions(spans: &[Span], scratch: &mut Vec<Span>, unions: &mut Vec<Span>) 
         }
         unions.extend(run.and_then(|(bottom, top)| Span::new(bottom, top, obstacle)));
     }
-    unions[first..].sort_unstable_by_key(|span| (span.bottom(), span.is_obstacle()));
+    unions.sort_unstable_by_key(|span| (span.bottom(), span.is_obstacle()));
 }
 
 const _: () = assert!(PAGE_QUANTA < 1 << 14 && BLOCKS * 64 == (TILE_PIXELS * TILE_PIXELS) as usize);
@@ -345,6 +358,15 @@ mod tests {
                     prop_assert_eq!(page.column(px, py), expected);
                 }
             }
+            for (bx, by) in (0..64).map(|n| (n % 8, n / 8)) {
+                let spans = (0..64).flat_map(|bit| page.block(bx, by).column(bit));
+                let slices = spans.fold(0, |mask, span| mask | span.slice_mask());
+                prop_assert_eq!(page.block(bx, by).slices(), slices);
+                for (first, last) in [(0, 63), (0, 0), (63, 63), (5, 9), (17, 40)] {
+                    let meets = slices & u64::MAX << first & u64::MAX >> (63 - last) != 0;
+                    prop_assert_eq!(page.blocks_in(first, last) >> (by * 8 + bx) & 1 == 1, meets);
+                }
+            }
         }
 
         #[test]
@@ -356,11 +378,10 @@ mod tests {
             for by in 0..8 {
                 for bx in 0..8 {
                     for obstacle in [false, true] {
-                        let meets = |spans: &[Span]| {
-                            spans.iter().any(|s| s.is_obstacle() == obstacle && s.meets(low, high))
-                        };
-                        let by_pixels = (0..64).any(|bit| meets(page.block(bx, by).column(bit)));
-                        prop_assert_eq!(meets(page.block(bx, by).unions()), by_pixels);
+                        let meets = |s: &Span| s.is_obstacle() == obstacle && s.meets(low, high);
+                        let block = page.block(bx, by);
+                        let by_pixels = (0..64).any(|bit| block.column(bit).iter().any(meets));
+                        prop_assert_eq!(block.unions().any(|s| meets(&s)), by_pixels);
                     }
                 }
             }

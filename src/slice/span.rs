@@ -6,8 +6,8 @@ use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 ///
 /// Both ends are inclusive: a span is the closed interval `[bottom, top]`, `0 ≤ bottom ≤ top ≤ 16320`.
 ///
-/// Three bits are left over. Inside a page they hold the pixel's `x % 8`, so that a run of spans over several pixels can
-/// be filtered without a look at where each pixel begins; they are no part of the span's value.
+/// Three bits are left over. Inside a page they hold the pixel's `x % 8`, so that a run of spans over several pixels
+/// can be filtered without a look at where each pixel begins; they are no part of the span's value.
 #[derive(Clone, Copy)]
 #[repr(transparent)]
 pub struct Span(u32);
@@ -32,8 +32,11 @@ impl std::hash::Hash for Span {
 }
 
 impl Span {
-    /// A placeholder where there is no matter.
-    pub(super) const ZERO: Self = Self(0);
+    /// Bit of [`kinds`](Self::kinds) that says obstacle.
+    pub(crate) const OBSTACLE_KIND: u32 = OBSTACLE;
+
+    /// Fills up groups of spans: meets no interval.
+    pub(super) const NEVER: Self = Self(FIELD);
 
     /// The span `[bottom, top]` [quanta above the page's floor]; `None` unless `bottom <= top <= 16320` and the
     /// bottom lies below the page's end (a span that only touches the end belongs to the page above).
@@ -58,6 +61,13 @@ impl Span {
     #[inline]
     pub fn is_obstacle(self) -> bool {
         self.0 & OBSTACLE != 0
+    }
+
+    /// Bit 0 set, and bit 28 ([`OBSTACLE_KIND`](Self::OBSTACLE_KIND)) for an obstacle: what loops without branches
+    /// gather.
+    #[inline]
+    pub(crate) fn kinds(self) -> u32 {
+        self.0 & OBSTACLE | 1
     }
 
     /// The pixel's `x % 8`, for a span that a page holds.

@@ -26,9 +26,9 @@ impl Store {
     /// `around` make room: first those farthest in z, among these the farthest in x and y. A page is dropped only for
     /// one that is nearer.
     ///
-    /// At every moment the pages in memory together with the one being decoded weigh at most the budget, if the source's
-    /// [`weight_bytes`](super::PageInfo::weight_bytes) are true. Blocks while it reads; cost: one load per page, plus a
-    /// pass over the pages in memory for each page that is dropped.
+    /// At every moment the pages in memory together with the one being decoded weigh at most the budget, if the
+    /// source's [`weight_bytes`](super::PageInfo::weight_bytes) are true. Blocks while it reads; cost: one load per
+    /// page, plus a pass over the pages in memory for each page that is dropped.
     ///
     /// Fails when a page cannot be loaded; pages loaded before stay. Does nothing in a store without a source.
     pub fn load(&mut self, region: &Region, around: PageKey) -> Result<LoadReport> {

@@ -181,7 +181,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn finds_every_column_and_no_other(keys in proptest::collection::btree_set((-5i32..5, -5i32..5, -3i32..3), 0..80)) {
+        fn finds_every_column_and_no_other(
+            keys in proptest::collection::btree_set((-5i32..5, -5i32..5, -3i32..3), 0..80)
+        ) {
             let slots: Vec<_> = keys.iter().map(|&(tx, ty, layer)| (PageKey { tx, ty, layer }, layer)).collect();
             let mut expected: BTreeMap<(i32, i32), Vec<i32>> = BTreeMap::new();
             for &(tx, ty, layer) in &keys {

@@ -11,7 +11,7 @@ use crate::{Error, Result};
 #[derive(Debug)]
 pub struct StoreSlot {
     pub(super) layer: i32,
-    /// Upper bound of the page's weight until it is loaded for the first time, then its weight [bytes].
+    /// Upper bound of the page's weight until it is loaded for the first time, then its weight (bytes).
     pub(super) weight: u32,
     pub(super) slices: u64,
     pub(super) page: Option<Box<Page>>,
@@ -60,7 +60,7 @@ pub struct Store {
     pub(super) source: Option<Box<dyn PageSource>>,
     /// Places in `columns` of the pages in memory, in no order.
     pub(super) loaded: Vec<(PageKey, u32)>,
-    /// Weight of the pages in memory [bytes].
+    /// Weight of the pages in memory (bytes).
     pub(super) weight: usize,
     pub(super) budget: usize,
 }
@@ -115,12 +115,12 @@ impl Store {
         Self { frame, columns: Columns::new(Vec::new()), source, loaded: Vec::new(), weight: 0, budget }
     }
 
-    /// Weight of the pages in memory [bytes]; never above the budget.
+    /// Weight of the pages in memory (bytes); never above the budget.
     pub fn weight_bytes(&self) -> usize {
         self.weight
     }
 
-    /// Memory of the table of pages, which comes on top of [`weight_bytes`](Self::weight_bytes) [bytes].
+    /// Memory of the table of pages, which comes on top of [`weight_bytes`](Self::weight_bytes) (bytes).
     pub fn table_bytes(&self) -> usize {
         self.columns.weight_bytes()
     }

@@ -69,7 +69,7 @@ pub struct PageInfo {
     pub key: PageKey,
     /// Slices with matter, as a mask. A slice with matter that is missing here makes queries answer "clear" wrongly.
     pub slices: u64,
-    /// Upper bound of [`Page::weight_bytes`] once loaded [bytes].
+    /// Upper bound of [`Page::weight_bytes`] once loaded (bytes).
     pub weight_bytes: usize,
 }
 

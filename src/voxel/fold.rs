@@ -5,8 +5,12 @@
 //! a scan add up to the voxels of the whole.
 
 use super::record::{
-    PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, pixel_of_voxel, top_quantum,
+    HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, top_quantum,
 };
+
+/// Parts of a slice in [`Voxel::bins`].
+pub const BINS: i64 = 16;
+const BIN_STEPS: u32 = (SLICE_STEPS / BINS) as u32;
 
 /// Sums over the points of one voxel, exact: place `u`, `v` in its pixel [1/128 pixel] and height `w` in its slice
 /// [steps, see [`Record::height`]]. Ten numbers determine the least-squares plane and its residual.
@@ -68,13 +72,15 @@ pub struct Voxel {
     pub bottom: u8,
     /// Least quantum at or above the highest point, above the slice's floor (0..=255).
     pub top: u8,
+    /// Sixteenths of the slice that hold points: what lies between bottom and top, matter or void.
+    pub bins: u16,
     /// Sums over the points.
     pub moments: Moments,
 }
 
 impl Voxel {
     fn of(record: Record) -> Self {
-        let mut voxel = Self { slice: record.slice(), bottom: u8::MAX, top: 0, moments: Moments::default() };
+        let mut voxel = Self { slice: record.slice(), bottom: u8::MAX, top: 0, bins: 0, moments: Moments::default() };
         voxel.add(record);
         voxel
     }
@@ -84,12 +90,14 @@ impl Voxel {
         let (height, (u, v)) = (record.height(), record.place());
         self.bottom = self.bottom.min(bottom_quantum(height) as u8);
         self.top = self.top.max(top_quantum(height) as u8);
+        self.bins |= 1 << (height / BIN_STEPS);
         self.moments.add(i64::from(u), i64::from(v), i64::from(height));
     }
 
     fn merge(&mut self, other: &Self) {
         self.bottom = self.bottom.min(other.bottom);
         self.top = self.top.max(other.top);
+        self.bins |= other.bins;
         self.moments.add_shifted(&other.moments, 0, 0, 0);
     }
 }
@@ -121,12 +129,6 @@ impl Area {
         (self.x.0 + 1..=self.x.1).contains(&x) && (self.y.0 + 1..=self.y.1).contains(&y)
     }
 
-    /// The patch pixels of the area, row after row.
-    pub fn patch_pixels(self) -> impl Iterator<Item = usize> {
-        let pixel = |x: u32, y: u32| (y as usize + 1) * PATCH_PIXELS + x as usize + 1;
-        (self.y.0..self.y.1).flat_map(move |y| (self.x.0..self.x.1).map(move |x| pixel(x, y)))
-    }
-
     /// Two halves along the longer edge; `None` for a single pixel.
     pub fn halves(&self) -> Option<[Self; 2]> {
         let (width, height) = (self.x.1 - self.x.0, self.y.1 - self.y.0);
@@ -145,18 +147,99 @@ impl Area {
     }
 }
 
+/// Slices of one pixel that are told apart at once; more than that far apart in one pixel costs a search.
+const RECENT: usize = 1 << 10;
+
+/// Folds records into voxels, one pixel after another; its scratch is reused.
+#[derive(Debug)]
+pub struct Folder {
+    by_pixel: Vec<Record>,
+    voxels: Vec<Voxel>,
+    /// Number in `voxels` of the last voxel whose slice has this remainder; may be left over from an earlier pixel.
+    recent: Box<[u32; RECENT]>,
+}
+
+impl Default for Folder {
+    fn default() -> Self {
+        Self { by_pixel: Vec::new(), voxels: Vec::new(), recent: Box::new([0; RECENT]) }
+    }
+}
+
+impl Folder {
+    /// Calls `give` with every pixel that has records, in order, and its voxels, lowest slice first.
+    pub fn fold(&mut self, records: &[Record], mut give: impl FnMut(usize, &[Voxel])) {
+        self.sort_by_pixel(records);
+        let Self { by_pixel, voxels, recent } = self;
+        for points in by_pixel.chunk_by(|a, b| a.pixel() == b.pixel()) {
+            voxels.clear();
+            for &point in points {
+                let slice = point.slice();
+                let place = &mut recent[slice as usize % RECENT];
+                let found = match voxels.get(*place as usize) {
+                    Some(voxel) if voxel.slice == slice => Some(*place as usize),
+                    // Another slice of this pixel has the same remainder, so this one may hide behind it.
+                    Some(voxel) if voxel.slice as usize % RECENT == slice as usize % RECENT => {
+                        voxels.iter().position(|voxel| voxel.slice == slice)
+                    }
+                    _ => None,
+                };
+                match found {
+                    Some(number) => {
+                        *place = number as u32;
+                        voxels[number].add(point);
+                    }
+                    None => {
+                        *place = voxels.len() as u32;
+                        voxels.push(Voxel::of(point));
+                    }
+                }
+            }
+            voxels.sort_unstable_by_key(|voxel| voxel.slice);
+            give(points[0].pixel(), voxels);
+        }
+    }
+
+    /// Sorts by pixel: many records by counting; a general sort is only as good on few.
+    fn sort_by_pixel(&mut self, records: &[Record]) {
+        self.by_pixel.clear();
+        if records.len() < PATCH_AREA / 4 {
+            self.by_pixel.extend_from_slice(records);
+            self.by_pixel.sort_unstable();
+            return;
+        }
+        self.by_pixel.resize(records.len(), Record(0));
+        let mut next = [0u32; PATCH_AREA];
+        records.iter().for_each(|record| next[record.pixel()] += 1);
+        let mut start = 0;
+        for count in &mut next {
+            start += std::mem::replace(count, start);
+        }
+        for &record in records {
+            let place = &mut next[record.pixel()];
+            self.by_pixel[*place as usize] = record;
+            *place += 1;
+        }
+    }
+}
+
 /// The voxels of a tile column with its halo, pixel after pixel, lowest slice first.
 #[derive(Debug, Default)]
 pub struct Patch {
     starts: Vec<u32>,
+    occupied: Vec<u16>,
     voxels: Vec<Voxel>,
-    sorted: Vec<Record>,
+    folder: Folder,
 }
 
 impl Patch {
     /// All voxels.
     pub fn voxels(&self) -> &[Voxel] {
         &self.voxels
+    }
+
+    /// Patch pixels with voxels, in order.
+    pub fn occupied(&self) -> impl Iterator<Item = usize> + '_ {
+        self.occupied.iter().map(|&pixel| usize::from(pixel))
     }
 
     /// Numbers of the voxels of a patch pixel.
@@ -168,90 +251,120 @@ impl Patch {
     /// Replaces the content by the fold of `records`. Voxels of fewer than `min_points` points are dropped; returns
     /// how many were, without those in the halo around `area`.
     pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area) -> u64 {
-        self.sort(records);
-        let sorted = std::mem::take(&mut self.sorted);
-        let voxels = sorted.chunk_by(|a, b| a.voxel() == b.voxel()).map(|points| {
-            let mut voxel = Voxel::of(points[0]);
-            points[1..].iter().for_each(|&point| voxel.add(point));
-            (points[0].pixel(), voxel)
-        });
-        let dropped = self.set(voxels, min_points, area);
-        self.sorted = sorted;
+        let mut folder = std::mem::take(&mut self.folder);
+        self.clear();
+        let mut dropped = 0;
+        folder.fold(records, |pixel, voxels| dropped += self.push(pixel, voxels.iter().copied(), min_points, area));
+        self.end();
+        self.folder = folder;
         dropped
     }
 
     /// Replaces the content by voxels that were folded piecemeal (see [`fold_into`]).
     pub fn set_folded(&mut self, folded: &Folded, min_points: u32, area: Area) -> u64 {
-        self.set(folded.iter().map(|&(key, voxel)| (pixel_of_voxel(key), voxel)), min_points, area)
-    }
-
-    fn set(&mut self, voxels: impl Iterator<Item = (usize, Voxel)>, min_points: u32, area: Area) -> u64 {
-        self.starts.clear();
-        self.voxels.clear();
+        self.clear();
         let mut dropped = 0;
-        for (pixel, voxel) in voxels {
-            if voxel.moments.n < i64::from(min_points) {
-                dropped += u64::from(area.holds(pixel));
-                continue;
-            }
-            self.starts.resize(pixel + 1, self.voxels.len() as u32);
-            self.voxels.push(voxel);
+        for voxels in folded.chunk_by(|a, b| a.0 == b.0) {
+            dropped += self.push(voxels[0].0, voxels.iter().map(|voxel| voxel.1), min_points, area);
         }
-        self.starts.resize(PATCH_AREA + 1, self.voxels.len() as u32);
+        self.end();
         dropped
     }
 
-    /// Sorts by pixel by counting, then within each pixel; a general sort is only as good on few records.
-    fn sort(&mut self, records: &[Record]) {
-        self.sorted.clear();
-        self.sorted.resize(records.len(), Record(0));
-        if records.len() < PATCH_AREA {
-            self.sorted.copy_from_slice(records);
-            self.sorted.sort_unstable();
-            return;
+    /// Numbers of the voxels of a patch pixel in the slices `slice − 1 ..= slice + 1`.
+    #[inline]
+    pub fn around(&self, patch_pixel: usize, slice: u32) -> std::ops::Range<usize> {
+        let range = self.range(patch_pixel);
+        let voxels = &self.voxels[range.clone()];
+        let first = if voxels.len() < 16 {
+            voxels.iter().take_while(|voxel| voxel.slice + 1 < slice).count()
+        } else {
+            voxels.partition_point(|voxel| voxel.slice + 1 < slice)
+        };
+        let count = voxels[first..].iter().take_while(|voxel| voxel.slice <= slice + 1).count();
+        range.start + first..range.start + first + count
+    }
+
+    /// Drops the voxels of `area` that have no other voxel in the 3 × 3 × 3 around them, and returns how many. A lone
+    /// voxel is in nobody's neighbourhood, so it makes no difference that those of the halo stay.
+    pub fn drop_isolated(&mut self, area: Area) -> u64 {
+        let mut kept = vec![true; self.voxels.len()];
+        for pixel in self.occupied().filter(|&pixel| area.holds(pixel)) {
+            for number in self.range(pixel) {
+                let slice = self.voxels[number].slice;
+                let around: usize = neighbourhood(pixel).map(|(other, ..)| self.around(other, slice).len()).sum();
+                kept[number] = around > 1;
+            }
         }
-        let mut next = [0u32; PATCH_AREA];
-        records.iter().for_each(|record| next[record.pixel()] += 1);
-        let mut start = 0;
-        for count in &mut next {
-            start += std::mem::replace(count, start);
+        let (starts, occupied, voxels) =
+            (std::mem::take(&mut self.starts), std::mem::take(&mut self.occupied), std::mem::take(&mut self.voxels));
+        for pixel in occupied {
+            let range = starts[usize::from(pixel)] as usize..starts[usize::from(pixel) + 1] as usize;
+            let stay = range.filter(|&number| kept[number]).map(|number| voxels[number]);
+            self.push(usize::from(pixel), stay, 1, area);
         }
-        for &record in records {
-            let place = &mut next[record.pixel()];
-            self.sorted[*place as usize] = record;
-            *place += 1;
+        self.end();
+        (voxels.len() - self.voxels.len()) as u64
+    }
+
+    fn clear(&mut self) {
+        self.starts.clear();
+        self.occupied.clear();
+        self.voxels.clear();
+    }
+
+    /// Adds the voxels of the next pixel; returns how many of the area's were dropped.
+    fn push(&mut self, pixel: usize, voxels: impl Iterator<Item = Voxel>, min_points: u32, area: Area) -> u64 {
+        let first = self.voxels.len();
+        let mut dropped = 0;
+        self.voxels.extend(voxels.filter(|voxel| {
+            let kept = voxel.moments.n >= i64::from(min_points);
+            dropped += u64::from(!kept && area.holds(pixel));
+            kept
+        }));
+        if self.voxels.len() > first {
+            self.starts.resize(pixel + 1, first as u32);
+            self.occupied.push(pixel as u16);
         }
-        let mut rest = &mut self.sorted[..];
-        let mut start = 0;
-        for end in next {
-            let (own, others) = rest.split_at_mut((end - start) as usize);
-            own.sort_unstable();
-            rest = others;
-            start = end;
-        }
+        dropped
+    }
+
+    fn end(&mut self) {
+        self.starts.resize(PATCH_AREA + 1, self.voxels.len() as u32);
     }
 }
 
-/// Voxels in order of [`Record::voxel`].
-pub type Folded = Vec<(u64, Voxel)>;
+/// The 3 × 3 pixels around a patch pixel that is not in the halo, with their places 0..3 in x and y.
+pub fn neighbourhood(patch_pixel: usize) -> impl Iterator<Item = (usize, i64, i64)> {
+    (0..9).map(move |place| {
+        let (dx, dy) = (place % 3, place / 3);
+        (patch_pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1, dx as i64, dy as i64)
+    })
+}
 
-/// Folds `records` (in any order; they are sorted) into voxels folded before.
-pub fn fold_into(folded: &mut Folded, records: &mut [Record]) {
-    records.sort_unstable();
+const _: () = assert!(HALO_PIXELS == 1, "neighbourhoods are 3 × 3 pixels");
+
+/// Voxels with their patch pixel, in order of pixel and slice.
+pub type Folded = Vec<(usize, Voxel)>;
+
+/// Folds `records` into voxels folded before.
+pub fn fold_into(folded: &mut Folded, records: &[Record], folder: &mut Folder) {
     let before = std::mem::take(folded);
+    folded.reserve(before.len());
     let mut before = before.into_iter().peekable();
-    for points in records.chunk_by(|a, b| a.voxel() == b.voxel()) {
-        let key = points[0].voxel();
-        while let Some(earlier) = before.next_if(|(earlier, _)| *earlier < key) {
-            folded.push(earlier);
+    folder.fold(records, |pixel, voxels| {
+        for voxel in voxels {
+            let key = (pixel, voxel.slice);
+            while let Some(earlier) = before.next_if(|(pixel, earlier)| (*pixel, earlier.slice) < key) {
+                folded.push(earlier);
+            }
+            let mut voxel = *voxel;
+            if let Some((_, same)) = before.next_if(|(pixel, earlier)| (*pixel, earlier.slice) == key) {
+                voxel.merge(&same);
+            }
+            folded.push((pixel, voxel));
         }
-        let mut voxel = Voxel::of(points[0]);
-        points[1..].iter().for_each(|&point| voxel.add(point));
-        if let Some((_, same)) = before.next_if(|(earlier, _)| *earlier == key) {
-            voxel.merge(&same);
-        }
-        folded.push((key, voxel));
-    }
+    });
     folded.extend(before);
 }
 
@@ -266,7 +379,7 @@ mod tests {
         let recorder = Recorder::new(Frame::new(0.5, 1.5).unwrap());
         let mut records = Vec::new();
         for &(x, y, z) in points {
-            recorder.record(x, y, z, |index, record| {
+            recorder.record(&[x], &[y], &[z], |index, record| {
                 if (index.tx, index.ty) == (0, 0) {
                     records.push(record);
                 }
@@ -285,8 +398,8 @@ mod tests {
             let (mut at_once, mut piecemeal) = (Patch::default(), Patch::default());
             let dropped = at_once.fold(&records, min_points, Area::TILE);
             records.reverse();
-            let mut folded = Folded::new();
-            records.chunks_mut(piece).for_each(|piece| fold_into(&mut folded, piece));
+            let (mut folded, mut folder) = (Folded::new(), Folder::default());
+            records.chunks(piece).for_each(|piece| fold_into(&mut folded, piece, &mut folder));
             prop_assert_eq!(piecemeal.set_folded(&folded, min_points, Area::TILE), dropped);
             prop_assert_eq!(&at_once.voxels, &piecemeal.voxels);
             prop_assert_eq!(&at_once.starts, &piecemeal.starts);
@@ -307,6 +420,34 @@ mod tests {
             shifted.add_shifted(&plain, dx, dy, ds);
             prop_assert_eq!(shifted, direct);
         }
+    }
+
+    #[test]
+    fn slices_far_apart_in_one_pixel_are_told_apart() {
+        let points: Vec<_> = (0..9000).map(|n| (0.2, 0.2, f64::from(n * 7919 % 4500) * 1.5 + 0.1)).collect();
+        let mut patch = Patch::default();
+        patch.fold(&records(&points), 1, Area::TILE);
+        assert_eq!(patch.voxels().len(), 4500);
+        assert!(patch.voxels().is_sorted_by_key(|voxel| voxel.slice));
+        assert!(patch.voxels().iter().all(|voxel| voxel.moments.n == 2));
+    }
+
+    #[test]
+    fn only_voxels_alone_in_their_neighbourhood_are_dropped() {
+        let points = [
+            (5.2, 5.2, 0.1),
+            (9.2, 9.2, 0.1),
+            (9.7, 9.7, 1.6),
+            (20.2, 20.2, 0.1),
+            (20.2, 20.2, 3.1),
+            (31.7, 3.2, 0.1),
+            (32.2, 3.2, 0.1),
+        ];
+        let mut patch = Patch::default();
+        patch.fold(&records(&points), 1, Area::TILE);
+        assert_eq!(patch.drop_isolated(Area::TILE), 3, "one alone, two a slice apart; not the diagonal pair");
+        assert_eq!(patch.voxels().len(), 4, "the last pair lies across the tile's edge and stays");
+        assert_eq!(patch.occupied().count(), 4);
     }
 
     #[test]

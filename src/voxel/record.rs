@@ -5,7 +5,7 @@
 //! *halo*, copies of the points in the first pixel beyond each edge, so that what looks at 3 × 3 pixels needs no
 //! other tile column.
 
-use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, TILE_PIXELS, morton};
+use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, TILE_PIXELS, floor_small, morton};
 
 /// Pixels beyond each edge of a tile column whose points are copied into it.
 pub const HALO_PIXELS: i64 = 1;
@@ -68,12 +68,6 @@ impl Record {
         (self.0 >> (HEIGHT_BITS + 2 * SUBPIXEL_BITS)) as u32 & ((1 << SLICE_BITS) - 1)
     }
 
-    /// Pixel and slice as one number; equal for points of one voxel.
-    #[inline]
-    pub fn voxel(self) -> u64 {
-        self.0 >> (HEIGHT_BITS + 2 * SUBPIXEL_BITS)
-    }
-
     /// Height above the slice's floor [steps, 0..8160]. Even steps are exact multiples of 1/16 quantum, odd ones lie
     /// between the multiples below and above; so both the floor and the ceiling to whole quanta can be told.
     #[inline]
@@ -87,11 +81,6 @@ impl Record {
         let mask = (1 << SUBPIXEL_BITS) - 1;
         ((self.0 >> SUBPIXEL_BITS) as u32 & mask, self.0 as u32 & mask)
     }
-}
-
-/// The patch pixel of a number made by [`Record::voxel`].
-pub fn pixel_of_voxel(voxel: u64) -> usize {
-    (voxel >> SLICE_BITS) as usize
 }
 
 /// Greatest quantum at or below a height in steps.
@@ -132,12 +121,8 @@ impl ColumnIndex {
     }
 }
 
-#[inline]
-fn floor(value: f64) -> i64 {
-    // Plain `floor` is a function call on baseline x86-64; this is three instructions.
-    let whole = value as i64;
-    whole - i64::from((whole as f64) > value)
-}
+/// Points whose places are computed in one go.
+pub const BATCH: usize = 1 << 10;
 
 impl Recorder {
     /// A recorder for the grid `frame`.
@@ -156,14 +141,23 @@ impl Recorder {
         indices(min).into_iter().chain(indices(max)).all(|index| index.abs() <= MAX_INDEX)
     }
 
-    /// Gives `sink` the point's record, and its copies for tile columns whose halo it lies in. The point must be
-    /// within [`reaches`](Self::reaches).
+    /// Gives `sink` each point's record, and its copies for tile columns whose halo it lies in. The points, at most
+    /// [`BATCH`], must be within [`reaches`](Self::reaches).
+    pub fn record(&self, x: &[f64], y: &[f64], z: &[f64], mut sink: impl FnMut(ColumnIndex, Record)) {
+        let mut places = [[0i64; 3]; BATCH];
+        for (((place, &x), &y), &z) in places.iter_mut().zip(x).zip(y).zip(z) {
+            let cells = z * self.cells_per_m;
+            let cell = floor_small(cells);
+            let between = (cell as f64 != cells) as i64;
+            *place = [floor_small(x * self.subpixels_per_m), floor_small(y * self.subpixels_per_m), 2 * cell + between];
+        }
+        for &[fx, fy, steps] in &places[..x.len().min(y.len()).min(z.len())] {
+            self.place(fx, fy, steps, &mut sink);
+        }
+    }
+
     #[inline]
-    pub fn record(&self, x: f64, y: f64, z: f64, mut sink: impl FnMut(ColumnIndex, Record)) {
-        let (fx, fy) = (floor(x * self.subpixels_per_m), floor(y * self.subpixels_per_m));
-        let cells = z * self.cells_per_m;
-        let cell = floor(cells);
-        let steps = 2 * cell + i64::from(cell as f64 != cells);
+    fn place(&self, fx: i64, fy: i64, steps: i64, sink: &mut impl FnMut(ColumnIndex, Record)) {
         let slice = steps.div_euclid(SLICE_STEPS);
         let height = (steps - slice * SLICE_STEPS) as u64;
         let block = (slice + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
@@ -207,7 +201,7 @@ mod tests {
             let recorder = Recorder::new(frame);
             prop_assert!(recorder.reaches([x, y, z], [x, y, z]));
             let mut copies = 0;
-            recorder.record(x, y, z, |index, record| {
+            recorder.record(&[x], &[y], &[z], |index, record| {
                 copies += 1;
                 let pixel = record.pixel() as i64;
                 let i = i64::from(index.tx) * 64 + pixel % PATCH_PIXELS as i64 - HALO_PIXELS;
@@ -228,7 +222,7 @@ mod tests {
         let recorder = Recorder::new(Frame::new(1.0, 3.0).unwrap());
         let columns = |x, y| {
             let mut found = Vec::new();
-            recorder.record(x, y, 0.0, |index, _| found.push((index.tx, index.ty)));
+            recorder.record(&[x], &[y], &[0.0], |index, _| found.push((index.tx, index.ty)));
             found
         };
         assert_eq!(columns(0.5, 0.5), [(0, 0), (-1, 0), (0, -1), (-1, -1)]);

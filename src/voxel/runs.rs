@@ -6,9 +6,10 @@
 //! input, so neither shuffled points nor a huge extent turn the disk's work into single small reads.
 //!
 //! Memory: `retain_bytes` for runs kept, 20 bytes per record and 120 per tile column of each run under construction,
-//! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile column and run.
+//! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile
+//! column and run.
 
-use super::record::{ColumnIndex, ColumnKey, PATCH_PIXELS, Record, Recorder};
+use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_PIXELS, Record, Recorder};
 use crate::{Error, Result};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -71,6 +72,8 @@ pub struct RunBuilder {
     numbers: Vec<u32>,
     columns: Vec<(ColumnIndex, u32)>,
     lookup: HashMap<ColumnIndex, u32, BuildHasherDefault<ColumnHasher>>,
+    /// Number of the last column met at this place of a 16 × 16 pattern; may be left over from an earlier run.
+    recent: [u32; 256],
 }
 
 impl RunBuilder {
@@ -84,15 +87,15 @@ impl RunBuilder {
             numbers: Vec::new(),
             columns: Vec::new(),
             lookup: HashMap::default(),
+            recent: [0; 256],
         }
     }
 
     /// Adds points (all within [`Recorder::reaches`]); a full run goes to `store`.
     pub fn push(&mut self, x: &[f64], y: &[f64], z: &[f64], store: &RunStore) -> Result<()> {
         // A point yields at most four records, so a chunk that fits four-fold needs no check inside the loop.
-        const CHUNK: usize = 1 << 11;
-        for start in (0..x.len()).step_by(CHUNK) {
-            let chunk = start..(start + CHUNK).min(x.len());
+        for start in (0..x.len()).step_by(BATCH) {
+            let chunk = start..(start + BATCH).min(x.len());
             let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
             if self.records.len() + columns + 4 * chunk.len() > self.capacity {
                 self.flush(store)?;
@@ -101,23 +104,21 @@ impl RunBuilder {
                 self.records.reserve_exact(self.capacity);
                 self.numbers.reserve_exact(self.capacity);
             }
-            let mut last = (ColumnIndex { tx: 0, ty: 0, block: i16::MIN }, 0u32);
             let (records, numbers) = (&mut self.records, &mut self.numbers);
-            let (columns, lookup) = (&mut self.columns, &mut self.lookup);
-            for ((&x, &y), &z) in x[chunk.clone()].iter().zip(&y[chunk.clone()]).zip(&z[chunk]) {
-                self.recorder.record(x, y, z, |index, record| {
-                    if index != last.0 {
-                        let number = *lookup.entry(index).or_insert_with(|| {
-                            columns.push((index, 0));
-                            (columns.len() - 1) as u32
-                        });
-                        last = (index, number);
-                    }
-                    columns[last.1 as usize].1 += 1;
-                    records.push(record);
-                    numbers.push(last.1);
-                });
-            }
+            let (columns, lookup, recent) = (&mut self.columns, &mut self.lookup, &mut self.recent);
+            self.recorder.record(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], |index, record| {
+                // Points of a scan jump between few columns; most are found here without hashing.
+                let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
+                if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
+                    *place = *lookup.entry(index).or_insert_with(|| {
+                        columns.push((index, 0));
+                        (columns.len() - 1) as u32
+                    });
+                }
+                columns[*place as usize].1 += 1;
+                records.push(record);
+                numbers.push(*place);
+            });
         }
         Ok(())
     }
@@ -625,7 +626,7 @@ mod tests {
     fn expected(recorder: Recorder, (x, y, z): &(Vec<f64>, Vec<f64>, Vec<f64>)) -> Columns {
         let mut columns = Columns::new();
         for number in 0..x.len() {
-            recorder.record(x[number], y[number], z[number], |index, record| {
+            recorder.record(&x[number..=number], &y[number..=number], &z[number..=number], |index, record| {
                 columns.entry(index.key()).or_default().push(record);
             });
         }

@@ -23,6 +23,7 @@ pub fn plan() -> Plan {
         tolerance_m: 0.0,
         classifier: Classifier::Span,
         min_points: 1,
+        drop_isolated: false,
         up: Up::Z,
         exclude_classes: [0; 4],
     }

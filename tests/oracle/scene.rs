@@ -137,7 +137,8 @@ fn random_point(random: &mut Random, frame: &Frame, origin: Point3<f64>) -> Poin
 }
 
 pub fn pages_of(columns: &Columns) -> Vec<(PageKey, Page)> {
-    let mut parts: BTreeMap<(i64, i64, i64), BTreeMap<(u32, u32), Vec<Span>>> = BTreeMap::new();
+    type Part = BTreeMap<(u32, u32), Vec<Span>>;
+    let mut parts: BTreeMap<(i64, i64, i64), Part> = BTreeMap::new();
     for (&(i, j), spans) in columns {
         for &(bottom, top, obstacle) in spans {
             let (first, last) = (bottom.div_euclid(PAGE_QUANTA), (top - 1).max(bottom).div_euclid(PAGE_QUANTA));

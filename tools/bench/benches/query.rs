@@ -1,5 +1,5 @@
-//! Box queries of resident pages against `parry3d`'s `Voxels`, on the same voxels in one run: a pawn of 0.5 × 0.5 × 1.8 m
-//! at random places and along a walk, at pixels of 2 and 5 cm. Prints criterion's times, then a table with ratios.
+//! Box queries of resident pages against `parry3d`'s `Voxels`, on the same voxels in one run: a pawn of 0.5 × 0.5 × 1.8
+//! m at random places and along a walk, at pixels of 2 and 5 cm. Prints criterion's times, then a table with ratios.
 
 use bench::{building, pawns, voxels::Voxels};
 use criterion::Criterion;

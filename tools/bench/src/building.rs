@@ -1,13 +1,15 @@
-//! A furnished building as a scanner sees it: floors, ceilings, both faces of walls with doors, tables, shelves, pillars.
+//! A furnished building of two storeys as a scanner sees it: floors, ceilings, both faces of walls with doors, tables,
+//! stools, shelves, pillars.
 
 use crate::Random;
 use nalgebra::{Point3, Vector3};
 
 /// Size of the building [m].
-pub const SIZE: [f64; 3] = [24.0, 16.0, 6.4];
+pub const SIZE: [f64; 3] = [30.0, 24.0, 6.4];
 /// From floor to floor, and from floor to ceiling [m].
 pub const STOREY: [f64; 2] = [3.2, 3.0];
-const ROOM: f64 = 4.0;
+const ROOM: f64 = 6.0;
+const DOOR: f64 = 1.2;
 /// Noise of the scanner, one standard deviation [m].
 const NOISE: f64 = 0.002;
 
@@ -45,7 +47,7 @@ fn faces(random: &mut Random) -> Vec<Face> {
             faces.push(Face { corner: Point3::new(0.0, 0.0, height), a: x * SIZE[0], b: y * SIZE[1] });
         }
         let rooms = [(SIZE[0] / ROOM) as usize, (SIZE[1] / ROOM) as usize];
-        // Walls along x, then along y: two faces 12 cm apart, with a door of 1 m in every room's stretch.
+        // Walls along x, then along y: two faces 12 cm apart, with a door in every room's stretch.
         for (along, across, stretches, lines) in [(x, y, rooms[0], rooms[1]), (y, x, rooms[1], rooms[0])] {
             for line in 0..=lines {
                 for stretch in 0..stretches {
@@ -56,10 +58,11 @@ fn faces(random: &mut Random) -> Vec<Face> {
                         if outer {
                             faces.push(Face { corner: at.into(), a: along * ROOM, b: up });
                         } else {
-                            faces.push(Face { corner: at.into(), a: along * 1.5, b: up });
-                            faces.push(Face { corner: (at + along * 2.5).into(), a: along * 1.5, b: up });
-                            let lintel = at + along * 1.5 + z * 2.1;
-                            faces.push(Face { corner: lintel.into(), a: along, b: z * (STOREY[1] - 2.1) });
+                            let jamb = (ROOM - DOOR) / 2.0;
+                            faces.push(Face { corner: at.into(), a: along * jamb, b: up });
+                            faces.push(Face { corner: (at + along * (jamb + DOOR)).into(), a: along * jamb, b: up });
+                            let lintel = at + along * jamb + z * 2.1;
+                            faces.push(Face { corner: lintel.into(), a: along * DOOR, b: z * (STOREY[1] - 2.1) });
                         }
                     }
                 }
@@ -73,12 +76,12 @@ fn faces(random: &mut Random) -> Vec<Face> {
     faces
 }
 
-/// A table, four stools, a shelf and a pillar of eight sides.
+/// A table, two stools, a shelf and a pillar of eight sides.
 fn furnish(faces: &mut Vec<Face>, room: Vector3<f64>, random: &mut Random) {
     let mut place =
         |margin: f64| Vector3::new(random.between(margin, ROOM - margin), random.between(margin, ROOM - margin), 0.0);
     block(faces, room + place(0.9) + Vector3::z() * 0.70, Vector3::new(1.4, 0.8, 0.05));
-    for _ in 0..4 {
+    for _ in 0..2 {
         block(faces, room + place(0.4), Vector3::new(0.4, 0.4, 0.45));
     }
     block(faces, room + Vector3::new(0.2, 0.1, 0.0), Vector3::new(1.2, 0.35, 2.0));

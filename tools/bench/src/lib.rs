@@ -1,8 +1,9 @@
-//! Scenes and workloads that the benchmarks share.
+//! Scenes and workloads that the benchmarks share, and the stability report.
 
 pub mod building;
 pub mod pawns;
 pub mod random;
+pub mod stability;
 pub mod voxels;
 
 pub use random::Random;

@@ -14,12 +14,13 @@ pub fn pawn(feet: Point3<f64>) -> Aabb {
     Aabb::standing(feet, Vector3::from(PAWN)).expect("finite")
 }
 
-/// Anywhere in the building.
+/// Anywhere in the rooms: feet from 2 cm above a floor to where the head is 2 cm below the ceiling.
 pub fn random(count: usize, seed: u64) -> Vec<Aabb> {
     let mut random = Random(seed);
     let mut anywhere = || {
-        let at = |random: &mut Random, axis: usize, top: f64| random.between(0.3, SIZE[axis] - top);
-        pawn(Point3::new(at(&mut random, 0, 0.3), at(&mut random, 1, 0.3), at(&mut random, 2, 1.8)))
+        let (x, y) = (random.between(0.5, SIZE[0] - 0.5), random.between(0.5, SIZE[1] - 0.5));
+        let storey = f64::from(u8::from(random.bits() & 1 == 1)) * STOREY[0];
+        pawn(Point3::new(x, y, storey + random.between(0.04, STOREY[1] - PAWN[2])))
     };
     (0..count).map(|_| anywhere()).collect()
 }
@@ -27,7 +28,7 @@ pub fn random(count: usize, seed: u64) -> Vec<Aabb> {
 /// Steps of 2.3 cm (1.4 m/s at 60 Hz), feet 3 cm above the floor; turns where an obstacle is in the way.
 pub fn walk<S: PageSet>(set: &S, count: usize, seed: u64) -> Vec<Aabb> {
     let mut random = Random(seed);
-    let mut feet = Point3::new(2.0, 2.0, 0.05);
+    let mut feet = Point3::new(3.0, 2.0, 0.05);
     let mut heading = 0.3f64;
     let mut steps = Vec::with_capacity(count);
     while steps.len() < count {
@@ -38,10 +39,11 @@ pub fn walk<S: PageSet>(set: &S, count: usize, seed: u64) -> Vec<Aabb> {
         let inside = (0..2).all(|axis| (0.4..SIZE[axis] - 0.4).contains(&next[axis]));
         if found.hit || !inside {
             heading = random.between(0.0, std::f64::consts::TAU);
-            if steps.len() % 5000 > 4900 {
+            if steps.len() % 4000 > 3900 {
                 // Out of a corner, and now and then to the other storey.
                 let storey = f64::from(u8::from(random.bits() & 1 == 1)) * STOREY[0];
-                feet = Point3::new(random.between(0.5, 23.5), random.between(0.5, 15.5), storey + 0.05);
+                feet =
+                    Point3::new(random.between(0.5, SIZE[0] - 0.5), random.between(0.5, SIZE[1] - 0.5), storey + 0.05);
             }
         } else {
             feet = next;

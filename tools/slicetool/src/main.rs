@@ -9,6 +9,7 @@ mod query;
 mod show;
 mod stats;
 mod verify;
+mod walk;
 
 use clap::{Parser, Subcommand};
 use std::io::Write;
@@ -82,6 +83,8 @@ enum Command {
     },
     /// Answer boxes or rays from a CSV file
     Query(query::Arguments),
+    /// Walk a pawn along waypoints and write its path
+    Walk(walk::Arguments),
     /// Generate a scan, convert it, verify, query against brute force, draw slices
     Demo(demo::Arguments),
 }
@@ -95,6 +98,7 @@ fn main() -> ExitCode {
         Command::Diff { a, b, json } => diff::run(&a, &b, json),
         Command::Export { archive, output } => export::run(&archive, &output),
         Command::Query(arguments) => query::run(&arguments),
+        Command::Walk(arguments) => walk::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
     };
     let (text, code) = match outcome {

@@ -1,0 +1,231 @@
+//! How far matter is from a shape, and the shortest way out of it.
+
+use super::disc::SLACK;
+use super::grid::Rect;
+use super::missing::{Answer, Missing, note};
+use super::sweep_descent::{Area, Cell, Visit, descend};
+use super::sweep_solid::{Form, Moving, Resting, Solid, norm};
+use crate::frame::{Frame, PageKey, floor_index};
+use crate::store::PageSet;
+use nalgebra::Vector3;
+
+/// Distance from `shape` to the nearest matter, if that is at most `max` (m, >= 0); 0 if the shape touches matter, `None` if
+/// there is none so near. Not loaded if a page that is not in memory could hold nearer matter.
+///
+/// Exact but for rounding errors (2⁻⁴⁸ of the coordinates). A NaN finds nothing. Cost: as
+/// [`overlaps`](super::overlaps) of the shape grown by the distance found; name no larger `max` than needed.
+pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<f64>> {
+    if max.is_nan() || max < 0.0 {
+        return Answer::Known(None);
+    }
+    let frame = set.frame();
+    let rest = shape.resting(frame);
+    let mut search = Nearest { rest, metres: metres(frame), best: max, found: false, missing: None };
+    let area = around(frame, &rest, max);
+    descend(set, &area, &mut search);
+    if search.missing.is_some() && search.found {
+        search.missing = None;
+        descend(set, &area, &mut search);
+    }
+    Answer::new(search.found.then_some(search.best), search.missing)
+}
+
+/// [`clearance`] for each of `shapes`, in order, into `answers`.
+///
+/// # Panics
+/// If `answers` is shorter than `shapes`.
+pub fn clearance_batch<S: PageSet, H: Solid>(set: &S, shapes: &[H], max: f64, answers: &mut [Answer<Option<f64>>]) {
+    assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
+    for (shape, answer) in shapes.iter().zip(answers) {
+        *answer = clearance(set, shape, max);
+    }
+}
+
+/// The shortest push along one axis that brings `shape` out of all matter (m): zero if it is in none, `None` if that needs
+/// more than `max` (m, >= 0) along every axis. Of equal pushes up is taken before +x, -x, +y, -y, down.
+///
+/// Exact: the shape pushed so far touches matter at most, and no shorter push along an axis does so. Not loaded if a page that
+/// is not in memory could be in the way. Cost: up to 6 × the number of gaps passed × an overlap.
+pub fn depenetrate<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<Vector3<f64>>> {
+    if max.is_nan() || max < 0.0 {
+        return Answer::Known(None);
+    }
+    let frame = set.frame();
+    let rest = shape.resting(frame);
+    let mut best: Option<Vector3<f64>> = None;
+    for (axis, sign) in [(2, 1.0), (0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0), (2, -1.0)] {
+        let limit = best.map_or(max, |push| push.norm());
+        match push(set, rest, axis, sign, limit) {
+            Answer::Known(Some(distance)) if best.is_none() || distance < limit => {
+                let mut out = Vector3::zeros();
+                out[axis] = sign * distance;
+                best = Some(out);
+                if distance == 0.0 {
+                    break;
+                }
+            }
+            Answer::Known(_) => {}
+            Answer::NotLoaded(missing) => return Answer::NotLoaded(missing),
+        }
+    }
+    Answer::Known(best)
+}
+
+/// [`depenetrate`] for each of `shapes`, in order, into `answers`.
+///
+/// # Panics
+/// If `answers` is shorter than `shapes`.
+pub fn depenetrate_batch<S: PageSet, H: Solid>(
+    set: &S,
+    shapes: &[H],
+    max: f64,
+    answers: &mut [Answer<Option<Vector3<f64>>>],
+) {
+    assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
+    for (shape, answer) in shapes.iter().zip(answers) {
+        *answer = depenetrate(set, shape, max);
+    }
+}
+
+/// Metres per grid unit.
+fn metres(frame: &Frame) -> [f64; 3] {
+    [frame.pixel_m(), frame.pixel_m(), frame.quantum_m()]
+}
+
+/// What lies within `reach` metres of a shape.
+fn around(frame: &Frame, rest: &Resting, reach: f64) -> Area {
+    let unit = metres(frame);
+    let low = |a: usize| (rest.lo[a] - reach / unit[a]) * (1.0 + SLACK) - 1.0;
+    let low = |a: usize| low(a).min(rest.lo[a] - reach / unit[a] - 1.0);
+    let high =
+        |a: usize| (rest.hi[a] + reach / unit[a] + 1.0).max((rest.hi[a] + reach / unit[a]) * (1.0 + SLACK) + 1.0);
+    Area {
+        rect: Rect {
+            i0: floor_index(low(0)),
+            i1: floor_index(high(0)),
+            j0: floor_index(low(1)),
+            j1: floor_index(high(1)),
+        },
+        low: floor_index(low(2)),
+        high: floor_index(high(2)),
+        major: 0,
+        backward: [false; 3],
+    }
+}
+
+struct Nearest {
+    rest: Resting,
+    metres: [f64; 3],
+    /// Distance of the nearest matter so far, at first how far to look (m).
+    best: f64,
+    found: bool,
+    missing: Option<Missing>,
+}
+
+impl Nearest {
+    /// Distance of the shape to a cell (m).
+    fn distance(&self, cell: &Cell) -> f64 {
+        let Resting { lo, hi, form } = self.rest;
+        let gap = |a: usize, lo: f64, hi: f64| (cell.lo[a] - hi).max(lo - cell.hi[a]).max(0.0) * self.metres[a];
+        let middle = |a: usize| {
+            let center = (lo[a] + hi[a]) * 0.5;
+            gap(a, center, center)
+        };
+        match form {
+            Form::Box => norm([gap(0, lo[0], hi[0]), gap(1, lo[1], hi[1]), gap(2, lo[2], hi[2])]),
+            Form::Cylinder { radius } => {
+                let across = (norm([middle(0), middle(1), 0.0]) - radius * self.metres[0]).max(0.0);
+                norm([across, 0.0, gap(2, lo[2], hi[2])])
+            }
+            Form::Sphere { radius, .. } => (norm([middle(0), middle(1), middle(2)]) - radius * self.metres[0]).max(0.0),
+        }
+    }
+}
+
+impl Visit for Nearest {
+    fn enter(&mut self, cell: &Cell) -> bool {
+        let distance = self.distance(cell);
+        distance < self.best || !self.found && distance <= self.best
+    }
+
+    fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
+        if self.enter(cell) {
+            self.best = self.distance(cell);
+            self.found = true;
+        }
+    }
+
+    fn missing(&mut self, key: PageKey) {
+        note(&mut self.missing, key);
+    }
+}
+
+/// How far a shape must go along `axis` until it meets no matter: the way out of all that it is in, again and again.
+fn push<S: PageSet>(set: &S, rest: Resting, axis: usize, sign: f64, max: f64) -> Answer<Option<f64>> {
+    let unit = metres(set.frame())[axis];
+    let mut gone = 0.0;
+    loop {
+        let mut at = rest;
+        at.lo[axis] += sign * gone;
+        at.hi[axis] += sign * gone;
+        let moving = Moving::new(set.frame(), at, Vector3::zeros());
+        let mut search = WayOut { moving, axis, sign, most: 0.0, missing: None };
+        descend(set, &moving.area(), &mut search);
+        if let Some(missing) = search.missing {
+            return Answer::NotLoaded(missing);
+        }
+        if search.most == 0.0 {
+            return Answer::Known(Some(gone * unit));
+        }
+        gone += search.most;
+        if gone * unit > max {
+            return Answer::Known(None);
+        }
+    }
+}
+
+struct WayOut {
+    moving: Moving,
+    axis: usize,
+    sign: f64,
+    /// Longest way out of a span so far (grid units).
+    most: f64,
+    missing: Option<Missing>,
+}
+
+impl WayOut {
+    /// Way along the axis out of `cell` (grid units).
+    fn way(&self, cell: &Cell) -> f64 {
+        let Resting { lo, hi, form } = self.moving.rest;
+        let middle = |a: usize| (lo[a] + hi[a]) * 0.5;
+        let gap = |a: usize, scale: f64| (cell.lo[a] - middle(a)).max(middle(a) - cell.hi[a]).max(0.0) * scale;
+        let axis = self.axis;
+        let chord = |radius: f64, squares: f64| (radius * radius - squares).max(0.0).sqrt();
+        let square = |v: f64| v * v;
+        let half = match form {
+            Form::Cylinder { radius } if axis < 2 => chord(radius, square(gap(1 - axis, 1.0))),
+            Form::Sphere { radius, scale } if axis < 2 => {
+                chord(radius, square(gap(1 - axis, 1.0)) + square(gap(2, scale)))
+            }
+            Form::Sphere { radius, scale } => chord(radius, square(gap(0, 1.0)) + square(gap(1, 1.0))) / scale,
+            _ => (hi[axis] - lo[axis]) * 0.5,
+        };
+        if self.sign > 0.0 { cell.hi[axis] - (middle(axis) - half) } else { middle(axis) + half - cell.lo[axis] }
+    }
+}
+
+impl Visit for WayOut {
+    fn enter(&mut self, cell: &Cell) -> bool {
+        self.moving.meeting(cell).is_some()
+    }
+
+    fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
+        if self.moving.contact(cell, 1.0).is_some() {
+            self.most = self.most.max(self.way(cell));
+        }
+    }
+
+    fn missing(&mut self, key: PageKey) {
+        note(&mut self.missing, key);
+    }
+}

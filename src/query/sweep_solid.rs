@@ -1,0 +1,373 @@
+//! Shapes in motion, on the grid: when they meet a box.
+//!
+//! Units are pixels, pixels and quanta; times are fractions of the motion. The interior of the shape must enter the
+//! interior of the box: to touch is not to meet. Faces count as touching while they overlap by no more than `2·slack`, a
+//! margin of rounding errors, so that a shape moved by `fraction · motion` to a contact touches there and can go on.
+//! For each axis the times at which the shape's bounding box enters and leaves a box are monotone functions of the box's
+//! faces. So the same function that judges spans prunes blocks and pages, exactly.
+
+use super::disc::SLACK;
+use super::grid::Rect;
+use super::sweep_descent::{Area, Cell};
+use super::{Aabb, Cylinder, Sphere};
+use crate::frame::{Frame, floor_index};
+use nalgebra::{Point3, Vector3};
+
+/// A shape that can be swept: [`Aabb`], [`Cylinder`], [`Sphere`].
+pub trait Solid: super::Shape + sealed::OnSolid {}
+
+impl<T: super::Shape + sealed::OnSolid> Solid for T {}
+
+pub(super) mod sealed {
+    use super::Resting;
+    use crate::frame::Frame;
+
+    /// A shape with its exact form on a grid.
+    pub trait OnSolid: Copy {
+        fn resting(&self, frame: &Frame) -> Resting;
+    }
+}
+
+/// What a shape is inside its bounding box. Radii in pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Form {
+    /// The box itself.
+    Box,
+    /// Round in x and y.
+    Cylinder { radius: f64 },
+    /// Round; one quantum is `scale` pixels high.
+    Sphere { radius: f64, scale: f64 },
+}
+
+/// A shape on the grid: its bounding box and its form.
+#[derive(Debug, Clone, Copy)]
+pub struct Resting {
+    pub lo: [f64; 3],
+    pub hi: [f64; 3],
+    pub form: Form,
+}
+
+fn grid(frame: &Frame, p: Point3<f64>) -> [f64; 3] {
+    [frame.pixels(p.x), frame.pixels(p.y), frame.quanta(p.z)]
+}
+
+impl sealed::OnSolid for Aabb {
+    #[inline]
+    fn resting(&self, frame: &Frame) -> Resting {
+        Resting { lo: grid(frame, self.min()), hi: grid(frame, self.max()), form: Form::Box }
+    }
+}
+
+impl sealed::OnSolid for Cylinder {
+    #[inline]
+    fn resting(&self, frame: &Frame) -> Resting {
+        let r = Vector3::new(self.radius(), self.radius(), 0.0);
+        let top = self.feet() + Vector3::new(0.0, 0.0, self.height());
+        let form = Form::Cylinder { radius: frame.pixels(self.radius()) };
+        Resting { lo: grid(frame, self.feet() - r), hi: grid(frame, top + r), form }
+    }
+}
+
+impl sealed::OnSolid for Sphere {
+    #[inline]
+    fn resting(&self, frame: &Frame) -> Resting {
+        let r = Vector3::repeat(self.radius());
+        let form = Form::Sphere { radius: frame.pixels(self.radius()), scale: frame.quantum_m() / frame.pixel_m() };
+        Resting { lo: grid(frame, self.center() - r), hi: grid(frame, self.center() + r), form }
+    }
+}
+
+/// Times between which a shape's interior meets a box's; none unless `enter < leave`. `enter` is -∞ if it does at 0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Meeting {
+    pub enter: f64,
+    pub leave: f64,
+}
+
+impl Meeting {
+    const ALWAYS: Self = Self { enter: f64::NEG_INFINITY, leave: f64::INFINITY };
+    const NEVER: Self = Self { enter: f64::INFINITY, leave: f64::NEG_INFINITY };
+
+    #[inline]
+    fn and(self, other: Self) -> Self {
+        Self { enter: self.enter.max(other.enter), leave: self.leave.min(other.leave) }
+    }
+
+    #[inline]
+    pub fn is_some(self) -> bool {
+        self.enter < self.leave
+    }
+}
+
+/// The first contact with a box.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Contact {
+    /// Fraction of the motion, 0..=1; -1 if the shape begins inside.
+    pub at: f64,
+    /// Outward normal, of length 1; zero if the shape begins inside.
+    pub normal: [f64; 3],
+}
+
+impl Contact {
+    const INSIDE: Self = Self { at: -1.0, normal: [0.0; 3] };
+}
+
+/// A shape that moves by `v`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Moving {
+    pub rest: Resting,
+    pub v: [f64; 3],
+    inverse: [f64; 3],
+    /// Rounding errors of a coordinate.
+    pub slack: [f64; 3],
+}
+
+impl Moving {
+    #[inline]
+    pub fn new(frame: &Frame, rest: Resting, motion: Vector3<f64>) -> Self {
+        let v = [frame.pixels(motion.x), frame.pixels(motion.y), frame.quanta(motion.z)];
+        let slack = std::array::from_fn(|a| (rest.lo[a].abs().max(rest.hi[a].abs()) + v[a].abs()) * SLACK);
+        Self { rest, v, inverse: v.map(|v| 1.0 / v), slack }
+    }
+
+    /// Everything that the bounding box can meet.
+    #[inline]
+    pub fn area(&self) -> Area {
+        let (lo, hi) = (self.rest.lo, self.rest.hi);
+        let low = |a: usize| lo[a] + self.v[a].min(0.0);
+        let high = |a: usize| hi[a] + self.v[a].max(0.0);
+        // Pixels and heights that the box only touches are left out: `axis` says the same of them.
+        let pixels = |a: usize| (floor_index(low(a) + self.slack[a]), -floor_index(self.slack[a] - high(a)) - 1);
+        let ((i0, i1), (j0, j1)) = (pixels(0), pixels(1));
+        let (bottom, top) = (floor_index(low(2) + self.slack[2]), -floor_index(self.slack[2] - high(2)));
+        let (bottom, top) = (bottom.saturating_add(1), top.saturating_sub(1));
+        Area {
+            // A box of no width lies in one pixel or on the edge of two; one of no height likewise.
+            rect: Rect { i0: i0.min(i1), i1: i1.max(i0), j0: j0.min(j1), j1: j1.max(j0) },
+            low: bottom.min(top),
+            high: top.max(bottom),
+            major: usize::from(self.v[1].abs() > self.v[0].abs()),
+            backward: self.v.map(|v| v < 0.0),
+        }
+    }
+
+    /// When the bounding box meets `lo..hi` along `axis`.
+    #[inline]
+    fn axis(&self, axis: usize, lo: f64, hi: f64) -> Meeting {
+        let (v, slack) = (self.v[axis], self.slack[axis]);
+        // Distance that its faces have to go until they touch the far ones of the other box.
+        let (below, above) = (lo - self.rest.hi[axis], hi - self.rest.lo[axis]);
+        if v == 0.0 {
+            return if below < -2.0 * slack && above > 2.0 * slack { Meeting::ALWAYS } else { Meeting::NEVER };
+        }
+        let (near, far) = if v > 0.0 { (below, above) } else { (-above, -below) };
+        let scale = self.inverse[axis].abs();
+        let enter = if near < -2.0 * slack {
+            f64::NEG_INFINITY
+        } else if near < v.abs() - slack {
+            // Not `max`: the reciprocal of a tiny motion is infinite.
+            if near > 0.0 { near * scale } else { 0.0 }
+        } else {
+            f64::INFINITY
+        };
+        // Later than `enter` even for a shape and a box without thickness.
+        let leave = if far > 2.0 * slack { (far + slack) * scale } else { f64::NEG_INFINITY };
+        Meeting { enter, leave }
+    }
+
+    /// When the bounding box meets `cell`.
+    #[inline]
+    pub fn meeting(&self, cell: &Cell) -> Meeting {
+        let of = |a: usize| self.axis(a, cell.lo[a], cell.hi[a]);
+        of(0).and(of(1)).and(of(2))
+    }
+
+    /// Extent of the bounding box along the other axis while it meets `lo..hi` along `axis`.
+    #[inline]
+    pub fn across(&self, axis: usize, lo: f64, hi: f64) -> (f64, f64) {
+        let other = 1 - axis;
+        let Meeting { enter, leave } = self.axis(axis, lo, hi);
+        let (t0, t1) = (enter.clamp(0.0, 1.0) * self.v[other], leave.clamp(0.0, 1.0) * self.v[other]);
+        // A pixel more for rounding.
+        (self.rest.lo[other] + t0.min(t1) - 1.0, self.rest.hi[other] + t0.max(t1) + 1.0)
+    }
+
+    /// The first contact with `cell`, within the motion and not after `until`.
+    #[inline]
+    pub fn contact(&self, cell: &Cell, until: f64) -> Option<Contact> {
+        let meetings: [Meeting; 3] = std::array::from_fn(|a| self.axis(a, cell.lo[a], cell.hi[a]));
+        let hull = meetings[0].and(meetings[1]).and(meetings[2]);
+        if !hull.is_some() || hull.enter > until {
+            return None;
+        }
+        self.form_contact(cell, &meetings, hull)
+    }
+
+    #[inline]
+    fn form_contact(&self, cell: &Cell, meetings: &[Meeting; 3], hull: Meeting) -> Option<Contact> {
+        match self.rest.form {
+            Form::Box if hull.enter < 0.0 => Some(Contact::INSIDE),
+            Form::Box => {
+                // A box that comes down on an edge lands.
+                let axis = [2, 0, 1].into_iter().max_by(|&a, &b| {
+                    let by_time = meetings[a].enter.total_cmp(&meetings[b].enter);
+                    by_time.then((a != 2).cmp(&(b != 2)).reverse()).then(b.cmp(&a))
+                });
+                Some(Contact { at: hull.enter, normal: self.face(axis.unwrap_or(2)) })
+            }
+            Form::Cylinder { radius } => {
+                let round = Round::new(self, cell, [1.0, 1.0, 0.0], 2);
+                if self.v[0] == 0.0 && self.v[1] == 0.0 {
+                    let over = norm(round.away(0.0)) < radius - 2.0 * round.slack;
+                    let first = Contact { at: hull.enter, normal: self.face(2) };
+                    return over.then_some(if hull.enter < 0.0 { Contact::INSIDE } else { first });
+                }
+                let contact = round.contact(radius, meetings[2])?;
+                Some(
+                    if contact.at >= 0.0 && meetings[2].enter >= contact.at && meetings[2].enter > round.enter(radius) {
+                        Contact { at: meetings[2].enter, normal: self.face(2) }
+                    } else {
+                        contact
+                    },
+                )
+            }
+            Form::Sphere { radius, scale } => {
+                Round::new(self, cell, [1.0, 1.0, scale], 3).contact(radius, Meeting::ALWAYS)
+            }
+        }
+    }
+
+    /// Normal of the face that is hit along `axis`.
+    #[inline]
+    fn face(&self, axis: usize) -> [f64; 3] {
+        let mut normal = [0.0; 3];
+        normal[axis] = -self.v[axis].signum();
+        normal
+    }
+}
+
+/// The centre of a round shape against a box, in units that are equal along all axes.
+struct Round {
+    /// Centre, motion, box.
+    p: [f64; 3],
+    v: [f64; 3],
+    lo: [f64; 3],
+    hi: [f64; 3],
+    axes: usize,
+    slack: f64,
+}
+
+impl Round {
+    /// `axes` (2 or 3) of them count; the others are scaled by 0.
+    fn new(moving: &Moving, cell: &Cell, scale: [f64; 3], axes: usize) -> Self {
+        let rest = &moving.rest;
+        // Relative to the box, so that no digits are lost to large coordinates.
+        let p = std::array::from_fn(|a| ((rest.lo[a] - cell.lo[a]) + (rest.hi[a] - cell.lo[a])) * 0.5 * scale[a]);
+        let slack = (0..axes).map(|a| moving.slack[a] * scale[a]).fold(0.0, f64::max);
+        Self {
+            p,
+            v: std::array::from_fn(|a| moving.v[a] * scale[a]),
+            lo: [0.0; 3],
+            hi: std::array::from_fn(|a| (cell.hi[a] - cell.lo[a]) * scale[a]),
+            axes,
+            slack,
+        }
+    }
+
+    /// From the nearest point of the box to the centre at time `t`.
+    fn away(&self, t: f64) -> [f64; 3] {
+        std::array::from_fn(|a| {
+            let p = self.p[a] + t * self.v[a];
+            if a < self.axes { p - p.clamp(self.lo[a], self.hi[a]) } else { 0.0 }
+        })
+    }
+
+    /// When the centre is nearer than `radius` to the box: a box with rounded edges, the union of what is near to its
+    /// corners, edges and faces and the box itself. It is convex, so the union of the times is an interval.
+    fn within(&self, radius: f64) -> Meeting {
+        let mut all = Meeting::NEVER;
+        for part in 0..3usize.pow(self.axes as u32) {
+            let (mut meeting, mut quadratic) = (Meeting::ALWAYS, [0.0, 0.0, -radius * radius]);
+            let mut rest = part;
+            for a in 0..self.axes {
+                let (p, v) = (self.p[a], self.v[a]);
+                match rest % 3 {
+                    0 if v == 0.0 && (p <= self.lo[a] || p >= self.hi[a]) => meeting = Meeting::NEVER,
+                    0 if v == 0.0 => {}
+                    0 => {
+                        let (s, t) = ((self.lo[a] - p) / v, (self.hi[a] - p) / v);
+                        meeting = meeting.and(Meeting { enter: s.min(t), leave: s.max(t) });
+                    }
+                    side => {
+                        let from = p - if side == 1 { self.lo[a] } else { self.hi[a] };
+                        quadratic[0] += v * v;
+                        quadratic[1] += v * from;
+                        quadratic[2] += from * from;
+                    }
+                }
+                rest /= 3;
+            }
+            if part > 0 {
+                meeting = meeting.and(below_zero(quadratic));
+            }
+            if meeting.is_some() {
+                all = Meeting { enter: all.enter.min(meeting.enter), leave: all.leave.max(meeting.leave) };
+            }
+        }
+        all
+    }
+
+    fn enter(&self, radius: f64) -> f64 {
+        self.within(radius).enter
+    }
+
+    /// The first contact while `also`.
+    fn contact(&self, radius: f64, also: Meeting) -> Option<Contact> {
+        let begin = self.away(0.0);
+        let distance = norm(begin);
+        if distance < radius - 2.0 * self.slack && also.enter < 0.0 {
+            return Some(Contact::INSIDE);
+        }
+        if distance < radius - self.slack {
+            // Touching, within rounding errors: only coming nearer counts.
+            let nearer = (0..3).map(|a| begin[a] * self.v[a]).sum::<f64>() < 0.0;
+            if also.enter < 0.0 && !nearer {
+                return None;
+            }
+        }
+        let reached = self.within((radius - self.slack).max(0.0)).and(also);
+        if !(reached.is_some() && reached.enter <= 1.0 && reached.leave > 0.0) {
+            return None;
+        }
+        let at = self.enter(radius).max(also.enter).clamp(0.0, 1.0);
+        let normal = self.away(at);
+        let length = norm(normal);
+        // The centre inside the box: only a shape without extent gets there first.
+        let normal = if length > 0.0 { normal.map(|v| v / length) } else { unit_against(self.v) };
+        Some(Contact { at, normal })
+    }
+}
+
+/// Where `a·t² + 2·b·t + c < 0`.
+fn below_zero([a, b, c]: [f64; 3]) -> Meeting {
+    if a == 0.0 {
+        return if c < 0.0 { Meeting::ALWAYS } else { Meeting::NEVER };
+    }
+    let root = b * b - a * c;
+    if root <= 0.0 {
+        return Meeting::NEVER;
+    }
+    // The root without cancellation first.
+    let q = -(b + root.sqrt().copysign(b));
+    let (s, t) = (q / a, if q == 0.0 { 0.0 } else { c / q });
+    Meeting { enter: s.min(t), leave: s.max(t) }
+}
+
+pub(super) fn norm(v: [f64; 3]) -> f64 {
+    (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt()
+}
+
+fn unit_against(v: [f64; 3]) -> [f64; 3] {
+    let length = norm(v);
+    v.map(|v| if length > 0.0 { -v / length } else { 0.0 })
+}

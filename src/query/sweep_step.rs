@@ -1,0 +1,110 @@
+//! Tops under a footprint: how high a step is, and the floor as the thesis takes it.
+
+use super::missing::{Answer, Missing, note};
+use super::sweep_descent::{Area, Cell, Visit, descend};
+use super::sweep_solid::{Moving, Solid};
+use crate::frame::PageKey;
+use crate::store::PageSet;
+use nalgebra::Vector3;
+
+/// World height (m) of the highest top of matter of either kind under `shape`, looked for from height `from` (m) down to
+/// `from - depth` (m, >= 0, finite); `None` if there is none. Matter that goes on above `from` has no top there.
+///
+/// As for [`sweep`](super::sweep()), pixels count whose interior the shape's footprint meets; its own heights do not matter. Matter that ends
+/// with its page and goes on in the next counts as if it ended there. Cost: as [`floor_under`](super::floor_under). A NaN
+/// finds nothing.
+pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
+    let Some((area, moving)) = window(set, shape, from, depth) else { return Answer::Known(None) };
+    let mut search = Highest { moving, limit: area.high, best: area.low - 1, found: false, missing: None };
+    descend(set, &area, &mut search);
+    if search.missing.is_some() && search.found {
+        search.missing = None;
+        descend(set, &area, &mut search);
+    }
+    Answer::new(search.found.then(|| set.frame().top_height(search.best)), search.missing)
+}
+
+/// Mean world height (m) of the tops of floor under `shape`, looked for from height `from` (m) down to `from - depth` (m, >= 0, finite);
+/// `None` if there is none. The average over "the points on the base of the bounding box" of the thesis, section 3.2.2.
+///
+/// Pixels and cost are those of [`top_under`].
+pub fn mean_floor_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
+    let Some((area, moving)) = window(set, shape, from, depth) else { return Answer::Known(None) };
+    let mut search = Mean { moving, low: area.low, high: area.high, sum: 0.0, count: 0, missing: None };
+    descend(set, &area, &mut search);
+    let mean = (search.count > 0).then(|| search.sum / f64::from(search.count) * set.frame().quantum_m());
+    Answer::new(mean, search.missing)
+}
+
+/// Where tops are looked for.
+fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Option<(Area, Moving)> {
+    if !from.is_finite() || !depth.is_finite() || depth < 0.0 {
+        return None;
+    }
+    let frame = set.frame();
+    let mut rest = shape.resting(frame);
+    (rest.lo[2], rest.hi[2]) = (frame.quanta(from - depth), frame.quanta(from));
+    let moving = Moving::new(frame, rest, Vector3::zeros());
+    let area = Area { low: frame.quantum_ceil(from - depth), high: frame.quantum_floor(from), ..moving.area() };
+    (area.low <= area.high).then_some((area, moving))
+}
+
+/// Whether the footprint meets a cell.
+fn over(moving: &Moving, cell: &Cell) -> bool {
+    // As if the cell were as high as the window is, and a little more: then only x and y decide.
+    let mut upright = *cell;
+    (upright.lo[2], upright.hi[2]) = (moving.rest.lo[2] - 1.0, moving.rest.hi[2] + 1.0);
+    moving.contact(&upright, f64::INFINITY).is_some()
+}
+
+struct Highest {
+    moving: Moving,
+    limit: i64,
+    best: i64,
+    found: bool,
+    missing: Option<Missing>,
+}
+
+impl Visit for Highest {
+    fn enter(&mut self, cell: &Cell) -> bool {
+        cell.hi[2] > self.best as f64 && over(&self.moving, cell)
+    }
+
+    fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
+        if cell.hi[2] <= self.limit as f64 && self.enter(cell) {
+            self.best = cell.hi[2] as i64;
+            self.found = true;
+        }
+    }
+
+    fn missing(&mut self, key: PageKey) {
+        note(&mut self.missing, key);
+    }
+}
+
+struct Mean {
+    moving: Moving,
+    low: i64,
+    high: i64,
+    sum: f64,
+    count: u32,
+    missing: Option<Missing>,
+}
+
+impl Visit for Mean {
+    fn enter(&mut self, cell: &Cell) -> bool {
+        over(&self.moving, cell)
+    }
+
+    fn span(&mut self, cell: &Cell, obstacle: bool, _pixel: [i64; 2]) {
+        let inside = (self.low as f64..=self.high as f64).contains(&cell.hi[2]);
+        if !obstacle && inside && self.enter(cell) {
+            self.sum += cell.hi[2];
+            self.count += 1;
+        }
+    }
+
+    fn missing(&mut self, key: PageKey) {
+        note(&mut self.missing, key);
+    }
+}

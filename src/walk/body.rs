@@ -1,0 +1,136 @@
+//! The shape of a pawn.
+
+use crate::query::{
+    Aabb, Answer, Cylinder, SweepHit, depenetrate, floor_under, mean_floor_under, probe, sweep, top_under,
+};
+use crate::store::PageSet;
+use crate::{Error, Result};
+use nalgebra::{Point3, Vector2, Vector3};
+
+/// The shape of a pawn (m), standing on the middle of its bottom face.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Body {
+    /// A box along the axes.
+    Box {
+        /// Width along x (m, > 0).
+        x: f64,
+        /// Width along y (m, > 0).
+        y: f64,
+        /// Height (m, > 0).
+        height: f64,
+    },
+    /// An upright cylinder.
+    Cylinder {
+        /// Radius (m, > 0).
+        radius: f64,
+        /// Height (m, > 0).
+        height: f64,
+    },
+}
+
+/// A body from `lift` above its feet to its head.
+#[derive(Debug, Clone, Copy)]
+enum Part {
+    Box(Aabb),
+    Cylinder(Cylinder),
+}
+
+/// Calls a query with whichever shape a part is.
+macro_rules! ask {
+    ($part:expr, $shape:ident => $query:expr) => {
+        match $part {
+            Part::Box($shape) => $query,
+            Part::Cylinder($shape) => $query,
+        }
+    };
+}
+
+impl Body {
+    /// Height (m).
+    pub fn height(&self) -> f64 {
+        match *self {
+            Self::Box { height, .. } | Self::Cylinder { height, .. } => height,
+        }
+    }
+
+    /// Half of the width along x and y (m).
+    pub fn half(&self) -> Vector2<f64> {
+        match *self {
+            Self::Box { x, y, .. } => Vector2::new(x, y) / 2.0,
+            Self::Cylinder { radius, .. } => Vector2::repeat(radius),
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        let half = self.half();
+        let fits = |v: f64| v > 0.0 && v.is_finite();
+        if fits(half.x) && fits(half.y) && fits(self.height()) {
+            Ok(())
+        } else {
+            Err(Error::parameter("pawn", format!("{self:?} is no body")))
+        }
+    }
+
+    fn part(&self, feet: Point3<f64>, lift: f64) -> Part {
+        let feet = feet + Vector3::new(0.0, 0.0, lift);
+        // Checked when the pawn was made: sizes are positive, and it never moves by what is not finite.
+        match *self {
+            Self::Box { x, y, height } => {
+                Part::Box(Aabb::standing(feet, Vector3::new(x, y, height - lift)).expect("a finite box"))
+            }
+            Self::Cylinder { radius, height } => {
+                Part::Cylinder(Cylinder::new(feet, radius, height - lift).expect("a finite cylinder"))
+            }
+        }
+    }
+
+    pub(super) fn sweep<S: PageSet>(&self, set: &S, feet: Point3<f64>, by: Vector3<f64>) -> Answer<Option<SweepHit>> {
+        ask!(self.part(feet, 0.0), shape => sweep(set, &shape, by))
+    }
+
+    pub(super) fn top<S: PageSet>(&self, set: &S, feet: Point3<f64>, from: f64, depth: f64) -> Answer<Option<f64>> {
+        ask!(self.part(feet, 0.0), shape => top_under(set, &shape, from, depth))
+    }
+
+    pub(super) fn floor<S: PageSet>(&self, set: &S, feet: Point3<f64>, from: f64, depth: f64) -> Answer<Option<f64>> {
+        ask!(self.part(feet, 0.0), shape => floor_under(set, &shape, from, depth))
+    }
+
+    pub(super) fn mean_floor<S: PageSet>(
+        &self,
+        set: &S,
+        feet: Point3<f64>,
+        from: f64,
+        depth: f64,
+    ) -> Answer<Option<f64>> {
+        ask!(self.part(feet, 0.0), shape => mean_floor_under(set, &shape, from, depth))
+    }
+
+    /// The highest floor under the footprint and under what it covers on the way `ahead`.
+    pub(super) fn floor_ahead<S: PageSet>(
+        &self,
+        set: &S,
+        feet: Point3<f64>,
+        ahead: Vector2<f64>,
+        from: f64,
+        depth: f64,
+    ) -> Answer<Option<f64>> {
+        let half = self.half();
+        let (low, high) =
+            (feet.xy() - half + ahead.inf(&Vector2::zeros()), feet.xy() + half + ahead.sup(&Vector2::zeros()));
+        let shape = Aabb::new(Point3::new(low.x, low.y, feet.z), Point3::new(high.x, high.y, feet.z));
+        floor_under(set, &shape.expect("a finite box"), from, depth)
+    }
+
+    /// Whether an obstacle touches the body above `lift`.
+    pub(super) fn obstructed<S: PageSet>(&self, set: &S, feet: Point3<f64>, lift: f64) -> Answer<bool> {
+        match ask!(self.part(feet, lift), shape => probe(set, &shape)) {
+            Answer::Known(probe) => Answer::Known(probe.obstacle),
+            Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
+        }
+    }
+
+    pub(super) fn way_out<S: PageSet>(&self, set: &S, feet: Point3<f64>, max: f64) -> Answer<Option<Vector3<f64>>> {
+        ask!(self.part(feet, 0.0), shape => depenetrate(set, &shape, max))
+    }
+}

@@ -1,0 +1,8 @@
+//! Many pawns in one world.
+
+/// Placeholder.
+#[derive(Debug)]
+pub struct Crowd;
+/// Placeholder.
+#[derive(Debug)]
+pub struct CrowdReport;

@@ -1,0 +1,48 @@
+//! Routes: places to reach one after the other.
+
+use super::Wish;
+use crate::{Error, Result};
+use nalgebra::{Point2, Point3};
+
+/// A place counts as reached within this distance (m).
+const REACH_M: f64 = 0.01;
+
+/// Places to reach one after the other, in x and y (m).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Route {
+    places: Vec<Point2<f64>>,
+    next: usize,
+}
+
+impl Route {
+    /// The way over these places (m, finite). None at all is refused.
+    pub fn new(places: Vec<Point2<f64>>) -> Result<Self> {
+        if places.is_empty() || !places.iter().all(|place| place.iter().all(|v| v.is_finite())) {
+            return Err(Error::parameter("waypoints", "expected at least one place, all of them finite".to_owned()));
+        }
+        Ok(Self { places, next: 0 })
+    }
+
+    /// The places.
+    pub fn places(&self) -> &[Point2<f64>] {
+        &self.places
+    }
+
+    /// Number of the place to be reached next; the number of places at the end.
+    pub fn next(&self) -> usize {
+        self.next
+    }
+
+    /// Whether the last place has been reached.
+    pub fn done(&self) -> bool {
+        self.next == self.places.len()
+    }
+
+    /// The wish of a pawn at `feet`; `None` at the end.
+    pub(super) fn wish(&mut self, feet: Point3<f64>) -> Option<Wish> {
+        while self.places.get(self.next).is_some_and(|place| (place - feet.xy()).norm() <= REACH_M) {
+            self.next += 1;
+        }
+        self.places.get(self.next).map(|place| Wish::Toward(*place))
+    }
+}

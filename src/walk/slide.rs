@@ -1,0 +1,237 @@
+//! Walking by exact sweeps: forward, up a step, along a wall, down to the ground.
+
+use super::{Config, FLOOR_NEAR_M, Ground, Motion, Needs, Stop, known};
+use crate::query::SweepHit;
+use crate::store::PageSet;
+use nalgebra::{Point3, Vector2, Vector3};
+use std::ops::ControlFlow;
+
+/// Contacts that one stride follows.
+const CONTACTS: usize = 4;
+/// Longest stride (m): a step is judged by what is under the body at the end of the stride.
+const STRIDE_M: f64 = 0.25;
+/// How far beyond the body floor is looked for on top of a step (m): its edge is an obstacle, its tread comes behind.
+const AHEAD_M: f64 = 0.25;
+/// Ways shorter than this are none (m).
+const NOTHING_M: f64 = 1e-9;
+/// Heights closer than this are equal: rounding errors at 10⁷ m (m).
+const LEVEL_M: f64 = 1e-7;
+
+/// One tick: `way` across, then down.
+pub(super) fn tick<S: PageSet>(
+    config: &Config,
+    set: &S,
+    motion: &mut Motion,
+    way: Vector2<f64>,
+) -> Needs<Option<Stop>> {
+    let mut walk = Walk { config, set, motion, stop: None };
+    walk.get_out()?;
+    let strides = (way.norm() / STRIDE_M).ceil().max(1.0);
+    let mut falls = walk.motion.ground == Ground::Air;
+    for _ in 0..strides as u64 {
+        let before = walk.motion.feet;
+        walk.stride(way / strides)?;
+        if walk.motion.ground != Ground::Air {
+            walk.stand()?;
+            falls |= walk.motion.ground == Ground::Air;
+        }
+        if walk.motion.feet == before {
+            // Nor will the next stride get on.
+            break;
+        }
+    }
+    if falls {
+        walk.fall()?;
+    }
+    ControlFlow::Continue(walk.stop)
+}
+
+struct Walk<'a, S> {
+    config: &'a Config,
+    set: &'a S,
+    motion: &'a mut Motion,
+    stop: Option<Stop>,
+}
+
+impl<S: PageSet> Walk<'_, S> {
+    fn sweep(&self, feet: Point3<f64>, by: Vector3<f64>) -> Needs<Option<SweepHit>> {
+        known(self.config.body.sweep(self.set, feet, by))
+    }
+
+    /// Height up to which the pawn may step now.
+    fn limit(&self) -> f64 {
+        self.motion.floor_z.max(self.motion.feet.z - self.config.climb) + self.config.climb
+    }
+
+    /// Out of matter that the pawn was put into, or that has been loaded around it.
+    fn get_out(&mut self) -> Needs<()> {
+        let feet = self.motion.feet;
+        if self.sweep(feet, Vector3::zeros())?.is_some() {
+            self.stop = Some(Stop::Inside);
+            let max = self.config.climb.max(self.config.body.half().max());
+            if let Some(out) = known(self.config.body.way_out(self.set, feet, max))? {
+                self.motion.feet += out;
+            }
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// Across by `way`, over steps and along walls.
+    fn stride(&mut self, way: Vector2<f64>) -> Needs<()> {
+        let mut rest = way;
+        let mut wall: Option<Vector2<f64>> = None;
+        for _ in 0..CONTACTS {
+            if rest.norm() < NOTHING_M {
+                break;
+            }
+            let Some(hit) = self.sweep(self.motion.feet, rest.push(0.0))? else {
+                self.motion.feet += rest.push(0.0);
+                return ControlFlow::Continue(());
+            };
+            if hit.begins_inside() {
+                self.stop = Some(Stop::Inside);
+                return ControlFlow::Continue(());
+            }
+            self.motion.feet += (rest * hit.fraction).push(0.0);
+            rest *= 1.0 - hit.fraction;
+            if rest.norm() < NOTHING_M {
+                break;
+            }
+            let mut reason = Stop::Wall;
+            if self.motion.ground != Ground::Air {
+                match self.climb(rest, &hit)? {
+                    Step::Done(gone) => {
+                        rest *= 1.0 - gone;
+                        continue;
+                    }
+                    Step::Refused(why) => reason = why,
+                }
+            }
+            self.stop = Some(reason);
+            let normal = hit.normal.xy();
+            rest -= normal * rest.dot(&normal).min(0.0);
+            // Between two walls, or turned back: the corner is where it ends.
+            if rest.dot(&way) <= 0.0 || wall.is_some_and(|wall| rest.dot(&wall) < -NOTHING_M) {
+                if rest.norm() > NOTHING_M {
+                    self.stop = Some(Stop::Corner);
+                }
+                break;
+            }
+            wall = Some(normal);
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// Up, forward by `rest` and down, if what `hit` says to be in the way is a step with floor on it.
+    fn climb(&mut self, rest: Vector2<f64>, hit: &SweepHit) -> Needs<Step> {
+        let (feet, limit) = (self.motion.feet, self.limit());
+        if hit.heights[1] > limit + LEVEL_M {
+            return ControlFlow::Continue(Step::Refused(Stop::Wall));
+        }
+        // As high as anything to be stepped on; or just over what is in the way, for what is behind may be out of reach.
+        let end = feet + rest.push(0.0);
+        let highest = known(self.config.body.top(self.set, end, limit + LEVEL_M, limit - feet.z + LEVEL_M))?;
+        let mut refused = Stop::Wall;
+        let first = highest.map_or(hit.heights[1], |top| top.max(hit.heights[1]));
+        for top in [first, hit.heights[1]] {
+            match self.climb_to(top, rest, limit)? {
+                Step::Done(gone) => return ControlFlow::Continue(Step::Done(gone)),
+                Step::Refused(why) => refused = why,
+            }
+            if first == hit.heights[1] {
+                break;
+            }
+        }
+        ControlFlow::Continue(Step::Refused(refused))
+    }
+
+    fn climb_to(&mut self, top: f64, rest: Vector2<f64>, limit: f64) -> Needs<Step> {
+        let feet = self.motion.feet;
+        let lift = Vector3::new(0.0, 0.0, top - feet.z);
+        if self.sweep(feet, lift)?.is_some() {
+            return ControlFlow::Continue(Step::Refused(Stop::Headroom));
+        }
+        let raised = Point3::new(feet.x, feet.y, top);
+        let ahead = self.sweep(raised, rest.push(0.0))?;
+        let gone = ahead.map_or(1.0, |hit| hit.fraction);
+        if rest.norm() * gone < NOTHING_M {
+            // Too low a lintel, or more wall behind the step.
+            let over = ahead.is_some_and(|hit| hit.heights[0] > feet.z + LEVEL_M);
+            return ControlFlow::Continue(Step::Refused(if over { Stop::Headroom } else { Stop::Wall }));
+        }
+        let mut to = raised + (rest * gone).push(0.0);
+        // The fall back is at most the rise: what is lower is left to `stand`.
+        match self.sweep(to, -lift)? {
+            Some(hit) if hit.normal.z > 0.5 => to.z = hit.heights[1],
+            Some(_) => {}
+            None => to.z = feet.z,
+        }
+        if to.z > feet.z + LEVEL_M {
+            let ahead = rest.normalize() * AHEAD_M;
+            let low = to.z - FLOOR_NEAR_M;
+            let floor = self.config.body.floor_ahead(self.set, to, ahead, limit + LEVEL_M, limit + LEVEL_M - low);
+            if known(floor)?.is_none() {
+                return ControlFlow::Continue(Step::Refused(Stop::Steep));
+            }
+        }
+        self.motion.feet = to;
+        ControlFlow::Continue(Step::Done(gone))
+    }
+
+    /// Down to the ground, at most the climb height; else the fall begins.
+    fn stand(&mut self) -> Needs<()> {
+        let config = self.config;
+        let feet = self.motion.feet;
+        // A little more than the climb height: a step of just that height must be walked down as it is walked up.
+        let down = Vector3::new(0.0, 0.0, -(config.climb + LEVEL_M));
+        match self.sweep(feet, down)? {
+            Some(hit) if hit.begins_inside() => self.stop = Some(Stop::Inside),
+            Some(hit) => {
+                // The matter's own height, not a sum of ways: standing still is standing still, to the last bit.
+                self.motion.feet.z = hit.heights[1];
+                self.note_ground()?;
+            }
+            None => self.motion.ground = Ground::Air,
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// What the pawn stands on, and from where its next climb is measured.
+    fn note_ground(&mut self) -> Needs<()> {
+        let feet = self.motion.feet;
+        let near = known(self.config.body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M))?;
+        self.motion.ground = if near.is_some() { Ground::Floor } else { Ground::Obstacle };
+        let floor_z = self.motion.floor_z.min(feet.z);
+        self.motion.floor_z = near.map_or(floor_z, |near| near.max(floor_z));
+        self.motion.falling = 0.0;
+        ControlFlow::Continue(())
+    }
+
+    /// One tick of free fall, to the first matter.
+    fn fall(&mut self) -> Needs<()> {
+        let config = self.config;
+        let before = self.motion.falling;
+        let after = (before + config.gravity * config.tick_s).min(config.terminal);
+        let down = (before + after) * 0.5 * config.tick_s;
+        match self.sweep(self.motion.feet, Vector3::new(0.0, 0.0, -down))? {
+            Some(hit) if hit.begins_inside() => self.stop = Some(Stop::Inside),
+            Some(hit) => {
+                self.motion.feet.z = hit.heights[1];
+                self.motion.floor_z = self.motion.feet.z;
+                self.note_ground()?;
+            }
+            None => {
+                self.motion.feet.z -= down;
+                (self.motion.ground, self.motion.falling) = (Ground::Air, after);
+            }
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+/// What came of an attempt to climb.
+enum Step {
+    /// Up, and forward by this share of the way.
+    Done(f64),
+    Refused(Stop),
+}
