@@ -553,13 +553,13 @@ impl<'a> ColumnWorker<'a> {
     /// Works on a column of more records than memory holds. Where they make few voxels, one pass folds them piece by
     /// piece; else the column is cut into areas of few enough records, with one pass for each.
     ///
-    /// Cost: passes over the column's records, as many as it holds `max_records` (and some for the halos).
+    /// Cost: one to three passes over the column's records, then for each area its rows.
     fn dense_column(&mut self, merge: &Merge<'_>, job: &Job) -> Result<u64> {
         if let Some(dropped) = self.fold_piecemeal(merge, job, Area::TILE, self.max_records / 4)? {
             return Ok(dropped);
         }
         let mut counts = vec![0u64; PATCH_AREA];
-        self.stream(merge, job, |records| {
+        self.stream(merge, job, Area::TILE, |records| {
             records.iter().for_each(|record| counts[record.pixel()] += 1);
             true
         })?;
@@ -571,7 +571,7 @@ impl<'a> ColumnWorker<'a> {
                 let mut own = std::mem::take(&mut self.records);
                 own.clear();
                 own.reserve_exact(with_halo as usize);
-                self.stream(merge, job, |records| {
+                self.stream(merge, job, area, |records| {
                     own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
                     true
                 })?;
@@ -602,7 +602,7 @@ impl<'a> ColumnWorker<'a> {
         let mut folder = std::mem::take(&mut self.folder);
         let mut folded = Folded::new();
         let mut own = Vec::new();
-        let fits = self.stream(merge, job, |records| {
+        let fits = self.stream(merge, job, area, |records| {
             own.clear();
             own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
             fold_into(&mut folded, &own, &mut folder);
@@ -617,11 +617,18 @@ impl<'a> ColumnWorker<'a> {
         Ok(Some(dropped + self.judge_and_add(area)))
     }
 
-    /// All records of a column, piece by piece, until `take` has enough; whether it saw all.
-    fn stream(&self, merge: &Merge<'_>, job: &Job, mut take: impl FnMut(&[Record]) -> bool) -> Result<bool> {
+    /// The records of a column in `area` and its halo, and others, piece by piece, until `take` has enough; whether it
+    /// saw all.
+    fn stream(
+        &self,
+        merge: &Merge<'_>,
+        job: &Job,
+        area: Area,
+        mut take: impl FnMut(&[Record]) -> bool,
+    ) -> Result<bool> {
         let chunk = (self.max_records / 4).max(1 << 12) as usize;
         let mut all = true;
-        merge.stream(job, chunk, |records| {
+        merge.stream(job, (area.y.0, area.y.1 + 2), chunk, |records| {
             if self.monitor.cancelled() {
                 return Err(Error::Interrupted);
             }

@@ -6,9 +6,10 @@
 //! input, so neither shuffled points nor a huge extent turn the disk's work into single small reads.
 //!
 //! Memory: `retain_bytes` for runs kept, 20 bytes per record and 120 per tile column of each run under construction,
-//! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile column and run.
+//! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile
+//! column and run.
 
-use super::record::{BATCH, ColumnIndex, ColumnKey, Record, Recorder};
+use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_PIXELS, Record, Recorder};
 use crate::{Error, Result};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -24,6 +25,9 @@ pub const BUILD_BYTES: u64 = 20;
 /// as they grow, and in the order and the index made at the end. A run of scattered points is mostly this.
 const COLUMN_BYTES: usize = 120;
 const RECORD_BYTES: u64 = size_of::<Record>() as u64;
+/// Segments of a run with at least this many records are sorted by pixel too: a column of very many records is worked on
+/// in areas, and their rows can then be found without reading the whole column for each.
+const SORTED_RECORDS: u64 = 1 << 14;
 /// Read-ahead in the index of a run on disk, least and most.
 const INDEX_CHUNK_BYTES: (u64, u64) = (256, 4096);
 const COPY_BYTES: usize = 1 << 16;
@@ -140,6 +144,17 @@ impl RunBuilder {
             let place = &mut self.columns[number as usize].1;
             sorted[*place as usize] = record;
             *place += 1;
+        }
+        let mut rest = &mut sorted[..];
+        let mut start = 0;
+        for &(_, number) in &order {
+            // The place of the next record is now the end of the segment.
+            let end = self.columns[number as usize].1;
+            let (segment, others) = rest.split_at_mut((end - start) as usize);
+            if segment.len() as u64 >= SORTED_RECORDS {
+                segment.sort_unstable();
+            }
+            (rest, start) = (others, end);
         }
         self.records.clear();
         self.numbers.clear();
@@ -541,24 +556,47 @@ impl<'a> Merge<'a> {
         Ok(())
     }
 
-    /// Calls `take` with all records of a job's only column, at most `chunk` records at a time, in no particular order,
-    /// as long as it asks for more.
-    pub fn stream(&self, job: &Job, chunk: usize, mut take: impl FnMut(&[Record]) -> Result<bool>) -> Result<()> {
+    /// Calls `take` with the records of a job's only column whose pixels lie in the `rows` (first and end) of its patch,
+    /// and maybe others, at most `chunk` records at a time, in no particular order, as long as it asks for more.
+    pub fn stream(
+        &self,
+        job: &Job,
+        rows: (u32, u32),
+        chunk: usize,
+        mut take: impl FnMut(&[Record]) -> Result<bool>,
+    ) -> Result<()> {
         let mut buffer = Vec::new();
         for part in &job.parts {
-            let mut left: u64 = part.columns.iter().map(|column| u64::from(column.1)).sum();
-            let mut first = part.first_record;
-            while left > 0 {
-                buffer.resize(left.min(chunk as u64) as usize, Record(0));
-                self.store.read_records(&self.runs[part.run], first, &mut buffer)?;
+            let (mut first, mut end) = (0, part.columns.iter().map(|column| u64::from(column.1)).sum());
+            if end >= SORTED_RECORDS && part.columns.len() == 1 {
+                (first, end) = (self.row_begins(part, end, rows.0)?, self.row_begins(part, end, rows.1)?);
+            }
+            while first < end {
+                buffer.resize((end - first).min(chunk as u64) as usize, Record(0));
+                self.store.read_records(&self.runs[part.run], part.first_record + first, &mut buffer)?;
                 if !take(&buffer)? {
                     return Ok(());
                 }
                 first += buffer.len() as u64;
-                left -= buffer.len() as u64;
             }
         }
         Ok(())
+    }
+
+    /// Number of the first record of a sorted part of `records` that does not lie before `row`.
+    fn row_begins(&self, part: &Part, records: u64, row: u32) -> Result<u64> {
+        let (mut low, mut high) = (0, records);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let mut record = [Record(0)];
+            self.store.read_records(&self.runs[part.run], part.first_record + middle, &mut record)?;
+            if record[0].pixel() < row as usize * PATCH_PIXELS {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        Ok(low)
     }
 }
 
@@ -627,7 +665,7 @@ mod tests {
                     }
                     if job.columns.len() == 1 {
                         let of_column = streamed.entry(job.columns[0].0).or_default();
-                        merge.stream(&job, 100, |chunk| {
+                        merge.stream(&job, (0, 66), 100, |chunk| {
                             of_column.extend_from_slice(chunk);
                             Ok(true)
                         })?;
@@ -640,6 +678,54 @@ mod tests {
             if max_records == 1 {
                 assert_eq!(streamed, expected);
             }
+        }
+    }
+
+    #[test]
+    fn rows_of_a_dense_column_come_without_most_of_the_others() {
+        let recorder = Recorder::new(Frame::new(1.0, 3.0).unwrap());
+        let dir = tempfile::tempdir().unwrap();
+        let at = |number: usize, factor: usize| (number * factor % 64_000) as f64 / 1000.0;
+        let count = 3 * SORTED_RECORDS as usize;
+        let x: Vec<f64> = (0..count).map(|number| at(number, 7919)).collect();
+        let y: Vec<f64> = (0..count).map(|number| at(number, 104_729)).collect();
+        let z = vec![0.5; count];
+        for retain_bytes in [0, u64::MAX] {
+            let store = RunStore::new(retain_bytes, dir.path());
+            let mut builder = RunBuilder::new(recorder, 40 * SORTED_RECORDS);
+            builder.push(&x, &y, &z, &store).unwrap();
+            builder.flush(&store).unwrap();
+            let merge = Merge::new(&store);
+            let mut dense = 0;
+            merge
+                .jobs(1, 1, |job| {
+                    let gather = |rows: (u32, u32)| {
+                        let mut all = Vec::new();
+                        let take = |records: &[Record]| {
+                            all.extend_from_slice(records);
+                            Ok(true)
+                        };
+                        merge.stream(&job, rows, 1000, take).unwrap();
+                        all.sort_unstable();
+                        all
+                    };
+                    let all = gather((0, 66));
+                    assert_eq!(all.len() as u64, job.records);
+                    for rows in [(0, 3), (10, 13), (64, 66)] {
+                        let within =
+                            |record: &Record| (rows.0 as usize..rows.1 as usize).contains(&(record.pixel() / 66));
+                        let mut some = gather(rows);
+                        if job.records > 2 * SORTED_RECORDS {
+                            dense += 1;
+                            assert!(some.len() < all.len() / 2, "{} of {}", some.len(), all.len());
+                        }
+                        some.retain(within);
+                        assert_eq!(some, all.iter().copied().filter(within).collect::<Vec<_>>());
+                    }
+                    Ok(())
+                })
+                .unwrap();
+            assert_eq!(dense, 3, "the test needs one dense column");
         }
     }
 
