@@ -126,7 +126,7 @@ pub fn translation(_: Effort) -> Result<Outcome> {
             for method in Method::ALL {
                 cases.push((method as usize, method.name().into(), scan.judge(setting, method)?));
             }
-            let name = "thesis as written, 32-bit coordinates";
+            let name = "thesis as written in 32-bit floats";
             cases.push((4, name.into(), Judged::Written(Written::new(setting, single))));
             for (number_of, name, judged) in cases {
                 let own = verdicts(&judged, pixel_m, pixels, origin(&judged, z_offset))?;
