@@ -150,7 +150,7 @@ pub fn round(effort: Effort) -> Result<Outcome> {
             .into_iter()
             .zip(profiles)
             .enumerate()
-            .map(|(n, (b, l))| Line::new(b.name(), 3 - n, l))
+            .map(|(n, (b, l))| Line::new(b.name(), 4 + n, l))
             .collect(),
     });
     outcome.plots.push(Plot {
@@ -161,7 +161,7 @@ pub fn round(effort: Effort) -> Result<Outcome> {
         log_x: false,
         y_range: (0.0, 1.5),
         marks: vec![],
-        lines: Body::ALL.into_iter().zip(lines).enumerate().map(|(n, (b, l))| Line::new(b.name(), 3 - n, l)).collect(),
+        lines: Body::ALL.into_iter().zip(lines).enumerate().map(|(n, (b, l))| Line::new(b.name(), 4 + n, l)).collect(),
     });
     Ok(outcome)
 }
@@ -248,7 +248,7 @@ pub fn doors(effort: Effort) -> Result<Outcome> {
         let key = if body == Body::Box { "box" } else { "cylinder" };
         outcome.fact(format!("door-{key}-mean"), number(all.mean(), 2));
         outcome.fact(format!("door-{key}-worst"), number(all.quantile(1.0), 2));
-        lines.push(Line::new(body.name(), if body == Body::Box { 2 } else { 3 }, line));
+        lines.push(Line::new(body.name(), if body == Body::Box { 5 } else { 4 }, line));
     }
     outcome.tables.push(("doors", csv));
     outcome.plots.push(Plot {

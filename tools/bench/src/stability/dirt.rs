@@ -31,7 +31,7 @@ pub fn outliers(effort: Effort) -> Result<Outcome> {
         "surface points lost with 2",
         "with 3",
     ]);
-    let mut lines = [Vec::new(), Vec::new(), Vec::new()];
+    let mut lines = [const { Vec::new() }; 4];
     for &rate in rates {
         let spec = SampleSpec {
             outlier_rate: rate,
@@ -67,9 +67,7 @@ pub fn outliers(effort: Effort) -> Result<Outcome> {
                 number(lost, 5),
             ]);
             cells.push(percent(blocked.value()));
-            if min_points > 0 {
-                lines[min_points as usize - 1].push((rate.max(1e-6), blocked.value()));
-            }
+            lines[min_points as usize].push((rate.max(1e-6), blocked.value()));
             if min_points > 1 {
                 lost_cells.push(percent(lost));
             }
@@ -89,7 +87,10 @@ pub fn outliers(effort: Effort) -> Result<Outcome> {
         lines: lines
             .into_iter()
             .enumerate()
-            .map(|(n, points)| Line::new(format!("--min-points {}", n + 1), 3 - n, points))
+            .map(|(n, points)| match n {
+                0 => Line::of(Method::Written, points),
+                _ => Line::new(format!("plane, --min-points {n}"), [3, 5, 4][n - 1], points),
+            })
             .collect(),
     });
     Ok(outcome)
@@ -176,7 +177,12 @@ pub fn holes(effort: Effort) -> Result<Outcome> {
         log_x: false,
         y_range: (0.0, 1.0),
         marks: vec![],
-        lines: names.into_iter().zip(lines).enumerate().map(|(n, (name, line))| Line::new(name, 3 - n, line)).collect(),
+        lines: names
+            .into_iter()
+            .zip(lines)
+            .enumerate()
+            .map(|(n, (name, line))| Line::new(name, [3, 4, 5][n], line))
+            .collect(),
     });
     Ok(outcome)
 }

@@ -7,7 +7,7 @@ use nalgebra::Point3;
 use scangen::{Kind, Sample, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
-use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
+use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
 use slicewalk::plan::Classifier;
 use slicewalk::query::{Aabb, Answer, Overlap, floor_under, overlaps, probe};
@@ -116,10 +116,10 @@ impl Scan {
             temp_dir: self.folder.path().into(),
             ..ConvertOptions::new(vec![self.path("scan.las")], output.clone())
         };
-        let report = convert(&options, &NoMonitor)?;
+        convert(&options, &NoMonitor)?;
         let archive = Archive::open(&output)?;
         let store = Store::resident(&archive, &NoMonitor)?;
-        Ok(Converted { bytes: std::fs::read(&output)?, archive, store, report })
+        Ok(Converted { bytes: std::fs::read(&output)?, archive, store })
     }
 
     /// The verdicts of one method.
@@ -142,8 +142,6 @@ pub struct Converted {
     pub archive: Archive,
     /// All of its pages.
     pub store: Store,
-    /// What the conversion reported.
-    pub report: Report,
 }
 
 /// A voxel with matter.

@@ -32,8 +32,14 @@ pub fn phase(random: &mut Random) -> [f64; 3] {
 
 /// Share of voxels called obstacle over slope, heading and density; the slopes at which it passes 10, 50 and 90 %.
 pub fn limit_angle(effort: Effort) -> Result<Outcome> {
-    let step = effort.of(2.5, 10.0);
-    let slopes: Vec<f64> = (0..=(90.0 / step) as usize).map(|n| n as f64 * step).collect();
+    // Steps of 2.5 degrees, of half a degree near the limits.
+    let (step, near) = effort.of((2.5, 0.5), (10.0, 2.5));
+    let all = (0..=(90.0 / step) as usize).map(|n| n as f64 * step);
+    let fine =
+        LIMITS.into_iter().flat_map(|limit| (0..=(8.0 / near) as usize).map(move |n| limit - 4.0 + n as f64 * near));
+    let mut slopes: Vec<f64> = all.chain(fine).collect();
+    slopes.sort_by(f64::total_cmp);
+    slopes.dedup();
     let headings = effort.of(7, 3);
     let densities: &[f64] = effort.of(&[1.0, 2.0, 3.0, 4.0, 5.0, 10.0, 20.0, 40.0], &[1.0, 4.0, 10.0]);
     let mut csv = Table::new(["points_per_pixel", "limit_deg", "method", "slope_deg", "heading_deg", "obstacle_share"]);

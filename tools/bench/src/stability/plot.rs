@@ -78,9 +78,9 @@ impl Plot {
         let area = SVGBackend::new(&path, SIZE).into_drawing_area();
         area.fill(&WHITE)?;
         if self.log_x {
-            self.draw(&area, (x.0..x.1).log_scale(), x.0, y)?;
+            self.draw(&area, (x.0..x.1).log_scale(), y)?;
         } else {
-            self.draw(&area, x.0..x.1, x.0, y)?;
+            self.draw(&area, x.0..x.1, y)?;
         }
         area.present()?;
         Ok(())
@@ -90,7 +90,6 @@ impl Plot {
         &self,
         area: &DrawingArea<SVGBackend<'_>, plotters::coord::Shift>,
         x: X,
-        x_low: f64,
         y: std::ops::Range<f64>,
     ) -> Result<()>
     where
@@ -124,7 +123,6 @@ impl Plot {
             let style = ("sans-serif", 13).into_font().color(&grey);
             chart.draw_series([EmptyElement::at((*at, y_high)) + Text::new(what.clone(), (4, 2), style)])?;
         }
-        let _ = x_low;
         for line in &self.lines {
             let colour = COLOURS[line.colour % COLOURS.len()];
             let style = colour.stroke_width(2);

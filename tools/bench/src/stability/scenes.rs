@@ -5,11 +5,12 @@ use super::planes::NOISE_M;
 use super::table::{Errors, Share, Table, number, percent};
 use super::{Effort, Outcome, Result};
 use crate::Random;
+use scangen::sample::{Mode, Order};
 use scangen::{Params, SampleSpec, Scene, Truth};
 
 /// Steepest floor that is asked for (degrees): well below the limit of 45.
 const STEEPEST_DEG: f64 = 40.0;
-/// Points per squared pixel of surface.
+/// Points per squared pixel of surface, on a jittered grid: no pixel of a floor is empty by chance.
 const DENSITY: f64 = 4.0;
 /// Edge of the part of a scene that is scanned (pixels).
 const WINDOW: f64 = 200.0;
@@ -55,7 +56,10 @@ pub fn floors(effort: Effort) -> Result<Outcome> {
                 .walk()
                 .map_or([0, 1].map(|a| (bounds.min[a] + bounds.max[a]) / 2.0), |walk| [walk.start[0], walk.start[1]]);
             let half = WINDOW * pixel_m / 2.0;
-            let spec = SampleSpec::direct_density(DENSITY / (pixel_m * pixel_m)).with_noise(NOISE_M);
+            let spec = SampleSpec {
+                mode: Mode::Direct(Order::Grid),
+                ..SampleSpec::direct_density(DENSITY / (pixel_m * pixel_m)).with_noise(NOISE_M)
+            };
             let near = |p: &[f64; 3]| (0..2).all(|a| (p[a] - middle[a]).abs() <= half);
             let scan = Scan::new(scene.points(3, &spec)?.filter(near).collect())?;
             let mut random = Random(64);
