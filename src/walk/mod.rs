@@ -321,12 +321,11 @@ impl Walker {
             moved: Vector3::zeros(),
         };
         let mut time = self.rest_s + if dt.is_finite() { dt.max(0.0) } else { 0.0 };
-        let (mut wanted, mut gained) = (0.0, 0.0);
+        let mut wanted = 0.0;
         // A frame is as many ticks as fit but for rounding errors.
         while time >= tick * (1.0 - 1e-9) {
             let wish = wish(self.motion.feet);
             let way = wish.map_or(Vector2::zeros(), |wish| self.way(wish));
-            let before = self.motion.feet;
             match self.tick(set, way) {
                 ControlFlow::Continue(stop) => report.stop = stop.or(report.stop),
                 ControlFlow::Break(missing) => {
@@ -339,9 +338,6 @@ impl Walker {
             time = (time - tick).max(0.0);
             report.ticks += 1;
             wanted += way.norm();
-            if way.norm() > 0.0 {
-                gained += (self.motion.feet - before).xy().dot(&way) / way.norm();
-            }
             self.state = match self.motion.ground {
                 Ground::Air => State::Falling,
                 _ if wish.is_none() => State::Arrived,
@@ -349,11 +345,11 @@ impl Walker {
             };
         }
         self.rest_s = time;
-        if self.state == State::Walking && gained < BLOCKED_BELOW * wanted {
+        report.moved = self.motion.feet - from;
+        if self.state == State::Walking && report.moved.xy().norm() < BLOCKED_BELOW * wanted {
             self.state = State::Blocked;
         }
         report.state = self.state;
-        report.moved = self.motion.feet - from;
         report
     }
 

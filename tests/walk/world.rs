@@ -1,0 +1,111 @@
+//! Scenes with known truth, scanned and converted as a user would.
+
+use nalgebra::{Point2, Point3};
+use scangen::geometry::Placement;
+use scangen::sample::{Mode, Order};
+use scangen::scene::build::{Builder, Wall};
+use scangen::{SampleSpec, Scene, WriteSpec, write_samples};
+use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
+use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+use slicewalk::input::Units;
+use slicewalk::store::{PageSet, Store};
+use slicewalk::walk::{Body, Config, Route, State, StepReport, Walker};
+
+pub const T: f64 = 0.05;
+pub const BOX: Body = Body::Box { x: 0.5, y: 0.5, height: 1.8 };
+pub const CYLINDER: Body = Body::Cylinder { radius: 0.25, height: 1.8 };
+
+/// Points to a side of a pixel.
+const PER_PIXEL: f64 = 3.0;
+
+/// The scene, scanned evenly with `noise` (m) and converted at pixels of `T`.
+pub fn convert_scene(scene: &Scene, noise: f64) -> (tempfile::TempDir, Archive) {
+    convert_at(scene, noise, (PER_PIXEL / T).powi(2))
+}
+
+/// As [`convert_scene`], with so many points to the square metre.
+pub fn convert_at(scene: &Scene, noise: f64, density: f64) -> (tempfile::TempDir, Archive) {
+    let dir = tempfile::tempdir().unwrap();
+    let scan = dir.path().join("scan.las");
+    let spec = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(density) };
+    let samples = scene.samples(11, &spec.with_noise(noise)).unwrap();
+    write_samples(&scan, samples, &WriteSpec::for_path(&scan)).unwrap();
+    let mut options = ConvertOptions::new(vec![scan], dir.path().join("scene.slices"));
+    options.pixel = PixelSize::Metres(T);
+    options.units = Units::Factor(1.0);
+    options.threads = 1;
+    options.temp_dir = dir.path().to_path_buf();
+    convert(&options, &NoMonitor).unwrap();
+    let archive = Archive::open(dir.path().join("scene.slices")).unwrap();
+    (dir, archive)
+}
+
+/// The scene's pages, all in memory.
+pub fn world(scene: &Scene, noise: f64) -> Store {
+    let (_dir, archive) = convert_scene(scene, noise);
+    Store::resident(&archive, &NoMonitor).unwrap()
+}
+
+/// A scene of what `build` puts into it.
+pub fn scene(build: impl FnOnce(&mut Builder)) -> Scene {
+    let mut builder = Builder::new();
+    build(&mut builder);
+    builder.finish("test")
+}
+
+/// A wall of two faces, from the floor up to 3 m, with openings `[along0, z0, along1, z1]`.
+pub fn wall(b: &mut Builder, from: [f64; 2], to: [f64; 2], openings: &[[f64; 4]]) {
+    b.wall(Wall { from, to, thickness: 0.1, z: [0.0, 3.0] }, openings);
+}
+
+pub fn turned(scene: &Scene, rotate_deg: f64, translate: [f64; 3]) -> Scene {
+    scene.placed(&Placement { rotate_deg, translate })
+}
+
+pub fn config(body: Body) -> Config {
+    Config::new(body)
+}
+
+pub fn route(places: &[[f64; 2]]) -> Route {
+    Route::new(places.iter().map(|place| Point2::from(*place)).collect()).unwrap()
+}
+
+/// A walk: where the pawn was after every frame.
+pub struct Trace {
+    pub path: Vec<Point3<f64>>,
+    pub reports: Vec<StepReport>,
+    pub walker: Walker,
+}
+
+impl Trace {
+    pub fn end(&self) -> Point3<f64> {
+        self.walker.feet()
+    }
+
+    pub fn state(&self) -> State {
+        self.walker.state()
+    }
+
+    pub fn arrived(&self) -> bool {
+        self.state() == State::Arrived
+    }
+}
+
+/// Follows `places` until it arrives, is blocked for a second, or `seconds` are over.
+pub fn walk<S: PageSet>(set: &S, config: Config, start: [f64; 3], places: &[[f64; 2]], hz: f64, seconds: f64) -> Trace {
+    let mut walker = Walker::new(config, start.into()).unwrap();
+    let mut way = route(places);
+    let (mut path, mut reports, mut blocked) = (Vec::new(), Vec::new(), 0.0);
+    while (path.len() as f64) < seconds * hz && blocked < 1.0 {
+        let report = walker.follow(set, 1.0 / hz, &mut way);
+        assert!(!report.waits(), "all pages are in memory");
+        path.push(walker.feet());
+        reports.push(report);
+        blocked = if report.state == State::Blocked { blocked + 1.0 / hz } else { 0.0 };
+        if report.state == State::Arrived {
+            break;
+        }
+    }
+    Trace { path, reports, walker }
+}
