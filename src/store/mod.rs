@@ -91,8 +91,11 @@ impl PageSource for Archive {
     }
 
     fn infos(&self) -> Result<Vec<PageInfo>> {
-        // The directory does not say what a page will weigh, so the budget is kept by weighing what was decoded.
-        let info = |entry: PageEntry| PageInfo { key: entry.key, slices: entry.slices, weight_bytes: 0 };
+        let info = |entry: PageEntry| PageInfo {
+            key: entry.key,
+            slices: entry.slices,
+            weight_bytes: entry.weight_bytes(),
+        };
         self.entries().map(|entry| entry.map(info)).collect()
     }
 
