@@ -193,8 +193,9 @@ impl Parts {
         put(&mut self.pages, 20, crc as u64, 4);
         let mut len = Vec::new();
         slicewalk::codec::put_varint(&mut len, self.pages.len() as u64);
-        // Base, column, layer, kind: one byte each; eight bytes of slices; then the length.
-        self.leaf = [&self.leaf[..12], &len, &crc.to_le_bytes()].concat();
+        // Base, column, layer, kind: one byte each; eight bytes of slices; then length, checksum, blocks and words.
+        let size = self.leaf[self.leaf.len() - 2..].to_vec();
+        self.leaf = [&self.leaf[..12], &len, &crc.to_le_bytes(), &size].concat();
         self
     }
 
@@ -341,7 +342,8 @@ fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
     assert_eq!(leader(16, 5), ["P1"]);
     assert_eq!(leader(4, 1), ["P3"]);
     let mut wrong_crc = parts.clone();
-    let end = wrong_crc.leaf.len() - 1;
+    // The checksum is followed by one byte of blocks and one of words.
+    let end = wrong_crc.leaf.len() - 3;
     wrong_crc.leaf[end] ^= 1;
     assert_eq!(rules(&wrong_crc.build(|_| ())), ["P2"]);
 }
@@ -367,18 +369,23 @@ fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
     assert_eq!(changed(12, 24), ["D6"]);
     assert_eq!(changed(12, 56), ["D6"]);
     assert_eq!(changed(12, 54), ["P1", "D9"]);
-    assert_eq!(rules(&with(parts.leaf[..16].to_vec()).build(|_| ())), ["D3"]);
+    assert_eq!(changed(17, 64), ["D11"]);
+    assert_eq!(changed(17, 1), ["P11"]);
+    assert_eq!(changed(18, 2), ["P11"]);
+    assert_eq!(rules(&with(parts.leaf[..18].to_vec()).build(|_| ())), ["D3"]);
     assert_eq!(rules(&with([&parts.leaf[..], &[0]].concat()).build(|_| ())), ["D3"]);
     assert_eq!(rules(&with(vec![0; 3 << 20]).build(|_| ())), ["D2"]);
-    assert_eq!(rules(&parts.build(|head| put(head, 384 + 20, 16, 4))), ["D2"]);
+    assert_eq!(rules(&parts.build(|head| put(head, 384 + 20, 18, 4))), ["D2"]);
     assert_eq!(rules(&parts.build(|head| head[384 + 24] ^= 1)), ["D1"]);
 
     // In the scene, page 5 in order shares the bytes of an earlier one: let it point between two pages.
     let parts = Parts::of(&archive(&scene()));
     let entries = Archive::from_bytes(archive(&scene())).unwrap().leaf(0).unwrap();
     let paged = entries.iter().filter(|entry| entry.extent().is_some()).count();
-    // The distance is the last varint before the checksums and the one uniform span.
-    let at = parts.leaf.len() - 4 - 4 * paged - 1;
+    // The distance is the last varint before the checksums, the sizes and the one uniform span.
+    let sizes = entries.iter().filter(|entry| entry.extent().is_some());
+    let sizes: usize = sizes.map(|entry| if entry.size.words() - entry.size.blocks() < 128 { 2 } else { 3 }).sum();
+    let at = parts.leaf.len() - 4 - sizes - 4 * paged - 1;
     let mut leaf = parts.leaf.clone();
     leaf[at] ^= 1;
     let found = rules(&Parts { leaf, ..parts.clone() }.build(|_| ()));

@@ -5,7 +5,7 @@
 
 use crate::codec::{Reader, Violation, put_varint, span_bits, span_from_bits, unzigzag, zigzag};
 use crate::frame::{MAX_INDEX, PAGE_SLICES, PageKey};
-use crate::slice::Span;
+use crate::slice::{PageSize, Span};
 
 /// A stretch of bytes of the archive with its checksum.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,6 +36,8 @@ pub struct PageEntry {
     pub key: PageKey,
     /// Slices of the page with matter: bit `k` for slice `64·layer + k`. Never 0.
     pub slices: u64,
+    /// How large the page is in memory; of a uniform page always [`PageSize::UNIFORM`].
+    pub size: PageSize,
     /// Where its content is.
     pub place: Place,
 }
@@ -47,6 +49,11 @@ impl PageEntry {
             Place::Stored(extent) | Place::Shared(extent) => Some(extent),
             Place::Uniform(_) => None,
         }
+    }
+
+    /// Bytes of memory that the page takes once decoded; exact, and checked when it is.
+    pub fn weight_bytes(&self) -> usize {
+        self.size.weight_bytes(self.slices)
     }
 
     /// Lowest and highest slice with matter, as indices of the grid.
@@ -63,7 +70,10 @@ const UNIFORM: u8 = 2;
 
 /// Least and greatest bytes of an entry before compression.
 const MIN_ENTRY: usize = 1 + 1 + 1 + 4;
-const MAX_ENTRY: usize = 10 + 5 + 1 + 8 + 5 + 10 + 4;
+const MAX_ENTRY: usize = 10 + 5 + 1 + 8 + 5 + 10 + 4 + 1 + 3;
+
+/// Stands in for an extent until its entry is filled in.
+const NOWHERE: Extent = Extent { offset: 0, len: 0, crc: 0 };
 
 /// Greatest layer and tile index in magnitude (toward −∞ one more).
 const MAX_TILE: i32 = (MAX_INDEX / PAGE_SLICES) as i32;
@@ -114,6 +124,10 @@ pub(super) fn encode_leaf(entries: &[PageEntry], out: &mut Vec<u8>) {
     for (_, extent) in paged() {
         out.extend(extent.crc.to_le_bytes());
     }
+    out.extend(paged().map(|(entry, _)| entry.size.blocks() as u8 - 1));
+    for (entry, _) in paged() {
+        put_varint(out, (entry.size.words() - entry.size.blocks()) as u64);
+    }
     for entry in entries {
         if let Place::Uniform(span) = entry.place {
             out.extend(span_bits(span).to_le_bytes());
@@ -122,7 +136,7 @@ pub(super) fn encode_leaf(entries: &[PageEntry], out: &mut Vec<u8>) {
 }
 
 /// The `count` entries of a leaf, the first of which has the key `first`; offsets count from the start of the pages
-/// section, which is `pages_len` bytes long. Breaks of rules D3 to D8 are errors.
+/// section, which is `pages_len` bytes long. Breaks of rules D3 to D8 and D11 are errors.
 pub(super) fn decode_leaf(raw: &[u8], count: u32, first: PageKey, pages_len: u64) -> Result<Vec<PageEntry>, Violation> {
     let count = count as usize;
     if raw.len() < count.saturating_mul(MIN_ENTRY) || raw.len() as u64 > max_raw_len(count as u32) {
@@ -152,7 +166,7 @@ pub(super) fn decode_leaf(raw: &[u8], count: u32, first: PageKey, pages_len: u64
     for (&key, &kind) in keys.iter().zip(kinds) {
         if kind == UNIFORM {
             // Filled in below; the mask of no slice marks the gap.
-            entries.push(PageEntry { key, slices: 0, place: Place::Shared(Extent { offset: 0, len: 0, crc: 0 }) });
+            entries.push(PageEntry { key, slices: 0, size: PageSize::UNIFORM, place: Place::Shared(NOWHERE) });
             continue;
         }
         let len = lens[at];
@@ -179,13 +193,22 @@ pub(super) fn decode_leaf(raw: &[u8], count: u32, first: PageKey, pages_len: u64
         if kind == STORED {
             next = end;
         }
-        entries.push(PageEntry { key, slices: mask, place });
+        entries.push(PageEntry { key, slices: mask, size: PageSize::UNIFORM, place });
         at += 1;
     }
     for entry in entries.iter_mut().filter(|entry| entry.slices != 0) {
         if let Place::Stored(extent) | Place::Shared(extent) = &mut entry.place {
             extent.crc = reader.u32()?;
         }
+    }
+    let blocks = reader.take(paged)?;
+    for (entry, &blocks) in entries.iter_mut().filter(|entry| entry.slices != 0).zip(blocks) {
+        let (blocks, more) = (blocks as u32 + 1, reader.varint()?);
+        let words = u32::try_from(more.saturating_add(blocks as u64)).ok();
+        entry.size = words.and_then(|words| PageSize::new(blocks, words)).ok_or_else(|| {
+            let expected = format!("1 to 64 blocks with up to {} words", PageSize::MAX_WORDS);
+            Violation::new("D11", expected, format!("{blocks} blocks and {more} words more in page {}", entry.key))
+        })?;
     }
     for entry in entries.iter_mut().filter(|entry| entry.slices == 0) {
         let bits = reader.u32()?;
@@ -260,8 +283,13 @@ pub(super) mod tests {
                         Place::Stored(made[made.len() - 1])
                     }
                 };
-                let slices = if let Place::Uniform(span) = place { span.slice_mask() } else { slices };
-                entries.push(PageEntry { key, slices, place });
+                let blocks = 1 + crc % 64;
+                let size = PageSize::new(blocks, blocks + (slices % 524_000) as u32);
+                let (slices, size) = match place {
+                    Place::Uniform(span) => (span.slice_mask(), PageSize::UNIFORM),
+                    _ => (slices, size.unwrap()),
+                };
+                entries.push(PageEntry { key, slices, size, place });
             }
             entries
         })

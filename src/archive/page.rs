@@ -5,7 +5,7 @@ use super::head::hex;
 use crate::Result;
 use crate::codec::{MAX_RAW_PAGE, Packer, RawDecoder, RawEncoder, Unpacker, Violation};
 use crate::frame::{PageKey, TILE_PIXELS};
-use crate::slice::{Page, PageBuilder, Span};
+use crate::slice::{Page, PageBuilder, PageSize, Span};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// First bytes of a page.
@@ -26,6 +26,7 @@ pub struct EncodedPage {
     pub(super) key: PageKey,
     /// Slices of the page with matter.
     pub slices: u64,
+    pub(super) size: PageSize,
     /// Number of voxels with matter, and how many of them hold obstacle.
     pub voxels: (u64, u64),
 }
@@ -71,10 +72,10 @@ impl PageEncoder {
 
     /// Encodes `page` under `key`.
     pub fn encode(&mut self, key: PageKey, page: &Page) -> EncodedPage {
-        let (slices, voxels) = (page.slices(), page.voxel_counts());
+        let (slices, size, voxels) = (page.slices(), page.size(), page.voxel_counts());
         let uniform = uniform_span(page);
         if uniform.is_some() || page.span_count() == 0 {
-            return EncodedPage { bytes: Vec::new(), uniform, hash: 0, key, slices, voxels };
+            return EncodedPage { bytes: Vec::new(), uniform, hash: 0, key, slices, size, voxels };
         }
         self.encoder.encode(page, &mut self.raw);
         let mut bytes = Vec::with_capacity(LEADER + self.raw.len() / 2);
@@ -88,7 +89,7 @@ impl PageEncoder {
         let crc = page_crc(&bytes);
         bytes[20..24].copy_from_slice(&crc.to_le_bytes());
         bytes.shrink_to_fit();
-        EncodedPage { hash: xxh3_64(&bytes[LEADER..]), bytes, uniform, key, slices, voxels }
+        EncodedPage { hash: xxh3_64(&bytes[LEADER..]), bytes, uniform, key, slices, size, voxels }
     }
 }
 
@@ -136,6 +137,10 @@ impl PageDecoder {
         if page.slices() != entry.slices {
             let expected = format!("slices {:016x} as in the directory", entry.slices);
             return Err(Violation::new("P9", expected, format!("{:016x}", page.slices())));
+        }
+        if page.size() != entry.size {
+            let words = |size: PageSize| format!("{} blocks and {} words", size.blocks(), size.words());
+            return Err(Violation::new("P11", format!("{} as in the directory", words(entry.size)), words(page.size())));
         }
         Ok(page)
     }

@@ -156,6 +156,35 @@ impl Archive {
         })
     }
 
+    /// All entries in ascending order, leaves that lie together in one read of at most 1 MiB (or one leaf). Fails with
+    /// the first leaf that cannot be read.
+    pub(crate) fn all_entries(&self) -> Result<Vec<PageEntry>> {
+        let (mut all, mut bytes, mut first) = (Vec::new(), Vec::new(), 0);
+        while first < self.leaves.len() {
+            let mut len = 0;
+            let fits = |leaf: &&Leaf| {
+                len += leaf.stored_len as usize;
+                len <= 1 << 20
+            };
+            let count = self.leaves[first..].iter().take_while(fits).count().max(1);
+            let leaves = &self.leaves[first..first + count];
+            let start = leaves[0].offset;
+            // Not beyond the directory section: rule R4.
+            bytes.resize(leaves.iter().map(|leaf| leaf.stored_len as usize).sum(), 0);
+            let at = self.header.directory_offset() + start;
+            self.source.read_at(at, &mut bytes)?;
+            for (number, leaf) in leaves.iter().enumerate() {
+                let from = (leaf.offset - start) as usize;
+                let stored = &bytes[from..from + leaf.stored_len as usize];
+                let entries = self.decode_leaf(first + number, stored);
+                let part = || format!("directory leaf {}", first + number);
+                all.extend(entries.map_err(|violation| violation.at(part(), at + from as u64))?);
+            }
+            first += count;
+        }
+        Ok(all)
+    }
+
     /// The entry of a page; `None` if the archive has no matter there. One read, or none in the leaf of the last call.
     pub fn find(&self, key: PageKey) -> Result<Option<PageEntry>> {
         let Some(index) = self.leaf_of(key) else { return Ok(None) };

@@ -8,6 +8,7 @@ use super::publish::PartFile;
 use crate::Result;
 use crate::codec::{Reader, span_bits, span_from_bits};
 use crate::frame::PageKey;
+use crate::slice::PageSize;
 use std::path::{Path, PathBuf};
 
 /// Entries kept in memory.
@@ -71,13 +72,14 @@ impl Entries {
 fn record(entry: &PageEntry) -> [u8; RECORD] {
     let mut out = [0; RECORD];
     let (kind, extent) = match entry.place {
-        Place::Stored(extent) => (0, extent),
+        Place::Stored(extent) => (0u32, extent),
         Place::Shared(extent) => (1, extent),
         Place::Uniform(span) => (2, Extent { offset: 0, len: span_bits(span), crc: 0 }),
     };
     out[..8].copy_from_slice(&entry.key.column().to_le_bytes());
     out[8..12].copy_from_slice(&entry.key.layer.to_le_bytes());
-    out[12] = kind;
+    let kind_and_size = kind | entry.size.blocks() << 2 | entry.size.words() << 9;
+    out[12..16].copy_from_slice(&kind_and_size.to_le_bytes());
     out[16..24].copy_from_slice(&entry.slices.to_le_bytes());
     out[24..32].copy_from_slice(&extent.offset.to_le_bytes());
     out[32..36].copy_from_slice(&extent.len.to_le_bytes());
@@ -89,16 +91,17 @@ fn entry(record: &[u8]) -> Option<PageEntry> {
     let mut reader = Reader::new(record, "");
     let column = reader.u64().ok()?;
     let key = PageKey::from_column(column, reader.u32().ok()? as i32);
-    let kind = reader.u32().ok()?;
+    let kind_and_size = reader.u32().ok()?;
+    let size = PageSize::new(kind_and_size >> 2 & 127, kind_and_size >> 9)?;
     let slices = reader.u64().ok()?;
     let extent = Extent { offset: reader.u64().ok()?, len: reader.u32().ok()?, crc: reader.u32().ok()? };
-    let place = match kind {
+    let place = match kind_and_size & 3 {
         0 => Place::Stored(extent),
         1 => Place::Shared(extent),
         2 => Place::Uniform(span_from_bits(extent.len)?),
         _ => return None,
     };
-    Some(PageEntry { key, slices, place })
+    Some(PageEntry { key, slices, size, place })
 }
 
 #[cfg(test)]
@@ -117,7 +120,8 @@ mod tests {
                 1 => Place::Shared(extent),
                 _ => Place::Uniform(Span::new(at as u32 % 100, 200, at % 2 == 1).unwrap()),
             };
-            PageEntry { key: PageKey::from_column(at, -(at as i32)), slices: at << 30, place }
+            let size = PageSize::new(1 + at as u32 % 64, 64 + at as u32 * 7).unwrap();
+            PageEntry { key: PageKey::from_column(at, -(at as i32)), slices: at << 30, size, place }
         };
         let count = 2 * KEPT as u64 + 5;
         for at in 0..count {

@@ -11,6 +11,7 @@ use super::page::PageDecoder;
 use super::reader::Archive;
 use crate::codec::{RawEncoder, Violation};
 use crate::monitor::Monitor;
+use crate::slice::PageSize;
 use crate::{Error, Result};
 use std::collections::VecDeque;
 
@@ -116,7 +117,7 @@ struct Pass<'a> {
     /// Some stored pages are not known because the leaf that tells of them is damaged.
     lost_leaf: bool,
     /// The most recent stored pages, which later ones may share; ascending.
-    stored: VecDeque<(Extent, u64)>,
+    stored: VecDeque<(Extent, u64, PageSize)>,
 }
 
 impl Pass<'_> {
@@ -176,7 +177,7 @@ impl Pass<'_> {
                 if self.stored.len() == WINDOW {
                     self.stored.pop_front();
                 }
-                self.stored.push_back((extent, entry.slices));
+                self.stored.push_back((extent, entry.slices, entry.size));
                 let expected = self.next.replace(extent.offset + extent.len as u64);
                 match expected {
                     Some(expected) if expected != extent.offset => {
@@ -188,9 +189,9 @@ impl Pass<'_> {
             Place::Shared(extent) => {
                 self.summary.pages.shared += 1;
                 self.summary.tiles.stored += tiles;
-                let first = self.stored.partition_point(|(stored, _)| stored.offset < extent.offset);
+                let first = self.stored.partition_point(|(stored, ..)| stored.offset < extent.offset);
                 match self.stored.get(first) {
-                    Some(&(stored, slices)) if stored == extent && slices == entry.slices => Ok(()),
+                    Some(&known) if known == (extent, entry.slices, entry.size) => Ok(()),
                     // What it shares may be of the lost leaf; the bytes are checked all the same.
                     _ if self.lost_leaf => Ok(()),
                     other => {

@@ -128,7 +128,7 @@ impl ArchiveWriter {
                 self.place(&page, tiles)?
             }
         };
-        let entry = PageEntry { key, slices: page.slices, place };
+        let entry = PageEntry { key, slices: page.slices, size: page.size, place };
         self.entries.push(entry)?;
         self.last = Some(key);
         self.counts.tiles.occupied += tiles;

@@ -14,5 +14,5 @@ pub(crate) mod obstacle;
 mod page;
 mod span;
 
-pub use page::{BLOCK_PIXELS, BlockView, Page, PageBuilder};
+pub use page::{BLOCK_PIXELS, BlockView, Page, PageBuilder, PageSize};
 pub use span::Span;

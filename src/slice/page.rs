@@ -190,10 +190,49 @@ impl Page {
 
     /// Bytes of memory that the page holds.
     pub fn weight_bytes(&self) -> usize {
-        size_of::<Self>()
-            + size_of_val::<[u64]>(&self.slice_blocks)
-            + size_of_val::<[Block]>(&self.blocks)
-            + size_of_val::<[Span]>(&self.spans)
+        self.size().weight_bytes(self.slices)
+    }
+
+    /// How large the page is.
+    pub fn size(&self) -> PageSize {
+        PageSize((self.blocks.len() as u32 - 1) << PageSize::SHIFT | self.spans.len() as u32)
+    }
+}
+
+/// What the weight of a page follows from, together with its mask of slices: small enough for a directory entry.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct PageSize(u32);
+
+impl PageSize {
+    const SHIFT: u32 = 24;
+    /// Most words that a page can have: its spans, and as many unions, filled up in each block.
+    pub const MAX_WORDS: u32 = 2 * 64 * 64 * 64 + 64 * 3;
+    /// The size of a page whose pixels all hold the same single span.
+    pub const UNIFORM: Self = Self(64 << Self::SHIFT | 64 * 64);
+
+    /// The size of a page with this many blocks and words; `None` unless there are 1 to 64 blocks, at least a word for
+    /// each and at most [`MAX_WORDS`](Self::MAX_WORDS).
+    pub fn new(blocks: u32, words: u32) -> Option<Self> {
+        let inside = (1..=64).contains(&blocks) && (blocks..=Self::MAX_WORDS).contains(&words);
+        inside.then_some(Self(blocks << Self::SHIFT | words))
+    }
+
+    /// Blocks of 8 × 8 pixels with matter.
+    pub fn blocks(self) -> u32 {
+        self.0 >> Self::SHIFT
+    }
+
+    /// Spans, and in each block its unions beyond four, rounded up to a multiple of four.
+    pub fn words(self) -> u32 {
+        self.0 & ((1 << Self::SHIFT) - 1)
+    }
+
+    /// [`Page::weight_bytes`] of a page of this size with matter in `slices` (bytes); exact.
+    pub fn weight_bytes(self, slices: u64) -> usize {
+        size_of::<Page>()
+            + size_of::<u64>() * slices.count_ones() as usize
+            + size_of::<Block>() * (self.blocks() as usize + 1)
+            + size_of::<Span>() * self.words() as usize
     }
 }
 
@@ -352,6 +391,11 @@ mod tests {
         #[test]
         fn gives_back_what_was_set(columns in columns()) {
             let page = build(&columns);
+            let owned = size_of_val::<[u64]>(&page.slice_blocks)
+                + size_of_val::<[Block]>(&page.blocks)
+                + size_of_val::<[Span]>(&page.spans);
+            prop_assert_eq!(page.weight_bytes(), size_of::<Page>() + owned);
+            prop_assert!(page.size().words() <= PageSize::MAX_WORDS);
             for py in 0..64 {
                 for px in 0..64 {
                     let expected = columns.get(&(px, py)).map_or(&[][..], |spans| spans);

@@ -111,15 +111,15 @@ impl<T> Columns<T> {
     pub fn weight_bytes(&self) -> usize {
         size_of_val::<[T]>(&self.slots)
             + size_of_val::<[Run]>(&self.runs)
-            + size_of_val::<[Cell]>(&self.tiles.cells)
-            + size_of_val::<[Cell]>(&self.regions.cells)
+            + self.tiles.weight_bytes()
+            + self.regions.weight_bytes()
     }
 }
 
 /// From pairs of indices to ranges that are not empty: Fibonacci hashing (Knuth, vol. 3, section 6.4) and linear
 /// probing at a load of at most one half, so that a lookup reads one or two neighbouring lines.
 #[derive(Debug)]
-struct Table {
+pub(super) struct Table {
     /// Power of two in length.
     cells: Box<[Cell]>,
     /// Right shift of a 64-bit hash to an index of `cells`.
@@ -135,7 +135,7 @@ struct Cell {
 }
 
 impl Table {
-    fn new(entries: Vec<(i32, i32, Range<u32>)>) -> Self {
+    pub fn new(entries: Vec<(i32, i32, Range<u32>)>) -> Self {
         let count = (2 * entries.len()).next_power_of_two().max(2);
         let mut table = Self { cells: vec![Cell::default(); count].into(), shift: 64 - count.trailing_zeros() };
         for (x, y, range) in entries {
@@ -149,13 +149,17 @@ impl Table {
         table
     }
 
+    pub fn weight_bytes(&self) -> usize {
+        size_of_val::<[Cell]>(&self.cells)
+    }
+
     #[inline]
     fn home(&self, name: u64) -> usize {
         (name.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> self.shift) as usize
     }
 
     #[inline]
-    fn get(&self, x: i32, y: i32) -> Range<usize> {
+    pub fn get(&self, x: i32, y: i32) -> Range<usize> {
         let name = name(x, y);
         let mut at = self.home(name);
         loop {

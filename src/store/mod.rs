@@ -2,21 +2,44 @@
 //!
 //! In: pages from memory or from a [`PageSource`] (an archive). Out: a [`PageSet`], the only thing that queries know.
 //! Memory: [`Store::from_pages`] holds everything; [`Store::with_budget`] holds pages of at most a given weight, and
-//! 24 bytes for every page that the source has, loaded or not.
+//! 24 bytes for every page that the source has, loaded or not. A [`Stream`] holds pages around moving bodies under a
+//! budget, and loads them ahead on a thread of its own.
+//!
+//! ```text
+//! archive → Index (all pages, immutable) ┬→ motion (hints → pages by time to need) → loader (claim, read, settle)
+//!                                        └→ View (index + snapshot) ← publish (newest snapshot) ← ┘
+//! ```
 //!
 //! A query takes no lock, does no I/O and allocates nothing (guarantee G8): it walks over slots, and a slot either
 //! holds its page or says in which slices the page has matter.
 
+mod account;
 mod budget;
 mod columns;
 mod held;
+mod loader;
+mod motion;
+mod publish;
+#[cfg(feature = "remote")]
+mod remote;
+mod snapshot;
 mod source;
+mod stream;
+mod tally;
+pub mod testing;
 
 pub use budget::{LoadReport, Region};
 pub use columns::KeyBounds;
 pub use held::{Store, StoreSlot};
+pub use loader::PageError;
+pub use motion::Motion;
+#[cfg(feature = "remote")]
+pub use remote::RemoteSource;
+pub use snapshot::{View, ViewSlot};
 pub(crate) use source::read_exact_at;
 pub use source::{ByteSource, FileSource, MapSource, MemorySource};
+pub use stream::{Pawn, Prefetch, Step, Stream, StreamOptions};
+pub use tally::Counters;
 
 use crate::archive::{Archive, PageEntry};
 use crate::frame::{Frame, PageKey};
@@ -91,8 +114,11 @@ impl PageSource for Archive {
     }
 
     fn infos(&self) -> Result<Vec<PageInfo>> {
-        // The directory does not say what a page will weigh, so the budget is kept by weighing what was decoded.
-        let info = |entry: PageEntry| PageInfo { key: entry.key, slices: entry.slices, weight_bytes: 0 };
+        let info = |entry: PageEntry| PageInfo {
+            key: entry.key,
+            slices: entry.slices,
+            weight_bytes: entry.weight_bytes(),
+        };
         self.entries().map(|entry| entry.map(info)).collect()
     }
 

@@ -1,0 +1,279 @@
+//! What queries see: an immutable index of all pages, and snapshots of which of them are in memory.
+//!
+//! A snapshot is a table of groups, each the slots of some neighbouring tile columns; the next snapshot shares the
+//! groups in which nothing changed. A reader that holds a snapshot holds all its pages; a page that was evicted since
+//! lives until the last such reader lets go. Everything here is plain shared data: no lock, no `unsafe`, and answers do
+//! not change while a view is held.
+//!
+//! Memory: about 90 bytes a page, in memory or not (entry 48, slot 24, tables); a new snapshot copies the pointers of all
+//! groups and one group, both about √n for n pages.
+
+use super::account::Room;
+use super::columns::{Columns, KeyBounds, Table};
+use super::{PageSet, PageSlot};
+use crate::archive::{PageEntry, Place};
+use crate::frame::{Frame, PageKey};
+use crate::slice::Page;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// A page in memory with the room that it takes.
+#[derive(Debug)]
+pub(super) struct Held {
+    pub page: Page,
+    pub room: Room,
+}
+
+/// Place of one page in a [`View`].
+#[derive(Debug, Clone)]
+pub struct ViewSlot {
+    layer: i32,
+    slices: u64,
+    page: Option<Arc<Held>>,
+}
+
+impl PageSlot for ViewSlot {
+    #[inline]
+    fn layer(&self) -> i32 {
+        self.layer
+    }
+
+    #[inline]
+    fn slices(&self) -> u64 {
+        self.slices
+    }
+
+    #[inline]
+    fn page(&self) -> Option<&Page> {
+        self.page.as_deref().map(|held| &held.page)
+    }
+}
+
+/// All pages of an archive, as numbers 0.. in the order of their keys.
+#[derive(Debug)]
+pub(super) struct Index {
+    frame: Frame,
+    entries: Columns<PageEntry>,
+    keys: Box<[PageKey]>,
+    /// Per page the first one with the same content.
+    contents: Box<[u32]>,
+    /// From tile column to `group << shift | offset`.
+    tiles: Table,
+    shift: u32,
+    /// Number of each group's first page, and the number of all pages.
+    groups: Box<[u32]>,
+}
+
+impl Index {
+    pub fn new(frame: Frame, entries: Vec<PageEntry>) -> Self {
+        let contents = contents(&entries);
+        let keys: Box<[PageKey]> = entries.iter().map(|entry| entry.key).collect();
+        let entries = Columns::new(entries.into_iter().map(|entry| (entry.key, entry)).collect());
+        let columns = || (0..entries.column_count()).map(|number| entries.column_at(number));
+        let longest = columns().map(|(_, _, slots)| slots.len()).max().unwrap_or(0);
+        // A column never lies in two groups, so that its slots are contiguous.
+        let size = longest.max(keys.len().isqrt()).max(64).next_power_of_two();
+        let (mut groups, mut first, mut cells) = (vec![0], 0, Vec::new());
+        for (tx, ty, slots) in columns() {
+            let group = groups.len() - 1;
+            let mut offset = first - groups[group] as usize;
+            if offset + slots.len() > size {
+                groups.push(first as u32);
+                offset = 0;
+            }
+            let place = ((groups.len() - 1) * size + offset) as u32;
+            cells.push((tx, ty, place..place + slots.len() as u32));
+            first += slots.len();
+        }
+        groups.push(first as u32);
+        let (tiles, shift) = (Table::new(cells), size.trailing_zeros());
+        Self { frame, entries, keys, contents, tiles, shift, groups: groups.into() }
+    }
+
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    pub fn len(&self) -> usize {
+        self.keys.len()
+    }
+
+    pub fn entry(&self, page: u32) -> &PageEntry {
+        &self.entries.slots()[page as usize]
+    }
+
+    pub fn key(&self, page: u32) -> PageKey {
+        self.keys[page as usize]
+    }
+
+    /// The page that stands for all of the same content.
+    pub fn content(&self, page: u32) -> u32 {
+        self.contents[page as usize]
+    }
+
+    /// Number of the page with this key.
+    pub fn find(&self, key: PageKey) -> Option<u32> {
+        let range = self.entries.range(key.tx, key.ty);
+        let layers = &self.keys[range.clone()];
+        layers.binary_search_by_key(&key.layer, |key| key.layer).ok().map(|at| (range.start + at) as u32)
+    }
+
+    /// Calls `f` with the numbers of the pages of each tile column with `tx` and `ty` in these ranges, ends included.
+    pub fn for_each_column(&self, [tx0, tx1]: [i32; 2], [ty0, ty1]: [i32; 2], mut f: impl FnMut(std::ops::Range<u32>)) {
+        let Some(bounds) = self.entries.bounds() else { return };
+        let (tx0, tx1) = (tx0.max(bounds.min[0]), tx1.min(bounds.max[0]));
+        let (ty0, ty1) = (ty0.max(bounds.min[1]), ty1.min(bounds.max[1]));
+        if tx0 > tx1 || ty0 > ty1 {
+            return;
+        }
+        let tiles = u64::from(tx1.abs_diff(tx0)).saturating_add(1) * (u64::from(ty1.abs_diff(ty0)) + 1);
+        let mut column = |tx, ty| {
+            let range = self.entries.range(tx, ty);
+            if !range.is_empty() {
+                f(range.start as u32..range.end as u32);
+            }
+        };
+        if tiles > self.entries.column_count() as u64 {
+            for number in 0..self.entries.column_count() {
+                let (tx, ty, _) = self.entries.column_at(number);
+                if (tx0..=tx1).contains(&tx) && (ty0..=ty1).contains(&ty) {
+                    column(tx, ty);
+                }
+            }
+            return;
+        }
+        for ty in ty0..=ty1 {
+            for tx in tx0..=tx1 {
+                column(tx, ty);
+            }
+        }
+    }
+
+    /// Bytes of the index and of the slots of one snapshot.
+    pub fn weight_bytes(&self) -> usize {
+        self.entries.weight_bytes()
+            + self.tiles.weight_bytes()
+            + self.len() * (size_of::<PageKey>() + size_of::<u32>() + size_of::<ViewSlot>())
+            + size_of_val::<[u32]>(&self.groups)
+    }
+
+    fn group(&self, page: u32) -> (usize, usize) {
+        let group = self.groups.partition_point(|&first| first <= page) - 1;
+        (group, (page - self.groups[group]) as usize)
+    }
+}
+
+/// Per entry the first entry of the same content: stored pages and those that share their bytes, and uniform pages of
+/// equal spans.
+fn contents(entries: &[PageEntry]) -> Box<[u32]> {
+    let mut stored: Vec<(u64, u32)> = Vec::new();
+    let mut uniform = HashMap::new();
+    let number = |(at, entry): (usize, &PageEntry)| {
+        let at = at as u32;
+        match entry.place {
+            Place::Stored(extent) => {
+                stored.push((extent.offset, at));
+                at
+            }
+            // An archive whose pages do not ascend is broken; then nothing is shared, and reading finds the reason.
+            Place::Shared(extent) => {
+                let found = stored.binary_search_by_key(&extent.offset, |&(offset, _)| offset);
+                let first = found.map_or(at, |found| stored[found].1);
+                let other = &entries[first as usize];
+                let same = other.extent() == Some(extent) && (other.slices, other.size) == (entry.slices, entry.size);
+                if same { first } else { at }
+            }
+            Place::Uniform(span) => *uniform.entry(span).or_insert(at),
+        }
+    };
+    entries.iter().enumerate().map(number).collect()
+}
+
+/// Which pages are in memory, at one moment.
+#[derive(Debug)]
+pub(super) struct Snapshot(Box<[Arc<[ViewSlot]>]>);
+
+impl Snapshot {
+    /// The snapshot with no page in memory.
+    pub fn empty(index: &Index) -> Self {
+        let slot = |entry: &PageEntry| ViewSlot { layer: entry.key.layer, slices: entry.slices, page: None };
+        let groups = index.groups.windows(2).map(|ends| {
+            let entries = &index.entries.slots()[ends[0] as usize..ends[1] as usize];
+            entries.iter().map(slot).collect()
+        });
+        Self(groups.collect())
+    }
+
+    /// This snapshot with some pages put in or taken out.
+    pub fn with(&self, index: &Index, changes: &mut [(u32, Option<Arc<Held>>)]) -> Self {
+        changes.sort_by_key(|(page, _)| *page);
+        let mut groups = self.0.clone();
+        for change in changes.chunk_by_mut(|a, b| index.group(a.0).0 == index.group(b.0).0) {
+            let (group, _) = index.group(change[0].0);
+            let mut slots = groups[group].to_vec();
+            for (page, held) in change {
+                slots[index.group(*page).1].page = held.take();
+            }
+            groups[group] = slots.into();
+        }
+        Self(groups)
+    }
+}
+
+/// The pages of a [`Stream`](super::Stream) that were in memory when the view was taken: a [`PageSet`] for queries.
+///
+/// Answers from one view are answers about one moment: pages that are loaded or evicted meanwhile change nothing. Pages in
+/// a view stay in memory, and count against the budget, until it is dropped: take one per frame, and drop it with
+/// the frame. Cost: two reference counts to take; a query costs one pointer more than in a resident
+/// [`Store`](super::Store).
+#[derive(Debug, Clone)]
+pub struct View {
+    pub(super) index: Arc<Index>,
+    pub(super) snapshot: Arc<Snapshot>,
+}
+
+impl View {
+    /// Whether the page is known and in memory; `None` if the scan has no matter there.
+    pub fn is_loaded(&self, key: PageKey) -> Option<bool> {
+        let (group, offset) = self.index.group(self.index.find(key)?);
+        Some(self.snapshot.0[group][offset].page.is_some())
+    }
+}
+
+impl PageSet for View {
+    type Slot = ViewSlot;
+
+    #[inline]
+    fn frame(&self) -> &Frame {
+        &self.index.frame
+    }
+
+    #[inline]
+    fn bounds(&self) -> Option<KeyBounds> {
+        self.index.entries.bounds()
+    }
+
+    #[inline]
+    fn column(&self, tx: i32, ty: i32) -> &[ViewSlot] {
+        let range = self.index.tiles.get(tx, ty);
+        if range.is_empty() {
+            return &[];
+        }
+        let offset = range.start & ((1 << self.index.shift) - 1);
+        &self.snapshot.0[range.start >> self.index.shift][offset..offset + range.len()]
+    }
+
+    #[inline]
+    fn has_region(&self, rx: i32, ry: i32) -> bool {
+        self.index.entries.has_region(rx, ry)
+    }
+
+    fn column_count(&self) -> usize {
+        self.index.entries.column_count()
+    }
+
+    fn column_at(&self, number: usize) -> (i32, i32, &[ViewSlot]) {
+        let (tx, ty, _) = self.index.entries.column_at(number);
+        (tx, ty, self.column(tx, ty))
+    }
+}

@@ -1,0 +1,425 @@
+//! A stream: the pages of an archive around moving bodies, under a byte budget, loaded before they are needed.
+
+use super::budget::LoadReport;
+use super::loader::{Claim, Core, Order, PageError};
+use super::motion::{Motion, distance};
+use super::snapshot::View;
+use super::tally::Counters;
+use crate::archive::{Archive, PageDecoder};
+use crate::frame::PageKey;
+use crate::query::Missing;
+use crate::{Error, Result};
+use std::collections::{HashMap, HashSet};
+use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::{JoinHandle, Thread};
+use std::time::{Duration, Instant};
+
+/// Looks ahead this many times the latency of a read.
+const LATENCIES_AHEAD: u32 = 32;
+/// How long a blocking load waits for views of other threads to be dropped.
+const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Who loads pages before they are needed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Prefetch {
+    /// Nobody: pages come by [`Stream::load`] alone.
+    Off,
+    /// A background thread named `slicewalk-prefetch`.
+    Thread,
+    /// Whoever calls [`Stream::step`]: a program with its own scheduler, or a test with its own time.
+    Manual,
+}
+
+/// How a [`Stream`] works.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StreamOptions {
+    /// Most bytes of pages in memory at any moment, with those being decoded and those that views still hold.
+    pub budget_bytes: usize,
+    /// Who loads pages ahead.
+    pub prefetch: Prefetch,
+    /// Least time to look ahead. The time is 32 times the latency of a read, within these two.
+    pub horizon_min: Duration,
+    /// Greatest time to look ahead.
+    pub horizon_max: Duration,
+    /// Most bytes of one read, unless a single page is longer; no more than an eighth of the budget.
+    pub run_bytes: usize,
+}
+
+impl StreamOptions {
+    /// A background thread that looks one to eight seconds ahead and reads up to 256 KiB at once.
+    pub fn new(budget_bytes: usize) -> Self {
+        Self {
+            budget_bytes,
+            prefetch: Prefetch::Thread,
+            horizon_min: Duration::from_secs(1),
+            horizon_max: Duration::from_secs(8),
+            run_bytes: 256 << 10,
+        }
+    }
+}
+
+/// What one [`Stream::step`] did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// Read and decoded a run; this many pages came into memory.
+    Loaded(usize),
+    /// Nothing is left to do until a hint changes.
+    Idle,
+    /// Another thread reads what is left.
+    Busy,
+    /// What is left finds no room. `true`: pages that views hold would make room once these are dropped.
+    NoRoom(bool),
+}
+
+#[derive(Debug, Default)]
+struct Inbox {
+    motion: Option<Motion>,
+    missing: Option<Missing>,
+    gone: bool,
+}
+
+/// The pages of an archive around moving bodies.
+///
+/// ```no_run
+/// use nalgebra::{Point3, Vector3};
+/// use slicewalk::archive::Archive;
+/// use slicewalk::query::{Aabb, Overlap, overlaps};
+/// use slicewalk::store::{Motion, Stream, StreamOptions};
+///
+/// let stream = Stream::open(Archive::open("scan.slices")?, StreamOptions::new(16 << 20))?;
+/// let mut pawn = stream.pawn();
+/// let (min, max) = (Point3::new(-0.25, -0.25, 0.0), Point3::new(0.25, 0.25, 1.8));
+/// stream.load_around(&Motion::walking(min, max, Vector3::zeros()))?; // blocks: a loading screen
+/// for _frame in 0..600 {
+///     pawn.hint(&Motion::walking(min, max, Vector3::new(1.4, 0.0, 0.0)));
+///     let view = stream.view();
+///     if let Overlap::NotLoaded(missing) = overlaps(&view, &Aabb::new(min, max)?) {
+///         pawn.need(&missing);
+///     }
+/// }
+/// for failed in stream.take_errors() {
+///     eprintln!("{}: {}", failed.key, failed.error);
+/// }
+/// # Ok::<(), slicewalk::Error>(())
+/// ```
+///
+/// Any number of bodies may hint and query from any number of threads. Queries run on a [`View`]: they take no lock, do
+/// no I/O and allocate nothing (guarantee G8), and loading never changes an answer, it only turns "not loaded" into one.
+/// Dropping the stream ends its thread: at once, or as soon as the read in progress returns.
+///
+/// Memory: the budget, the table of pages (about 90 bytes each), and about 1 MiB to decode.
+pub struct Stream {
+    shared: Arc<Shared>,
+    worker: Option<JoinHandle<()>>,
+}
+
+struct Shared {
+    core: Core,
+    options: StreamOptions,
+    pawns: Mutex<Vec<Arc<Mutex<Inbox>>>>,
+    /// Rises with every hint: an order made for a lower number is stale.
+    hints: AtomicU64,
+    stop: AtomicBool,
+    /// The work of [`Stream::step`].
+    desk: Mutex<Desk>,
+}
+
+#[derive(Default)]
+struct Desk {
+    order: Order,
+    decoder: PageDecoder,
+    made_for: Option<u64>,
+}
+
+impl Stream {
+    /// Opens a stream on an archive; no page is loaded yet. Reads the directory, all of it: one read per MiB.
+    pub fn open(archive: Archive, options: StreamOptions) -> Result<Self> {
+        let core = Core::new(archive, options.budget_bytes, options.run_bytes)?;
+        let prefetch = options.prefetch;
+        let shared = Arc::new(Shared {
+            core,
+            options,
+            pawns: Mutex::default(),
+            hints: AtomicU64::new(0),
+            stop: AtomicBool::new(false),
+            desk: Mutex::default(),
+        });
+        let worker = match prefetch {
+            Prefetch::Thread => {
+                let shared = shared.clone();
+                let builder = std::thread::Builder::new().name("slicewalk-prefetch".into());
+                let spawned = builder.spawn(move || shared.work());
+                Some(spawned.map_err(|error| Error::io("slicewalk-prefetch", "start a thread", error))?)
+            }
+            _ => None,
+        };
+        Ok(Self { shared, worker })
+    }
+
+    /// The pages in memory now. Lock-free, allocates nothing; take one per frame, and drop it with the frame.
+    #[inline]
+    pub fn view(&self) -> View {
+        self.shared.core.view()
+    }
+
+    /// A place for the hints of one body, as long as it lives.
+    pub fn pawn(&self) -> Pawn {
+        let inbox = Arc::new(Mutex::new(Inbox::default()));
+        lock(&self.shared.pawns).push(inbox.clone());
+        let worker = self.worker.as_ref().map(|worker| worker.thread().clone());
+        Pawn { inbox, shared: self.shared.clone(), worker }
+    }
+
+    /// Brings the pages `keys` into memory, nearest to `around` first, and returns when all are there or failed; unknown
+    /// keys hold no matter and need no page. Pages that no hint needs now make room, farthest first.
+    ///
+    /// Fails with the first page that cannot be loaded; pages loaded before stay. Pages that find no room are
+    /// [`left_out`](LoadReport::left_out): the budget is too small, or views hold it (drop your own first).
+    pub fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
+        self.shared.load(keys, around)
+    }
+
+    /// As [`load`](Self::load) for all pages that a query missed.
+    pub fn load_missing(&self, missing: &Missing) -> Result<LoadReport> {
+        let keys = missing.keys();
+        self.load(keys, keys[0])
+    }
+
+    /// As [`load`](Self::load) for all pages that a body touches before it moves: for the first frame, or after a
+    /// jump to another place.
+    pub fn load_around(&self, motion: &Motion) -> Result<LoadReport> {
+        if !motion.is_valid() {
+            return Err(Error::parameter("motion", "its numbers must be finite and in order"));
+        }
+        let index = &self.shared.core.index;
+        let mut times = HashMap::new();
+        motion.wants(index, 0.0, &mut times);
+        let keys: Vec<_> = times.keys().map(|&page| index.key(page)).collect();
+        self.load(&keys, motion.focus(index.frame()))
+    }
+
+    /// Does one piece of the background thread's work on this thread: reads one run of pages. For
+    /// [`Prefetch::Manual`]; does nothing otherwise.
+    pub fn step(&self) -> Step {
+        match self.shared.options.prefetch {
+            Prefetch::Manual => self.shared.step(&mut lock(&self.shared.desk)),
+            _ => Step::Idle,
+        }
+    }
+
+    /// What the stream did so far.
+    pub fn counters(&self) -> Counters {
+        let core = &self.shared.core;
+        let (resident_pages, resident_bytes) = core.resident();
+        Counters {
+            resident_pages,
+            resident_bytes,
+            used_bytes: core.account.used(),
+            peak_bytes: core.account.peak(),
+            budget_bytes: core.account.budget(),
+            table_bytes: core.index.weight_bytes(),
+            ..core.tally.counters()
+        }
+    }
+
+    /// Errors of loading ahead since the last call, the last 16 at most. Their pages stay "not loaded"; those that could
+    /// not be read are tried again after 0.1 s, then 0.2 s and so on up to 6.4 s, those that are damaged are not.
+    pub fn take_errors(&self) -> Vec<PageError> {
+        self.shared.core.take_errors()
+    }
+
+    /// The archive.
+    pub fn archive(&self) -> &Archive {
+        &self.shared.core.archive
+    }
+}
+
+impl Drop for Stream {
+    fn drop(&mut self) {
+        self.shared.stop.store(true, Release);
+        if let Some(worker) = self.worker.take() {
+            worker.thread().unpark();
+            // A panic of the thread was reported when it happened.
+            let _ = worker.join();
+        }
+    }
+}
+
+impl std::fmt::Debug for Stream {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Stream").field("options", &self.shared.options).field("counters", &self.counters()).finish()
+    }
+}
+
+/// Where one body says how it moves. Dropping it ends its hints.
+pub struct Pawn {
+    inbox: Arc<Mutex<Inbox>>,
+    shared: Arc<Shared>,
+    worker: Option<Thread>,
+}
+
+impl Pawn {
+    /// Says how the body moves now; once a frame. Replaces the last hint, and with it what was asked for by
+    /// [`need`](Self::need). Never waits: a hint that is not finite, or given in the moment in which the last one is taken,
+    /// is dropped and counted.
+    pub fn hint(&mut self, motion: &Motion) {
+        self.put(motion.is_valid(), |inbox| {
+            inbox.motion = Some(*motion);
+            inbox.missing = None;
+        });
+    }
+
+    /// Asks for pages that a query missed; they come before all others. Never waits.
+    pub fn need(&mut self, missing: &Missing) {
+        self.put(true, |inbox| inbox.missing = Some(*missing));
+    }
+
+    /// The pages in memory now: as [`Stream::view`], for a body on a thread of its own.
+    #[inline]
+    pub fn view(&self) -> View {
+        self.shared.core.view()
+    }
+
+    fn put(&self, valid: bool, put: impl FnOnce(&mut Inbox)) {
+        match self.inbox.try_lock() {
+            Ok(mut inbox) if valid => put(&mut inbox),
+            _ => {
+                self.shared.core.tally.hints_dropped.fetch_add(1, Relaxed);
+                return;
+            }
+        }
+        self.shared.hints.fetch_add(1, Release);
+        if let Some(worker) = &self.worker {
+            worker.unpark();
+        }
+    }
+}
+
+impl Drop for Pawn {
+    fn drop(&mut self) {
+        lock(&self.inbox).gone = true;
+        self.shared.hints.fetch_add(1, Release);
+    }
+}
+
+impl std::fmt::Debug for Pawn {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Pawn").finish_non_exhaustive()
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    /// The background thread.
+    fn work(&self) {
+        let mut desk = Desk::default();
+        while !self.stop.load(Acquire) {
+            match self.step(&mut desk) {
+                Step::Loaded(_) => {}
+                Step::Idle | Step::NoRoom(false) => {
+                    // Whatever happens meanwhile has left its token, and ends this at once.
+                    match self.core.state().next_try() {
+                        Some(at) => std::thread::park_timeout(at.saturating_duration_since(Instant::now())),
+                        None => std::thread::park(),
+                    }
+                    desk.made_for = None;
+                }
+                Step::Busy | Step::NoRoom(true) => std::thread::park_timeout(Duration::from_millis(1)),
+            }
+        }
+    }
+
+    /// Reads one run of the newest order.
+    fn step(&self, desk: &mut Desk) -> Step {
+        let newest = self.hints.load(Acquire);
+        if desk.made_for != Some(newest) {
+            desk.order = self.order();
+            self.core.replan(&desk.order);
+            desk.made_for = Some(newest);
+        }
+        let claim = self.core.claim(&mut self.core.state(), &mut desk.order);
+        match claim {
+            Claim::Run(run) => {
+                let (latency, pages) = self.core.read(&run, &mut desk.decoder);
+                Step::Loaded(self.core.settle(&mut self.core.state(), run, latency, pages))
+            }
+            Claim::Done => Step::Idle,
+            Claim::Busy => Step::Busy,
+            Claim::NoRoom(held) => Step::NoRoom(held),
+        }
+    }
+
+    /// What all hints want, as of now.
+    fn order(&self) -> Order {
+        let index = &self.core.index;
+        let horizon = (self.core.state().latency * LATENCIES_AHEAD)
+            .max(self.options.horizon_min)
+            .min(self.options.horizon_max)
+            .as_secs_f64();
+        let (mut times, mut focus) = (HashMap::new(), Vec::new());
+        lock(&self.pawns).retain(|inbox| {
+            let (motion, missing) = {
+                let inbox = lock(inbox);
+                if inbox.gone {
+                    return false;
+                }
+                (inbox.motion, inbox.missing)
+            };
+            if let Some(motion) = motion {
+                motion.wants(index, horizon, &mut times);
+                focus.push(motion.focus(index.frame()));
+            }
+            let missing = missing.iter().flat_map(|missing| missing.keys());
+            times.extend(missing.filter_map(|key| Some((index.find(*key)?, 0.0))));
+            true
+        });
+        focus.sort_unstable();
+        focus.dedup();
+        Order::new(times, focus, false)
+    }
+
+    fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
+        let (core, index) = (&self.core, &self.core.index);
+        let pages: HashMap<u32, f32> = keys.iter().filter_map(|key| Some((index.find(*key)?, 0.0))).collect();
+        let wanted: HashSet<PageKey> = keys.iter().copied().collect();
+        let mut order = Order::new(pages, vec![around], true);
+        order.pages.sort_by_key(|&(_, page)| (distance(index.key(page), &[around]), page));
+        let absent = |pages: &[(f32, u32)]| {
+            let state = core.state();
+            pages.iter().filter(|(_, page)| !state.holds(index, *page)).count()
+        };
+        let before = core.tally.evicted.load(Relaxed);
+        let asked = absent(&order.pages);
+        let mut report = LoadReport { already: order.pages.len() - asked, ..LoadReport::default() };
+        let mut decoder = PageDecoder::new();
+        let start = Instant::now();
+        loop {
+            let mut state = core.state();
+            match core.claim(&mut state, &mut order) {
+                Claim::Done => break,
+                Claim::Busy => core.wait(state, Duration::from_millis(10)),
+                Claim::NoRoom(true) if start.elapsed() < PATIENCE => core.wait(state, Duration::from_millis(1)),
+                Claim::NoRoom(_) => break,
+                Claim::Run(run) => {
+                    drop(state);
+                    let (latency, pages) = core.read(&run, &mut decoder);
+                    let (run_pages, mut state) = (run.pages(), core.state());
+                    if core.settle(&mut state, run, latency, pages) < run_pages
+                        && let Some(error) = state.take_error(&wanted)
+                    {
+                        return Err(error);
+                    }
+                }
+            }
+        }
+        report.left_out = absent(&order.pages);
+        report.loaded = asked - report.left_out.min(asked);
+        report.evicted = (core.tally.evicted.load(Relaxed) - before) as usize;
+        Ok(report)
+    }
+}

@@ -1,0 +1,143 @@
+//! Byte sources for tests: they count, take their time, fail, or wait at a gate.
+
+use super::ByteSource;
+use crate::{Error, Result};
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Condvar, Mutex, PoisonError};
+use std::time::Duration;
+
+/// Counts reads and bytes, and sleeps before each read.
+#[derive(Debug)]
+pub struct SlowSource<S> {
+    source: S,
+    latency: Duration,
+    reads: AtomicU64,
+    bytes: AtomicU64,
+}
+
+impl<S> SlowSource<S> {
+    /// `source`, whose every read takes `latency` longer; with none, it only counts.
+    pub fn new(source: S, latency: Duration) -> Self {
+        Self { source, latency, reads: AtomicU64::new(0), bytes: AtomicU64::new(0) }
+    }
+
+    /// Reads so far, and the bytes that they asked for.
+    pub fn counts(&self) -> (u64, u64) {
+        (self.reads.load(Relaxed), self.bytes.load(Relaxed))
+    }
+}
+
+impl<S: ByteSource> ByteSource for SlowSource<S> {
+    fn len(&self) -> u64 {
+        self.source.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        self.reads.fetch_add(1, Relaxed);
+        self.bytes.fetch_add(buf.len() as u64, Relaxed);
+        if !self.latency.is_zero() {
+            std::thread::sleep(self.latency);
+        }
+        self.source.read_at(offset, buf)
+    }
+}
+
+/// What a [`FaultySource`] does to the bytes it was told of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// Nothing.
+    None,
+    /// Reads that touch them fail.
+    Fail,
+    /// Reads that touch them give other bytes.
+    Flip,
+}
+
+/// Fails, or lies, about one stretch of bytes, as long as told to.
+#[derive(Debug)]
+pub struct FaultySource<S> {
+    source: S,
+    fault: Mutex<(Fault, std::ops::Range<u64>)>,
+}
+
+impl<S> FaultySource<S> {
+    /// `source`, without a fault so far.
+    pub fn new(source: S) -> Self {
+        Self { source, fault: Mutex::new((Fault::None, 0..0)) }
+    }
+
+    /// From now on does `fault` to reads that touch `bytes`.
+    pub fn set(&self, fault: Fault, bytes: std::ops::Range<u64>) {
+        *self.fault.lock().unwrap_or_else(PoisonError::into_inner) = (fault, bytes);
+    }
+}
+
+impl<S: ByteSource> ByteSource for FaultySource<S> {
+    fn len(&self) -> u64 {
+        self.source.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        self.source.read_at(offset, buf)?;
+        let (fault, bytes) = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let end = offset + buf.len() as u64;
+        let touched = bytes.start.max(offset)..bytes.end.min(end);
+        match fault {
+            _ if touched.is_empty() => Ok(()),
+            Fault::None => Ok(()),
+            Fault::Flip => {
+                buf[(touched.start - offset) as usize] ^= 0x10;
+                Ok(())
+            }
+            Fault::Fail => {
+                let action = format!("read {} bytes at {offset}", buf.len());
+                Err(Error::io("faulty source", action, std::io::ErrorKind::ConnectionReset.into()))
+            }
+        }
+    }
+}
+
+/// Lets reads pass as long as its gate is open, and holds them at it while it is closed.
+#[derive(Debug)]
+pub struct GatedSource<S> {
+    source: S,
+    open: Mutex<bool>,
+    changed: Condvar,
+    waiting: AtomicBool,
+}
+
+impl<S> GatedSource<S> {
+    /// `source` behind an open gate.
+    pub fn new(source: S) -> Self {
+        Self { source, open: Mutex::new(true), changed: Condvar::new(), waiting: AtomicBool::new(false) }
+    }
+
+    /// Opens or closes the gate.
+    pub fn set_open(&self, open: bool) {
+        *self.open.lock().unwrap_or_else(PoisonError::into_inner) = open;
+        self.changed.notify_all();
+    }
+
+    /// Whether a read has come to the closed gate.
+    pub fn is_waiting(&self) -> bool {
+        self.waiting.load(Relaxed)
+    }
+}
+
+impl<S: ByteSource> ByteSource for GatedSource<S> {
+    fn len(&self) -> u64 {
+        self.source.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
+        while !*open {
+            self.waiting.store(true, Relaxed);
+            open = self.changed.wait(open).unwrap_or_else(PoisonError::into_inner);
+        }
+        self.waiting.store(false, Relaxed);
+        drop(open);
+        self.source.read_at(offset, buf)
+    }
+}
