@@ -229,8 +229,10 @@ impl PageSize {
 
     /// [`Page::weight_bytes`] of a page of this size with matter in `slices` (bytes); exact.
     pub fn weight_bytes(self, slices: u64) -> usize {
+        // A mask of blocks for every slice from the lowest to the highest with matter.
+        let height = (64 - slices.leading_zeros()).saturating_sub(slices.trailing_zeros()) as usize;
         size_of::<Page>()
-            + size_of::<u64>() * slices.count_ones() as usize
+            + size_of::<u64>() * height
             + size_of::<Block>() * (self.blocks() as usize + 1)
             + size_of::<Span>() * self.words() as usize
     }
