@@ -4,13 +4,13 @@
 use crate::Random;
 use nalgebra::{Point3, Vector3};
 
-/// Size of the building [m].
+/// Size of the building (m).
 pub const SIZE: [f64; 3] = [30.0, 24.0, 6.4];
-/// From floor to floor, and from floor to ceiling [m].
+/// From floor to floor, and from floor to ceiling (m).
 pub const STOREY: [f64; 2] = [3.2, 3.0];
 const ROOM: f64 = 6.0;
 const DOOR: f64 = 1.2;
-/// Noise of the scanner, one standard deviation [m].
+/// Noise of the scanner, one standard deviation (m).
 const NOISE: f64 = 0.002;
 
 /// A rectangle `corner + u·a + v·b`, `0 ≤ u, v ≤ 1`.
@@ -20,7 +20,7 @@ struct Face {
     b: Vector3<f64>,
 }
 
-/// Calls `point` for the points of a scan with `spacing` between them [m].
+/// Calls `point` for the points of a scan with `spacing` between them (m).
 pub fn scan(spacing: f64, seed: u64, mut point: impl FnMut(Point3<f64>)) {
     let mut random = Random(seed);
     for face in faces(&mut random) {

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use slicewalk::query::{Aabb, Answer, probe};
 use slicewalk::store::PageSet;
 
-/// Width, depth and height of the pawn [m].
+/// Width, depth and height of the pawn (m).
 pub const PAWN: [f64; 3] = [0.5, 0.5, 1.8];
 
 /// A pawn with its feet at `feet`.

@@ -115,11 +115,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
     eprintln!("walking up the stairs");
     walk(&store, &mut table)?;
 
-    let slices = header.slices.map_or(0..=-1, |(lowest, highest)| lowest..=highest);
     let frame = *archive.frame();
     for (name, height) in [("floor", 0.02), ("knees", 0.5), ("eyes", 1.6)] {
         let slice = frame.slice_of(height);
-        if slices.contains(&slice) {
+        if header.slices.is_some_and(|(lowest, highest)| (lowest..=highest).contains(&slice)) {
             let path = dir.join(format!("slice-{name}.png"));
             show::draw(&archive, slice, &path)?;
             table.row("picture", format!("{} (z = {height} m)", path.display()));
@@ -157,10 +156,8 @@ impl Points {
                 continue;
             }
             let point = [x, y, z];
-            for axis in 0..3 {
-                points.min[axis] = points.min[axis].min(point[axis]);
-                points.max[axis] = points.max[axis].max(point[axis]);
-            }
+            points.min = std::array::from_fn(|axis| points.min[axis].min(point[axis]));
+            points.max = std::array::from_fn(|axis| points.max[axis].max(point[axis]));
             points.cells.entry(Self::cell(point[0], point[1])).or_default().push(point);
         }
         Ok(points)

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// Widest or highest picture drawn [pixels]: beyond it, viewers give up.
+/// Widest or highest picture drawn (pixels): beyond it, viewers give up.
 const MAX_EDGE_PIXELS: i64 = 65_500;
 
 /// Which slice of which archive, and where to.
