@@ -27,16 +27,16 @@ struct Arguments {
     #[arg(short, long, value_name = "OUT.slices")]
     output: PathBuf,
     /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing
-    #[arg(long, default_value = "auto", value_name = "auto|METRES", value_parser = pixel_size)]
+    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|METRES", value_parser = pixel_size)]
     pixel: PixelSize,
     /// Height of a slice in metres [default: three pixels]
-    #[arg(long, value_name = "METRES", value_parser = length)]
+    #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
     slice: Option<f64>,
     /// Steepest slope that can be stood on, in degrees
-    #[arg(long, default_value_t = 45.0, value_name = "DEG")]
+    #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_name = "DEG")]
     max_slope: f64,
     /// How far heights may be coarsened, always outwards, in metres
-    #[arg(long, default_value_t = 0.0, value_name = "METRES")]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_name = "METRES")]
     tolerance: f64,
     /// How floors and obstacles are told apart
     #[arg(long, value_enum, default_value_t = Rule::Plane)]
@@ -63,7 +63,7 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
     /// Unit of the input: from its CRS, metres, feet, US survey feet, or metres per unit
-    #[arg(long, default_value = "auto", value_name = "auto|m|ft|us-ft|FACTOR", value_parser = units)]
+    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|m|ft|us-ft|FACTOR", value_parser = units)]
     units: Units,
     /// Replace an existing archive
     #[arg(long)]

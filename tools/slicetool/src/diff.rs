@@ -22,7 +22,7 @@ struct Difference {
 
 /// Compares the archives at `a` and `b`, which must share their grid.
 pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
-    let (first, second) = (Archive::open(a)?, Archive::open(b)?);
+    let (first, second) = (crate::open(a)?, crate::open(b)?);
     if first.frame() != second.frame() {
         let grid =
             |archive: &Archive| format!("pixel {} m, slice {} m", archive.frame().pixel_m(), archive.frame().slice_m());
@@ -34,7 +34,7 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
             grid(&second)
         )));
     }
-    let difference = compare(&first, &second)?;
+    let difference = compare((&first, a), (&second, b))?;
     let identical = difference.pages_only_a + difference.pages_only_b + difference.pages_differing == 0;
     let same_plan = first.header().plan_hash == second.header().plan_hash;
     let quantum = first.frame().quantum_m();
@@ -77,22 +77,27 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
     Ok(text)
 }
 
+/// The entries of an archive; errors with its name.
+fn entries<'a>(archive: &'a Archive, path: &'a Path) -> impl Iterator<Item = Result<PageEntry, Failure>> + 'a {
+    archive.entries().map(move |entry| entry.map_err(|error| crate::broken(path, &error)))
+}
+
 /// Walks both directories side by side; memory: one page of each.
-fn compare(a: &Archive, b: &Archive) -> Result<Difference, Failure> {
+fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Result<Difference, Failure> {
     let mut difference = Difference::default();
-    let (mut entries_a, mut entries_b) = (a.entries(), b.entries());
+    let (mut entries_a, mut entries_b) = (entries(a, path_a), entries(b, path_b));
     let (mut next_a, mut next_b) = (entries_a.next().transpose()?, entries_b.next().transpose()?);
     let empty = slicewalk::slice::PageBuilder::default().build();
-    let load = |archive: &Archive, entry: Option<&PageEntry>| -> slicewalk::Result<Option<Page>> {
-        entry.map(|entry| archive.page(entry)).transpose()
+    let load = |archive: &Archive, path: &Path, entry: Option<&PageEntry>| -> Result<Option<Page>, Failure> {
+        entry.map(|entry| archive.page(entry)).transpose().map_err(|error| crate::broken(path, &error))
     };
     while next_a.is_some() || next_b.is_some() {
         let key_a = next_a.as_ref().map(|entry| entry.key);
         let key_b = next_b.as_ref().map(|entry| entry.key);
         let take_a = key_a.is_some_and(|a| key_b.is_none_or(|b| a <= b));
         let take_b = key_b.is_some_and(|b| key_a.is_none_or(|a| b <= a));
-        let page_a = load(a, next_a.as_ref().filter(|_| take_a))?;
-        let page_b = load(b, next_b.as_ref().filter(|_| take_b))?;
+        let page_a = load(a, path_a, next_a.as_ref().filter(|_| take_a))?;
+        let page_b = load(b, path_b, next_b.as_ref().filter(|_| take_b))?;
         match (&page_a, &page_b) {
             (Some(_), None) => difference.pages_only_a += 1,
             (None, Some(_)) => difference.pages_only_b += 1,

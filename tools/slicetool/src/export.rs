@@ -21,24 +21,37 @@ struct VoxelPoint {
 
 /// Exports the archive at `path` in the format that the ending of `output` names.
 pub fn run(path: &Path, output: &Path) -> Outcome {
-    let archive = Archive::open(path)?;
+    let archive = crate::open(path)?;
+    crate::keep_apart(path, output)?;
     let ending = output.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     let count = match ending.as_str() {
-        "ply" => ply(&archive, output)?,
-        "las" | "laz" => las(&archive, output)?,
+        "ply" => ply(&archive, path, output),
+        "las" | "laz" => las(&archive, path, output),
         _ => {
             let text = format!("{}: unknown format; name the file .ply, .las or .laz", output.display());
             return Err(Failure::Text(text));
         }
     };
-    Ok(format!("{}: {count} points\n", output.display()))
+    match count {
+        Ok(count) => Ok(format!("{}: {count} points\n", output.display())),
+        Err(failure) => {
+            // Half an export is worse than none.
+            let _ = std::fs::remove_file(output);
+            Err(failure)
+        }
+    }
 }
 
-fn each_voxel(archive: &Archive, mut give: impl FnMut(&VoxelPoint) -> Result<(), Failure>) -> Result<(), Failure> {
+fn each_voxel(
+    archive: &Archive,
+    path: &Path,
+    mut give: impl FnMut(&VoxelPoint) -> Result<(), Failure>,
+) -> Result<(), Failure> {
     let frame = archive.frame();
+    let broken = |error| crate::broken(path, &error);
     for entry in archive.entries() {
-        let entry = entry?;
-        let page = archive.page(&entry)?;
+        let entry = entry.map_err(broken)?;
+        let page = archive.page(&entry).map_err(broken)?;
         for (px, py, spans) in page.columns() {
             let centre = |tile: i32, pixel: u32| {
                 (f64::from(tile) * TILE_PIXELS as f64 + f64::from(pixel) + 0.5) * frame.pixel_m()
@@ -64,7 +77,7 @@ fn each_voxel(archive: &Archive, mut give: impl FnMut(&VoxelPoint) -> Result<(),
     Ok(())
 }
 
-fn ply(archive: &Archive, output: &Path) -> Result<u64, Failure> {
+fn ply(archive: &Archive, path: &Path, output: &Path) -> Result<u64, Failure> {
     let failed = |action: &str, e: std::io::Error| Failure::Text(format!("{}: cannot {action}: {e}", output.display()));
     let mut file = BufWriter::new(File::create(output).map_err(|e| failed("create", e))?);
     let head = "ply\nformat binary_little_endian 1.0\nelement vertex ";
@@ -75,12 +88,12 @@ fn ply(archive: &Archive, output: &Path) -> Result<u64, Failure> {
         ""
     )?;
     let mut count = 0u64;
-    each_voxel(archive, |point| {
+    each_voxel(archive, path, |point| {
         count += 1;
         for value in point.position {
-            file.write_all(&value.to_le_bytes())?;
+            file.write_all(&value.to_le_bytes()).map_err(|e| failed("write", e))?;
         }
-        Ok(file.write_all(&point.colour)?)
+        file.write_all(&point.colour).map_err(|e| failed("write", e))
     })?;
     file.seek(SeekFrom::Start(head.len() as u64)).map_err(|e| failed("seek", e))?;
     write!(file, "{count:<COUNT_DIGITS$}")?;
@@ -88,7 +101,7 @@ fn ply(archive: &Archive, output: &Path) -> Result<u64, Failure> {
     Ok(count)
 }
 
-fn las(archive: &Archive, output: &Path) -> Result<u64, Failure> {
+fn las(archive: &Archive, path: &Path, output: &Path) -> Result<u64, Failure> {
     let mut builder = las::Builder::from((1, 2));
     builder.point_format = las::point::Format::new(2)?;
     let (min, max) = archive.header().bounds.unwrap_or_default();
@@ -100,24 +113,26 @@ fn las(archive: &Archive, output: &Path) -> Result<u64, Failure> {
         transform.scale = (((max[axis] - min[axis]) / 2e9).max(1e-12)).log10().ceil().max(-4.0);
         transform.scale = 10f64.powf(transform.scale);
     }
-    let mut writer = las::Writer::from_path(output, builder.into_header()?)?;
+    let failed = |e: las::Error| Failure::Text(format!("{}: cannot write: {e}", output.display()));
+    let mut writer = las::Writer::from_path(output, builder.into_header()?).map_err(failed)?;
     let mut count = 0u64;
-    each_voxel(archive, |point| {
+    each_voxel(archive, path, |point| {
         count += 1;
         let [x, y, z] = point.position;
         let [red, green, blue] = point.colour.map(|value| u16::from(value) * 257);
-        writer.write_point(las::Point {
-            x,
-            y,
-            z,
-            color: Some(las::Color { red, green, blue }),
-            classification: las::point::Classification::new(CLASSES[usize::from(point.obstacle)])?,
-            return_number: 1,
-            number_of_returns: 1,
-            ..Default::default()
-        })?;
-        Ok(())
+        writer
+            .write_point(las::Point {
+                x,
+                y,
+                z,
+                color: Some(las::Color { red, green, blue }),
+                classification: las::point::Classification::new(CLASSES[usize::from(point.obstacle)])?,
+                return_number: 1,
+                number_of_returns: 1,
+                ..Default::default()
+            })
+            .map_err(failed)
     })?;
-    writer.close()?;
+    writer.close().map_err(failed)?;
     Ok(count)
 }

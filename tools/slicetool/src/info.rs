@@ -1,14 +1,13 @@
 //! `slicetool info`: what an archive says of itself.
 
 use crate::Outcome;
-use slicewalk::archive::Archive;
 use std::fmt::Write;
 use std::path::Path;
 
 /// Facts of the archive at `path`, as JSON or as text.
 pub fn run(path: &Path, json: bool) -> Outcome {
-    let archive = Archive::open(path)?;
-    let facts = slicewalk::info::info(&archive)?;
+    let archive = crate::open(path)?;
+    let facts = slicewalk::info::info(&archive).map_err(|error| crate::broken(path, &error))?;
     if json {
         return Ok(format!("{facts:#}\n"));
     }

@@ -12,8 +12,9 @@ mod verify;
 mod walk;
 
 use clap::{Parser, Subcommand};
+use slicewalk::archive::Archive;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// What ends a command early.
@@ -89,6 +90,36 @@ enum Command {
     Demo(demo::Arguments),
 }
 
+/// The archive at `path`; what it breaks is told with its name.
+pub fn open(path: &Path) -> Result<Archive, Failure> {
+    Archive::open(path).map_err(|error| broken(path, &error))
+}
+
+/// A failure to read the archive at `path`: errors about its content name the part, but not the file.
+pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
+    match error {
+        slicewalk::Error::Format { .. } => {
+            Failure::Text(format!("{}: {error}; convert the scan again, or fetch the archive again", path.display()))
+        }
+        _ => Failure::Text(error.to_string()),
+    }
+}
+
+/// Refuses to write `output` over the archive that is being read.
+pub fn keep_apart(archive: &Path, output: &Path) -> Result<(), Failure> {
+    match (archive.canonicalize(), output.canonicalize()) {
+        (Ok(archive), Ok(same)) if archive == same => {
+            Err(Failure::Text(format!("{}: is the archive itself; choose another output", output.display())))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.
+fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "slicetool: {line}");
+}
+
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
         Command::Info { archive, json } => info::run(&archive, json),
@@ -105,14 +136,14 @@ fn main() -> ExitCode {
         Ok(text) => (text, ExitCode::SUCCESS),
         Err(Failure::Result(text)) => (text, ExitCode::FAILURE),
         Err(Failure::Text(text)) => {
-            eprintln!("slicetool: {text}");
+            say(&text);
             return ExitCode::FAILURE;
         }
     };
     // A closed pipe (`slicetool query … | head`) is the reader's choice, not a failure.
     match std::io::stdout().write_all(text.as_bytes()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
-            eprintln!("slicetool: cannot write to standard output: {error}");
+            say(&format!("cannot write to standard output: {error}"));
             ExitCode::FAILURE
         }
         _ => code,

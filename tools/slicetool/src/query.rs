@@ -1,7 +1,6 @@
 //! `slicetool query`: boxes or rays from a CSV file, answers as CSV.
 
 use crate::{Failure, Outcome};
-use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::{Aabb, Answer, Missing, Ray, cast, probe};
 use slicewalk::store::Store;
@@ -29,20 +28,21 @@ pub struct Arguments {
 
 /// Answers every row; the whole result appears, or none.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let archive = Archive::open(&arguments.archive)?;
-    let mut store = Store::with_budget(Box::new(archive), (arguments.cache as usize) << 20)?;
+    let archive = crate::open(&arguments.archive)?;
+    let mut store = Store::with_budget(Box::new(archive), (arguments.cache as usize) << 20)
+        .map_err(|error| crate::broken(&arguments.archive, &error))?;
     match (&arguments.boxes, &arguments.rays) {
         (Some(path), _) => answer(path, BOX_COLUMNS, ["hit", "obstacle", "floor_z"], |values| {
             let [x0, y0, z0, x1, y1, z1] = values;
             let shape = Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into())?;
-            let found = complete(&mut store, |store| probe(store, &shape))?;
+            let found = complete(&mut store, &arguments.archive, |store| probe(store, &shape))?;
             let floor = found.floor_z.map_or(String::new(), |z| z.to_string());
             Ok([u8::from(found.hit).to_string(), u8::from(found.obstacle).to_string(), floor])
         }),
         (None, Some(path)) => answer(path, RAY_COLUMNS, ["hit", "distance", "nx", "ny", "nz"], |values| {
             let [x, y, z, dx, dy, dz, max] = values;
             let ray = Ray::new([x, y, z].into(), [dx, dy, dz].into(), max)?;
-            Ok(match complete(&mut store, |store| cast(store, &ray))? {
+            Ok(match complete(&mut store, &arguments.archive, |store| cast(store, &ray))? {
                 Some(hit) => {
                     let normal = hit.normal;
                     ["1".into(), hit.distance.to_string()]
@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
 }
 
 /// Repeats `ask` until nothing is missing, loading what is.
-fn complete<T>(store: &mut Store, ask: impl Fn(&Store) -> Answer<T>) -> Result<T, Failure> {
+fn complete<T>(store: &mut Store, archive: &Path, ask: impl Fn(&Store) -> Answer<T>) -> Result<T, Failure> {
     loop {
         let missing: Missing = match ask(store) {
             Answer::Known(answer) => return Ok(answer),
@@ -68,7 +68,7 @@ fn complete<T>(store: &mut Store, ask: impl Fn(&Store) -> Answer<T>) -> Result<T
         };
         let keys = missing.keys();
         let around = keys.first().copied().unwrap_or(PageKey { tx: 0, ty: 0, layer: 0 });
-        if store.load_missing(keys, around)?.loaded == 0 {
+        if store.load_missing(keys, around).map_err(|error| crate::broken(archive, &error))?.loaded == 0 {
             return Err(Failure::Text(
                 "one query needs more pages at once than fit in memory; give more --cache".into(),
             ));
@@ -76,62 +76,75 @@ fn complete<T>(store: &mut Store, ask: impl Fn(&Store) -> Answer<T>) -> Result<T
     }
 }
 
-/// Reads rows of the named columns (in any order, among others; without a header, in this order) and writes them with
-/// the answers behind.
+/// Reads rows of the named columns (in any order, among others; without a header, exactly these in this order) and writes
+/// each line as it stands with the answers behind. Empty lines and lines that begin with `#` are passed over.
 fn answer<const IN: usize, const OUT: usize>(
     path: &Path,
     columns: [&str; IN],
     answers: [&str; OUT],
     mut ask: impl FnMut([f64; IN]) -> Result<[String; OUT], Failure>,
 ) -> Outcome {
-    let failed = |at: &str, reason: &str| Failure::Text(format!("{}: {at}: {reason}", path.display()));
+    let failed = |line: usize, reason: String| Failure::Text(format!("{}: line {line}: {reason}", path.display()));
     let expected = columns.join(",");
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .trim(csv::Trim::All)
-        .comment(Some(b'#'))
-        .from_path(path)
-        .map_err(|e| failed("cannot open", &e.to_string()))?;
-    let mut order: Option<[usize; IN]> = None;
+    let bytes = std::fs::read(path).map_err(|e| Failure::Text(format!("{}: cannot read: {e}", path.display())))?;
+    let input = String::from_utf8(bytes).map_err(|e| {
+        let line = 1 + e.as_bytes()[..e.utf8_error().valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
+        failed(line, "no UTF-8 text; save the table as UTF-8 (or plain ASCII) CSV".into())
+    })?;
+    // Spreadsheets begin UTF-8 files with a mark that is no part of the first name.
+    let input = input.strip_prefix('\u{feff}').unwrap_or(&input);
+    let mut places: [usize; IN] = std::array::from_fn(|at| at);
+    let mut fields_expected = None;
     let mut text = String::new();
-    for row in reader.records() {
-        let row = row.map_err(|e| failed("cannot read", &e.to_string()))?;
-        let line = row.position().map_or(0, |position| position.line());
-        let order = match &order {
-            Some(order) => order,
-            None => {
-                let named = row.iter().any(|field| field.parse::<f64>().is_err());
-                let mut places = std::array::from_fn(|at| at);
-                if named {
-                    for (place, column) in places.iter_mut().zip(columns) {
-                        *place = row.iter().position(|field| field == column).ok_or_else(|| {
-                            failed("line 1", &format!("no column {column}; expected the columns {expected}"))
-                        })?;
-                    }
-                    writeln!(text, "{},{}", row.iter().collect::<Vec<_>>().join(","), answers.join(","))?;
-                } else {
-                    writeln!(text, "{expected},{}", answers.join(","))?;
+    for (number, line) in (1..).zip(input.lines()) {
+        if line.trim().is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let row = fields(line).ok_or_else(|| failed(number, "a quoted field does not end on its line".into()))?;
+        let is_number = |field: &str| field.parse::<f64>().is_ok();
+        if fields_expected.is_none() {
+            fields_expected = Some(row.len());
+            if row.iter().any(|field| field == columns[0]) || !row.iter().any(is_number) {
+                for (place, column) in places.iter_mut().zip(columns) {
+                    *place = row.iter().position(|field| field == column).ok_or_else(|| {
+                        failed(number, format!("no column {column}; expected the columns {expected}"))
+                    })?;
                 }
-                let order = order.insert(places);
-                if named {
-                    continue;
-                }
-                order
+                writeln!(text, "{line},{}", answers.join(","))?;
+                continue;
             }
-        };
+            if row.len() != IN {
+                let found = row.len();
+                return Err(failed(number, format!("{found} fields and no header; expected the columns {expected}")));
+            }
+            writeln!(text, "{expected},{}", answers.join(","))?;
+        }
+        if let Some(expected) = fields_expected.filter(|&expected| expected != row.len()) {
+            return Err(failed(number, format!("{} fields; the first line has {expected}", row.len())));
+        }
         let mut values = [0.0; IN];
-        for (value, (&place, column)) in values.iter_mut().zip(order.iter().zip(columns)) {
+        for (value, (&place, column)) in values.iter_mut().zip(places.iter().zip(columns)) {
             let field = row.get(place).unwrap_or_default();
-            *value = field
-                .parse()
-                .map_err(|_| failed(&format!("line {line}"), &format!("{column} is {field:?}; expected a number")))?;
+            *value = field.parse().map_err(|_| failed(number, format!("{column} is {field:?}; expected a number")))?;
         }
         let answers = ask(values).map_err(|failure| match failure {
-            Failure::Text(reason) => failed(&format!("line {line}"), &reason),
+            Failure::Text(reason) => failed(number, reason),
             result => result,
         })?;
-        writeln!(text, "{},{}", row.iter().collect::<Vec<_>>().join(","), answers.join(","))?;
+        writeln!(text, "{line},{}", answers.join(","))?;
     }
-    Ok(text)
+    match fields_expected {
+        Some(_) => Ok(text),
+        None => Err(Failure::Text(format!("{}: it is empty; expected the columns {expected}", path.display()))),
+    }
+}
+
+/// The fields of one line without blanks around them; `None` if a quoted one goes on beyond it.
+fn fields(line: &str) -> Option<csv::StringRecord> {
+    if line.bytes().filter(|&byte| byte == b'"').count() % 2 == 1 {
+        return None;
+    }
+    let mut reader = csv::ReaderBuilder::new().has_headers(false).trim(csv::Trim::All).from_reader(line.as_bytes());
+    let mut row = csv::StringRecord::new();
+    reader.read_record(&mut row).ok()?.then_some(row)
 }

@@ -28,7 +28,8 @@ pub struct Arguments {
 
 /// Draws the slice that `arguments` name.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let archive = Archive::open(&arguments.archive)?;
+    let archive = crate::open(&arguments.archive)?;
+    crate::keep_apart(&arguments.archive, &arguments.output)?;
     let Some((lowest, highest)) = archive.header().slices else {
         return Err(Failure::Text(format!("{}: holds no points, so there is no slice", arguments.archive.display())));
     };
@@ -47,7 +48,16 @@ pub fn run(arguments: &Arguments) -> Outcome {
             frame.bottom_of_slice(highest + 1)
         )));
     };
-    draw(&archive, slice, &arguments.output)?;
+    draw(&archive, slice, &arguments.output).map_err(|failure| {
+        // Half a picture is worse than none.
+        let _ = std::fs::remove_file(&arguments.output);
+        match failure {
+            Failure::Text(text) if text.starts_with("rule ") => {
+                Failure::Text(format!("{}: {text}", arguments.archive.display()))
+            }
+            other => other,
+        }
+    })?;
     Ok(String::new())
 }
 

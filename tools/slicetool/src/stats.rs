@@ -1,6 +1,6 @@
 //! `slicetool stats`: what the scene needed.
 
-use crate::{Failure, Outcome};
+use crate::Outcome;
 use serde_json::json;
 use slicewalk::archive::{Archive, Place};
 use std::fmt::Write;
@@ -26,8 +26,8 @@ const KINDS: [&str; 3] = ["stored", "shared", "uniform"];
 
 /// Counts over all pages of the archive at `path`.
 pub fn run(path: &Path, json: bool) -> Outcome {
-    let archive = Archive::open(path)?;
-    let stats = count(&archive)?;
+    let archive = crate::open(path)?;
+    let stats = count(&archive).map_err(|error| crate::broken(path, &error))?;
     let header = archive.header();
     let per = |amount: u64, of: u64| if of == 0 { 0.0 } else { amount as f64 / of as f64 };
     let bytes_per_voxel = per(header.file_len, stats.voxels);
@@ -84,7 +84,7 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     Ok(text)
 }
 
-fn count(archive: &Archive) -> Result<Stats, Failure> {
+fn count(archive: &Archive) -> slicewalk::Result<Stats> {
     let mut stats = Stats::default();
     for entry in archive.entries() {
         let entry = entry?;

@@ -1,0 +1,267 @@
+//! The program `sliceconv` as a user meets it: exit codes, streams, one-line errors, names.
+#![cfg(feature = "cli")]
+
+#[path = "common/scans.rs"]
+mod scans;
+
+use scans::{command, converts, names, points, refuses, sliceconv, verifies, write};
+use std::fs;
+use std::path::Path;
+use std::process::Stdio;
+use tempfile::TempDir;
+
+fn folder() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("scan.las"), &points(3000));
+    write(&folder.path().join("scan.laz"), &points(3000));
+    folder
+}
+
+const OPTIONS: [&str; 8] = ["-o", "a.slices", "--pixel", "0.1", "--units", "m", "--threads", "2"];
+
+fn with(inputs: &[&'static str], more: &[&'static str]) -> Vec<&'static str> {
+    [inputs, &OPTIONS, more].concat()
+}
+
+#[test]
+fn json_on_standard_output_is_one_document_with_the_keys_of_the_contract() {
+    let folder = folder();
+    let out = sliceconv(folder.path(), &with(&["scan.las"], &["--json"]));
+    assert!(out.status.success() && out.stderr.is_empty(), "{}", String::from_utf8_lossy(&out.stderr));
+    let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(facts["points_read"], 3000);
+    assert_eq!(facts["points_kept"], 3000);
+    assert_eq!(facts["pixel_size"], 0.1);
+    assert_eq!(facts["slice_height"], 0.3);
+    assert_eq!(facts["max_slope"], 45.0);
+    assert_eq!(facts["tolerance"], 0.0);
+    assert_eq!(facts["format_version"], "1.0");
+    assert_eq!(facts["origin"].as_array().unwrap().len(), 3);
+    for corner in ["min", "max"] {
+        assert_eq!(facts["bounds"][corner].as_array().unwrap().len(), 3);
+    }
+    let numbers = [
+        &["slices"][..],
+        &["tiles", "occupied"],
+        &["tiles", "stored"],
+        &["tiles", "unique"],
+        &["voxels", "occupied"],
+        &["voxels", "obstacle"],
+        &["bytes", "file"],
+        &["bytes", "tiles"],
+        &["bytes", "directory"],
+    ];
+    for path in numbers {
+        let value = path.iter().fold(&facts, |value, key| &value[key]);
+        assert!(value.as_u64().is_some_and(|value| value > 0), "{path:?}: {value}");
+    }
+    assert!(facts.as_object().unwrap().contains_key("crs"));
+    assert_eq!(facts["bytes"]["file"], fs::metadata(folder.path().join("a.slices")).unwrap().len());
+    verifies(&folder.path().join("a.slices"));
+}
+
+#[test]
+fn what_was_done_goes_to_standard_error_without_any_progress_in_a_pipe_and_quiet_is_quiet() {
+    let folder = folder();
+    let out = sliceconv(folder.path(), &with(&["scan.laz"], &[]));
+    assert!(out.status.success() && out.stdout.is_empty());
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(said.contains("a.slices: 3000 points"), "{said}");
+    assert!(!said.contains(['\r', '\u{1b}', '█']), "{said:?}");
+    let out = sliceconv(folder.path(), &with(&["scan.laz"], &["--force", "--quiet"]));
+    assert!(out.status.success() && out.stdout.is_empty() && out.stderr.is_empty());
+    // Without --units, the missing unit is a warning; not so when quiet.
+    let said = converts(folder.path(), &["scan.las", "-o", "b.slices", "--pixel", "0.1"]);
+    assert!(said.contains("sliceconv: warning: scan.las: no unit of length"), "{said}");
+    let said = converts(folder.path(), &["scan.las", "-o", "b.slices", "--pixel", "0.1", "--force", "--quiet"]);
+    assert_eq!(said, "");
+}
+
+#[test]
+fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
+    let folder = folder();
+    let at = folder.path();
+    fs::create_dir(at.join("empty")).unwrap();
+    fs::write(at.join("notes.txt"), "these are notes, and long enough to be a header if they were one".repeat(9))
+        .unwrap();
+    fs::write(at.join("house.obj"), "v 0 0 0\n").unwrap();
+    fs::write(at.join("nothing.las"), "").unwrap();
+    let las = fs::read(at.join("scan.las")).unwrap();
+    fs::write(at.join("head.las"), &las[..100]).unwrap();
+    let laz = fs::read(at.join("scan.laz")).unwrap();
+    let mut broken = laz.clone();
+    let len = broken.len();
+    broken[len / 3..len / 3 + 200].fill(0xA5);
+    fs::write(at.join("broken.laz"), broken).unwrap();
+    for (input, words) in [
+        ("no.las", &["no.las", "cannot open"][..]),
+        ("scan.lsa", &["scan.lsa", "cannot open"]),
+        ("empty", &["empty", "no .las or .laz file lies in it"]),
+        ("*.e57", &["*.e57", "matches no"]),
+        ("notes.txt", &["notes.txt", "LASF"]),
+        ("house.obj", &["house.obj", "mesh"]),
+        ("nothing.las", &["nothing.las"]),
+        ("head.las", &["head.las"]),
+        ("broken.laz", &["broken.laz", "damaged", "fetch or write the file again"]),
+    ] {
+        let said = refuses(at, &with(&[input], &[]), 1);
+        assert!(words.iter().all(|word| said.contains(word)) && !said.contains("panicked"), "{input}: {said}");
+    }
+    assert!(names(at).iter().all(|name| !name.contains("slices")), "{:?}", names(at));
+}
+
+#[test]
+fn a_cut_scan_converts_with_a_warning_that_counts_what_is_missing() {
+    let folder = folder();
+    let las = fs::read(folder.path().join("scan.las")).unwrap();
+    fs::write(folder.path().join("cut.las"), &las[..las.len() / 2]).unwrap();
+    let said = converts(folder.path(), &with(&["cut.las"], &[]));
+    assert!(said.contains("warning: cut.las: the header states 3000 points, the file holds 1494 whole ones"), "{said}");
+    verifies(&folder.path().join("a.slices"));
+}
+
+#[test]
+fn bounds_in_the_header_that_are_not_those_of_the_points_give_one_warning() {
+    let folder = folder();
+    let at = folder.path();
+    for name in ["wide.las", "narrow.las"] {
+        let mut las = fs::read(at.join("scan.las")).unwrap();
+        // Greatest x, at byte 179 of the header.
+        las[179..187].copy_from_slice(&(if name == "wide.las" { 1e9f64 } else { 1.0 }).to_le_bytes());
+        fs::write(at.join(name), las).unwrap();
+    }
+    let about =
+        |said: &str| said.lines().filter(|line| line.contains("other bounds")).map(str::to_owned).collect::<Vec<_>>();
+    assert_eq!(about(&converts(at, &with(&["scan.las", "scan.laz"], &[]))), [""; 0]);
+    for inputs in [&["wide.las"][..], &["narrow.las"], &["narrow.las", "wide.las", "scan.las"]] {
+        let lines = about(&converts(at, &with(inputs, &["--force"])));
+        assert_eq!(lines.len(), 1, "{lines:?}");
+        assert!(lines[0].contains(&format!("{}", inputs[0])), "{lines:?}");
+        assert_eq!(lines[0].contains("and 1 more"), inputs.len() > 1, "{lines:?}");
+    }
+}
+
+#[test]
+fn an_archive_is_only_replaced_when_asked_and_nothing_else_ever() {
+    let folder = folder();
+    let at = folder.path();
+    converts(at, &with(&["scan.las"], &[]));
+    let before = fs::read(at.join("a.slices")).unwrap();
+    let said = refuses(at, &with(&["scan.las"], &["--max-slope", "30"]), 1);
+    assert!(said.contains("a.slices") && said.contains("--force"), "{said}");
+    assert_eq!(fs::read(at.join("a.slices")).unwrap(), before);
+    converts(at, &with(&["scan.las"], &["--max-slope", "30", "--force"]));
+    assert_ne!(fs::read(at.join("a.slices")).unwrap(), before);
+    fs::create_dir(at.join("d.slices")).unwrap();
+    let said = refuses(at, &["scan.las", "-o", "d.slices", "--pixel", "1", "--force"], 1);
+    assert!(said.contains("d.slices") && said.contains("choose another name"), "{said}");
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_named() {
+    let folder = folder();
+    let at = folder.path();
+    fs::write(at.join("file"), "").unwrap();
+    for output in ["no/such/a.slices", "file/a.slices"] {
+        let said = refuses(at, &["scan.las", "-o", output, "--pixel", "0.1"], 1);
+        assert!(said.contains(output.strip_suffix("/a.slices").unwrap()), "{said}");
+    }
+    let said = refuses(at, &with(&["scan.las"], &["--temp-dir", "no/such"]), 1);
+    assert!(said.contains("no/such"), "{said}");
+    assert_eq!(names(at), ["file", "scan.las", "scan.laz"]);
+}
+
+#[test]
+fn wrong_usage_ends_with_2_and_says_what_was_expected() {
+    let folder = folder();
+    let at = folder.path();
+    for (arguments, word) in [
+        (&["-o", "a.slices"][..], "INPUT"),
+        (&["scan.las"], "--output"),
+        (&["scan.las", "-o", "a.slices", "--pixel", "0"], "above 0"),
+        (&["scan.las", "-o", "a.slices", "--pixel", "-1"], "--pixel"),
+        (&["scan.las", "-o", "a.slices", "--pixel", "nan"], "above 0"),
+        (&["scan.las", "-o", "a.slices", "--pixel", "wide"], "above 0"),
+        (&["scan.las", "-o", "a.slices", "--slice", "0"], "above 0"),
+        (&["scan.las", "-o", "a.slices", "--memory", "lots"], "expected B, KiB"),
+        (&["scan.las", "-o", "a.slices", "--memory", "5parsecs"], "unknown unit"),
+        (&["scan.las", "-o", "a.slices", "--memory", "63MiB"], "64MiB"),
+        (&["scan.las", "-o", "a.slices", "--memory", "0"], "64MiB"),
+        (&["scan.las", "-o", "a.slices", "--units", "furlong"], "us-ft"),
+        (&["scan.las", "-o", "a.slices", "--units", "-1"], "--units"),
+        (&["scan.las", "-o", "a.slices", "--threads", "0"], "--threads"),
+        (&["scan.las", "-o", "a.slices", "--threads", "two"], "--threads"),
+        (&["scan.las", "-o", "a.slices", "--max-slope", "91"], "--max-slope"),
+        (&["scan.las", "-o", "a.slices", "--tolerance", "-0.1"], "--tolerance"),
+        (&["scan.las", "-o", "a.slices", "--classifier", "guess"], "thesis"),
+        (&["scan.las", "-o", "a.slices", "--exclude-class", "256"], "--exclude-class"),
+        (&["scan.las", "-o", "a.slices", "--min-points", "0"], "--min-points"),
+        (&["scan.las", "-o", "a.slices", "--up", "x"], "--up"),
+        (&["scan.las", "-o", "a.slices", "--no-such"], "--no-such"),
+    ] {
+        let said = refuses(at, arguments, 2);
+        assert!(said.contains(word), "{arguments:?}: {said}");
+    }
+    assert_eq!(names(at), ["scan.las", "scan.laz"]);
+    for arguments in [["--help"], ["--version"]] {
+        let out = sliceconv(at, &arguments);
+        assert!(out.status.success() && !out.stdout.is_empty() && out.stderr.is_empty());
+    }
+}
+
+#[test]
+fn several_files_folders_and_patterns_with_spaces_and_foreign_letters_are_one_scan() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let tiles = at.join("Größe und Höhe 測量");
+    fs::create_dir(&tiles).unwrap();
+    let all = points(3000);
+    for (number, part) in all.chunks(1000).enumerate() {
+        write(&tiles.join(format!("tile {number}.{}", ["las", "LAZ", "laz"][number])), part);
+    }
+    write(&at.join("all.las"), &all);
+    let output = "Archiv für 測量.slices";
+    let run = |inputs: &[&str]| {
+        converts(at, &[inputs, &["-o", output, "--pixel", "0.1", "--units", "m", "--force"]].concat());
+        verifies(&at.join(output));
+        fs::read(at.join(output)).unwrap()
+    };
+    let one = run(&["all.las"]);
+    assert!(run(&["Größe und Höhe 測量"]) == one);
+    assert!(run(&["Größe*/tile ?.[lL][aA]*"]) == one);
+    assert!(run(&["Größe und Höhe 測量/tile 2.laz", "Größe*/tile [01].*"]) == one);
+}
+
+#[test]
+fn nobody_reading_the_output_is_no_failure_and_no_panic() {
+    let folder = folder();
+    // The reader goes before the program writes: it is told so by an error, not by a signal.
+    for (number, arguments) in [with(&["scan.las"], &["--json"]), with(&["scan.las"], &["--force"])].iter().enumerate()
+    {
+        let mut child =
+            command(folder.path()).args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        drop((child.stdout.take(), child.stderr.take()));
+        assert_eq!(child.wait().unwrap().code(), Some(0), "run {number}");
+        verifies(&folder.path().join("a.slices"));
+    }
+    assert_eq!(names(folder.path()), ["a.slices", "scan.las", "scan.laz"]);
+}
+
+#[test]
+fn a_scan_without_points_is_an_empty_archive_and_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut las = Vec::new();
+    write(&folder.path().join("one.las"), &[[1.0, 2.0, 3.0]]);
+    las.extend(fs::read(folder.path().join("one.las")).unwrap());
+    let points_at = u32::from_le_bytes(las[96..100].try_into().unwrap()) as usize;
+    las.truncate(points_at);
+    las[107..111].fill(0);
+    let file = folder.path().join("none.las");
+    fs::write(&file, las).unwrap();
+    let said = converts(folder.path(), &with(&["none.las"], &[]));
+    assert!(said.contains("the archive is empty"), "{said}");
+    verifies(&folder.path().join("a.slices"));
+    let said = refuses(folder.path(), &["none.las", "-o", "b.slices"], 1);
+    assert!(said.contains("--pixel"), "{said}");
+    assert!(!Path::new(&folder.path().join("b.slices")).exists());
+}

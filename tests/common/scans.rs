@@ -1,0 +1,131 @@
+//! Small scans on disk, and the program that converts them.
+#![allow(dead_code, reason = "each test file uses a part")]
+
+use scangen::{Chunks, WriteSpec, write_las};
+use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// Numbers from 0 to 1 that look random and are the same everywhere (an LCG after Knuth).
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.uniform() * n as f64) as usize
+    }
+
+    pub fn shuffle<T>(&mut self, items: &mut [T]) {
+        for last in (1..items.len()).rev() {
+            items.swap(last, self.below(last + 1));
+        }
+    }
+}
+
+/// A rough floor of 20 × 20 m with a wall, a roof over a part of it and a few far points: whole millimetres, about the
+/// origin, so that any scale and offset that divide them hold them exactly.
+pub fn points(count: usize) -> Vec<[f64; 3]> {
+    let mut random = Random(5);
+    let mut millimetres = |size: f64| (random.uniform() * size * 1000.0).round();
+    (0..count)
+        .map(|number| {
+            let (x, y, z) = (millimetres(20.0), millimetres(20.0), millimetres(0.03));
+            let point = match number % 10 {
+                _ if number == 77 => [1_500_000.0, -2_000_000.0, 500_000.0],
+                0 => [7_000.0 + z, y, x / 5.0],
+                1 | 2 => [x / 2.0, y / 2.0, 2_500.0 + z],
+                _ => [x, y, z],
+            };
+            [point[0] - 10_000.0, point[1] - 10_000.0, point[2]].map(|value| value / 1000.0)
+        })
+        .collect()
+}
+
+/// Writes `points` at `path` in the format that its ending names, with steps of a millimetre.
+pub fn write(path: &Path, points: &[[f64; 3]]) {
+    write_as(path, points, 0.001, [0.0; 3]);
+}
+
+/// Writes `points` with another step and offset.
+pub fn write_as(path: &Path, points: &[[f64; 3]], scale: f64, offset: [f64; 3]) {
+    let mut spec = WriteSpec::for_path(path);
+    spec.scale = [scale; 3];
+    spec.offset = offset;
+    spec.compression = spec.compression.map(|_| Chunks::Fixed(5_000));
+    write_las(path, points.iter().copied(), &spec).unwrap();
+}
+
+/// The program in `folder`, with everything it writes kept.
+pub fn sliceconv(folder: &Path, arguments: &[&str]) -> Output {
+    command(folder).args(arguments).output().unwrap()
+}
+
+/// The program in `folder`, ready for arguments.
+pub fn command(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sliceconv"));
+    command.current_dir(folder);
+    command
+}
+
+/// The program converts; returns what it says on standard error.
+pub fn converts(folder: &Path, arguments: &[&str]) -> String {
+    let out = sliceconv(folder, arguments);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(0), "{arguments:?}: {said}");
+    said
+}
+
+/// The program fails with `code`, prints nothing, and (for 1) says one line, which is returned.
+pub fn refuses(folder: &Path, arguments: &[&str], code: i32) -> String {
+    let out = sliceconv(folder, arguments);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(code), "{arguments:?}: {said}");
+    assert!(out.stdout.is_empty(), "{arguments:?}");
+    let lines: Vec<&str> = said.lines().filter(|line| !line.starts_with("sliceconv: warning: ")).collect();
+    if code == 1 {
+        assert_eq!(lines.len(), 1, "{arguments:?}: {said}");
+        assert!(lines[0].starts_with("sliceconv: "), "{said}");
+    }
+    said
+}
+
+/// The archive at `path` is sound in every byte.
+pub fn verifies(path: &Path) {
+    let archive = Archive::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let mut findings = Vec::new();
+    archive.verify(&NoMonitor, &mut |finding| findings.push(finding.to_string())).unwrap();
+    assert_eq!(findings, [""; 0], "{}", path.display());
+}
+
+/// Names in `folder`, sorted.
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name());
+    let mut names: Vec<String> = entries.map(|name| name.to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+/// The folder of real data, or `None` (said on standard error) where it is missing.
+pub fn data() -> Option<PathBuf> {
+    let shared = match std::env::var_os("SLICEWALK_SHARED") {
+        Some(shared) => PathBuf::from(shared),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
+    };
+    let data = shared.join("data");
+    if !data.is_dir() {
+        eprintln!("skipped: {} does not exist; SLICEWALK_SHARED names another place", data.display());
+        return None;
+    }
+    Some(data)
+}
+
+/// `path` as an argument.
+pub fn text(path: &(impl AsRef<OsStr> + ?Sized)) -> &str {
+    path.as_ref().to_str().unwrap()
+}
