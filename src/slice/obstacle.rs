@@ -5,8 +5,8 @@
 //!
 //! *Pieces and runs.* The matter of a pixel is known in sixteenths of a slice; a piece is a stretch of them without a
 //! void. Pieces are connected to a run when the void between them is at most a pixel's width, or when a neighbouring
-//! pixel has matter well inside it: so walls of few points are runs, while the top and the underside of a floor slab,
-//! with nothing between, are not. A plane of slope θ extends at most `√2·t·tan θ` within a pixel, whatever its heading; a
+//! pixel has matter well inside it and the pixel opposite has not the same void: so walls of few points are runs, while
+//! the top and the underside of a floor slab, with nothing between, are not, even beside a wall. A plane of slope θ extends at most `√2·t·tan θ` within a pixel, whatever its heading; a
 //! run that extends further is steeper.
 //!
 //! - [`Classifier::Span`]: a run higher than `√2·t·tan(limit)` is an obstacle.
@@ -130,11 +130,19 @@ impl Judge {
             return false;
         }
         let (low, high) = (below.high as f64 + margin, above.low as f64 - margin);
-        let slice = (below.high / SLICE_QUANTA) as u32;
-        neighbourhood(pixel).any(|(neighbour, ..)| {
-            let voxels = &patch.voxels()[patch.around(neighbour, slice)];
-            pieces(voxels).any(|piece| low <= piece.low as f64 && piece.high as f64 <= high)
-        })
+        let around = |neighbour: usize, height: i64| {
+            pieces(&patch.voxels()[patch.around(neighbour, (height / SLICE_QUANTA) as u32)])
+        };
+        let matter = |neighbour: usize| around(neighbour, below.high);
+        let inside = |piece: Piece| low <= piece.low as f64 && piece.high as f64 <= high;
+        let near = |a: i64, b: i64| (a - b).abs() as f64 <= self.intrusion;
+        // The same void, between the same ends: what a slab has in common with its next pixel, and a wall has not.
+        let same_void = |neighbour: usize| {
+            matter(neighbour).any(|piece| near(piece.high, below.high))
+                && around(neighbour, above.low).any(|piece| near(piece.low, above.low))
+                && !matter(neighbour).any(|piece| piece.high as f64 > low && (piece.low as f64) < high)
+        };
+        neighbourhood(pixel).any(|(neighbour, ..)| matter(neighbour).any(inside) && !same_void(2 * pixel - neighbour))
     }
 
     /// Verdict on one voxel by the surface around it.
@@ -354,8 +362,13 @@ mod tests {
         }
     }
 
-    /// Shares of voxels judged obstacle among the inner pixels of tile (0, 0), which holds `points`.
+    /// Share of voxels judged obstacle among the inner pixels of tile (0, 0), which holds `points`.
     fn obstacle_share(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> f64 {
+        obstacle_share_between(plan, points, (4, 60))
+    }
+
+    /// The same among the pixels from `x.0` to before `x.1` alone.
+    fn obstacle_share_between(plan: &Plan, points: impl Iterator<Item = [f64; 3]>, x: (u32, u32)) -> f64 {
         let recorder = Recorder::new(plan.frame);
         let mut records: Vec<Record> = Vec::new();
         for [x, y, z] in points {
@@ -367,7 +380,7 @@ mod tests {
         }
         let mut patch = Patch::default();
         patch.fold(&records, 1, Area::TILE);
-        let inner = Area { x: (4, 60), y: (4, 60) };
+        let inner = Area { x, y: (4, 60) };
         let mut verdicts = Vec::new();
         Judge::new(plan).judge(&patch, inner, &mut verdicts);
         let (mut all, mut obstacles) = (0, 0);
@@ -451,6 +464,33 @@ mod tests {
                 for classifier in [Classifier::Plane, Classifier::Span] {
                     let share = obstacle_share(&plan(classifier, 45.0), points.iter().copied());
                     assert!(share < 0.01, "{classifier:?}, {thickness} m thick, top at {top}: {share}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_slab_beside_a_wall_is_floor_up_to_the_wall() {
+        let mut random = Random(23);
+        let edge = 64.0 * T;
+        for (slab, wall) in [(40_000, 4_000), (40_000, 12_000), (150_000, 40_000)] {
+            for thickness in [0.2, 0.25] {
+                let mut points: Vec<_> = (0..slab)
+                    .map(|n| {
+                        let z = if n % 2 == 0 { 0.3 } else { 0.3 - thickness };
+                        [random.uniform() * 1.6, random.uniform() * edge, z + 0.002 * random.normal()]
+                    })
+                    .collect();
+                // The wall fills pixel 32, from 1.60 to 1.65 m.
+                points.extend((0..wall).map(|_| [1.61, random.uniform() * edge, random.uniform() * 2.4 - 1.2]));
+                for classifier in [Classifier::Plane, Classifier::Span] {
+                    let share = |x| obstacle_share_between(&plan(classifier, 45.0), points.iter().copied(), x);
+                    let (beside, own) = (share((31, 32)), share((32, 33)));
+                    assert!(beside < 0.02, "{classifier:?}, {thickness} m, {wall} points: {beside} beside the wall");
+                    assert!(
+                        own > 0.9 || classifier == Classifier::Span,
+                        "{classifier:?}, {thickness} m, {wall} points: {own} of the wall"
+                    );
                 }
             }
         }

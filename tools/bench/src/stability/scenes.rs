@@ -12,6 +12,9 @@ use scangen::{Params, SampleSpec, Scene, Truth};
 const STEEPEST_DEG: f64 = 40.0;
 /// Points per squared pixel of surface, on a jittered grid: no pixel of a floor is empty by chance.
 const DENSITY: f64 = 4.0;
+/// Floors are looked for from so far above the true one to so far below: not through a slab to its underside (m).
+const ABOVE_M: f64 = 0.3;
+const BELOW_M: f64 = 0.15;
 /// Edge of the part of a scene that is scanned (pixels).
 const WINDOW: f64 = 200.0;
 
@@ -82,7 +85,7 @@ pub fn floors(effort: Effort) -> Result<Outcome> {
                 let judged = scan.judge(Setting::new(pixel_m), method)?;
                 let (mut errors, mut missing) = ([Errors::default(), Errors::default()], [Share::default(); 2]);
                 for &(x, y, floor, inner) in &queries {
-                    let found = judged.floor(x, y, floor + 0.3, 0.6);
+                    let found = judged.floor(x, y, floor + ABOVE_M, ABOVE_M + BELOW_M);
                     for k in 0..=usize::from(inner) {
                         missing[k].add(found.is_none());
                         errors[k].0.extend(found.map(|z| (z - floor) * 1000.0));
