@@ -209,7 +209,7 @@ fn inner_corners_end_the_way_without_jitter() {
 
 #[test]
 fn round_columns_are_walked_around() {
-    let radius = 0.3;
+    let radius = 0.32;
     let scene = scene(|b| {
         b.level("floor", [-3.0, -3.0, 3.0, 3.0], 0.0, &[]);
         b.column("column", [0.0, 0.0], radius, [0.0, 3.0]);
