@@ -1,13 +1,15 @@
 //! Pawns in scenes with known truth: what is walked, climbed, refused, and that nothing jitters, tunnels or leaks.
 
+#[path = "walk/crowds.rs"]
+mod crowds;
+#[path = "walk/motion.rs"]
+mod motion;
 #[path = "walk/world.rs"]
 mod world;
 
 use nalgebra::{Point3, Vector2, Vector3};
 use scangen::{Params, Scene};
-use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::query::{Aabb, Overlap, overlaps};
-use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::Store;
 use slicewalk::walk::*;
 use world::*;

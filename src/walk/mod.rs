@@ -145,8 +145,6 @@ pub enum Stop {
     Corner,
     /// It was inside matter and has been pushed out, or could not be.
     Inside,
-    /// Another pawn.
-    Pawn,
 }
 
 /// Where a pawn wants to go.
