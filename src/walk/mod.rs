@@ -145,8 +145,6 @@ pub enum Stop {
     Corner,
     /// It was inside matter and has been pushed out, or could not be.
     Inside,
-    /// Another pawn.
-    Pawn,
 }
 
 /// Where a pawn wants to go.
@@ -218,6 +216,24 @@ struct Motion {
     falling: f64,
     /// Of the thesis' response: its step as a share of the full one.
     step: f64,
+    /// Of ours: the rest of a way around an edge, and the way into the wall that it is for (m).
+    detour: Vector2<f64>,
+    detour_for: Vector2<f64>,
+}
+
+impl Motion {
+    fn at(feet: Point3<f64>) -> Self {
+        let none = Vector2::zeros();
+        Self {
+            feet,
+            ground: Ground::Obstacle,
+            floor_z: feet.z,
+            falling: 0.0,
+            step: 1.0,
+            detour: none,
+            detour_for: none,
+        }
+    }
 }
 
 /// A pawn.
@@ -260,8 +276,7 @@ impl Walker {
         if !feet.iter().all(|v| v.is_finite()) {
             return Err(Error::parameter("start", format!("no pawn can stand at {feet}")));
         }
-        let motion = Motion { feet, ground: Ground::Obstacle, floor_z: feet.z, falling: 0.0, step: 1.0 };
-        Ok(Self { config, motion, state: State::Walking, rest_s: 0.0 })
+        Ok(Self { config, motion: Motion::at(feet), state: State::Walking, rest_s: 0.0 })
     }
 
     /// Its numbers.
@@ -292,7 +307,7 @@ impl Walker {
     /// Puts it elsewhere (m, finite), at rest. A place that is not finite is left alone.
     pub fn place(&mut self, feet: Point3<f64>) {
         if feet.iter().all(|v| v.is_finite()) {
-            self.motion = Motion { feet, ground: Ground::Obstacle, floor_z: feet.z, falling: 0.0, step: 1.0 };
+            self.motion = Motion::at(feet);
             (self.state, self.rest_s) = (State::Walking, 0.0);
         }
     }

@@ -1,6 +1,6 @@
 //! Walking by exact sweeps: forward, up a step, along a wall, down to the ground.
 
-use super::{Body, Config, FLOOR_NEAR_M, Ground, Motion, Needs, Stop, known};
+use super::{Config, FLOOR_NEAR_M, Ground, Motion, Needs, Stop, known};
 use crate::query::SweepHit;
 use crate::store::PageSet;
 use nalgebra::{Point3, Vector2, Vector3};
@@ -12,6 +12,9 @@ const CONTACTS: usize = 4;
 const STRIDE_M: f64 = 0.25;
 /// How far beyond the body floor is looked for on top of a step (m): its edge is an obstacle, its tread comes behind.
 const AHEAD_M: f64 = 0.25;
+/// A way around an edge leads so far off the wall, and must gain so much (pixels).
+const OFF: f64 = 0.3;
+const GAIN: f64 = 0.35;
 /// Ways shorter than this are none (m).
 const NOTHING_M: f64 = 1e-9;
 /// Heights closer than this are equal: rounding errors at 10⁷ m (m).
@@ -30,7 +33,10 @@ pub(super) fn tick<S: PageSet>(
     let mut falls = walk.motion.ground == Ground::Air;
     for _ in 0..strides as u64 {
         let before = walk.motion.feet;
-        walk.stride(way / strides)?;
+        let stride = way / strides;
+        if !walk.go_around(stride)? {
+            walk.stride(stride)?;
+        }
         if walk.motion.ground != Ground::Air {
             walk.stand()?;
             falls |= walk.motion.ground == Ground::Air;
@@ -131,18 +137,41 @@ impl<S: PageSet> Walk<'_, S> {
         ControlFlow::Continue(())
     }
 
-    /// Sideways by at most `into`, if up to three pixels to the side the way into the wall with this `normal` is free.
+    /// On along a way around an edge, if there is one and the pawn still wants past it.
+    fn go_around(&mut self, way: Vector2<f64>) -> Needs<bool> {
+        let rest = self.motion.detour;
+        if rest == Vector2::zeros() {
+            return ControlFlow::Continue(false);
+        }
+        if self.motion.ground == Ground::Air || way.dot(&self.motion.detour_for) < NOTHING_M {
+            self.motion.detour = Vector2::zeros();
+            return ControlFlow::Continue(false);
+        }
+        let length = rest.norm();
+        let by = rest * (way.norm() / length).min(1.0);
+        let hit = self.sweep(self.motion.feet, by.push(0.0))?;
+        let share = hit.map_or(1.0, |hit| hit.fraction);
+        self.motion.feet += (by * share).push(0.0);
+        let ends = hit.is_some() || by == rest;
+        self.motion.detour = if ends { Vector2::zeros() } else { rest - by };
+        self.stop = Some(Stop::Wall);
+        ControlFlow::Continue(true)
+    }
+
+    /// Looks for a way sideways, if up to three pixels to the side the way into the wall with this `normal` is free.
     ///
-    /// A wall across the grid is a flight of edges of pixels. A cylinder rolls along them, but a box would stand still
-    /// before each, where the box before the true wall slides on. So the one before the edges goes around them: at half its
-    /// speed across and half along, on average, as on a wall at 45°. It gains half a pixel at least, so this ends.
+    /// A wall across the grid is a flight of edges of pixels, before each of which a box would stand still and between two
+    /// of which a cylinder would rest, where before the true wall they slide on. So the one before the edges goes around
+    /// them, over several ticks; it gains a third of a pixel at least, so this ends.
     fn round_the_edge(&mut self, normal: Vector2<f64>, into: f64, along: Vector2<f64>) -> Needs<bool> {
-        if !matches!(self.config.body, Body::Box { .. }) || along.norm() >= into || into < NOTHING_M {
+        if along.norm() >= into || into < NOTHING_M {
             return ControlFlow::Continue(false);
         }
         let (feet, pixel) = (self.motion.feet, self.set.frame().pixel_m());
         let left = Vector2::new(-normal.y, normal.x);
         let side = if along.dot(&left) < 0.0 { -left } else { left };
+        // A little off the wall, for a round body may rest between two edges.
+        let off = if normal.amax() < 0.999 { OFF } else { 0.0 };
         // Against the way along the wall only where that is closed, or next to nothing.
         let closed = along.norm() < 0.25 * into
             || self.sweep(feet, (side * pixel).push(0.0))?.is_some_and(|hit| hit.fraction < 0.5);
@@ -151,13 +180,13 @@ impl<S: PageSet> Walk<'_, S> {
                 if side.dot(&along) < 0.0 && (!closed || along.norm() * pixels >= into) {
                     continue;
                 }
-                let aside = (side * (pixels * pixel)).push(0.0);
+                let aside = ((side * pixels + normal * off) * pixel).push(0.0);
                 if self.sweep(feet, aside)?.is_some() {
                     continue;
                 }
-                let on = self.sweep(feet + aside, (-normal * pixel).push(0.0))?;
-                if on.is_none_or(|hit| hit.fraction >= 0.5) {
-                    self.motion.feet += (side * into.min(pixels * pixel)).push(0.0);
+                let on = self.sweep(feet + aside, (-normal * ((1.0 + off) * pixel)).push(0.0))?;
+                if on.is_none_or(|hit| hit.fraction * (1.0 + off) >= off + GAIN) {
+                    (self.motion.detour, self.motion.detour_for) = (aside.xy(), -normal);
                     return ControlFlow::Continue(true);
                 }
             }

@@ -30,7 +30,9 @@ pub fn convert_at(scene: &Scene, noise: f64, density: f64) -> (tempfile::TempDir
     let scan = dir.path().join("scan.las");
     let spec = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(density) };
     let samples = scene.samples(11, &spec.with_noise(noise)).unwrap();
-    write_samples(&scan, samples, &WriteSpec::for_path(&scan)).unwrap();
+    // The points' own grid of a millimetre is the same wherever the scene stands.
+    let offset = scene.bounds().min.map(|v| v.div_euclid(1000.0) * 1000.0);
+    write_samples(&scan, samples, &WriteSpec { offset, ..WriteSpec::for_path(&scan) }).unwrap();
     let mut options = ConvertOptions::new(vec![scan], dir.path().join("scene.slices"));
     options.pixel = PixelSize::Metres(T);
     options.units = Units::Factor(1.0);

@@ -1,0 +1,278 @@
+//! Falls, seams, distance from the origin, speeds and frame rates, pages that are not there, walls with holes.
+
+use super::world::*;
+use nalgebra::{Point3, Vector2, Vector3};
+use scangen::{Params, Scene};
+use slicewalk::archive::Archive;
+use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
+use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::slice::{PageBuilder, Span};
+use slicewalk::store::Store;
+use slicewalk::walk::*;
+
+/// A floor of `top` quanta (from z = 0), four tiles wide, from tile `first` on.
+fn floor_store(first: i32, top: i64) -> Store {
+    let frame = Frame::new(T, 3.0 * T).unwrap();
+    let layer = (top - 1).div_euclid(PAGE_QUANTA);
+    let local = (top - layer * PAGE_QUANTA) as u32;
+    let pages = (0..16).map(|n| {
+        let mut builder = PageBuilder::default();
+        for (px, py) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+            assert!(builder.set_column(px, py, &[Span::new(local - 1, local, false).unwrap()]));
+        }
+        (PageKey { tx: first + n % 4, ty: first + n / 4, layer: layer as i32 }, builder.build())
+    });
+    Store::from_pages(frame, pages)
+}
+
+#[test]
+fn a_flat_floor_gives_no_jitter_at_all() {
+    // Tops in the middle of a slice, at its end, at a page's end, and below zero; tiles on both sides of zero.
+    for (first, top) in [(-2, 100), (-2, 255), (-2, PAGE_QUANTA), (3, -7), (-30_000, -PAGE_QUANTA), (-2, 1)] {
+        let store = floor_store(first, top);
+        let frame = Frame::new(T, 3.0 * T).unwrap();
+        let z = frame.top_height(top);
+        let corner = f64::from(first) * 64.0 * T;
+        for body in [BOX, CYLINDER] {
+            for hz in [15.0, 60.0, 144.0] {
+                let from = [corner + 1.0, corner + 1.37, z + 0.1];
+                let to = [corner + 11.0, corner + 9.0];
+                let trace = walk(&store, config(body), from, &[to], hz, 30.0);
+                assert!(trace.arrived(), "{body:?} on {top}: ends at {}", trace.end());
+                assert!(trace.path.iter().all(|p| p.z == z), "{body:?} on {top}: not level");
+                // A straight line at constant speed, over all seams.
+                let way = (Vector2::from(to) - Vector2::new(from[0], from[1])).normalize();
+                for pair in trace.path[..trace.path.len() - 1].windows(2) {
+                    let moved = (pair[1] - pair[0]).xy();
+                    assert!((moved.norm() - 1.4 / hz).abs() < 1.4 / 230.0 && moved.perp(&way).abs() < 1e-7);
+                }
+                assert!(trace.reports.iter().all(|report| report.stop.is_none()));
+            }
+        }
+    }
+}
+
+#[test]
+fn frame_rates_do_not_change_the_way() {
+    let scene = Scene::named("stairs", &Params::new().with("risers", 4.0)).unwrap();
+    let store = world(&scene, 0.002);
+    let way = scene.walk().unwrap();
+    for body in [BOX, CYLINDER] {
+        let fine = walk(&store, config(body), way.start, &way.waypoints, 240.0, 30.0);
+        assert!(fine.arrived());
+        for hz in [15.0, 24.0, 30.0, 60.0, 90.0, 120.0, 144.0] {
+            let coarse = walk(&store, config(body), way.start, &way.waypoints, hz, 30.0);
+            assert!(coarse.arrived(), "{hz} Hz: ends at {}", coarse.end());
+            let mut ticks = 0;
+            for (place, report) in coarse.path.iter().zip(&coarse.reports) {
+                ticks += report.ticks as usize;
+                // Where a frame is no multiple of a tick, it may end one tick earlier.
+                let there = ticks.min(fine.path.len()) - 1;
+                assert_eq!(*place, fine.path[there], "{body:?} {hz} Hz after {ticks} ticks");
+            }
+        }
+    }
+}
+
+#[test]
+fn no_speed_tunnels_through_a_wall_or_a_floor() {
+    let scene = scene(|b| {
+        b.level("floor", [-6.0, -1.5, 6.0, 1.5], 0.0, &[]);
+        b.quad("sheet", [4.0, -1.5, 0.0], [0.0, 3.0, 0.0], [0.0, 0.0, 3.0]);
+    });
+    let store = world(&scene, 0.0);
+    for speed in [0.1, 1.4, 10.0, 50.0, 300.0] {
+        for hz in [15.0, 60.0, 240.0] {
+            let config = Config { speed, ..config(BOX) };
+            let trace = walk(&store, config, [3.0, 0.0, 0.0], &[[5.9, 0.0]], hz, 20.0);
+            assert!(!trace.arrived() && trace.end().x < 4.0 - 0.25 + 1e-6, "{speed} m/s, {hz} Hz: {}", trace.end());
+            assert!(trace.end().x > 3.65, "{speed} m/s, {hz} Hz: stops early, at {}", trace.end());
+            let falling = Config { terminal: speed.max(1.0), ..config };
+            let mut walker = Walker::new(falling, Point3::new(0.0, 0.0, 40.0)).unwrap();
+            for _ in 0..(45.0 * hz) as usize {
+                walker.step(&store, 1.0 / hz, Wish::Stay);
+            }
+            assert!((walker.feet().z).abs() < 0.001, "{speed} m/s, {hz} Hz: falls to {}", walker.feet());
+        }
+    }
+}
+
+#[test]
+fn the_way_is_the_same_far_from_the_origin() {
+    let scene = Scene::named("stairs", &Params::new().with("risers", 3.0).with("landing", 1.0)).unwrap();
+    let way = scene.walk().unwrap();
+    let here = walk(&world(&scene, 0.0), config(CYLINDER), way.start, &way.waypoints, 60.0, 20.0);
+    for shift in [[1e6, -1e6, 0.0], [-4.0e6, 5.0e6, 3000.0]] {
+        let scene = turned(&scene, 0.0, shift);
+        let way = scene.walk().unwrap();
+        let there = walk(&world(&scene, 0.0), config(CYLINDER), way.start, &way.waypoints, 60.0, 20.0);
+        assert!(here.arrived() && there.arrived(), "ends at {}", there.end());
+        for (a, b) in here.path.iter().zip(&there.path) {
+            let apart = (b - a) - Vector3::from(shift);
+            // The scan's own grid of millimetres may round to the next pixel elsewhere.
+            assert!(apart.norm() < 2.0 * T, "{a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn ledges_are_fallen_down_and_not_climbed() {
+    for (height, falls) in [(0.2, false), (0.34, false), (0.4, true), (2.0, true)] {
+        let scene = scene(|b| {
+            b.level("floor", [-3.0, -1.0, 3.0, 1.0], 0.0, &[]);
+            b.open_cuboid("block", [-3.0, -1.0, 0.0], [0.0, 1.0, height]);
+        });
+        let store = world(&scene, 0.001);
+        for body in [BOX, CYLINDER] {
+            let down = walk(&store, config(body), [-1.5, 0.0, height], &[[2.0, 0.0]], 60.0, 20.0);
+            assert!(down.arrived() && down.end().z.abs() < 0.006, "{body:?} {height}: {}", down.end());
+            let in_air = down.reports.iter().filter(|r| r.state == State::Falling).count() as f64 / 60.0;
+            assert_eq!(in_air > 0.0, falls, "{body:?} {height}");
+            if falls {
+                // Free fall takes the square root of 2 h / g.
+                assert!((in_air - (2.0 * height / 9.81).sqrt()).abs() < 0.05, "{height} m in {in_air} s");
+            }
+            let up = walk(&store, config(body), [2.0, 0.0, 0.0], &[[-1.5, 0.0]], 60.0, 20.0);
+            assert_eq!(up.arrived(), !falls, "{body:?} {height}: {}", up.end());
+            assert!(!falls || up.end().z < 0.05, "{body:?}: ratchets up to {}", up.end());
+        }
+    }
+}
+
+#[test]
+fn a_fall_of_150_metres_ends_on_the_ground() {
+    let tower =
+        Scene::named("tower", &Params::new().with("storeys", 51.0).with("size", 6.0).with("shaft", 2.0)).unwrap();
+    let (_dir, archive) = convert_at(&tower, 0.001, 1600.0);
+    let store = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+    let way = tower.walk().unwrap();
+    assert_eq!(way.start[2], 150.0);
+    for hz in [15.0, 60.0] {
+        let trace = walk(&store, config(BOX), way.start, &way.waypoints, hz, 60.0);
+        assert!(trace.arrived(), "ends at {}", trace.end());
+        assert!(trace.end().z.abs() < 0.01, "lands at {}", trace.end());
+        let in_air = trace.reports.iter().filter(|r| r.state == State::Falling).count() as f64 / hz;
+        // To 50 m/s in 5.1 s and 127.4 m, the rest at that speed.
+        let truth = 50.0 / 9.81 + (150.0 - 50.0 * 50.0 / 9.81 / 2.0) / 50.0;
+        assert!((in_air - truth).abs() < 0.1, "{in_air} s, truth {truth}");
+        assert!(trace.path.windows(2).all(|w| w[1].z <= w[0].z + 0.01));
+    }
+}
+
+#[test]
+fn sparse_walls_hold() {
+    // From 2 points to a pixel down to one to 4 pixels of 5 cm.
+    for density in [800.0, 400.0, 200.0, 100.0] {
+        let scene = scene(|b| {
+            b.quad("wall", [0.0, -2.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 3.0]);
+            b.level("floor", [-1.5, -1.0, 1.5, 1.0], 0.0, &[]);
+        });
+        let (_dir, archive) = convert_at(&scene, 0.001, density);
+        let store = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+        for (n, body) in [BOX, CYLINDER, BOX, CYLINDER].into_iter().enumerate() {
+            let y = 0.37 * n as f64 - 0.6;
+            let trace = walk(&store, config(body), [-1.0, y, 0.0], &[[1.0, y]], 60.0, 10.0);
+            assert!(!trace.arrived() && trace.end().x < -0.15, "{density} per m²: leaks to {}", trace.end());
+        }
+    }
+}
+
+#[test]
+fn a_ladder_of_ledges_is_no_stair() {
+    // A shelf with boards every 0.3 m that stand out by 6 cm: each could be stood on, were there room for the body.
+    let scene = scene(|b| {
+        b.level("floor", [-2.0, -1.0, 0.0, 1.0], 0.0, &[]);
+        b.quad("back", [0.0, -1.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]);
+        for n in 1..9 {
+            let z = 0.3 * f64::from(n);
+            b.open_cuboid("board", [-0.06, -1.0, z - 0.02], [0.0, 1.0, z]);
+        }
+    });
+    let store = world(&scene, 0.001);
+    for body in [BOX, CYLINDER] {
+        let trace = walk(&store, config(body), [-1.5, 0.0, 0.0], &[[1.0, 0.0]], 60.0, 10.0);
+        assert!(trace.end().z < 0.05, "{body:?}: climbs to {}", trace.end());
+    }
+}
+
+#[test]
+fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
+    let scene = Scene::named("stairs", &Params::new().with("risers", 4.0).with("landing", 4.0)).unwrap();
+    let (dir, archive) = convert_scene(&scene, 0.001);
+    let whole = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+    let way = scene.walk().unwrap();
+    let truth = walk(&whole, config(BOX), way.start, &way.waypoints, 60.0, 30.0);
+    assert!(truth.arrived());
+    let archive = Archive::open(dir.path().join("scene.slices")).unwrap();
+    let mut store = Store::with_budget(Box::new(archive), usize::MAX).unwrap();
+    let mut walker = Walker::new(config(BOX), way.start.into()).unwrap();
+    let mut way = route(&way.waypoints.clone());
+    let (mut waits, mut frame) = (0, 0);
+    while walker.state() != State::Arrived {
+        let mut report = walker.follow(&store, 1.0 / 60.0, &mut way);
+        while let Some(missing) = report.missing {
+            // It stands still for as long as nobody loads anything.
+            let (feet, state) = (walker.feet(), walker.state());
+            let again = walker.follow(&store, report.unspent, &mut way);
+            assert!(again.waits() && again.missing_count() > 0 && again.ticks == 0 && again.moved == Vector3::zeros());
+            assert_eq!((walker.feet(), walker.state()), (feet, state));
+            store.load_missing(missing.keys(), missing.keys()[0]).unwrap();
+            report = walker.follow(&store, report.unspent, &mut way);
+            waits += 1;
+        }
+        assert_eq!(walker.feet(), truth.path[frame], "frame {frame}");
+        frame += 1;
+    }
+    assert!(waits > 1 && frame == truth.path.len());
+}
+
+#[test]
+fn a_pawn_put_into_matter_gets_out() {
+    let scene = scene(|b| {
+        b.level("floor", [-2.0, -2.0, 2.0, 2.0], 0.0, &[]);
+        b.column("post", [0.0, 0.0], 0.1, [0.0, 3.0]);
+    });
+    let store = world(&scene, 0.0);
+    for body in [BOX, CYLINDER] {
+        let mut walker = Walker::new(config(body), Point3::new(0.2, 0.05, 0.0)).unwrap();
+        let report = walker.step(&store, 1.0 / 60.0, Wish::Stay);
+        assert_eq!(report.stop, Some(Stop::Inside));
+        let feet = walker.feet();
+        let shape = Aabb::standing(feet + Vector3::new(0.0, 0.0, 0.01), Vector3::new(0.33, 0.33, 1.7)).unwrap();
+        assert_eq!(overlaps(&store, &shape), Overlap::Clear, "{feet}");
+        assert!(feet.x > 0.3 && feet.z.abs() < 0.01, "{feet}");
+    }
+}
+
+/// Greatest distance from the exact way: along x at `y`, then along the wall's face.
+#[test]
+fn both_responses_stay_near_the_exact_way() {
+    // A wall along x at y = 0.62; the pawn is sent into it at 30° and slides along it: closed form.
+    let scene = scene(|b| {
+        b.level("floor", [-4.0, -3.0, 5.0, 2.0], 0.0, &[]);
+        b.quad("wall", [-4.0, 0.62, 0.0], [9.0, 0.0, 0.0], [0.0, 0.0, 3.0]);
+    });
+    let store = world(&scene, 0.001);
+    let mut deviations = Vec::new();
+    for response in [Response::Slide, Response::Thesis, Response::ThesisMean] {
+        for body in [BOX, CYLINDER] {
+            let config = Config { response, ..config(body) };
+            let mut walker = Walker::new(config, Point3::new(-3.0, -1.0, 0.0)).unwrap();
+            let (s, c) = 30f64.to_radians().sin_cos();
+            let mut worst = 0.0f64;
+            for frame in 1..=240 {
+                walker.step(&store, 1.0 / 60.0, Wish::Direction(Vector2::new(c, s)));
+                let gone = 1.4 * f64::from(frame) / 60.0;
+                let truth = Point3::new(-3.0 + gone * c, (-1.0 + gone * s).min(0.62 - 0.25), 0.0);
+                worst = worst.max((walker.feet() - truth).norm());
+            }
+            println!("{response:?} {body:?}: off the exact way by {worst:.3} m at most");
+            deviations.push((response, worst));
+        }
+    }
+    for (response, worst) in deviations {
+        // The thesis' pawn does not slide: it stays where it met the wall.
+        assert!(worst < 2.0 * T || response != Response::Slide, "{response:?}: {worst}");
+        assert!(worst < 3.0, "{response:?}: {worst}");
+    }
+}
