@@ -323,7 +323,8 @@ impl Shared {
                 Step::Loaded(_) => {}
                 Step::Idle | Step::NoRoom(false) => {
                     // Whatever happens meanwhile has left its token, and ends this at once.
-                    match self.core.state().next_try() {
+                    let next = self.core.state().next_try();
+                    match next {
                         Some(at) => std::thread::park_timeout(at.saturating_duration_since(Instant::now())),
                         None => std::thread::park(),
                     }
