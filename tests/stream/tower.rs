@@ -95,6 +95,7 @@ pub fn tower(half: f64, height: f64, seed: u64) -> Vec<u8> {
         tolerance_m: 0.0,
         classifier: Classifier::Span,
         min_points: 1,
+        drop_isolated: false,
         up: Up::Z,
         exclude_classes: [0; 4],
     };
