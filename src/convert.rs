@@ -173,6 +173,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let build_bytes = options.memory_bytes / 4 / threads as u64;
     let read = read_points(&set, &plan, &store, build_bytes, threads, monitor)?;
     set.warn_of_losses(monitor);
+    refuse_unusable(&set, &read.counts)?;
     if read.counts.read == 0 {
         monitor.warn("the input holds no points: the archive is empty");
     }
@@ -213,6 +214,25 @@ fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
             dir.display()
         );
         return Err(Error::Limit { what, value: needed.to_string(), max: free.to_string() });
+    }
+    Ok(())
+}
+
+/// Refuses scans that state points of which none can be used: an empty archive in place of a good one helps nobody.
+/// Scans that state none, or whose points are all left out on purpose, make an empty archive.
+fn refuse_unusable(set: &InputSet, counts: &UnitCounts) -> Result<()> {
+    let Some(first) = set.files().iter().find(|file| file.points_stated() > 0) else { return Ok(()) };
+    if counts.read == 0 {
+        let reason = format!(
+            "the header states {} points, but none can be read: the file is cut or damaged; fetch or write it again",
+            first.points_stated()
+        );
+        return Err(Error::input(first.path(), "points", reason));
+    }
+    if counts.not_finite == counts.read {
+        let reason = "no point has a finite position within 1e12 m: scale or offset in the header (bytes 131 to 178) are \
+                      damaged; fetch or write the file again";
+        return Err(Error::input(first.path(), "points", reason));
     }
     Ok(())
 }

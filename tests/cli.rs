@@ -89,6 +89,10 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
     let las = fs::read(at.join("scan.las")).unwrap();
     fs::write(at.join("head.las"), &las[..100]).unwrap();
     let laz = fs::read(at.join("scan.laz")).unwrap();
+    fs::write(at.join("cut.las"), &las[..230]).unwrap();
+    let mut scale = las.clone();
+    scale[131..139].copy_from_slice(&f64::MAX.to_le_bytes());
+    fs::write(at.join("scale.las"), scale).unwrap();
     let mut broken = laz.clone();
     let len = broken.len();
     broken[len / 3..len / 3 + 200].fill(0xA5);
@@ -102,6 +106,8 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
         ("house.obj", &["house.obj", "mesh"]),
         ("nothing.las", &["nothing.las"]),
         ("head.las", &["head.las"]),
+        ("cut.las", &["cut.las", "3000 points, but none can be read", "fetch or write"]),
+        ("scale.las", &["scale.las", "scale or offset in the header"]),
         ("broken.laz", &["broken.laz", "damaged", "fetch or write the file again"]),
     ] {
         let said = refuses(at, &with(&[input], &[]), 1);

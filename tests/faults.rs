@@ -1,0 +1,219 @@
+//! All or nothing (guarantee G6): killed, interrupted, without space, or with an input that goes away, the old archive
+//! stays whole and nothing is left behind.
+#![cfg(all(feature = "cli", unix))]
+
+#[path = "common/scans.rs"]
+mod scans;
+
+use scans::{Random, command, converts, names, points, text, verifies, write};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// A folder with a scan to convert, an old archive to be replaced, and a folder for temporary data.
+struct Place {
+    folder: TempDir,
+    old: Vec<u8>,
+}
+
+impl Place {
+    fn new(count: usize) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        write(&folder.path().join("small.las"), &points(2000));
+        write(&folder.path().join("scan.las"), &points(count));
+        fs::create_dir(folder.path().join("temp")).unwrap();
+        converts(folder.path(), &["small.las", "-o", "a.slices", "--pixel", "0.1", "--quiet"]);
+        let old = fs::read(folder.path().join("a.slices")).unwrap();
+        Self { folder, old }
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn archive(&self) -> PathBuf {
+        self.path().join("a.slices")
+    }
+
+    /// The archive is the old one to the last byte.
+    fn is_old(&self) {
+        assert!(fs::read(self.archive()).unwrap() == self.old, "the old archive is not what it was");
+    }
+
+    /// Nothing lies in the folders but what belongs there.
+    fn is_clean(&self) {
+        assert_eq!(names(self.path()), ["a.slices", "scan.las", "small.las", "temp"]);
+        assert_eq!(names(&self.path().join("temp")), [""; 0]);
+    }
+
+    fn overwrite(&self) -> Command {
+        let mut command = command(self.path());
+        command.args(["scan.las", "-o", "a.slices", "--pixel", "0.02", "--force", "--quiet", "--units", "m"]);
+        command.args(["--memory", "64MiB", "--temp-dir", "temp"]).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+}
+
+/// The program did not succeed, did not panic, and said one line, which is returned.
+fn failed(status: ExitStatus, stderr: &[u8]) -> String {
+    let said = String::from_utf8_lossy(stderr).into_owned();
+    assert_eq!(status.code(), Some(1), "{said}");
+    assert_eq!(said.lines().count(), 1, "{said}");
+    assert!(said.starts_with("sliceconv: ") && !said.contains("panicked"), "{said}");
+    said
+}
+
+#[test]
+fn killed_at_any_instant_the_old_archive_stays_and_the_next_run_cleans_up() {
+    let place = Place::new(1_000_000);
+    let began = Instant::now();
+    assert!(place.overwrite().output().unwrap().status.success());
+    let whole = began.elapsed().as_secs_f64();
+    let new = fs::read(place.archive()).unwrap();
+    let mut random = Random(20);
+    let (mut killed, mut left) = (0, 0);
+    for _ in 0..20 {
+        fs::write(place.archive(), &place.old).unwrap();
+        let mut child = place.overwrite().spawn().unwrap();
+        std::thread::sleep(Duration::from_secs_f64(random.uniform() * whole));
+        child.kill().unwrap();
+        killed += u32::from(child.wait().unwrap().code().is_none());
+        let found = fs::read(place.archive()).unwrap();
+        assert!(found == place.old || found == new, "neither the old archive nor the new one");
+        verifies(&place.archive());
+        left += names(place.path()).iter().filter(|name| name.ends_with(".part")).count();
+        assert!(left <= 20, "a run leaves at most one file, and the next removes it");
+        // Temporary data have no name, so that they vanish with the process.
+        assert_eq!(names(&place.path().join("temp")), [""; 0]);
+    }
+    println!("{killed} of 20 runs were killed, {left} files were left and removed by the next run");
+    assert!(place.overwrite().output().unwrap().status.success());
+    assert!(fs::read(place.archive()).unwrap() == new);
+    place.is_clean();
+}
+
+#[test]
+fn interrupted_it_says_so_and_leaves_nothing() {
+    let place = Place::new(1_000_000);
+    let mut interrupted = 0;
+    for (number, signal) in ["INT", "TERM", "INT", "INT"].into_iter().enumerate() {
+        fs::write(place.archive(), &place.old).unwrap();
+        let child = place.overwrite().spawn().unwrap();
+        // Not before it listens: the temporary file beside the target shows that it is at work.
+        while !names(place.path()).iter().any(|name| name.ends_with(".part")) {
+            std::thread::yield_now();
+        }
+        std::thread::sleep(Duration::from_millis(40 * number as u64));
+        let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+        let out = child.wait_with_output().unwrap();
+        place.is_clean();
+        // One that was done before the signal came has done its work.
+        if !out.status.success() {
+            assert!(failed(out.status, &out.stderr).contains("interrupted"));
+            assert!(out.stdout.is_empty());
+            place.is_old();
+            interrupted += 1;
+        }
+    }
+    assert!(interrupted > 0, "no run was interrupted");
+}
+
+/// The program in a shell that lets no file grow beyond so many blocks of 512 bytes, as a full disk would.
+fn with_little_space(place: &Place, blocks: u64, arguments: &[&str]) -> (ExitStatus, Vec<u8>) {
+    let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
+    let out = Command::new("sh")
+        .arg("-c")
+        .arg(script)
+        .arg(env!("CARGO_BIN_EXE_sliceconv"))
+        .args(arguments)
+        .current_dir(place.path())
+        .output()
+        .unwrap();
+    (out.status, out.stderr)
+}
+
+#[test]
+fn without_space_for_the_archive_or_the_temporary_data_the_old_archive_stays() {
+    let place = Place::new(5_500_000);
+    let arguments = ["scan.las", "-o", "a.slices", "--pixel", "0.02", "--force", "--quiet", "--temp-dir", "temp"];
+    let (status, stderr) = with_little_space(&place, 200, &[&arguments[..], &["--memory", "1GiB"]].concat());
+    let said = failed(status, &stderr);
+    assert!(said.contains(".a.slices.slicewalk-") && said.contains("cannot write"), "{said}");
+    place.is_old();
+    place.is_clean();
+    // 64 MiB hold 32 MiB of runs; the temporary file meets the limit first.
+    let (status, stderr) = with_little_space(&place, 20_000, &[&arguments[..], &["--memory", "64MiB"]].concat());
+    let said = failed(status, &stderr);
+    assert!(said.contains("temp") && said.contains("--temp-dir"), "{said}");
+    place.is_old();
+    place.is_clean();
+}
+
+/// A small file system of its own, where the system lets us make one.
+struct SmallDisk(PathBuf);
+
+impl SmallDisk {
+    fn mount(at: &Path, size: &str) -> Option<Self> {
+        fs::create_dir_all(at).unwrap();
+        let mount = ["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs", text(at)];
+        let mounted = Command::new("mount").args(mount).stderr(Stdio::null()).status().is_ok_and(|s| s.success());
+        if !mounted {
+            eprintln!("skipped: no file system can be mounted here");
+        }
+        mounted.then(|| Self(at.to_path_buf()))
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg(&self.0).status();
+    }
+}
+
+#[test]
+fn on_a_full_disk_it_says_which_and_the_old_archive_stays() {
+    let place = Place::new(5_500_000);
+    let at = place.path().join("disk");
+    let Some(disk) = SmallDisk::mount(&at, "1m") else { return };
+    fs::write(at.join("a.slices"), &place.old).unwrap();
+    let fixed = ["scan.las", "--pixel", "0.02", "--force", "--quiet", "--memory", "64MiB"];
+    let out = command(place.path()).args(fixed).args(["-o", "disk/a.slices", "--temp-dir", "temp"]).output().unwrap();
+    let said = failed(out.status, &out.stderr);
+    assert!(said.contains("disk") && said.contains("No space left"), "{said}");
+    assert!(fs::read(at.join("a.slices")).unwrap() == place.old);
+    assert_eq!(names(&at), ["a.slices"]);
+    // Temporary data there would not fit, which is seen before the work.
+    let out = command(place.path()).args(fixed).args(["-o", "a.slices", "--temp-dir", "disk"]).output().unwrap();
+    let said = failed(out.status, &out.stderr);
+    assert!(said.contains("disk") && said.contains("--temp-dir"), "{said}");
+    place.is_old();
+    assert_eq!(names(&at), ["a.slices"]);
+    drop(disk);
+}
+
+#[test]
+fn a_scan_that_is_cut_or_vanishes_while_it_is_read_gives_a_whole_archive_or_none() {
+    let place = Place::new(1_000_000);
+    let scan = fs::read(place.path().join("scan.las")).unwrap();
+    for delay_ms in [0, 3, 10, 30] {
+        fs::write(place.archive(), &place.old).unwrap();
+        fs::write(place.path().join("scan.las"), &scan).unwrap();
+        let child = place.overwrite().spawn().unwrap();
+        while !names(place.path()).iter().any(|name| name.ends_with(".part")) {
+            std::thread::yield_now();
+        }
+        std::thread::sleep(Duration::from_millis(delay_ms));
+        fs::File::options().write(true).open(place.path().join("scan.las")).unwrap().set_len(100_000).unwrap();
+        let out = child.wait_with_output().unwrap();
+        if out.status.success() {
+            verifies(&place.archive());
+        } else {
+            failed(out.status, &out.stderr);
+            place.is_old();
+        }
+        place.is_clean();
+    }
+}

@@ -1,0 +1,75 @@
+//! Bounded memory (guarantee G5): the program's peak resident memory stays within its budget and 64 MiB more, on points
+//! that do not fit it, in any order and extent. `tools/measure-memory.sh` measures the same on gigabytes.
+#![cfg(all(feature = "cli", target_os = "linux"))]
+
+#[path = "common/scans.rs"]
+mod scans;
+
+use scans::{Random, command, verifies, write_as};
+use std::fs;
+use std::time::Duration;
+
+const POINTS: usize = 5_000_000;
+const MOST_KIB: u64 = (64 + 64) << 10;
+
+/// Converts points at 64 MiB and returns the peak memory in KiB, as the system counts it, and the temporary bytes.
+fn peak_memory_kib(name: &str, pixel: &str, mut point: impl FnMut(usize, &mut Random) -> [f64; 3]) -> (u64, u64) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = Random(6);
+    let points: Vec<[f64; 3]> = (0..POINTS).map(|number| point(number, &mut random)).collect();
+    write_as(&folder.path().join("scan.las"), &points, 0.01, [0.0; 3]);
+    drop(points);
+    let report = folder.path().join("report.json");
+    let mut child = command(folder.path())
+        .args(["scan.las", "-o", "a.slices", "--pixel", pixel, "--memory", "64MiB", "--threads", "2", "--json"])
+        .args(["--temp-dir", ".", "--quiet"])
+        .stdout(fs::File::create(&report).unwrap())
+        .spawn()
+        .unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut peak = 0;
+    let ended = loop {
+        // The mark only rises, so the last look before the end is all but the whole truth.
+        let text = fs::read_to_string(&status).unwrap_or_default();
+        let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        peak = peak.max(line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0));
+        if let Some(ended) = child.try_wait().unwrap() {
+            break ended;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    };
+    assert!(ended.success(), "{name}");
+    verifies(&folder.path().join("a.slices"));
+    let report: serde_json::Value = serde_json::from_str(&fs::read_to_string(report).unwrap()).unwrap();
+    assert_eq!(report["points_kept"], POINTS);
+    let temp = report["temp_bytes"].as_u64().unwrap();
+    println!("{name}: {} MiB, {:.2} temporary bytes a point", peak >> 10, temp as f64 / POINTS as f64);
+    assert!(peak > 1 << 10, "{name}: {peak} KiB: nothing was measured");
+    assert!(peak <= MOST_KIB, "{name}: {peak} KiB is more than {MOST_KIB}");
+    assert!(temp <= 12 * POINTS as u64, "{name}: {temp} temporary bytes");
+    (peak, temp)
+}
+
+fn uniform(random: &mut Random, size: [f64; 3]) -> [f64; 3] {
+    size.map(|size| random.uniform() * size)
+}
+
+#[test]
+fn shuffled_points_with_an_outlier_stay_within_the_budget_and_go_to_disk() {
+    let (_, temp) = peak_memory_kib("shuffled", "0.2", |number, random| match number {
+        1_234_567 => [1e7, 0.0, 0.0],
+        2_345_678 => [0.0, -3e6, 1e7],
+        _ => uniform(random, [400.0, 400.0, 0.3]),
+    });
+    assert!(temp > 0, "the test shows little");
+}
+
+#[test]
+fn a_strip_of_100_kilometres_stays_within_the_budget() {
+    peak_memory_kib("strip", "0.5", |_, random| uniform(random, [100_000.0, 20.0, 5.0]));
+}
+
+#[test]
+fn coincident_points_stay_within_the_budget() {
+    peak_memory_kib("coincident", "0.1", |_, _| [12.34, 5.67, 8.9]);
+}
