@@ -66,8 +66,8 @@ fn gap(low: &[f64; 3], high: &[f64; 3], center: Point3<f64>, radius: f64, height
     }
 }
 
-/// First time at which a round shape comes nearer than `near` to one of `boxes`: the gap is a convex function of time, so a search for
-/// its least value and then for its first root finds it.
+/// First time at which a round shape comes nearer than `near` to one of `boxes`: the gap is a convex function of time,
+/// so a search for its least value and then for its first root finds it.
 fn brute_round(
     boxes: &[([f64; 3], [f64; 3])],
     center: Point3<f64>,

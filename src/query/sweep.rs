@@ -36,19 +36,20 @@ impl SweepHit {
     }
 }
 
-/// The first matter that `shape` meets on its way along `motion` (m); `None` if the way is free. Not loaded if a page that
-/// is not in memory could hold matter before that.
+/// The first matter that `shape` meets on its way along `motion` (m); `None` if the way is free. Not loaded if a page
+/// that is not in memory could hold matter before that.
 ///
 /// Matter is as for [all queries](super#what-touching-means), but a sweep asks when the *interiors* meet: a shape that
-/// touches matter may move along it and away from it, and one that moves towards it is stopped at 0. Faces that overlap by
-/// no more than rounding errors (2⁻⁴⁸ of the coordinates, 4·10⁻⁸ m at 10⁷ m) touch. So what hits before its end, moved by
-/// `fraction · motion`, touches there, and the next sweep goes on from there.
+/// touches matter may move along it and away from it, and one that moves towards it is stopped at 0. Faces that overlap
+/// by no more than rounding errors (2⁻⁴⁸ of the coordinates, 4·10⁻⁸ m at 10⁷ m) touch. So what hits before its end,
+/// moved by `fraction · motion`, touches there, and the next sweep goes on from there.
 ///
-/// A shape without any height that lies in a plane of matter or in the plane between two pages (64 slices) touches what is
-/// on both sides, so nothing stops it there; give it some height.
+/// A shape without any height that lies in a plane of matter or in the plane between two pages (64 slices) touches what
+/// is on both sides, so nothing stops it there; give it some height.
 ///
-/// The answer does not depend on page, tile or slice boundaries: of contacts at the same time the one against z is taken
-/// before x before y, then an obstacle before floor; of a shape that begins inside, any span that it is in. A motion that is not finite is stopped at 0.
+/// The answer does not depend on page, tile or slice boundaries: of contacts at the same time the one against z is
+/// taken before x before y, then an obstacle before floor; of a shape that begins inside, any span that it is in. A
+/// motion that is not finite is stopped at 0.
 ///
 /// Cost: as [`overlaps`](super::overlaps) over the pixels swept; of long ways only what lies along them is looked at.
 ///

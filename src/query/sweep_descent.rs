@@ -1,5 +1,5 @@
-//! The way down to the spans that a moving or growing shape may meet: tile columns, pages, blocks, spans. What is worth a
-//! look is decided by a visitor that is asked about boxes, from large to small.
+//! The way down to the spans that a moving or growing shape may meet: tile columns, pages, blocks, spans. What is worth
+//! a look is decided by a visitor that is asked about boxes, from large to small.
 
 use super::blocks::{for_each_bit, local, slices_between, slices_of};
 use super::columns::{floor_of, layers};
@@ -40,7 +40,8 @@ pub(super) trait Visit {
         (low, high)
     }
 
-    /// Least and greatest coordinate along the other axis of x and y that can matter between `lo` and `hi` along `axis`.
+    /// Least and greatest coordinate along the other axis of x and y that can matter between `lo` and `hi` along
+    /// `axis`.
     #[inline]
     fn across(&self, _axis: usize, _lo: f64, _hi: f64) -> (f64, f64) {
         (f64::NEG_INFINITY, f64::INFINITY)

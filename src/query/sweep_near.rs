@@ -9,8 +9,8 @@ use crate::frame::{Frame, PageKey, floor_index};
 use crate::store::PageSet;
 use nalgebra::Vector3;
 
-/// Distance from `shape` to the nearest matter, if that is at most `max` (m, >= 0); 0 if the shape touches matter, `None` if
-/// there is none so near. Not loaded if a page that is not in memory could hold nearer matter.
+/// Distance from `shape` to the nearest matter, if that is at most `max` (m, >= 0); 0 if the shape touches matter,
+/// `None` if there is none so near. Not loaded if a page that is not in memory could hold nearer matter.
 ///
 /// Exact but for rounding errors (2⁻⁴⁸ of the coordinates). A NaN finds nothing. Cost: as
 /// [`overlaps`](super::overlaps) of the shape grown by the distance found; name no larger `max` than needed.
@@ -41,11 +41,11 @@ pub fn clearance_batch<S: PageSet, H: Solid>(set: &S, shapes: &[H], max: f64, an
     }
 }
 
-/// The shortest push along one axis that brings `shape` out of all matter (m): zero if it is in none, `None` if that needs
-/// more than `max` (m, >= 0) along every axis. Of equal pushes up is taken before +x, -x, +y, -y, down.
+/// The shortest push along one axis that brings `shape` out of all matter (m): zero if it is in none, `None` if that
+/// needs more than `max` (m, >= 0) along every axis. Of equal pushes up is taken before +x, -x, +y, -y, down.
 ///
-/// Exact: the shape pushed so far touches matter at most, and no shorter push along an axis does so. Not loaded if a page that
-/// is not in memory could be in the way. Cost: up to 6 × the number of gaps passed × an overlap.
+/// Exact: the shape pushed so far touches matter at most, and no shorter push along an axis does so. Not loaded if a
+/// page that is not in memory could be in the way. Cost: up to 6 × the number of gaps passed × an overlap.
 pub fn depenetrate<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<Vector3<f64>>> {
     if max.is_nan() || max < 0.0 {
         return Answer::Known(None);

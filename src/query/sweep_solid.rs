@@ -1,10 +1,10 @@
 //! Shapes in motion, on the grid: when they meet a box.
 //!
 //! Units are pixels, pixels and quanta; times are fractions of the motion. The interior of the shape must enter the
-//! interior of the box: to touch is not to meet. Faces count as touching while they overlap by no more than `2·slack`, a
-//! margin of rounding errors, so that a shape moved by `fraction · motion` to a contact touches there and can go on.
-//! For each axis the times at which the shape's bounding box enters and leaves a box are monotone functions of the box's
-//! faces. So the same function that judges spans prunes blocks and pages, exactly.
+//! interior of the box: to touch is not to meet. Faces count as touching while they overlap by no more than `2·slack`,
+//! a margin of rounding errors, so that a shape moved by `fraction · motion` to a contact touches there and can go on.
+//! For each axis the times at which the shape's bounding box enters and leaves a box are monotone functions of the
+//! box's faces. So the same function that judges spans prunes blocks and pages, exactly.
 
 use super::disc::SLACK;
 use super::grid::Rect;

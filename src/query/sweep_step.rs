@@ -7,12 +7,12 @@ use crate::frame::PageKey;
 use crate::store::PageSet;
 use nalgebra::Vector3;
 
-/// World height (m) of the highest top of matter of either kind under `shape`, looked for from height `from` (m) down to
-/// `from - depth` (m, >= 0, finite); `None` if there is none. Matter that goes on above `from` has no top there.
+/// World height (m) of the highest top of matter of either kind under `shape`, looked for from height `from` (m) down
+/// to `from - depth` (m, >= 0, finite); `None` if there is none. Matter that goes on above `from` has no top there.
 ///
-/// As for [`sweep`](super::sweep()), pixels count whose interior the shape's footprint meets; its own heights do not matter. Matter that ends
-/// with its page and goes on in the next counts as if it ended there. Cost: as [`floor_under`](super::floor_under). A NaN
-/// finds nothing.
+/// As for [`sweep`](super::sweep()), pixels count whose interior the shape's footprint meets; its own heights do not
+/// matter. Matter that ends with its page and goes on in the next counts as if it ended there. Cost: as
+/// [`floor_under`](super::floor_under). A NaN finds nothing.
 pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
     let Some((area, moving)) = window(set, shape, from, depth) else { return Answer::Known(None) };
     let mut search = Highest { moving, limit: area.high, best: area.low - 1, found: false, missing: None };
@@ -24,8 +24,9 @@ pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64
     Answer::new(search.found.then(|| set.frame().top_height(search.best)), search.missing)
 }
 
-/// Mean world height (m) of the tops of floor under `shape`, looked for from height `from` (m) down to `from - depth` (m, >= 0, finite);
-/// `None` if there is none. The average over "the points on the base of the bounding box" of the thesis, section 3.2.2.
+/// Mean world height (m) of the tops of floor under `shape`, looked for from height `from` (m) down to `from - depth`
+/// (m, >= 0, finite); `None` if there is none. The average over "the points on the base of the bounding box" of the
+/// thesis, section 3.2.2.
 ///
 /// Pixels and cost are those of [`top_under`].
 pub fn mean_floor_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {

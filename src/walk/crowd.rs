@@ -1,9 +1,9 @@
 //! Many pawns in one world, which keep out of each other.
 //!
-//! Once per tick the pawns are sorted into a uniform grid; then one after the other, in the order of their numbers, each
-//! shortens its way by what its neighbours leave of it, slides along the nearest one, passing on the right where it meets it head
-//! on, and takes its tick in the world. Where the world led it into a neighbour, it stays where it was. The order makes the
-//! outcome the same on every machine.
+//! Once per tick the pawns are sorted into a uniform grid; then one after the other, in the order of their numbers,
+//! each shortens its way by what its neighbours leave of it, slides along the nearest one, passing on the right where
+//! it meets it head on, and takes its tick in the world. Where the world led it into a neighbour, it stays where it
+//! was. The order makes the outcome the same on every machine.
 
 use super::{BLOCKED_BELOW, Body, Ground, State, Walker, Wish};
 use crate::query::Missing;
@@ -43,8 +43,8 @@ pub struct CrowdReport {
 }
 
 impl Crowd {
-    /// A crowd of `walkers`, all with ticks of the same length; for 1,000 pawns 1/60 s is a good one. They may stand inside each
-    /// other: then they part.
+    /// A crowd of `walkers`, all with ticks of the same length; for 1,000 pawns 1/60 s is a good one. They may stand
+    /// inside each other: then they part.
     pub fn new(walkers: Vec<Walker>) -> Result<Self> {
         let tick_s = walkers.first().map_or(1.0 / 60.0, |walker| walker.config.tick_s);
         if walkers.iter().any(|walker| walker.config.tick_s != tick_s) {
@@ -62,7 +62,8 @@ impl Crowd {
         &self.walkers
     }
 
-    /// Lets `dt` (s, >= 0) pass. `wish` says for each tick where the pawn of a number, with its feet at a place, wants to go.
+    /// Lets `dt` (s, >= 0) pass. `wish` says for each tick where the pawn of a number, with its feet at a place, wants
+    /// to go.
     ///
     /// Allocates nothing. Cost: that of each walker, and about 100 ns per neighbour.
     pub fn step<S: PageSet>(
@@ -104,7 +105,8 @@ impl Crowd {
 
     /// Pawns that may touch pawn `n` in this tick.
     fn neighbours(&self, n: usize) -> impl Iterator<Item = &Walker> {
-        // Where it was when the grid was made: others may have moved since, by at most a way, and the cells allow for that.
+        // Where it was when the grid was made: others may have moved since, by at most a way, and the cells allow for
+        // that.
         let (ci, cj) = self.cell_of(self.before[n]);
         (ci - 1..=ci + 1).flat_map(move |i| {
             let first = self.grid.partition_point(|(cell, _)| *cell < (i, cj - 1));
@@ -196,8 +198,8 @@ impl Outline {
         }
     }
 
-    /// Gap to another pawn (m, negative inside it), and the way from it. Two cylinders are round; a box and a cylinder keep apart
-    /// as boxes do.
+    /// Gap to another pawn (m, negative inside it), and the way from it. Two cylinders are round; a box and a cylinder
+    /// keep apart as boxes do.
     fn gap(&self, other: &Self) -> (f64, Vector2<f64>) {
         let apart = self.center - other.center;
         if self.low >= other.high || other.low >= self.high {

@@ -3,14 +3,14 @@
 //! In: a [`PageSet`] and where a pawn wants to go. Out: where it is, and why it stopped. A [`Walker`] is a few hundred
 //! bytes; a step allocates nothing, takes no lock and does no I/O.
 //!
-//! Time passes in ticks of fixed length ([`Config::tick_s`]), whatever the length of a frame: what is left of a frame is
-//! kept for the next one. So the way walked does not depend on the frame rate. It does not depend on what is in memory
-//! either: a tick that needs a page that is not there does not happen, the pawn waits in place and says which pages are
-//! missing. "Not loaded" is never free.
+//! Time passes in ticks of fixed length ([`Config::tick_s`]), whatever the length of a frame: what is left of a frame
+//! is kept for the next one. So the way walked does not depend on the frame rate. It does not depend on what is in
+//! memory either: a tick that needs a page that is not there does not happen, the pawn waits in place and says which
+//! pages are missing. "Not loaded" is never free.
 //!
-//! [`Response::Slide`] is ours: exact sweeps of the body (never steps and halving), up, forward and down over what is no
-//! higher than the pawn can climb, along walls and out of corners. [`Response::Thesis`] is that of the thesis, section
-//! 3.2.2, for comparison.
+//! [`Response::Slide`] is ours: exact sweeps of the body (never steps and halving), up, forward and down over what is
+//! no higher than the pawn can climb, along walls and out of corners. [`Response::Thesis`] is that of the thesis,
+//! section 3.2.2, for comparison.
 
 mod body;
 mod crowd;
@@ -167,8 +167,8 @@ pub struct StepReport {
     pub stop: Option<Stop>,
     /// Pages without which it could not go on: it waits. `None` if it did not have to.
     pub missing: Option<Missing>,
-    /// Time that it did not use because it waits (s). Give it to the next step once the pages are there, or drop it: then the pawn
-    /// has stood still for so long.
+    /// Time that it did not use because it waits (s). Give it to the next step once the pages are there, or drop it:
+    /// then the pawn has stood still for so long.
     pub unspent: f64,
     /// Ticks that passed.
     pub ticks: u32,
@@ -188,8 +188,8 @@ impl StepReport {
     }
 }
 
-/// Floor counts as being at the pawn's feet down to so far below them (m): a pawn stands on the highest matter under it, be
-/// that a pebble, and is still on the floor.
+/// Floor counts as being at the pawn's feet down to so far below them (m): a pawn stands on the highest matter under
+/// it, be that a pebble, and is still on the floor.
 pub const FLOOR_NEAR_M: f64 = 0.05;
 
 /// Less than this share of the way wanted is "blocked".
@@ -210,7 +210,8 @@ fn known<T>(answer: Answer<T>) -> Needs<T> {
 struct Motion {
     feet: Point3<f64>,
     ground: Ground,
-    /// Height of the floor that it stood on last: climbing is measured from there, so that no ledge is climbed in parts (m).
+    /// Height of the floor that it stood on last: climbing is measured from there, so that no ledge is climbed in parts
+    /// (m).
     floor_z: f64,
     /// Speed of its fall (m/s, >= 0).
     falling: f64,
@@ -319,7 +320,8 @@ impl Walker {
         self.run(set, dt, |_| Some(wish))
     }
 
-    /// Lets `dt` (s, >= 0) pass while the pawn follows `route`; it has [`Arrived`](State::Arrived) when it is on its feet at the end.
+    /// Lets `dt` (s, >= 0) pass while the pawn follows `route`; it has [`Arrived`](State::Arrived) when it is on its
+    /// feet at the end.
     pub fn follow<S: PageSet>(&mut self, set: &S, dt: f64, route: &mut Route) -> StepReport {
         self.run(set, dt, |feet| route.wish(feet))
     }

@@ -160,9 +160,9 @@ impl<S: PageSet> Walk<'_, S> {
 
     /// Looks for a way sideways, if up to three pixels to the side the way into the wall with this `normal` is free.
     ///
-    /// A wall across the grid is a flight of edges of pixels, before each of which a box would stand still and between two
-    /// of which a cylinder would rest, where before the true wall they slide on. So the one before the edges goes around
-    /// them, over several ticks; it gains a third of a pixel at least, so this ends.
+    /// A wall across the grid is a flight of edges of pixels, before each of which a box would stand still and between
+    /// two of which a cylinder would rest, where before the true wall they slide on. So the one before the edges goes
+    /// around them, over several ticks; it gains a third of a pixel at least, so this ends.
     fn round_the_edge(&mut self, normal: Vector2<f64>, into: f64, along: Vector2<f64>) -> Needs<bool> {
         if along.norm() >= into || into < NOTHING_M {
             return ControlFlow::Continue(false);
@@ -200,7 +200,8 @@ impl<S: PageSet> Walk<'_, S> {
         if hit.heights[1] > limit {
             return ControlFlow::Continue(Step::Refused(Stop::Wall));
         }
-        // As high as anything to be stepped on; or just over what is in the way, for what is behind may be out of reach.
+        // As high as anything to be stepped on; or just over what is in the way, for what is behind may be out of
+        // reach.
         let end = feet + rest.push(0.0);
         let highest = known(self.config.body.top(self.set, end, limit, limit - feet.z))?;
         let mut refused = Stop::Wall;

@@ -1,9 +1,9 @@
 //! The response of the thesis, section 3.2.2, as it is written there: for comparison, with its weaknesses.
 //!
-//! The pawn moves by steps of fixed length. Where an obstacle touches it above the climb height, it goes back to the place of its
-//! last step, and the step's length is halved; after a step without collision the length is reset. Its height is the
-//! highest floor (or the mean of all floors) under it up to the climb height. The thesis does not say how a pawn falls;
-//! here it falls by a step of each tick, and lands on floor that it then finds under it.
+//! The pawn moves by steps of fixed length. Where an obstacle touches it above the climb height, it goes back to the
+//! place of its last step, and the step's length is halved; after a step without collision the length is reset. Its
+//! height is the highest floor (or the mean of all floors) under it up to the climb height. The thesis does not say how
+//! a pawn falls; here it falls by a step of each tick, and lands on floor that it then finds under it.
 
 use super::{Config, Ground, Motion, Needs, Response, Stop, known};
 use crate::store::PageSet;
