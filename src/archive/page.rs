@@ -140,7 +140,11 @@ impl PageDecoder {
         }
         if page.size() != entry.size {
             let words = |size: PageSize| format!("{} blocks and {} words", size.blocks(), size.words());
-            return Err(Violation::new("P11", format!("{} as in the directory", words(entry.size)), words(page.size())));
+            return Err(Violation::new(
+                "P11",
+                format!("{} as in the directory", words(entry.size)),
+                words(page.size()),
+            ));
         }
         Ok(page)
     }

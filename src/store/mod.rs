@@ -34,7 +34,7 @@ pub use held::{Store, StoreSlot};
 pub use loader::PageError;
 pub use motion::Motion;
 #[cfg(feature = "remote")]
-pub use remote::RemoteSource;
+pub use remote::{RemoteOptions, RemoteSource};
 pub use snapshot::{View, ViewSlot};
 pub(crate) use source::read_exact_at;
 pub use source::{ByteSource, FileSource, MapSource, MemorySource};
@@ -114,11 +114,8 @@ impl PageSource for Archive {
     }
 
     fn infos(&self) -> Result<Vec<PageInfo>> {
-        let info = |entry: PageEntry| PageInfo {
-            key: entry.key,
-            slices: entry.slices,
-            weight_bytes: entry.weight_bytes(),
-        };
+        let info =
+            |entry: PageEntry| PageInfo { key: entry.key, slices: entry.slices, weight_bytes: entry.weight_bytes() };
         self.entries().map(|entry| entry.map(info)).collect()
     }
 
