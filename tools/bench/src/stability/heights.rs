@@ -242,7 +242,10 @@ pub fn ramps(effort: Effort) -> Result<Outcome> {
             }
             if [0.0, 15.0, 30.0, 40.0, 45.0, 50.0].contains(&slope) && matches!(method, Method::Written | Method::Plane)
             {
-                let pair = format!("{} / {}", number(all[0], 1), number(all[1], 1));
+                let pair = match errors.0.is_empty() {
+                    true => "–".to_owned(),
+                    false => format!("{} / {}", number(all[0], 1), number(all[1], 1)),
+                };
                 cells.entry(n).or_default().extend([pair, percent(missing.value())]);
             }
         }

@@ -102,15 +102,18 @@ pub fn floors(effort: Effort) -> Result<Outcome> {
                 );
                 cells.push((all, inner, missing));
             }
-            let triple = |of: [f64; 3]| of.map(|v| number(v, 1)).join(" / ");
+            let triple = |of: [f64; 3], missing: f64| match missing {
+                1.0 => "–".to_owned(),
+                _ => of.map(|v| number(v, 1)).join(" / "),
+            };
             let [(written, _, lost), (ours, inner, missing)] = [cells[0], cells[1]];
             page.row([
                 name.to_owned(),
                 number(pixel_m * 100.0, 0),
-                triple(ours),
-                triple(inner),
+                triple(ours, missing[0]),
+                triple(inner, missing[1]),
                 missing.map(percent).join(" / "),
-                triple(written),
+                triple(written, lost[0]),
                 percent(lost[0]),
             ]);
         }
