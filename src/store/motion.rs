@@ -204,7 +204,8 @@ mod tests {
             if way * moved[axis] >= gap {
                 prop_assert!(least <= time + 1e-9, "touched at {time}, before {least}");
                 let [behind, ahead] = motion.reach(axis, time);
-                prop_assert!(if back { behind } else { ahead } >= gap - 1e-6);
+                let reach = if back { behind } else { ahead };
+                prop_assert!(reach >= gap - 1e-6, "{reach} m");
             }
         }
     }
