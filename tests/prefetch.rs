@@ -132,9 +132,9 @@ fn walk_and_compare(prefetch: Prefetch, budget: usize, seed: u64) -> (u32, u32) 
         }
         body.feet += body.velocity * FRAME_S;
         pawn.hint(&body.motion());
-        (0..random.below(3)).for_each(|_| {
+        for _ in 0..random.below(3) {
             stream.step();
-        });
+        }
         let view = stream.view();
         let box_ = body.shape();
         let mut same = |told: bool, equal: bool| {
@@ -199,19 +199,13 @@ fn queries_and_hints_go_on_while_the_source_hangs() {
                 pawn.hint(&body.motion());
                 overlaps(&stream.view(), &body.shape());
             }
-            assert_ne!(std::mem::discriminant(&overlaps(&stream.view(), &body.shape())), NOT_LOADED());
+            assert!(!matches!(overlaps(&stream.view(), &body.shape()), Overlap::NotLoaded(_)));
             done.send(()).unwrap();
         });
         let outcome = finished.recv_timeout(Duration::from_secs(20));
         source.set_open(true);
         outcome.expect("a query or a hint waited for the source");
     });
-}
-
-#[allow(non_snake_case)]
-fn NOT_LOADED() -> std::mem::Discriminant<Overlap> {
-    let view = Stream::open(open(MemorySource::new(&TOWER[..])), options(BUDGET, Prefetch::Off)).unwrap().view();
-    std::mem::discriminant(&overlaps(&view, &Body::at(0.0, 0.0, 0.0).shape()))
 }
 
 #[test]

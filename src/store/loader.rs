@@ -431,6 +431,11 @@ impl Core {
         self.state().errors.drain(..).collect()
     }
 
+    #[cfg(all(test, not(loom)))]
+    pub fn hold_a_publication(&self) -> impl Sized + '_ {
+        self.current.hold_a_publication()
+    }
+
     /// Bytes of pages in memory, without those that views alone hold.
     pub fn resident(&self) -> (usize, usize) {
         let state = self.state();

@@ -205,7 +205,7 @@ mod tests {
                 prop_assert!(least <= time + 1e-9, "touched at {time}, before {least}");
                 let [behind, ahead] = motion.reach(axis, time);
                 let reach = if back { behind } else { ahead };
-                prop_assert!(reach >= gap - 1e-6);
+                prop_assert!(reach >= gap - 1e-6, "{reach} m");
             }
         }
     }

@@ -56,6 +56,12 @@ impl<T> Current<T> {
         self.newest.store(1 - old, Release);
         put(old);
     }
+
+    /// The lock that a publisher holds while it writes the cell that nobody should read.
+    #[cfg(all(test, not(loom)))]
+    pub fn hold_a_publication(&self) -> impl Sized + '_ {
+        self.cells[1 - self.newest.load(Relaxed)].write()
+    }
 }
 
 /// Values that were published and may still be in use.

@@ -424,3 +424,67 @@ impl Shared {
         Ok(report)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::{ArchiveWriter, PageEncoder, Totals};
+    use crate::frame::Frame;
+    use crate::plan::{Classifier, Plan, Up};
+    use crate::query::{Aabb, Overlap, overlaps};
+    use crate::slice::{PageBuilder, Span};
+
+    fn archive() -> Archive {
+        let plan = Plan {
+            frame: Frame::new(0.05, 0.15).unwrap(),
+            max_slope_deg: 45.0,
+            tolerance_m: 0.0,
+            classifier: Classifier::Span,
+            min_points: 1,
+            up: Up::Z,
+            exclude_classes: [0; 4],
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("a.slices");
+        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+        let mut builder = PageBuilder::default();
+        assert!(builder.set_column(10, 20, &[Span::new(0, 255, false).unwrap()]));
+        let key = PageKey { tx: 0, ty: 0, layer: 0 };
+        writer.put(key, PageEncoder::new().encode(key, &builder.build())).unwrap();
+        writer.finish(Totals::default()).unwrap();
+        Archive::from_bytes(std::fs::read(&target).unwrap()).unwrap()
+    }
+
+    /// A loader suspended at the worst moment, for ever: every lock is held, even that of the cell which a
+    /// publication writes. Frames go on all the same.
+    #[test]
+    fn no_lock_held_for_ever_holds_a_frame() {
+        let options = StreamOptions { prefetch: Prefetch::Manual, ..StreamOptions::new(1 << 20) };
+        let stream = Stream::open(archive(), options).unwrap();
+        let mut pawn = stream.pawn();
+        let (min, max) = ([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into());
+        let (motion, shape) = (Motion::walking(min, max, Default::default()), Aabb::new(min, max).unwrap());
+        stream.load_around(&motion).unwrap();
+        let inbox = pawn.inbox.clone();
+        let (_state, _pawns) = (stream.shared.core.state(), lock(&stream.shared.pawns));
+        let (_inbox, _desk) = (lock(&inbox), lock(&stream.shared.desk));
+        let _cell = stream.shared.core.hold_a_publication();
+        let (done, finished) = std::sync::mpsc::channel();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                for _ in 0..100 {
+                    pawn.hint(&motion);
+                    assert_eq!(overlaps(&stream.view(), &shape), Overlap::Hit);
+                    assert_eq!(overlaps(&pawn.view(), &shape), Overlap::Hit);
+                }
+                done.send(()).unwrap();
+            });
+            // A frame that waits for a lock would hang here, and the process with it: say so and end it.
+            if finished.recv_timeout(Duration::from_secs(20)).is_err() {
+                eprintln!("a frame waited for a lock");
+                std::process::abort();
+            }
+        });
+        assert_eq!(stream.shared.core.tally.hints_dropped.load(Relaxed), 100, "hints do not wait either");
+    }
+}
