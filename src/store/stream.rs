@@ -441,6 +441,7 @@ mod tests {
             tolerance_m: 0.0,
             classifier: Classifier::Span,
             min_points: 1,
+            drop_isolated: false,
             up: Up::Z,
             exclude_classes: [0; 4],
         };
