@@ -142,7 +142,7 @@ fn bounds_in_the_header_that_are_not_those_of_the_points_give_one_warning() {
     for inputs in [&["wide.las"][..], &["narrow.las"], &["narrow.las", "wide.las", "scan.las"]] {
         let lines = about(&converts(at, &with(inputs, &["--force"])));
         assert_eq!(lines.len(), 1, "{lines:?}");
-        assert!(lines[0].contains(&format!("{}", inputs[0])), "{lines:?}");
+        assert!(lines[0].contains(inputs[0]), "{lines:?}");
         assert_eq!(lines[0].contains("and 1 more"), inputs.len() > 1, "{lines:?}");
     }
 }

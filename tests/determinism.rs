@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// The archive of `inputs`.
 fn archive(folder: &Path, inputs: &[PathBuf], arguments: &[&str]) -> Vec<u8> {
     let output = folder.join("out.slices");
-    let inputs: Vec<&str> = inputs.iter().map(|path| text(path)).collect();
+    let inputs: Vec<&str> = inputs.iter().map(text).collect();
     let fixed = ["-o", text(&output), "--force", "--quiet", "--temp-dir", text(folder)];
     scans::converts(folder, &[&inputs, &fixed[..], arguments].concat());
     fs::read(&output).unwrap()
