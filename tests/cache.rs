@@ -6,9 +6,7 @@ mod tower;
 
 use slicewalk::archive::Archive;
 use slicewalk::query::{Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
-use slicewalk::store::{
-    FileSource, MemorySource, PageSet, PageSlot, Prefetch, Step, Store, Stream, StreamOptions,
-};
+use slicewalk::store::{FileSource, MemorySource, PageSet, PageSlot, Prefetch, Step, Store, Stream, StreamOptions};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
