@@ -211,7 +211,7 @@ impl PageSize {
     /// Most words that a page can have: its spans, and as many unions, filled up in each block.
     pub const MAX_WORDS: u32 = 2 * 64 * 64 * 64 + 64 * 3;
     /// The size of a page whose pixels all hold the same single span.
-    pub const UNIFORM: Self = Self(64 << Self::SHIFT | 64 * 64);
+    pub const UNIFORM: Self = Self((64 << Self::SHIFT) | (64 * 64));
 
     /// The size of a page with this many blocks and words; `None` unless there are 1 to 64 blocks, at least a word for
     /// each and at most [`MAX_WORDS`](Self::MAX_WORDS).
