@@ -139,6 +139,11 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     client.write_all(if short { &body[..length / 2] } else { body })
 }
 
+/// The error; without it no whole page is printed, as `expect_err` does.
+fn error_of<T>(result: slicewalk::Result<T>) -> slicewalk::Error {
+    result.err().unwrap_or_else(|| panic!("an error was expected"))
+}
+
 /// A page beyond the bytes that came with the first request.
 fn last_stored(archive: &Archive) -> PageEntry {
     let stored = |entry: &PageEntry| entry.extent().is_some_and(|extent| extent.offset > 16384);
@@ -179,7 +184,7 @@ fn an_object_that_is_replaced_is_an_error_even_if_the_server_does_not_mind() {
         let entry = last_stored(&archive);
         let good = archive.page(&entry).unwrap();
         server.set(Manner::OtherTag);
-        let error = archive.page(&entry).err().expect("an error").to_string();
+        let error = error_of(archive.page(&entry)).to_string();
         assert!(error.contains("replaced"), "{error}");
         server.set(Manner::Good);
         {
@@ -188,7 +193,7 @@ fn an_object_that_is_replaced_is_an_error_even_if_the_server_does_not_mind() {
             state.tag = tag.map(|tag| tag.replace("one", "two"));
         }
         // Without any tag it is the length or the checksum in the directory that tells.
-        let error = archive.page(&entry).err().expect("an error").to_string();
+        let error = error_of(archive.page(&entry)).to_string();
         assert!(["replaced", "rule P"].iter().any(|text| error.contains(text)), "{error}");
         *server.state.lock().unwrap() =
             State { bytes: old.clone(), tag: tag.map(str::to_string), manner: Manner::Good, requests: vec![] };
@@ -204,7 +209,7 @@ fn whatever_a_server_does_wrong_is_an_error_and_passes_when_it_is_good_again() {
     let good = archive.page(&entry).unwrap();
     for manner in [Manner::Whole, Manner::Short, Manner::NotFound, Manner::Closes, Manner::Fails, Manner::OtherRange] {
         server.set(manner);
-        let error = archive.page(&entry).err().expect("an error");
+        let error = error_of(archive.page(&entry));
         assert!(matches!(error, slicewalk::Error::Io { .. }), "{manner:?}: {error}");
         println!("{manner:?}: {error}");
         let error = server.source().err();

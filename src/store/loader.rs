@@ -431,7 +431,7 @@ impl Core {
         self.state().errors.drain(..).collect()
     }
 
-    #[cfg(all(test, not(loom)))]
+    #[cfg(test)]
     pub fn hold_a_publication(&self) -> impl Sized + '_ {
         self.current.hold_a_publication()
     }

@@ -25,6 +25,7 @@ mod remote;
 mod snapshot;
 mod source;
 mod stream;
+mod sync;
 mod tally;
 pub mod testing;
 
