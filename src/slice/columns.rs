@@ -100,10 +100,10 @@ impl ColumnPages {
         mut give: impl FnMut(i32, &Page) -> std::result::Result<(), E>,
     ) -> std::result::Result<(), E> {
         let Self { pieces, builder, column, .. } = self;
-        let place = |piece: &Piece| (piece.layer, piece.pixel);
+        // With the height, which is different for all spans of a pixel, the order is one and the sort needs no memory.
+        let place = |piece: &Piece| (piece.layer, piece.pixel, piece.span.bottom());
         if !pieces.is_sorted_by_key(place) {
-            // Stable, so the spans of a pixel stay in order of height.
-            pieces.sort_by_key(place);
+            pieces.sort_unstable_by_key(place);
         }
         for page in pieces.chunk_by(|a, b| a.layer == b.layer) {
             builder.clear();

@@ -1,0 +1,335 @@
+//! The program `slicetool` as a user meets it: exit codes, streams, one-line errors, tables, pictures, exports.
+
+use scangen::{WriteSpec, write_las};
+use slicewalk::NoMonitor;
+use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use tempfile::TempDir;
+
+/// A floor of 4 × 4 m at z = 0.35 with a wall 2 m high along x = 3, seen every 5 cm.
+fn points() -> Vec<[f64; 3]> {
+    let step = |n: i32| f64::from(n) * 0.05 + 0.025;
+    let floor = (0..80).flat_map(|i| (0..80).map(move |j| [step(i), step(j), 0.35]));
+    let wall = (0..80).flat_map(|j| (0..40).map(move |k| [3.025, step(j), 0.35 + step(k)]));
+    floor.chain(wall).collect()
+}
+
+/// An archive `name` of `points` in `folder`.
+fn archive(folder: &Path, name: &str, points: &[[f64; 3]], pixel_m: f64) {
+    let scan = folder.join("scan.las");
+    write_las(&scan, points.iter().copied(), &WriteSpec::for_path(&scan)).unwrap();
+    let mut options = ConvertOptions::new(vec![scan.clone()], folder.join(name));
+    options.pixel = PixelSize::Metres(pixel_m);
+    convert(&options, &NoMonitor).unwrap();
+    fs::remove_file(scan).unwrap();
+}
+
+fn folder() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    archive(folder.path(), "a.slices", &points(), 0.1);
+    folder
+}
+
+fn slicetool(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_slicetool")).current_dir(folder).args(arguments).output().unwrap()
+}
+
+/// It works and says nothing on standard error; its result.
+fn done(folder: &Path, arguments: &[&str]) -> String {
+    let out = slicetool(folder, arguments);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.success() && said.is_empty(), "{arguments:?}: {said}");
+    String::from_utf8(out.stdout).unwrap()
+}
+
+/// It fails, prints no result and says one line, which is returned.
+fn refuses(folder: &Path, arguments: &[&str]) -> String {
+    let out = slicetool(folder, arguments);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(1), "{arguments:?}: {said}");
+    assert!(out.stdout.is_empty(), "{arguments:?}");
+    assert!(said.lines().count() == 1 && said.starts_with("slicetool: "), "{arguments:?}: {said}");
+    said
+}
+
+fn json(text: &str) -> serde_json::Value {
+    serde_json::from_str(text).unwrap_or_else(|error| panic!("{error}: {text}"))
+}
+
+#[test]
+fn info_verify_and_stats_say_the_same_as_json_and_as_text() {
+    let folder = folder();
+    let at = folder.path();
+    let info = json(&done(at, &["info", "a.slices", "--json"]));
+    let points = points().len();
+    assert_eq!((&info["points_read"], &info["points_kept"]), (&points.into(), &points.into()));
+    assert!((info["bounds"]["min"][2].as_f64().unwrap() - 0.35).abs() < 1e-12);
+    assert_eq!(info["slices"], 7, "from 0.35 to 2.325 m in slices of 0.3 m");
+    let text = done(at, &["info", "a.slices"]);
+    assert!(text.lines().any(|line| line.starts_with("points_read") && line.ends_with(&points.to_string())), "{text}");
+    let verified = json(&done(at, &["verify", "a.slices", "--json"]));
+    assert_eq!(verified["ok"], true);
+    assert_eq!(verified["bytes"], info["bytes"]["file"]);
+    assert!(done(at, &["verify", "a.slices"]).starts_with("a.slices: ok, "));
+    let stats = json(&done(at, &["stats", "a.slices", "--json"]));
+    assert_eq!(stats["voxels"]["occupied"], info["voxels"]["occupied"]);
+    assert_eq!(stats["bytes"]["file"], info["bytes"]["file"]);
+    assert!(done(at, &["stats", "a.slices"]).contains("voxels"));
+}
+
+#[test]
+fn an_archive_that_is_none_or_damaged_is_named_by_every_command() {
+    let folder = folder();
+    let at = folder.path();
+    let whole = fs::read(at.join("a.slices")).unwrap();
+    fs::write(at.join("text.slices"), "no archive at all ".repeat(100)).unwrap();
+    fs::write(at.join("empty.slices"), "").unwrap();
+    fs::write(at.join("cut.slices"), &whole[..whole.len() / 2]).unwrap();
+    // A byte of a page: the archive opens, and breaks when the page is read.
+    let mut page = whole.clone();
+    let first_page = whole.windows(4).position(|bytes| bytes == b"\x89PAG").unwrap();
+    page[first_page + 40] ^= 1;
+    fs::write(at.join("page.slices"), page).unwrap();
+    fs::write(at.join("q.csv"), "0,0,0,4,4,4\n").unwrap();
+    for name in ["none.slices", "text.slices", "empty.slices", "cut.slices", "page.slices", "."] {
+        for command in [
+            &["stats", name][..],
+            &["show", name, "--slice", "1", "-o", "out.png"],
+            &["diff", name, "a.slices"],
+            &["diff", "a.slices", name],
+            &["export", name, "-o", "out.ply"],
+            &["export", name, "-o", "out.las"],
+            &["query", name, "--boxes", "q.csv"],
+            &["info", name],
+        ] {
+            if name == "page.slices" && command[0] == "info" {
+                continue;
+            }
+            let said = refuses(at, command);
+            assert!(said.contains(name), "{command:?}: {said}");
+            assert!(["out.png", "out.ply", "out.las"].iter().all(|output| !at.join(output).exists()), "{command:?}");
+        }
+    }
+    for name in ["text.slices", "empty.slices", "cut.slices", "page.slices"] {
+        let out = slicetool(at, &["verify", name]);
+        let listed = String::from_utf8(out.stdout).unwrap();
+        assert_eq!(out.status.code(), Some(1), "{name}: {listed}");
+        assert!(listed.starts_with(&format!("{name}: rule ")), "{listed}");
+        let out = slicetool(at, &["verify", name, "--json"]);
+        let facts = json(&String::from_utf8(out.stdout).unwrap());
+        assert!(out.status.code() == Some(1) && facts["ok"] == false, "{facts}");
+        assert!(!facts["findings"].as_array().unwrap().is_empty());
+    }
+    assert!(refuses(at, &["verify", "none.slices"]).contains("none.slices"));
+}
+
+#[test]
+fn boxes_come_back_as_they_were_with_the_answers_behind() {
+    let folder = folder();
+    let at = folder.path();
+    let ask = |table: &str| {
+        fs::write(at.join("q.csv"), table).unwrap();
+        done(at, &["query", "a.slices", "--boxes", "q.csv"])
+    };
+    let floor = "1,1,0.3,1.5,1.5,1.0";
+    let plain = ask(&format!("xmin,ymin,zmin,xmax,ymax,zmax\n{floor}\n1,1,1,1.5,1.5,2\n2.9,1,1,3.1,1.5,2\n"));
+    let lines: Vec<&str> = plain.lines().collect();
+    assert_eq!(lines[0], "xmin,ymin,zmin,xmax,ymax,zmax,hit,obstacle,floor_z");
+    assert!(lines[1].starts_with(&format!("{floor},1,0,0.35")), "{plain}");
+    assert!(lines[2].starts_with("1,1,1,1.5,1.5,2,0,0,0.35"), "{plain}");
+    assert!(lines[3].starts_with("2.9,1,1,3.1,1.5,2,1,1,"), "{plain}");
+    assert_eq!(lines.len(), 4);
+    // Other columns, another order, blanks, quotes, a mark at the start, Windows line ends: all kept.
+    let answer = lines[1].strip_prefix(floor).unwrap();
+    let head = "name, zmax,\"xmin\",ymin,zmin,xmax,ymax";
+    let row = "\"a, b\" , 1.0,1e0,+1,0.30,1.50,1.5";
+    let expected = format!("{head},hit,obstacle,floor_z\n{row}{answer}\n");
+    assert_eq!(ask(&format!("\u{feff}{head}\r\n{row}\r\n\r\n# remark\r\n")), expected);
+    // Without a header the columns are as in the contract.
+    assert_eq!(ask(floor), format!("xmin,ymin,zmin,xmax,ymax,zmax,hit,obstacle,floor_z\n{floor}{answer}\n"));
+    assert_eq!(ask("xmin,ymin,zmin,xmax,ymax,zmax\n").lines().count(), 1);
+}
+
+#[test]
+fn rays_come_back_with_distance_and_normal() {
+    let folder = folder();
+    let at = folder.path();
+    fs::write(at.join("r.csv"), "x,y,z,dx,dy,dz,max\n1,1,3,0,0,-1,10\n1,1,3,0,0,1,10\n1,2,1,2,0,0,5\n").unwrap();
+    let text = done(at, &["query", "a.slices", "--rays", "r.csv"]);
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines[0], "x,y,z,dx,dy,dz,max,hit,distance,nx,ny,nz");
+    let number = |line: &str, field: usize| line.split(',').nth(field).unwrap().parse::<f64>().unwrap();
+    assert_eq!([7, 9, 10, 11].map(|field| number(lines[1], field)), [1.0, 0.0, 0.0, 1.0], "{text}");
+    assert!((number(lines[1], 8) - 2.65).abs() < 0.01, "{text}");
+    assert_eq!(lines[2], "1,1,3,0,0,1,10,0,,,,");
+    assert_eq!([7, 9, 10, 11].map(|field| number(lines[3], field)), [1.0, -1.0, 0.0, 0.0], "{text}");
+    assert!((number(lines[3], 8) - 2.0).abs() < 1e-9, "the wall's pixels begin at x = 3: {text}");
+}
+
+#[test]
+fn tables_that_cannot_be_answered_are_named_with_the_line() {
+    let folder = folder();
+    let at = folder.path();
+    let head = "xmin,ymin,zmin,xmax,ymax,zmax\n";
+    for (table, words) in [
+        (String::new(), &["q.csv", "empty", "xmin,ymin,zmin,xmax,ymax,zmax"][..]),
+        ("\n# only a remark\n".into(), &["empty"]),
+        ("xmin,ymin,zmin,xmax,ymax\n1,1,1,2,2\n".into(), &["line 1", "no column zmax"]),
+        ("1,2,3\n".into(), &["line 1", "3 fields and no header"]),
+        ("1,1,1,2,2,two\n".into(), &["line 1", "zmax is \"two\""]),
+        (format!("{head}1,1,1,2,2,2\n1,1,x,2,2,2\n"), &["line 3", "zmin is \"x\""]),
+        (format!("{head}1,1,1,2,2\n"), &["line 2", "5 fields"]),
+        (format!("{head}1,1,1,2,2,\n"), &["line 2", "zmax is \"\""]),
+        (format!("{head}1,1,1,2,2,NaN\n"), &["line 2", "NaN"]),
+        (format!("{head}1,1,1,0,2,2\n"), &["line 2", "q.csv"]),
+        (format!("{head}\"1,1,1,2,2,2\n"), &["line 2", "quoted"]),
+    ] {
+        fs::write(at.join("q.csv"), &table).unwrap();
+        let said = refuses(at, &["query", "a.slices", "--boxes", "q.csv"]);
+        assert!(words.iter().all(|word| said.contains(word)), "{table:?}: {said}");
+    }
+    fs::write(at.join("q.csv"), [head.as_bytes(), b"1,1,1,2,2,\xFF\n"].concat()).unwrap();
+    assert!(refuses(at, &["query", "a.slices", "--boxes", "q.csv"]).contains("line 2"));
+    assert!(refuses(at, &["query", "a.slices", "--boxes", "none.csv"]).contains("none.csv: cannot read"));
+    fs::write(at.join("r.csv"), "1,1,1,0,0,0,5\n").unwrap();
+    assert!(refuses(at, &["query", "a.slices", "--rays", "r.csv"]).contains("line 1"));
+}
+
+/// A picture's width and pixels.
+fn picture(path: &Path) -> (usize, Vec<[u8; 3]>) {
+    let mut reader = png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap())).read_info().unwrap();
+    let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut bytes).unwrap();
+    assert_eq!((info.color_type, info.bit_depth), (png::ColorType::Rgb, png::BitDepth::Eight));
+    (info.width as usize, bytes[..info.buffer_size()].as_chunks::<3>().0.to_vec())
+}
+
+#[test]
+fn show_draws_the_thesis_colours_and_counts_slices_from_the_lowest() {
+    let folder = folder();
+    let at = folder.path();
+    assert_eq!(done(at, &["show", "a.slices", "--slice", "0", "-o", "0.png"]), "");
+    let (width, pixels) = picture(&at.join("0.png"));
+    assert_eq!((width, pixels.len()), (40, 40 * 40));
+    // The floor lies at 0.05 of a slice of 0.3 m: red ⌈255 / 6⌉ = 43, green 255, blue 26; the wall is blue 255.
+    assert_eq!(pixels[20 * 40 + 10], [43, 255, 26]);
+    assert_eq!(pixels[20 * 40 + 30][1..], [255, 255]);
+    done(at, &["show", "a.slices", "--slice", "6", "-o", "6.png"]);
+    let (_, pixels) = picture(&at.join("6.png"));
+    assert_eq!(pixels.iter().filter(|&&pixel| pixel != [0, 0, 0]).count(), 40, "only the wall is as high as slice 6");
+    done(at, &["show", "a.slices", "--z", "2.2", "-o", "z.png"]);
+    assert_eq!(fs::read(at.join("6.png")).unwrap(), fs::read(at.join("z.png")).unwrap());
+    for which in [["--slice", "7"], ["--z", "-1"], ["--z", "nan"], ["--slice", "18446744073709551615"]] {
+        let said = refuses(at, &["show", "a.slices", which[0], which[1], "-o", "no.png"]);
+        assert!(said.contains("--slice 0 to 6"), "{said}");
+    }
+    assert!(refuses(at, &["show", "a.slices", "--slice", "0", "-o", "no/such.png"]).contains("no/such.png"));
+    let said = refuses(at, &["show", "a.slices", "--slice", "0", "-o", "./a.slices"]);
+    assert!(said.contains("is the archive itself"), "{said}");
+    done(at, &["verify", "a.slices"]);
+}
+
+#[test]
+fn diff_tells_same_from_different_and_refuses_other_grids() {
+    let folder = folder();
+    let at = folder.path();
+    let mut others = points();
+    others.reverse();
+    archive(at, "same.slices", &others, 0.1);
+    let same = json(&done(at, &["diff", "a.slices", "same.slices", "--json"]));
+    assert!(same["identical"] == true && same["same_plan"] == true, "{same}");
+    others.push([1.0, 1.0, 1.75]);
+    archive(at, "more.slices", &others, 0.1);
+    let more = json(&done(at, &["diff", "a.slices", "more.slices", "--json"]));
+    assert!(more["identical"] == false && more["voxels"]["only_b"] == 1 && more["voxels"]["only_a"] == 0, "{more}");
+    assert!(done(at, &["diff", "a.slices", "same.slices"]).contains("identical"));
+    assert!(done(at, &["diff", "a.slices", "more.slices"]).contains("1 only in B"));
+    archive(at, "coarse.slices", &others, 0.2);
+    let said = refuses(at, &["diff", "a.slices", "coarse.slices"]);
+    assert!(said.contains("a.slices and coarse.slices lie on different grids"), "{said}");
+}
+
+#[test]
+fn exports_hold_one_point_per_voxel() {
+    let folder = folder();
+    let at = folder.path();
+    let info = json(&done(at, &["info", "a.slices", "--json"]));
+    let voxels = info["voxels"]["occupied"].as_u64().unwrap();
+    let obstacles = info["voxels"]["obstacle"].as_u64().unwrap();
+    for name in ["out.las", "out.laz", "Ö ut.ply"] {
+        assert_eq!(done(at, &["export", "a.slices", "-o", name]), format!("{name}: {voxels} points\n"));
+    }
+    for name in ["out.las", "out.laz"] {
+        let all = las::Reader::from_path(at.join(name)).unwrap().read_all().unwrap();
+        assert_eq!(all.x().count() as u64, voxels);
+        let class = |class: u8| all.classification().filter(|&found| found == class).count() as u64;
+        assert_eq!((class(1), class(2)), (obstacles, voxels - obstacles));
+        assert!(all.x().all(|x| (0.0..4.0).contains(&x)) && all.z().all(|z| (0.349..2.34).contains(&z)));
+    }
+    let ply = fs::read(at.join("Ö ut.ply")).unwrap();
+    let end = ply.windows(11).position(|bytes| bytes == b"end_header\n").unwrap() + 11;
+    assert_eq!((ply.len() - end) as u64, voxels * 27);
+    assert!(String::from_utf8_lossy(&ply[..end]).contains(&format!("element vertex {voxels} ")));
+    for (output, word) in
+        [("out.xyz", ".ply, .las or .laz"), ("no/out.ply", "no/out.ply"), ("no/out.las", "no/out.las")]
+    {
+        let said = refuses(at, &["export", "a.slices", "-o", output]);
+        assert!(said.contains(word), "{said}");
+    }
+}
+
+#[test]
+fn an_archive_without_points_is_no_trouble() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    archive(at, "e.slices", &[], 0.1);
+    let info = json(&done(at, &["info", "e.slices", "--json"]));
+    assert!(info["points_read"] == 0 && info["bounds"].is_null() && info["slices"] == 0, "{info}");
+    done(at, &["verify", "e.slices"]);
+    done(at, &["stats", "e.slices"]);
+    assert!(done(at, &["diff", "e.slices", "e.slices"]).contains("identical"));
+    assert!(done(at, &["export", "e.slices", "-o", "e.las"]).contains("0 points"));
+    assert!(refuses(at, &["show", "e.slices", "--slice", "0", "-o", "e.png"]).contains("holds no points"));
+    fs::write(at.join("q.csv"), "0,0,0,4,4,4\n").unwrap();
+    assert!(done(at, &["query", "e.slices", "--boxes", "q.csv"]).ends_with("0,0,0,4,4,4,0,0,\n"));
+}
+
+#[test]
+fn wrong_usage_ends_with_2() {
+    let folder = folder();
+    for arguments in [
+        &[][..],
+        &["look", "a.slices"],
+        &["info"],
+        &["show", "a.slices", "-o", "s.png"],
+        &["show", "a.slices", "--slice", "0", "--z", "1", "-o", "s.png"],
+        &["show", "a.slices", "--slice", "-1", "-o", "s.png"],
+        &["query", "a.slices"],
+        &["query", "a.slices", "--boxes", "q.csv", "--rays", "r.csv"],
+        &["export", "a.slices"],
+        &["diff", "a.slices"],
+    ] {
+        let out = slicetool(folder.path(), arguments);
+        assert_eq!(out.status.code(), Some(2), "{arguments:?}");
+        assert!(out.stdout.is_empty() && !out.stderr.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_pipe_closed_early_is_no_failure_and_no_panic() {
+    let folder = folder();
+    let at = folder.path();
+    fs::write(at.join("q.csv"), "1,1,0.3,1.5,1.5,1.0\n".repeat(20_000)).unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_slicetool"))
+        .current_dir(at)
+        .args(["query", "a.slices", "--boxes", "q.csv"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let out = child.wait_with_output().unwrap();
+    assert!(out.status.success() && out.stderr.is_empty(), "{}", String::from_utf8_lossy(&out.stderr));
+}
