@@ -527,6 +527,7 @@ struct ColumnWorker<'a> {
     folder: Folder,
     verdicts: Vec<bool>,
     columns: ColumnPages,
+    tolerance: u32,
     encoder: PageEncoder,
     records: Vec<Record>,
 }
@@ -544,7 +545,8 @@ impl<'a> ColumnWorker<'a> {
             folder: Folder::default(),
             verdicts: Vec::new(),
             columns: ColumnPages::new(plan),
-            encoder: PageEncoder::new(),
+            tolerance: plan.tolerance_quanta(),
+            encoder: PageEncoder::new(plan.frame),
             records: Vec::new(),
         }
     }
@@ -667,10 +669,11 @@ impl<'a> ColumnWorker<'a> {
     }
 
     fn encode(&mut self, column: ColumnKey, pages: &mut Pages) -> Result<()> {
-        let Self { columns, encoder, .. } = self;
+        let Self { columns, encoder, tolerance, .. } = self;
         columns.finish(column.first_slice(), |layer, page| {
             let key = PageKey::from_column(column.column, layer);
-            pages.push((key, encoder.encode(key, page)));
+            let simple = (*tolerance > 0).then(|| encoder.simplify(page, *tolerance));
+            pages.push((key, encoder.encode(key, simple.as_ref().unwrap_or(page))));
             Ok(())
         })
     }

@@ -1,6 +1,6 @@
 //! The plan of an archive: grid and options that decide its content. Archives of one plan can be compared and merged.
 
-use crate::frame::Frame;
+use crate::frame::{Frame, SLICE_QUANTA};
 use crate::{Error, Result};
 
 /// How floors and obstacles are told apart.
@@ -62,6 +62,11 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// How far heights may be moved outwards (quanta): what the tolerance holds of whole quanta, at most a slice.
+    pub fn tolerance_quanta(&self) -> u32 {
+        (self.tolerance_m / self.frame.quantum_m()).floor().clamp(0.0, SLICE_QUANTA as f64) as u32
+    }
+
     /// Refuses values outside the limits stated at the fields.
     pub fn check(&self) -> Result<()> {
         if !(0.0..=90.0).contains(&self.max_slope_deg) {

@@ -1,10 +1,10 @@
-//! Pages as they lie in the file: a leader that tells what they are, and one zstd frame (chapter 5).
+//! Pages as they lie in the file: a leader that tells what they are, and the encoded page (chapter 5).
 
 use super::directory::{Extent, PageEntry, Place};
 use super::head::hex;
 use crate::Result;
-use crate::codec::{MAX_RAW_PAGE, Packer, RawDecoder, RawEncoder, Unpacker, Violation};
-use crate::frame::{PageKey, TILE_PIXELS};
+use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
+use crate::frame::{Frame, PageKey, TILE_PIXELS};
 use crate::slice::{Page, PageBuilder, PageSize, Span};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -12,16 +12,16 @@ use xxhash_rust::xxh3::xxh3_64;
 const MAGIC: [u8; 4] = *b"\x89PAG";
 /// Length of a page's leader (bytes).
 pub(super) const LEADER: usize = 24;
-/// Greatest length of a page with its leader [bytes]: rounded up from what zstd needs for the longest encoding.
-pub(super) const MAX_STORED_PAGE: usize = MAX_RAW_PAGE + (MAX_RAW_PAGE >> 7) + 1024;
+/// Greatest length of a page with its leader (bytes).
+pub(super) const MAX_STORED_PAGE: usize = LEADER + MAX_BODY;
 
 /// A page ready to be put into an archive.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EncodedPage {
-    /// Leader and frame; empty for a page that one span tells.
+    /// Leader and body; empty for a page that one span tells.
     pub(super) bytes: Vec<u8>,
     pub(super) uniform: Option<Span>,
-    /// Identity of the frame, for sharing.
+    /// Identity of the body, for sharing.
     pub(super) hash: u64,
     pub(super) key: PageKey,
     /// Slices of the page with matter.
@@ -42,7 +42,7 @@ impl EncodedPage {
     }
 
     /// The bytes that decide whether two pages are equal.
-    pub(super) fn frame(&self) -> &[u8] {
+    pub(super) fn body(&self) -> &[u8] {
         &self.bytes[LEADER..]
     }
 }
@@ -51,23 +51,24 @@ fn leader_crc(bytes: &[u8]) -> u32 {
     u32::from_le_bytes([bytes[20], bytes[21], bytes[22], bytes[23]])
 }
 
-/// Checksum of a page: its leader up to the checksum, then its frame.
+/// Checksum of a page: its leader up to the checksum, then its body.
 fn page_crc(bytes: &[u8]) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c(&bytes[..20]), &bytes[LEADER..])
 }
 
 /// Encodes pages; one per thread. Equal pages give equal bytes, whatever was encoded before.
-#[derive(Debug, Default)]
-pub struct PageEncoder {
-    raw: Vec<u8>,
-    encoder: RawEncoder,
-    packer: Packer,
-}
+#[derive(Debug)]
+pub struct PageEncoder(Encoder);
 
 impl PageEncoder {
-    /// An encoder with its own scratch memory (about 2 MiB once used).
-    pub fn new() -> Self {
-        Self::default()
+    /// An encoder for pages of an archive with this grid, with its own scratch memory (about 2 MiB once used).
+    pub fn new(frame: Frame) -> Self {
+        Self(Encoder::new(frame))
+    }
+
+    /// See [`Encoder::simplify`].
+    pub fn simplify(&mut self, page: &Page, tolerance: u32) -> Page {
+        self.0.simplify(page, tolerance)
     }
 
     /// Encodes `page` under `key`.
@@ -77,15 +78,15 @@ impl PageEncoder {
         if uniform.is_some() || page.span_count() == 0 {
             return EncodedPage { bytes: Vec::new(), uniform, hash: 0, key, slices, size, voxels };
         }
-        self.encoder.encode(page, &mut self.raw);
-        let mut bytes = Vec::with_capacity(LEADER + self.raw.len() / 2);
+        let mut bytes = Vec::new();
         bytes.extend(MAGIC);
         for index in [key.tx, key.ty, key.layer] {
             bytes.extend(index.to_le_bytes());
         }
         bytes.resize(LEADER, 0);
-        let len = self.packer.pack(&self.raw, &mut bytes);
-        bytes[16..20].copy_from_slice(&(len as u32).to_le_bytes());
+        self.0.encode(page, &mut bytes);
+        let len = (bytes.len() - LEADER) as u32;
+        bytes[16..20].copy_from_slice(&len.to_le_bytes());
         let crc = page_crc(&bytes);
         bytes[20..24].copy_from_slice(&crc.to_le_bytes());
         bytes.shrink_to_fit();
@@ -105,8 +106,7 @@ fn uniform_span(page: &Page) -> Option<Span> {
 /// Decodes pages; one per thread.
 #[derive(Debug, Default)]
 pub struct PageDecoder {
-    unpacker: Unpacker,
-    decoder: RawDecoder,
+    decoder: Decoder,
     builder: PageBuilder,
     /// Bytes of the page in work, for whoever reads them.
     pub(super) bytes: Vec<u8>,
@@ -130,8 +130,7 @@ impl PageDecoder {
             Place::Uniform(span) => self.uniform(span),
             Place::Stored(extent) | Place::Shared(extent) => {
                 check_leader(entry, extent, bytes)?;
-                let raw = self.unpacker.unpack(&bytes[LEADER..], MAX_RAW_PAGE, "P4")?;
-                self.decoder.decode(raw)?
+                self.decoder.decode(&bytes[LEADER..])?
             }
         };
         if page.slices() != entry.slices {
@@ -147,11 +146,6 @@ impl PageDecoder {
             ));
         }
         Ok(page)
-    }
-
-    /// The encoding that the bytes of a stored page hold, for comparison with a fresh one.
-    pub(super) fn raw(&mut self, bytes: &[u8]) -> Result<&[u8], Violation> {
-        self.unpacker.unpack(bytes.get(LEADER..).unwrap_or_default(), MAX_RAW_PAGE, "P4")
     }
 
     fn uniform(&mut self, span: Span) -> Page {
@@ -173,7 +167,7 @@ fn check_leader(entry: &PageEntry, extent: Extent, bytes: &[u8]) -> Result<(), V
     }
     let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
     if word(16) as usize != bytes.len() - LEADER {
-        return Err(Violation::new("P1", format!("a frame of {} bytes", bytes.len() - LEADER), word(16)));
+        return Err(Violation::new("P1", format!("a body of {} bytes", bytes.len() - LEADER), word(16)));
     }
     let crc = page_crc(bytes);
     if crc != word(20) || crc != extent.crc {

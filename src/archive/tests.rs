@@ -1,7 +1,7 @@
 //! The archive as a whole: what is put comes back, by key and in order, and the same pages make the same file.
 
 use super::*;
-use crate::codec::columns_tests::pages;
+use crate::codec::pages;
 use crate::frame::{Frame, PageKey};
 use crate::monitor::NoMonitor;
 use crate::plan::{Classifier, Plan, Up};
@@ -33,7 +33,7 @@ fn totals() -> Totals {
 
 fn write(target: &Path, pages: &BTreeMap<PageKey, Page>) -> Result<Header> {
     let mut writer = ArchiveWriter::create(target, &plan(), true)?;
-    let mut encoder = PageEncoder::new();
+    let mut encoder = PageEncoder::new(plan().frame);
     for (&key, page) in pages {
         writer.put(key, encoder.encode(key, page))?;
     }
@@ -121,7 +121,7 @@ fn a_large_archive_has_a_padded_head_many_leaves_and_opens_with_two_reads() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("large.slices");
     let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
-    let mut encoder = PageEncoder::new();
+    let mut encoder = PageEncoder::new(plan().frame);
     let key = |at: u64| PageKey::from_column((3 << 62) | (at / 7), (at % 7) as i32 - 3);
     let count = 40_000u64;
     let page = |at: u64| {
@@ -160,7 +160,7 @@ fn keys_must_ascend_and_pages_hold_matter() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("a.slices");
     let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
-    let mut encoder = PageEncoder::new();
+    let mut encoder = PageEncoder::new(plan().frame);
     let key = |layer| PageKey { tx: 0, ty: 0, layer };
     writer.put(key(1), encoder.encode(key(1), &floor(0))).unwrap();
     for (put, encoded, page) in [(key(1), key(1), floor(0)), (key(0), key(0), floor(0)), (key(3), key(2), floor(0))] {
@@ -183,7 +183,7 @@ fn the_old_archive_stays_until_the_new_one_is_complete() {
     let refused = ArchiveWriter::create(&target, &plan(), false).unwrap_err();
     assert!(refused.to_string().contains("--force"), "{refused}");
     let mut writer = ArchiveWriter::create(&target, &plan(), true).unwrap();
-    writer.put(key, PageEncoder::new().encode(key, &floor(2))).unwrap();
+    writer.put(key, PageEncoder::new(plan().frame).encode(key, &floor(2))).unwrap();
     assert_eq!(std::fs::read(&target).unwrap(), old);
     drop(writer);
     assert_eq!(std::fs::read(&target).unwrap(), old);

@@ -9,7 +9,7 @@ use super::directory::{Extent, PageEntry, Place};
 use super::head::{Pages, Tiles, Voxels};
 use super::page::PageDecoder;
 use super::reader::Archive;
-use crate::codec::{RawEncoder, Violation};
+use crate::codec::{Encoder, Violation};
 use crate::monitor::Monitor;
 use crate::slice::PageSize;
 use crate::{Error, Result};
@@ -68,8 +68,8 @@ impl Archive {
             findings,
             summary: VerifySummary { bytes: header.bytes.head + super::head::FOOTER as u64, ..Default::default() },
             decoder: PageDecoder::new(),
-            encoder: RawEncoder::default(),
-            raw: Vec::new(),
+            encoder: Encoder::new(*self.frame()),
+            body: Vec::new(),
             chunk: (0, Vec::new()),
             shared: Vec::new(),
             next: Some(header.pages_offset()),
@@ -106,8 +106,8 @@ struct Pass<'a> {
     findings: &'a mut dyn FnMut(Finding),
     summary: VerifySummary,
     decoder: PageDecoder,
-    encoder: RawEncoder,
-    raw: Vec<u8>,
+    encoder: Encoder,
+    body: Vec<u8>,
     /// Bytes read ahead, and where they begin.
     chunk: (u64, Vec<u8>),
     /// Bytes of a shared page, which lie far behind the chunk.
@@ -220,9 +220,9 @@ impl Pass<'_> {
             }
         };
         let page = self.decoder.decode(entry, bytes)?;
-        self.encoder.encode(&page, &mut self.raw);
-        let stored = self.decoder.raw(bytes).map_err(|violation| violation.at("page", extent.offset))?;
-        if stored != self.raw {
+        self.body.clear();
+        self.encoder.encode(&page, &mut self.body);
+        if self.body != bytes[super::page::LEADER..] {
             let part = format!("page {}", entry.key);
             return Err(Violation::new("P10", "the one encoding of its content", "another").at(part, extent.offset));
         }

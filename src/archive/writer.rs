@@ -146,7 +146,7 @@ impl ArchiveWriter {
         if let Some(extent) = self.window.candidate(page.hash, len) {
             let mut same = vec![0; len as usize];
             self.read_back(extent, &mut same)?;
-            if same[super::page::LEADER..] == *page.frame() {
+            if same[super::page::LEADER..] == *page.body() {
                 self.counts.pages.shared += 1;
                 return Ok(Place::Shared(extent));
             }

@@ -1,26 +1,29 @@
 //! Codecs: pages to bytes and back, no files, no clocks, no threads.
 //!
-//! In: a [`Page`]. Out: at most [`MAX_RAW_PAGE`] bytes, and from them the same page again. Memory:
+//! In: a [`Page`]. Out: at most [`MAX_BODY`] bytes, and from them the same page again. Memory:
 //! one scratch of at most a few MiB per codec object. The bytes are described in `spec/slice-archive.md`, chapter 6.
 //!
-//! The first byte of an encoded page names its model ([`Model`]); each model is one small file of this module. Decoders
+//! The first byte of an encoded page names its model; each model is one small file of this module. Decoders
 //! take hostile bytes: every number is checked before it sizes, indexes or bounds a loop, and a broken rule comes back
 //! as a [`Violation`], which the archive turns into an error with its place in the file.
 
+mod adaptive;
 mod bytes;
-mod columns;
 mod compress;
+mod lattice;
+mod rans;
 
 pub use bytes::{Reader, put_varint, unzigzag, zigzag};
 pub use compress::{Packer, Unpacker};
 
 use crate::Error;
+use crate::frame::Frame;
 use crate::slice::{Page, PageBuilder, Span};
 
 /// Most spans that a page can hold: 64 in each of its 4,096 pixels.
 pub const MAX_PAGE_SPANS: usize = 64 * 64 * 64;
-/// Greatest length of an encoded page before compression (bytes).
-pub const MAX_RAW_PAGE: usize = 1 + columns::MAX_LEN;
+/// Greatest length of an encoded page (bytes).
+pub const MAX_BODY: usize = 1 + adaptive::MAX_LEN;
 
 /// A rule of the specification that bytes break; [`Violation::at`] adds where they lie.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -45,46 +48,53 @@ impl Violation {
     }
 }
 
-/// How the content of a page is written down; the discriminant is the code in the file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-#[repr(u8)]
-pub enum Model {
-    /// All spans of all pixels, each predicted from its neighbours.
-    Columns = 1,
-}
+/// First byte of an encoded page: its model. Version 1.0 has one, and readers refuse all others.
+const ADAPTIVE: u8 = 1;
 
 /// Encodes pages; keeps its scratch, so that a page costs no allocation.
-#[derive(Debug, Default)]
-pub struct RawEncoder {
-    columns: columns::Scratch,
+#[derive(Debug)]
+pub struct Encoder {
+    frame: Frame,
+    adaptive: adaptive::Scratch,
+    builder: PageBuilder,
 }
 
-impl RawEncoder {
-    /// Replaces `out` by the encoding of `page`, which must hold matter: at most [`MAX_RAW_PAGE`] bytes.
+impl Encoder {
+    /// An encoder for pages of an archive with this grid.
+    pub fn new(frame: Frame) -> Self {
+        Self { frame, adaptive: Default::default(), builder: PageBuilder::default() }
+    }
+
+    /// Appends the encoding of `page`, which must hold matter: at most [`MAX_BODY`] bytes. Equal pages have equal
+    /// encodings, whatever was encoded before.
     pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
-        out.clear();
-        out.push(Model::Columns as u8);
-        columns::encode(page, &mut self.columns, out);
+        out.push(ADAPTIVE);
+        adaptive::encode(&self.frame, page, &mut self.adaptive, out);
+    }
+
+    /// A page that is cheaper to encode than `page` and holds all its matter, in the same voxels: bottoms up to
+    /// `tolerance` (quanta) lower, tops as much higher. Greedy, in one pass.
+    pub fn simplify(&mut self, page: &Page, tolerance: u32) -> Page {
+        self.builder.clear();
+        adaptive::simplify(&self.frame, page, tolerance, &mut self.adaptive, &mut self.builder);
+        self.builder.build()
     }
 }
 
 /// Decodes pages; keeps its scratch, so that a page costs no more than its own allocations.
 #[derive(Debug, Default)]
-pub struct RawDecoder {
-    columns: columns::Scratch,
+pub struct Decoder {
+    adaptive: adaptive::Scratch,
     builder: PageBuilder,
 }
 
-impl RawDecoder {
-    /// The page that `raw` encodes. Linear in `raw`; breaks of rules P5 to P8 are errors.
-    pub fn decode(&mut self, raw: &[u8]) -> Result<Page, Violation> {
+impl Decoder {
+    /// The page that `body` encodes. Linear in `body` and the page's spans; breaks of rules P5 to P8 are errors.
+    pub fn decode(&mut self, body: &[u8]) -> Result<Page, Violation> {
         self.builder.clear();
-        match raw.split_first() {
-            Some((&code, body)) if code == Model::Columns as u8 => {
-                columns::decode(body, &mut self.columns, &mut self.builder)?;
-            }
-            Some((code, _)) => return Err(Violation::new("P5", "a model of version 1: 1", code)),
+        match body.split_first() {
+            Some((&ADAPTIVE, coded)) => adaptive::decode(coded, &mut self.adaptive, &mut self.builder)?,
+            Some((model, _)) => return Err(Violation::new("P5", format!("model {ADAPTIVE}"), model)),
             None => return Err(Violation::new("P5", "a model", "no byte")),
         }
         Ok(self.builder.build())
@@ -103,4 +113,4 @@ pub fn span_from_bits(bits: u32) -> Option<Span> {
 }
 
 #[cfg(test)]
-pub(crate) use columns::tests as columns_tests;
+pub(crate) use adaptive::tests::pages;

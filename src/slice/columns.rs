@@ -6,8 +6,8 @@ use crate::plan::Plan;
 use crate::voxel::fold::{Area, Patch};
 use crate::voxel::record::{BLOCK_SLICES, PATCH_PIXELS};
 
-/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta): a
-/// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
+/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta), and
+/// the tolerance at both ends: a pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
 /// allows both: matter only ever fills the gap between points of vertically adjacent voxels.
 const JOIN_QUANTA: i64 = SLICE_QUANTA / 3;
 
@@ -45,8 +45,8 @@ const KEPT_PIECES: usize = 1 << 16;
 /// Collects the spans of one tile column and hands out its pages. Memory: 8 bytes per span.
 #[derive(Debug)]
 pub struct ColumnPages {
-    /// Heights are rounded outwards to multiples of this within their slice (1: not at all) (quanta).
-    step: u32,
+    /// Spans of a pixel in adjacent slices are one if the gap between their points is at most this (quanta).
+    join: i64,
     pieces: Vec<Piece>,
     builder: PageBuilder,
     column: Vec<Span>,
@@ -55,8 +55,13 @@ pub struct ColumnPages {
 impl ColumnPages {
     /// An empty column of an archive of `plan`.
     pub fn new(plan: &Plan) -> Self {
-        let step = (plan.tolerance_m / plan.frame.quantum_m()).floor().clamp(1.0, SLICE_QUANTA as f64) as u32;
-        Self { step, pieces: Vec::new(), builder: PageBuilder::default(), column: Vec::new() }
+        // Each end may grow by the tolerance; spans that grow into each other are one.
+        Self {
+            join: JOIN_QUANTA + 2 * i64::from(plan.tolerance_quanta()),
+            pieces: Vec::new(),
+            builder: PageBuilder::default(),
+            column: Vec::new(),
+        }
     }
 
     /// Adds the spans of all pixels in `area`, with one verdict (true: obstacle) per voxel of `patch`.
@@ -72,13 +77,11 @@ impl ColumnPages {
         let mut open: Option<OpenSpan> = None;
         for (voxel, &obstacle) in patch.voxels()[range.clone()].iter().zip(&verdicts[range]) {
             let floor = i64::from(voxel.slice) * SLICE_QUANTA;
-            let bottom = floor + i64::from(u32::from(voxel.bottom) / self.step * self.step);
-            let top =
-                floor + i64::from((u32::from(voxel.top).div_ceil(self.step) * self.step).min(SLICE_QUANTA as u32));
+            let (bottom, top) = (floor + i64::from(voxel.bottom), floor + i64::from(voxel.top));
             open = Some(match open {
                 Some(below)
                     if below.slice + 1 == voxel.slice
-                        && (below.obstacle && obstacle || bottom - below.top <= JOIN_QUANTA) =>
+                        && (below.obstacle && obstacle || bottom - below.top <= self.join) =>
                 {
                     if below.obstacle == obstacle {
                         OpenSpan { top, slice: voxel.slice, ..below }

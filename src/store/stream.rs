@@ -451,7 +451,7 @@ mod tests {
         let mut builder = PageBuilder::default();
         assert!(builder.set_column(10, 20, &[Span::new(0, 255, false).unwrap()]));
         let key = PageKey { tx: 0, ty: 0, layer: 0 };
-        writer.put(key, PageEncoder::new().encode(key, &builder.build())).unwrap();
+        writer.put(key, PageEncoder::new(plan.frame).encode(key, &builder.build())).unwrap();
         writer.finish(Totals::default()).unwrap();
         Archive::from_bytes(std::fs::read(&target).unwrap()).unwrap()
     }

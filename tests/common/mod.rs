@@ -104,7 +104,7 @@ pub fn archive((pages, totals): &(Pages, Totals)) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("test.slices");
     let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
-    let mut encoder = PageEncoder::new();
+    let mut encoder = PageEncoder::new(plan().frame);
     for (&key, page) in pages {
         writer.put(key, encoder.encode(key, page)).unwrap();
     }

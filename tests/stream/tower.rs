@@ -102,7 +102,7 @@ pub fn tower(half: f64, height: f64, seed: u64) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("tower.slices");
     let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
-    let mut encoder = PageEncoder::new();
+    let mut encoder = PageEncoder::new(plan.frame);
     for (key, page) in &pages {
         writer.put(*key, encoder.encode(*key, page)).unwrap();
     }

@@ -1,0 +1,734 @@
+//! Model 1, `adaptive`: all spans of all pixels, each predicted from its neighbours, coded by how well neighbours agree
+//! (specification, chapter 6).
+//!
+//! One walk serves encoder and decoder ([`Coder`]): blocks with matter, then pixel by pixel in row order whether there
+//! is matter, how many spans, and of each span bottom, thickness and kind. Heights are steps of a [`Lattice`]. What the
+//! neighbours in the west, north-west, north and north-east say chooses the model that codes a value: where they agree,
+//! little is left to say.
+
+use super::lattice::{End, Lattice};
+use super::rans::{Bit, Coder, Decoder, Dry, Encoder, Nibble};
+use super::{MAX_PAGE_SPANS, Violation};
+use crate::frame::{Frame, SLICE_QUANTA};
+use crate::slice::{Page, PageBuilder, Span};
+
+const PIXELS: usize = 64 * 64;
+/// Most spans in one pixel.
+const MAX_COLUMN: u32 = 64;
+const SLICE: u32 = SLICE_QUANTA as u32;
+/// Bits of a lattice's step and phase: 8 before the point, 32 behind it.
+const LATTICE_BITS: u32 = 40;
+
+/// Most symbols of a page: of a span 12 (its pixel's count, five for each end, the kind), of a pixel whether it has
+/// matter, two for each block, and the lattice.
+const MAX_SYMBOLS: usize = 12 * MAX_PAGE_SPANS + PIXELS + 2 * 64 + 1 + 2 * (LATTICE_BITS as usize / 10);
+/// Greatest length of an encoding (bytes): the state, and a word for each symbol at most.
+pub const MAX_LEN: usize = 4 + 2 * MAX_SYMBOLS;
+
+/// A span as it is coded.
+#[derive(Debug, Clone, Copy, Default)]
+struct Coded {
+    /// Heights (quanta).
+    bottom: u16,
+    top: u16,
+    /// Steps of the lattice.
+    bottom_step: u16,
+    top_step: u16,
+    obstacle: bool,
+}
+
+impl Coded {
+    fn thickness(&self) -> i32 {
+        i32::from(self.top_step) - i32::from(self.bottom_step)
+    }
+}
+
+/// Models of residuals: weights of the lengths of folded residuals, as six scans have them in the mean.
+const RESIDUAL: Nibble = Nibble::new([60, 40, 60, 90, 130, 160, 160, 130, 90, 60, 40, 30, 30, 25, 10, 1]);
+const COUNT: Nibble = Nibble::new([800, 120, 40, 20, 10, 5, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1]);
+const HALF: Bit = Bit::new(1 << 14);
+/// Within a length, small residuals are more common than great ones.
+const FALLING: [Bit; 16] = [const { Bit::new(13 << 10) }; 16];
+const QUARTER: Bit = Bit::new(1 << 13);
+const RARE: Bit = Bit::new(1 << 10);
+
+/// Everything that learns. Made anew for each page, so that a page can be read alone.
+#[derive(Debug, Clone)]
+struct Models {
+    /// By the kinds of the blocks in the west and north: matter at all, and in all pixels.
+    matter: [Bit; 9],
+    full: [Bit; 9],
+    /// By the six pixels before.
+    pixel: [Bit; 64],
+    /// By the counts of spans in the west and north, 3 for more.
+    count: [Nibble; 16],
+    bottom: [Nibble; 16],
+    thickness: [Nibble; 80],
+    /// Highest bit below the leading one, by end and length.
+    second: [[Bit; 16]; 2],
+    /// Whether a height is off its step's usual one, by end and by what was last said of that step; and which way.
+    off: [[Bit; 4]; 2],
+    up: [Bit; 2],
+    /// By obstacles among the candidates, number of candidates, and whether the span is thick.
+    kind: [Bit; 50],
+}
+
+const FRESH: Models = Models {
+    matter: [HALF; 9],
+    full: [QUARTER; 9],
+    pixel: [HALF; 64],
+    count: [COUNT; 16],
+    bottom: [RESIDUAL; 16],
+    thickness: [RESIDUAL; 80],
+    second: [FALLING; 2],
+    off: [const { [RARE, RARE, HALF, RARE] }; 2],
+    up: [HALF; 2],
+    kind: [HALF; 50],
+};
+
+/// Spans coded so far and where each pixel's begin; reused from page to page.
+#[derive(Debug)]
+pub struct Scratch {
+    models: Box<Models>,
+    /// Per pixel in row order, and one more: index of its first span. Valid up to the pixel in work.
+    first: Box<[u32]>,
+    spans: Vec<Coded>,
+    /// Per end and step: 0, or 1 + how far the height lay off the usual one when the step came last [1..=3].
+    last_off: Box<[[u8; 1 << 14]; 2]>,
+    encoder: Encoder,
+    column: Vec<Span>,
+    heights: Vec<(u32, End)>,
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        Self {
+            models: Box::new(FRESH),
+            first: vec![0; PIXELS + 1].into(),
+            spans: Vec::new(),
+            last_off: Box::new([[0; 1 << 14]; 2]),
+            encoder: Encoder::default(),
+            column: Vec::new(),
+            heights: Vec::new(),
+        }
+    }
+}
+
+/// What the neighbours say of the next span: its candidates in them.
+struct Candidates {
+    count: usize,
+    obstacles: usize,
+    /// Expected step of the bottom, and thickness (steps).
+    bottom: i32,
+    thickness: i32,
+    /// Greatest less least among the candidates (steps).
+    bottom_spread: u32,
+    thickness_spread: u32,
+}
+
+/// The spans of the four neighbours coded already (west, north, north-west, north-east) that are still to be passed by
+/// the spans of the pixel in work.
+type Neighbours = [std::ops::Range<u32>; 4];
+
+fn neighbours(first: &[u32], pixel: usize) -> Neighbours {
+    let of = |exists: bool, back: usize| {
+        if exists { first[pixel - back]..first[pixel - back + 1] } else { 0..0 }
+    };
+    let (px, below_first_row) = (pixel & 63, pixel >= 64);
+    [of(px > 0, 1), of(below_first_row, 64), of(below_first_row && px > 0, 65), of(below_first_row && px < 63, 63)]
+}
+
+/// Looks for the candidates of the span above `below` and moves past the neighbours' spans that `below` rules out.
+///
+/// A median follows edges where a mean would blur them: on six scans, the second least of four neighbours took 2 %
+/// fewer bytes than the mean of the middle two.
+#[inline]
+fn candidates(spans: &[Coded], neighbours: &mut Neighbours, below: Option<Coded>) -> Candidates {
+    let (mut count, mut obstacles) = (0, 0);
+    let (mut bottoms, mut thicknesses) = ([i32::MAX; 4], [i32::MAX; 4]);
+    for range in neighbours {
+        while let Some(span) = spans.get(range.start as usize).filter(|_| range.start < range.end) {
+            if below.is_none_or(|below| span.bottom > below.top) {
+                bottoms[count] = span.bottom_step.into();
+                thicknesses[count] = span.thickness();
+                obstacles += span.obstacle as usize;
+                count += 1;
+                break;
+            }
+            range.start += 1;
+        }
+    }
+    let (bottom, thickness) = match (count, below, spans.last()) {
+        (3.., _, _) => (second_least(bottoms), second_least(thicknesses)),
+        (1.., _, _) => (bottoms[0], thicknesses[0]),
+        (0, Some(below), _) => (below.top_step.into(), below.thickness()),
+        (0, None, Some(last)) => (last.bottom_step.into(), last.thickness()),
+        (0, None, None) => (0, 0),
+    };
+    let spread = |values: [i32; 4]| {
+        let (mut least, mut greatest) = (values[0], values[0]);
+        for &value in values[..count].iter().skip(1) {
+            (least, greatest) = (least.min(value), greatest.max(value));
+        }
+        greatest.wrapping_sub(least) as u32
+    };
+    let (bottom_spread, thickness_spread) = (spread(bottoms), spread(thicknesses));
+    Candidates { count, obstacles, bottom, thickness, bottom_spread, thickness_spread }
+}
+
+#[inline]
+fn second_least([a, b, c, d]: [i32; 4]) -> i32 {
+    let (least, rest) = (a.min(b).max(c.min(d)), a.max(b).min(c.max(d)));
+    least.min(rest)
+}
+
+/// Number of bits of `value`.
+#[inline]
+fn bits(value: u32) -> u32 {
+    u32::BITS - value.leading_zeros()
+}
+
+/// Class of a size by its number of bits: 0 to 2, 3, 4, 5, 6, 7, 8 to 9, more.
+#[inline]
+fn class(size: u32) -> usize {
+    const CLASSES: [u8; 16] = [0, 0, 0, 1, 2, 3, 4, 5, 6, 6, 7, 7, 7, 7, 7, 7];
+    CLASSES[bits(size).min(15) as usize].into()
+}
+
+impl Candidates {
+    /// Model of the bottom.
+    #[inline]
+    fn bottom_context(&self) -> usize {
+        match self.count {
+            0 | 1 => self.count,
+            2 => 2 + class(self.bottom_spread) / 2,
+            _ => 8 + class(self.bottom_spread),
+        }
+    }
+
+    /// Model of the thickness.
+    #[inline]
+    fn thickness_context(&self) -> usize {
+        let agreement = match self.count {
+            0 | 1 => self.count,
+            _ => 2 + class(self.thickness_spread),
+        };
+        class(self.thickness.unsigned_abs()) * 10 + agreement
+    }
+}
+
+/// A walk over a page, with its coder.
+struct Walk<'a, C> {
+    coder: C,
+    lattice: Lattice,
+    models: &'a mut Models,
+    last_off: &'a mut [[u8; 1 << 14]; 2],
+}
+
+/// A height of a span: the quantum and the step.
+type Height = (u32, u32);
+
+impl<C: Coder> Walk<'_, C> {
+    /// Which blocks have matter, and which in all pixels, as masks.
+    fn blocks(&mut self, given: (u64, u64)) -> (u64, u64) {
+        let (mut matter, mut full) = (0u64, 0u64);
+        for block in 0..64 {
+            let kind = |exists: bool, back: u32| {
+                if exists { (matter >> (block - back) & 1) as usize + (full >> (block - back) & 1) as usize } else { 0 }
+            };
+            let context = kind(block % 8 > 0, 1) * 3 + kind(block >= 8, 8);
+            if self.coder.bit(&mut self.models.matter[context], given.0 >> block & 1 == 1) {
+                matter |= 1 << block;
+                full |= (self.coder.bit(&mut self.models.full[context], given.1 >> block & 1 == 1) as u64) << block;
+            }
+        }
+        (matter, full)
+    }
+
+    /// Spans of a pixel with matter; 0 or more than 64 if the bytes are wrong.
+    fn count(&mut self, west: u32, north: u32, given: u32) -> u32 {
+        let model = &mut self.models.count[(west.min(3) * 4 + north.min(3)) as usize];
+        let mut count = 1;
+        loop {
+            let more = self.coder.nibble(model, given.wrapping_sub(count).min(15));
+            count += more;
+            if more < 15 || count > MAX_COLUMN {
+                return count;
+            }
+        }
+    }
+
+    /// A height near step `expected`, which steps of `context` code; `given` is the height to write.
+    #[inline]
+    fn height(&mut self, end: End, context: usize, expected: i32, given: Option<u32>) -> Height {
+        let side = end as usize;
+        let on_step = given.map(|height| self.lattice.index(height, end));
+        let (index, off) = on_step.flatten().unwrap_or((0, 0));
+        let residual = match on_step {
+            Some(None) => None,
+            _ => Some(fold(index as i32 - expected)),
+        };
+        let models = match end {
+            End::Bottom => &mut self.models.bottom[..],
+            End::Top => &mut self.models.thickness[..],
+        };
+        let length = self.coder.nibble(&mut models[context], residual.map_or(15, bits));
+        if length == 15 {
+            // Cut at a slice boundary, between the steps.
+            let height = self.coder.raw(7, given.unwrap_or(0) / SLICE) * SLICE;
+            return (height, self.lattice.at_or_above(height));
+        }
+        let residual = residual.unwrap_or(0);
+        let mut folded = (length > 0) as u32;
+        if length > 1 {
+            let second = &mut self.models.second[side][length as usize];
+            folded = 2 | self.coder.bit(second, residual >> (length - 2) & 1 == 1) as u32;
+        }
+        if length > 2 {
+            let rest = length - 2;
+            folded = folded << rest | self.coder.raw(rest, residual & ((1 << rest) - 1));
+        }
+        let index = (expected + unfold(folded)) as u32 & 0x3FFF;
+        let usual = self.lattice.usual(index, end);
+        if self.lattice.is_quanta() {
+            return (usual as u32, index);
+        }
+        let last = &mut self.last_off[side][index as usize];
+        let mut off_now = 0;
+        if self.coder.bit(&mut self.models.off[side][*last as usize], off != 0) {
+            off_now = if self.coder.bit(&mut self.models.up[side], off > 0) { 1 } else { -1 };
+        }
+        *last = if off_now == 0 { 1 } else { 2 };
+        ((usual + off_now) as u32, index)
+    }
+}
+
+/// Folds the sign of `difference`, taken modulo 2¹⁴, into the lowest bit: 0..2¹⁴.
+#[inline]
+fn fold(difference: i32) -> u32 {
+    let difference = difference << 18 >> 18;
+    (difference << 1 ^ difference >> 31) as u32
+}
+
+/// Inverse of [`fold`].
+#[inline]
+fn unfold(folded: u32) -> i32 {
+    (folded >> 1) as i32 ^ -((folded & 1) as i32)
+}
+
+/// Where the values of a walk come from.
+trait Given {
+    /// Blocks with matter, blocks with matter in all pixels.
+    fn blocks(&self) -> (u64, u64);
+    fn spans(&self, px: u32, py: u32) -> &[Span];
+    /// `span`, or one that says less, as `candidates` and the span `below` would have it; `above` is the bottom of the
+    /// next span.
+    fn simplest(&self, span: Span, _: &Candidates, _: &Lattice, _below: Option<Coded>, _above: Option<u32>) -> Span {
+        span
+    }
+}
+
+/// A page to write, or (for decoding) nothing.
+impl Given for Option<&Page> {
+    fn blocks(&self) -> (u64, u64) {
+        let Some(page) = self else { return (0, 0) };
+        let mask = |has: fn(u64) -> bool| {
+            (0..64).fold(0, |mask, block| mask | (has(page.block_at(block).pixels()) as u64) << block)
+        };
+        (mask(|pixels| pixels != 0), mask(|pixels| pixels == u64::MAX))
+    }
+
+    fn spans(&self, px: u32, py: u32) -> &[Span] {
+        self.map_or(&[], |page| page.column(px, py))
+    }
+}
+
+/// A page whose heights may be moved outwards.
+struct Loose<'a> {
+    page: &'a Page,
+    /// How far (quanta).
+    tolerance: u32,
+}
+
+impl Given for Loose<'_> {
+    fn blocks(&self) -> (u64, u64) {
+        Some(self.page).blocks()
+    }
+
+    fn spans(&self, px: u32, py: u32) -> &[Span] {
+        self.page.column(px, py)
+    }
+
+    /// The expected heights if they lie within the tolerance; else a third of the way across it, since the surface has
+    /// left the expected one and may go on. Ends stay in their slices: no voxel is added.
+    fn simplest(
+        &self,
+        span: Span,
+        candidates: &Candidates,
+        lattice: &Lattice,
+        below: Option<Coded>,
+        above: Option<u32>,
+    ) -> Span {
+        let pick = |expected: i32, (low, high): (u32, u32)| {
+            let (low, high) = (low as i32, high as i32);
+            match expected {
+                _ if expected < low => low + (high - low) / 3,
+                _ if expected > high => high - (high - low) / 3,
+                _ => expected,
+            }
+        };
+        let (mut bottom, mut top) = (span.bottom(), span.top());
+        let mut bottom_step = lattice.at_or_above(bottom);
+        if let Some((step, _)) = lattice.index(bottom, End::Bottom)
+            && bottom % SLICE != 0
+        {
+            let lowest = bottom.saturating_sub(self.tolerance).max(bottom / SLICE * SLICE);
+            let lowest = lowest.max(below.map_or(0, |below| u32::from(below.top) + 1)).min(bottom);
+            let steps = (lattice.at_or_above(lowest).min(step), step);
+            bottom_step = pick(candidates.bottom, steps) as u32;
+            if bottom_step != step {
+                bottom = (lattice.usual(bottom_step, End::Bottom) as u32).clamp(lowest, bottom);
+            }
+        }
+        if let Some((step, _)) = lattice.index(top, End::Top)
+            && top % SLICE != 0
+        {
+            let highest = (top + self.tolerance).min(top.next_multiple_of(SLICE));
+            let highest = highest.min(above.map_or(u32::MAX, |above| above.saturating_sub(1))).max(top);
+            // The last step whose usual height is not above the highest.
+            let last = lattice.at_or_above(highest).saturating_sub(!lattice.is_quanta() as u32).max(step);
+            let top_step = pick(bottom_step as i32 + candidates.thickness, (step, last)) as u32;
+            if top_step != step {
+                top = (lattice.usual(top_step, End::Top) as u32).clamp(top, highest);
+            }
+        }
+        Span::new(bottom, top, span.is_obstacle()).unwrap_or(span)
+    }
+}
+
+/// Walks over the page that `given` tells or the coder reads, and hands each pixel's spans to `give`.
+fn walk<C: Coder, G: Given>(
+    coder: C,
+    lattice: Lattice,
+    scratch: &mut Scratch,
+    given: G,
+    mut give: impl FnMut(u32, u32, &[Span]) -> Result<(), Violation>,
+) -> Result<C, Violation> {
+    let Scratch { models, first, spans, last_off, column, .. } = scratch;
+    **models = FRESH;
+    if !lattice.is_quanta() {
+        last_off.iter_mut().for_each(|end| end.fill(0));
+    }
+    spans.clear();
+    let mut walk = Walk { coder, lattice, models, last_off };
+    let (matter, full) = walk.blocks(given.blocks());
+    if matter == 0 {
+        return Err(Violation::new("P6", "matter in some pixel", "none"));
+    }
+    // Rows of pixels with matter: the one in work and the two before.
+    let (mut row, mut row_north, mut row_north_2) = (0u64, 0u64, 0u64);
+    for pixel in 0..PIXELS {
+        let (px, py) = (pixel as u32 % 64, pixel as u32 / 64);
+        if px == 0 {
+            (row_north_2, row_north, row) = (row_north, row, 0);
+        }
+        first[pixel] = spans.len() as u32;
+        let block = py / 8 * 8 + px / 8;
+        let given_spans = given.spans(px, py);
+        if matter >> block & 1 == 1
+            && (full >> block & 1 == 1 || {
+                // West 2, west, north-west, north, north-east, north 2.
+                let context = (row << 2 >> px & 3)
+                    | ((row_north as u128) << 1 >> px & 7) as u64 * 4
+                    | (row_north_2 >> px & 1) * 32;
+                walk.coder.bit(&mut walk.models.pixel[context as usize & 63], !given_spans.is_empty())
+            })
+        {
+            row |= 1 << px;
+            let mut around = neighbours(first, pixel);
+            let [west, north, ..] = &around;
+            let count = walk.count(west.len() as u32, north.len() as u32, given_spans.len() as u32);
+            if count > MAX_COLUMN {
+                return Err(Violation::new("P7", "1 to 64 spans in an occupied pixel", count));
+            }
+            column.clear();
+            let mut below = None;
+            for index in 0..count as usize {
+                let candidates = candidates(spans, &mut around, below);
+                let above = given_spans.get(index + 1).map(|span| span.bottom());
+                let span = given_spans.get(index);
+                let span = span.map(|&span| given.simplest(span, &candidates, &walk.lattice, below, above));
+                let (bottom, bottom_step) = walk.height(
+                    End::Bottom,
+                    candidates.bottom_context(),
+                    candidates.bottom,
+                    span.map(|span| span.bottom()),
+                );
+                let (top, top_step) = walk.height(
+                    End::Top,
+                    candidates.thickness_context(),
+                    bottom_step as i32 + candidates.thickness,
+                    span.map(|span| span.top()),
+                );
+                let thick = top > bottom + SLICE / 4;
+                let context = (candidates.obstacles * 5 + candidates.count) * 2 + thick as usize;
+                let obstacle =
+                    walk.coder.bit(&mut walk.models.kind[context], span.is_some_and(|span| span.is_obstacle()));
+                let span = Span::new(bottom, top, obstacle)
+                    .ok_or_else(|| Violation::new("P8", "a span inside the page", format!("{bottom}..={top}")))?;
+                column.push(span);
+                let coded = Coded {
+                    bottom: bottom as u16,
+                    top: top as u16,
+                    bottom_step: bottom_step as u16,
+                    top_step: top_step as u16,
+                    obstacle,
+                };
+                spans.push(coded);
+                below = Some(coded);
+            }
+            give(px, py, column)?;
+        }
+        first[pixel + 1] = spans.len() as u32;
+    }
+    Ok(walk.coder)
+}
+
+fn lattice_of(frame: &Frame, page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
+    heights.clear();
+    for (_, _, spans) in page.columns() {
+        heights.extend(spans.iter().flat_map(|span| [(span.bottom(), End::Bottom), (span.top(), End::Top)]));
+    }
+    // Heights on slice boundaries may be those of cuts, and say nothing.
+    heights.retain(|(height, _)| height % SLICE != 0);
+    Lattice::find(frame, heights).unwrap_or(Lattice::QUANTA)
+}
+
+/// Appends the encoding of `page`, at most [`MAX_LEN`] bytes.
+pub fn encode(frame: &Frame, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+    let lattice = lattice_of(frame, page, &mut scratch.heights);
+    let mut encoder = std::mem::take(&mut scratch.encoder);
+    encoder.clear();
+    code_lattice(&mut encoder, lattice);
+    if let Ok(mut encoder) = walk(encoder, lattice, scratch, Some(page), |_, _, _| Ok(())) {
+        encoder.finish(out);
+        scratch.encoder = encoder;
+    }
+}
+
+/// A bit that says whether there is a lattice, then its step and phase, 10 bits at a time, highest first.
+fn code_lattice(coder: &mut impl Coder, given: Lattice) -> Option<Lattice> {
+    if coder.raw(1, !given.is_quanta() as u32) == 0 {
+        return Some(Lattice::QUANTA);
+    }
+    let mut number = |given: u64| {
+        let part = |at: u32| (given >> at & 0x3FF) as u32;
+        (0..LATTICE_BITS / 10).rev().fold(0, |number, at| number << 10 | u64::from(coder.raw(10, part(10 * at))))
+    };
+    let (step, phase) = (number(given.step), number(given.phase));
+    Lattice::new(step, phase)
+}
+
+/// Fills `builder`, which must be empty, from the encoding `body`.
+pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut PageBuilder) -> Result<(), Violation> {
+    let mut decoder = Decoder::new(body, "P6")?;
+    let lattice = code_lattice(&mut decoder, Lattice::QUANTA)
+        .ok_or_else(|| Violation::new("P7", "steps of 2 to 255 quanta, above their phase", "others"))?;
+    let decoder = walk(decoder, lattice, scratch, None, |px, py, spans| {
+        let apart = || Violation::new("P8", "spans apart, lowest first", format!("{spans:?} in pixel ({px}, {py})"));
+        builder.set_column(px, py, spans).then_some(()).ok_or_else(apart)
+    })?;
+    decoder.finish("P6")
+}
+
+/// Fills `builder`, which must be empty, with a page that is cheaper to encode than `page` and holds all its matter:
+/// bottoms up to `tolerance` (quanta) lower and tops as much higher, in the same slices.
+pub fn simplify(frame: &Frame, page: &Page, tolerance: u32, scratch: &mut Scratch, builder: &mut PageBuilder) {
+    let lattice = lattice_of(frame, page, &mut scratch.heights);
+    let taken = walk(Dry, lattice, scratch, Loose { page, tolerance }, |px, py, spans| {
+        let taken = builder.set_column(px, py, spans);
+        debug_assert!(taken, "pixel ({px}, {py}): {spans:?}");
+        Ok(())
+    });
+    debug_assert!(taken.is_ok() || page.span_count() == 0);
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::codec::{Decoder, Encoder, MAX_BODY};
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    /// Spans of pixels, as a page holds them: a smooth floor, a wall, noise, or all 64 slices, in a part of the pixels.
+    pub fn pages() -> impl Strategy<Value = Page> {
+        let column = proptest::collection::btree_map(0u32..64, (0u32..250, 0u32..4, any::<bool>()), 1..5);
+        let noise = proptest::collection::btree_map((0u32..64, 0u32..64), column, 1..150);
+        let floor = (0u32..16000, -8i32..9, -8i32..9, 1u32..40);
+        (noise, floor, 0u32..65, 0u32..65, any::<bool>()).prop_map(|(noise, floor, width, depth, tower)| {
+            let mut builder = PageBuilder::default();
+            for pixel in 0..PIXELS as u32 {
+                let (px, py) = (pixel % 64, pixel / 64);
+                let spans: Vec<Span> = match noise.get(&(px, py)) {
+                    Some(parts) => noisy(parts),
+                    None if px < width && py < depth && tower => {
+                        (0..64).map(|k| Span::new(255 * k + px, 255 * k + px + py, k % 3 == 1).unwrap()).collect()
+                    }
+                    None if px < width && py < depth => {
+                        let (base, dx, dy, thick) = floor;
+                        let bottom = base as i32 + dx * px as i32 + dy * py as i32 + (px * py % 5) as i32;
+                        let bottom = bottom.clamp(0, 16319) as u32;
+                        vec![Span::new(bottom, (bottom + thick).min(16320), px == 7).unwrap()]
+                    }
+                    None => continue,
+                };
+                assert!(builder.set_column(px, py, &spans));
+            }
+            builder.build()
+        })
+    }
+
+    fn noisy(parts: &BTreeMap<u32, (u32, u32, bool)>) -> Vec<Span> {
+        parts.iter().map(|(k, &(b, h, kind))| Span::new(k * 255 + b, k * 255 + b + h, kind).unwrap()).collect()
+    }
+
+    fn encoded(frame: &Frame, page: &Page) -> Vec<u8> {
+        let mut body = Vec::new();
+        Encoder::new(*frame).encode(page, &mut body);
+        body
+    }
+
+    fn frame() -> Frame {
+        Frame::new(0.05, 0.15).unwrap()
+    }
+
+    /// `page` with heights on centimetres, as far as its spans are apart then.
+    fn in_centimetres(page: &Page) -> Page {
+        let mut builder = PageBuilder::default();
+        for (px, py, spans) in page.columns() {
+            let whole = |height: u32| height / 17 * 17;
+            let spans: Vec<_> = spans
+                .iter()
+                .map(|s| Span::new(whole(s.bottom()), whole(s.top()) + 1, s.is_obstacle()).unwrap())
+                .collect();
+            assert!(builder.set_column(px, py, &spans) || spans.len() > 1);
+        }
+        builder.build()
+    }
+
+    #[test]
+    fn the_largest_page_has_less_than_the_stated_length() {
+        let mut builder = PageBuilder::default();
+        for pixel in 0..PIXELS as u32 {
+            let height = |k: u32| 255 * k + (pixel.wrapping_mul(2654435761).wrapping_mul(k + 1) >> 7) % 200;
+            let span = |k: u32| Span::new(height(k), height(k) + (pixel ^ k) % 50, (pixel ^ k) % 3 == 0);
+            let spans: Vec<_> = (0..64).map(|k| span(k).unwrap()).collect();
+            assert!(builder.set_column(pixel % 64, pixel / 64, &spans));
+        }
+        let page = builder.build();
+        let body = encoded(&frame(), &page);
+        assert!(body.len() <= MAX_BODY, "{} bytes", body.len());
+        assert_eq!(Decoder::default().decode(&body).unwrap(), page);
+    }
+
+    #[test]
+    fn the_second_least_is_the_middle_one_of_three() {
+        for (values, second) in [([4, 1, 3, 2], 2), ([1, 1, 0, 9], 1), ([7, 5, 6, i32::MAX], 6), ([5, 5, 5, 5], 5)] {
+            for turn in 0..4 {
+                let mut turned = values;
+                turned.rotate_left(turn);
+                assert_eq!(second_least(turned), second);
+                turned.swap(0, 1);
+                assert_eq!(second_least(turned), second);
+            }
+        }
+    }
+
+    #[test]
+    fn folding_is_a_bijection() {
+        let mut folded: Vec<u32> = (-8192..8192).map(fold).collect();
+        assert!((-8192..8192).all(|value| unfold(fold(value)) == value && fold(value + (1 << 14)) == fold(value)));
+        folded.sort_unstable();
+        assert!(folded.into_iter().eq(0..1 << 14));
+    }
+
+    #[test]
+    fn a_floor_in_centimetres_takes_fewer_bytes_than_one_in_quanta() {
+        let floor = |unit: u32| {
+            let mut builder = PageBuilder::default();
+            for pixel in 0..PIXELS as u32 {
+                // Noise of 5 units around 1 m.
+                let bottom = 17 * 100 + pixel.wrapping_mul(2654435761) % 5 * unit;
+                assert!(builder.set_column(pixel % 64, pixel / 64, &[Span::new(bottom, bottom + 1, false).unwrap()]));
+            }
+            let body = encoded(&frame(), &builder.build());
+            assert_eq!(Decoder::default().decode(&body).unwrap(), builder.build());
+            body.len()
+        };
+        assert!(floor(17) < floor(16) * 3 / 4, "{} and {}", floor(17), floor(16));
+    }
+
+    proptest! {
+        #[test]
+        fn pages_round_trip(pages in proptest::collection::vec(pages(), 1..4), centimetres: bool) {
+            let (mut encoder, mut decoder) = (Encoder::new(frame()), Decoder::default());
+            for page in pages {
+                let page = if centimetres { in_centimetres(&page) } else { page };
+                prop_assume!(page.span_count() > 0);
+                let mut body = Vec::new();
+                encoder.encode(&page, &mut body);
+                prop_assert!(body.len() <= MAX_BODY && body == encoded(&frame(), &page));
+                prop_assert_eq!(decoder.decode(&body).unwrap(), page);
+            }
+        }
+
+        #[test]
+        fn simple_pages_hold_all_matter_and_grow_no_further_than_the_tolerance(
+            page in pages(), tolerance in prop_oneof![0u32..4, 0u32..256], centimetres: bool
+        ) {
+            let page = if centimetres { in_centimetres(&page) } else { page };
+            prop_assume!(page.span_count() > 0);
+            let mut encoder = Encoder::new(frame());
+            let simple = encoder.simplify(&page, tolerance);
+            prop_assert_eq!(simple.voxel_counts(), page.voxel_counts());
+            for (px, py, spans) in page.columns() {
+                let simple = simple.column(px, py);
+                prop_assert_eq!(spans.len(), simple.len());
+                for (exact, loose) in spans.iter().zip(simple) {
+                    prop_assert!(loose.bottom() <= exact.bottom() && exact.bottom() <= loose.bottom() + tolerance);
+                    prop_assert!(loose.top() >= exact.top() && loose.top() <= exact.top() + tolerance);
+                    prop_assert_eq!((exact.slices(), exact.is_obstacle()), (loose.slices(), loose.is_obstacle()));
+                }
+            }
+            let body = encoded(&frame(), &simple);
+            prop_assert_eq!(&Decoder::default().decode(&body).unwrap(), &simple);
+            if tolerance == 0 {
+                prop_assert_eq!(simple, page);
+            }
+        }
+
+        #[test]
+        fn what_decodes_encodes_again(page in pages(), flips in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..4)) {
+            let mut body = encoded(&frame(), &page);
+            for (at, value) in flips {
+                let place = at.index(body.len());
+                body[place] = value;
+            }
+            match Decoder::default().decode(&body) {
+                Ok(page) => {
+                    let again = encoded(&frame(), &page);
+                    prop_assert_eq!(Decoder::default().decode(&again).unwrap(), page);
+                }
+                Err(violation) => prop_assert!(["P5", "P6", "P7", "P8"].contains(&violation.rule)),
+            }
+        }
+
+        #[test]
+        fn random_bytes_never_panic(mut body in proptest::collection::vec(any::<u8>(), 0..2000)) {
+            if let Some(first) = body.first_mut() {
+                *first = 1;
+            }
+            let _ = Decoder::default().decode(&body);
+        }
+    }
+}

@@ -1,0 +1,198 @@
+//! The steps that heights come in: a scan stored in centimetres has no heights between them (specification, chapter 6).
+//!
+//! Heights of a page are quanta, of which a step takes several or many: coding which step a height is, instead of which
+//! quantum, saves the bits of the difference. The steps are found in the heights alone, so that neither the layer nor a
+//! file's header matters: same content, same bytes.
+
+use crate::frame::{Frame, SLICE_QUANTA};
+
+/// Fractional bits of [`Lattice`]'s numbers.
+pub const FRACTION_BITS: u32 = 32;
+const ONE: i64 = 1 << FRACTION_BITS;
+/// How far a height may lie off its step (in 1/2³² quantum): coordinates were rounded, and so is the step.
+const SLACK: i64 = 1 << 14;
+/// Fewest heights from which a lattice saves more than the 10 bytes that it takes.
+const LEAST_HEIGHTS: usize = 32;
+/// Steps looked for (m), coarse to fine: decimals of metres, feet and US survey feet, as LAS files are scaled.
+const STEPS_M: [f64; 14] = [
+    0.1,
+    0.1 * 0.3048,
+    0.1 * 1200.0 / 3937.0,
+    0.01,
+    0.005,
+    0.01 * 0.3048,
+    0.01 * 1200.0 / 3937.0,
+    0.002,
+    0.001,
+    0.0005,
+    0.001 * 0.3048,
+    0.001 * 1200.0 / 3937.0,
+    0.00025,
+    0.0001,
+];
+
+/// Equally spaced heights above a page's floor: step `index` lies at `phase + index · step`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Lattice {
+    /// Distance of steps (1/2³² quantum).
+    pub step: u64,
+    /// Height of step 0 (1/2³² quantum), below `step`.
+    pub phase: u64,
+}
+
+/// The ends of a span differ in how they are rounded to quanta: outwards.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// Rounded down.
+    Bottom,
+    /// Rounded up.
+    Top,
+}
+
+impl Lattice {
+    /// Every quantum is a step.
+    pub const QUANTA: Self = Self { step: ONE as u64, phase: 0 };
+
+    /// The lattice of `step` and `phase`; `None` unless the step is 2 to 255 quanta and above the phase.
+    pub fn new(step: u64, phase: u64) -> Option<Self> {
+        ((2 * ONE as u64..=SLICE_QUANTA as u64 * ONE as u64).contains(&step) && phase < step)
+            .then_some(Self { step, phase })
+    }
+
+    /// Whether the steps are the quanta themselves.
+    #[inline]
+    pub fn is_quanta(&self) -> bool {
+        self.step == ONE as u64
+    }
+
+    /// The quantum that step `index` [0..2¹⁴] lies in.
+    #[inline]
+    pub fn floor(&self, index: u32) -> i32 {
+        ((self.phase + index as u64 * self.step) >> FRACTION_BITS) as i32
+    }
+
+    /// The first step at or above `height` (quanta).
+    #[inline]
+    pub fn at_or_above(&self, height: u32) -> u32 {
+        if self.is_quanta() {
+            return height;
+        }
+        ((height as u64) << FRACTION_BITS).saturating_sub(self.phase).div_ceil(self.step) as u32
+    }
+
+    /// Height that a point on step `index` gives a span's `end`, unless rounding says otherwise.
+    #[inline]
+    pub fn usual(&self, index: u32, end: End) -> i32 {
+        self.floor(index) + (end == End::Top && !self.is_quanta()) as i32
+    }
+
+    /// Step of `height` (quanta) as a span's `end`, and how far the height lies from the [`usual`](Self::usual) one
+    /// [-1..=1]; `None` if the height lies on no step.
+    #[inline]
+    pub fn index(&self, height: u32, end: End) -> Option<(u32, i32)> {
+        if self.is_quanta() {
+            return Some((height, 0));
+        }
+        let near = self.at_or_above(height.saturating_sub(2));
+        [0, 1, -1].iter().find_map(|&off| {
+            let hit = |index: &u32| self.usual(*index, end) + off == height as i32;
+            (near..near + 3).find(hit).map(|index| (index, off))
+        })
+    }
+
+    /// The coarsest lattice on which all `heights` (quanta) lie.
+    pub fn find(frame: &Frame, heights: &[(u32, End)]) -> Option<Self> {
+        if heights.len() < LEAST_HEIGHTS {
+            return None;
+        }
+        STEPS_M.iter().find_map(|step_m| {
+            let step = (step_m * SLICE_QUANTA as f64 / frame.slice_m() * ONE as f64 + 0.5).floor();
+            let lattice = Self::new(step as u64, 0)?;
+            Some(Self { phase: lattice.phase_of(heights)?, ..lattice })
+        })
+    }
+
+    /// The middle of all phases at which the heights lie on steps.
+    fn phase_of(&self, heights: &[(u32, End)]) -> Option<u64> {
+        // Where the point of a height can be: within the quantum that was rounded away.
+        let point = |(height, end): (u32, End)| {
+            let low = (height as i64 - (end == End::Top) as i64) * ONE;
+            (low - SLACK, low + ONE + SLACK)
+        };
+        let step = self.step as i64;
+        let (first, (mut low, mut high)) = heights.first().map(|&height| (point(height).0, point(height)))?;
+        for &height in heights {
+            let (from, to) = point(height);
+            let shift = (from - first + step / 2).div_euclid(step) * step;
+            (low, high) = (low.max(from - shift), high.min(to - shift));
+            if low > high {
+                return None;
+            }
+        }
+        Some((low + (high - low) / 2).rem_euclid(step) as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn heights(frame: &Frame, points: &[f64], floor: i64) -> Vec<(u32, End)> {
+        let ends = points
+            .iter()
+            .flat_map(|&z| [(frame.quantum_floor(z) - floor, End::Bottom), (frame.quantum_ceil(z) - floor, End::Top)]);
+        ends.map(|(height, end)| (height as u32, end)).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn finds_the_steps_of_points_at_any_offset(
+            slice_m in prop_oneof![Just(0.15), Just(0.171), Just(0.0301), 0.03f64..0.6],
+            step in prop_oneof![Just(0.01), Just(0.001), Just(0.003048)],
+            offset in prop_oneof![Just(0.0), Just(49.0254), -900f64..900.0],
+            steps in proptest::collection::vec(0u32..5000, 40..200),
+        ) {
+            let frame = Frame::new(slice_m / 3.0, slice_m).unwrap();
+            prop_assume!(step / frame.quantum_m() >= 2.0 && step < slice_m);
+            let count = (60.0 * slice_m / step) as u32;
+            let points: Vec<f64> = steps.iter().map(|&n| offset + f64::from(n % count) * step).collect();
+            let floor = frame.quantum_floor(offset) - 3;
+            let heights = heights(&frame, &points, floor);
+            let lattice = Lattice::find(&frame, &heights).expect("a lattice");
+            for &(height, end) in &heights {
+                let (index, off) = lattice.index(height, end).expect("a step");
+                prop_assert_eq!(lattice.usual(index, end) + off, height as i32);
+            }
+        }
+
+        #[test]
+        fn indices_are_inverse_to_heights(step in 2.0f64..255.0, phase in 0.0f64..1.0, height in 0u32..16320) {
+            let step = (step * ONE as f64) as u64;
+            let lattice = Lattice::new(step, (phase * step as f64) as u64).unwrap();
+            let index = lattice.at_or_above(height);
+            let exact = |index: u32| lattice.phase + u64::from(index) * lattice.step;
+            prop_assert!(exact(index) >= u64::from(height) << 32);
+            prop_assert!(index == 0 || exact(index - 1) < u64::from(height) << 32);
+            for end in [End::Bottom, End::Top] {
+                if let Some((index, off)) = lattice.index(height, end) {
+                    prop_assert_eq!(lattice.usual(index, end) + off, height as i32);
+                    prop_assert!(off.abs() <= 1);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn noise_has_no_steps() {
+        let mut random = 1u64;
+        let mut next = || {
+            random = random.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (random >> 33) as u32 % 16000
+        };
+        let heights: Vec<_> = (0..200).map(|_| (next(), End::Bottom)).collect();
+        let frame = Frame::new(0.05, 0.15).unwrap();
+        assert_eq!(Lattice::find(&frame, &heights), None);
+        assert_eq!(Lattice::find(&frame, &heights[..5]), None);
+    }
+}

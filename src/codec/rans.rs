@@ -1,0 +1,367 @@
+//! Entropy coding: a range variant of asymmetric numeral systems (Duda 2013, arXiv:1311.2540) with adaptive models
+//! (specification, chapter 6).
+//!
+//! Symbols become bits by how probable a model holds them; the models learn from what went before, so that a page
+//! carries no tables. One walk over the content serves encoder and decoder: it hands each value to a [`Coder`] and goes
+//! on with the value that comes back. The state is 32 bits wide and moves in words of 16, probabilities have 15 bits:
+//! a symbol takes a multiplication, a word at most, and no division when decoding.
+
+use super::Violation;
+
+/// Bits of a probability.
+const SCALE_BITS: u32 = 15;
+const SCALE: u32 = 1 << SCALE_BITS;
+/// Least state between two symbols, and the state that coding starts from.
+const LOW: u32 = 1 << 16;
+/// Most bits that [`Coder::raw`] takes.
+pub const MAX_RAW_BITS: u32 = 15;
+
+/// How fast models learn: a probability moves by 1/2ⁿ of the way, `n` by the symbols seen so far.
+const RATES: [u8; 16] = [2, 3, 3, 3, 3, 4, 4, 4, 4, 4, 5, 5, 5, 5, 5, 6];
+const BIT_RATES: [u8; 16] = [1, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4, 5, 5, 5];
+/// Least probability of a bit's rarer value.
+const BIT_FLOOR: u16 = 32;
+
+/// Adaptive probabilities of 16 symbols.
+#[derive(Debug, Clone)]
+pub struct Nibble {
+    /// Symbols before each, cumulated, of `SCALE - 16`: one part in `SCALE` is every symbol's own.
+    below: [i16; 16],
+    seen: u8,
+}
+
+impl Nibble {
+    /// Probabilities in proportion to `weights`.
+    pub const fn new(weights: [u16; 16]) -> Self {
+        let (mut sum, mut index) = (0u32, 0);
+        while index < 16 {
+            sum += weights[index] as u32;
+            index += 1;
+        }
+        let mut below = [0; 16];
+        let mut before = 0u32;
+        index = 0;
+        while index < 16 {
+            below[index] = (before * (SCALE - 16) / sum) as i16;
+            before += weights[index] as u32;
+            index += 1;
+        }
+        Self { below, seen: 0 }
+    }
+
+    /// First slot of `symbol` [0..16] and the number of its slots.
+    #[inline]
+    fn slots(&self, symbol: u32) -> (u32, u32) {
+        let start = |symbol: u32| self.below[symbol as usize & 15] as u32 + symbol;
+        let end = if symbol >= 15 { SCALE } else { start(symbol + 1) };
+        (start(symbol), end - start(symbol))
+    }
+
+    #[inline]
+    fn symbol_at(&self, slot: u32) -> u32 {
+        let slot = slot as i16;
+        let passed = |(symbol, &below): (usize, &i16)| (below + symbol as i16 <= slot) as i16;
+        self.below.iter().enumerate().map(passed).sum::<i16>() as u32 - 1
+    }
+
+    #[inline]
+    fn learn(&mut self, symbol: u32) {
+        let rate = RATES[self.seen as usize & 15] as u32;
+        self.seen = (self.seen + 1).min(15);
+        let symbol = symbol as i16;
+        for (index, below) in self.below.iter_mut().enumerate() {
+            let up = ((SCALE - 16) as i16 - *below) >> rate;
+            let down = *below >> rate;
+            *below += if index as i16 > symbol { up } else { -down };
+        }
+    }
+}
+
+/// Adaptive probability of a bit.
+#[derive(Debug, Clone)]
+pub struct Bit {
+    /// Slots, of `SCALE`, of a one; they are the highest.
+    ones: u16,
+    seen: u8,
+}
+
+impl Bit {
+    /// A bit that is one with probability `ones / 32768`, between 32 and 32736.
+    pub const fn new(ones: u16) -> Self {
+        Self { ones, seen: 0 }
+    }
+
+    #[inline]
+    fn slots(&self, bit: bool) -> (u32, u32) {
+        let ones = self.ones as u32;
+        if bit { (SCALE - ones, ones) } else { (0, SCALE - ones) }
+    }
+
+    #[inline]
+    fn learn(&mut self, bit: bool) {
+        let rate = BIT_RATES[self.seen as usize & 15] as u32;
+        self.seen = (self.seen + 1).min(15);
+        if bit {
+            self.ones += ((SCALE as u16 - BIT_FLOOR) - self.ones) >> rate;
+        } else {
+            self.ones -= (self.ones - BIT_FLOOR) >> rate;
+        }
+    }
+}
+
+/// One end of the coding: takes the value to write and returns it, or takes any and returns the one read.
+pub trait Coder {
+    /// A symbol below 16.
+    fn nibble(&mut self, model: &mut Nibble, symbol: u32) -> u32;
+    /// A bit.
+    fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
+    /// `bits` bits [1..=15] of equal probability.
+    fn raw(&mut self, bits: u32, value: u32) -> u32;
+}
+
+/// Returns what it is given: a walk that writes nothing.
+#[derive(Debug, Default)]
+pub struct Dry;
+
+impl Coder for Dry {
+    fn nibble(&mut self, _: &mut Nibble, symbol: u32) -> u32 {
+        symbol
+    }
+
+    fn bit(&mut self, _: &mut Bit, bit: bool) -> bool {
+        bit
+    }
+
+    fn raw(&mut self, _: u32, value: u32) -> u32 {
+        value
+    }
+}
+
+/// Writes symbols; reusable.
+#[derive(Debug, Default)]
+pub struct Encoder {
+    /// First slot and number of slots of each symbol. What is decoded first is encoded last, so they wait here.
+    slots: Vec<(u16, u16)>,
+    words: Vec<u16>,
+}
+
+impl Encoder {
+    /// Forgets all symbols.
+    pub fn clear(&mut self) {
+        self.slots.clear();
+    }
+
+    /// Appends the bytes of all symbols since [`clear`](Self::clear): the state (u32), then its words (u16).
+    pub fn finish(&mut self, out: &mut Vec<u8>) {
+        self.words.clear();
+        let mut state = LOW;
+        for &(start, count) in self.slots.iter().rev() {
+            let (start, count) = (start as u32, count as u32);
+            if state >= count << 17 {
+                self.words.push(state as u16);
+                state >>= 16;
+            }
+            state = (state / count) << SCALE_BITS | (state % count + start);
+        }
+        out.extend(state.to_le_bytes());
+        out.extend(self.words.iter().rev().flat_map(|word| word.to_le_bytes()));
+    }
+
+    #[inline]
+    fn push(&mut self, (start, count): (u32, u32)) {
+        self.slots.push((start as u16, count as u16));
+    }
+}
+
+impl Coder for Encoder {
+    #[inline]
+    fn nibble(&mut self, model: &mut Nibble, symbol: u32) -> u32 {
+        self.push(model.slots(symbol));
+        model.learn(symbol);
+        symbol
+    }
+
+    #[inline]
+    fn bit(&mut self, model: &mut Bit, bit: bool) -> bool {
+        self.push(model.slots(bit));
+        model.learn(bit);
+        bit
+    }
+
+    #[inline]
+    fn raw(&mut self, bits: u32, value: u32) -> u32 {
+        debug_assert!((1..=MAX_RAW_BITS).contains(&bits) && value >> bits == 0);
+        let shift = SCALE_BITS - bits;
+        self.push((value << shift, 1 << shift));
+        value
+    }
+}
+
+/// Reads symbols from bytes that nobody vouches for: reading beyond the end gives some symbols, and an error at the end.
+#[derive(Debug)]
+pub struct Decoder<'a> {
+    state: u32,
+    words: &'a [[u8; 2]],
+    short: bool,
+}
+
+impl<'a> Decoder<'a> {
+    /// Reads what [`Encoder::finish`] wrote; fewer than 4 bytes, an odd number, or a state too low break `rule`.
+    pub fn new(bytes: &'a [u8], rule: &'static str) -> Result<Self, Violation> {
+        let wrong = || Violation::new(rule, "a state of 4 bytes, 65536 or more, and whole words", bytes.len());
+        let (state, words) = bytes.split_first_chunk::<4>().ok_or_else(wrong)?;
+        let (words, odd) = words.as_chunks::<2>();
+        let state = u32::from_le_bytes(*state);
+        if state < LOW || !odd.is_empty() {
+            return Err(wrong());
+        }
+        Ok(Self { state, words, short: false })
+    }
+
+    /// Requires that all words are read and the state is back where coding began; otherwise breaks `rule`.
+    pub fn finish(self, rule: &'static str) -> Result<(), Violation> {
+        if self.short || !self.words.is_empty() || self.state != LOW {
+            let found = if self.short { "too few".into() } else { format!("{} words left", self.words.len()) };
+            return Err(Violation::new(rule, "as many bytes as the page's symbols need", found));
+        }
+        Ok(())
+    }
+
+    #[inline]
+    fn slot(&self) -> u32 {
+        self.state & (SCALE - 1)
+    }
+
+    #[inline]
+    fn take(&mut self, (start, count): (u32, u32)) {
+        self.state = count * (self.state >> SCALE_BITS) + self.slot() - start;
+        if self.state < LOW {
+            let word = match self.words.split_first() {
+                Some((word, rest)) => {
+                    self.words = rest;
+                    u16::from_le_bytes(*word)
+                }
+                None => {
+                    self.short = true;
+                    0
+                }
+            };
+            self.state = self.state << 16 | word as u32;
+        }
+    }
+}
+
+impl Coder for Decoder<'_> {
+    #[inline]
+    fn nibble(&mut self, model: &mut Nibble, _: u32) -> u32 {
+        let symbol = model.symbol_at(self.slot());
+        self.take(model.slots(symbol));
+        model.learn(symbol);
+        symbol
+    }
+
+    #[inline]
+    fn bit(&mut self, model: &mut Bit, _: bool) -> bool {
+        let bit = self.slot() >= SCALE - model.ones as u32;
+        self.take(model.slots(bit));
+        model.learn(bit);
+        bit
+    }
+
+    #[inline]
+    fn raw(&mut self, bits: u32, _: u32) -> u32 {
+        let shift = SCALE_BITS - bits;
+        let value = self.slot() >> shift;
+        self.take((value << shift, 1 << shift));
+        value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[derive(Debug, Clone)]
+    enum Symbol {
+        Nibble(usize, u32),
+        Bit(usize, bool),
+        Raw(u32, u32),
+    }
+
+    fn symbols() -> impl Strategy<Value = Vec<Symbol>> {
+        let one = prop_oneof![
+            (0usize..3, prop_oneof![Just(0u32), Just(15), 0u32..16]).prop_map(|(model, s)| Symbol::Nibble(model, s)),
+            (0usize..3, proptest::bool::weighted(0.05)).prop_map(|(model, bit)| Symbol::Bit(model, bit)),
+            (1u32..=MAX_RAW_BITS, any::<u32>()).prop_map(|(bits, value)| Symbol::Raw(bits, value & ((1 << bits) - 1))),
+        ];
+        proptest::collection::vec(one, 0..600)
+    }
+
+    fn run(coder: &mut impl Coder, symbols: &[Symbol], mut each: impl FnMut(&Symbol, u32)) {
+        let mut nibbles = [const { Nibble::new([1; 16]) }; 3];
+        let mut bits = [const { Bit::new(1 << 14) }; 3];
+        for symbol in symbols {
+            let value = match *symbol {
+                Symbol::Nibble(model, value) => coder.nibble(&mut nibbles[model], value),
+                Symbol::Bit(model, bit) => u32::from(coder.bit(&mut bits[model], bit)),
+                Symbol::Raw(bits, value) => coder.raw(bits, value),
+            };
+            each(symbol, value);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn gives_back_all_symbols_and_ends_where_it_began(symbols in symbols()) {
+            let (mut encoder, mut bytes) = (Encoder::default(), Vec::new());
+            run(&mut encoder, &symbols, |_, _| {});
+            encoder.finish(&mut bytes);
+            let mut decoder = Decoder::new(&bytes, "P6").unwrap();
+            run(&mut decoder, &symbols, |symbol, value| match *symbol {
+                Symbol::Nibble(_, expected) | Symbol::Raw(_, expected) => assert_eq!(value, expected),
+                Symbol::Bit(_, expected) => assert_eq!(value != 0, expected),
+            });
+            prop_assert_eq!(decoder.finish("P6"), Ok(()));
+            if !symbols.is_empty() && bytes.len() > 4 {
+                let mut decoder = Decoder::new(&bytes[..bytes.len() - 2], "P6").unwrap();
+                run(&mut decoder, &symbols, |_, _| {});
+                prop_assert!(decoder.finish("P6").is_err());
+            }
+        }
+
+        #[test]
+        fn random_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..100), symbols in symbols()) {
+            if let Ok(mut decoder) = Decoder::new(&bytes, "P6") {
+                run(&mut decoder, &symbols, |symbol, value| match symbol {
+                    Symbol::Nibble(..) => assert!(value < 16),
+                    Symbol::Bit(..) => {}
+                    Symbol::Raw(bits, _) => assert!(value >> bits == 0),
+                });
+            }
+        }
+    }
+
+    #[test]
+    fn every_symbol_keeps_a_slot_however_often_another_comes() {
+        for often in 0..16 {
+            let mut model = Nibble::new([1; 16]);
+            for _ in 0..2000 {
+                model.learn(often);
+                let ends: Vec<_> = (0..16).map(|symbol| model.slots(symbol)).collect();
+                assert!(ends.iter().all(|&(_, count)| count > 0));
+                assert!(ends.windows(2).all(|pair| pair[0].0 + pair[0].1 == pair[1].0));
+                assert_eq!((ends[0].0, ends[15].0 + ends[15].1), (0, SCALE));
+            }
+            assert!(model.slots(often).1 > SCALE * 9 / 10);
+        }
+    }
+
+    #[test]
+    fn common_symbols_take_a_small_part_of_a_bit() {
+        let (mut encoder, mut bytes) = (Encoder::default(), Vec::new());
+        run(&mut encoder, &vec![Symbol::Nibble(0, 3); 10_000], |_, _| {});
+        encoder.finish(&mut bytes);
+        assert!(bytes.len() < 10_000 / 8 / 10, "{} bytes", bytes.len());
+    }
+}
