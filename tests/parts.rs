@@ -279,6 +279,12 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
             let foot = nalgebra::Point3::new(centre.x, centre.y, shape.min().z);
             let cylinder = Cylinder::new(foot, size.x.min(size.y) / 2.0, size.z).unwrap();
             assert_eq!(overlaps(&own, &cylinder), overlaps(&store, &cylinder), "{cylinder:?} in {bounds:?}");
+            if size.y > 0.01 {
+                // Along the face of the region, where both sides count.
+                let from = nalgebra::Point3::new(bounds.0[0], shape.min().y, shape.min().z);
+                let ray = Ray::new(from, nalgebra::Vector3::new(0.0, size.y, 0.0), size.y).unwrap();
+                assert_eq!(cast(&own, &ray), cast(&store, &ray), "{ray:?} in {bounds:?}");
+            }
             if size.norm() > 0.01 {
                 let ray = Ray::new(shape.min(), size, size.norm()).unwrap();
                 assert_eq!(cast(&own, &ray), cast(&store, &ray), "{ray:?} in {bounds:?}");
