@@ -184,3 +184,75 @@ fn input_from_json(value: &Value) -> Result<InputFacts, Wrong> {
         bounds: field(value, "bounds", "least and greatest corner, or null", bounds)?,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn input() -> impl Strategy<Value = InputFacts> {
+        let bounds = proptest::option::of((prop::array::uniform3(-1e7f64..1e7), prop::array::uniform3(0.0f64..1e6)));
+        (any::<String>(), any::<u64>(), any::<u64>(), any::<u128>(), bounds).prop_map(
+            |(name, bytes, points, fingerprint, bounds)| {
+                let bounds = bounds.map(|(min, size)| {
+                    let max = std::array::from_fn(|axis| min[axis] + size[axis]);
+                    StatedBounds { min, max }
+                });
+                InputFacts { name, bytes, points, fingerprint, bounds }
+            },
+        )
+    }
+
+    proptest! {
+        #[test]
+        fn plans_come_back_to_the_last_bit(
+            sizes in (1e-4f64..1e3, 1e-4f64..1e3, 0.0f64..=90.0, 0.0f64..1.0), rule in 0usize..3, min_points in 1u32..,
+            flags: (bool, bool), classes: [u64; 4], units in proptest::option::of(1e-3f64..1e3),
+            spacing_m in proptest::option::of(1e-6f64..1e3), inputs in proptest::collection::vec(input(), 0..5)
+        ) {
+            let (pixel, slice, max_slope_deg, tolerance_m) = sizes;
+            let plan = Plan {
+                frame: Frame::new(pixel, slice).unwrap(),
+                max_slope_deg,
+                tolerance_m,
+                classifier: Classifier::ALL[rule],
+                min_points,
+                drop_isolated: flags.0,
+                up: if flags.1 { Up::Y } else { Up::Z },
+                exclude_classes: classes,
+            };
+            let mut job = Job { plan, units: units.map_or(Units::Auto, Units::Factor), spacing_m, inputs };
+            job.sort_inputs();
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("plan.json");
+            write(&job, &path, false).unwrap();
+            let again = read(&path).unwrap();
+            prop_assert_eq!(again.hash(), job.hash());
+            prop_assert_eq!(again, job);
+        }
+
+        #[test]
+        fn text_that_is_no_plan_is_refused_in_one_line(text in "[ -~\n]{0,80}", cut in 0usize..2000) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("plan.json");
+            let refused = |text: &str| {
+                std::fs::write(&path, text).unwrap();
+                let error = read(&path).unwrap_err().to_string();
+                error.lines().count() == 1 && error.contains("plan.json")
+            };
+            prop_assert!(refused(&text));
+            let plan = Plan {
+                frame: Frame::new(0.1, 0.3).unwrap(),
+                max_slope_deg: 45.0,
+                tolerance_m: 0.0,
+                classifier: Classifier::Plane,
+                min_points: 1,
+                drop_isolated: false,
+                up: Up::Z,
+                exclude_classes: [0; 4],
+            };
+            let good = to_json(&Job { plan, units: Units::Auto, spacing_m: None, inputs: Vec::new() }).to_string();
+            prop_assert!(refused(&good[..cut % good.len()]));
+        }
+    }
+}

@@ -6,8 +6,9 @@ mod common;
 
 use common::{archive, read_all, scene, two_pixels};
 use proptest::prelude::*;
-use slicewalk::archive::{Archive, Finding};
-use slicewalk::codec::{Packer, Unpacker};
+use slicewalk::archive::{Archive, Finding, Totals};
+use slicewalk::codec::{Packer, RawDecoder, RawEncoder, Unpacker};
+use slicewalk::slice::Span;
 use slicewalk::{Error, NoMonitor};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -269,6 +270,38 @@ fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
 }
 
 #[test]
+fn leaves_in_a_root_that_do_not_ascend_break_the_rule_for_them() {
+    // Enough pages for two leaves of 4096 entries.
+    let page = |n: u32| common::page([((n % 64, n / 64 % 64), vec![Span::new(n, n + 5, false).unwrap()])]);
+    let pages: common::Pages = (0..4100).map(|n| (common::key(n % 70, n / 70, 0), page(n as u32))).collect();
+    let totals = Totals { points_read: 4100, points_kept: 4100, ..Totals::default() };
+    let good = archive(&(pages, totals));
+    assert_eq!(word(&good, 320), 2);
+    let forged = |record: usize| {
+        let mut bytes = good.clone();
+        let (first, second) = (384, 384 + 28);
+        match record {
+            0 => bytes.copy_within(first..first + 12, second),
+            1 => put(&mut bytes, second, 0, 8),
+            _ => put(&mut bytes, second, u64::MAX, 8),
+        }
+        let end = word(&bytes, 12) - 4;
+        let crc = crc32c::crc32c(&bytes[..end]) as u64;
+        put(&mut bytes, end, crc, 4);
+        let footer = bytes.len() - 24;
+        put(&mut bytes, footer + 8, crc, 4);
+        let crc = crc32c::crc32c(&bytes[footer..footer + 12]) as u64;
+        put(&mut bytes, footer + 12, crc, 4);
+        bytes
+    };
+    assert_eq!(rules(&good), [""; 0]);
+    assert_eq!(rules(&forged(0)), ["R2"], "the same key twice");
+    assert_eq!(rules(&forged(1)), ["R2"], "a lower key");
+    let found = rules(&forged(2));
+    assert!(found.contains(&"D4"), "a key that ascends, but is not the leaf's: {found:?}");
+}
+
+#[test]
 fn footers_that_belong_elsewhere_are_refused() {
     let good = archive(&two_pixels());
     let other = archive(&scene());
@@ -399,6 +432,17 @@ fn metadata_with_right_checksums_and_wrong_records_are_found() {
     assert_eq!(with(b"CRS \xFF\xFF\xFF\xFF"), ["M2"]);
     assert_eq!(with(b"CRS \x01\0\0\0\xFF"), ["M3"]);
     assert_eq!(with(b"zzzz\0\0\0\0"), [""; 0], "unknown records are skipped");
+    let part = |index: u32, count: u32, first: u64, last: u64| {
+        let numbers = [&index.to_le_bytes()[..], &count.to_le_bytes(), &first.to_le_bytes(), &last.to_le_bytes()];
+        [b"SHRD\x28\0\0\0", &numbers.concat()[..], &[7; 16]].concat()
+    };
+    // The one page lies in column 3 << 62.
+    assert_eq!(with(&part(2, 3, 1, u64::MAX - 1)), [""; 0]);
+    assert_eq!(with(&part(2, 3, (3 << 62) + 1, u64::MAX - 1)), ["T5"]);
+    assert_eq!(with(&part(1, 2, 0, 9)), ["T5"]);
+    assert_eq!(with(&part(0, 3, 1, 9)), ["M4"]);
+    assert_eq!(with(&part(2, 3, 9, 1)), ["M4"]);
+    assert_eq!(with(b"SHRD\x01\0\0\0\0"), ["M4"]);
     assert_eq!(with(&[]), [""; 0]);
 }
 
@@ -456,6 +500,26 @@ proptest! {
             let _ = read_all(&archive);
         }
         prop_assert!(LARGEST.load(Ordering::Relaxed) <= LIMIT);
+    }
+
+    /// Rule P10 protects against pages with two encodings. Model 1 allows none, whatever the bytes: so there is no
+    /// forged page for that rule, and this is what must hold instead.
+    #[test]
+    fn whatever_decodes_as_columns_is_the_one_encoding_of_its_content(
+        changes in proptest::collection::vec((513usize..530, any::<u8>()), 0..6), more in proptest::collection::vec(any::<u8>(), 0..4)
+    ) {
+        let mut raw = Parts::of(&archive(&two_pixels())).raw_page();
+        for (at, value) in changes {
+            if let Some(byte) = raw.get_mut(at) {
+                *byte = value;
+            }
+        }
+        raw.extend(more);
+        if let Ok(page) = RawDecoder::default().decode(&raw) {
+            let mut again = Vec::new();
+            RawEncoder::default().encode(&page, &mut again);
+            prop_assert_eq!(again, raw);
+        }
     }
 
     #[test]
