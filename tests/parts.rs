@@ -178,7 +178,7 @@ fn an_archive_cut_anywhere_gives_every_page_before_the_cut() {
     // Around every section's end byte by byte, elsewhere in steps: each recovery brings a file to disk.
     let near = |len: &usize| {
         let ends = [header.pages_offset(), header.directory_offset(), header.metadata_offset(), end as u64];
-        len % 7 == 0 || ends.iter().any(|end| end.abs_diff(*len as u64) < 3)
+        len.is_multiple_of(7) || ends.iter().any(|end| end.abs_diff(*len as u64) < 3)
     };
     for len in (0..=good.len()).filter(near) {
         let recovered = recovers(folder.path(), &good, &good[..len]);

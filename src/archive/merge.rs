@@ -9,7 +9,7 @@ use super::page::{EncodedPage, PageDecoder};
 use super::reader::Archive;
 use super::shard::Shard;
 use super::writer::{ArchiveWriter, Existing, Totals};
-use crate::store::ByteSource;
+use crate::store::{ByteSource, FileSource};
 use crate::{Error, Monitor, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,10 +27,10 @@ pub struct Merged {
     pub copies: Vec<PathBuf>,
 }
 
-/// One part, open.
+/// One part. It is closed while others are worked on: there may be more parts than a program may hold open.
 struct Part<'a> {
     path: &'a Path,
-    archive: Archive,
+    header: Header,
     shard: Shard,
     crs: String,
 }
@@ -48,12 +48,21 @@ impl<'a> Part<'a> {
                           sliceconv --shard writes";
             return Err(Error::input(path, "metadata", reason));
         };
-        Ok(Self { path, archive, shard, crs: metadata.crs })
+        Ok(Self { path, header: archive.header().clone(), shard, crs: metadata.crs })
+    }
+
+    /// The archive once more.
+    fn reopen(&self) -> Result<Archive> {
+        let archive = Archive::open(self.path).map_err(|error| named(self.path, error))?;
+        match *archive.header() == self.header {
+            true => Ok(archive),
+            false => self.refuse("it was replaced while it was read; merge again".into()),
+        }
     }
 
     /// What parts must have in common to belong together.
     fn family(&self) -> (u128, u128, u32) {
-        (self.archive.header().plan_hash, self.shard.job, self.shard.count)
+        (self.header.plan_hash, self.shard.job, self.shard.count)
     }
 
     fn refuse<T>(&self, reason: String) -> Result<T> {
@@ -82,9 +91,9 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     let Some(first) = parts.first() else {
         return Err(Error::parameter("SHARD", "no part was given; name the archives that sliceconv --shard wrote"));
     };
-    monitor.stage("merge", parts.iter().map(|part| part.archive.header().pages.total()).sum(), "pages");
+    monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
-    let mut writer = ArchiveWriter::begin(output, first.archive.plan(), existing)?;
+    let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing)?;
     let mut totals = Totals { crs: first.crs.clone(), ..Totals::default() };
     for part in &parts {
         copy(part, &mut writer, monitor)?;
@@ -149,7 +158,7 @@ fn in_order(parts: Vec<Part<'_>>) -> Result<(Vec<Part<'_>>, Vec<PathBuf>)> {
 }
 
 fn same_bytes(a: &Part<'_>, b: &Part<'_>) -> Result<bool> {
-    let (a, b) = (a.archive.source(), b.archive.source());
+    let (a, b) = (FileSource::open(a.path)?, FileSource::open(b.path)?);
     if a.len() != b.len() {
         return Ok(false);
     }
@@ -157,9 +166,9 @@ fn same_bytes(a: &Part<'_>, b: &Part<'_>) -> Result<bool> {
     let (mut from_a, mut from_b) = (Vec::new(), Vec::new());
     for at in (0..a.len()).step_by(CHUNK as usize) {
         let len = (a.len() - at).min(CHUNK) as usize;
-        for (source, bytes) in [(a, &mut from_a), (b, &mut from_b)] {
+        for (source, bytes) in [(&a, &mut from_a), (&b, &mut from_b)] {
             bytes.resize(len, 0);
-            ByteSource::read_at(source, at, bytes)?;
+            source.read_at(at, bytes)?;
         }
         if from_a != from_b {
             return Ok(false);
@@ -170,9 +179,10 @@ fn same_bytes(a: &Part<'_>, b: &Part<'_>) -> Result<bool> {
 
 /// Puts all pages of `part` into `writer`.
 fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
+    let archive = part.reopen()?;
     let mut decoder = PageDecoder::new();
     let (mut tiles, mut voxels, mut pages) = (Tiles::default(), Voxels::default(), 0);
-    for entry in part.archive.entries() {
+    for entry in archive.entries() {
         if monitor.cancelled() {
             return Err(Error::Interrupted);
         }
@@ -180,7 +190,7 @@ fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> R
         if !part.shard.columns().contains(&entry.key.column()) {
             return part.refuse(format!("page {} lies outside its columns (rule T5); convert it again", entry.key));
         }
-        let page = part.archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
+        let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
         let copied = EncodedPage::copied(entry.key, &decoder.bytes, &page);
         tiles.occupied += u64::from(copied.slices.count_ones());
         voxels.occupied += copied.voxels.0;
@@ -189,7 +199,7 @@ fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> R
         writer.put(entry.key, copied)?;
         monitor.advance(1);
     }
-    let header = part.archive.header();
+    let header = &part.header;
     if (pages, tiles.occupied, voxels) != (header.pages.total(), header.tiles.occupied, header.voxels) {
         return part.refuse("its totals are not those of its pages (rules T1 to T3); convert it again".into());
     }
@@ -198,7 +208,7 @@ fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> R
 
 /// Adds what `part` says of its points: each point of the input counts in exactly one part.
 fn add(totals: &mut Totals, part: &Part<'_>) -> Result<()> {
-    let header = part.archive.header();
+    let header = &part.header;
     for (sum, more) in [
         (&mut totals.points_read, header.points_read),
         (&mut totals.points_kept, header.points_kept),
