@@ -1,8 +1,9 @@
 //! Converting a scan in parts, on several machines or one after the other.
 //!
 //! A *job* is a conversion fixed in advance: plan, unit and inputs. It is cut into parts by tile columns: part `k` of `n`
-//! has a range of columns in archive order, balanced by the bounds and point counts that headers state. What decides an
-//! archive needs one pixel beyond a column, and the voxel pass gives each column copies of those points; so a part that keeps the records of its own columns, and no others, makes the very pages of a single run.
+//! has a range of columns in archive order, balanced by the bounds and point counts that headers state. What decides a
+//! voxel reaches one pixel beyond its column, and the voxel pass gives each column copies of the points there; so a part
+//! that keeps the records of its own columns, and no others, makes the very pages of a single run.
 //!
 //! Each point counts in one part: by its column if it is kept, else in the part that *owns* its file, the first that
 //! needs it. A part reads the files whose stated bounds meet its columns. Bounds may lie; so the owner, which reads its
