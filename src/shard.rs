@@ -15,6 +15,7 @@ use crate::frame::{Frame, TILE_PIXELS, morton};
 use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds, Units};
 use crate::plan::Plan;
 use crate::store::{ByteSource, FileSource};
+use crate::voxel::record::HALO_PIXELS;
 use crate::{Error, Monitor, Result};
 use std::path::Path;
 use xxhash_rust::xxh3::xxh3_128;
@@ -141,7 +142,7 @@ impl Job {
     /// First columns of `count` parts that hold about as many points each, if headers tell the truth.
     fn split(&self, count: u32) -> Vec<u64> {
         let frame = &self.plan.frame;
-        let areas = self.inputs.iter().filter_map(|input| Some((tiles(frame, &input.bounds?), input.points as f64)));
+        let areas = self.inputs.iter().filter_map(|input| Some((tiles(frame, &input.bounds?, 0), input.points as f64)));
         let mut areas: Vec<(Tiles, f64)> = areas.collect();
         let mut total: f64 = areas.iter().map(|area| area.1).sum();
         if total <= 0.0 {
@@ -169,11 +170,11 @@ struct Tiles {
 
 const GRID: (i64, i64) = (i32::MIN as i64, i32::MAX as i64);
 
-/// Tiles that points within `bounds`, or copies of them in a halo, can fall into.
-fn tiles(frame: &Frame, bounds: &StatedBounds) -> Tiles {
+/// Tiles of the points within `bounds`, and of those up to `halo` pixels away.
+fn tiles(frame: &Frame, bounds: &StatedBounds, halo: i64) -> Tiles {
     let along = |axis: usize| {
         let tile = |pixel: i64| pixel.div_euclid(TILE_PIXELS).clamp(GRID.0, GRID.1);
-        (tile(frame.pixel_of(bounds.min[axis]) - 1), tile(frame.pixel_of(bounds.max[axis]) + 1))
+        (tile(frame.pixel_of(bounds.min[axis]) - halo), tile(frame.pixel_of(bounds.max[axis]) + halo))
     };
     Tiles { x: along(0), y: along(1) }
 }
@@ -296,7 +297,7 @@ impl Part {
         let firsts = job.split(options.count);
         let role = |input: &InputFacts| {
             let meets = |first, last| match &input.bounds {
-                Some(bounds) => Cell::WHOLE.meets(&tiles(&plan.frame, bounds), first, last),
+                Some(bounds) => Cell::WHOLE.meets(&tiles(&plan.frame, bounds, HALO_PIXELS), first, last),
                 None => true,
             };
             let reads = meets(shard.first, shard.last);
@@ -442,7 +443,7 @@ mod tests {
                 prop_assert!(pair[0].first <= pair[0].last && pair[0].last + 1 == pair[1].first);
             }
             for input in &job.inputs {
-                let area = tiles(&job.plan.frame, &input.bounds.unwrap());
+                let area = tiles(&job.plan.frame, &input.bounds.unwrap(), HALO_PIXELS);
                 let met = |first, last| Cell::WHOLE.meets(&area, first, last);
                 let owners = parts.iter().filter(|p| met(p.first, p.last) && (p.first == 0 || !met(0, p.first - 1)));
                 prop_assert_eq!(owners.count(), 1);
@@ -471,7 +472,7 @@ mod tests {
     #[test]
     fn parts_of_an_even_scan_are_about_equal() {
         let job = job(&[([-100.0, -50.0], [200.0, 100.0], 1_000_000)]);
-        let area = tiles(&job.plan.frame, &job.inputs[0].bounds.unwrap());
+        let area = tiles(&job.plan.frame, &job.inputs[0].bounds.unwrap(), 0);
         let all = area.common(&area);
         for part in (1..=4).map(|index| job.shard(index, 4).unwrap()) {
             let own = |tx: i64| {

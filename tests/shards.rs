@@ -96,7 +96,7 @@ fn a_file_is_read_for_the_points_beside_the_columns_of_a_part() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     // Tiles of 6.4 m meet at x = 0, and so do the files; the voxels beside the seam have no other neighbours.
-    let side = |sign: f64| (0..40).map(move |n| [sign * 0.05, 0.3 * f64::from(n) % 6.0, 0.6 * f64::from(n / 20)]);
+    let side = |sign: f64| (0..40).map(move |n| [sign * 0.05, 1.0 + 0.3 * f64::from(n % 16), 0.9 * f64::from(n / 16)]);
     write(&at.join("west.las"), &side(-1.0).collect::<Vec<_>>());
     write(&at.join("east.las"), &side(1.0).collect::<Vec<_>>());
     let (inputs, options) = (["west.las", "east.las"], ["--pixel", "0.1", "--units", "m", "--drop-isolated"]);
