@@ -7,11 +7,12 @@
 //! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
 //! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
 
-use crate::archive::{ArchiveWriter, EncodedPage, Header, PageEncoder, Totals};
+use crate::archive::{ArchiveWriter, EncodedPage, Header, PageEncoder, Shard, Totals};
 use crate::frame::{Frame, PageKey};
 use crate::input::spacing::{Spacing, estimate_spacing};
 use crate::input::{Decoder, InputOptions, InputSet, ScanFile, UnitCounts, Units};
 use crate::plan::{Classifier, Plan, Up};
+use crate::shard::{Part, ShardOptions};
 use crate::slice::columns::ColumnPages;
 use crate::slice::obstacle::Judge;
 use crate::voxel::fold::{Area, Folded, Folder, Patch, Voxel, fold_into};
@@ -84,6 +85,8 @@ pub struct ConvertOptions {
     pub units: Units,
     /// Whether an existing archive may be replaced.
     pub overwrite: bool,
+    /// The part to convert; `None` for the whole.
+    pub shard: Option<ShardOptions>,
 }
 
 impl ConvertOptions {
@@ -106,6 +109,7 @@ impl ConvertOptions {
             up: Up::Z,
             units: Units::Auto,
             overwrite: false,
+            shard: None,
         }
     }
 }
@@ -115,6 +119,8 @@ impl ConvertOptions {
 pub struct Report {
     /// Header of the archive.
     pub header: Header,
+    /// Which part it holds, if not the whole.
+    pub shard: Option<Shard>,
     /// Point spacing found, if the pixel size was chosen automatically.
     pub spacing: Option<Spacing>,
     /// Text of the coordinate reference system; empty if the input names none.
@@ -128,27 +134,27 @@ pub struct Report {
     pub voxels_dropped: u64,
 }
 
-/// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
-///
-/// Cost: time linear in the points, memory at most the budget plus a constant, disk at most 12 bytes per point where
-/// the points do not fit the budget. Errors: unusable input or options, full disk, interruption by `monitor`.
-pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
+/// Opens the inputs of a conversion.
+pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<InputSet> {
     if options.memory_bytes < MIN_MEMORY_BYTES {
         let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", options.memory_bytes);
         return Err(Error::parameter("--memory", reason));
     }
-    let threads = options.threads.max(1);
     let input_options = InputOptions {
         units: options.units,
         up: options.up,
         exclude_classes: options.exclude_classes,
-        memory_bytes: options.memory_bytes / 8 / threads as u64,
+        memory_bytes: options.memory_bytes / 8 / options.threads.max(1) as u64,
     };
-    let set = InputSet::open(&options.inputs, input_options, monitor)?;
+    InputSet::open(&options.inputs, input_options, monitor)
+}
+
+/// The plan of a conversion of `set`, and the point spacing if the pixel size follows from it.
+pub(crate) fn plan(options: &ConvertOptions, set: &InputSet, monitor: &dyn Monitor) -> Result<(Plan, Option<Spacing>)> {
     let (pixel_m, spacing) = match options.pixel {
         PixelSize::Metres(pixel_m) => (pixel_m, None),
         PixelSize::Auto => {
-            let spacing = estimate_spacing(&set, threads, monitor)?;
+            let spacing = estimate_spacing(set, options.threads.max(1), monitor)?;
             // The same losses come up again in the pass that counts; they are told then.
             set.warn_of_losses(&NoMonitor);
             (round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2), Some(spacing))
@@ -165,34 +171,53 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         exclude_classes: options.exclude_classes,
     };
     plan.check()?;
+    Ok((plan, spacing))
+}
+
+/// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
+///
+/// Cost: time linear in the points, memory at most the budget plus a constant, disk at most 12 bytes per point where
+/// the points do not fit the budget. Errors: unusable input or options, full disk, interruption by `monitor`.
+pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
+    let threads = options.threads.max(1);
+    let set = open_inputs(options, monitor)?;
+    let (plan, spacing) = plan(options, &set, monitor)?;
+    let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options.units)).transpose()?;
     // Made first, so that an archive that must not be replaced is found before the work and not after it.
     let mut writer = ArchiveWriter::create(&options.output, &plan, options.overwrite)?;
+    if let Some(part) = &part {
+        writer.set_shard(part.shard);
+    }
 
     let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
     check_free_space(options, &set)?;
     let build_bytes = options.memory_bytes / 4 / threads as u64;
-    let read = read_points(&set, &plan, &store, build_bytes, threads, monitor)?;
+    let read = read_points(&set, &plan, &store, build_bytes, threads, part.as_ref(), monitor)?;
     set.warn_of_losses(monitor);
-    refuse_unusable(&set, &read.counts)?;
-    if read.counts.read == 0 {
-        monitor.warn("the input holds no points: the archive is empty");
+    // A part that leaves files out cannot say of the whole that nothing in it can be used.
+    if part.as_ref().is_none_or(Part::reads_all) {
+        refuse_unusable(&set, &read.counts)?;
+        if read.counts.read == 0 {
+            monitor.warn("the input holds no points: the archive is empty");
+        }
     }
     let voxels_dropped = write_columns(&plan, &store, options.memory_bytes, threads, &mut writer, monitor)?;
-    let kept = read.counts.kept();
+    let own = read.own;
     let header = writer.finish(Totals {
-        points_read: read.counts.read,
-        points_kept: kept,
-        points_withheld: read.counts.withheld,
-        points_excluded: read.counts.excluded,
-        bounds: (kept > 0).then_some((read.min, read.max)),
+        points_read: own.kept + own.left_out.read,
+        points_kept: own.kept,
+        points_withheld: own.left_out.withheld,
+        points_excluded: own.left_out.excluded,
+        bounds: (own.kept > 0).then_some((own.min, own.max)),
         crs: set.crs().unwrap_or_default().to_owned(),
     })?;
     Ok(Report {
         header,
+        shard: part.map(|part| part.shard),
         crs: set.crs().unwrap_or_default().to_owned(),
         spacing,
         temp_bytes: store.temp_bytes(),
-        points_not_finite: read.counts.not_finite,
+        points_not_finite: own.left_out.not_finite,
         voxels_dropped,
     })
 }
@@ -204,7 +229,8 @@ fn round_to_digits(value: f64, digits: usize) -> f64 {
 
 /// Refuses to begin what the disk will not hold. Headers may lie, so a count beyond one point per byte is not believed.
 fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
-    let points = set.points_stated().min(set.bytes());
+    let parts = options.shard.as_ref().map_or(1, |shard| u64::from(shard.count.max(1)));
+    let points = set.points_stated().min(set.bytes()) / parts;
     let needed = (points * TEMP_BYTES_PER_POINT).saturating_sub(options.memory_bytes / 2);
     let dir = &options.temp_dir;
     let free = fs4::available_space(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
@@ -240,39 +266,61 @@ fn refuse_unusable(set: &InputSet, counts: &UnitCounts) -> Result<()> {
 /// What the first pass finds out; all of it independent of the order of points.
 #[derive(Debug, Clone, Copy)]
 struct Read {
+    /// All points read.
     counts: UnitCounts,
+    /// Bounds of all kept points.
     min: [f64; 3],
     max: [f64; 3],
+    own: Own,
+}
+
+/// The points that count in the archive: all, or in a part each point in one part.
+#[derive(Debug, Clone, Copy)]
+struct Own {
+    kept: u64,
+    min: [f64; 3],
+    max: [f64; 3],
+    /// Points that make no voxel.
+    left_out: UnitCounts,
 }
 
 impl Read {
-    const NOTHING: Self = Self {
-        counts: UnitCounts { read: 0, withheld: 0, excluded: 0, not_finite: 0, missing: 0 },
-        min: [f64::INFINITY; 3],
-        max: [f64::NEG_INFINITY; 3],
+    const NOTHING: Self = {
+        let none = UnitCounts { read: 0, withheld: 0, excluded: 0, not_finite: 0, missing: 0 };
+        let (min, max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        Self { counts: none, min, max, own: Own { kept: 0, min, max, left_out: none } }
     };
 
     fn merge(&mut self, other: &Self) {
         self.counts += other.counts;
-        for axis in 0..3 {
-            self.min[axis] = self.min[axis].min(other.min[axis]);
-            self.max[axis] = self.max[axis].max(other.max[axis]);
-        }
+        self.own.kept += other.own.kept;
+        self.own.left_out += other.own.left_out;
+        join(&mut self.min, &mut self.max, (&other.min, &other.max));
+        join(&mut self.own.min, &mut self.own.max, (&other.own.min, &other.own.max));
     }
 }
 
-/// First pass: all points into runs.
+/// Makes bounds reach around others.
+fn join(min: &mut [f64; 3], max: &mut [f64; 3], other: (&[f64; 3], &[f64; 3])) {
+    for axis in 0..3 {
+        min[axis] = min[axis].min(other.0[axis]);
+        max[axis] = max[axis].max(other.1[axis]);
+    }
+}
+
+/// First pass: all points, or those that a part needs, into runs.
 fn read_points(
     set: &InputSet,
     plan: &Plan,
     store: &RunStore,
     build_bytes: u64,
     threads: usize,
+    part: Option<&Part>,
     monitor: &dyn Monitor,
 ) -> Result<Read> {
     monitor.stage("reading points", set.points_stated(), "points");
     let recorder = Recorder::new(plan.frame);
-    let units = Mutex::new(set.units());
+    let units = Mutex::new(set.units().filter(|unit| part.is_none_or(|part| part.reads(unit.file()))));
     let next_unit = || units.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
     // What one worker cannot do ends the work of all, not only its own.
     let failed = AtomicBool::new(false);
@@ -280,6 +328,9 @@ fn read_points(
     let work = || -> Result<Read> {
         let mut decoder = Decoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
+        if let Some(part) = part {
+            builder = builder.only(part.shard.first, part.shard.last);
+        }
         let mut read = Read::NOTHING;
         while let Some(unit) = next_unit() {
             let mut of_unit = Read::NOTHING;
@@ -299,9 +350,21 @@ fn read_points(
                 if !recorder.reaches(min, max) {
                     return Err(out_of_reach(&plan.frame, min, max));
                 }
-                of_unit.merge(&Read { min, max, ..Read::NOTHING });
+                let (kept, own_min, own_max) = match part {
+                    Some(part) => {
+                        part.check_bounds(&set.files()[unit.file()], unit.file(), min, max)?;
+                        part.own(batch)
+                    }
+                    None => (batch.len() as u64, min, max),
+                };
+                let own = Own { kept, min: own_min, max: own_max, ..Read::NOTHING.own };
+                of_unit.merge(&Read { min, max, own, ..Read::NOTHING });
                 builder.push(&batch.x, &batch.y, &batch.z, store)
             })?;
+            if part.is_none_or(|part| part.owns(unit.file())) {
+                of_unit.own.left_out = of_unit.counts;
+                of_unit.own.left_out.read -= of_unit.counts.kept();
+            }
             monitor.advance(of_unit.counts.read - of_unit.counts.kept());
             read.merge(&of_unit);
             of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[unit.file()].merge(&of_unit);

@@ -1,12 +1,16 @@
 //! What an archive says of itself, as JSON: the one place that names the keys.
 
 use crate::Result;
-use crate::archive::{Archive, Header};
+use crate::archive::{Archive, Header, Shard};
 use serde_json::{Value, json};
 
 /// Facts of an archive under the keys of the command-line contract (`slicetool info --json`).
 pub fn info(archive: &Archive) -> Result<Value> {
-    Ok(header_info(archive.header(), &archive.crs()?))
+    let mut facts = header_info(archive.header(), &archive.crs()?);
+    if let Some(shard) = archive.shard()? {
+        facts["shard"] = shard_info(&shard);
+    }
+    Ok(facts)
 }
 
 /// As [`info`], from a header and the text of the coordinate reference system.
@@ -48,10 +52,21 @@ pub fn header_info(header: &Header, crs: &str) -> Value {
         "classifier": plan.classifier.name(),
         "min_points": plan.min_points,
         "drop_isolated": plan.drop_isolated,
-        "up": match plan.up { crate::plan::Up::Z => "z", crate::plan::Up::Y => "y" },
+        "up": plan.up.name(),
         "excluded_classes": classes,
         "plan_hash": format!("{:032x}", header.plan_hash),
         "crs": (!crs.is_empty()).then_some(crs),
+    })
+}
+
+/// Facts of a part of a conversion.
+pub fn shard_info(shard: &Shard) -> Value {
+    json!({
+        "index": shard.index,
+        "count": shard.count,
+        "first_column": format!("{:016x}", shard.first),
+        "last_column": format!("{:016x}", shard.last),
+        "job": format!("{:032x}", shard.job),
     })
 }
 

@@ -22,6 +22,12 @@ pub mod archive;
 #[cfg(feature = "convert")]
 pub mod convert;
 
+#[cfg(feature = "convert")]
+pub mod shard;
+
+#[cfg(feature = "cli")]
+pub mod plan_file;
+
 #[cfg(feature = "cli")]
 pub mod info;
 

@@ -40,6 +40,16 @@ pub enum Up {
     Y,
 }
 
+impl Up {
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Z => "z",
+            Self::Y => "y",
+        }
+    }
+}
+
 /// Grid and options that decide an archive's content.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {

@@ -6,7 +6,7 @@ mod common;
 
 use common::{archive, plan, read_all, scene, two_pixels};
 use proptest::prelude::*;
-use slicewalk::archive::{Archive, Finding};
+use slicewalk::archive::{Archive, Finding, Totals};
 use slicewalk::codec::{Encoder, Packer, Unpacker};
 use slicewalk::frame::Frame;
 use slicewalk::slice::{PageBuilder, Span};
@@ -266,6 +266,38 @@ fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
 }
 
 #[test]
+fn leaves_in_a_root_that_do_not_ascend_break_the_rule_for_them() {
+    // Enough pages for two leaves of 4096 entries.
+    let page = |n: u32| common::page([((n % 64, n / 64 % 64), vec![Span::new(n, n + 5, false).unwrap()])]);
+    let pages: common::Pages = (0..4100).map(|n| (common::key(n % 70, n / 70, 0), page(n as u32))).collect();
+    let totals = Totals { points_read: 4100, points_kept: 4100, ..Totals::default() };
+    let good = archive(&(pages, totals));
+    assert_eq!(word(&good, 320), 2);
+    let forged = |record: usize| {
+        let mut bytes = good.clone();
+        let (first, second) = (384, 384 + 28);
+        match record {
+            0 => bytes.copy_within(first..first + 12, second),
+            1 => put(&mut bytes, second, 0, 8),
+            _ => put(&mut bytes, second, u64::MAX, 8),
+        }
+        let end = word(&bytes, 12) - 4;
+        let crc = crc32c::crc32c(&bytes[..end]) as u64;
+        put(&mut bytes, end, crc, 4);
+        let footer = bytes.len() - 24;
+        put(&mut bytes, footer + 8, crc, 4);
+        let crc = crc32c::crc32c(&bytes[footer..footer + 12]) as u64;
+        put(&mut bytes, footer + 12, crc, 4);
+        bytes
+    };
+    assert_eq!(rules(&good), [""; 0]);
+    assert_eq!(rules(&forged(0)), ["R2"], "the same key twice");
+    assert_eq!(rules(&forged(1)), ["R2"], "a lower key");
+    let found = rules(&forged(2));
+    assert!(found.contains(&"D4"), "a key that ascends, but is not the leaf's: {found:?}");
+}
+
+#[test]
 fn footers_that_belong_elsewhere_are_refused() {
     let good = archive(&two_pixels());
     let other = archive(&scene());
@@ -403,6 +435,17 @@ fn metadata_with_right_checksums_and_wrong_records_are_found() {
     assert_eq!(with(b"CRS \xFF\xFF\xFF\xFF"), ["M2"]);
     assert_eq!(with(b"CRS \x01\0\0\0\xFF"), ["M3"]);
     assert_eq!(with(b"zzzz\0\0\0\0"), [""; 0], "unknown records are skipped");
+    let part = |index: u32, count: u32, first: u64, last: u64| {
+        let numbers = [&index.to_le_bytes()[..], &count.to_le_bytes(), &first.to_le_bytes(), &last.to_le_bytes()];
+        [b"SHRD\x28\0\0\0", &numbers.concat()[..], &[7; 16]].concat()
+    };
+    // The one page lies in column 3 << 62.
+    assert_eq!(with(&part(2, 3, 1, u64::MAX - 1)), [""; 0]);
+    assert_eq!(with(&part(2, 3, (3 << 62) + 1, u64::MAX - 1)), ["T5"]);
+    assert_eq!(with(&part(1, 2, 0, 9)), ["T5"]);
+    assert_eq!(with(&part(0, 3, 1, 9)), ["M4"]);
+    assert_eq!(with(&part(2, 3, 9, 1)), ["M4"]);
+    assert_eq!(with(b"SHRD\x01\0\0\0\0"), ["M4"]);
     assert_eq!(with(&[]), [""; 0]);
 }
 

@@ -13,6 +13,8 @@ mod page;
 
 mod metadata;
 
+mod shard;
+
 mod publish;
 
 mod dedup;
@@ -25,10 +27,20 @@ mod reader;
 
 mod verify;
 
+mod merge;
+
+mod extract;
+
+mod recover;
+
 pub use directory::{Extent, PageEntry, Place};
+pub use extract::extract;
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels, plan_hash};
+pub use merge::{Merged, merge};
 pub use page::{EncodedPage, PageDecoder, PageEncoder};
 pub use reader::Archive;
+pub use recover::{Recovered, recover};
+pub use shard::{MAX_SHARDS, Shard};
 pub use verify::{Finding, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};
 

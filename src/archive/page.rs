@@ -1,6 +1,6 @@
 //! Pages as they lie in the file: a leader that tells what they are, and the encoded page (chapter 5).
 
-use super::directory::{Extent, PageEntry, Place};
+use super::directory::{Extent, PageEntry, Place, key_in_grid};
 use super::head::hex;
 use crate::Result;
 use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
@@ -9,7 +9,7 @@ use crate::slice::{Page, PageBuilder, PageSize, Span};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// First bytes of a page.
-const MAGIC: [u8; 4] = *b"\x89PAG";
+pub(super) const MAGIC: [u8; 4] = *b"\x89PAG";
 /// Length of a page's leader (bytes).
 pub(super) const LEADER: usize = 24;
 /// Greatest length of a page with its leader (bytes).
@@ -41,6 +41,19 @@ impl EncodedPage {
         leader_crc(&self.bytes)
     }
 
+    /// A page of one archive, to be put into another under `key`: `bytes` are those of its extent, `page` what they
+    /// hold. The body stays as it is; of a shared page the leader names another key and is made anew.
+    pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page) -> Self {
+        let (slices, size, voxels) = (page.slices(), page.size(), page.voxel_counts());
+        let Some(body) = bytes.get(LEADER..).filter(|body| !body.is_empty()) else {
+            return Self { bytes: Vec::new(), uniform: uniform_span(page), hash: 0, key, slices, size, voxels };
+        };
+        let mut bytes = leader(key);
+        bytes.extend_from_slice(body);
+        seal(&mut bytes);
+        Self { hash: xxh3_64(body), bytes, uniform: None, key, slices, size, voxels }
+    }
+
     /// The bytes that decide whether two pages are equal.
     pub(super) fn body(&self) -> &[u8] {
         &self.bytes[LEADER..]
@@ -54,6 +67,24 @@ fn leader_crc(bytes: &[u8]) -> u32 {
 /// Checksum of a page: its leader up to the checksum, then its body.
 fn page_crc(bytes: &[u8]) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c(&bytes[..20]), &bytes[LEADER..])
+}
+
+/// A leader without length and checksum.
+fn leader(key: PageKey) -> Vec<u8> {
+    let mut bytes = MAGIC.to_vec();
+    for index in [key.tx, key.ty, key.layer] {
+        bytes.extend(index.to_le_bytes());
+    }
+    bytes.resize(LEADER, 0);
+    bytes
+}
+
+/// Writes length and checksum into the leader of the page `bytes`.
+fn seal(bytes: &mut [u8]) {
+    let len = (bytes.len() - LEADER) as u32;
+    bytes[16..20].copy_from_slice(&len.to_le_bytes());
+    let crc = page_crc(bytes);
+    bytes[20..24].copy_from_slice(&crc.to_le_bytes());
 }
 
 /// Encodes pages; one per thread. Equal pages give equal bytes, whatever was encoded before.
@@ -78,17 +109,9 @@ impl PageEncoder {
         if uniform.is_some() || page.span_count() == 0 {
             return EncodedPage { bytes: Vec::new(), uniform, hash: 0, key, slices, size, voxels };
         }
-        let mut bytes = Vec::new();
-        bytes.extend(MAGIC);
-        for index in [key.tx, key.ty, key.layer] {
-            bytes.extend(index.to_le_bytes());
-        }
-        bytes.resize(LEADER, 0);
+        let mut bytes = leader(key);
         self.0.encode(page, &mut bytes);
-        let len = (bytes.len() - LEADER) as u32;
-        bytes[16..20].copy_from_slice(&len.to_le_bytes());
-        let crc = page_crc(&bytes);
-        bytes[20..24].copy_from_slice(&crc.to_le_bytes());
+        seal(&mut bytes);
         bytes.shrink_to_fit();
         EncodedPage { hash: xxh3_64(&bytes[LEADER..]), bytes, uniform, key, slices, size, voxels }
     }
@@ -148,6 +171,18 @@ impl PageDecoder {
         Ok(page)
     }
 
+    /// The page that begins at the start of `bytes`, without a directory entry that tells of it: its key, its length
+    /// with the leader and what it holds; `None` where no sound page begins.
+    pub(super) fn salvage(&mut self, bytes: &[u8]) -> Option<(PageKey, usize, Page)> {
+        let len = stated_len(bytes)?;
+        let bytes = bytes.get(..len)?;
+        let leader = Leader::of(bytes);
+        if page_crc(bytes) != leader.crc || !key_in_grid(leader.key) {
+            return None;
+        }
+        Some((leader.key, len, self.decoder.decode(&bytes[LEADER..]).ok()?))
+    }
+
     fn uniform(&mut self, span: Span) -> Page {
         self.builder.clear();
         for pixel in 0..(TILE_PIXELS * TILE_PIXELS) as u32 {
@@ -158,6 +193,31 @@ impl PageDecoder {
     }
 }
 
+/// Length with its leader of the page that begins at the start of `bytes`, by its own word; `None` if none begins there.
+pub(super) fn stated_len(bytes: &[u8]) -> Option<usize> {
+    if bytes.len() <= LEADER || bytes[..4] != MAGIC {
+        return None;
+    }
+    let len = (Leader::of(bytes).body_len as usize).checked_add(LEADER)?;
+    (len > LEADER && len <= MAX_STORED_PAGE).then_some(len)
+}
+
+/// The fields of a leader.
+struct Leader {
+    key: PageKey,
+    body_len: u32,
+    crc: u32,
+}
+
+impl Leader {
+    /// Of `bytes`, which are at least as long as a leader.
+    fn of(bytes: &[u8]) -> Self {
+        let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+        let key = PageKey { tx: word(4) as i32, ty: word(8) as i32, layer: word(12) as i32 };
+        Self { key, body_len: word(16), crc: word(20) }
+    }
+}
+
 fn check_leader(entry: &PageEntry, extent: Extent, bytes: &[u8]) -> Result<(), Violation> {
     if bytes.len() != extent.len as usize || bytes.len() <= LEADER {
         return Err(Violation::new("P1", format!("a page of {} bytes", extent.len), bytes.len()));
@@ -165,16 +225,16 @@ fn check_leader(entry: &PageEntry, extent: Extent, bytes: &[u8]) -> Result<(), V
     if bytes[..4] != MAGIC {
         return Err(Violation::new("P1", hex(&MAGIC), hex(&bytes[..4])));
     }
-    let word = |at: usize| u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
-    if word(16) as usize != bytes.len() - LEADER {
-        return Err(Violation::new("P1", format!("a body of {} bytes", bytes.len() - LEADER), word(16)));
+    let leader = Leader::of(bytes);
+    if leader.body_len as usize != bytes.len() - LEADER {
+        return Err(Violation::new("P1", format!("a body of {} bytes", bytes.len() - LEADER), leader.body_len));
     }
     let crc = page_crc(bytes);
-    if crc != word(20) || crc != extent.crc {
-        let found = format!("{:08x}, and {:08x} in the directory", word(20), extent.crc);
+    if crc != leader.crc || crc != extent.crc {
+        let found = format!("{:08x}, and {:08x} in the directory", leader.crc, extent.crc);
         return Err(Violation::new("P2", format!("checksum {crc:08x}"), found));
     }
-    let key = PageKey { tx: word(4) as i32, ty: word(8) as i32, layer: word(12) as i32 };
+    let key = leader.key;
     let fits = match entry.place {
         Place::Shared(_) => key < entry.key,
         _ => key == entry.key,

@@ -2,8 +2,9 @@
 
 use super::directory::{PageEntry, Place, decode_leaf, max_raw_len};
 use super::head::{self, FOOTER, Header, Leaf, MAX_HEAD};
-use super::metadata;
+use super::metadata::Metadata;
 use super::page::PageDecoder;
+use super::shard::Shard;
 use crate::codec::{Unpacker, Violation};
 use crate::frame::{Frame, PageKey};
 use crate::plan::Plan;
@@ -53,7 +54,12 @@ impl Archive {
             false => source.read_at(file_len - FOOTER as u64, &mut footer)?,
         }
         head::check_footer(&footer, file_len, &start[..header.bytes.head as usize])?;
-        Ok(Self { source, header, leaves, found: Mutex::new(None) })
+        Ok(Self::from_parts(source, header, leaves))
+    }
+
+    /// An archive whose head is known, whatever the state of the rest.
+    pub(super) fn from_parts(source: Box<dyn ByteSource>, header: Header, leaves: Vec<Leaf>) -> Self {
+        Self { source, header, leaves, found: Mutex::new(None) }
     }
 
     /// What the head says about the whole.
@@ -78,12 +84,21 @@ impl Archive {
 
     /// The coordinate reference system as the input stated it, empty if unknown. One read.
     pub fn crs(&self) -> Result<String> {
+        Ok(self.metadata()?.crs)
+    }
+
+    /// Which part of a conversion the archive holds, if it was converted in parts. One read.
+    pub fn shard(&self) -> Result<Option<Shard>> {
+        Ok(self.metadata()?.shard)
+    }
+
+    pub(super) fn metadata(&self) -> Result<Metadata> {
         let offset = self.header.metadata_offset();
         // At most 1 MiB: rule H9.
         let mut bytes = vec![0; self.header.bytes.metadata as usize];
         self.source.read_at(offset, &mut bytes)?;
-        let text = metadata::decode(&bytes, self.header.metadata_crc);
-        text.map_err(|violation| violation.at("metadata", offset))
+        let metadata = Metadata::decode(&bytes, self.header.metadata_crc);
+        metadata.map_err(|violation| violation.at("metadata", offset))
     }
 
     /// Number of directory leaves.

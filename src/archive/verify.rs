@@ -9,6 +9,7 @@ use super::directory::{Extent, PageEntry, Place};
 use super::head::{Pages, Tiles, Voxels};
 use super::page::PageDecoder;
 use super::reader::Archive;
+use super::shard::Shard;
 use crate::codec::{Encoder, Violation};
 use crate::monitor::Monitor;
 use crate::slice::PageSize;
@@ -75,8 +76,9 @@ impl Archive {
             next: Some(header.pages_offset()),
             lost_leaf: false,
             stored: VecDeque::new(),
+            shard: None,
         };
-        pass.check(self.crs().map(|_| header.bytes.metadata));
+        pass.metadata();
         for index in 0..self.leaf_count() {
             let entries = match self.leaf(index) {
                 Ok(entries) => entries,
@@ -118,12 +120,17 @@ struct Pass<'a> {
     lost_leaf: bool,
     /// The most recent stored pages, which later ones may share; ascending.
     stored: VecDeque<(Extent, u64, PageSize)>,
+    /// The part of a conversion that the archive says it holds.
+    shard: Option<Shard>,
 }
 
 impl Pass<'_> {
-    fn check(&mut self, result: Result<u64>) {
-        match result {
-            Ok(bytes) => self.summary.bytes += bytes,
+    fn metadata(&mut self) {
+        match self.archive.metadata() {
+            Ok(metadata) => {
+                self.summary.bytes += self.archive.header().bytes.metadata;
+                self.shard = metadata.shard;
+            }
             Err(error) => self.report(error, "metadata", self.archive.header().metadata_offset()),
         }
     }
@@ -151,6 +158,10 @@ impl Pass<'_> {
         let at = entry.extent().map_or(0, |extent| extent.offset);
         if let Err(violation) = self.place(entry) {
             self.violation(violation, &part, at);
+        }
+        if let Some(shard) = self.shard.filter(|shard| !shard.columns().contains(&entry.key.column())) {
+            let expected = format!("columns {:016x} to {:016x} of {shard}", shard.first, shard.last);
+            self.violation(Violation::new("T5", expected, format!("{:016x}", entry.key.column())), &part, at);
         }
         match self.content(entry) {
             Ok((occupied, obstacle)) => {

@@ -1,15 +1,18 @@
 //! Writing an archive: pages in key order, then the directory, then the head, then the name (chapter 9).
 
+use super::FORMAT_VERSION;
 use super::dedup::Window;
 use super::directory::{Extent, PageEntry, Place, encode_leaf, key_in_grid};
 use super::head::{self, Bounds, Header, Leaf, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
+use super::metadata::Metadata;
 use super::page::EncodedPage;
 use super::publish::{PartFile, remove_leftovers};
+use super::shard::Shard;
 use super::spill::Entries;
-use super::{FORMAT_VERSION, metadata};
 use crate::codec::Packer;
 use crate::frame::PageKey;
 use crate::plan::Plan;
+use crate::store::{ByteSource, FileSource};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -41,7 +44,7 @@ pub struct Totals {
 #[derive(Debug)]
 pub struct ArchiveWriter {
     target: PathBuf,
-    overwrite: bool,
+    existing: Existing,
     part: PartFile,
     plan: Plan,
     /// Bytes not yet written to the file.
@@ -54,14 +57,32 @@ pub struct ArchiveWriter {
     window: Window,
     last: Option<PageKey>,
     counts: Header,
+    shard: Option<Shard>,
+}
+
+/// What becomes of an archive that already has the target's name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Existing {
+    /// It stays, and writing is refused.
+    Refuse,
+    /// It is replaced.
+    Replace,
+    /// It stays if the new archive has the same bytes; else as for [`Refuse`](Self::Refuse).
+    KeepSame,
 }
 
 impl ArchiveWriter {
     /// Starts an archive of `plan` that will replace `target`, or be new if `overwrite` is off. Temporary files that
     /// dead writers of the same target left are removed.
     pub fn create(target: &Path, plan: &Plan, overwrite: bool) -> Result<Self> {
+        Self::begin(target, plan, if overwrite { Existing::Replace } else { Existing::Refuse })
+    }
+
+    /// As [`create`](Self::create).
+    pub(super) fn begin(target: &Path, plan: &Plan, existing: Existing) -> Result<Self> {
         plan.check()?;
-        check_target(target, overwrite)?;
+        // What is there can only be compared at the end.
+        check_target(target, existing != Existing::Refuse)?;
         remove_leftovers(target)?;
         let counts = Header {
             version: FORMAT_VERSION,
@@ -85,7 +106,7 @@ impl ArchiveWriter {
         };
         Ok(Self {
             target: target.to_path_buf(),
-            overwrite,
+            existing,
             part: PartFile::create(target)?,
             plan: plan.clone(),
             buffer: Vec::new(),
@@ -95,12 +116,18 @@ impl ArchiveWriter {
             window: Window::default(),
             last: None,
             counts,
+            shard: None,
         })
     }
 
     /// The plan of the archive.
     pub fn plan(&self) -> &Plan {
         &self.plan
+    }
+
+    /// Makes the archive a part of a conversion; its pages must lie in the columns of `shard`.
+    pub fn set_shard(&mut self, shard: Shard) {
+        self.shard = Some(shard);
     }
 
     /// Adds a page. Keys must ascend, and the page must hold matter and be encoded under this key.
@@ -189,7 +216,40 @@ impl ArchiveWriter {
 
     /// Writes directory, metadata, footer and head, brings all to disk and gives the archive its name. On any error
     /// nothing appears and what was there stays.
-    pub fn finish(mut self, totals: Totals) -> Result<Header> {
+    pub fn finish(self, totals: Totals) -> Result<Header> {
+        Ok(self.finish_or_keep(totals)?.0)
+    }
+
+    /// As [`finish`](Self::finish), and whether the archive was given its name (see [`Existing::KeepSame`]).
+    pub(super) fn finish_or_keep(mut self, totals: Totals) -> Result<(Header, bool)> {
+        let header = self.complete(totals)?;
+        if self.existing == Existing::KeepSame && self.is_already_there(header.file_len)? {
+            return Ok((header, false));
+        }
+        check_target(&self.target, self.existing == Existing::Replace)?;
+        self.part.publish(&self.target)?;
+        Ok((header, true))
+    }
+
+    /// Whether the target has the bytes of the archive, which are `len`.
+    fn is_already_there(&self, len: u64) -> Result<bool> {
+        let Ok(there) = FileSource::open(&self.target) else { return Ok(false) };
+        if there.len() != len {
+            return Ok(false);
+        }
+        let (mut old, mut new) = (vec![0; BUFFER], vec![0; BUFFER]);
+        for at in (0..len).step_by(BUFFER) {
+            let count = (len - at).min(BUFFER as u64) as usize;
+            there.read_at(at, &mut old[..count])?;
+            self.part.read_at(at, &mut new[..count])?;
+            if old[..count] != new[..count] {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    fn complete(&mut self, totals: Totals) -> Result<Header> {
         let mut header = self.counts.clone();
         let leaf_entries = leaf_entries(self.entries.len());
         let leaf_count = self.entries.len().div_ceil(leaf_entries as u64) as usize;
@@ -198,7 +258,7 @@ impl ArchiveWriter {
         }
         let pages = self.flushed + self.buffer.len() as u64;
         let leaves = self.append_leaves(leaf_entries)?;
-        let metadata = metadata::encode(&totals.crs)?;
+        let metadata = Metadata { crs: totals.crs, shard: self.shard }.encode()?;
         self.append(&metadata)?;
 
         let directory = leaves.iter().map(|leaf| leaf.stored_len as u64).sum();
@@ -218,8 +278,6 @@ impl ArchiveWriter {
         self.append(&head::encode_footer(header.file_len, &head))?;
         self.flush()?;
         self.part.write_at(0, &head)?;
-        check_target(&self.target, self.overwrite)?;
-        self.part.publish(&self.target)?;
         Ok(header)
     }
 

@@ -1,10 +1,13 @@
 //! Converts LAS and LAZ scans into one slice archive: arguments, one call, printing, exit code.
 
-use clap::{Parser, ValueEnum};
+use clap::parser::ValueSource;
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
 use slicewalk::input::Units;
 use slicewalk::plan::{Classifier, Up};
+use slicewalk::plan_file;
+use slicewalk::shard::{Job, ShardOptions};
 use slicewalk::size::parse_size;
 use slicewalk::{Error, Monitor};
 use std::io::Write;
@@ -17,6 +20,11 @@ use std::time::Instant;
 /// Converts LAS and LAZ scans of any size into one slice archive, in bounded memory.
 ///
 /// Numbers in input units are metres. The archive appears complete under its name, or not at all.
+///
+/// A scan can be converted in parts, on several machines: `sliceconv INPUT... --write-plan plan.json` fixes grid and
+/// options, `sliceconv INPUT... --plan plan.json --shard 1/8 -o 1.slices` converts one part (all inputs are named, the
+/// files that the part meets are read), and `slicetool merge *.slices -o OUT.slices` joins the parts to the very bytes of
+/// a single run.
 #[derive(Parser)]
 #[command(name = "sliceconv", version, max_term_width = 110)]
 struct Arguments {
@@ -24,8 +32,17 @@ struct Arguments {
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// Archive to write
-    #[arg(short, long, value_name = "OUT.slices")]
-    output: PathBuf,
+    #[arg(short, long, required_unless_present = "write_plan", value_name = "OUT.slices")]
+    output: Option<PathBuf>,
+    /// Convert nothing; write grid, options and inputs to a plan. Reads headers only, unless the pixel size is `auto`
+    #[arg(long, conflicts_with_all = ["output", "plan", "shard"], value_name = "PLAN.json")]
+    write_plan: Option<PathBuf>,
+    /// Take grid and options from a plan; options that contradict it are refused
+    #[arg(long, value_name = "PLAN.json")]
+    plan: Option<PathBuf>,
+    /// Convert part I of N only, to be joined by `slicetool merge`
+    #[arg(long, value_name = "I/N", value_parser = part)]
+    shard: Option<(u32, u32)>,
     /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing
     #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|METRES", value_parser = pixel_size)]
     pixel: PixelSize,
@@ -116,6 +133,13 @@ fn units(text: &str) -> Result<Units, String> {
     })
 }
 
+fn part(text: &str) -> Result<(u32, u32), String> {
+    let numbers = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
+    numbers
+        .filter(|&(index, count)| (1..=count).contains(&index) && count <= slicewalk::archive::MAX_SHARDS)
+        .ok_or_else(|| format!("expected a part and their number, from 1/1 to {0}/{0}", slicewalk::archive::MAX_SHARDS))
+}
+
 /// Shows progress on a terminal and prints warnings on standard error.
 struct Terminal {
     quiet: bool,
@@ -158,8 +182,18 @@ impl Monitor for Terminal {
     }
 }
 
+/// What was done.
+enum Done {
+    Archive(Box<Report>),
+    Plan(Box<Job>),
+}
+
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let given = Arguments::command().get_matches();
+    let arguments = match Arguments::from_arg_matches(&given) {
+        Ok(arguments) => arguments,
+        Err(error) => error.exit(),
+    };
     slicewalk::input::quiet_decoder_panics();
     static CANCELLED: AtomicBool = AtomicBool::new(false);
     let terminal = Terminal { quiet: arguments.quiet, cancelled: &CANCELLED, bar: Mutex::new(ProgressBar::hidden()) };
@@ -173,11 +207,15 @@ fn main() -> ExitCode {
         terminal.warn(&format!("cannot listen for Ctrl-C: {error}"));
     }
     let started = Instant::now();
-    let result = run(&arguments, &terminal);
+    let result = run(&arguments, &given, &terminal);
     terminal.bar().finish_and_clear();
     match result {
-        Ok(report) => {
+        Ok(Done::Archive(report)) => {
             print_report(&arguments, &report, started.elapsed().as_secs_f64());
+            ExitCode::SUCCESS
+        }
+        Ok(Done::Plan(job)) => {
+            print_plan(&arguments, &job);
             ExitCode::SUCCESS
         }
         Err(error) => {
@@ -196,8 +234,8 @@ fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-fn run(arguments: &Arguments, monitor: &dyn Monitor) -> Result<Report, Error> {
-    let mut options = ConvertOptions::new(arguments.inputs.clone(), arguments.output.clone());
+fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Result<Done, Error> {
+    let mut options = ConvertOptions::new(arguments.inputs.clone(), arguments.output.clone().unwrap_or_default());
     options.pixel = arguments.pixel;
     options.slice_m = arguments.slice;
     options.max_slope_deg = arguments.max_slope;
@@ -221,7 +259,51 @@ fn run(arguments: &Arguments, monitor: &dyn Monitor) -> Result<Report, Error> {
     };
     options.units = arguments.units;
     options.overwrite = arguments.force;
-    convert(&options, monitor)
+    if let Some(path) = &arguments.write_plan {
+        let job = Job::new(&options, monitor)?;
+        plan_file::write(&job, path, arguments.force)?;
+        return Ok(Done::Plan(Box::new(job)));
+    }
+    let job = arguments.plan.as_deref().map(plan_file::read).transpose()?;
+    if let Some(job) = &job {
+        let wanted = options.clone();
+        job.apply_to(&mut options);
+        refuse_contradictions(given, &wanted, &options)?;
+    }
+    options.shard = arguments.shard.map(|(index, count)| ShardOptions { index, count, job });
+    Ok(Done::Archive(Box::new(convert(&options, monitor)?)))
+}
+
+/// Refuses options on the command line that say otherwise than the plan, whose options are `planned`.
+fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &ConvertOptions) -> Result<(), Error> {
+    let options = [
+        ("pixel", "--pixel", wanted.pixel == planned.pixel),
+        ("slice", "--slice", wanted.slice_m == planned.slice_m),
+        ("max_slope", "--max-slope", wanted.max_slope_deg == planned.max_slope_deg),
+        ("tolerance", "--tolerance", wanted.tolerance_m == planned.tolerance_m),
+        ("classifier", "--classifier", wanted.classifier == planned.classifier),
+        ("exclude_class", "--exclude-class", wanted.exclude_classes == planned.exclude_classes),
+        ("min_points", "--min-points", wanted.min_points == planned.min_points),
+        ("drop_isolated", "--drop-isolated", wanted.drop_isolated == planned.drop_isolated),
+        ("up", "--up", wanted.up == planned.up),
+        ("units", "--units", wanted.units == planned.units),
+    ];
+    for (id, name, same) in options {
+        if !same && given.value_source(id) == Some(ValueSource::CommandLine) {
+            return Err(Error::parameter(name, "contradicts the plan; leave it out, or write another plan"));
+        }
+    }
+    Ok(())
+}
+
+fn print_plan(arguments: &Arguments, job: &Job) {
+    if arguments.json {
+        let _ = writeln!(std::io::stdout(), "{:#}", plan_file::to_json(job));
+    } else if !arguments.quiet {
+        let frame = &job.plan.frame;
+        let inputs = job.inputs.len();
+        say(&format!("plan: pixel {} m, slice {} m, {inputs} inputs", frame.pixel_m(), frame.slice_m()));
+    }
 }
 
 fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
@@ -232,6 +314,9 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         facts["voxels_dropped"] = report.voxels_dropped.into();
         facts["temp_bytes"] = report.temp_bytes.into();
         facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
+        if let Some(shard) = &report.shard {
+            facts["shard"] = slicewalk::info::shard_info(shard);
+        }
         facts["seconds"] = seconds.into();
         // The archive is written; that nobody reads about it is no failure.
         let _ = writeln!(std::io::stdout(), "{facts:#}");
@@ -251,7 +336,7 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
     let left_out = header.points_read - header.points_kept;
     say(&format!(
         "{}: {} points ({left_out} left out), {} voxels ({} obstacle) in {} slices of {} m",
-        arguments.output.display(),
+        arguments.output.clone().unwrap_or_default().display(),
         header.points_kept,
         header.voxels.occupied,
         header.voxels.obstacle,

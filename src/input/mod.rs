@@ -298,13 +298,31 @@ impl ScanFile {
     /// its coordinates. Unless these are `all` of its points, the claim may be larger.
     pub fn bounds_disagree(&self, min: [f64; 3], max: [f64; 3], all: bool) -> bool {
         let Some(stated) = self.bounds_stated() else { return true };
-        let step =
-            (0..3).map(|axis| (self.transform.scale[axis] * self.transform.unit[axis]).abs()).fold(0.0, f64::max);
         (0..3).any(|axis| {
-            let slack = step + 1e-9 * min[axis].abs().max(max[axis].abs());
+            let slack = self.slack(min[axis], max[axis]);
             let (below, above) = (stated.min[axis] - min[axis], max[axis] - stated.max[axis]);
             below.max(above) > slack || all && below.min(above) < -slack
         })
+    }
+}
+
+impl ScanFile {
+    /// The bounds that its header claims, larger by a step of its coordinates on every side.
+    pub fn bounds_with_slack(&self) -> Option<StatedBounds> {
+        let stated = self.bounds_stated()?;
+        let slack: [f64; 3] = std::array::from_fn(|axis| self.slack(stated.min[axis], stated.max[axis]));
+        let min: [f64; 3] = std::array::from_fn(|axis| stated.min[axis] - slack[axis]);
+        let max: [f64; 3] = std::array::from_fn(|axis| stated.max[axis] + slack[axis]);
+        let finite = min.iter().chain(&max).all(|v| v.is_finite());
+        finite.then_some(StatedBounds { min, max })
+    }
+
+    /// How far a coordinate between `min` and `max` may lie from what a header says of it (m): a step of the largest
+    /// scale, and rounding.
+    fn slack(&self, min: f64, max: f64) -> f64 {
+        let step =
+            (0..3).map(|axis| (self.transform.scale[axis] * self.transform.unit[axis]).abs()).fold(0.0, f64::max);
+        step + 1e-9 * min.abs().max(max.abs())
     }
 }
 

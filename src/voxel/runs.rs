@@ -66,6 +66,8 @@ struct Segment {
 #[derive(Debug)]
 pub struct RunBuilder {
     recorder: Recorder,
+    /// Tile columns whose records are kept; `None` for all.
+    only: Option<(u64, u64)>,
     capacity: usize,
     records: Vec<Record>,
     /// Number of each record's column in `columns`.
@@ -82,6 +84,7 @@ impl RunBuilder {
         let capacity = (build_bytes / BUILD_BYTES).clamp(1 << 14, u32::MAX as u64) as usize;
         Self {
             recorder,
+            only: None,
             capacity,
             records: Vec::new(),
             numbers: Vec::new(),
@@ -89,6 +92,12 @@ impl RunBuilder {
             lookup: HashMap::default(),
             recent: [0; 256],
         }
+    }
+
+    /// Keeps only the records of the tile columns `first..=last`, copies in their halo included.
+    pub fn only(mut self, first: u64, last: u64) -> Self {
+        self.only = Some((first, last));
+        self
     }
 
     /// Adds points (all within [`Recorder::reaches`]); a full run goes to `store`.
@@ -106,7 +115,11 @@ impl RunBuilder {
             }
             let (records, numbers) = (&mut self.records, &mut self.numbers);
             let (columns, lookup, recent) = (&mut self.columns, &mut self.lookup, &mut self.recent);
+            let only = self.only;
             self.recorder.record(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], |index, record| {
+                if only.is_some_and(|(first, last)| !(first..=last).contains(&index.key().column)) {
+                    return;
+                }
                 // Points of a scan jump between few columns; most are found here without hashing.
                 let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
                 if columns.get(*place as usize).is_none_or(|column| column.0 != index) {

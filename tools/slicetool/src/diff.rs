@@ -7,6 +7,7 @@ use slicewalk::slice::{Page, Span};
 use std::fmt::Write;
 use std::path::Path;
 
+/// Counts of what differs; voxels of both archives are compared by lowest bottom, highest top and kind.
 #[derive(Default)]
 struct Difference {
     pages_only_a: u64,
@@ -14,11 +15,17 @@ struct Difference {
     pages_differing: u64,
     voxels_only_a: u64,
     voxels_only_b: u64,
-    voxels_of_other_kind: u64,
-    voxels_of_other_height: u64,
-    /// Greatest difference of a bottom or top inside a voxel (quanta).
-    greatest_quanta: u8,
+    voxels_in_both: u64,
+    /// In both, but obstacle in one alone.
+    obstacle_only_a: u64,
+    obstacle_only_b: u64,
+    /// In both, with another bottom or top.
+    other_height: u64,
+    greatest_bottom: Quanta,
+    greatest_top: Quanta,
 }
+
+type Quanta = u8;
 
 /// Compares the archives at `a` and `b`, which must share their grid.
 pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
@@ -37,12 +44,15 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
     let difference = compare((&first, a), (&second, b))?;
     let identical = difference.pages_only_a + difference.pages_only_b + difference.pages_differing == 0;
     let same_plan = first.header().plan_hash == second.header().plan_hash;
-    let quantum = first.frame().quantum_m();
-    let greatest = f64::from(difference.greatest_quanta) * quantum;
+    let same_crs = first.crs().map_err(|e| crate::broken(a, &e))? == second.crs().map_err(|e| crate::broken(b, &e))?;
+    let metres = |quanta: Quanta| f64::from(quanta) * first.frame().quantum_m();
+    let (bottom, top) = (metres(difference.greatest_bottom), metres(difference.greatest_top));
     if json {
         let facts = json!({
             "identical": identical,
             "same_plan": same_plan,
+            "same_crs": same_crs,
+            "same_bounds": first.header().bounds == second.header().bounds,
             "pages": {
                 "only_a": difference.pages_only_a,
                 "only_b": difference.pages_only_b,
@@ -51,10 +61,15 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
             "voxels": {
                 "only_a": difference.voxels_only_a,
                 "only_b": difference.voxels_only_b,
-                "other_kind": difference.voxels_of_other_kind,
-                "other_height": difference.voxels_of_other_height,
+                "in_both": difference.voxels_in_both,
+                "other_kind": difference.obstacle_only_a + difference.obstacle_only_b,
+                "obstacle_only_a": difference.obstacle_only_a,
+                "obstacle_only_b": difference.obstacle_only_b,
+                "other_height": difference.other_height,
             },
-            "greatest_height_difference": greatest,
+            "greatest_height_difference": bottom.max(top),
+            "greatest_bottom_difference": bottom,
+            "greatest_top_difference": top,
         });
         return Ok(format!("{facts:#}\n"));
     }
@@ -65,13 +80,16 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
     } else {
         let Difference { pages_only_a, pages_only_b, pages_differing, .. } = difference;
         writeln!(text, "pages: {pages_only_a} only in A, {pages_only_b} only in B, {pages_differing} differ")?;
+        writeln!(text, "voxels: {} only in A, {} only in B", difference.voxels_only_a, difference.voxels_only_b)?;
         writeln!(
             text,
-            "voxels: {} only in A, {} only in B, {} of other kind, {} of other height (by up to {greatest:.4} m)",
-            difference.voxels_only_a,
-            difference.voxels_only_b,
-            difference.voxels_of_other_kind,
-            difference.voxels_of_other_height
+            "voxels in both: {}; obstacle only in A {}, only in B {}",
+            difference.voxels_in_both, difference.obstacle_only_a, difference.obstacle_only_b
+        )?;
+        writeln!(
+            text,
+            "of other height: {} (bottoms by up to {bottom:.4} m, tops by up to {top:.4} m)",
+            difference.other_height
         )?;
     }
     Ok(text)
@@ -103,7 +121,9 @@ fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Re
             (None, Some(_)) => difference.pages_only_b += 1,
             (page_a, page_b) => difference.pages_differing += u64::from(page_a != page_b),
         }
-        if page_a != page_b {
+        if page_a == page_b {
+            difference.voxels_in_both += page_a.as_ref().map_or(0, |page| page.voxel_counts().0);
+        } else {
             count(page_a.as_ref().unwrap_or(&empty), page_b.as_ref().unwrap_or(&empty), &mut difference);
         }
         if take_a {
@@ -120,18 +140,19 @@ fn count(a: &Page, b: &Page, difference: &mut Difference) {
     let slices = a.slices() | b.slices();
     for pixel in 0..64 * 64 {
         let (a, b) = (a.column(pixel & 63, pixel >> 6), b.column(pixel & 63, pixel >> 6));
-        if a == b {
+        if a.is_empty() && b.is_empty() {
             continue;
         }
         for slice in (0..64).filter(|slice| slices >> slice & 1 == 1) {
-            let part =
-                |spans: &[Span]| spans.iter().find_map(|span| Some((span.within_slice(slice)?, span.is_obstacle())));
-            match (part(a), part(b)) {
-                (Some(((bottom_a, top_a), kind_a)), Some(((bottom_b, top_b), kind_b))) => {
-                    difference.voxels_of_other_kind += u64::from(kind_a != kind_b);
-                    let quanta = bottom_a.abs_diff(bottom_b).max(top_a.abs_diff(top_b));
-                    difference.voxels_of_other_height += u64::from(quanta > 0);
-                    difference.greatest_quanta = difference.greatest_quanta.max(quanta);
+            match (voxel(a, slice), voxel(b, slice)) {
+                (Some((bottom_a, top_a, obstacle_a)), Some((bottom_b, top_b, obstacle_b))) => {
+                    difference.voxels_in_both += 1;
+                    difference.obstacle_only_a += u64::from(obstacle_a && !obstacle_b);
+                    difference.obstacle_only_b += u64::from(obstacle_b && !obstacle_a);
+                    let (bottom, top) = (bottom_a.abs_diff(bottom_b), top_a.abs_diff(top_b));
+                    difference.other_height += u64::from(bottom.max(top) > 0);
+                    difference.greatest_bottom = difference.greatest_bottom.max(bottom);
+                    difference.greatest_top = difference.greatest_top.max(top);
                 }
                 (Some(_), None) => difference.voxels_only_a += 1,
                 (None, Some(_)) => difference.voxels_only_b += 1,
@@ -139,4 +160,12 @@ fn count(a: &Page, b: &Page, difference: &mut Difference) {
             }
         }
     }
+}
+
+/// Lowest bottom and highest top in one slice of a pixel's spans, and whether any is an obstacle.
+fn voxel(spans: &[Span], slice: u32) -> Option<(Quanta, Quanta, bool)> {
+    let parts = spans.iter().filter_map(|span| Some((span.within_slice(slice)?, span.is_obstacle())));
+    parts
+        .map(|((bottom, top), obstacle)| (bottom, top, obstacle))
+        .reduce(|low, high| (low.0, low.1.max(high.1), low.2 | high.2))
 }

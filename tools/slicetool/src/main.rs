@@ -4,8 +4,11 @@
 mod demo;
 mod diff;
 mod export;
+mod extract;
 mod info;
+mod merge;
 mod query;
+mod recover;
 mod show;
 mod stats;
 mod verify;
@@ -67,7 +70,7 @@ enum Command {
     },
     /// Draw one slice in the thesis' colours: red height, green 255, blue 255 obstacle or 26 floor, black empty
     Show(show::Arguments),
-    /// Compare the content of two archives
+    /// Compare what two archives of one grid hold, not their bytes; exit code 0 whether they differ or not
     Diff {
         a: PathBuf,
         b: PathBuf,
@@ -82,6 +85,12 @@ enum Command {
         #[arg(short, long)]
         output: PathBuf,
     },
+    /// Join the parts that `sliceconv --shard` wrote, in any order, to the very bytes of a single run
+    Merge(merge::Arguments),
+    /// Make an archive again from the sound pages of a damaged one
+    Recover(recover::Arguments),
+    /// Cut a region out of an archive; queries inside it are answered as by the whole
+    Extract(extract::Arguments),
     /// Answer boxes or rays from a CSV file
     Query(query::Arguments),
     /// Walk a pawn along waypoints and write its path
@@ -128,6 +137,9 @@ fn main() -> ExitCode {
         Command::Show(arguments) => show::run(&arguments),
         Command::Diff { a, b, json } => diff::run(&a, &b, json),
         Command::Export { archive, output } => export::run(&archive, &output),
+        Command::Merge(arguments) => merge::run(&arguments),
+        Command::Recover(arguments) => recover::run(&arguments),
+        Command::Extract(arguments) => extract::run(&arguments),
         Command::Query(arguments) => query::run(&arguments),
         Command::Walk(arguments) => walk::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),

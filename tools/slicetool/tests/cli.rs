@@ -246,6 +246,25 @@ fn diff_tells_same_from_different_and_refuses_other_grids() {
     assert!(more["identical"] == false && more["voxels"]["only_b"] == 1 && more["voxels"]["only_a"] == 0, "{more}");
     assert!(done(at, &["diff", "a.slices", "same.slices"]).contains("identical"));
     assert!(done(at, &["diff", "a.slices", "more.slices"]).contains("1 only in B"));
+    let voxels = |name: &str| json(&done(at, &["info", name, "--json"]))["voxels"]["occupied"].as_u64().unwrap();
+    assert_eq!(more["voxels"]["in_both"].as_u64(), Some(voxels("a.slices")));
+    // The floor of a slice away from any wall, 2 cm higher: other heights. The wall a pixel further: other kinds, too.
+    let raised = points().into_iter().map(|[x, y, z]| [x, y, if x < 2.0 { z + 0.02 } else { z }]).collect::<Vec<_>>();
+    archive(at, "raised.slices", &raised, 0.1);
+    let facts = json(&done(at, &["diff", "a.slices", "raised.slices", "--json"]));
+    assert_eq!(facts["voxels"]["other_height"], 20 * 40, "{facts}");
+    for end in ["height", "bottom", "top"] {
+        let difference = facts[format!("greatest_{end}_difference")].as_f64().unwrap();
+        assert!((0.019..0.0215).contains(&difference), "{facts}");
+    }
+    assert!(facts["voxels"]["only_a"] == 0 && facts["voxels"]["other_kind"] == 0 && facts["same_bounds"] == true);
+    archive(at, "floor.slices", &points()[..80 * 80], 0.1);
+    let facts = json(&done(at, &["diff", "a.slices", "floor.slices", "--json"]));
+    let voxels = &facts["voxels"];
+    assert!(voxels["obstacle_only_a"].as_u64() >= Some(40) && voxels["obstacle_only_b"] == 0, "{facts}");
+    assert!(voxels["only_a"].as_u64() >= Some(6 * 40) && voxels["only_b"] == 0, "{facts}");
+    let back = json(&done(at, &["diff", "floor.slices", "a.slices", "--json"]));
+    assert_eq!(back["voxels"]["obstacle_only_b"], voxels["obstacle_only_a"]);
     archive(at, "coarse.slices", &others, 0.2);
     let said = refuses(at, &["diff", "a.slices", "coarse.slices"]);
     assert!(said.contains("a.slices and coarse.slices lie on different grids"), "{said}");
@@ -296,6 +315,113 @@ fn an_archive_without_points_is_no_trouble() {
     assert!(done(at, &["query", "e.slices", "--boxes", "q.csv"]).ends_with("0,0,0,4,4,4,0,0,\n"));
 }
 
+/// Three parts of the floor and wall, seen from the middle of the grid.
+fn parts(folder: &Path) -> Vec<String> {
+    let scan = folder.join("scan.las");
+    let centred = points().into_iter().map(|[x, y, z]| [x - 2.0, y - 2.0, z]);
+    write_las(&scan, centred, &WriteSpec::for_path(&scan)).unwrap();
+    let mut options = ConvertOptions::new(vec![scan], folder.join("whole.slices"));
+    options.pixel = PixelSize::Metres(0.02);
+    convert(&options, &NoMonitor).unwrap();
+    let part = |index: u32| {
+        let name = format!("{index}.slices");
+        options.output = folder.join(&name);
+        options.shard = Some(slicewalk::shard::ShardOptions { index, count: 3, job: None });
+        convert(&options, &NoMonitor).unwrap();
+        name
+    };
+    (1..=3).map(part).collect()
+}
+
+#[test]
+fn merge_joins_parts_and_names_what_does_not_belong() {
+    let folder = folder();
+    let at = folder.path();
+    let parts = parts(at);
+    let info = json(&done(at, &["info", "2.slices", "--json"]));
+    assert!(info["shard"]["index"] == 2 && info["shard"]["count"] == 3, "{info}");
+    assert!(json(&done(at, &["info", "whole.slices", "--json"])).get("shard").is_none());
+    done(at, &["verify", "2.slices"]);
+    let merge = |more: &[&'static str]| [&["merge", &parts[2], &parts[0], &parts[1], "-o", "m.slices"], more].concat();
+    assert!(done(at, &merge(&[])).contains("m.slices: written, 3 parts"));
+    assert!(fs::read(at.join("m.slices")).unwrap() == fs::read(at.join("whole.slices")).unwrap());
+    let again = json(&done(at, &merge(&["--json"])));
+    assert!(again["written"] == false && again["shards"] == 3 && again["points_read"] == points().len(), "{again}");
+    assert!(done(at, &merge(&["2.slices"])).contains("2.slices: a copy of another part, left out"));
+    fs::write(at.join("m.slices"), "mine").unwrap();
+    assert!(refuses(at, &merge(&[])).contains("--force"));
+    assert_eq!(fs::read(at.join("m.slices")).unwrap(), b"mine");
+    done(at, &merge(&["--force"]));
+    assert!(refuses(at, &["merge", "1.slices", "3.slices", "-o", "n.slices"]).contains("missing of 3: 2"));
+    assert!(refuses(at, &["merge", "1.slices", "a.slices", "-o", "n.slices"]).contains("a.slices"));
+    assert!(refuses(at, &["merge", "1.slices", "-o", "1.slices"]).contains("is the archive itself"));
+    assert!(refuses(at, &["merge", "none.slices", "-o", "n.slices"]).contains("none.slices"));
+    assert!(!at.join("n.slices").exists());
+}
+
+#[test]
+fn recover_writes_what_is_left_and_says_what_is_not() {
+    let folder = folder();
+    let at = folder.path();
+    parts(at);
+    let whole = fs::read(at.join("whole.slices")).unwrap();
+    let cut = |len: usize| fs::write(at.join("cut.slices"), &whole[..len]).unwrap();
+    cut(whole.len() - 1);
+    let text = done(at, &["recover", "cut.slices", "-o", "r.slices"]);
+    assert!(text.contains("pages lost: none") && text.contains("complete"), "{text}");
+    assert!(fs::read(at.join("r.slices")).unwrap() == whole);
+    assert!(refuses(at, &["recover", "cut.slices", "-o", "r.slices"]).contains("--force"));
+    let bytes = json(&done(at, &["info", "whole.slices", "--json"]))["bytes"].clone();
+    let pages_end = whole.len() as u64 - 24 - (bytes["directory"].as_u64().unwrap() - 416);
+    cut(pages_end as usize - 1);
+    let facts = json(&done(at, &["recover", "cut.slices", "-o", "r.slices", "--force", "--json"]));
+    assert!(facts["complete"] == false && facts["head"] == true, "{facts}");
+    assert_eq!(facts["pages"]["lost"]["stored"], 1, "{facts}");
+    assert!(done(at, &["verify", "r.slices"]).contains("ok"));
+    // Without a head, by a plan.
+    fs::write(at.join("tail.slices"), &whole[40..]).unwrap();
+    assert!(refuses(at, &["recover", "tail.slices", "-o", "t.slices"]).contains("--plan"));
+    let mut options = ConvertOptions::new(vec![at.join("scan.las")], at.join("unused"));
+    options.pixel = PixelSize::Metres(0.02);
+    let job = slicewalk::shard::Job::new(&options, &NoMonitor).unwrap();
+    slicewalk::plan_file::write(&job, &at.join("plan.json"), false).unwrap();
+    let recover = ["recover", "tail.slices", "-o", "t.slices", "--plan", "plan.json"];
+    assert!(done(at, &recover).contains("pages lost: unknown"));
+    assert!(json(&done(at, &["diff", "whole.slices", "t.slices", "--json"]))["identical"] == true);
+    done(at, &["show", "t.slices", "--slice", "0", "-o", "t.png"]);
+    fs::write(at.join("text.slices"), "no archive at all ".repeat(100)).unwrap();
+    let said = refuses(at, &["recover", "text.slices", "-o", "x.slices", "--plan", "plan.json"]);
+    assert!(said.contains("text.slices") && !at.join("x.slices").exists(), "{said}");
+}
+
+#[test]
+fn extract_cuts_a_region_that_answers_as_the_whole_does() {
+    let folder = folder();
+    let at = folder.path();
+    let region = "--bounds=2.5,1,-1,9,3,1.2";
+    done(at, &["extract", "a.slices", "-o", "x.slices", region]);
+    done(at, &["verify", "x.slices"]);
+    fs::write(at.join("q.csv"), "2.6,1.1,0.3,2.8,1.3,1\n2.9,1,0.8,3.1,1.5,1\n2.6,1.1,0.6,2.8,1.3,1\n").unwrap();
+    let ask = |name: &str| done(at, &["query", name, "--boxes", "q.csv"]);
+    assert_eq!(ask("x.slices"), ask("a.slices"));
+    let facts = json(&done(at, &["info", "x.slices", "--json"]));
+    assert!(
+        facts["bounds"]["min"][0].as_f64() >= Some(2.3) && facts["bounds"]["max"][2].as_f64() < Some(1.9),
+        "{facts}"
+    );
+    let difference = json(&done(at, &["diff", "a.slices", "x.slices", "--json"]));
+    assert!(difference["voxels"]["only_a"].as_u64() > Some(0) && difference["voxels"]["only_b"] == 0, "{difference}");
+    done(at, &["show", "x.slices", "--slice", "0", "-o", "x.png"]);
+    done(at, &["extract", "a.slices", "-o", "all.slices", "--bounds=-inf,-inf,-inf,inf,inf,inf"]);
+    assert!(fs::read(at.join("all.slices")).unwrap() == fs::read(at.join("a.slices")).unwrap());
+    assert!(refuses(at, &["extract", "a.slices", "-o", "all.slices", region]).contains("--force"));
+    assert!(refuses(at, &["extract", "a.slices", "-o", "a.slices", region]).contains("is the archive itself"));
+    for wrong in ["1,2,3", "1,2,3,4,5,x", "5,0,0,1,1,1", "nan,0,0,1,1,1"] {
+        let wrong = format!("--bounds={wrong}");
+        assert_eq!(slicetool(at, &["extract", "a.slices", "-o", "y.slices", &wrong]).status.code(), Some(2));
+    }
+}
+
 #[test]
 fn wrong_usage_ends_with_2() {
     let folder = folder();
@@ -310,6 +436,10 @@ fn wrong_usage_ends_with_2() {
         &["query", "a.slices", "--boxes", "q.csv", "--rays", "r.csv"],
         &["export", "a.slices"],
         &["diff", "a.slices"],
+        &["merge", "a.slices"],
+        &["merge", "-o", "m.slices"],
+        &["recover", "a.slices"],
+        &["extract", "a.slices", "-o", "x.slices"],
     ] {
         let out = slicetool(folder.path(), arguments);
         assert_eq!(out.status.code(), Some(2), "{arguments:?}");

@@ -1,0 +1,232 @@
+//! Joining the parts of a conversion (chapter 9): the bytes of the whole as a single run would have written them.
+//!
+//! In: archives with a `SHRD` record. Their columns follow one another, so their pages only need to be put one after the
+//! other; sharing, directory and head are made anew, since they look across parts. Every page is decoded and checked on
+//! its way. Memory: that of one writer and one page.
+
+use super::head::{Bounds, Header, Tiles, Voxels};
+use super::page::{EncodedPage, PageDecoder};
+use super::reader::Archive;
+use super::shard::Shard;
+use super::writer::{ArchiveWriter, Existing, Totals};
+use crate::store::{ByteSource, FileSource};
+use crate::{Error, Monitor, Result};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// What a merge did.
+#[derive(Debug, Clone)]
+pub struct Merged {
+    /// Head of the whole.
+    pub header: Header,
+    /// Coordinate reference system of the whole, empty if unknown.
+    pub crs: String,
+    /// Whether the archive was written; `false` if the target already had its bytes.
+    pub written: bool,
+    /// Copies of parts that are among the others, and were left out.
+    pub copies: Vec<PathBuf>,
+}
+
+/// One part. It is closed while others are worked on: there may be more parts than a program may hold open.
+struct Part<'a> {
+    path: &'a Path,
+    header: Header,
+    shard: Shard,
+    crs: String,
+}
+
+impl<'a> Part<'a> {
+    fn open(path: &'a Path) -> Result<Self> {
+        let open = || {
+            let archive = Archive::open(path)?;
+            let metadata = archive.metadata()?;
+            Ok((archive, metadata))
+        };
+        let (archive, metadata) = open().map_err(|error| named(path, error))?;
+        let Some(shard) = metadata.shard else {
+            let reason = "it is a whole archive and no part of one: it has no SHRD record; merge takes what \
+                          sliceconv --shard writes";
+            return Err(Error::input(path, "metadata", reason));
+        };
+        Ok(Self { path, header: archive.header().clone(), shard, crs: metadata.crs })
+    }
+
+    /// The archive once more.
+    fn reopen(&self) -> Result<Archive> {
+        let archive = Archive::open(self.path).map_err(|error| named(self.path, error))?;
+        match *archive.header() == self.header {
+            true => Ok(archive),
+            false => self.refuse("it was replaced while it was read; merge again".into()),
+        }
+    }
+
+    /// What parts must have in common to belong together.
+    fn family(&self) -> (u128, u128, u32) {
+        (self.header.plan_hash, self.shard.job, self.shard.count)
+    }
+
+    fn refuse<T>(&self, reason: String) -> Result<T> {
+        Err(Error::input(self.path, format!("{}", self.shard), reason))
+    }
+}
+
+/// An error about the content of the archive at `path`, with its name.
+fn named(path: &Path, error: Error) -> Error {
+    match error {
+        Error::Format { .. } | Error::Unsupported { .. } => {
+            Error::input(path, "damaged", format!("{error}; convert this part again"))
+        }
+        other => other,
+    }
+}
+
+/// Joins the archives `shards`, given in any order, into `output`: byte for byte what one run over the whole input
+/// writes. All parts of one job must be there; what is missing, foreign or damaged is refused by name. Where `output`
+/// has the right bytes already it is left alone; other content is replaced only if `overwrite` says so.
+///
+/// Cost: every page is read and decoded once. Nothing appears under the name before all of it is right.
+pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn Monitor) -> Result<Merged> {
+    let parts = shards.iter().map(|path| Part::open(path)).collect::<Result<Vec<_>>>()?;
+    let (parts, copies) = in_order(parts)?;
+    let Some(first) = parts.first() else {
+        return Err(Error::parameter("SHARD", "no part was given; name the archives that sliceconv --shard wrote"));
+    };
+    monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
+    let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
+    let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing)?;
+    let mut totals = Totals { crs: first.crs.clone(), ..Totals::default() };
+    for part in &parts {
+        copy(part, &mut writer, monitor)?;
+        add(&mut totals, part)?;
+    }
+    let (header, written) = writer.finish_or_keep(totals)?;
+    let crs = first.crs.clone();
+    Ok(Merged { header, crs, written, copies })
+}
+
+/// The parts from first to last, and the names of copies; refuses what does not make one whole.
+fn in_order(parts: Vec<Part<'_>>) -> Result<(Vec<Part<'_>>, Vec<PathBuf>)> {
+    let mut families: BTreeMap<_, usize> = BTreeMap::new();
+    parts.iter().for_each(|part| *families.entry(part.family()).or_default() += 1);
+    // The stranger among several is the one that most others do not know.
+    let common = families.into_iter().max_by_key(|&(_, members)| members).map(|(family, _)| family);
+    let Some(common) = common else { return Ok((parts, Vec::new())) };
+    let mut ordered: BTreeMap<u32, Part<'_>> = BTreeMap::new();
+    let mut copies = Vec::new();
+    for part in parts {
+        if part.family() != common {
+            let (plan, job, count) = part.family();
+            let what = match (plan == common.0, job == common.1, count == common.2) {
+                (false, ..) => format!("its plan {plan:032x} is not that of the other parts, {:032x}", common.0),
+                (_, false, _) => "it was converted from other inputs than the other parts".to_owned(),
+                _ => format!("the other parts are of {}", common.2),
+            };
+            return part.refuse(format!("{what}; leave it out, or convert it again with their plan"));
+        }
+        match ordered.get(&part.shard.index) {
+            Some(same) if same_bytes(same, &part)? => copies.push(part.path.to_path_buf()),
+            Some(other) => {
+                let reason = format!("{} says the same of itself and holds something else", other.path.display());
+                return part.refuse(format!("{reason}; leave one of them out"));
+            }
+            None => {
+                ordered.insert(part.shard.index, part);
+            }
+        }
+    }
+    let missing: Vec<String> =
+        (1..=common.2).filter(|index| !ordered.contains_key(index)).map(|index| index.to_string()).collect();
+    if !missing.is_empty() {
+        let reason = format!(
+            "missing of {}: {}; convert each with sliceconv --shard NUMBER/{}",
+            common.2,
+            missing.join(", "),
+            common.2
+        );
+        return Err(Error::parameter("parts", reason));
+    }
+    let ordered: Vec<_> = ordered.into_values().collect();
+    for pair in ordered.windows(2) {
+        if pair[0].shard.last.checked_add(1) != Some(pair[1].shard.first) {
+            return pair[1].refuse(format!("its columns do not follow those of {}", pair[0].path.display()));
+        }
+        if pair[0].crs != pair[1].crs {
+            return pair[1].refuse(format!("its reference system is not that of {}", pair[0].path.display()));
+        }
+    }
+    Ok((ordered, copies))
+}
+
+fn same_bytes(a: &Part<'_>, b: &Part<'_>) -> Result<bool> {
+    let (a, b) = (FileSource::open(a.path)?, FileSource::open(b.path)?);
+    if a.len() != b.len() {
+        return Ok(false);
+    }
+    const CHUNK: u64 = 1 << 20;
+    let (mut from_a, mut from_b) = (Vec::new(), Vec::new());
+    for at in (0..a.len()).step_by(CHUNK as usize) {
+        let len = (a.len() - at).min(CHUNK) as usize;
+        for (source, bytes) in [(&a, &mut from_a), (&b, &mut from_b)] {
+            bytes.resize(len, 0);
+            source.read_at(at, bytes)?;
+        }
+        if from_a != from_b {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// Puts all pages of `part` into `writer`.
+fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
+    let archive = part.reopen()?;
+    let mut decoder = PageDecoder::new();
+    let (mut tiles, mut voxels, mut pages) = (Tiles::default(), Voxels::default(), 0);
+    for entry in archive.entries() {
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        let entry = entry.map_err(|error| named(part.path, error))?;
+        if !part.shard.columns().contains(&entry.key.column()) {
+            return part.refuse(format!("page {} lies outside its columns (rule T5); convert it again", entry.key));
+        }
+        let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
+        let copied = EncodedPage::copied(entry.key, &decoder.bytes, &page);
+        tiles.occupied += u64::from(copied.slices.count_ones());
+        voxels.occupied += copied.voxels.0;
+        voxels.obstacle += copied.voxels.1;
+        pages += 1;
+        writer.put(entry.key, copied)?;
+        monitor.advance(1);
+    }
+    let header = &part.header;
+    if (pages, tiles.occupied, voxels) != (header.pages.total(), header.tiles.occupied, header.voxels) {
+        return part.refuse("its totals are not those of its pages (rules T1 to T3); convert it again".into());
+    }
+    Ok(())
+}
+
+/// Adds what `part` says of its points: each point of the input counts in exactly one part.
+fn add(totals: &mut Totals, part: &Part<'_>) -> Result<()> {
+    let header = &part.header;
+    for (sum, more) in [
+        (&mut totals.points_read, header.points_read),
+        (&mut totals.points_kept, header.points_kept),
+        (&mut totals.points_withheld, header.points_withheld),
+        (&mut totals.points_excluded, header.points_excluded),
+    ] {
+        match sum.checked_add(more) {
+            Some(new) => *sum = new,
+            None => return part.refuse(format!("its {more} points make more than can be counted")),
+        }
+    }
+    totals.bounds = joined(totals.bounds, header.bounds);
+    Ok(())
+}
+
+/// The least bounds around both.
+fn joined(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
+    let (Some((min, max)), Some((other_min, other_max))) = (a, b) else { return a.or(b) };
+    let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
+    Some((axes(f64::min, min, other_min), axes(f64::max, max, other_max)))
+}

@@ -1,0 +1,258 @@
+//! Plan files: a job as JSON, so that every machine that converts a part of a scan works to the same plan.
+
+use crate::archive::plan_hash;
+use crate::frame::Frame;
+use crate::input::{StatedBounds, Units};
+use crate::plan::{Classifier, Plan, Up};
+use crate::shard::{InputFacts, Job};
+use crate::{Error, Result};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Version of plan files that is written and read.
+pub const VERSION: u64 = 1;
+/// Greatest length of a plan file that is read (bytes): some hundred thousand inputs.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// `job` as a plan file.
+pub fn to_json(job: &Job) -> Value {
+    let plan = &job.plan;
+    let inputs: Vec<Value> = job.inputs.iter().map(input_to_json).collect();
+    json!({
+        "slicewalk_plan": VERSION,
+        "pixel_size": plan.frame.pixel_m(),
+        "slice_height": plan.frame.slice_m(),
+        "max_slope": plan.max_slope_deg,
+        "tolerance": plan.tolerance_m,
+        "classifier": plan.classifier.name(),
+        "min_points": plan.min_points,
+        "drop_isolated": plan.drop_isolated,
+        "up": plan.up.name(),
+        "excluded_classes": (0..=255u8).filter(|&class| plan.excludes(class)).collect::<Vec<_>>(),
+        "plan_hash": format!("{:032x}", plan_hash(plan)),
+        "units": match job.units {
+            Units::Auto => json!("auto"),
+            Units::Factor(factor) => json!(factor),
+        },
+        "point_spacing": job.spacing_m,
+        "inputs": inputs,
+    })
+}
+
+fn input_to_json(input: &InputFacts) -> Value {
+    json!({
+        "name": input.name,
+        "bytes": input.bytes,
+        "points": input.points,
+        "fingerprint": format!("{:032x}", input.fingerprint),
+        "bounds": input.bounds.map(|bounds| json!({ "min": bounds.min, "max": bounds.max })),
+    })
+}
+
+/// Writes `job` to `path`, all of it or nothing.
+pub fn write(job: &Job, path: &Path, overwrite: bool) -> Result<()> {
+    let text = format!("{:#}\n", to_json(job));
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let failed = |action: &str, error: std::io::Error| Error::io(path, action, error);
+    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|e| failed("create a file beside it", e))?;
+    std::io::Write::write_all(&mut file, text.as_bytes()).map_err(|e| failed("write", e))?;
+    file.as_file().sync_all().map_err(|e| failed("bring to disk", e))?;
+    let persisted = if overwrite { file.persist(path) } else { file.persist_noclobber(path) };
+    match persisted {
+        Err(error) if error.error.kind() == std::io::ErrorKind::AlreadyExists => {
+            Err(Error::parameter(path.display().to_string(), "exists already; --force replaces it"))
+        }
+        Err(error) => Err(failed("give the plan its name", error.error)),
+        Ok(_) => Ok(()),
+    }
+}
+
+/// The job in the plan file at `path`.
+pub fn read(path: &Path) -> Result<Job> {
+    let bytes = std::fs::metadata(path).map_err(|error| Error::io(path, "open", error))?.len();
+    if bytes > MAX_BYTES {
+        let what = format!("bytes of the plan file {}", path.display());
+        return Err(Error::Limit { what, value: bytes.to_string(), max: MAX_BYTES.to_string() });
+    }
+    let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, "read", error))?;
+    let value: Value = serde_json::from_str(&text).map_err(|error| {
+        Error::input(path, format!("line {}", error.line()), format!("no plan in JSON: {error}; write it again"))
+    })?;
+    from_json(&value).map_err(|wrong| {
+        let Wrong { at, expected } = wrong;
+        Error::input(path, at, format!("expected {expected}; sliceconv --write-plan writes a right one"))
+    })
+}
+
+/// What is wrong in a plan file.
+struct Wrong {
+    at: String,
+    expected: String,
+}
+
+impl Wrong {
+    fn new(at: impl Into<String>, expected: impl ToString) -> Self {
+        Self { at: at.into(), expected: expected.to_string() }
+    }
+}
+
+/// One field of an object, read as `read` does.
+fn field<'a, T>(
+    of: &'a Value,
+    name: &str,
+    expected: &str,
+    read: impl FnOnce(&'a Value) -> Option<T>,
+) -> Result<T, Wrong> {
+    of.get(name).and_then(read).ok_or_else(|| Wrong::new(name, expected))
+}
+
+fn hex(value: &Value) -> Option<u128> {
+    value.as_str().filter(|text| text.len() == 32).and_then(|text| u128::from_str_radix(text, 16).ok())
+}
+
+fn number(value: &Value) -> Option<f64> {
+    value.as_f64().filter(|number| number.is_finite())
+}
+
+fn from_json(value: &Value) -> Result<Job, Wrong> {
+    field(value, "slicewalk_plan", "version 1 of a plan", |v| v.as_u64().filter(|&version| version == VERSION))?;
+    let frame = Frame::new(
+        field(value, "pixel_size", "a length in metres", number)?,
+        field(value, "slice_height", "a length in metres", number)?,
+    );
+    let classifier = |v: &Value| Classifier::ALL.into_iter().find(|rule| Some(rule.name()) == v.as_str());
+    let up = |v: &Value| [Up::Z, Up::Y].into_iter().find(|up| Some(up.name()) == v.as_str());
+    let classes = |v: &Value| {
+        let mut words = [0u64; 4];
+        for class in v.as_array()? {
+            let class = u8::try_from(class.as_u64()?).ok()?;
+            words[usize::from(class / 64)] |= 1 << (class % 64);
+        }
+        Some(words)
+    };
+    let plan = Plan {
+        frame: frame.map_err(|error| Wrong::new("pixel_size, slice_height", format!("a grid, but {error}")))?,
+        max_slope_deg: field(value, "max_slope", "an angle in degrees", number)?,
+        tolerance_m: field(value, "tolerance", "a length in metres", number)?,
+        classifier: field(value, "classifier", "span, thesis or plane", classifier)?,
+        min_points: field(value, "min_points", "a number of points", |v| u32::try_from(v.as_u64()?).ok())?,
+        drop_isolated: field(value, "drop_isolated", "true or false", Value::as_bool)?,
+        up: field(value, "up", "z or y", up)?,
+        exclude_classes: field(value, "excluded_classes", "a list of classes from 0 to 255", classes)?,
+    };
+    plan.check().map_err(|error| Wrong::new("plan", format!("options within their limits, but {error}")))?;
+    let stated = field(value, "plan_hash", "32 hexadecimal digits", hex)?;
+    if stated != plan_hash(&plan) {
+        let expected = format!("{:032x} for these options: the file was changed by hand", plan_hash(&plan));
+        return Err(Wrong::new("plan_hash", expected));
+    }
+    let units = |v: &Value| match v.as_f64() {
+        Some(factor) => Some(Units::Factor(factor)).filter(|_| factor.is_finite() && factor > 0.0),
+        None => (v.as_str() == Some("auto")).then_some(Units::Auto),
+    };
+    let spacing = |v: &Value| if v.is_null() { Some(None) } else { number(v).map(Some) };
+    let inputs = field(value, "inputs", "a list of files", Value::as_array)?;
+    let input =
+        |(at, value)| input_from_json(value).map_err(|w| Wrong::new(format!("inputs[{at}].{}", w.at), w.expected));
+    let mut job = Job {
+        plan,
+        units: field(value, "units", "auto or metres per unit", units)?,
+        spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
+        inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
+    };
+    job.sort_inputs();
+    Ok(job)
+}
+
+fn input_from_json(value: &Value) -> Result<InputFacts, Wrong> {
+    let corner = |v: &Value| -> Option<[f64; 3]> {
+        let axes = v.as_array().filter(|axes| axes.len() == 3)?;
+        Some([number(&axes[0])?, number(&axes[1])?, number(&axes[2])?])
+    };
+    let bounds = |v: &Value| {
+        if v.is_null() {
+            return Some(None);
+        }
+        let (min, max) = (corner(v.get("min")?)?, corner(v.get("max")?)?);
+        (0..3).all(|axis| min[axis] <= max[axis]).then_some(Some(StatedBounds { min, max }))
+    };
+    Ok(InputFacts {
+        name: field(value, "name", "a file name", Value::as_str)?.to_owned(),
+        bytes: field(value, "bytes", "a length", Value::as_u64)?,
+        points: field(value, "points", "a number of points", Value::as_u64)?,
+        fingerprint: field(value, "fingerprint", "32 hexadecimal digits", hex)?,
+        bounds: field(value, "bounds", "least and greatest corner, or null", bounds)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn input() -> impl Strategy<Value = InputFacts> {
+        let bounds = proptest::option::of((prop::array::uniform3(-1e7f64..1e7), prop::array::uniform3(0.0f64..1e6)));
+        (any::<String>(), any::<u64>(), any::<u64>(), any::<u128>(), bounds).prop_map(
+            |(name, bytes, points, fingerprint, bounds)| {
+                let bounds = bounds.map(|(min, size)| {
+                    let max = std::array::from_fn(|axis| min[axis] + size[axis]);
+                    StatedBounds { min, max }
+                });
+                InputFacts { name, bytes, points, fingerprint, bounds }
+            },
+        )
+    }
+
+    proptest! {
+        #[test]
+        fn plans_come_back_to_the_last_bit(
+            sizes in (1e-4f64..1e3, 1e-4f64..1e3, 0.0f64..=90.0, 0.0f64..1.0), rule in 0usize..3, min_points in 1u32..,
+            flags: (bool, bool), classes: [u64; 4], units in proptest::option::of(1e-3f64..1e3),
+            spacing_m in proptest::option::of(1e-6f64..1e3), inputs in proptest::collection::vec(input(), 0..5)
+        ) {
+            let (pixel, slice, max_slope_deg, tolerance_m) = sizes;
+            let plan = Plan {
+                frame: Frame::new(pixel, slice).unwrap(),
+                max_slope_deg,
+                tolerance_m,
+                classifier: Classifier::ALL[rule],
+                min_points,
+                drop_isolated: flags.0,
+                up: if flags.1 { Up::Y } else { Up::Z },
+                exclude_classes: classes,
+            };
+            let mut job = Job { plan, units: units.map_or(Units::Auto, Units::Factor), spacing_m, inputs };
+            job.sort_inputs();
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("plan.json");
+            write(&job, &path, false).unwrap();
+            let again = read(&path).unwrap();
+            prop_assert_eq!(again.hash(), job.hash());
+            prop_assert_eq!(again, job);
+        }
+
+        #[test]
+        fn text_that_is_no_plan_is_refused_in_one_line(text in "[ -~\n]{0,80}", cut in 0usize..2000) {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("plan.json");
+            let refused = |text: &str| {
+                std::fs::write(&path, text).unwrap();
+                let error = read(&path).unwrap_err().to_string();
+                error.lines().count() == 1 && error.contains("plan.json")
+            };
+            prop_assert!(refused(&text));
+            let plan = Plan {
+                frame: Frame::new(0.1, 0.3).unwrap(),
+                max_slope_deg: 45.0,
+                tolerance_m: 0.0,
+                classifier: Classifier::Plane,
+                min_points: 1,
+                drop_isolated: false,
+                up: Up::Z,
+                exclude_classes: [0; 4],
+            };
+            let good = to_json(&Job { plan, units: Units::Auto, spacing_m: None, inputs: Vec::new() }).to_string();
+            prop_assert!(refused(&good[..cut % good.len()]));
+        }
+    }
+}

@@ -1,0 +1,304 @@
+//! Archives taken apart and put together again: merged, recovered and extracted ones, page by page, by brute force.
+
+mod common;
+
+use common::{Pages, Random, key, page, plan, read_all, render, scene};
+use proptest::prelude::*;
+use slicewalk::NoMonitor;
+use slicewalk::archive::{
+    Archive, ArchiveWriter, Bounds, PageEncoder, Place, Recovered, Shard, Totals, extract, merge, recover,
+};
+use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
+use slicewalk::slice::{Page, Span};
+use slicewalk::store::Store;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Few different contents, so that many pages are equal, and a uniform one.
+fn content(number: u32) -> Page {
+    let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
+    if number == 0 {
+        return page((0..4096).map(|at| ((at % 64, at / 64), vec![span(300, 700, true)])));
+    }
+    let mut random = Random(u64::from(number));
+    page((0..200 * number).map(|at| {
+        let bottom = random.below(16000);
+        ((at % 64, at / 64), vec![span(bottom, bottom + random.below(300), at % 3 == 0)])
+    }))
+}
+
+fn pages() -> impl Strategy<Value = Pages> {
+    let keys = (-4i32..4, -4i32..4, -2i32..3);
+    let contents = proptest::collection::btree_map(keys, 0u32..5, 1..40);
+    contents.prop_map(|all| all.into_iter().map(|((tx, ty, layer), n)| (key(tx, ty, layer), content(n))).collect())
+}
+
+fn totals(points: u64, x: f64) -> Totals {
+    let bounds = (points > 0).then_some(([x, -100.0, -50.0], [x + 1.0, 100.0, 50.0]));
+    let read = points + 3;
+    Totals {
+        points_read: read,
+        points_kept: points,
+        points_withheld: 1,
+        points_excluded: 2,
+        bounds,
+        crs: "here".into(),
+    }
+}
+
+fn write(target: &Path, pages: &Pages, totals: Totals, shard: Option<Shard>) {
+    let mut writer = ArchiveWriter::create(target, &plan(), true).unwrap();
+    let mut encoder = PageEncoder::new(plan.frame);
+    for (&key, page) in pages {
+        if shard.is_none_or(|shard| shard.columns().contains(&key.column())) {
+            writer.put(key, encoder.encode(key, page)).unwrap();
+        }
+    }
+    if let Some(shard) = shard {
+        writer.set_shard(shard);
+    }
+    writer.finish(totals).unwrap();
+}
+
+fn verified(path: &Path) -> Archive {
+    let archive = Archive::open(path).unwrap();
+    let mut findings = Vec::new();
+    archive.verify(&NoMonitor, &mut |finding| findings.push(finding)).unwrap();
+    assert_eq!(findings, []);
+    archive
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn any_split_merges_to_the_whole(
+        pages in pages(), cuts in proptest::collection::btree_set(-40i64..40, 0..6), at in 0usize..7
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        // Columns about the origin, where the pages lie.
+        let middle = key(0, 0, 0).column();
+        let firsts: Vec<u64> = std::iter::once(0).chain(cuts.iter().map(|cut| middle.wrapping_add_signed(*cut))).collect();
+        let count = firsts.len();
+        let parts: Vec<PathBuf> = (0..count).map(|index| {
+            let last = firsts.get(index + 1).map_or(u64::MAX, |next| next - 1);
+            let shard = Shard { index: index as u32 + 1, count: count as u32, first: firsts[index], last, job: 7 };
+            let name = path(&format!("{index}.slices"));
+            write(&name, &pages, totals(index as u64, index as f64), Some(shard));
+            name
+        }).collect();
+        for part in &parts {
+            verified(part);
+        }
+        let points = (0..count as u64).sum();
+        let mut whole = totals(points, 1.0);
+        (whole.points_read, whole.points_withheld, whole.points_excluded) =
+            (points + 3 * count as u64, count as u64, 2 * count as u64);
+        if let Some((_, max)) = &mut whole.bounds {
+            max[0] = count as f64;
+        }
+        write(&path("whole.slices"), &pages, whole, None);
+        let mut order = parts.clone();
+        order.rotate_left(at % count);
+        merge(&order, &path("merged.slices"), false, &NoMonitor).unwrap();
+        prop_assert!(fs::read(path("merged.slices")).unwrap() == fs::read(path("whole.slices")).unwrap());
+    }
+
+    #[test]
+    fn what_is_undamaged_is_recovered(
+        pages in pages(), cut in any::<prop::sample::Index>(), flips in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 0..4),
+        cuts: bool
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        write(&folder.path().join("a.slices"), &pages, totals(9, 0.0), None);
+        let good = fs::read(folder.path().join("a.slices")).unwrap();
+        let mut bad = good.clone();
+        for (at, value) in flips {
+            let at = at.index(bad.len());
+            bad[at] ^= value;
+        }
+        if cuts {
+            bad.truncate(cut.index(good.len()));
+        }
+        recovers(folder.path(), &good, &bad);
+    }
+}
+
+/// Recovers `bad`, which once was `good`; every page whose bytes are as they were must come back, and no other content.
+fn recovers(folder: &Path, good: &[u8], bad: &[u8]) -> Option<Recovered> {
+    let (from, to) = (folder.join("bad.slices"), folder.join("recovered.slices"));
+    fs::write(&from, bad).unwrap();
+    let whole = Archive::from_bytes(good.to_vec()).unwrap();
+    let pages = read_all(&whole).unwrap();
+    let same = |offset: u64, len: u64| {
+        let range = offset as usize..(offset + len) as usize;
+        bad.get(range.clone()) == Some(&good[range])
+    };
+    let header = whole.header();
+    let head = same(0, header.bytes.head);
+    let directory = head && same(header.directory_offset(), header.bytes.directory);
+    let expected: Pages = whole
+        .entries()
+        .map(Result::unwrap)
+        .filter(|entry| match entry.place {
+            Place::Stored(extent) => same(extent.offset, extent.len.into()),
+            Place::Shared(extent) => directory && same(extent.offset, extent.len.into()),
+            Place::Uniform(_) => directory,
+        })
+        .map(|entry| (entry.key, pages[&entry.key].clone()))
+        .collect();
+    let recovered = match recover(&from, Some(&plan()), &to, true, &NoMonitor) {
+        Ok(recovered) => recovered,
+        Err(error) => {
+            assert!(expected.is_empty(), "{error}");
+            return None;
+        }
+    };
+    let found = verified(&to);
+    assert_eq!(read_all(&found).unwrap(), expected);
+    assert_eq!(recovered.head, head);
+    assert_eq!(recovered.found.total(), expected.len() as u64);
+    if let Some(lost) = recovered.lost {
+        assert_eq!(lost.total() as usize, pages.len() - expected.len());
+    }
+    if recovered.is_complete() {
+        assert!(fs::read(&to).unwrap() == good, "what is complete has the bytes that it once had");
+    }
+    Some(recovered)
+}
+
+#[test]
+fn an_archive_cut_anywhere_gives_every_page_before_the_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = common::archive(&scene());
+    let whole = Archive::from_bytes(good.clone()).unwrap();
+    let header = whole.header();
+    let end = (header.metadata_offset() + header.bytes.metadata) as usize;
+    // Around every section's end byte by byte, elsewhere in steps: each recovery brings a file to disk.
+    let near = |len: &usize| {
+        let ends = [header.pages_offset(), header.directory_offset(), header.metadata_offset(), end as u64];
+        len.is_multiple_of(7) || ends.iter().any(|end| end.abs_diff(*len as u64) < 3)
+    };
+    for len in (0..=good.len()).filter(near) {
+        let recovered = recovers(folder.path(), &good, &good[..len]);
+        let Some(recovered) = recovered else { continue };
+        // Without the footer alone nothing is lost.
+        assert_eq!(recovered.is_complete(), len >= end, "{len}");
+    }
+}
+
+#[test]
+fn without_a_head_the_plan_must_be_given_and_bounds_come_from_the_pages() {
+    let folder = tempfile::tempdir().unwrap();
+    let (from, to) = (folder.path().join("a.slices"), folder.path().join("b.slices"));
+    let good = common::archive(&scene());
+    let mut bad = good.clone();
+    bad[130] ^= 1;
+    fs::write(&from, &bad).unwrap();
+    let error = recover(&from, None, &to, false, &NoMonitor).unwrap_err().to_string();
+    assert!(error.contains("a.slices") && error.contains("--plan"), "{error}");
+    assert!(!to.exists());
+    let recovered = recovers(folder.path(), &good, &bad).unwrap();
+    assert!(recovered.lost.is_none() && recovered.leaves.is_none() && !recovered.is_complete());
+    let (min, max) = recovered.header.bounds.unwrap();
+    let (pages, _) = scene();
+    let lowest = pages.keys().map(|key| key.tx).min().unwrap();
+    assert!(min[0] >= f64::from(lowest) * 6.4 - 1e-9 && min[0] <= max[0] && max[2] > 90.0, "{min:?} {max:?}");
+    fs::write(&from, &good).unwrap();
+    let mut other = plan();
+    other.max_slope_deg = 30.0;
+    let error = recover(&from, Some(&other), &to, false, &NoMonitor).unwrap_err().to_string();
+    assert!(error.contains("--plan") && error.contains("a.slices"), "{error}");
+    // Bytes put in between: the pages are found where they lie now.
+    let at = Archive::from_bytes(good.clone()).unwrap().header().pages_offset() as usize;
+    let shifted = [&good[..at], b"\x89PAG of no page", &good[at..]].concat();
+    fs::write(&from, shifted).unwrap();
+    let recovered = recover(&from, None, &to, false, &NoMonitor).unwrap();
+    assert_eq!(recovered.lost.map(|lost| lost.stored), Some(0));
+    assert!(recovered.lost.is_some_and(|lost| lost.uniform > 0), "the directory is not where the head says");
+    fs::write(&from, b"no archive at all").unwrap();
+    let error = recover(&from, Some(&plan()), &folder.path().join("c.slices"), false, &NoMonitor).unwrap_err();
+    assert!(error.to_string().contains("no sound page"), "{error}");
+}
+
+#[test]
+fn answers_inside_an_extracted_region_are_those_of_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut made = scene();
+    // Matter that ends exactly on slices and pixels, as the regions and boxes below do.
+    let span = |bottom, top, obstacle| vec![Span::new(bottom, top, obstacle).unwrap()];
+    let steps = (0..4096u32).filter(|at| at % 3 > 0);
+    let steps = steps.map(|at| ((at % 64, at / 64), span(255 * (at % 7), 255 * (at % 7 + at % 3), at % 3 == 2)));
+    made.0.insert(key(0, -1, 0), page(steps));
+    let good = common::archive(&made);
+    let whole = Archive::from_bytes(good.clone()).unwrap();
+    let store = Store::resident(&whole, &NoMonitor).unwrap();
+    let mut random = Random(3);
+    // Corners on pixel and slice boundaries as well as between them: tenths of the pixel of 0.1 m, slices of 0.3 m.
+    let mut between = |low: f64, high: f64| {
+        let step = [0.1, 0.3, 0.013][random.below(3) as usize];
+        ((low + (high - low) * f64::from(random.below(1 << 20)) / f64::from(1 << 20)) / step).round() * step
+    };
+    let mut hits = 0;
+    for number in 0..60 {
+        let mut bounds = ([0.0; 3], [0.0; 3]);
+        for axis in 0..3 {
+            let range = [(-7.0, 20.0), (-20.0, 7.0), if number % 2 == 0 { (-20.0, 20.0) } else { (-0.6, 3.0) }][axis];
+            let (a, b) = (between(range.0, range.1), between(range.0, range.1));
+            (bounds.0[axis], bounds.1[axis]) = (a.min(b), a.max(b));
+        }
+        let target = folder.path().join(format!("{number}.slices"));
+        let header = extract(&whole, &bounds, &target, false, &NoMonitor).unwrap();
+        let part = verified(&target);
+        assert_eq!(part.header(), &header);
+        assert_eq!(part.crs().unwrap(), whole.crs().unwrap());
+        let own = Store::resident(&part, &NoMonitor).unwrap();
+        for _ in 0..60 {
+            let mut corners = ([0.0; 3], [0.0; 3]);
+            for axis in 0..3 {
+                let (low, high) = (bounds.0[axis], bounds.1[axis]);
+                let (a, b) = (between(low, high).clamp(low, high), between(low, high).clamp(low, high));
+                (corners.0[axis], corners.1[axis]) = (a.min(b), a.max(b));
+            }
+            let shape = Aabb::new(corners.0.into(), corners.1.into()).unwrap();
+            hits += usize::from(overlaps(&store, &shape) == slicewalk::query::Overlap::Hit);
+            assert_eq!(overlaps(&own, &shape), overlaps(&store, &shape), "{shape:?} in {bounds:?}");
+            let (Answer::Known(a), Answer::Known(b)) = (probe(&own, &shape), probe(&store, &shape)) else {
+                panic!("all is in memory");
+            };
+            assert_eq!((a.hit, a.obstacle), (b.hit, b.obstacle), "{shape:?} in {bounds:?}");
+            // A floor may lie far below the box, outside the region.
+            if b.floor_z.is_some_and(|z| z >= bounds.0[2]) {
+                assert_eq!(a.floor_z, b.floor_z, "{shape:?} in {bounds:?}");
+            }
+            let centre = (shape.min().coords + shape.max().coords) / 2.0;
+            let size = shape.max() - shape.min();
+            let sphere = Sphere::new(centre.into(), size.min() / 2.0).unwrap();
+            assert_eq!(overlaps(&own, &sphere), overlaps(&store, &sphere), "{sphere:?} in {bounds:?}");
+            let foot = nalgebra::Point3::new(centre.x, centre.y, shape.min().z);
+            let cylinder = Cylinder::new(foot, size.x.min(size.y) / 2.0, size.z).unwrap();
+            assert_eq!(overlaps(&own, &cylinder), overlaps(&store, &cylinder), "{cylinder:?} in {bounds:?}");
+            if size.y > 0.01 {
+                // Along the face of the region, where both sides count.
+                let from = nalgebra::Point3::new(bounds.0[0], shape.min().y, shape.min().z);
+                let ray = Ray::new(from, nalgebra::Vector3::new(0.0, size.y, 0.0), size.y).unwrap();
+                assert_eq!(cast(&own, &ray), cast(&store, &ray), "{ray:?} in {bounds:?}");
+            }
+            if size.norm() > 0.01 {
+                let ray = Ray::new(shape.min(), size, size.norm()).unwrap();
+                assert_eq!(cast(&own, &ray), cast(&store, &ray), "{ray:?} in {bounds:?}");
+            }
+        }
+    }
+    assert!(hits > 100, "{hits} boxes met anything");
+    let everything: Bounds = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+    let target = folder.path().join("all.slices");
+    extract(&whole, &everything, &target, false, &NoMonitor).unwrap();
+    assert!(fs::read(&target).unwrap() == good, "all of it, byte for byte");
+    let nothing: Bounds = ([500.0; 3], [501.0; 3]);
+    let header = extract(&whole, &nothing, &target, true, &NoMonitor).unwrap();
+    assert!(header.pages.total() == 0 && header.bounds.is_none());
+    assert!(extract(&whole, &([1.0; 3], [0.0; 3]), &target, true, &NoMonitor).is_err());
+    assert!(render(&verified(&target)).contains("points read 5000"));
+}

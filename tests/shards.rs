@@ -1,0 +1,301 @@
+//! A scan converted in parts and merged has the bytes of a single run, and nothing else is taken for one: not parts of
+//! another plan or other inputs, not too few, not damaged ones.
+#![cfg(feature = "cli")]
+
+#[path = "common/scans.rs"]
+mod scans;
+
+use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
+use scans::{converts, data, names, points, refuses, text, verifies, write};
+use slicewalk::archive::{Archive, merge};
+use slicewalk::{Error, NoMonitor};
+use std::fs;
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// Points of `scene` in `folder`, with classes to leave out and withheld ones.
+fn scan(folder: &Path, name: &str, scene: &str, count: u64) {
+    let scene = Scene::named(scene, &Params::new()).unwrap();
+    let mut spec = WriteSpec::for_path(Path::new(name));
+    spec.classes = vec![(2, 0.7), (7, 0.1), (18, 0.2)];
+    spec.withheld_share = 0.03;
+    spec.crs_wkt = Some(format!("LOCAL_CS[\"{name}\"]"));
+    let samples = SampleSpec::direct_count(count).with_noise(0.004);
+    write_samples(&folder.join(name), scene.samples(11, &samples).unwrap(), &spec).unwrap();
+}
+
+const QUIET: [&str; 4] = ["--quiet", "--force", "--threads", "2"];
+
+fn convert(folder: &Path, inputs: &[&str], output: &str, options: &[&str]) {
+    converts(folder, &[inputs, &["-o", output], &QUIET, options].concat());
+}
+
+/// Converts all parts, the last one first, and returns their names.
+fn parts(folder: &Path, inputs: &[&str], count: u32, options: &[&str]) -> Vec<PathBuf> {
+    let names: Vec<PathBuf> = (1..=count).map(|index| folder.join(format!("{index}-of-{count}.slices"))).collect();
+    for (index, name) in names.iter().enumerate().rev() {
+        let shard = format!("{}/{count}", index + 1);
+        convert(folder, inputs, text(name), &[options, &["--shard", &shard]].concat());
+        verifies(name);
+    }
+    names
+}
+
+/// The parts merged have the bytes of `whole`.
+fn merges_to(parts: &[PathBuf], whole: &Path) {
+    let output = whole.with_extension("merged");
+    let _ = fs::remove_file(&output);
+    let merged = merge(parts, &output, false, &NoMonitor).unwrap();
+    assert!(merged.written);
+    assert!(fs::read(&output).unwrap() == fs::read(whole).unwrap(), "{} parts of {}", parts.len(), whole.display());
+}
+
+#[test]
+fn parts_of_scenes_with_ramps_and_walls_merge_to_the_bytes_of_one_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    scan(at, "house.laz", "house", 120_000);
+    scan(at, "ramps.las", "ramps", 80_000);
+    write(&at.join("more.laz"), &points(20_000));
+    for (inputs, options) in [
+        (&["house.laz"][..], &["--pixel", "0.05", "--exclude-class", "7,18"][..]),
+        (&["ramps.las", "house.laz", "more.laz"], &["--pixel", "0.1", "--drop-isolated", "--min-points", "2"]),
+        (&["ramps.las"], &["--pixel", "0.04", "--classifier", "thesis", "--tolerance", "0.01"]),
+        (&["house.laz", "ramps.las"], &["--pixel", "auto", "--classifier", "span"]),
+        (&["house.laz"], &["--pixel", "0.03", "--slice", "0.1", "--up", "y", "--units", "ft"]),
+    ] {
+        convert(at, inputs, "whole.slices", options);
+        let whole = Archive::open(at.join("whole.slices")).unwrap();
+        assert!(whole.header().points_withheld > 0);
+        for count in [1, 3, 7] {
+            let mut parts = parts(at, inputs, count, options);
+            let kept = |path: &PathBuf| Archive::open(path).unwrap().header().points_kept;
+            let with_points = parts.iter().filter(|part| kept(part) > 0).count();
+            assert!(with_points as u32 > count / 2, "{with_points} of {count} parts hold something");
+            parts.rotate_left(count as usize / 2);
+            merges_to(&parts, &at.join("whole.slices"));
+        }
+    }
+}
+
+#[test]
+fn parts_of_a_real_scan_merge_to_the_bytes_of_one_run() {
+    let Some(data) = data() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let input = data.join("delft_city_block_ahn3.laz");
+    let options = ["--pixel", "0.5", "--memory", "64MiB"];
+    convert(at, &[text(&input)], "whole.slices", &options);
+    for count in [3, 7] {
+        merges_to(&parts(at, &[text(&input)], count, &options), &at.join("whole.slices"));
+    }
+}
+
+#[test]
+fn a_file_is_read_for_the_points_beside_the_columns_of_a_part() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    // Tiles of 6.4 m meet at x = 0, and so do the files; the voxels beside the seam have no other neighbours.
+    let side = |sign: f64| (0..40).map(move |n| [sign * 0.05, 1.0 + 0.3 * f64::from(n % 16), 0.9 * f64::from(n / 16)]);
+    write(&at.join("west.las"), &side(-1.0).collect::<Vec<_>>());
+    write(&at.join("east.las"), &side(1.0).collect::<Vec<_>>());
+    let (inputs, options) = (["west.las", "east.las"], ["--pixel", "0.1", "--units", "m", "--drop-isolated"]);
+    convert(at, &inputs, "whole.slices", &options);
+    let parts = parts(at, &inputs, 2, &options);
+    for part in &parts {
+        assert_eq!(Archive::open(part).unwrap().header().points_kept, 40);
+    }
+    merges_to(&parts, &at.join("whole.slices"));
+}
+
+/// Three parts of two scans side by side, their plan, and the whole.
+fn job() -> (TempDir, Vec<PathBuf>) {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let mut all = points(20_000);
+    // Without its few far points, so that headers tell where the scans lie.
+    all.retain(|point| point.iter().all(|v| v.abs() < 100.0));
+    write(&at.join("west.las"), &all);
+    let east: Vec<_> = all.iter().map(|[x, y, z]| [x + 40.0, *y, *z]).collect();
+    write(&at.join("east.laz"), &east);
+    converts(at, &["west.las", "east.laz", "--pixel", "0.1", "--units", "m", "--write-plan", "plan.json", "--quiet"]);
+    let parts = parts(at, &["west.las", "east.laz"], 3, &["--plan", "plan.json"]);
+    convert(at, &["west.las", "east.laz"], "whole.slices", &["--plan", "plan.json"]);
+    (folder, parts)
+}
+
+fn refused(parts: &[PathBuf], output: &Path, words: &[&str]) {
+    let before = names(output.parent().unwrap());
+    let error = merge(parts, output, false, &NoMonitor).unwrap_err().to_string();
+    assert!(words.iter().all(|word| error.contains(word)), "{words:?}: {error}");
+    assert_eq!(error.lines().count(), 1);
+    assert_eq!(names(output.parent().unwrap()), before);
+}
+
+#[test]
+fn a_plan_makes_the_archive_of_the_same_options_and_parts_leave_files_out_that_they_do_not_need() {
+    let (folder, parts) = job();
+    let at = folder.path();
+    convert(at, &["west.las", "east.laz"], "direct.slices", &["--pixel", "0.1", "--units", "m"]);
+    assert!(fs::read(at.join("direct.slices")).unwrap() == fs::read(at.join("whole.slices")).unwrap());
+    merges_to(&parts, &at.join("whole.slices"));
+    // Where a file is not needed it is not read: damage in it goes unnoticed.
+    let again = |index: &str| {
+        let inputs = ["west.las", "east.laz", "--plan", "plan.json", "--quiet", "--force"];
+        scans::sliceconv(at, &[&inputs[..], &["--shard", index, "-o", "eighth.slices"]].concat())
+    };
+    assert!(again("1/8").status.success());
+    let before = fs::read(at.join("eighth.slices")).unwrap();
+    assert!(Archive::open(at.join("eighth.slices")).unwrap().header().points_kept > 0);
+    let mut east = fs::read(at.join("east.laz")).unwrap();
+    let middle = east.len() / 2;
+    east[middle..middle + 300].fill(0xA5);
+    fs::write(at.join("east.laz"), east).unwrap();
+    assert!(again("1/8").status.success());
+    assert!(fs::read(at.join("eighth.slices")).unwrap() == before);
+    assert_eq!(again("8/8").status.code(), Some(1));
+}
+
+#[test]
+fn any_order_and_copies_merge_and_what_is_there_already_is_left_alone() {
+    let (folder, parts) = job();
+    let (at, whole) = (folder.path(), folder.path().join("whole.slices"));
+    for order in [[0, 1, 2], [2, 1, 0], [1, 2, 0]] {
+        merges_to(&order.map(|part| parts[part].clone()), &whole);
+    }
+    fs::copy(&parts[1], at.join("copy.slices")).unwrap();
+    let with_copy = [&parts[..], &[at.join("copy.slices"), parts[0].clone()]].concat();
+    let output = at.join("merged.slices");
+    let merged = merge(&with_copy, &output, false, &NoMonitor).unwrap();
+    assert!(merged.written && merged.copies == [at.join("copy.slices"), parts[0].clone()], "{:?}", merged.copies);
+    let bytes = fs::read(&whole).unwrap();
+    assert!(fs::read(&output).unwrap() == bytes);
+    let again = merge(&parts, &output, false, &NoMonitor).unwrap();
+    assert!(!again.written && again.header == merged.header);
+    fs::write(&output, "something else").unwrap();
+    refused(&parts, &output, &["merged.slices", "--force"]);
+    assert!(merge(&parts, &output, true, &NoMonitor).unwrap().written);
+    assert!(fs::read(&output).unwrap() == bytes);
+}
+
+#[test]
+fn missing_foreign_overlapping_and_damaged_parts_are_refused_by_name() {
+    let (folder, parts) = job();
+    let at = folder.path();
+    let output = at.join("merged.slices");
+    refused(&parts[..1], &output, &["missing of 3: 2, 3", "--shard NUMBER/3"]);
+    refused(&[], &output, &["no part"]);
+    let whole = at.join("whole.slices");
+    refused(&[&parts[..], std::slice::from_ref(&whole)].concat(), &output, &["whole.slices", "no part of one"]);
+    let with = |foreign: &str| [&parts[1..], &[at.join(foreign)]].concat();
+    let inputs = ["west.las", "east.laz"];
+    convert(at, &inputs, "steep.slices", &["--pixel", "0.1", "--units", "m", "--max-slope", "30", "--shard", "1/3"]);
+    refused(&with("steep.slices"), &output, &["steep.slices", "its plan"]);
+    convert(at, &inputs[..1], "west.slices", &["--pixel", "0.1", "--units", "m", "--shard", "1/3"]);
+    refused(&with("west.slices"), &output, &["west.slices", "other inputs"]);
+    convert(at, &inputs, "half.slices", &["--plan", "plan.json", "--shard", "1/2"]);
+    refused(&with("half.slices"), &output, &["half.slices", "of 3"]);
+    // Another content under the same number: the head's count of points, with its checksums put right.
+    let mut other = fs::read(&parts[0]).unwrap();
+    other[128] ^= 64;
+    let head_len = u32::from_le_bytes(other[12..16].try_into().unwrap()) as usize;
+    let crc = crc32c::crc32c(&other[..head_len - 4]).to_le_bytes();
+    other[head_len - 4..head_len].copy_from_slice(&crc);
+    let footer = other.len() - 24;
+    other[footer + 8..footer + 12].copy_from_slice(&crc);
+    let crc = crc32c::crc32c(&other[footer..footer + 12]).to_le_bytes();
+    other[footer + 12..footer + 16].copy_from_slice(&crc);
+    fs::write(at.join("other.slices"), other).unwrap();
+    refused(&[&parts[..], &[at.join("other.slices")]].concat(), &output, &["other.slices", "1-of-3.slices"]);
+    // Every third byte of a part, flipped: refused with the part's name, whatever it hits.
+    let good = fs::read(&parts[0]).unwrap();
+    for place in (0..good.len()).step_by(good.len() / 150 + 1) {
+        let mut bad = good.clone();
+        bad[place] ^= 1;
+        fs::write(at.join("bad.slices"), bad).unwrap();
+        let error = merge(&with("bad.slices"), &output, false, &NoMonitor).unwrap_err();
+        assert!(matches!(&error, Error::Input { path, .. } if path.ends_with("bad.slices")), "byte {place}: {error}");
+        assert!(!output.exists());
+    }
+}
+
+#[test]
+fn bounds_in_a_header_that_are_wrong_are_noticed_by_the_part_that_owns_the_file() {
+    let (folder, _) = job();
+    let at = folder.path();
+    // The greatest and least x of the eastern scan, in its header: it claims to lie in the west.
+    let mut east = fs::read(at.join("east.laz")).unwrap();
+    east[179..187].copy_from_slice(&10f64.to_le_bytes());
+    east[187..195].copy_from_slice(&(-10f64).to_le_bytes());
+    fs::write(at.join("east.laz"), east).unwrap();
+    let inputs = ["west.las", "east.laz"];
+    let options = ["--pixel", "0.1", "--units", "m"];
+    converts(at, &[&inputs[..], &options, &["--write-plan", "p.json", "--quiet"]].concat());
+    let shard = ["--plan", "p.json", "--shard", "1/3", "-o", "x.slices", "--quiet"];
+    let said = refuses(at, &[&inputs[..], &shard].concat(), 1);
+    assert!(said.contains("east.laz") && said.contains("null"), "{said}");
+    assert!(!at.join("x.slices").exists());
+    // The way out that the error names.
+    let plan = fs::read_to_string(at.join("p.json")).unwrap();
+    let mut plan: serde_json::Value = serde_json::from_str(&plan).unwrap();
+    for input in plan["inputs"].as_array_mut().unwrap() {
+        if input["name"] == "east.laz" {
+            input["bounds"] = serde_json::Value::Null;
+        }
+    }
+    fs::write(at.join("p.json"), plan.to_string()).unwrap();
+    convert(at, &inputs, "whole.slices", &options);
+    merges_to(&parts(at, &inputs, 3, &["--plan", "p.json"]), &at.join("whole.slices"));
+}
+
+#[test]
+fn plans_and_parts_on_the_command_line_are_checked() {
+    let (folder, _) = job();
+    let at = folder.path();
+    let inputs = ["west.las", "east.laz"];
+    for wrong in [
+        &["--plan", "plan.json", "--pixel", "0.2", "-o", "x.slices"][..],
+        &["--plan", "plan.json", "--pixel", "auto", "-o", "x.slices"],
+        &["--plan", "plan.json", "--max-slope", "30", "-o", "x.slices"],
+        &["--plan", "plan.json", "--units", "ft", "-o", "x.slices"],
+        &["--plan", "plan.json", "--up", "y", "-o", "x.slices"],
+        &["--plan", "plan.json", "--drop-isolated", "-o", "x.slices"],
+        &["--plan", "plan.json", "--write-plan", "q.json"],
+        &["--write-plan", "q.json", "-o", "x.slices"],
+        &["--plan", "plan.json", "--shard", "0/3", "-o", "x.slices"],
+        &["--plan", "plan.json", "--shard", "4/3", "-o", "x.slices"],
+        &["--plan", "plan.json", "--shard", "3", "-o", "x.slices"],
+        &["--plan", "plan.json"],
+    ] {
+        refuses(at, &[&inputs[..], wrong].concat(), 2);
+    }
+    convert(
+        at,
+        &inputs,
+        "same.slices",
+        &["--plan", "plan.json", "--pixel", "0.1", "--max-slope", "45", "--units", "m"],
+    );
+    let said = refuses(at, &[&inputs[..], &["--pixel", "0.1", "--write-plan", "plan.json"]].concat(), 1);
+    assert!(said.contains("plan.json: exists already; --force"), "{said}");
+    let good = fs::read_to_string(at.join("plan.json")).unwrap();
+    for (from, to, word) in [
+        ("{", "[", "line 2: no plan in JSON"),
+        ("\"slicewalk_plan\": 1", "\"slicewalk_plan\": 2", "slicewalk_plan"),
+        ("\"pixel_size\": 0.1", "\"pixel_size\": -1", "pixel_size"),
+        ("\"pixel_size\": 0.1", "\"pixel_size\": 0.2", "plan_hash"),
+        ("\"classifier\": \"plane\"", "\"classifier\": \"flat\"", "classifier"),
+        ("\"fingerprint\": \"", "\"fingerprint\": \"x", "inputs[0].fingerprint"),
+    ] {
+        assert!(good.contains(from), "{from}");
+        fs::write(at.join("bad.json"), good.replacen(from, to, 1)).unwrap();
+        let said = refuses(at, &[&inputs[..], &["--plan", "bad.json", "-o", "x.slices", "--quiet"]].concat(), 1);
+        assert!(said.contains("bad.json") && said.contains(word), "{word}: {said}");
+    }
+    // Inputs other than those of the plan.
+    let shard = ["--plan", "plan.json", "--shard", "1/3", "-o", "x.slices", "--quiet"];
+    assert!(refuses(at, &[&inputs[..1], &shard].concat(), 1).contains("east.laz"));
+    write(&at.join("third.las"), &points(100));
+    let said = refuses(at, &[&inputs[..], &["third.las"], &shard].concat(), 1);
+    assert!(said.contains("third.las") && said.contains("not among the files of the plan"), "{said}");
+    assert!(!at.join("x.slices").exists());
+}

@@ -1,0 +1,49 @@
+//! `slicetool merge`: the parts of a conversion, joined.
+
+use crate::Outcome;
+use slicewalk::NoMonitor;
+use slicewalk::archive::merge;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// What to join.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Archives that `sliceconv --shard` wrote: all parts of one job, in any order
+    #[arg(required = true, value_name = "SHARD")]
+    shards: Vec<PathBuf>,
+    /// Archive to write; one that has the right bytes already is left alone
+    #[arg(short, long, value_name = "OUT.slices")]
+    output: PathBuf,
+    /// Replace an existing archive that holds something else
+    #[arg(long)]
+    force: bool,
+    /// Print what was done as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Joins the parts; refuses missing, foreign and damaged ones by name.
+pub fn run(arguments: &Arguments) -> Outcome {
+    let Arguments { shards, output, force, json } = arguments;
+    for shard in shards {
+        crate::keep_apart(shard, output)?;
+    }
+    let merged = merge(shards, output, *force, &NoMonitor)?;
+    let copies: Vec<String> = merged.copies.iter().map(|path| path.display().to_string()).collect();
+    if *json {
+        let mut facts = slicewalk::info::header_info(&merged.header, &merged.crs);
+        facts["written"] = merged.written.into();
+        facts["shards"] = (shards.len() - copies.len()).into();
+        facts["copies_left_out"] = copies.into();
+        return Ok(format!("{facts:#}\n"));
+    }
+    let mut text = String::new();
+    for copy in &copies {
+        writeln!(text, "{copy}: a copy of another part, left out")?;
+    }
+    let state = if merged.written { "written" } else { "was there already" };
+    let parts = shards.len() - copies.len();
+    writeln!(text, "{}: {state}, {parts} parts, {} bytes", output.display(), merged.header.file_len)?;
+    Ok(text)
+}

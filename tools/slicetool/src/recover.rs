@@ -1,0 +1,71 @@
+//! `slicetool recover`: an archive again from what is left of a damaged one.
+
+use crate::Outcome;
+use serde_json::json;
+use slicewalk::NoMonitor;
+use slicewalk::archive::{Pages, Recovered, recover};
+use slicewalk::plan_file;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// What to recover.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// The damaged archive
+    archive: PathBuf,
+    /// Archive to write
+    #[arg(short, long, value_name = "OUT.slices")]
+    output: PathBuf,
+    /// Grid and options, needed if the head is damaged (see `sliceconv --write-plan`)
+    #[arg(long, value_name = "PLAN.json")]
+    plan: Option<PathBuf>,
+    /// Replace an existing archive
+    #[arg(long)]
+    force: bool,
+    /// Print what was found as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Writes what is sound; that something is lost is told, and no failure as long as there is something to write.
+pub fn run(arguments: &Arguments) -> Outcome {
+    let Arguments { archive, output, plan, force, json } = arguments;
+    crate::keep_apart(archive, output)?;
+    let plan = plan.as_deref().map(plan_file::read).transpose()?.map(|job| job.plan);
+    let recovered = recover(archive, plan.as_ref(), output, *force, &NoMonitor)?;
+    if *json {
+        let pages = |pages: Pages| json!({ "stored": pages.stored, "shared": pages.shared, "uniform": pages.uniform });
+        let facts = json!({
+            "complete": recovered.is_complete(),
+            "head": recovered.head,
+            "leaves": recovered.leaves.map(|(sound, all)| json!({ "sound": sound, "all": all })),
+            "metadata": !recovered.metadata_lost,
+            "pages": { "recovered": pages(recovered.found), "lost": recovered.lost.map(pages) },
+            "bytes": recovered.header.file_len,
+        });
+        return Ok(format!("{facts:#}\n"));
+    }
+    report(&recovered, output)
+}
+
+fn report(recovered: &Recovered, output: &std::path::Path) -> Outcome {
+    let mut text = String::new();
+    let list = |pages: Pages| format!("{} stored, {} shared, {} uniform", pages.stored, pages.shared, pages.uniform);
+    writeln!(text, "pages recovered: {}", list(recovered.found))?;
+    match (recovered.lost, recovered.leaves) {
+        (Some(lost), _) if lost.total() == 0 => writeln!(text, "pages lost: none")?,
+        (Some(lost), Some((sound, all))) => {
+            writeln!(text, "pages lost: {} ({sound} of {all} directory leaves were sound)", list(lost))?;
+        }
+        _ => writeln!(
+            text,
+            "pages lost: unknown; without head and directory all shared and uniform pages are, and point counts with them"
+        )?,
+    }
+    if recovered.metadata_lost {
+        writeln!(text, "metadata lost: the reference system is not known any more")?;
+    }
+    let state = if recovered.is_complete() { "complete, with the bytes that it once had" } else { "with losses" };
+    writeln!(text, "{}: {state}", output.display())?;
+    Ok(text)
+}
