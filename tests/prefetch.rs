@@ -209,6 +209,46 @@ fn queries_and_hints_go_on_while_the_source_hangs() {
 }
 
 #[test]
+fn settling_waits_for_all_that_is_wanted_and_no_longer() {
+    let long = Duration::from_secs(60);
+    for prefetch in [Prefetch::Thread, Prefetch::Manual] {
+        let source = Arc::new(GatedSource::new(MemorySource::new(&TOWER[..])));
+        let stream = Stream::open(open(source.clone()), options(BUDGET, prefetch)).unwrap();
+        let mut pawn = stream.pawn();
+        assert!(stream.settle(long), "nothing is wanted");
+        for z in [100.0, 20.0] {
+            let body = Body::at(0.0, 0.0, z);
+            // A hint may fall into the moment in which the last one is taken.
+            loop {
+                let dropped = stream.counters().hints_dropped;
+                pawn.hint(&body.motion());
+                if stream.counters().hints_dropped == dropped {
+                    break;
+                }
+            }
+            assert!(stream.settle(long));
+            let counters = stream.counters();
+            assert_eq!(counters.loaded, counters.requested, "{prefetch:?}: all of it is there");
+            assert_eq!(stream.load_around(&body.motion()).unwrap().loaded, 0);
+        }
+        if prefetch == Prefetch::Thread {
+            source.set_open(false);
+            pawn.hint(&Body::at(0.0, 0.0, 60.0).motion());
+            assert!(!stream.settle(Duration::from_millis(5)), "the source hangs");
+            source.set_open(true);
+        }
+        assert!(stream.settle(long));
+        // What finds no room never will.
+        let tiny = Stream::open(open(MemorySource::new(&TOWER[..])), options(1 << 10, prefetch)).unwrap();
+        let mut pawn = tiny.pawn();
+        pawn.hint(&Body::at(0.9, 0.0, 31.0).motion());
+        assert!(tiny.settle(long) && tiny.counters().no_room > 0);
+    }
+    let stream = Stream::open(open(MemorySource::new(&TOWER[..])), options(BUDGET, Prefetch::Off)).unwrap();
+    assert!(stream.settle(Duration::ZERO));
+}
+
+#[test]
 fn dropping_a_busy_stream_joins_its_thread_and_frees_everything() {
     for pause_ms in [0, 1, 5, 20] {
         let source = Arc::new(SlowSource::new(MemorySource::new(&TOWER[..]), Duration::from_millis(3)));

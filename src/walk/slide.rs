@@ -11,9 +11,11 @@ const CONTACTS: usize = 4;
 /// Longest stride (m): a step is judged by what is under the body at the end of the stride.
 const STRIDE_M: f64 = 0.25;
 /// How far beyond the body floor is looked for on top of a step (m): its edge is an obstacle, its tread comes behind.
-const AHEAD_M: f64 = 0.25;
+pub(super) const AHEAD_M: f64 = 0.25;
 /// A way around an edge leads so far off the wall, and must gain so much (pixels).
 const OFF: f64 = 0.3;
+/// Such a way is at most so long (pixels).
+pub(super) const EDGE_PIXELS: f64 = 4.0;
 const GAIN: f64 = 0.35;
 /// Ways shorter than this are none (m).
 const NOTHING_M: f64 = 1e-9;
