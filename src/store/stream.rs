@@ -465,6 +465,8 @@ mod tests {
     use crate::plan::{Classifier, Plan, Up};
     use crate::query::{Aabb, Overlap, overlaps};
     use crate::slice::{PageBuilder, Span};
+    use crate::walk::{Config, Walker, Wish};
+    use nalgebra::Vector2;
 
     fn archive() -> Archive {
         let plan = Plan {
@@ -498,6 +500,7 @@ mod tests {
         let (min, max) = ([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into());
         let (motion, shape) = (Motion::walking(min, max, Default::default()), Aabb::new(min, max).unwrap());
         stream.load_around(&motion).unwrap();
+        let mut walker = Walker::new(Config::default(), [0.0, 0.0, 1.0].into()).unwrap();
         let inbox = pawn.inbox.clone();
         let (_state, _pawns) = (stream.shared.core.state(), lock(&stream.shared.pawns));
         let (_inbox, _desk) = (lock(&inbox), lock(&stream.shared.desk));
@@ -509,6 +512,9 @@ mod tests {
                     pawn.hint(&motion);
                     assert_eq!(overlaps(&stream.view(), &shape), Overlap::Hit);
                     assert_eq!(overlaps(&pawn.view(), &shape), Overlap::Hit);
+                    let report = walker.step(&pawn.view(), 1.0 / 60.0, Wish::Direction(Vector2::x()));
+                    assert!(report.ticks > 0 && report.missing.is_none());
+                    pawn.hint(&walker.outlook(stream.archive().frame()));
                 }
                 done.send(()).unwrap();
             });
@@ -518,6 +524,6 @@ mod tests {
                 std::process::abort();
             }
         });
-        assert_eq!(stream.shared.core.tally.hints_dropped.load(Relaxed), 100, "hints do not wait either");
+        assert_eq!(stream.shared.core.tally.hints_dropped.load(Relaxed), 200, "hints do not wait either");
     }
 }

@@ -184,18 +184,23 @@ impl<S: PageSet> Walk<'_, S> {
                 if side.dot(&along) < 0.0 && (!closed || along.norm() * pixels >= into) {
                     continue;
                 }
-                let way = |pixels: f64| (side * pixels + normal * off) * pixel;
-                if !self.is_way_around(way(pixels), normal * pixel, off)? {
+                let way = |pixels: f64, off: f64| (side * pixels + normal * off) * pixel;
+                if !self.is_way_around(way(pixels, off), normal * pixel, off)? {
                     continue;
                 }
-                // No farther than need be: what is walked is to be near the true wall.
-                let (mut short, mut long) = (pixels - 1.0, pixels);
+                // No farther aside and off than need be: what is walked is to be near the true wall.
+                let ([mut short, mut long], [mut near, mut far]) = ([pixels - 1.0, pixels], [0.0, off]);
                 for _ in 0..NARROWINGS {
                     let middle = (short + long) / 2.0;
-                    *(if self.is_way_around(way(middle), normal * pixel, off)? { &mut long } else { &mut short }) =
-                        middle;
+                    let is_way = self.is_way_around(way(middle, off), normal * pixel, off)?;
+                    *(if is_way { &mut long } else { &mut short }) = middle;
                 }
-                (self.motion.detour, self.motion.detour_for) = (way(long), -normal);
+                for _ in 0..NARROWINGS.min((off * 100.0) as usize) {
+                    let middle = (near + far) / 2.0;
+                    let is_way = self.is_way_around(way(long, middle), normal * pixel, middle)?;
+                    *(if is_way { &mut far } else { &mut near }) = middle;
+                }
+                (self.motion.detour, self.motion.detour_for) = (way(long, far), -normal);
                 return ControlFlow::Continue(true);
             }
         }
