@@ -1,15 +1,23 @@
-//! A query allocates nothing, whatever it answers (guarantee G8).
+//! A frame allocates nothing and frees nothing: queries, sweeps, walkers, crowds, views and hints, whatever they answer
+//! (guarantee G8).
 
 #[path = "oracle/scene.rs"]
 #[allow(dead_code)]
 mod scene;
+#[path = "stream/tower.rs"]
+mod tower;
 
+use nalgebra::{Point3, Vector2, Vector3};
 use scene::Scene;
 use slicewalk::frame::PageKey;
 use slicewalk::query::*;
+use slicewalk::store::{MemorySource, PageSet, Prefetch, Store, Stream, StreamOptions};
+use slicewalk::walk::{Body, Config, Crowd, Response, Route, Walker, Wish};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
+use std::sync::LazyLock;
+use std::time::Duration;
 
 struct Counting;
 
@@ -26,6 +34,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        COUNT.set(COUNT.get() + 1);
         // SAFETY: as above.
         unsafe { System.dealloc(pointer, layout) }
     }
@@ -34,7 +43,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Allocations of this thread while `work` runs.
+/// Times that this thread allocates or frees while `work` runs.
 fn allocations(work: impl FnOnce()) -> u64 {
     let before = COUNT.get();
     work();
@@ -63,7 +72,14 @@ fn no_query_allocates() {
                     black_box(probe(&store, &sphere));
                     black_box(floor_under(&store, &cylinder, shape.max().z, f64::INFINITY));
                     black_box(ceiling_above(&store, &cylinder, shape.min().z, f64::INFINITY));
-                    let way = size + nalgebra::Vector3::new(1e-3, 0.0, 1e-3);
+                    let way = size + Vector3::new(1e-3, 0.0, 1e-3);
+                    black_box(sweep(&store, shape, way));
+                    black_box(sweep(&store, &cylinder, -way));
+                    black_box(clearance(&store, &cylinder, 0.5));
+                    black_box(depenetrate(&store, shape, 0.5));
+                    black_box(depenetrate(&store, &cylinder, 0.5));
+                    black_box(top_under(&store, &cylinder, shape.max().z, size.z));
+                    black_box(mean_floor_under(&store, shape, shape.max().z, size.z));
                     black_box(cast(&store, &Ray::new(corner, way, f64::INFINITY).expect("finite")));
                 }
             });
@@ -72,4 +88,88 @@ fn no_query_allocates() {
         }
     }
     assert!(not_loaded > 0, "some pages were missing");
+}
+
+static TOWER: LazyLock<Vec<u8>> = LazyLock::new(|| tower::tower(4.0, 12.0, 1));
+
+/// Walkers of all bodies and responses, each with its feet on the tower's second floor.
+fn walkers() -> Vec<Walker> {
+    let bodies = [Body::Box { x: 0.5, y: 0.5, height: 1.8 }, Body::Cylinder { radius: 0.25, height: 1.8 }];
+    let responses = [Response::Slide, Response::Thesis, Response::ThesisMean];
+    let walker = |n: usize| {
+        let config = Config { response: responses[n / 2], tick_s: 1.0 / 60.0, ..Config::new(bodies[n % 2]) };
+        Walker::new(config, Point3::new(1.5 + 0.7 * (n / 3) as f64, 0.8 * (n % 3) as f64, 3.1)).unwrap()
+    };
+    (0..6).map(walker).collect()
+}
+
+/// Walks around and off the edge of the shaft; returns how often a walker had to wait.
+fn walk<S: PageSet>(set: &S, walkers: &mut [Walker], route: &mut Route) -> u32 {
+    let mut waits = 0;
+    for frame in 0..240 {
+        let angle = f64::from(frame / 20);
+        let wish = Wish::Direction(Vector2::new(angle.cos(), angle.sin()));
+        for walker in &mut walkers[..3] {
+            waits += u32::from(walker.step(set, 1.0 / 60.0, wish).waits());
+            black_box(walker.outlook(set.frame()));
+        }
+        for walker in &mut walkers[3..] {
+            waits += u32::from(walker.follow(set, 1.0 / 60.0, route).waits());
+        }
+    }
+    waits
+}
+
+#[test]
+fn no_walker_and_no_crowd_allocates() {
+    let all = tower::resident(&TOWER);
+    let archive = tower::open(MemorySource::new(&TOWER[..]));
+    let none = Store::with_budget(Box::new(archive), 0).unwrap();
+    let goals = || Route::new(vec![[0.0, 0.0].into(), [3.0, 2.0].into()]).unwrap();
+    for (store, waits) in [(&all, false), (&none, true)] {
+        let (mut walkers, mut route, mut waited) = (walkers(), goals(), 0);
+        assert_eq!(allocations(|| waited = walk(store, &mut walkers, &mut route)), 0);
+        assert_eq!(waited > 0, waits);
+        let mut crowd = Crowd::new(walkers).unwrap();
+        let mut step = || {
+            for _ in 0..60 {
+                black_box(crowd.step(store, 1.0 / 60.0, |n, _| Wish::Toward([n as f64 - 3.0, 1.0].into())));
+            }
+        };
+        assert_eq!(allocations(&mut step), 0);
+    }
+}
+
+/// While the prefetcher loads and evicts pages on its own thread.
+#[test]
+fn no_frame_on_a_stream_allocates() {
+    let options = StreamOptions { prefetch: Prefetch::Thread, ..StreamOptions::new(2 << 20) };
+    let stream = Stream::open(tower::open(MemorySource::new(&TOWER[..])), options).unwrap();
+    let mut pawn = stream.pawn();
+    let mut walkers = walkers();
+    let mut waits = 0;
+    for frame in 0..600 {
+        if frame % 60 == 0 {
+            // To where nothing is in memory.
+            let at = f64::from(frame / 60 % 4);
+            walkers[0].place(Point3::new(1.5 - at, 3.0 - 2.0 * at, 3.1 * at + 0.1));
+        }
+        let count = allocations(|| {
+            pawn.hint(&walkers[0].outlook(stream.archive().frame()));
+            let view = stream.view();
+            let report = walkers[0].step(&view, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+            if let Some(missing) = report.missing {
+                pawn.need(&missing);
+                black_box(view.is_loaded(missing.keys()[0]));
+                waits += 1;
+            }
+            drop((view, pawn.view()));
+        });
+        assert_eq!(count, 0, "frame {frame}");
+        if frame % 7 == 0 {
+            stream.settle(Duration::from_secs(60));
+        }
+    }
+    let counters = stream.counters();
+    assert!(waits > 0 && counters.loaded > 50 && counters.evicted > 0, "{waits} waits, {counters:?}");
 }

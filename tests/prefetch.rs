@@ -1,11 +1,16 @@
 //! The prefetcher: nothing is missing when it is needed, nothing is waited for, and no answer changes.
 
+#[path = "stream/clock.rs"]
+mod clock;
 #[path = "stream/tower.rs"]
 mod tower;
+
+use clock::ClockSource;
 
 use slicewalk::query::{Answer, Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
 use slicewalk::store::testing::{Fault, FaultySource, GatedSource, SlowSource};
 use slicewalk::store::{Counters, MemorySource, Prefetch, Step, Stream, StreamOptions};
+use slicewalk::walk::{Config, Walker, Wish};
 use std::sync::{Arc, LazyLock, mpsc};
 use std::time::{Duration, Instant};
 use tower::{Body, FRAME_S, READ_S, Random, open, resident};
@@ -71,26 +76,42 @@ fn a_fall_with_a_quarter_of_the_memory_still_misses_nothing_and_keeps_the_budget
     assert!(counters.peak_bytes <= BUDGET / 4 && counters.evicted > 0, "{counters:?}");
 }
 
-/// The same with a thread and a source that really takes 2 ms, at 60 frames a second.
-#[test]
-fn a_fall_in_real_time_never_misses_a_page() {
-    let source = Arc::new(SlowSource::new(MemorySource::new(&TOWER[..]), Duration::from_millis(2)));
-    let stream = Stream::open(open(source), options(BUDGET, Prefetch::Thread)).unwrap();
+/// Falls through the tower with the stream's own thread, as a walker, in the time of a clock that the test moves: a read
+/// takes 2 ms, a frame 1/60 s. Returns frames, frames with a missing page, and the counters.
+fn fall_of_a_walker(prefetch: Prefetch, budget: usize) -> (u32, u32, Counters) {
+    let source = Arc::new(ClockSource::new(MemorySource::new(&TOWER[..]), READ_S));
+    let stream = Stream::open(open(source.clone()), options(budget, prefetch)).unwrap();
+    let _end = source.end();
     let mut pawn = stream.pawn();
-    let mut body = Body::at(0.0, 0.0, 152.0);
-    body.velocity.z = -50.0;
-    stream.load_around(&body.motion()).unwrap();
-    let (start, mut frames, mut missing) = (Instant::now(), 0u32, 0);
-    while body.feet.z > 2.0 {
-        pawn.hint(&body.motion());
-        missing += u32::from(matches!(overlaps(&stream.view(), &body.shape()), Overlap::NotLoaded(_)));
+    let mut walker = Walker::new(Config::default(), [0.0, 0.0, 152.0].into()).unwrap();
+    stream.load_around(&walker.outlook(stream.archive().frame())).unwrap();
+    let (mut frames, mut missing) = (0, 0);
+    while walker.feet().z > 2.0 {
+        pawn.hint(&walker.outlook(stream.archive().frame()));
+        let mut report = walker.step(&stream.view(), FRAME_S, Wish::Stay);
+        missing += u32::from(report.waits());
+        while let Some(needed) = report.missing {
+            assert_eq!(stream.load_missing(&needed).unwrap().left_out, 0);
+            report = walker.step(&stream.view(), report.unspent, Wish::Stay);
+        }
         frames += 1;
-        std::thread::sleep(Duration::from_secs_f64(f64::from(frames) * FRAME_S).saturating_sub(start.elapsed()));
-        body.fall();
+        source.run(&stream, f64::from(frames) * FRAME_S);
     }
-    let counters = stream.counters();
-    println!("{frames} frames, {missing} with a missing page, {counters:?}");
-    assert_eq!(missing, 0, "{counters:?}");
+    assert!(walker.falling() > 49.0, "{}", walker.falling());
+    (frames, missing, stream.counters())
+}
+
+#[test]
+fn a_walker_falls_150_m_past_dense_storeys_and_misses_nothing_with_the_thread_and_much_without() {
+    for budget in [BUDGET, BUDGET / 4] {
+        let (frames, missing, counters) = fall_of_a_walker(Prefetch::Thread, budget);
+        println!("on, {budget} bytes: {frames} frames, {missing} with a missing page, {counters:?}");
+        assert_eq!((missing, counters.late, counters.failed), (0, 0, 0));
+        assert!(counters.peak_bytes <= budget && counters.reads > 20, "{counters:?}");
+    }
+    let (frames, missing, counters) = fall_of_a_walker(Prefetch::Off, BUDGET);
+    println!("off: {frames} frames, {missing} with a missing page, {counters:?}");
+    assert!(missing > 20, "{missing} of {frames}");
     assert!(counters.peak_bytes <= BUDGET);
 }
 
@@ -206,6 +227,46 @@ fn queries_and_hints_go_on_while_the_source_hangs() {
         source.set_open(true);
         outcome.expect("a query or a hint waited for the source");
     });
+}
+
+#[test]
+fn settling_waits_for_all_that_is_wanted_and_no_longer() {
+    let long = Duration::from_secs(60);
+    for prefetch in [Prefetch::Thread, Prefetch::Manual] {
+        let source = Arc::new(GatedSource::new(MemorySource::new(&TOWER[..])));
+        let stream = Stream::open(open(source.clone()), options(BUDGET, prefetch)).unwrap();
+        let mut pawn = stream.pawn();
+        assert!(stream.settle(long), "nothing is wanted");
+        for z in [100.0, 20.0] {
+            let body = Body::at(0.0, 0.0, z);
+            // A hint may fall into the moment in which the last one is taken.
+            loop {
+                let dropped = stream.counters().hints_dropped;
+                pawn.hint(&body.motion());
+                if stream.counters().hints_dropped == dropped {
+                    break;
+                }
+            }
+            assert!(stream.settle(long));
+            let counters = stream.counters();
+            assert_eq!(counters.loaded, counters.requested, "{prefetch:?}: all of it is there");
+            assert_eq!(stream.load_around(&body.motion()).unwrap().loaded, 0);
+        }
+        if prefetch == Prefetch::Thread {
+            source.set_open(false);
+            pawn.hint(&Body::at(0.0, 0.0, 60.0).motion());
+            assert!(!stream.settle(Duration::from_millis(5)), "the source hangs");
+            source.set_open(true);
+        }
+        assert!(stream.settle(long));
+        // What finds no room never will.
+        let tiny = Stream::open(open(MemorySource::new(&TOWER[..])), options(1 << 10, prefetch)).unwrap();
+        let mut pawn = tiny.pawn();
+        pawn.hint(&Body::at(0.9, 0.0, 31.0).motion());
+        assert!(tiny.settle(long) && tiny.counters().no_room > 0);
+    }
+    let stream = Stream::open(open(MemorySource::new(&TOWER[..])), options(BUDGET, Prefetch::Off)).unwrap();
+    assert!(stream.settle(Duration::ZERO));
 }
 
 #[test]

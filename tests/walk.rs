@@ -1,9 +1,15 @@
 //! Pawns in scenes with known truth: what is walked, climbed, refused, and that nothing jitters, tunnels or leaks.
 
+#[path = "../tools/bench/src/walks/cases.rs"]
+mod cases;
 #[path = "walk/crowds.rs"]
 mod crowds;
 #[path = "walk/motion.rs"]
 mod motion;
+#[path = "../tools/bench/src/walks/path.rs"]
+mod path;
+#[path = "walk/seams.rs"]
+mod seams;
 #[path = "walk/world.rs"]
 mod world;
 
@@ -272,8 +278,24 @@ fn walls_across_the_grid_are_slid_along() {
             let truth = 1.4 / 60.0 * (path.len() - 1 - contact) as f64 * c;
             assert!(slid > 0.35 * truth, "{body:?} {degrees}°: slides {slid} m, truth {truth}");
             for p in &path[contact..] {
-                assert!((from_wall(p) - clear).abs() < 2.5 * T, "{body:?} {degrees}°: {} from the wall", from_wall(p));
+                assert!((from_wall(p) - clear).abs() < 2.0 * T, "{body:?} {degrees}°: {} from the wall", from_wall(p));
             }
+        }
+    }
+}
+
+/// `bench walks` tells of more turns and pixel sizes; this is a part of it.
+#[test]
+fn paths_stay_within_two_pixels_of_the_exact_ones() {
+    for (body, turn, noise) in [(BOX, 0.0, 0.002), (CYLINDER, 17.0, 0.002), (BOX, 30.0, 0.0)] {
+        for case in cases::all(body, turn, [0.0; 3]) {
+            let store = world(&case.scene, noise);
+            let seen = path::walk(&store, &case, Response::Slide);
+            let what = format!("{}, {body:?}, turned by {turn}°: {seen:?}", case.name);
+            assert!(seen.off <= 2.0 * T, "{what}");
+            // A wall of edges of pixels is rougher than a true one: slower or, on the way around an edge, faster.
+            let rough = case.name.starts_with("wall");
+            assert!(seen.share > if rough { 0.4 } else { 0.9 } && seen.share < 1.2, "{what}");
         }
     }
 }

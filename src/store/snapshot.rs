@@ -10,6 +10,7 @@
 
 use super::account::Room;
 use super::columns::{Columns, KeyBounds, Table};
+use super::motion::Motion;
 use super::{PageSet, PageSlot};
 use crate::archive::{PageEntry, Place};
 use crate::frame::{Frame, PageKey};
@@ -237,6 +238,19 @@ impl View {
     pub fn is_loaded(&self, key: PageKey) -> Option<bool> {
         let (group, offset) = self.index.group(self.index.find(key)?);
         Some(self.snapshot.0[group][offset].page.is_some())
+    }
+
+    /// Number of pages in memory that a body touches before it moves; none for a motion that is not valid.
+    pub fn count_loaded(&self, motion: &Motion) -> usize {
+        let loaded = |page: &u32| {
+            let (group, offset) = self.index.group(*page);
+            self.snapshot.0[group][offset].page.is_some()
+        };
+        let mut pages = HashMap::new();
+        if motion.is_valid() {
+            motion.wants(&self.index, 0.0, &mut pages);
+        }
+        pages.keys().filter(|page| loaded(page)).count()
     }
 }
 

@@ -12,7 +12,7 @@ use crate::{Error, Result};
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
@@ -124,6 +124,9 @@ struct Shared {
     stop: AtomicBool,
     /// The work of [`Stream::step`].
     desk: Mutex<Desk>,
+    /// The newest number of `hints` for which the background thread has nothing left to do.
+    rested: Mutex<Option<u64>>,
+    rest: Condvar,
 }
 
 #[derive(Default)]
@@ -145,6 +148,8 @@ impl Stream {
             hints: AtomicU64::new(0),
             stop: AtomicBool::new(false),
             desk: Mutex::default(),
+            rested: Mutex::default(),
+            rest: Condvar::new(),
         });
         let worker = match prefetch {
             Prefetch::Thread => {
@@ -206,6 +211,31 @@ impl Stream {
         match self.shared.options.prefetch {
             Prefetch::Manual => self.shared.step(&mut lock(&self.shared.desk)),
             _ => Step::Idle,
+        }
+    }
+
+    /// Waits until all that the hints given so far want has been loaded, has failed, or finds no room, at most for
+    /// `at_most`; whether it came so far. Loads on this thread if nobody else does ([`Prefetch::Manual`]).
+    ///
+    /// For programs whose frames are not paced by a clock: a simulation that gives each frame the time that it would
+    /// have had, a recording. Drop views before: what they hold makes no room.
+    pub fn settle(&self, at_most: Duration) -> bool {
+        let (shared, start) = (&self.shared, Instant::now());
+        match shared.options.prefetch {
+            Prefetch::Off => true,
+            Prefetch::Manual => loop {
+                match self.step() {
+                    Step::Idle | Step::NoRoom(false) => return true,
+                    _ if start.elapsed() >= at_most => return false,
+                    Step::Loaded(_) => {}
+                    Step::Busy | Step::NoRoom(true) => std::thread::yield_now(),
+                }
+            },
+            Prefetch::Thread => {
+                let newest = Some(shared.hints.load(Acquire));
+                let rested = shared.rest.wait_timeout_while(lock(&shared.rested), at_most, |rested| *rested < newest);
+                *rested.unwrap_or_else(PoisonError::into_inner).0 >= newest
+            }
         }
     }
 
@@ -322,6 +352,8 @@ impl Shared {
             match self.step(&mut desk) {
                 Step::Loaded(_) => {}
                 Step::Idle | Step::NoRoom(false) => {
+                    *lock(&self.rested) = desk.made_for;
+                    self.rest.notify_all();
                     // Whatever happens meanwhile has left its token, and ends this at once.
                     let next = self.core.state().next_try();
                     match next {
@@ -433,6 +465,8 @@ mod tests {
     use crate::plan::{Classifier, Plan, Up};
     use crate::query::{Aabb, Overlap, overlaps};
     use crate::slice::{PageBuilder, Span};
+    use crate::walk::{Config, Walker, Wish};
+    use nalgebra::Vector2;
 
     fn archive() -> Archive {
         let plan = Plan {
@@ -466,6 +500,7 @@ mod tests {
         let (min, max) = ([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into());
         let (motion, shape) = (Motion::walking(min, max, Default::default()), Aabb::new(min, max).unwrap());
         stream.load_around(&motion).unwrap();
+        let mut walker = Walker::new(Config::default(), [0.0, 0.0, 1.0].into()).unwrap();
         let inbox = pawn.inbox.clone();
         let (_state, _pawns) = (stream.shared.core.state(), lock(&stream.shared.pawns));
         let (_inbox, _desk) = (lock(&inbox), lock(&stream.shared.desk));
@@ -477,6 +512,9 @@ mod tests {
                     pawn.hint(&motion);
                     assert_eq!(overlaps(&stream.view(), &shape), Overlap::Hit);
                     assert_eq!(overlaps(&pawn.view(), &shape), Overlap::Hit);
+                    let report = walker.step(&pawn.view(), 1.0 / 60.0, Wish::Direction(Vector2::x()));
+                    assert!(report.ticks > 0 && report.missing.is_none());
+                    pawn.hint(&walker.outlook(stream.archive().frame()));
                 }
                 done.send(()).unwrap();
             });
@@ -486,6 +524,6 @@ mod tests {
                 std::process::abort();
             }
         });
-        assert_eq!(stream.shared.core.tally.hints_dropped.load(Relaxed), 100, "hints do not wait either");
+        assert_eq!(stream.shared.core.tally.hints_dropped.load(Relaxed), 200, "hints do not wait either");
     }
 }

@@ -22,8 +22,9 @@ pub use body::Body;
 pub use crowd::{Crowd, CrowdReport};
 pub use follow::Route;
 
+use crate::frame::Frame;
 use crate::query::{Answer, Missing};
-use crate::store::PageSet;
+use crate::store::{Motion as Outlook, PageSet};
 use crate::{Error, Result};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use std::ops::ControlFlow;
@@ -303,6 +304,26 @@ impl Walker {
     /// Speed of its fall (m/s, >= 0).
     pub fn falling(&self) -> f64 {
         self.motion.falling
+    }
+
+    /// What a [`Stream`](crate::store::Stream) needs to know to have every page there before a step asks for it: hint it
+    /// once a frame. `frame` is the grid of the pages.
+    ///
+    /// The pawn may turn at any moment and walk off any ledge; its box is grown by all that a step looks at around it.
+    pub fn outlook(&self, frame: &Frame) -> Outlook {
+        let config = &self.config;
+        // Around an edge of pixels, to floor ahead of a step; up a step, and down one.
+        let aside = config.body.half().add_scalar(slide::AHEAD_M + slide::EDGE_PIXELS * frame.pixel_m());
+        let step = config.climb + FLOOR_NEAR_M + frame.slice_m();
+        let up = config.body.height() + step;
+        Outlook {
+            min: self.motion.feet - aside.push(step),
+            max: self.motion.feet + aside.push(up),
+            velocity: Vector3::new(0.0, 0.0, -self.motion.falling),
+            gravity: config.gravity,
+            terminal_speed: config.terminal,
+            agility: config.speed,
+        }
     }
 
     /// Puts it elsewhere (m, finite), at rest. A place that is not finite is left alone.

@@ -11,10 +11,14 @@ const CONTACTS: usize = 4;
 /// Longest stride (m): a step is judged by what is under the body at the end of the stride.
 const STRIDE_M: f64 = 0.25;
 /// How far beyond the body floor is looked for on top of a step (m): its edge is an obstacle, its tread comes behind.
-const AHEAD_M: f64 = 0.25;
+pub(super) const AHEAD_M: f64 = 0.25;
 /// A way around an edge leads so far off the wall, and must gain so much (pixels).
 const OFF: f64 = 0.3;
+/// Such a way is at most so long (pixels).
+pub(super) const EDGE_PIXELS: f64 = 4.0;
 const GAIN: f64 = 0.35;
+/// How often the pixel in which such a way ends is halved.
+const NARROWINGS: usize = 3;
 /// Ways shorter than this are none (m).
 const NOTHING_M: f64 = 1e-9;
 /// Heights closer than this are equal: rounding errors at 10⁷ m (m).
@@ -180,18 +184,37 @@ impl<S: PageSet> Walk<'_, S> {
                 if side.dot(&along) < 0.0 && (!closed || along.norm() * pixels >= into) {
                     continue;
                 }
-                let aside = ((side * pixels + normal * off) * pixel).push(0.0);
-                if self.sweep(feet, aside)?.is_some() {
+                let way = |pixels: f64, off: f64| (side * pixels + normal * off) * pixel;
+                if !self.is_way_around(way(pixels, off), normal * pixel, off)? {
                     continue;
                 }
-                let on = self.sweep(feet + aside, (-normal * ((1.0 + off) * pixel)).push(0.0))?;
-                if on.is_none_or(|hit| hit.fraction * (1.0 + off) >= off + GAIN) {
-                    (self.motion.detour, self.motion.detour_for) = (aside.xy(), -normal);
-                    return ControlFlow::Continue(true);
+                // No farther aside and off than need be: what is walked is to be near the true wall.
+                let ([mut short, mut long], [mut near, mut far]) = ([pixels - 1.0, pixels], [0.0, off]);
+                for _ in 0..NARROWINGS {
+                    let middle = (short + long) / 2.0;
+                    let is_way = self.is_way_around(way(middle, off), normal * pixel, off)?;
+                    *(if is_way { &mut long } else { &mut short }) = middle;
                 }
+                for _ in 0..NARROWINGS.min((off * 100.0) as usize) {
+                    let middle = (near + far) / 2.0;
+                    let is_way = self.is_way_around(way(long, middle), normal * pixel, middle)?;
+                    *(if is_way { &mut far } else { &mut near }) = middle;
+                }
+                (self.motion.detour, self.motion.detour_for) = (way(long, far), -normal);
+                return ControlFlow::Continue(true);
             }
         }
         ControlFlow::Continue(false)
+    }
+
+    /// Whether the pawn can go `aside`, and from there on against the wall, whose normal is one `pixel` long.
+    fn is_way_around(&self, aside: Vector2<f64>, pixel: Vector2<f64>, off: f64) -> Needs<bool> {
+        let aside = aside.push(0.0);
+        if self.sweep(self.motion.feet, aside)?.is_some() {
+            return ControlFlow::Continue(false);
+        }
+        let on = self.sweep(self.motion.feet + aside, (-pixel * (1.0 + off)).push(0.0))?;
+        ControlFlow::Continue(on.is_none_or(|hit| hit.fraction * (1.0 + off) >= off + GAIN))
     }
 
     /// Up, forward by `rest` and down, if what `hit` says to be in the way is a step with floor on it.

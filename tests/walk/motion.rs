@@ -7,8 +7,9 @@ use slicewalk::archive::Archive;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::Store;
+use slicewalk::store::{Prefetch, Store, Stream, StreamOptions};
 use slicewalk::walk::*;
+use std::time::Duration;
 
 /// A floor of `top` quanta (from z = 0), four tiles wide, from tile `first` on.
 fn floor_store(first: i32, top: i64) -> Store {
@@ -224,6 +225,55 @@ fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
         frame += 1;
     }
     assert!(waits > 1 && frame == truth.path.len());
+}
+
+/// With no more than what the outlook says can be touched within one frame, no frame misses a page.
+#[test]
+fn the_outlook_names_every_page_that_a_step_asks_for() {
+    let scene = scene(|b| {
+        b.level("floor", [-7.0, -7.0, 7.0, 7.0], 0.0, &[]);
+        b.level("roof", [-7.0, -7.0, 7.0, 7.0], 9.5, &[]);
+        for n in 0..100 {
+            let (x, y) = (f64::from(n % 10) * 1.31 - 6.4, f64::from(n / 10) * 1.27 - 6.4);
+            b.open_cuboid("step", [x, y, 0.0], [x + 0.6, y + 0.5, 0.05 + 0.02 * f64::from(n % 17)]);
+            if n % 3 == 0 {
+                b.quad("wall", [x + 0.7, y, 0.0], [0.5, 0.3 * f64::from(n % 5) - 0.6, 0.0], [0.0, 0.0, 2.5]);
+            }
+        }
+    });
+    let (dir, _) = convert_scene(&scene, 0.001);
+    let mut loaded = 0;
+    for (n, speed) in [0.5, 1.4, 9.0, 40.0].into_iter().enumerate() {
+        let hz = [30.0, 60.0][n % 2];
+        let frame = Duration::from_secs_f64(1.0 / hz);
+        let options = StreamOptions {
+            prefetch: Prefetch::Manual,
+            horizon_min: frame,
+            horizon_max: frame,
+            ..StreamOptions::new(64 << 20)
+        };
+        let config = Config { speed, ..config([BOX, CYLINDER][n / 2]) };
+        let mut walker = Walker::new(config, Point3::new(0.1, 0.2, 9.0)).unwrap();
+        for part in 0..120 {
+            // Nothing is left in memory of where it came by before.
+            let archive = Archive::open(dir.path().join("scene.slices")).unwrap();
+            let stream = Stream::open(archive, options.clone()).unwrap();
+            let mut pawn = stream.pawn();
+            let angle = f64::from(part / 4) * 2.4;
+            let wish = Wish::Direction(Vector2::new(angle.cos(), angle.sin()));
+            for _ in 0..10 {
+                pawn.hint(&walker.outlook(stream.archive().frame()));
+                assert!(stream.settle(Duration::from_secs(60)));
+                let report = walker.step(&stream.view(), 1.0 / hz, wish);
+                assert_eq!(report.missing, None, "{speed} m/s at {hz} Hz, at {}", walker.feet());
+                if walker.feet().z < -1.0 || walker.feet().xy().coords.amax() > 6.0 {
+                    walker.place(Point3::new(0.1, 0.2, 9.0));
+                }
+            }
+            loaded += stream.counters().loaded;
+        }
+    }
+    assert!(loaded > 500, "{loaded}");
 }
 
 #[test]

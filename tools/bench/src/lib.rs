@@ -5,5 +5,6 @@ pub mod pawns;
 pub mod random;
 pub mod stability;
 pub mod voxels;
+pub mod walks;
 
 pub use random::Random;

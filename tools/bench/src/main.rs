@@ -16,26 +16,44 @@ struct Args {
 enum Command {
     /// One sweep per way in which such systems fail, for the thesis' rule and for ours
     Stability(Stability),
+    /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
+    Walks(Common),
+}
+
+#[derive(Debug, clap::Args)]
+struct Common {
+    /// Small samples: a check that everything runs, in seconds
+    #[arg(long)]
+    quick: bool,
+    /// Folder to write into [default: tools/bench/results, or target/bench-quick with --quick]
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+impl Common {
+    fn out(&self) -> PathBuf {
+        let default = if self.quick { "target/bench-quick" } else { "tools/bench/results" };
+        self.out.clone().unwrap_or_else(|| default.into())
+    }
 }
 
 #[derive(Debug, clap::Args)]
 struct Stability {
-    /// Small samples: a check that everything runs, in seconds
-    #[arg(long)]
-    quick: bool,
-    /// Folder for `stability.md` and `stability/` [default: tools/bench/results, or target/bench-quick with --quick]
-    #[arg(long)]
-    out: Option<PathBuf>,
+    #[command(flatten)]
+    common: Common,
     /// Only the sweeps whose name contains this; writes no `stability.md`
     #[arg(long)]
     only: Option<String>,
 }
 
 fn main() -> ExitCode {
-    let Args { command: Command::Stability(args) } = Args::parse();
-    let default = if args.quick { "target/bench-quick" } else { "tools/bench/results" };
-    let out = args.out.unwrap_or_else(|| default.into());
-    match bench::stability::run(&out, args.quick, args.only.as_deref()) {
+    let done = match Args::parse().command {
+        Command::Stability(Stability { common, only }) => {
+            bench::stability::run(&common.out(), common.quick, only.as_deref())
+        }
+        Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("bench: {error}");

@@ -2,24 +2,17 @@
 
 use crate::{Failure, Outcome};
 use clap::ValueEnum;
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Point2, Point3};
 use slicewalk::archive::Archive;
-use slicewalk::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
-use slicewalk::query::Missing;
 use slicewalk::size::parse_size;
-use slicewalk::store::{ByteSource, FileSource, PageSet, PageSlot, Region, Store};
+use slicewalk::store::{FileSource, Motion, Prefetch, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Response, Route, State, Walker};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// So long a pawn may be blocked before the walk ends (s).
 const BLOCKED_S: f64 = 2.0;
-/// How far ahead pages are loaded (s), and around the pawn in any case (m).
-const AHEAD_S: f64 = 0.5;
-const AROUND_M: f64 = 1.0;
 
 /// Where to walk, and how.
 #[derive(clap::Args)]
@@ -124,30 +117,25 @@ pub fn run(arguments: &Arguments) -> Outcome {
     };
     let mut walker = Walker::new(config, arguments.start)?;
     let mut route = Route::new(waypoints(&arguments.waypoints)?)?;
-    let mut pages = Pages::open(&arguments.archive, arguments.cache, arguments.prefetch == Switch::On)?;
+    let stream = open(arguments)?;
     let frame_s = 1.0 / arguments.hz;
     let most = (arguments.max_seconds * arguments.hz).ceil().max(1.0) as u64;
     let mut path = String::from("t,x,y,z,state,frame_us,missing\n");
-    let mut times = Vec::new();
+    let (mut times, mut hits, mut late) = (Vec::new(), 0, 0);
     let (mut distance, mut blocked) = (0.0, 0.0);
+    let mut pawn = stream.pawn();
     for frame in 1..=most {
-        let ahead = Ahead::of(&walker, &route);
-        pages.prepare(&ahead)?;
+        if arguments.prefetch == Switch::On {
+            let outlook = walker.outlook(stream.archive().frame());
+            pawn.hint(&outlook);
+            prepare(&stream, &outlook, frame, frame_s)?;
+        }
+        hits += stream.view().count_loaded(&walker.outlook(stream.archive().frame()));
         let before = walker.feet();
         let started = Instant::now();
-        let (mut dt, mut missing) = (frame_s, 0);
-        loop {
-            let report = walker.follow(&pages.store, dt, &mut route);
-            let Some(needed) = report.missing else { break };
-            missing += needed.count();
-            if !pages.fetch(&needed, &ahead)? {
-                // No room for what it needs: it waits in place, and time passes.
-                break;
-            }
-            dt = report.unspent;
-        }
+        let missing = step(&stream, &mut walker, &mut route, frame_s)?;
         let frame_us = started.elapsed().as_secs_f64() * 1e6;
-        pages.late += missing as u64;
+        late += missing;
         times.push(frame_us);
         distance += (walker.feet() - before).norm();
         let (feet, state) = (walker.feet(), walker.state());
@@ -173,10 +161,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
             frames as f64 * frame_s,
             route.next(),
             route.places().len(),
-            pages.late
+            late
         );
         return Ok(String::new());
     }
+    let counters = stream.counters();
     let summary = serde_json::json!({
         "frames": frames,
         "seconds": frames as f64 * frame_s,
@@ -185,16 +174,51 @@ pub fn run(arguments: &Arguments) -> Outcome {
         "end": [feet.x, feet.y, feet.z],
         "waypoints_reached": route.next(),
         "frame_us": { "p50": at(0.5), "p99": at(0.99), "p99.9": at(0.999), "max": at(1.0) },
-        "reads": pages.counters.reads.load(Ordering::Relaxed),
-        "bytes": pages.counters.bytes.load(Ordering::Relaxed),
-        "hits": pages.hits,
-        "late": pages.late,
-        "loaded": pages.loaded,
-        "evicted": pages.evicted,
-        "cache_peak": pages.peak,
-        "cache": pages.store.budget_bytes(),
+        "reads": counters.reads,
+        "bytes": counters.read_bytes,
+        "hits": hits,
+        "late": late,
+        "loaded": counters.loaded,
+        "evicted": counters.evicted,
+        "failed": counters.failed,
+        "cache_peak": counters.peak_bytes,
+        "cache": counters.budget_bytes,
     });
     Ok(format!("{summary:#}\n"))
+}
+
+fn open(arguments: &Arguments) -> Result<Stream, Failure> {
+    let archive = Archive::from_source(Box::new(FileSource::open(&arguments.archive)?))?;
+    let prefetch = if arguments.prefetch == Switch::On { Prefetch::Thread } else { Prefetch::Off };
+    let budget = usize::try_from(arguments.cache).unwrap_or(usize::MAX);
+    Ok(Stream::open(archive, StreamOptions { prefetch, ..StreamOptions::new(budget) })?)
+}
+
+/// Lets the prefetcher work for as long as it could until the frame begins. When it has nothing left to do the walk goes on
+/// at once: no page would come in by waiting. So a walk takes less time than it tells of, and misses what it would have
+/// missed.
+fn prepare(stream: &Stream, outlook: &Motion, frame: u64, frame_s: f64) -> Result<(), Failure> {
+    if frame == 1 {
+        // A program waits for what the pawn stands in before it shows the first frame.
+        stream.load_around(outlook)?;
+    }
+    stream.settle(Duration::from_secs_f64(frame_s));
+    Ok(())
+}
+
+/// One frame; how many pages it needed that were not there. These are loaded on the spot.
+fn step(stream: &Stream, walker: &mut Walker, route: &mut Route, frame_s: f64) -> Result<usize, Failure> {
+    let (mut dt, mut late) = (frame_s, 0);
+    loop {
+        let report = walker.follow(&stream.view(), dt, route);
+        let Some(needed) = report.missing else { return Ok(late) };
+        late += needed.count();
+        if stream.load_missing(&needed)?.loaded == 0 {
+            // No room for what it needs: it waits in place, and time passes.
+            return Ok(late);
+        }
+        dt = report.unspent;
+    }
 }
 
 /// Reads columns x,y: by their names if there is a header, else the first two.
@@ -232,117 +256,4 @@ fn waypoints(path: &Path) -> Result<Vec<Point2<f64>>, Failure> {
         return Err(failed("line 1".into(), "no waypoint; expected rows of x,y".into()));
     }
     Ok(places)
-}
-
-/// Where a pawn will be soon: the box that pages are loaded for.
-struct Ahead {
-    feet: Point3<f64>,
-    low: Point3<f64>,
-    high: Point3<f64>,
-}
-
-impl Ahead {
-    fn of(walker: &Walker, route: &Route) -> Self {
-        let (feet, config) = (walker.feet(), walker.config());
-        let half = config.body.half().push(0.0);
-        let way = route.places().get(route.next()).map_or(nalgebra::zero(), |place| place - feet.xy());
-        let far = config.speed * AHEAD_S;
-        let way = way * (far / way.norm().max(far.max(1e-9)));
-        let fall = (walker.falling() + config.gravity * AHEAD_S).min(config.terminal) * AHEAD_S;
-        let margin = Vector3::repeat(AROUND_M);
-        let up = Vector3::new(0.0, 0.0, config.body.height() + config.climb);
-        let way = way.push(0.0);
-        let low = feet - half - margin + way.inf(&Vector3::zeros()) - Vector3::new(0.0, 0.0, fall);
-        let high = feet + half + margin + way.sup(&Vector3::zeros()) + up;
-        Self { feet, low, high }
-    }
-}
-
-/// The pages around the pawn: all that this command knows of loading. Loads on the spot, between frames or on a miss.
-struct Pages {
-    store: Store,
-    counters: Arc<Counters>,
-    prefetch: bool,
-    /// Pages around the pawn that were in memory already, counted anew in every frame.
-    hits: u64,
-    late: u64,
-    loaded: u64,
-    evicted: u64,
-    peak: usize,
-}
-
-impl Pages {
-    fn open(path: &Path, cache: u64, prefetch: bool) -> Result<Self, Failure> {
-        let counters = Arc::new(Counters::default());
-        let source = Counting { file: FileSource::open(path)?, counters: counters.clone() };
-        let archive = Archive::from_source(Box::new(source))?;
-        let budget = usize::try_from(cache).unwrap_or(usize::MAX);
-        let store = Store::with_budget(Box::new(archive), budget)?;
-        Ok(Self { store, counters, prefetch, hits: 0, late: 0, loaded: 0, evicted: 0, peak: 0 })
-    }
-
-    fn key(&self, at: Point3<f64>) -> [i32; 3] {
-        let frame = self.store.frame();
-        let index = |v: i64, unit: i64| v.div_euclid(unit).clamp(i32::MIN.into(), i32::MAX.into()) as i32;
-        let tile = |v: f64| index(frame.pixel_of(v), TILE_PIXELS);
-        [tile(at.x), tile(at.y), index(frame.quantum_floor(at.z), PAGE_QUANTA)]
-    }
-
-    /// Before a frame: counts what is there, and loads what is not if that is wished.
-    fn prepare(&mut self, ahead: &Ahead) -> Result<(), Failure> {
-        let region = Region { min: self.key(ahead.low), max: self.key(ahead.high) };
-        if self.prefetch {
-            let [tx, ty, layer] = self.key(ahead.feet);
-            let report = self.store.load(&region, PageKey { tx, ty, layer })?;
-            self.hits += report.already as u64;
-            self.note(report.loaded, report.evicted);
-            return Ok(());
-        }
-        for tx in region.min[0]..=region.max[0] {
-            for ty in region.min[1]..=region.max[1] {
-                let slots = self.store.column(tx, ty).iter();
-                let inside = slots.filter(|slot| (region.min[2]..=region.max[2]).contains(&slot.layer()));
-                self.hits += inside.filter(|slot| slot.page().is_some()).count() as u64;
-            }
-        }
-        Ok(())
-    }
-
-    /// Loads what a frame missed; `false` if there is no room.
-    fn fetch(&mut self, missing: &Missing, ahead: &Ahead) -> Result<bool, Failure> {
-        let [tx, ty, layer] = self.key(ahead.feet);
-        let report = self.store.load_missing(missing.keys(), PageKey { tx, ty, layer })?;
-        self.note(report.loaded, report.evicted);
-        Ok(report.loaded > 0)
-    }
-
-    fn note(&mut self, loaded: usize, evicted: usize) {
-        self.loaded += loaded as u64;
-        self.evicted += evicted as u64;
-        self.peak = self.peak.max(self.store.weight_bytes());
-    }
-}
-
-#[derive(Default)]
-struct Counters {
-    reads: AtomicU64,
-    bytes: AtomicU64,
-}
-
-/// A file that counts what is read of it.
-struct Counting {
-    file: FileSource,
-    counters: Arc<Counters>,
-}
-
-impl ByteSource for Counting {
-    fn len(&self) -> u64 {
-        self.file.len()
-    }
-
-    fn read_at(&self, offset: u64, buf: &mut [u8]) -> slicewalk::Result<()> {
-        self.counters.reads.fetch_add(1, Ordering::Relaxed);
-        self.counters.bytes.fetch_add(buf.len() as u64, Ordering::Relaxed);
-        self.file.read_at(offset, buf)
-    }
 }

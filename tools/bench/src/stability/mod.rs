@@ -3,10 +3,10 @@
 //! In: nothing but seeds. Out: a CSV and mostly a plot per sweep, and `stability.md`, a page in words around their
 //! numbers. The same bytes on every run: no times, no threads, no platform's random numbers.
 
-mod lab;
+pub(crate) mod lab;
 mod patch;
 mod plot;
-mod table;
+pub(crate) mod table;
 mod written;
 
 mod floors;

@@ -1,0 +1,86 @@
+//! A source whose reads take time of a clock that a test moves: real threads, virtual time.
+
+use slicewalk::Result;
+use slicewalk::store::{ByteSource, MemorySource, Stream};
+use std::sync::{Condvar, Mutex};
+use std::time::Duration;
+
+#[derive(Debug, Default)]
+struct Time {
+    now_s: f64,
+    /// When the read in progress ends.
+    ends_s: Option<f64>,
+}
+
+/// Bytes in memory, each read of which takes a prefetcher `read_s`; whoever waits in a frame gets them at once.
+#[derive(Debug)]
+pub struct ClockSource {
+    bytes: MemorySource,
+    read_s: f64,
+    time: Mutex<Time>,
+    moved: Condvar,
+}
+
+impl ClockSource {
+    pub fn new(bytes: MemorySource, read_s: f64) -> Self {
+        Self { bytes, read_s, time: Mutex::default(), moved: Condvar::new() }
+    }
+
+    /// Lets time pass until `until_s`. The stream's thread reads as much as it can meanwhile; what it does between
+    /// reads takes no time, however long it takes on a busy machine.
+    pub fn run(&self, stream: &Stream, until_s: f64) {
+        loop {
+            let ends = loop {
+                let ends = self.time.lock().unwrap().ends_s;
+                // The thread has come to its next read, or has nothing left to read.
+                if ends.is_some() || stream.settle(Duration::from_micros(200)) {
+                    break ends;
+                }
+            };
+            let mut time = self.time.lock().unwrap();
+            match ends.filter(|ends| *ends <= until_s) {
+                Some(ends) => (time.now_s, time.ends_s) = (ends, None),
+                None => {
+                    time.now_s = until_s;
+                    return;
+                }
+            }
+            self.moved.notify_all();
+        }
+    }
+
+    /// When dropped, reads take no more time: a stream that is dropped later need not wait for the clock, which nobody
+    /// moves any more.
+    pub fn end(&self) -> impl Drop + '_ {
+        struct End<'a>(&'a ClockSource);
+        impl Drop for End<'_> {
+            fn drop(&mut self) {
+                let mut time = self.0.time.lock().unwrap();
+                (time.now_s, time.ends_s) = (f64::INFINITY, None);
+                self.0.moved.notify_all();
+            }
+        }
+        End(self)
+    }
+}
+
+impl ByteSource for ClockSource {
+    fn len(&self) -> u64 {
+        self.bytes.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        let mut time = self.time.lock().unwrap();
+        if self.read_s > 0.0
+            && time.now_s < f64::INFINITY
+            && std::thread::current().name() == Some("slicewalk-prefetch")
+        {
+            let ends_s = time.now_s + self.read_s;
+            time.ends_s = Some(ends_s);
+            while time.now_s < ends_s {
+                time = self.moved.wait(time).unwrap();
+            }
+        }
+        self.bytes.read_at(offset, buf)
+    }
+}
