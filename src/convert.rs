@@ -1,7 +1,7 @@
-//! Conversion: scans in, one archive out.
+//! Conversion: scans and meshes in, one archive out.
 //!
-//! Two passes over bounded memory. First every worker reads pieces of the input and sorts their points into runs by
-//! tile column. Then tile columns come out of the merged runs in archive order; workers fold them to voxels, judge
+//! Two passes over bounded memory. First every worker reads pieces of the input and sorts their points, and what
+//! triangles fill of voxels, into runs by tile column. Then tile columns come out of the merged runs in archive order; workers fold them to voxels, judge
 //! floors and obstacles, form spans, and encode pages, and one thread writes these in order.
 //!
 //! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
@@ -11,6 +11,7 @@ use crate::archive::{ArchiveWriter, EncodedPage, Header, PageEncoder, Shard, Tot
 use crate::frame::{Frame, PageKey};
 use crate::input::spacing::{Spacing, estimate_spacing};
 use crate::input::{Decoder, InputOptions, InputSet, ScanFile, UnitCounts, Units};
+use crate::mesh::{MeshCounts, MeshMode, MeshOptions, MeshSet};
 use crate::plan::{Classifier, Plan, Up};
 use crate::shard::{Part, ShardOptions};
 use crate::slice::columns::ColumnPages;
@@ -18,6 +19,7 @@ use crate::slice::obstacle::Judge;
 use crate::voxel::fold::{Area, Folded, Folder, Patch, Voxel, fold_into};
 use crate::voxel::record::{ColumnKey, PATCH_AREA, Record, Recorder};
 use crate::voxel::runs::{Job, Merge, RunBuilder, RunStore};
+use crate::voxel::surfaces::SurfaceBuilder;
 use crate::{Error, Monitor, NoMonitor, Result};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::collections::BTreeMap;
@@ -29,6 +31,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub const MIN_MEMORY_BYTES: u64 = 64 << 20;
 /// Pixel size chosen automatically, in units of the scan's point spacing.
 pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
+/// Pixels along the longer side of meshes whose pixel size is chosen automatically (thesis, equation 3.3 with the sides
+/// of the images in place of the printed ones, at the larger of its two resolutions).
+pub const AUTO_PIXELS: f64 = 700.0;
 /// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel and
 /// span that it may become.
 const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 16;
@@ -44,7 +49,8 @@ const JOBS_AHEAD_PER_THREAD: usize = 8;
 /// How the pixel size is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PixelSize {
-    /// From the scan's own point spacing (costs one more pass over the input).
+    /// From the scans' own point spacing, or the extent of the meshes where there is no scan (costs one more pass over
+    /// the input).
     Auto,
     /// This many metres.
     Metres(f64),
@@ -83,6 +89,8 @@ pub struct ConvertOptions {
     pub up: Up,
     /// Unit of the input.
     pub units: Units,
+    /// How meshes become voxels.
+    pub mesh: MeshMode,
     /// Whether an existing archive may be replaced.
     pub overwrite: bool,
     /// The part to convert; `None` for the whole.
@@ -108,6 +116,7 @@ impl ConvertOptions {
             drop_isolated: false,
             up: Up::Z,
             units: Units::Auto,
+            mesh: MeshMode::Exact,
             overwrite: false,
             shard: None,
         }
@@ -129,13 +138,26 @@ pub struct Report {
     pub temp_bytes: u64,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
+    /// Triangles of meshes; they count as points in the header too.
+    pub triangles: MeshCounts,
+    /// Points made of them, if they were sampled.
+    pub points_made: u64,
     /// Voxels dropped for having fewer than the least number of points or for being isolated, and with them their
     /// points: boxes that hold only such points are no hits (G1 holds for all other points).
     pub voxels_dropped: u64,
 }
 
+/// The files of a conversion.
+pub(crate) struct Inputs {
+    pub scans: InputSet,
+    pub meshes: MeshSet,
+}
+
+/// Why meshes cannot be converted in parts, and what to do.
+pub(crate) const MESHES_IN_PARTS: &str = "the inputs hold meshes, and parts are of scans alone: convert all in one run";
+
 /// Opens the inputs of a conversion.
-pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<InputSet> {
+pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Inputs> {
     if options.memory_bytes < MIN_MEMORY_BYTES {
         let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", options.memory_bytes);
         return Err(Error::parameter("--memory", reason));
@@ -146,13 +168,26 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
         exclude_classes: options.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads.max(1) as u64,
     };
-    InputSet::open(&options.inputs, input_options, monitor)
+    let scans = InputSet::open(&options.inputs, input_options, monitor)?;
+    let mesh_options = MeshOptions {
+        units: options.units,
+        up: options.up,
+        memory_bytes: options.memory_bytes / 8,
+        temp_dir: options.temp_dir.clone(),
+    };
+    let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
+    Ok(Inputs { scans, meshes })
 }
 
-/// The plan of a conversion of `set`, and the point spacing if the pixel size follows from it.
-pub(crate) fn plan(options: &ConvertOptions, set: &InputSet, monitor: &dyn Monitor) -> Result<(Plan, Option<Spacing>)> {
+/// The plan of a conversion of `inputs`, and the point spacing if the pixel size follows from it.
+pub(crate) fn plan(
+    options: &ConvertOptions,
+    Inputs { scans: set, meshes }: &Inputs,
+    monitor: &dyn Monitor,
+) -> Result<(Plan, Option<Spacing>)> {
     let (pixel_m, spacing) = match options.pixel {
         PixelSize::Metres(pixel_m) => (pixel_m, None),
+        PixelSize::Auto if set.files().is_empty() => (pixel_of_extent(meshes, monitor)?, None),
         PixelSize::Auto => {
             let spacing = estimate_spacing(set, options.threads.max(1), monitor)?;
             // The same losses come up again in the pass that counts; they are told then.
@@ -180,8 +215,12 @@ pub(crate) fn plan(options: &ConvertOptions, set: &InputSet, monitor: &dyn Monit
 /// the points do not fit the budget. Errors: unusable input or options, full disk, interruption by `monitor`.
 pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
     let threads = options.threads.max(1);
-    let set = open_inputs(options, monitor)?;
-    let (plan, spacing) = plan(options, &set, monitor)?;
+    let inputs = open_inputs(options, monitor)?;
+    let (plan, spacing) = plan(options, &inputs, monitor)?;
+    let Inputs { scans: set, meshes } = inputs;
+    if options.shard.is_some() && !meshes.is_empty() {
+        return Err(Error::parameter("--shard", MESHES_IN_PARTS));
+    }
     let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options.units)).transpose()?;
     // Made first, so that an archive that must not be replaced is found before the work and not after it.
     let mut writer = ArchiveWriter::create(&options.output, &plan, options.overwrite)?;
@@ -192,14 +231,18 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
     check_free_space(options, &set)?;
     let build_bytes = options.memory_bytes / 4 / threads as u64;
-    let read = read_points(&set, &plan, &store, build_bytes, threads, part.as_ref(), monitor)?;
+    let mut read = read_points(&set, &plan, &store, build_bytes, threads, part.as_ref(), monitor)?;
     set.warn_of_losses(monitor);
     // A part that leaves files out cannot say of the whole that nothing in it can be used.
-    if part.as_ref().is_none_or(Part::reads_all) {
+    let whole = part.as_ref().is_none_or(Part::reads_all);
+    if whole {
         refuse_unusable(&set, &read.counts)?;
-        if read.counts.read == 0 {
-            monitor.warn("the input holds no points: the archive is empty");
-        }
+    }
+    let points_not_finite = read.own.left_out.not_finite;
+    let mesh_read = read_meshes(&meshes, options.mesh, &plan, &store, build_bytes, threads, monitor)?;
+    read.merge(&mesh_read.read);
+    if whole && read.counts.read == 0 {
+        monitor.warn("the input holds no points: the archive is empty");
     }
     let voxels_dropped = write_columns(&plan, &store, options.memory_bytes, threads, &mut writer, monitor)?;
     let own = read.own;
@@ -217,7 +260,9 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         crs: set.crs().unwrap_or_default().to_owned(),
         spacing,
         temp_bytes: store.temp_bytes(),
-        points_not_finite: own.left_out.not_finite,
+        points_not_finite,
+        triangles: mesh_read.triangles,
+        points_made: mesh_read.points_made,
         voxels_dropped,
     })
 }
@@ -225,6 +270,17 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
 /// `value` to so many significant decimal digits.
 fn round_to_digits(value: f64, digits: usize) -> f64 {
     format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
+}
+
+/// Pixel size of meshes alone: their longer side in [`AUTO_PIXELS`] pixels.
+fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
+    monitor.stage("extent", 0, "triangles");
+    let longer = meshes.bounds(monitor)?.map_or(0.0, |(min, max)| (max[0] - min[0]).max(max[1] - min[1]));
+    if longer > 0.0 {
+        Ok(round_to_digits(longer / AUTO_PIXELS, 2))
+    } else {
+        Err(Error::parameter("--pixel auto", "the meshes have no extent in x and y; give the pixel size in metres"))
+    }
 }
 
 /// Refuses to begin what the disk will not hold. Headers may lie, so a count beyond one point per byte is not believed.
@@ -375,28 +431,97 @@ fn read_points(
         builder.flush(store)?;
         Ok(read)
     };
-    let work = || work().inspect_err(|_| failed.store(true, Ordering::Relaxed));
-    let results: Vec<Result<Read>> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+    let mut all = Read::NOTHING;
+    for read in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
+        all.merge(&read);
+    }
+    warn_of_bounds(set, &of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner), monitor);
+    Ok(all)
+}
+
+/// What `work` gives on each of so many threads, or the error that says most.
+fn on_threads<T: Send>(threads: usize, work: impl Fn() -> Result<T> + Sync) -> Result<Vec<T>> {
+    let results: Vec<Result<T>> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(&work)).collect();
         workers
             .into_iter()
             .map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
             .collect()
     });
-    let mut all = Read::NOTHING;
-    let mut stopped = false;
+    let (mut done, mut stopped) = (Vec::with_capacity(threads), false);
     for result in results {
         match result {
-            Ok(read) => all.merge(&read),
+            Ok(result) => done.push(result),
             // Stopped by another's error, which says more.
             Err(Error::Interrupted) => stopped = true,
             Err(error) => return Err(error),
         }
     }
-    if stopped {
-        return Err(Error::Interrupted);
+    if stopped { Err(Error::Interrupted) } else { Ok(done) }
+}
+
+/// What the first pass finds in meshes.
+struct MeshRead {
+    /// Triangles as if they were points, with the bounds of their corners.
+    read: Read,
+    triangles: MeshCounts,
+    points_made: u64,
+}
+
+/// First pass: all triangles into runs. One worker at a time reads; all of them take triangles to the grid.
+fn read_meshes(
+    set: &MeshSet,
+    mode: MeshMode,
+    plan: &Plan,
+    store: &RunStore,
+    build_bytes: u64,
+    threads: usize,
+    monitor: &dyn Monitor,
+) -> Result<MeshRead> {
+    if set.is_empty() {
+        return Ok(MeshRead { read: Read::NOTHING, triangles: MeshCounts::default(), points_made: 0 });
     }
-    warn_of_bounds(set, &of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner), monitor);
+    monitor.stage("reading meshes", 0, "triangles");
+    let feed = Mutex::new(set.feed());
+    let failed = AtomicBool::new(false);
+    let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
+    let work = || -> Result<(Read, u64)> {
+        let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes);
+        let mut surfaces = SurfaceBuilder::new(plan, mode);
+        let (mut read, mut batch) = (Read::NOTHING, Vec::new());
+        while feed.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next(&mut batch, monitor)? {
+            for triangle in &batch {
+                if cancelled() {
+                    return Err(Error::Interrupted);
+                }
+                let fold = |start, pick: fn(f64, f64) -> f64| {
+                    [0, 1, 2].map(|axis| triangle.iter().fold(start, |extreme, corner| pick(extreme, corner[axis])))
+                };
+                let (min, max) = (fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max));
+                if !surfaces.reaches(min, max) {
+                    return Err(out_of_reach(&plan.frame, min, max));
+                }
+                read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
+                surfaces.push(triangle, &mut runs, store, &cancelled)?;
+            }
+            monitor.advance(batch.len() as u64);
+        }
+        surfaces.flush(&mut runs, store)?;
+        runs.flush(store)?;
+        Ok((read, surfaces.points_made()))
+    };
+    let done = on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+    let triangles = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner).counts();
+    let mut all = MeshRead { read: Read::NOTHING, triangles, points_made: 0 };
+    all.read.counts.read = triangles.read;
+    all.read.counts.not_finite = triangles.left_out;
+    all.read.own.kept = triangles.read - triangles.left_out;
+    all.read.own.left_out =
+        UnitCounts { read: triangles.left_out, not_finite: triangles.left_out, ..Read::NOTHING.counts };
+    for (read, points_made) in done {
+        all.read.merge(&read);
+        all.points_made += points_made;
+    }
     Ok(all)
 }
 

@@ -75,9 +75,12 @@ pub struct Job {
 impl Job {
     /// The job that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
-        let set = crate::convert::open_inputs(options, monitor)?;
-        let (plan, spacing) = crate::convert::plan(options, &set, monitor)?;
-        Self::of(&set, plan, options.units, spacing.map(|spacing| spacing.spacing_m))
+        let inputs = crate::convert::open_inputs(options, monitor)?;
+        if !inputs.meshes.is_empty() {
+            return Err(Error::parameter("--write-plan", crate::convert::MESHES_IN_PARTS));
+        }
+        let (plan, spacing) = crate::convert::plan(options, &inputs, monitor)?;
+        Self::of(&inputs.scans, plan, options.units, spacing.map(|spacing| spacing.spacing_m))
     }
 
     fn of(set: &InputSet, plan: Plan, units: Units, spacing_m: Option<f64>) -> Result<Self> {
