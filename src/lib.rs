@@ -21,6 +21,8 @@ pub mod codec;
 
 pub mod archive;
 
+pub mod stats;
+
 #[cfg(feature = "convert")]
 pub mod convert;
 

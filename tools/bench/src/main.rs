@@ -16,6 +16,8 @@ struct Args {
 enum Command {
     /// One sweep per way in which such systems fail, for the thesis' rule and for ours
     Stability(Stability),
+    /// Bytes of scans as archives, pictures and octrees, and what the scenes needed
+    Size(Common),
     /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
     Walks(Common),
 }
@@ -51,6 +53,7 @@ fn main() -> ExitCode {
         Command::Stability(Stability { common, only }) => {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
+        Command::Size(common) => bench::size::run(&common.out(), common.quick),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
     };
     match done {

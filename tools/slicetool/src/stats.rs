@@ -1,48 +1,47 @@
 //! `slicetool stats`: what the scene needed.
 
 use crate::Outcome;
-use serde_json::json;
-use slicewalk::archive::{Archive, Place};
+use serde_json::{Map, Value, json};
+use slicewalk::stats::{Need, Stats};
 use std::fmt::Write;
 use std::path::Path;
 
-#[derive(Default)]
-struct Stats {
-    pages: [u64; 3],
-    tiles: [u64; 3],
-    columns: u64,
-    spans: u64,
-    obstacle_spans: u64,
-    voxels: u64,
-    obstacle_voxels: u64,
-    /// Pixels by number of spans: 1, 2, 3, 4, more.
-    columns_by_spans: [u64; 5],
-    /// Voxels inside a span, where no height is stored.
-    inner_voxels: u64,
-    memory_bytes: u64,
-}
-
 const KINDS: [&str; 3] = ["stored", "shared", "uniform"];
+
+/// What each need says of a tile, in the order of [`Need::ALL`].
+const NEEDS: [&str; 6] = [
+    "one span everywhere: an entry of the directory",
+    "bytes of an earlier page: an entry of the directory",
+    "goes on from the slice below: nothing",
+    "level: one height",
+    "plane: three numbers",
+    "heights of its own",
+];
 
 /// Counts over all pages of the archive at `path`.
 pub fn run(path: &Path, json: bool) -> Outcome {
     let archive = crate::open(path)?;
-    let stats = count(&archive).map_err(|error| crate::broken(path, &error))?;
+    let stats = Stats::of(&archive).map_err(|error| crate::broken(path, &error))?;
     let header = archive.header();
     let per = |amount: u64, of: u64| if of == 0 { 0.0 } else { amount as f64 / of as f64 };
     let bytes_per_voxel = per(header.file_len, stats.voxels);
     let memory_per_voxel = per(stats.memory_bytes, stats.voxels);
+    let slices = header.slices.map_or(0, |(lowest, highest)| (highest - lowest) as u64 + 1);
+    let sum = |counts: &[u64]| counts.iter().sum::<u64>();
+    let free =
+        |counts: &[u64; 6]| Need::ALL.iter().zip(counts).filter(|(need, _)| need.is_free()).map(|(_, n)| n).sum();
+    let free_tiles: u64 = free(&stats.needs);
     if json {
-        let by_kind = |counts: &[u64; 3]| {
-            KINDS
-                .iter()
-                .zip(counts)
-                .map(|(kind, count)| ((*kind).to_owned(), json!(count)))
-                .collect::<serde_json::Map<_, _>>()
+        let named = |names: &mut dyn Iterator<Item = &'static str>, counts: &[u64]| -> Value {
+            names.zip(counts).map(|(name, count)| (name.to_owned(), json!(count))).collect::<Map<_, _>>().into()
         };
+        let needs = |counts: &[u64; 6]| named(&mut Need::ALL.iter().map(|need| need.name()), counts);
         let facts = json!({
-            "pages": by_kind(&stats.pages),
-            "tiles": by_kind(&stats.tiles),
+            "pages": named(&mut KINDS.into_iter(), &stats.pages),
+            "tiles": named(&mut KINDS.into_iter(), &stats.tiles),
+            "models": needs(&stats.needs),
+            "models_of_walls": needs(&stats.wall_needs),
+            "slices": { "all": slices, "distinct": stats.distinct_slices },
             "columns": stats.columns,
             "columns_by_spans": stats.columns_by_spans,
             "spans": { "all": stats.spans, "obstacle": stats.obstacle_spans },
@@ -62,6 +61,11 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     for (kind, name) in KINDS.iter().enumerate() {
         writeln!(text, "{name:10} {:>12} {:>12}", stats.pages[kind], stats.tiles[kind])?;
     }
+    writeln!(text, "\n{:10} {:>12} {:>12}  what the tile needed", "model", "tiles", "with walls")?;
+    for (number, need) in Need::ALL.iter().enumerate() {
+        let (tiles, walls) = (stats.needs[number], stats.wall_needs[number]);
+        writeln!(text, "{:10} {tiles:>12} {walls:>12}  {}", need.name(), NEEDS[number])?;
+    }
     writeln!(text, "\n{:10} {:>12}", "spans", "pixels")?;
     for (index, count) in stats.columns_by_spans.iter().enumerate() {
         let name = if index == 4 { "5 or more".to_owned() } else { (index + 1).to_string() };
@@ -69,7 +73,15 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     }
     writeln!(
         text,
-        "\n{} voxels ({} obstacle) are {} spans ({} obstacle); {:.1} % of the voxels lie inside a span and store no height",
+        "\nThe scene needed {} of {slices} slices and {} of {} tiles; {:.1} % of the tiles take neither bytes nor a read.",
+        stats.distinct_slices,
+        sum(&stats.needs) - free_tiles,
+        sum(&stats.needs),
+        100.0 * per(free_tiles, sum(&stats.needs))
+    )?;
+    writeln!(
+        text,
+        "{} voxels ({} obstacle) are {} spans ({} obstacle); {:.1} % of the voxels lie inside a span and store no height",
         stats.voxels,
         stats.obstacle_voxels,
         stats.spans,
@@ -82,34 +94,4 @@ pub fn run(path: &Path, json: bool) -> Outcome {
         header.file_len, header.bytes.pages, header.bytes.directory, stats.memory_bytes
     )?;
     Ok(text)
-}
-
-fn count(archive: &Archive) -> slicewalk::Result<Stats> {
-    let mut stats = Stats::default();
-    for entry in archive.entries() {
-        let entry = entry?;
-        let kind = match entry.place {
-            Place::Stored(_) => 0,
-            Place::Shared(_) => 1,
-            Place::Uniform(_) => 2,
-        };
-        stats.pages[kind] += 1;
-        stats.tiles[kind] += u64::from(entry.slices.count_ones());
-        let page = archive.page(&entry)?;
-        stats.memory_bytes += page.weight_bytes() as u64;
-        let (voxels, obstacles) = page.voxel_counts();
-        stats.voxels += voxels;
-        stats.obstacle_voxels += obstacles;
-        for (_, _, spans) in page.columns() {
-            stats.columns += 1;
-            stats.columns_by_spans[spans.len().min(5) - 1] += 1;
-            for span in spans {
-                stats.spans += 1;
-                stats.obstacle_spans += u64::from(span.is_obstacle());
-                let (first, last) = span.slices();
-                stats.inner_voxels += u64::from((last - first).saturating_sub(1));
-            }
-        }
-    }
-    Ok(stats)
 }

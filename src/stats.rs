@@ -1,0 +1,229 @@
+//! What a scene needed: the parts of an archive, and its tiles by the simplest model that tells them.
+//!
+//! Pages hold spans, so a tile (one slice of a page) is not stored by itself; what it adds to its page is what its
+//! [`Need`] says. Tiles in which no span begins or ends add nothing: they are like the slice below.
+
+use crate::Result;
+use crate::archive::{Archive, PageDecoder, PageEntry, Place};
+use crate::frame::{PAGE_SLICES, SLICE_QUANTA};
+use crate::slice::Page;
+
+/// How much a tile takes, least first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Need {
+    /// Its page is one span in all pixels: an entry of the directory.
+    Uniform,
+    /// Its page has the bytes of an earlier one: an entry of the directory.
+    Shared,
+    /// All its matter goes on from the slice below into the slice above: nothing.
+    LikeBelow,
+    /// All bottoms that lie in it are at one height, and all tops: one number each.
+    Level,
+    /// All bottoms lie in one plane, and all tops.
+    Plane,
+    /// Heights of their own.
+    Heights,
+}
+
+impl Need {
+    /// All needs, least first.
+    pub const ALL: [Self; 6] = [Self::Uniform, Self::Shared, Self::LikeBelow, Self::Level, Self::Plane, Self::Heights];
+
+    /// Its name, as `slicetool stats` prints it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Uniform => "uniform",
+            Self::Shared => "shared",
+            Self::LikeBelow => "like_below",
+            Self::Level => "level",
+            Self::Plane => "plane",
+            Self::Heights => "heights",
+        }
+    }
+
+    /// Whether the tile costs neither bytes nor a read of its own.
+    pub fn is_free(self) -> bool {
+        self <= Self::LikeBelow
+    }
+}
+
+/// Counts over an archive.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Stats {
+    /// Pages stored, shared and uniform.
+    pub pages: [u64; 3],
+    /// Tiles in these.
+    pub tiles: [u64; 3],
+    /// Tiles by need, in the order of [`Need::ALL`].
+    pub needs: [u64; 6],
+    /// Of these, tiles with an obstacle in them.
+    pub wall_needs: [u64; 6],
+    /// Slices of which some tile is not like the one below.
+    pub distinct_slices: u64,
+    /// Pixels of pages with matter.
+    pub columns: u64,
+    /// These by their number of spans: 1, 2, 3, 4, more.
+    pub columns_by_spans: [u64; 5],
+    /// Spans.
+    pub spans: u64,
+    /// Of these, obstacles.
+    pub obstacle_spans: u64,
+    /// Voxels with matter.
+    pub voxels: u64,
+    /// Of these, with an obstacle.
+    pub obstacle_voxels: u64,
+    /// Voxels inside a span, where no height is stored.
+    pub inner_voxels: u64,
+    /// Memory of all pages when resident (bytes).
+    pub memory_bytes: u64,
+}
+
+impl Stats {
+    /// Reads and counts all pages of `archive`. Cost: one pass over the file, 24 bytes a slice.
+    pub fn of(archive: &Archive) -> Result<Self> {
+        let mut stats = Self::default();
+        let mut decoder = PageDecoder::new();
+        let mut counter = TileCounter::new(archive.plan().tolerance_quanta());
+        let mut own_slices = std::collections::BTreeSet::new();
+        for entry in archive.entries() {
+            let entry = entry?;
+            let page = archive.page_with(&entry, &mut decoder)?;
+            stats.add(&entry, &page);
+            for (slice, need, wall) in counter.count(&entry, &page) {
+                stats.needs[need as usize] += 1;
+                stats.wall_needs[need as usize] += u64::from(wall);
+                if need != Need::LikeBelow {
+                    own_slices.insert(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(slice));
+                }
+            }
+        }
+        stats.distinct_slices = own_slices.len() as u64;
+        Ok(stats)
+    }
+
+    fn add(&mut self, entry: &PageEntry, page: &Page) {
+        let kind = match entry.place {
+            Place::Stored(_) => 0,
+            Place::Shared(_) => 1,
+            Place::Uniform(_) => 2,
+        };
+        self.pages[kind] += 1;
+        self.tiles[kind] += u64::from(entry.slices.count_ones());
+        self.memory_bytes += page.weight_bytes() as u64;
+        let (voxels, obstacles) = page.voxel_counts();
+        self.voxels += voxels;
+        self.obstacle_voxels += obstacles;
+        for (_, _, spans) in page.columns() {
+            self.columns += 1;
+            self.columns_by_spans[spans.len().min(5) - 1] += 1;
+            for span in spans {
+                self.spans += 1;
+                self.obstacle_spans += u64::from(span.is_obstacle());
+                let (first, last) = span.slices();
+                self.inner_voxels += u64::from((last - first).saturating_sub(1));
+            }
+        }
+    }
+}
+
+/// Heights of one kind that lie in a tile, for a fit of a plane: pixel and height (quanta).
+type Heights = Vec<[f64; 3]>;
+
+/// Finds the needs of a page's tiles; keeps its scratch.
+struct TileCounter {
+    /// How far heights may lie off a plane (quanta): their rounding, and the tolerance.
+    off: f64,
+    bottoms: Vec<Heights>,
+    tops: Vec<Heights>,
+}
+
+impl TileCounter {
+    fn new(tolerance: u32) -> Self {
+        let off = f64::from(1 + tolerance);
+        Self { off, bottoms: vec![Vec::new(); PAGE_SLICES as usize], tops: vec![Vec::new(); PAGE_SLICES as usize] }
+    }
+
+    /// Slice in the page, need, and whether there is an obstacle, of all tiles of `page`.
+    fn count(&mut self, entry: &PageEntry, page: &Page) -> Vec<(u32, Need, bool)> {
+        self.bottoms.iter_mut().chain(&mut self.tops).for_each(Vec::clear);
+        let mut walls = 0u64;
+        let page_top = (PAGE_SLICES * SLICE_QUANTA) as u32;
+        for (px, py, spans) in page.columns() {
+            for span in spans {
+                let (first, last) = span.slices();
+                walls |= if span.is_obstacle() { span.slice_mask() } else { 0 };
+                let at = |height: u32| [f64::from(px), f64::from(py), f64::from(height)];
+                // Ends at the page's own floor and ceiling are cuts: the matter may go on in the next page.
+                if span.bottom() > 0 {
+                    self.bottoms[first as usize].push(at(span.bottom()));
+                }
+                if span.top() < page_top {
+                    self.tops[last as usize].push(at(span.top()));
+                }
+            }
+        }
+        let slices = (0..PAGE_SLICES as u32).filter(|slice| entry.slices >> slice & 1 == 1);
+        let need = |slice: u32| match entry.place {
+            Place::Uniform(_) => Need::Uniform,
+            Place::Shared(_) => Need::Shared,
+            Place::Stored(_) => {
+                let ends = [&self.bottoms[slice as usize], &self.tops[slice as usize]];
+                if ends.iter().all(|heights| heights.is_empty()) {
+                    Need::LikeBelow
+                } else if ends.iter().all(|heights| is_level(heights, self.off)) {
+                    Need::Level
+                } else if ends.iter().all(|heights| is_plane(heights, self.off)) {
+                    Need::Plane
+                } else {
+                    Need::Heights
+                }
+            }
+        };
+        slices.map(|slice| (slice, need(slice), walls >> slice & 1 == 1)).collect()
+    }
+}
+
+fn is_level(heights: &[[f64; 3]], off: f64) -> bool {
+    let (low, high) = heights.iter().fold((f64::MAX, f64::MIN), |(low, high), h| (low.min(h[2]), high.max(h[2])));
+    high - low <= 2.0 * off
+}
+
+/// Whether a least-squares plane passes all heights within `off`.
+fn is_plane(heights: &[[f64; 3]], off: f64) -> bool {
+    let n = heights.len() as f64;
+    let mean = [0, 1, 2].map(|axis| heights.iter().map(|h| h[axis]).sum::<f64>() / n.max(1.0));
+    let moment = |a: usize, b: usize| heights.iter().map(|h| (h[a] - mean[a]) * (h[b] - mean[b])).sum::<f64>();
+    let (xx, xy, yy, xz, yz) = (moment(0, 0), moment(0, 1), moment(1, 1), moment(0, 2), moment(1, 2));
+    let determinant = xx * yy - xy * xy;
+    let (dx, dy) = if determinant.abs() > 1e-9 * (xx * yy).max(1.0) {
+        ((xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant)
+    } else if xx + yy > 0.0 {
+        // All on one line: any plane through the line's fit.
+        let slope = (xz + yz) / (xx + 2.0 * xy + yy).max(f64::MIN_POSITIVE);
+        (slope, slope)
+    } else {
+        (0.0, 0.0)
+    };
+    heights.iter().all(|h| (h[2] - mean[2] - dx * (h[0] - mean[0]) - dy * (h[1] - mean[1])).abs() <= off)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planes_are_told_from_levels_and_from_noise() {
+        let field = |height: fn(f64, f64) -> f64| -> Heights {
+            (0..64).map(|n| [f64::from(n % 8), f64::from(n / 8)]).map(|[x, y]| [x, y, height(x, y)]).collect()
+        };
+        let level = field(|x, _| 100.0 + (x % 2.0));
+        assert!(is_level(&level, 1.0) && is_plane(&level, 1.0));
+        let ramp = field(|x, y| (7.3 * x - 2.6 * y).floor());
+        assert!(!is_level(&ramp, 1.0) && is_plane(&ramp, 1.0));
+        let noise = field(|x, y| (x * 37.0 + y * 91.0) % 64.0);
+        assert!(!is_plane(&noise, 1.0) && is_plane(&noise, 64.0));
+        let line: Heights = (0..9).map(|n| [f64::from(n), f64::from(n), f64::from(5 * n)]).collect();
+        assert!(is_plane(&line, 1.0));
+        assert!(is_plane(&[], 1.0) && is_level(&[], 1.0));
+    }
+}
