@@ -9,14 +9,18 @@
 //! needs it. A part reads the files whose stated bounds meet its columns. Bounds may lie; so the owner, which reads its
 //! file whole, fails if a point lies outside of them: no point is lost unnoticed.
 
+mod part;
+mod split;
+
+pub(crate) use self::part::Part;
+use self::split::split;
 use crate::archive::{MAX_SHARDS, Shard, plan_hash};
 use crate::convert::{ConvertOptions, PixelSize};
-use crate::frame::{Frame, TILE_PIXELS, morton};
-use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds, Units};
+use crate::input::{InputSet, ScanFile, StatedBounds, Units};
 use crate::plan::Plan;
 use crate::store::{ByteSource, FileSource};
-use crate::voxel::record::HALO_PIXELS;
 use crate::{Error, Monitor, Result};
+use std::collections::HashMap;
 use std::path::Path;
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -137,253 +141,22 @@ impl Job {
                 format!("{index}/{count} is none of 1/1 to {MAX_SHARDS}/{MAX_SHARDS}"),
             ));
         }
-        let firsts = self.split(count);
+        let firsts = split(&self.plan.frame, &self.inputs, count);
         let last = firsts.get(index as usize).map_or(u64::MAX, |next| next - 1);
         Ok(Shard { index, count, first: firsts[index as usize - 1], last, job: self.hash() })
     }
 
-    /// First columns of `count` parts that hold about as many points each, if headers tell the truth.
-    fn split(&self, count: u32) -> Vec<u64> {
-        let frame = &self.plan.frame;
-        let areas = self.inputs.iter().filter_map(|input| Some((tiles(frame, &input.bounds?, 0), input.points as f64)));
-        let mut areas: Vec<(Tiles, f64)> = areas.collect();
-        let mut total: f64 = areas.iter().map(|area| area.1).sum();
-        if total <= 0.0 {
-            areas = vec![(Cell::WHOLE.tiles(), 1.0)];
-            total = 1.0;
-        }
-        let mut firsts = vec![0u64];
-        for index in 1..count {
-            let least = firsts[firsts.len() - 1] + 1;
-            // Room for the parts that follow, each of which has a column.
-            let most = u64::MAX - u64::from(count - index);
-            let wanted = column_at(&areas, total * f64::from(index) / f64::from(count));
-            firsts.push(wanted.clamp(least, most));
-        }
-        firsts
-    }
-}
-
-/// First and last tile along x and y.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Tiles {
-    x: (i64, i64),
-    y: (i64, i64),
-}
-
-const GRID: (i64, i64) = (i32::MIN as i64, i32::MAX as i64);
-
-/// Tiles of the points within `bounds`, and of those up to `halo` pixels away.
-fn tiles(frame: &Frame, bounds: &StatedBounds, halo: i64) -> Tiles {
-    let along = |axis: usize| {
-        let tile = |pixel: i64| pixel.div_euclid(TILE_PIXELS).clamp(GRID.0, GRID.1);
-        (tile(frame.pixel_of(bounds.min[axis]) - halo), tile(frame.pixel_of(bounds.max[axis]) + halo))
-    };
-    Tiles { x: along(0), y: along(1) }
-}
-
-impl Tiles {
-    /// Tiles in both (a float: there may be 2⁶⁴).
-    fn common(&self, other: &Self) -> f64 {
-        let along = |a: (i64, i64), b: (i64, i64)| (a.1.min(b.1) - a.0.max(b.0) + 1).max(0) as f64;
-        along(self.x, other.x) * along(self.y, other.y)
-    }
-}
-
-/// A square of tiles whose columns are consecutive: a node of the quadtree that the order of columns walks through.
-#[derive(Clone, Copy)]
-struct Cell {
-    x: i64,
-    y: i64,
-    /// Its edge is `2^level` tiles.
-    level: u32,
-    /// Its first column.
-    first: u64,
-}
-
-impl Cell {
-    const WHOLE: Self = Self { x: GRID.0, y: GRID.0, level: 32, first: 0 };
-
-    fn tiles(&self) -> Tiles {
-        let edge = (1i64 << self.level) - 1;
-        Tiles { x: (self.x, self.x + edge), y: (self.y, self.y + edge) }
-    }
-
-    fn last(&self) -> u64 {
-        self.first + ((1u128 << (2 * self.level)) - 1) as u64
-    }
-
-    /// The four cells of which it consists, in the order of their columns; itself must be larger than a tile.
-    fn quarters(&self) -> [Self; 4] {
-        let level = self.level - 1;
-        [0u64, 1, 2, 3].map(|number| Self {
-            x: self.x + ((number as i64 & 1) << level),
-            y: self.y + ((number as i64 >> 1) << level),
-            level,
-            first: self.first + (number << (2 * level)),
-        })
-    }
-
-    /// Whether the cell has a tile of `area` whose column lies in `first..=last`.
-    fn meets(&self, area: &Tiles, first: u64, last: u64) -> bool {
-        if self.last() < first || self.first > last {
-            return false;
-        }
-        let common = self.tiles().common(area);
-        let all_columns = first <= self.first && self.last() <= last;
-        let all_tiles = common >= self.tiles().common(&self.tiles());
-        common > 0.0 && (all_columns || all_tiles || self.quarters().iter().any(|cell| cell.meets(area, first, last)))
-    }
-}
-
-/// The column before which the `areas`, evenly filled with their weights, hold `target`.
-fn column_at(areas: &[(Tiles, f64)], target: f64) -> u64 {
-    let mut cell = Cell::WHOLE;
-    let mut before = 0.0;
-    while cell.level > 0 {
-        let quarters = cell.quarters();
-        cell = quarters[3];
-        for quarter in &quarters[..3] {
-            let tiles = quarter.tiles();
-            let weight: f64 = areas.iter().map(|(area, weight)| weight * tiles.common(area) / area.common(area)).sum();
-            if before + weight > target {
-                cell = *quarter;
-                break;
-            }
-            before += weight;
-        }
-    }
-    cell.first
-}
-
-/// What to convert of a scan, if not all.
-#[derive(Debug, Clone)]
-pub struct ShardOptions {
-    /// Number of the part [1..=count].
-    pub index: u32,
-    /// Number of all parts [1..=65536].
-    pub count: u32,
-    /// The job as a plan fixed it; made anew from the inputs if `None`, the same in every part.
-    pub job: Option<Job>,
-}
-
-/// A part of a conversion and how it treats each file.
-pub(crate) struct Part {
-    pub shard: Shard,
-    /// By number in the set of inputs.
-    roles: Vec<Role>,
-    frame: Frame,
-}
-
-/// How a part treats a file.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Role {
-    /// Points of the file may lie in the part's columns or beside them.
-    reads: bool,
-    /// Points that make no voxel count here.
-    owns: bool,
-    bounds: Option<StatedBounds>,
-}
-
-impl Part {
-    /// The part that `options` ask for, of the inputs `set`, which must be those of its job.
-    pub fn new(options: &ShardOptions, set: &InputSet, plan: &Plan, units: Units) -> Result<Self> {
-        let here = Job::of(set, plan.clone(), units, None)?;
-        let job = match &options.job {
-            Some(job) => {
-                job.check_same_inputs(&here)?;
-                job
-            }
-            None => &here,
-        };
-        let shard = job.shard(options.index, options.count)?;
-        let firsts = job.split(options.count);
-        let role = |input: &InputFacts| {
-            let meets = |first, last| match &input.bounds {
-                Some(bounds) => Cell::WHOLE.meets(&tiles(&plan.frame, bounds, HALO_PIXELS), first, last),
-                None => true,
-            };
-            let reads = meets(shard.first, shard.last);
-            let owns = reads && (shard.first == 0 || !meets(0, firsts[shard.index as usize - 1] - 1));
-            Role { reads, owns, bounds: input.bounds }
-        };
-        let mut roles = Vec::with_capacity(set.files().len());
-        let mut taken = vec![false; job.inputs.len()];
-        for file in set.files() {
-            let print = fingerprint(file.path())?;
-            // Files of equal fingerprint may differ in the bounds that a person put into the plan.
-            let found = (0..taken.len()).find(|&number| !taken[number] && job.inputs[number].fingerprint == print);
-            let Some(number) = found else {
-                return Err(Error::input(file.path(), "content", "it changed while it was opened; start again"));
-            };
-            taken[number] = true;
-            roles.push(role(&job.inputs[number]));
-        }
-        Ok(Self { shard, roles, frame: plan.frame })
-    }
-
-    /// Whether the part needs a file.
-    pub fn reads(&self, file: usize) -> bool {
-        self.roles[file].reads
-    }
-
-    /// Whether points of a file that make no voxel count in this part.
-    pub fn owns(&self, file: usize) -> bool {
-        self.roles[file].owns
-    }
-
-    /// Whether the part needs every file.
-    pub fn reads_all(&self) -> bool {
-        self.roles.iter().all(|role| role.reads)
-    }
-
-    /// Fails if points of a file that reach from `min` to `max` lie where other parts would not look for them.
-    pub fn check_bounds(&self, scan: &ScanFile, file: usize, min: [f64; 3], max: [f64; 3]) -> Result<()> {
-        let Some(stated) = self.roles[file].bounds else { return Ok(()) };
-        // Heights do not decide which part needs a file.
-        if (0..2).all(|axis| stated.min[axis] <= min[axis] && max[axis] <= stated.max[axis]) {
-            return Ok(());
-        }
-        let reason = format!(
-            "points from {min:?} to {max:?} lie outside the bounds that its header states, by which parts choose their \
-             files; write a plan, set the file's bounds in it to null, and convert every part again with it"
-        );
-        Err(Error::input(scan.path(), "bounds", reason))
-    }
-
-    /// How many points of `batch` lie in the part's columns, and their bounds.
-    pub fn own(&self, batch: &PointBatch) -> (u64, [f64; 3], [f64; 3]) {
-        let (mut count, mut min, mut max) = (0, [f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-        let columns = self.shard.columns();
-        let mut last = None;
-        for ((&x, &y), &z) in batch.x.iter().zip(&batch.y).zip(&batch.z) {
-            let tile = [x, y].map(|v| self.frame.pixel_of(v).div_euclid(TILE_PIXELS) as i32);
-            // Points that follow each other mostly lie in the same tile.
-            let own = match last {
-                Some((same, own)) if same == tile => own,
-                _ => columns.contains(&morton(tile[0], tile[1])),
-            };
-            last = Some((tile, own));
-            if own {
-                count += 1;
-                for (axis, value) in [x, y, z].into_iter().enumerate() {
-                    min[axis] = min[axis].min(value);
-                    max[axis] = max[axis].max(value);
-                }
-            }
-        }
-        (count, min, max)
-    }
-}
-
-impl Job {
     /// Refuses inputs that are not those of the job.
     fn check_same_inputs(&self, here: &Self) -> Result<()> {
         let missing = |from: &Self, of: &Self| {
-            let mut rest: Vec<u128> = from.inputs.iter().map(|input| input.fingerprint).collect();
-            let missing = of.inputs.iter().find(|input| {
-                let found = rest.iter().position(|&print| print == input.fingerprint);
-                found.map(|at| rest.swap_remove(at)).is_none()
+            let mut rest: HashMap<u128, usize> = HashMap::new();
+            from.inputs.iter().for_each(|input| *rest.entry(input.fingerprint).or_default() += 1);
+            let missing = of.inputs.iter().find(|input| match rest.get_mut(&input.fingerprint) {
+                Some(left) if *left > 0 => {
+                    *left -= 1;
+                    false
+                }
+                _ => true,
             });
             missing.map(|input| input.name.clone())
         };
@@ -405,10 +178,24 @@ impl Job {
     }
 }
 
+/// What to convert of a scan, if not all.
+#[derive(Debug, Clone)]
+pub struct ShardOptions {
+    /// Number of the part [1..=count].
+    pub index: u32,
+    /// Number of all parts [1..=65536].
+    pub count: u32,
+    /// The job as a plan fixed it; made anew from the inputs if `None`, the same in every part.
+    pub job: Option<Job>,
+}
+
 #[cfg(test)]
 mod tests {
+    use super::split::{Cell, tiles};
     use super::*;
+    use crate::frame::{Frame, morton};
     use crate::plan::{Classifier, Up};
+    use crate::voxel::record::HALO_PIXELS;
     use proptest::prelude::*;
 
     fn job(areas: &[([f64; 2], [f64; 2], u64)]) -> Job {
@@ -457,18 +244,6 @@ mod tests {
                     prop_assert!(met(part.first, part.last), "tile {} of {:?}", x, area);
                 }
             }
-        }
-
-        #[test]
-        fn a_range_meets_an_area_exactly_when_it_has_a_column_of_it(
-            x in (-20i64..20, 0i64..9), y in (-20i64..20, 0i64..9), at in (-24i32..32, -24i32..32), length in 0u64..200
-        ) {
-            let area = Tiles { x: (x.0, x.0 + x.1), y: (y.0, y.0 + y.1) };
-            let first = morton(at.0, at.1);
-            let last = first + length;
-            let inside = |tx: i64, ty: i64| (first..=last).contains(&morton(tx as i32, ty as i32));
-            let expected = (area.x.0..=area.x.1).any(|tx| (area.y.0..=area.y.1).any(|ty| inside(tx, ty)));
-            prop_assert_eq!(Cell::WHOLE.meets(&area, first, last), expected);
         }
     }
 
