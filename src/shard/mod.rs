@@ -7,7 +7,8 @@
 //!
 //! Each point counts in one part: by its column if it is kept, else in the part that *owns* its file, the first that
 //! needs it. A part reads the files whose stated bounds meet its columns. Bounds may lie; so the owner, which reads its
-//! file whole, fails if a point lies outside of them: no point is lost unnoticed.
+//! file whole, fails if a point lies outside of them: no point is lost unnoticed. Meshes are read by every part; their
+//! triangles count in the first, and their bounds in all.
 
 mod part;
 mod split;
@@ -17,6 +18,7 @@ use self::split::split;
 use crate::archive::{MAX_SHARDS, Shard, plan_hash};
 use crate::convert::{ConvertOptions, PixelSize};
 use crate::input::{InputSet, ScanFile, StatedBounds, Units};
+use crate::mesh::MeshMode;
 use crate::plan::Plan;
 use crate::store::{ByteSource, FileSource};
 use crate::{Error, Monitor, Result};
@@ -51,6 +53,15 @@ impl InputFacts {
     }
 }
 
+impl InputFacts {
+    /// Meshes have no headers that tell bounds: every part reads them.
+    fn of_mesh(path: &Path) -> Result<Self> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let bytes = FileSource::open(path)?.len();
+        Ok(Self { name, bytes, points: 0, fingerprint: fingerprint(path)?, bounds: None })
+    }
+}
+
 fn fingerprint(path: &Path) -> Result<u128> {
     let source = FileSource::open(path)?;
     let (len, ends) = (source.len(), source.len().min(FINGERPRINT_BYTES));
@@ -70,6 +81,8 @@ pub struct Job {
     pub plan: Plan,
     /// Unit of the input.
     pub units: Units,
+    /// How meshes become voxels.
+    pub mesh: MeshMode,
     /// Point spacing found, if the pixel size was chosen from it (m).
     pub spacing_m: Option<f64>,
     /// The inputs, in order of their fingerprints: the same on every machine.
@@ -80,16 +93,16 @@ impl Job {
     /// The job that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let inputs = crate::convert::open_inputs(options, monitor)?;
-        if !inputs.meshes.is_empty() {
-            return Err(Error::parameter("--write-plan", crate::convert::MESHES_IN_PARTS));
-        }
         let (plan, spacing) = crate::convert::plan(options, &inputs, monitor)?;
-        Self::of(&inputs.scans, plan, options.units, spacing.map(|spacing| spacing.spacing_m))
+        let job = Self::of(&inputs.scans, plan, options)?;
+        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..job })
     }
 
-    fn of(set: &InputSet, plan: Plan, units: Units, spacing_m: Option<f64>) -> Result<Self> {
-        let inputs = set.files().iter().map(InputFacts::of).collect::<Result<Vec<_>>>()?;
-        let mut job = Self { plan, units, spacing_m, inputs };
+    fn of(set: &InputSet, plan: Plan, options: &ConvertOptions) -> Result<Self> {
+        let scans = set.files().iter().map(InputFacts::of);
+        let inputs = scans.chain(set.meshes().iter().map(|path| InputFacts::of_mesh(path)));
+        let inputs = inputs.collect::<Result<Vec<_>>>()?;
+        let mut job = Self { plan, units: options.units, mesh: options.mesh, spacing_m: None, inputs };
         job.sort_inputs();
         Ok(job)
     }
@@ -106,7 +119,11 @@ impl Job {
             Units::Auto => 0.0,
             Units::Factor(factor) => factor,
         };
-        bytes.extend(unit.to_le_bytes());
+        let mesh = match self.mesh {
+            MeshMode::Exact => -1.0,
+            MeshMode::Sampled { step_m } => step_m.unwrap_or(0.0),
+        };
+        bytes.extend([unit, mesh].map(f64::to_le_bytes).concat());
         for input in &self.inputs {
             bytes.extend(input.fingerprint.to_le_bytes());
             bytes.extend(input.points.to_le_bytes());
@@ -131,6 +148,7 @@ impl Job {
         options.up = up;
         options.exclude_classes = exclude_classes;
         options.units = self.units;
+        options.mesh = self.mesh;
     }
 
     /// Part `index` of `count`.
@@ -168,7 +186,7 @@ impl Job {
         if let Some(name) = missing(here, self) {
             return Err(Error::input(name, "plan", "it is a file of the plan, but not among the inputs; name it too"));
         }
-        if here.plan != self.plan || here.units != self.units {
+        if here.plan != self.plan || here.units != self.units || here.mesh != self.mesh {
             return Err(Error::parameter(
                 "plan",
                 "its options are not those of the conversion; apply it to them first",
@@ -216,7 +234,13 @@ mod tests {
             fingerprint: number as u128,
             bounds: Some(StatedBounds { min: [min[0], min[1], 0.0], max: [min[0] + size[0], min[1] + size[1], 1.0] }),
         };
-        Job { plan, units: Units::Auto, spacing_m: None, inputs: areas.iter().enumerate().map(facts).collect() }
+        Job {
+            plan,
+            units: Units::Auto,
+            mesh: MeshMode::Exact,
+            spacing_m: None,
+            inputs: areas.iter().enumerate().map(facts).collect(),
+        }
     }
 
     proptest! {
@@ -267,12 +291,13 @@ mod tests {
         let mut renamed = one.clone();
         renamed.inputs[0].name = "other.las".into();
         assert_eq!(renamed.hash(), one.hash());
-        let mut changes = vec![one.clone(); 5];
+        let mut changes = vec![one.clone(); 6];
         changes[0].plan.max_slope_deg = 44.0;
         changes[1].units = Units::Factor(1.0);
         changes[2].inputs[0].fingerprint = 9;
         changes[3].inputs[1].bounds = None;
         changes[4].inputs.pop();
+        changes[5].mesh = MeshMode::Sampled { step_m: None };
         for (number, changed) in changes.iter().enumerate() {
             assert_ne!(changed.hash(), one.hash(), "{number}");
         }

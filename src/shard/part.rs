@@ -3,8 +3,9 @@
 use super::split::{Cell, tiles};
 use super::{InputFacts, Job, ShardOptions, fingerprint};
 use crate::archive::Shard;
+use crate::convert::ConvertOptions;
 use crate::frame::{Frame, TILE_PIXELS, morton};
-use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds, Units};
+use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds};
 use crate::plan::Plan;
 use crate::voxel::record::HALO_PIXELS;
 use crate::{Error, Result};
@@ -30,16 +31,16 @@ struct Role {
 
 impl Part {
     /// The part that `options` ask for, of the inputs `set`, which must be those of its job.
-    pub fn new(options: &ShardOptions, set: &InputSet, plan: &Plan, units: Units) -> Result<Self> {
-        let here = Job::of(set, plan.clone(), units, None)?;
-        let job = match &options.job {
+    pub fn new(shard: &ShardOptions, set: &InputSet, plan: &Plan, options: &ConvertOptions) -> Result<Self> {
+        let here = Job::of(set, plan.clone(), options)?;
+        let job = match &shard.job {
             Some(job) => {
                 job.check_same_inputs(&here)?;
                 job
             }
             None => &here,
         };
-        let shard = job.shard(options.index, options.count)?;
+        let shard = job.shard(shard.index, shard.count)?;
         let role = |input: &InputFacts| {
             let meets = |first, last| match &input.bounds {
                 Some(bounds) => Cell::WHOLE.meets(&tiles(&plan.frame, bounds, HALO_PIXELS), first, last),
@@ -70,6 +71,11 @@ impl Part {
     /// Whether points of a file that make no voxel count in this part.
     pub fn owns(&self, file: usize) -> bool {
         self.roles[file].owns
+    }
+
+    /// Whether the triangles of meshes count in this part.
+    pub fn owns_meshes(&self) -> bool {
+        self.shard.index == 1
     }
 
     /// Whether the part needs every file.
