@@ -153,9 +153,6 @@ pub(crate) struct Inputs {
     pub meshes: MeshSet,
 }
 
-/// Why meshes cannot be converted in parts, and what to do.
-pub(crate) const MESHES_IN_PARTS: &str = "the inputs hold meshes, and parts are of scans alone: convert all in one run";
-
 /// Opens the inputs of a conversion.
 pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Inputs> {
     if options.memory_bytes < MIN_MEMORY_BYTES {
@@ -218,10 +215,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let inputs = open_inputs(options, monitor)?;
     let (plan, spacing) = plan(options, &inputs, monitor)?;
     let Inputs { scans: set, meshes } = inputs;
-    if options.shard.is_some() && !meshes.is_empty() {
-        return Err(Error::parameter("--shard", MESHES_IN_PARTS));
-    }
-    let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options.units)).transpose()?;
+    let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options)).transpose()?;
     // Made first, so that an archive that must not be replaced is found before the work and not after it.
     let mut writer = ArchiveWriter::create(&options.output, &plan, options.overwrite)?;
     if let Some(part) = &part {
@@ -230,8 +224,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
 
     let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
     check_free_space(options, &set)?;
-    let build_bytes = options.memory_bytes / 4 / threads as u64;
-    let mut read = read_points(&set, &plan, &store, build_bytes, threads, part.as_ref(), monitor)?;
+    let mut read = read_points(&set, &plan, &store, build_bytes(options), threads, part.as_ref(), monitor)?;
     set.warn_of_losses(monitor);
     // A part that leaves files out cannot say of the whole that nothing in it can be used.
     let whole = part.as_ref().is_none_or(Part::reads_all);
@@ -239,7 +232,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         refuse_unusable(&set, &read.counts)?;
     }
     let points_not_finite = read.own.left_out.not_finite;
-    let mesh_read = read_meshes(&meshes, options.mesh, &plan, &store, build_bytes, threads, monitor)?;
+    let mesh_read = read_meshes(&meshes, options, &plan, &store, part.as_ref(), monitor)?;
     read.merge(&mesh_read.read);
     if whole && read.counts.read == 0 {
         monitor.warn("the input holds no points: the archive is empty");
@@ -251,7 +244,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         points_kept: own.kept,
         points_withheld: own.left_out.withheld,
         points_excluded: own.left_out.excluded,
-        bounds: (own.kept > 0).then_some((own.min, own.max)),
+        bounds: (own.min[0] <= own.max[0]).then_some((own.min, own.max)),
         crs: set.crs().unwrap_or_default().to_owned(),
     })?;
     Ok(Report {
@@ -265,6 +258,11 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         points_made: mesh_read.points_made,
         voxels_dropped,
     })
+}
+
+/// Memory of one worker's run under construction.
+fn build_bytes(options: &ConvertOptions) -> u64 {
+    options.memory_bytes / 4 / options.threads.max(1) as u64
 }
 
 /// `value` to so many significant decimal digits.
@@ -471,11 +469,10 @@ struct MeshRead {
 /// First pass: all triangles into runs. One worker at a time reads; all of them take triangles to the grid.
 fn read_meshes(
     set: &MeshSet,
-    mode: MeshMode,
+    options: &ConvertOptions,
     plan: &Plan,
     store: &RunStore,
-    build_bytes: u64,
-    threads: usize,
+    part: Option<&Part>,
     monitor: &dyn Monitor,
 ) -> Result<MeshRead> {
     if set.is_empty() {
@@ -486,8 +483,11 @@ fn read_meshes(
     let failed = AtomicBool::new(false);
     let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
     let work = || -> Result<(Read, u64)> {
-        let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes);
-        let mut surfaces = SurfaceBuilder::new(plan, mode);
+        let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes(options));
+        if let Some(part) = part {
+            runs = runs.only(part.shard.first, part.shard.last);
+        }
+        let mut surfaces = SurfaceBuilder::new(plan, options.mesh);
         let (mut read, mut batch) = (Read::NOTHING, Vec::new());
         while feed.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next(&mut batch, monitor)? {
             for triangle in &batch {
@@ -510,14 +510,16 @@ fn read_meshes(
         runs.flush(store)?;
         Ok((read, surfaces.points_made()))
     };
-    let done = on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+    let done = on_threads(options.threads.max(1), || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
     let triangles = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner).counts();
     let mut all = MeshRead { read: Read::NOTHING, triangles, points_made: 0 };
     all.read.counts.read = triangles.read;
     all.read.counts.not_finite = triangles.left_out;
-    all.read.own.kept = triangles.read - triangles.left_out;
-    all.read.own.left_out =
-        UnitCounts { read: triangles.left_out, not_finite: triangles.left_out, ..Read::NOTHING.counts };
+    if part.is_none_or(Part::owns_meshes) {
+        all.read.own.kept = triangles.read - triangles.left_out;
+        all.read.own.left_out =
+            UnitCounts { read: triangles.left_out, not_finite: triangles.left_out, ..Read::NOTHING.counts };
+    }
     for (read, points_made) in done {
         all.read.merge(&read);
         all.points_made += points_made;

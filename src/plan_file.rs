@@ -3,6 +3,7 @@
 use crate::archive::plan_hash;
 use crate::frame::Frame;
 use crate::input::{StatedBounds, Units};
+use crate::mesh::MeshMode;
 use crate::plan::{Classifier, Plan, Up};
 use crate::shard::{InputFacts, Job};
 use crate::{Error, Result};
@@ -33,6 +34,11 @@ pub fn to_json(job: &Job) -> Value {
         "units": match job.units {
             Units::Auto => json!("auto"),
             Units::Factor(factor) => json!(factor),
+        },
+        "mesh": match job.mesh {
+            MeshMode::Exact => json!("exact"),
+            MeshMode::Sampled { step_m: None } => json!("sampled"),
+            MeshMode::Sampled { step_m: Some(step_m) } => json!(step_m),
         },
         "point_spacing": job.spacing_m,
         "inputs": inputs,
@@ -150,6 +156,12 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
         Some(factor) => Some(Units::Factor(factor)).filter(|_| factor.is_finite() && factor > 0.0),
         None => (v.as_str() == Some("auto")).then_some(Units::Auto),
     };
+    let mesh = |v: &Value| match (v.as_str(), number(v)) {
+        (Some("exact"), _) => Some(MeshMode::Exact),
+        (Some("sampled"), _) => Some(MeshMode::Sampled { step_m: None }),
+        (_, Some(step_m)) if step_m > 0.0 => Some(MeshMode::Sampled { step_m: Some(step_m) }),
+        _ => None,
+    };
     let spacing = |v: &Value| if v.is_null() { Some(None) } else { number(v).map(Some) };
     let inputs = field(value, "inputs", "a list of files", Value::as_array)?;
     let input =
@@ -157,6 +169,7 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
     let mut job = Job {
         plan,
         units: field(value, "units", "auto or metres per unit", units)?,
+        mesh: field(value, "mesh", "exact, sampled, or a distance of points in metres", mesh)?,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
         inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
     };
@@ -221,7 +234,9 @@ mod tests {
                 up: if flags.1 { Up::Y } else { Up::Z },
                 exclude_classes: classes,
             };
-            let mut job = Job { plan, units: units.map_or(Units::Auto, Units::Factor), spacing_m, inputs };
+            let units = units.map_or(Units::Auto, Units::Factor);
+            let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
+            let mut job = Job { plan, units, mesh, spacing_m, inputs };
             job.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
@@ -251,7 +266,7 @@ mod tests {
                 up: Up::Z,
                 exclude_classes: [0; 4],
             };
-            let good = to_json(&Job { plan, units: Units::Auto, spacing_m: None, inputs: Vec::new() }).to_string();
+            let good = to_json(&Job { plan, units: Units::Auto, mesh: MeshMode::Exact, spacing_m: None, inputs: Vec::new() }).to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

@@ -79,6 +79,29 @@ fn parts_of_scenes_with_ramps_and_walls_merge_to_the_bytes_of_one_run() {
 }
 
 #[test]
+fn parts_of_meshes_beside_a_scan_merge_to_the_bytes_of_one_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    scan(at, "house.laz", "house", 40_000);
+    // A floor, a ramp and a wall of large triangles across many tiles, and one that is left out.
+    let corners = "v -20 -20 1\nv 20 -20 1\nv 20 20 1\nv -20 20 6\nv 3 -15 0\nv 3 15 0\nv 3 15 3\n";
+    fs::write(at.join("room.obj"), format!("{corners}f 1 2 3\nf 1 3 4\nf 5 6 7\nf 1 1 2\n")).unwrap();
+    for (inputs, options) in [
+        (&["room.obj"][..], &["--pixel", "0.2", "--units", "m"][..]),
+        (&["house.laz", "room.obj"], &["--pixel", "0.1", "--units", "m", "--mesh", "sampled"]),
+        (&["house.laz", "room.obj"], &["--pixel", "auto", "--units", "m", "--drop-isolated"]),
+    ] {
+        convert(at, inputs, "whole.slices", options);
+        converts(at, &[inputs, options, &["--write-plan", "plan.json", "--quiet", "--force"]].concat());
+        for options in [options, &["--plan", "plan.json"]] {
+            merges_to(&parts(at, inputs, 4, options), &at.join("whole.slices"));
+        }
+    }
+    let shard = ["--plan", "plan.json", "--mesh", "sampled", "--shard", "1/2", "-o", "x.slices"];
+    refuses(at, &[&["house.laz", "room.obj"][..], &shard].concat(), 2);
+}
+
+#[test]
 fn parts_of_a_real_scan_merge_to_the_bytes_of_one_run() {
     let Some(data) = data() else { return };
     let folder = tempfile::tempdir().unwrap();

@@ -303,6 +303,7 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("drop_isolated", "--drop-isolated", wanted.drop_isolated == planned.drop_isolated),
         ("up", "--up", wanted.up == planned.up),
         ("units", "--units", wanted.units == planned.units),
+        ("mesh", "--mesh", wanted.mesh == planned.mesh),
     ];
     for (id, name, same) in options {
         if !same && given.value_source(id) == Some(ValueSource::CommandLine) {

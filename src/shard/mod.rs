@@ -1,0 +1,305 @@
+//! Converting a scan in parts, on several machines or one after the other.
+//!
+//! A *job* is a conversion fixed in advance: plan, unit and inputs. It is cut into parts by tile columns: part `k` of `n`
+//! has a range of columns in archive order, balanced by the bounds and point counts that headers state. What decides a
+//! voxel reaches one pixel beyond its column, and the voxel pass gives each column copies of the points there; so a part
+//! that keeps the records of its own columns, and no others, makes the very pages of a single run.
+//!
+//! Each point counts in one part: by its column if it is kept, else in the part that *owns* its file, the first that
+//! needs it. A part reads the files whose stated bounds meet its columns. Bounds may lie; so the owner, which reads its
+//! file whole, fails if a point lies outside of them: no point is lost unnoticed. Meshes are read by every part; their
+//! triangles count in the first, and their bounds in all.
+
+mod part;
+mod split;
+
+pub(crate) use self::part::Part;
+use self::split::split;
+use crate::archive::{MAX_SHARDS, Shard, plan_hash};
+use crate::convert::{ConvertOptions, PixelSize};
+use crate::input::{InputSet, ScanFile, StatedBounds, Units};
+use crate::mesh::MeshMode;
+use crate::plan::Plan;
+use crate::store::{ByteSource, FileSource};
+use crate::{Error, Monitor, Result};
+use std::collections::HashMap;
+use std::path::Path;
+use xxhash_rust::xxh3::xxh3_128;
+
+/// Bytes at either end of a file by which it is known again, beside its length.
+const FINGERPRINT_BYTES: u64 = 4096;
+
+/// An input file as a plan remembers it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InputFacts {
+    /// Its name without folders, for the reader of the plan only.
+    pub name: String,
+    /// Its length (bytes).
+    pub bytes: u64,
+    /// Points that its header states.
+    pub points: u64,
+    /// XXH3-128 of its length, its first and its last 4096 bytes: tells whether another machine has the same file.
+    pub fingerprint: u128,
+    /// Bounds that its header states (m); parts that these do not meet leave the file out. `None`: all parts read it.
+    pub bounds: Option<StatedBounds>,
+}
+
+impl InputFacts {
+    fn of(file: &ScanFile) -> Result<Self> {
+        let name = file.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let bounds = file.bounds_with_slack();
+        let (bytes, points) = (file.bytes(), file.points_stated());
+        Ok(Self { name, bytes, points, fingerprint: fingerprint(file.path())?, bounds })
+    }
+}
+
+impl InputFacts {
+    /// Meshes have no headers that tell bounds: every part reads them.
+    fn of_mesh(path: &Path) -> Result<Self> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let bytes = FileSource::open(path)?.len();
+        Ok(Self { name, bytes, points: 0, fingerprint: fingerprint(path)?, bounds: None })
+    }
+}
+
+fn fingerprint(path: &Path) -> Result<u128> {
+    let source = FileSource::open(path)?;
+    let (len, ends) = (source.len(), source.len().min(FINGERPRINT_BYTES));
+    let mut bytes = len.to_le_bytes().to_vec();
+    for at in [0, len - ends] {
+        let start = bytes.len();
+        bytes.resize(start + ends as usize, 0);
+        source.read_at(at, &mut bytes[start..])?;
+    }
+    Ok(xxh3_128(&bytes))
+}
+
+/// A conversion fixed before any point is converted; `sliceconv --write-plan` writes one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Job {
+    /// Grid and options.
+    pub plan: Plan,
+    /// Unit of the input.
+    pub units: Units,
+    /// How meshes become voxels.
+    pub mesh: MeshMode,
+    /// Point spacing found, if the pixel size was chosen from it (m).
+    pub spacing_m: Option<f64>,
+    /// The inputs, in order of their fingerprints: the same on every machine.
+    pub inputs: Vec<InputFacts>,
+}
+
+impl Job {
+    /// The job that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
+    pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
+        let inputs = crate::convert::open_inputs(options, monitor)?;
+        let (plan, spacing) = crate::convert::plan(options, &inputs, monitor)?;
+        let job = Self::of(&inputs.scans, plan, options)?;
+        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..job })
+    }
+
+    fn of(set: &InputSet, plan: Plan, options: &ConvertOptions) -> Result<Self> {
+        let scans = set.files().iter().map(InputFacts::of);
+        let inputs = scans.chain(set.meshes().iter().map(|path| InputFacts::of_mesh(path)));
+        let inputs = inputs.collect::<Result<Vec<_>>>()?;
+        let mut job = Self { plan, units: options.units, mesh: options.mesh, spacing_m: None, inputs };
+        job.sort_inputs();
+        Ok(job)
+    }
+
+    /// Puts the inputs into the order that does not depend on where they lie.
+    pub fn sort_inputs(&mut self) {
+        self.inputs.sort_by(|a, b| (a.fingerprint, &a.name).cmp(&(b.fingerprint, &b.name)));
+    }
+
+    /// Identity of the job: of everything that decides what its parts hold.
+    pub fn hash(&self) -> u128 {
+        let mut bytes = plan_hash(&self.plan).to_le_bytes().to_vec();
+        let unit = match self.units {
+            Units::Auto => 0.0,
+            Units::Factor(factor) => factor,
+        };
+        let mesh = match self.mesh {
+            MeshMode::Exact => -1.0,
+            MeshMode::Sampled { step_m } => step_m.unwrap_or(0.0),
+        };
+        bytes.extend([unit, mesh].map(f64::to_le_bytes).concat());
+        for input in &self.inputs {
+            bytes.extend(input.fingerprint.to_le_bytes());
+            bytes.extend(input.points.to_le_bytes());
+            let bounds = input.bounds.map(|bounds| [bounds.min, bounds.max].concat());
+            bytes.push(u8::from(bounds.is_some()));
+            bounds.into_iter().flatten().for_each(|value| bytes.extend((value + 0.0).to_le_bytes()));
+        }
+        xxh3_128(&bytes)
+    }
+
+    /// Sets the options that the job fixes.
+    pub fn apply_to(&self, options: &mut ConvertOptions) {
+        let Plan { frame, max_slope_deg, tolerance_m, classifier, min_points, drop_isolated, up, exclude_classes } =
+            self.plan.clone();
+        options.pixel = PixelSize::Metres(frame.pixel_m());
+        options.slice_m = Some(frame.slice_m());
+        options.max_slope_deg = max_slope_deg;
+        options.tolerance_m = tolerance_m;
+        options.classifier = classifier;
+        options.min_points = min_points;
+        options.drop_isolated = drop_isolated;
+        options.up = up;
+        options.exclude_classes = exclude_classes;
+        options.units = self.units;
+        options.mesh = self.mesh;
+    }
+
+    /// Part `index` of `count`.
+    pub fn shard(&self, index: u32, count: u32) -> Result<Shard> {
+        if !(1..=MAX_SHARDS).contains(&count) || !(1..=count).contains(&index) {
+            return Err(Error::parameter(
+                "--shard",
+                format!("{index}/{count} is none of 1/1 to {MAX_SHARDS}/{MAX_SHARDS}"),
+            ));
+        }
+        let firsts = split(&self.plan.frame, &self.inputs, count);
+        let last = firsts.get(index as usize).map_or(u64::MAX, |next| next - 1);
+        Ok(Shard { index, count, first: firsts[index as usize - 1], last, job: self.hash() })
+    }
+
+    /// Refuses inputs that are not those of the job.
+    fn check_same_inputs(&self, here: &Self) -> Result<()> {
+        let missing = |from: &Self, of: &Self| {
+            let mut rest: HashMap<u128, usize> = HashMap::new();
+            from.inputs.iter().for_each(|input| *rest.entry(input.fingerprint).or_default() += 1);
+            let missing = of.inputs.iter().find(|input| match rest.get_mut(&input.fingerprint) {
+                Some(left) if *left > 0 => {
+                    *left -= 1;
+                    false
+                }
+                _ => true,
+            });
+            missing.map(|input| input.name.clone())
+        };
+        if let Some(name) = missing(self, here) {
+            let reason = "it is not among the files of the plan, or has changed since; write the plan again, and convert \
+                          every part with it";
+            return Err(Error::input(name, "content", reason));
+        }
+        if let Some(name) = missing(here, self) {
+            return Err(Error::input(name, "plan", "it is a file of the plan, but not among the inputs; name it too"));
+        }
+        if here.plan != self.plan || here.units != self.units || here.mesh != self.mesh {
+            return Err(Error::parameter(
+                "plan",
+                "its options are not those of the conversion; apply it to them first",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// What to convert of a scan, if not all.
+#[derive(Debug, Clone)]
+pub struct ShardOptions {
+    /// Number of the part [1..=count].
+    pub index: u32,
+    /// Number of all parts [1..=65536].
+    pub count: u32,
+    /// The job as a plan fixed it; made anew from the inputs if `None`, the same in every part.
+    pub job: Option<Job>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::split::{Cell, tiles};
+    use super::*;
+    use crate::frame::{Frame, morton};
+    use crate::plan::{Classifier, Up};
+    use crate::voxel::record::HALO_PIXELS;
+    use proptest::prelude::*;
+
+    fn job(areas: &[([f64; 2], [f64; 2], u64)]) -> Job {
+        let plan = Plan {
+            frame: Frame::new(0.1, 0.3).unwrap(),
+            max_slope_deg: 45.0,
+            tolerance_m: 0.0,
+            classifier: Classifier::Plane,
+            min_points: 1,
+            drop_isolated: false,
+            up: Up::Z,
+            exclude_classes: [0; 4],
+        };
+        let facts = |(number, &(min, size, points)): (usize, &([f64; 2], [f64; 2], u64))| InputFacts {
+            name: format!("{number}.las"),
+            bytes: 1,
+            points,
+            fingerprint: number as u128,
+            bounds: Some(StatedBounds { min: [min[0], min[1], 0.0], max: [min[0] + size[0], min[1] + size[1], 1.0] }),
+        };
+        Job {
+            plan,
+            units: Units::Auto,
+            mesh: MeshMode::Exact,
+            spacing_m: None,
+            inputs: areas.iter().enumerate().map(facts).collect(),
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn parts_follow_one_another_over_the_whole_grid_and_every_file_is_owned_once(
+            areas in proptest::collection::vec(
+                (prop::array::uniform2(-1e4f64..1e4), prop::array::uniform2(0.0f64..3e3), 0u64..1_000_000), 0..6),
+            count in 1u32..9
+        ) {
+            let job = job(&areas);
+            let parts: Vec<Shard> = (1..=count).map(|index| job.shard(index, count).unwrap()).collect();
+            prop_assert_eq!((parts[0].first, parts[count as usize - 1].last), (0, u64::MAX));
+            for pair in parts.windows(2) {
+                prop_assert!(pair[0].first <= pair[0].last && pair[0].last + 1 == pair[1].first);
+            }
+            for input in &job.inputs {
+                let area = tiles(&job.plan.frame, &input.bounds.unwrap(), HALO_PIXELS);
+                let met = |first, last| Cell::WHOLE.meets(&area, first, last);
+                let owners = parts.iter().filter(|p| met(p.first, p.last) && (p.first == 0 || !met(0, p.first - 1)));
+                prop_assert_eq!(owners.count(), 1);
+                // By brute force along the lower edge: each of its tiles lies in a part that needs the file.
+                for x in area.x.0..=area.x.1.min(area.x.0 + 300) {
+                    let column = morton(x as i32, area.y.0 as i32);
+                    let part = parts.iter().find(|part| part.columns().contains(&column)).unwrap();
+                    prop_assert!(met(part.first, part.last), "tile {} of {:?}", x, area);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn parts_of_an_even_scan_are_about_equal() {
+        let job = job(&[([-100.0, -50.0], [200.0, 100.0], 1_000_000)]);
+        let area = tiles(&job.plan.frame, &job.inputs[0].bounds.unwrap(), 0);
+        let all = area.common(&area);
+        for part in (1..=4).map(|index| job.shard(index, 4).unwrap()) {
+            let own = |tx: i64| {
+                (area.y.0..=area.y.1).filter(move |&ty| part.columns().contains(&morton(tx as i32, ty as i32)))
+            };
+            let share = (area.x.0..=area.x.1).flat_map(own).count() as f64 / all;
+            assert!((0.2..0.3).contains(&share), "{share}");
+        }
+    }
+
+    #[test]
+    fn jobs_differ_by_what_decides_their_parts_and_not_by_names() {
+        let one = job(&[([0.0; 2], [9.0; 2], 10), ([5.0; 2], [9.0; 2], 20)]);
+        let mut renamed = one.clone();
+        renamed.inputs[0].name = "other.las".into();
+        assert_eq!(renamed.hash(), one.hash());
+        let mut changes = vec![one.clone(); 6];
+        changes[0].plan.max_slope_deg = 44.0;
+        changes[1].units = Units::Factor(1.0);
+        changes[2].inputs[0].fingerprint = 9;
+        changes[3].inputs[1].bounds = None;
+        changes[4].inputs.pop();
+        changes[5].mesh = MeshMode::Sampled { step_m: None };
+        for (number, changed) in changes.iter().enumerate() {
+            assert_ne!(changed.hash(), one.hash(), "{number}");
+        }
+    }
+}

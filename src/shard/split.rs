@@ -1,0 +1,138 @@
+//! Cutting the grid into ranges of columns of about equal weight, and which areas such a range meets.
+
+use super::InputFacts;
+use crate::frame::{Frame, TILE_PIXELS};
+use crate::input::StatedBounds;
+
+/// First columns of `count` parts that hold about as many points each, if headers tell the truth.
+pub(super) fn split(frame: &Frame, inputs: &[InputFacts], count: u32) -> Vec<u64> {
+    let areas = inputs.iter().filter_map(|input| Some((tiles(frame, &input.bounds?, 0), input.points as f64)));
+    let mut areas: Vec<(Tiles, f64)> = areas.collect();
+    let mut total: f64 = areas.iter().map(|area| area.1).sum();
+    if total <= 0.0 {
+        areas = vec![(Cell::WHOLE.tiles(), 1.0)];
+        total = 1.0;
+    }
+    let mut firsts = vec![0u64];
+    for index in 1..count {
+        let least = firsts[firsts.len() - 1] + 1;
+        // Room for the parts that follow, each of which has a column.
+        let most = u64::MAX - u64::from(count - index);
+        let wanted = column_at(&areas, total * f64::from(index) / f64::from(count));
+        firsts.push(wanted.clamp(least, most));
+    }
+    firsts
+}
+
+/// First and last tile along x and y.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Tiles {
+    pub x: (i64, i64),
+    pub y: (i64, i64),
+}
+
+const GRID: (i64, i64) = (i32::MIN as i64, i32::MAX as i64);
+
+/// Tiles of the points within `bounds`, and of those up to `halo` pixels away.
+pub(super) fn tiles(frame: &Frame, bounds: &StatedBounds, halo: i64) -> Tiles {
+    let along = |axis: usize| {
+        let tile = |pixel: i64| pixel.div_euclid(TILE_PIXELS).clamp(GRID.0, GRID.1);
+        (tile(frame.pixel_of(bounds.min[axis]) - halo), tile(frame.pixel_of(bounds.max[axis]) + halo))
+    };
+    Tiles { x: along(0), y: along(1) }
+}
+
+impl Tiles {
+    /// Tiles in both (a float: there may be 2⁶⁴).
+    pub fn common(&self, other: &Self) -> f64 {
+        let along = |a: (i64, i64), b: (i64, i64)| (a.1.min(b.1) - a.0.max(b.0) + 1).max(0) as f64;
+        along(self.x, other.x) * along(self.y, other.y)
+    }
+}
+
+/// A square of tiles whose columns are consecutive: a node of the quadtree that the order of columns walks through.
+#[derive(Clone, Copy)]
+pub(super) struct Cell {
+    x: i64,
+    y: i64,
+    /// Its edge is `2^level` tiles.
+    level: u32,
+    /// Its first column.
+    first: u64,
+}
+
+impl Cell {
+    pub const WHOLE: Self = Self { x: GRID.0, y: GRID.0, level: 32, first: 0 };
+
+    fn tiles(&self) -> Tiles {
+        let edge = (1i64 << self.level) - 1;
+        Tiles { x: (self.x, self.x + edge), y: (self.y, self.y + edge) }
+    }
+
+    fn last(&self) -> u64 {
+        self.first + ((1u128 << (2 * self.level)) - 1) as u64
+    }
+
+    /// The four cells of which it consists, in the order of their columns; itself must be larger than a tile.
+    fn quarters(&self) -> [Self; 4] {
+        let level = self.level - 1;
+        [0u64, 1, 2, 3].map(|number| Self {
+            x: self.x + ((number as i64 & 1) << level),
+            y: self.y + ((number as i64 >> 1) << level),
+            level,
+            first: self.first + (number << (2 * level)),
+        })
+    }
+
+    /// Whether the cell has a tile of `area` whose column lies in `first..=last`.
+    pub fn meets(&self, area: &Tiles, first: u64, last: u64) -> bool {
+        if self.last() < first || self.first > last {
+            return false;
+        }
+        let common = self.tiles().common(area);
+        let all_columns = first <= self.first && self.last() <= last;
+        let all_tiles = common >= self.tiles().common(&self.tiles());
+        common > 0.0 && (all_columns || all_tiles || self.quarters().iter().any(|cell| cell.meets(area, first, last)))
+    }
+}
+
+/// The column before which the `areas`, evenly filled with their weights, hold `target`.
+fn column_at(areas: &[(Tiles, f64)], target: f64) -> u64 {
+    let mut cell = Cell::WHOLE;
+    let mut before = 0.0;
+    while cell.level > 0 {
+        let quarters = cell.quarters();
+        cell = quarters[3];
+        for quarter in &quarters[..3] {
+            let tiles = quarter.tiles();
+            let weight: f64 = areas.iter().map(|(area, weight)| weight * tiles.common(area) / area.common(area)).sum();
+            if before + weight > target {
+                cell = *quarter;
+                break;
+            }
+            before += weight;
+        }
+    }
+    cell.first
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::morton;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_range_meets_an_area_exactly_when_it_has_a_column_of_it(
+            x in (-20i64..20, 0i64..9), y in (-20i64..20, 0i64..9), at in (-24i32..32, -24i32..32), length in 0u64..200
+        ) {
+            let area = Tiles { x: (x.0, x.0 + x.1), y: (y.0, y.0 + y.1) };
+            let first = morton(at.0, at.1);
+            let last = first + length;
+            let inside = |tx: i64, ty: i64| (first..=last).contains(&morton(tx as i32, ty as i32));
+            let expected = (area.x.0..=area.x.1).any(|tx| (area.y.0..=area.y.1).any(|ty| inside(tx, ty)));
+            prop_assert_eq!(Cell::WHOLE.meets(&area, first, last), expected);
+        }
+    }
+}
