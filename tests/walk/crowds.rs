@@ -120,15 +120,6 @@ fn converge(crowd: &mut Crowd, store: &Store, goal: Point2<f64>, most: usize) ->
         let open = || {
             crowd.walkers().iter().find(|w| w.state() != State::Arrived).map(|w| (w.feet(), w.state(), w.config().body))
         };
-        if frames == most {
-            for w in crowd.walkers().iter().filter(|w| w.state() != State::Arrived) {
-                println!("DBG {:?} {:?} {:?}", w.feet(), w.state(), w.config().body);
-                for o in crowd.walkers().iter().filter(|o| (o.feet() - w.feet()).norm() < 0.85 && o.feet() != w.feet())
-                {
-                    println!("DBG     {:?} {:?} {}", o.feet(), o.state(), gap(w, o));
-                }
-            }
-        }
         assert!(frames < most, "{} of {} have settled, not {:?}", report.arrived, crowd.walkers().len(), open());
     }
     (frames, crowd.walkers().iter().map(|walker| (walker.feet().xy() - goal).norm()).fold(0.0, f64::max))

@@ -18,6 +18,18 @@ enum Command {
     Stability(Stability),
     /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
     Walks(Common),
+    /// Answers of a small cache, asked from four threads, beside those of all pages in memory, for a long time
+    Soak(Soak),
+}
+
+#[derive(Debug, clap::Args)]
+struct Soak {
+    /// How long
+    #[arg(long, default_value_t = 10.0)]
+    minutes: f64,
+    /// Folder for `soak.md`
+    #[arg(long, default_value = "tools/bench/results")]
+    out: PathBuf,
 }
 
 #[derive(Debug, clap::Args)]
@@ -51,6 +63,7 @@ fn main() -> ExitCode {
         Command::Stability(Stability { common, only }) => {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
+        Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
     };
     match done {
