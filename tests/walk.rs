@@ -287,7 +287,7 @@ fn walls_across_the_grid_are_slid_along() {
 /// `bench walks` tells of more turns and pixel sizes; this is a part of it.
 #[test]
 fn paths_stay_within_two_pixels_of_the_exact_ones() {
-    for (body, turn, noise) in [(BOX, 0.0, 0.002), (CYLINDER, 17.0, 0.002), (BOX, 30.0, 0.0)] {
+    for (body, turn, noise) in [(BOX, 30.0, 0.0), (CYLINDER, 17.0, 0.002)] {
         for case in cases::all(body, turn, [0.0; 3]) {
             let store = world(&case.scene, noise);
             let seen = path::walk(&store, &case, Response::Slide);

@@ -61,6 +61,14 @@ impl Body {
         }
     }
 
+    /// Area of its bottom face (m²).
+    pub(super) fn area(&self) -> f64 {
+        match *self {
+            Self::Box { x, y, .. } => x * y,
+            Self::Cylinder { radius, .. } => std::f64::consts::PI * radius * radius,
+        }
+    }
+
     pub(super) fn check(&self) -> Result<()> {
         let half = self.half();
         let fits = |v: f64| v > 0.0 && v.is_finite();

@@ -5,7 +5,7 @@ use crate::{Error, Result};
 use nalgebra::{Point2, Point3};
 
 /// A place counts as reached within this distance (m).
-const REACH_M: f64 = 0.01;
+pub(super) const REACH_M: f64 = 0.01;
 
 /// Places to reach one after the other, in x and y (m).
 #[derive(Debug, Clone, PartialEq)]

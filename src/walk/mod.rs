@@ -221,6 +221,9 @@ struct Motion {
     /// Of ours: the rest of a way around an edge, and the way into the wall that it is for (m).
     detour: Vector2<f64>,
     detour_for: Vector2<f64>,
+    /// On which side it goes around edges (1 left, -1 right, 0 either), and how far it has walked freely since (m).
+    hand: f64,
+    free: f64,
 }
 
 impl Motion {
@@ -234,6 +237,8 @@ impl Motion {
             step: 1.0,
             detour: none,
             detour_for: none,
+            hand: 0.0,
+            free: 0.0,
         }
     }
 }

@@ -17,6 +17,11 @@ const OFF: f64 = 0.3;
 /// Such a way is at most so long (pixels).
 pub(super) const EDGE_PIXELS: f64 = 4.0;
 const GAIN: f64 = 0.35;
+/// A pawn keeps going around edges on one side until it has walked so far without contact (pixels): else it might turn
+/// back and forth between two of them for ever.
+const FREE: f64 = 4.0;
+/// So much farther than need be, where there is room (pixels).
+const CLEAR: f64 = 0.02;
 /// How often the pixel in which such a way ends is halved.
 const NARROWINGS: usize = 3;
 /// Ways shorter than this are none (m).
@@ -101,6 +106,9 @@ impl<S: PageSet> Walk<'_, S> {
             }
             let Some(hit) = self.sweep(self.motion.feet, rest.push(0.0))? else {
                 self.motion.feet += rest.push(0.0);
+                if wall.is_none() {
+                    self.note_free(rest.norm());
+                }
                 return ControlFlow::Continue(());
             };
             if hit.begins_inside() {
@@ -139,6 +147,14 @@ impl<S: PageSet> Walk<'_, S> {
             wall = Some(normal);
         }
         ControlFlow::Continue(())
+    }
+
+    /// After a free way the pawn may go around the next edge on either side.
+    fn note_free(&mut self, way: f64) {
+        self.motion.free += way;
+        if self.motion.free > FREE * self.set.frame().pixel_m() {
+            self.motion.hand = 0.0;
+        }
     }
 
     /// On along a way around an edge, if there is one and the pawn still wants past it.
@@ -184,6 +200,10 @@ impl<S: PageSet> Walk<'_, S> {
                 if side.dot(&along) < 0.0 && (!closed || along.norm() * pixels >= into) {
                     continue;
                 }
+                let hand = side.dot(&left);
+                if hand * self.motion.hand < 0.0 {
+                    continue;
+                }
                 let way = |pixels: f64, off: f64| (side * pixels + normal * off) * pixel;
                 if !self.is_way_around(way(pixels, off), normal * pixel, off)? {
                     continue;
@@ -200,7 +220,13 @@ impl<S: PageSet> Walk<'_, S> {
                     let is_way = self.is_way_around(way(long, middle), normal * pixel, middle)?;
                     *(if is_way { &mut far } else { &mut near }) = middle;
                 }
+                // Clear of the edge, lest the next contact be with its corner and turn the pawn back.
+                let clear = long + CLEAR;
+                if self.is_way_around(way(clear, far), normal * pixel, far)? {
+                    long = clear;
+                }
                 (self.motion.detour, self.motion.detour_for) = (way(long, far), -normal);
+                (self.motion.hand, self.motion.free) = (hand, 0.0);
                 return ControlFlow::Continue(true);
             }
         }

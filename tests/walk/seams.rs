@@ -102,3 +102,30 @@ fn no_speed_leads_through_a_corner() {
         }
     }
 }
+
+/// A box that meets a round column diagonally fits between two edges of its pixels; it gets out again, and on.
+#[test]
+fn edges_of_a_column_do_not_turn_a_pawn_back() {
+    let scene = scene(|b| {
+        b.level("floor", [-3.0, -3.0, 3.0, 3.0], 0.0, &[]);
+        b.column("column", [0.0, 0.0], 0.3, [0.0, 3.0]);
+    });
+    let store = world(&scene, 0.001);
+    for body in [BOX, CYLINDER] {
+        for tick_s in [1.0 / 60.0, 1.0 / 240.0] {
+            for n in 0..24 {
+                // To the far corner, aside of the middle by what differs.
+                let aside = 0.021 * (f64::from(n) - 11.5);
+                let start = [-1.2 + aside, -1.2 - aside, 0.0];
+                let config = Config { tick_s, ..config(body) };
+                let trace = walk(&store, config, start, &[[2.0, 1.97]], 60.0, 12.0);
+                if !trace.arrived() {
+                    for (p, r) in trace.path.iter().zip(&trace.reports).rev().take(70).step_by(3) {
+                        println!("DBG {p:?} {:?} {:?}", r.state, r.stop);
+                    }
+                }
+                assert!(trace.arrived(), "{body:?}, ticks of {tick_s} s, {aside} aside: ends at {}", trace.end());
+            }
+        }
+    }
+}

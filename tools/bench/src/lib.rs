@@ -4,6 +4,7 @@ pub mod building;
 pub mod pawns;
 pub mod random;
 pub mod size;
+pub mod soak;
 pub mod stability;
 pub mod voxels;
 pub mod walks;

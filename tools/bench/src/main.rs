@@ -20,6 +20,18 @@ enum Command {
     Size(Common),
     /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
     Walks(Common),
+    /// Answers of a small cache, asked from four threads, beside those of all pages in memory, for a long time
+    Soak(Soak),
+}
+
+#[derive(Debug, clap::Args)]
+struct Soak {
+    /// How long
+    #[arg(long, default_value_t = 10.0)]
+    minutes: f64,
+    /// Folder for `soak.md`
+    #[arg(long, default_value = "tools/bench/results")]
+    out: PathBuf,
 }
 
 #[derive(Debug, clap::Args)]
@@ -54,6 +66,7 @@ fn main() -> ExitCode {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
         Command::Size(common) => bench::size::run(&common.out(), common.quick),
+        Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
     };
     match done {
