@@ -10,6 +10,8 @@ pub mod plan;
 #[cfg(feature = "convert")]
 pub mod input;
 
+pub mod mesh;
+
 #[cfg(feature = "convert")]
 mod voxel;
 

@@ -15,6 +15,9 @@
 //! - [`Classifier::Plane`]: runs clearly steeper than the limit are obstacles as above; any other voxel is judged by
 //!   the least-squares plane through the points of the connected voxels in 3 × 3 pixels. Where the points do not
 //!   determine a plane, or do not lie on one (stair edges, kerbs), the extents decide.
+//!
+//! Surfaces of meshes have a true slope, whatever the classifier: a voxel with a surface steeper than the limit is an
+//! obstacle, one with other surfaces and no points is floor. Towards points, surfaces count as matter in the runs.
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::plan::{Classifier, Plan};
@@ -84,6 +87,16 @@ impl Judge {
     pub fn judge(&self, patch: &Patch, area: Area, verdicts: &mut Vec<bool>) {
         verdicts.clear();
         verdicts.resize(patch.voxels().len(), false);
+        if patch.voxels().iter().any(Voxel::has_points) {
+            self.judge_points(patch, area, verdicts);
+        }
+        for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
+            *verdict = voxel.is_steep() || voxel.has_points() && *verdict;
+        }
+    }
+
+    /// Verdicts on voxels with points; those on others mean nothing.
+    fn judge_points(&self, patch: &Patch, area: Area, verdicts: &mut [bool]) {
         match self.classifier {
             Classifier::Thesis => {
                 for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
@@ -102,7 +115,7 @@ impl Judge {
                 }
                 for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
                     for number in patch.range(pixel) {
-                        if !verdicts[number] {
+                        if !verdicts[number] && patch.voxels()[number].has_points() {
                             verdicts[number] = self.is_steep(patch, &steep_alone, pixel, number);
                         }
                     }

@@ -5,8 +5,9 @@
 //! a scan add up to the voxels of the whole.
 
 use super::record::{
-    HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, bottom_quantum, top_quantum,
+    HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, SurfacePart, bottom_quantum, top_quantum,
 };
+use crate::frame::SLICE_QUANTA;
 
 /// Parts of a slice in [`Voxel::bins`].
 pub const BINS: i64 = 16;
@@ -63,30 +64,41 @@ impl Moments {
     }
 }
 
-/// All points of one voxel, folded.
+/// All points and surfaces of one voxel, folded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Voxel {
     /// Slice above the first of the column's block.
     pub slice: u32,
-    /// Greatest quantum at or below the lowest point, above the slice's floor (0..=254).
+    /// Greatest quantum at or below the lowest matter, above the slice's floor (0..=254).
     pub bottom: u8,
-    /// Least quantum at or above the highest point, above the slice's floor (0..=255).
+    /// Least quantum at or above the highest matter, above the slice's floor (0..=255).
     pub top: u8,
-    /// Sixteenths of the slice that hold points: what lies between bottom and top, matter or void.
+    /// Sixteenths of the slice that hold matter: what lies between bottom and top, matter or void.
     pub bins: u16,
+    /// [`FLAT`](Self::FLAT) and [`STEEP`](Self::STEEP), for the surfaces of meshes in the voxel.
+    pub surfaces: u8,
     /// Sums over the points.
     pub moments: Moments,
 }
 
 impl Voxel {
+    /// A surface that is not steeper than the limit.
+    pub const FLAT: u8 = 1;
+    /// A surface that is.
+    pub const STEEP: u8 = 2;
+
     fn of(record: Record) -> Self {
-        let mut voxel = Self { slice: record.slice(), bottom: u8::MAX, top: 0, bins: 0, moments: Moments::default() };
+        let (slice, moments) = (record.slice(), Moments::default());
+        let mut voxel = Self { slice, bottom: u8::MAX, top: 0, bins: 0, surfaces: 0, moments };
         voxel.add(record);
         voxel
     }
 
     #[inline]
     fn add(&mut self, record: Record) {
+        if let Some(part) = record.surface() {
+            return self.add_surface(part);
+        }
         let (height, (u, v)) = (record.height(), record.place());
         self.bottom = self.bottom.min(bottom_quantum(height) as u8);
         self.top = self.top.max(top_quantum(height) as u8);
@@ -94,10 +106,31 @@ impl Voxel {
         self.moments.add(i64::from(u), i64::from(v), i64::from(height));
     }
 
+    fn add_surface(&mut self, part: SurfacePart) {
+        self.bottom = self.bottom.min(part.bottom);
+        self.top = self.top.max(part.top);
+        let bin = |quantum: u8| (i64::from(quantum) * BINS / SLICE_QUANTA).min(BINS - 1);
+        // What ends on the lower border of a bin does not reach into it.
+        let (first, last) = (bin(part.bottom), bin(part.top.saturating_sub(1).max(part.bottom)));
+        self.bins |= (u16::MAX >> (BINS - 1 - (last - first))) << first;
+        self.surfaces |= if part.steep { Self::STEEP } else { Self::FLAT };
+    }
+
+    /// Whether a surface steeper than the limit is among its matter.
+    pub fn is_steep(&self) -> bool {
+        self.surfaces & Self::STEEP != 0
+    }
+
+    /// Whether it holds points, as opposed to surfaces alone.
+    pub fn has_points(&self) -> bool {
+        self.moments.n > 0
+    }
+
     fn merge(&mut self, other: &Self) {
         self.bottom = self.bottom.min(other.bottom);
         self.top = self.top.max(other.top);
         self.bins |= other.bins;
+        self.surfaces |= other.surfaces;
         self.moments.add_shifted(&other.moments, 0, 0, 0);
     }
 }
@@ -248,8 +281,8 @@ impl Patch {
         self.starts[patch_pixel] as usize..self.starts[patch_pixel + 1] as usize
     }
 
-    /// Replaces the content by the fold of `records`. Voxels of fewer than `min_points` points are dropped; returns
-    /// how many were, without those in the halo around `area`.
+    /// Replaces the content by the fold of `records`. Voxels of fewer than `min_points` points and no surface are
+    /// dropped; returns how many were, without those in the halo around `area`.
     pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area) -> u64 {
         let mut folder = std::mem::take(&mut self.folder);
         self.clear();
@@ -318,7 +351,7 @@ impl Patch {
         let first = self.voxels.len();
         let mut dropped = 0;
         self.voxels.extend(voxels.filter(|voxel| {
-            let kept = voxel.moments.n >= i64::from(min_points);
+            let kept = voxel.surfaces != 0 || voxel.moments.n >= i64::from(min_points);
             dropped += u64::from(!kept && area.holds(pixel));
             kept
         }));

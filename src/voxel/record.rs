@@ -1,8 +1,9 @@
 //! One point as 8 bytes, relative to its tile column, and the names of tile columns.
 //!
 //! A record holds the point's voxel in its high bits and its place inside the voxel in its low bits, so that sorting
-//! records as integers groups them by pixel, then by slice, then by height. Records of one tile column include a
-//! *halo*, copies of the points in the first pixel beyond each edge, so that what looks at 3 × 3 pixels needs no
+//! records as integers groups them by pixel, then by slice, then by height. Heights beyond the slice say that a record
+//! is no point but what surfaces fill of a voxel: bottom, top, and whether a steep one is among them. Records of one
+//! tile column include a *halo*, copies of the points in the first pixel beyond each edge, so that what looks at 3 × 3 pixels needs no
 //! other tile column.
 
 use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, TILE_PIXELS, floor_small, morton};
@@ -30,6 +31,12 @@ pub const BLOCK_SLICES: i64 = 1 << SLICE_BITS;
 const _: () = assert!(SLICE_STEPS <= 1 << HEIGHT_BITS && PATCH_AREA <= 1 << 13);
 const _: () = assert!(13 + SLICE_BITS + HEIGHT_BITS + 2 * SUBPIXEL_BITS == 64);
 
+/// Bits of a record below its slice.
+const PLACE_BITS: u32 = HEIGHT_BITS + 2 * SUBPIXEL_BITS;
+/// Least content of these bits in the record of a surface; bottom (8 bits), top (8) and steepness (1) are added.
+const SURFACE: u64 = (SLICE_STEPS as u64) << (2 * SUBPIXEL_BITS);
+const _: () = assert!(SURFACE + (1 << 17) <= 1 << PLACE_BITS);
+
 /// A tile column, or one block of [`BLOCK_SLICES`] slices of a very high one. Ordered as its pages are in the archive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ColumnKey {
@@ -52,8 +59,15 @@ impl ColumnKey {
 pub struct Record(pub u64);
 
 impl Record {
-    fn new(pixel: u64, slice: u64, height: u64, u: u64, v: u64) -> Self {
-        Self((((pixel << SLICE_BITS | slice) << HEIGHT_BITS | height) << SUBPIXEL_BITS | u) << SUBPIXEL_BITS | v)
+    fn new(pixel: u64, slice: u64, place: u64) -> Self {
+        Self((pixel << SLICE_BITS | slice) << PLACE_BITS | place)
+    }
+
+    /// What surfaces fill of the voxel, if that is what the record says.
+    #[inline]
+    pub fn surface(self) -> Option<SurfacePart> {
+        let part = (self.0 & ((1 << PLACE_BITS) - 1)).checked_sub(SURFACE)?;
+        Some(SurfacePart { bottom: (part >> 9) as u8, top: (part >> 1) as u8, steep: part & 1 == 1 })
     }
 
     /// Pixel in the patch: `(y + 1)·66 + x + 1`, `x` and `y` from −1 to 64.
@@ -68,19 +82,52 @@ impl Record {
         (self.0 >> (HEIGHT_BITS + 2 * SUBPIXEL_BITS)) as u32 & ((1 << SLICE_BITS) - 1)
     }
 
-    /// Height above the slice's floor [steps, 0..8160]. Even steps are exact multiples of 1/16 quantum, odd ones lie
+    /// Height above the slice's floor of a point [steps, 0..8160]. Even steps are exact multiples of 1/16 quantum, odd ones lie
     /// between the multiples below and above; so both the floor and the ceiling to whole quanta can be told.
     #[inline]
     pub fn height(self) -> u32 {
         (self.0 >> (2 * SUBPIXEL_BITS)) as u32 & ((1 << HEIGHT_BITS) - 1)
     }
 
-    /// Place inside the pixel [1/128 pixel].
+    /// Place of a point inside its pixel [1/128 pixel].
     #[inline]
     pub fn place(self) -> (u32, u32) {
         let mask = (1 << SUBPIXEL_BITS) - 1;
         ((self.0 >> SUBPIXEL_BITS) as u32 & mask, self.0 as u32 & mask)
     }
+}
+
+/// What surfaces fill of a voxel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SurfacePart {
+    /// Lowest quantum above the slice's floor (0..=254).
+    pub bottom: u8,
+    /// Highest quantum above the slice's floor (0..=255).
+    pub top: u8,
+    /// Whether a surface steeper than the limit is among them.
+    pub steep: bool,
+}
+
+/// What a surface fills of one voxel, by the voxel's place on the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SurfaceVoxel {
+    /// Pixel.
+    pub pixel: (i64, i64),
+    /// Slice.
+    pub slice: i64,
+    /// What is filled.
+    pub part: SurfacePart,
+}
+
+/// Cuts the heights `bottom..=top` (quanta) of a surface over a pixel at slice boundaries. A top on a boundary belongs
+/// to the slice below it, unless the surface is that boundary alone, as for spans.
+pub fn surface_voxels(pixel: (i64, i64), (bottom, top): (i64, i64), steep: bool) -> impl Iterator<Item = SurfaceVoxel> {
+    let first = bottom.div_euclid(SLICE_QUANTA);
+    let last = first.max((top - 1).div_euclid(SLICE_QUANTA));
+    (first..=last).map(move |slice| {
+        let above = |quantum: i64| (quantum - slice * SLICE_QUANTA).clamp(0, SLICE_QUANTA) as u8;
+        SurfaceVoxel { pixel, slice, part: SurfacePart { bottom: above(bottom), top: above(top), steep } }
+    })
 }
 
 /// Greatest quantum at or below a height in steps.
@@ -160,30 +207,43 @@ impl Recorder {
     fn place(&self, fx: i64, fy: i64, steps: i64, sink: &mut impl FnMut(ColumnIndex, Record)) {
         let slice = steps.div_euclid(SLICE_STEPS);
         let height = (steps - slice * SLICE_STEPS) as u64;
-        let block = (slice + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
-        let slice = (slice + BLOCK_SLICES / 2 - block * BLOCK_SLICES) as u64;
-        let (i, j) = (fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS);
         let (u, v) = ((fx & (SUBPIXELS - 1)) as u64, (fy & (SUBPIXELS - 1)) as u64);
-        let (tx, ty) = ((i >> 6) as i32, (j >> 6) as i32);
-        let (px, py) = (i & 63, j & 63);
-        let mut give = |dx: i64, dy: i64| {
-            let (px, py) = (px - dx * TILE_PIXELS + HALO_PIXELS, py - dy * TILE_PIXELS + HALO_PIXELS);
-            let pixel = (py * PATCH_PIXELS as i64 + px) as u64;
-            let index = ColumnIndex { tx: tx + dx as i32, ty: ty + dy as i32, block: block as i16 };
-            sink(index, Record::new(pixel, slice, height, u, v));
-        };
-        give(0, 0);
-        let beyond = |p: i64| i64::from(p >= TILE_PIXELS - HALO_PIXELS) - i64::from(p < HALO_PIXELS);
-        let (dx, dy) = (beyond(px), beyond(py));
-        if dx != 0 {
-            give(dx, 0);
-        }
-        if dy != 0 {
-            give(0, dy);
-        }
-        if dx != 0 && dy != 0 {
-            give(dx, dy);
-        }
+        let place = (height << SUBPIXEL_BITS | u) << SUBPIXEL_BITS | v;
+        spread((fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS), slice, place, sink);
+    }
+
+    /// Gives `sink` the record of what a surface fills of a voxel, and its copies. The voxel must be on the grid.
+    pub fn record_surface(&self, voxel: &SurfaceVoxel, mut sink: impl FnMut(ColumnIndex, Record)) {
+        let SurfacePart { bottom, top, steep } = voxel.part;
+        let place = SURFACE + (u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep));
+        spread(voxel.pixel, voxel.slice, place, &mut sink);
+    }
+}
+
+/// Gives `sink` a record with these low bits for pixel `(i, j)`, and its copies.
+#[inline]
+fn spread((i, j): (i64, i64), slice: i64, place: u64, sink: &mut impl FnMut(ColumnIndex, Record)) {
+    let block = (slice + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
+    let slice = (slice + BLOCK_SLICES / 2 - block * BLOCK_SLICES) as u64;
+    let (tx, ty) = ((i >> 6) as i32, (j >> 6) as i32);
+    let (px, py) = (i & 63, j & 63);
+    let mut give = |dx: i64, dy: i64| {
+        let (px, py) = (px - dx * TILE_PIXELS + HALO_PIXELS, py - dy * TILE_PIXELS + HALO_PIXELS);
+        let pixel = (py * PATCH_PIXELS as i64 + px) as u64;
+        let index = ColumnIndex { tx: tx + dx as i32, ty: ty + dy as i32, block: block as i16 };
+        sink(index, Record::new(pixel, slice, place));
+    };
+    give(0, 0);
+    let beyond = |p: i64| i64::from(p >= TILE_PIXELS - HALO_PIXELS) - i64::from(p < HALO_PIXELS);
+    let (dx, dy) = (beyond(px), beyond(py));
+    if dx != 0 {
+        give(dx, 0);
+    }
+    if dy != 0 {
+        give(0, dy);
+    }
+    if dx != 0 && dy != 0 {
+        give(dx, dy);
     }
 }
 
@@ -214,6 +274,38 @@ mod tests {
                 assert_eq!(floor + i64::from(top_quantum(record.height())), frame.quantum_ceil(z));
             });
             prop_assert!((1..=4).contains(&copies));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn surfaces_come_back_slice_by_slice(
+            i in -100_000i64..100_000, j in -200i64..200, bottom in -3000i64..3000, extent in 0i64..2000, steep: bool
+        ) {
+            let recorder = Recorder::new(Frame::new(0.1, 0.3).unwrap());
+            let top = bottom + extent;
+            let mut joined: Option<(i64, i64)> = None;
+            for voxel in surface_voxels((i, j), (bottom, top), steep) {
+                recorder.record_surface(&voxel, |index, record| {
+                    let pixel = record.pixel() as i64;
+                    assert_eq!(i64::from(index.tx) * 64 + pixel % PATCH_PIXELS as i64 - HALO_PIXELS, i);
+                    assert_eq!(i64::from(index.ty) * 64 + pixel / PATCH_PIXELS as i64 - HALO_PIXELS, j);
+                    assert_eq!(record.surface(), Some(voxel.part));
+                    assert_eq!(index.key().first_slice() + i64::from(record.slice()), voxel.slice);
+                });
+                let floor = voxel.slice * SLICE_QUANTA;
+                let (low, high) = (floor + i64::from(voxel.part.bottom), floor + i64::from(voxel.part.top));
+                prop_assert!(voxel.part.bottom < 255 && low <= high);
+                prop_assert!(joined.is_none_or(|(_, end)| end == low), "parts lie on each other");
+                joined = Some((joined.map_or(low, |(begin, _)| begin), high));
+            }
+            prop_assert_eq!(joined, Some((bottom, top)));
+        }
+
+        #[test]
+        fn points_are_no_surfaces(x in -1e3f64..1e3, z in -1e3f64..1e3) {
+            let recorder = Recorder::new(Frame::new(0.1, 0.3).unwrap());
+            recorder.record(&[x], &[x], &[z], |_, record| assert_eq!(record.surface(), None));
         }
     }
 

@@ -9,7 +9,7 @@
 //! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile
 //! column and run.
 
-use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_PIXELS, Record, Recorder};
+use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_PIXELS, Record, Recorder, SurfaceVoxel};
 use crate::{Error, Result};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -102,38 +102,58 @@ impl RunBuilder {
 
     /// Adds points (all within [`Recorder::reaches`]); a full run goes to `store`.
     pub fn push(&mut self, x: &[f64], y: &[f64], z: &[f64], store: &RunStore) -> Result<()> {
-        // A point yields at most four records, so a chunk that fits four-fold needs no check inside the loop.
         for start in (0..x.len()).step_by(BATCH) {
             let chunk = start..(start + BATCH).min(x.len());
-            let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
-            if self.records.len() + columns + 4 * chunk.len() > self.capacity {
-                self.flush(store)?;
-            }
-            if self.records.capacity() == 0 {
-                self.records.reserve_exact(self.capacity);
-                self.numbers.reserve_exact(self.capacity);
-            }
-            let (records, numbers) = (&mut self.records, &mut self.numbers);
-            let (columns, lookup, recent) = (&mut self.columns, &mut self.lookup, &mut self.recent);
-            let only = self.only;
-            self.recorder.record(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], |index, record| {
-                if only.is_some_and(|(first, last)| !(first..=last).contains(&index.key().column)) {
-                    return;
-                }
-                // Points of a scan jump between few columns; most are found here without hashing.
-                let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
-                if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
-                    *place = *lookup.entry(index).or_insert_with(|| {
-                        columns.push((index, 0));
-                        (columns.len() - 1) as u32
-                    });
-                }
-                columns[*place as usize].1 += 1;
-                records.push(record);
-                numbers.push(*place);
-            });
+            self.make_room(chunk.len(), store)?;
+            let recorder = self.recorder;
+            recorder.record(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], self.adder());
         }
         Ok(())
+    }
+
+    /// Adds what surfaces fill of voxels (all on the grid); a full run goes to `store`.
+    pub fn push_surfaces(&mut self, voxels: &[SurfaceVoxel], store: &RunStore) -> Result<()> {
+        for chunk in voxels.chunks(BATCH) {
+            self.make_room(chunk.len(), store)?;
+            let recorder = self.recorder;
+            let mut add = self.adder();
+            chunk.iter().for_each(|voxel| recorder.record_surface(voxel, &mut add));
+        }
+        Ok(())
+    }
+
+    /// Makes room for `count` [<= [`BATCH`]] points or voxels with all their copies, so that adding needs no checks.
+    fn make_room(&mut self, count: usize, store: &RunStore) -> Result<()> {
+        let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
+        if self.records.len() + columns + 4 * count > self.capacity {
+            self.flush(store)?;
+        }
+        if self.records.capacity() == 0 {
+            self.records.reserve_exact(self.capacity);
+            self.numbers.reserve_exact(self.capacity);
+        }
+        Ok(())
+    }
+
+    fn adder(&mut self) -> impl FnMut(ColumnIndex, Record) + use<'_> {
+        let Self { records, numbers, columns, lookup, recent, only, .. } = self;
+        let only = *only;
+        move |index, record| {
+            if only.is_some_and(|(first, last)| !(first..=last).contains(&index.key().column)) {
+                return;
+            }
+            // Points of a scan jump between few columns; most are found here without hashing.
+            let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
+            if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
+                *place = *lookup.entry(index).or_insert_with(|| {
+                    columns.push((index, 0));
+                    (columns.len() - 1) as u32
+                });
+            }
+            columns[*place as usize].1 += 1;
+            records.push(record);
+            numbers.push(*place);
+        }
     }
 
     /// Hands what is collected to `store`; call once more at the end.
