@@ -1,16 +1,19 @@
-//! Conversion: scans in, one archive out.
+//! Conversion: scans and meshes in, one archive out.
 //!
-//! Two passes over bounded memory. First every worker reads pieces of the input and sorts their points into runs by
-//! tile column. Then tile columns come out of the merged runs in archive order; workers fold them to voxels, judge
+//! Two passes over bounded memory. First every worker reads pieces of the input and sorts their points, and what
+//! triangles fill of voxels, into runs by tile column. Then tile columns come out of the merged runs in archive order; workers fold them to voxels, judge
 //! floors and obstacles, form spans, and encode pages, and one thread writes these in order.
 //!
 //! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
 //! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
 
+mod meshes;
+
 use crate::archive::{ArchiveWriter, EncodedPage, Header, PageEncoder, Shard, Totals};
 use crate::frame::{Frame, PageKey};
 use crate::input::spacing::{Spacing, estimate_spacing};
 use crate::input::{Decoder, InputOptions, InputSet, ScanFile, UnitCounts, Units};
+use crate::mesh::{MeshCounts, MeshMode};
 use crate::plan::{Classifier, Plan, Up};
 use crate::shard::{Part, ShardOptions};
 use crate::slice::columns::ColumnPages;
@@ -44,7 +47,8 @@ const JOBS_AHEAD_PER_THREAD: usize = 8;
 /// How the pixel size is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PixelSize {
-    /// From the scan's own point spacing (costs one more pass over the input).
+    /// From the scans' own point spacing, or the extent of the meshes where there is no scan (costs one more pass over
+    /// the input).
     Auto,
     /// This many metres.
     Metres(f64),
@@ -83,6 +87,8 @@ pub struct ConvertOptions {
     pub up: Up,
     /// Unit of the input.
     pub units: Units,
+    /// How meshes become voxels.
+    pub mesh: MeshMode,
     /// Whether an existing archive may be replaced.
     pub overwrite: bool,
     /// The part to convert; `None` for the whole.
@@ -108,6 +114,7 @@ impl ConvertOptions {
             drop_isolated: false,
             up: Up::Z,
             units: Units::Auto,
+            mesh: MeshMode::Exact,
             overwrite: false,
             shard: None,
         }
@@ -129,6 +136,10 @@ pub struct Report {
     pub temp_bytes: u64,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
+    /// Triangles of meshes; they count as points in the header too.
+    pub triangles: MeshCounts,
+    /// Points made of them, if they were sampled.
+    pub points_made: u64,
     /// Voxels dropped for having fewer than the least number of points or for being isolated, and with them their
     /// points: boxes that hold only such points are no hits (G1 holds for all other points).
     pub voxels_dropped: u64,
@@ -153,6 +164,7 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
 pub(crate) fn plan(options: &ConvertOptions, set: &InputSet, monitor: &dyn Monitor) -> Result<(Plan, Option<Spacing>)> {
     let (pixel_m, spacing) = match options.pixel {
         PixelSize::Metres(pixel_m) => (pixel_m, None),
+        PixelSize::Auto if set.files().is_empty() => (meshes::pixel_of_extent(options, set, monitor)?, None),
         PixelSize::Auto => {
             let spacing = estimate_spacing(set, options.threads.max(1), monitor)?;
             // The same losses come up again in the pass that counts; they are told then.
@@ -194,17 +206,21 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let build_bytes = options.memory_bytes / 4 / threads as u64;
     let read = read_points(&set, &plan, &store, build_bytes, threads, part.as_ref(), monitor)?;
     set.warn_of_losses(monitor);
+    let surfaces = meshes::read(options, &set, &plan, &store, build_bytes, monitor)?;
     // A part that leaves files out cannot say of the whole that nothing in it can be used.
     if part.as_ref().is_none_or(Part::reads_all) {
         refuse_unusable(&set, &read.counts)?;
-        if read.counts.read == 0 {
+        if read.counts.read + surfaces.triangles.read == 0 {
             monitor.warn("the input holds no points: the archive is empty");
         }
     }
     let voxels_dropped = write_columns(&plan, &store, options.memory_bytes, threads, &mut writer, monitor)?;
-    let own = read.own;
+    let mut own = read.own;
+    // Each triangle counts as a point.
+    own.kept += surfaces.triangles.read - surfaces.triangles.left_out;
+    join(&mut own.min, &mut own.max, (&surfaces.min, &surfaces.max));
     let header = writer.finish(Totals {
-        points_read: own.kept + own.left_out.read,
+        points_read: own.kept + own.left_out.read + surfaces.triangles.left_out,
         points_kept: own.kept,
         points_withheld: own.left_out.withheld,
         points_excluded: own.left_out.excluded,
@@ -218,6 +234,8 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         spacing,
         temp_bytes: store.temp_bytes(),
         points_not_finite: own.left_out.not_finite,
+        triangles: surfaces.triangles,
+        points_made: surfaces.points_made,
         voxels_dropped,
     })
 }
@@ -375,29 +393,33 @@ fn read_points(
         builder.flush(store)?;
         Ok(read)
     };
-    let work = || work().inspect_err(|_| failed.store(true, Ordering::Relaxed));
-    let results: Vec<Result<Read>> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+    let mut all = Read::NOTHING;
+    for read in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
+        all.merge(&read);
+    }
+    warn_of_bounds(set, &of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner), monitor);
+    Ok(all)
+}
+
+/// What `work` gives on each of so many threads, or the error that says most.
+fn on_threads<T: Send>(threads: usize, work: impl Fn() -> Result<T> + Sync) -> Result<Vec<T>> {
+    let results: Vec<Result<T>> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(&work)).collect();
         workers
             .into_iter()
             .map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
             .collect()
     });
-    let mut all = Read::NOTHING;
-    let mut stopped = false;
+    let (mut done, mut stopped) = (Vec::with_capacity(threads), false);
     for result in results {
         match result {
-            Ok(read) => all.merge(&read),
+            Ok(result) => done.push(result),
             // Stopped by another's error, which says more.
             Err(Error::Interrupted) => stopped = true,
             Err(error) => return Err(error),
         }
     }
-    if stopped {
-        return Err(Error::Interrupted);
-    }
-    warn_of_bounds(set, &of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner), monitor);
-    Ok(all)
+    if stopped { Err(Error::Interrupted) } else { Ok(done) }
 }
 
 /// One warning if headers state other bounds than the points have: the archive's are those of the points, and a user

@@ -81,6 +81,10 @@ impl Job {
     }
 
     fn of(set: &InputSet, plan: Plan, units: Units, spacing_m: Option<f64>) -> Result<Self> {
+        if let Some(mesh) = set.meshes().first() {
+            let reason = "meshes are not converted in parts; leave them out, or convert everything in one run";
+            return Err(Error::input(mesh, "mesh", reason));
+        }
         let inputs = set.files().iter().map(InputFacts::of).collect::<Result<Vec<_>>>()?;
         let mut job = Self { plan, units, spacing_m, inputs };
         job.sort_inputs();

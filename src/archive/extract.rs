@@ -85,7 +85,8 @@ pub fn extract(
     let region = Region::around(frame, bounds);
     monitor.stage("extract", header.pages.total(), "pages");
     let mut writer = ArchiveWriter::create(output, archive.plan(), overwrite)?;
-    let (mut decoder, mut encoder, mut builder) = (PageDecoder::new(), PageEncoder::new(*frame), PageBuilder::default());
+    let (mut decoder, mut encoder, mut builder) =
+        (PageDecoder::new(), PageEncoder::new(*frame), PageBuilder::default());
     for entry in archive.entries() {
         if monitor.cancelled() {
             return Err(Error::Interrupted);

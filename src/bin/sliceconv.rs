@@ -1,10 +1,11 @@
-//! Converts LAS and LAZ scans into one slice archive: arguments, one call, printing, exit code.
+//! Converts scans and meshes into one slice archive: arguments, one call, printing, exit code.
 
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
 use slicewalk::input::Units;
+use slicewalk::mesh::MeshMode;
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::plan_file;
 use slicewalk::shard::{Job, ShardOptions};
@@ -17,7 +18,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// Converts LAS and LAZ scans of any size into one slice archive, in bounded memory.
+/// Converts scans (LAS, LAZ) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
 ///
 /// Numbers in input units are metres. The archive appears complete under its name, or not at all.
 ///
@@ -28,7 +29,7 @@ use std::time::Instant;
 #[derive(Parser)]
 #[command(name = "sliceconv", version, max_term_width = 110)]
 struct Arguments {
-    /// Scans: files, folders, or glob patterns in quotes
+    /// Scans and meshes: files, folders of scans, or glob patterns in quotes
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// Archive to write
@@ -43,7 +44,7 @@ struct Arguments {
     /// Convert part I of N only, to be joined by `slicetool merge`
     #[arg(long, value_name = "I/N", value_parser = part)]
     shard: Option<(u32, u32)>,
-    /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing
+    /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing; of meshes alone, a 700th of their extent
     #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|METRES", value_parser = pixel_size)]
     pixel: PixelSize,
     /// Height of a slice in metres [default: three pixels]
@@ -76,12 +77,15 @@ struct Arguments {
     /// Drop voxels without matter in any of the 26 around them (their points may then be missed)
     #[arg(long)]
     drop_isolated: bool,
-    /// Axis of the input that points up
+    /// Axis of the input that points up (glTF says itself)
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
     /// Unit of the input: from its CRS, metres, feet, US survey feet, or metres per unit
     #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|m|ft|us-ft|FACTOR", value_parser = units)]
     units: Units,
+    /// How meshes become voxels
+    #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
+    mesh: Surfaces,
     /// Replace an existing archive
     #[arg(long)]
     force: bool,
@@ -101,6 +105,14 @@ enum Rule {
     Thesis,
     /// Slope of a plane fitted to 3 × 3 pixels
     Plane,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Surfaces {
+    /// Every pixel that a triangle touches, its exact heights there, and its true slope
+    Exact,
+    /// As points a pixel apart, as in the thesis; misses pixels
+    Sampled,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -258,6 +270,10 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         Axis::Y => Up::Y,
     };
     options.units = arguments.units;
+    options.mesh = match arguments.mesh {
+        Surfaces::Exact => MeshMode::Exact,
+        Surfaces::Sampled => MeshMode::Sampled { step_m: None },
+    };
     options.overwrite = arguments.force;
     if let Some(path) = &arguments.write_plan {
         let job = Job::new(&options, monitor)?;
@@ -311,6 +327,9 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
     if arguments.json {
         let mut facts = slicewalk::info::header_info(header, &report.crs);
         facts["points_not_finite"] = report.points_not_finite.into();
+        facts["triangles_read"] = report.triangles.read.into();
+        facts["triangles_left_out"] = report.triangles.left_out.into();
+        facts["points_made"] = report.points_made.into();
         facts["voxels_dropped"] = report.voxels_dropped.into();
         facts["temp_bytes"] = report.temp_bytes.into();
         facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
@@ -334,8 +353,13 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         ));
     }
     let left_out = header.points_read - header.points_kept;
+    let what = match report.triangles.read {
+        0 => "points",
+        all if all == header.points_read => "triangles",
+        _ => "points and triangles",
+    };
     say(&format!(
-        "{}: {} points ({left_out} left out), {} voxels ({} obstacle) in {} slices of {} m",
+        "{}: {} {what} ({left_out} left out), {} voxels ({} obstacle) in {} slices of {} m",
         arguments.output.clone().unwrap_or_default().display(),
         header.points_kept,
         header.voxels.occupied,
@@ -348,7 +372,7 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         say(&format!("{dropped} voxels of too few points or without neighbours dropped, and their points"));
     }
     say(&format!(
-        "{} bytes, {} bytes of temporary data, {seconds:.2} s, {:.2} M points/s",
+        "{} bytes, {} bytes of temporary data, {seconds:.2} s, {:.2} M {what}/s",
         header.file_len,
         report.temp_bytes,
         header.points_read as f64 / seconds / 1e6

@@ -15,7 +15,7 @@ use crate::{Error, Monitor, Result};
 /// - A directory stands for the `.las` and `.laz` files directly in it, letters of any case. Directories in it are not
 ///   entered, because tiles of one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them.
 /// - A path that does not exist and holds `*`, `?` or `[` is a pattern; files in its matches count if they end in
-///   `.las` or `.laz`.
+///   `.las` or `.laz`, and meshes if the pattern itself ends as they do: an export beside the scans is no input.
 pub(super) fn expand(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for input in inputs {
@@ -29,7 +29,7 @@ pub(super) fn expand(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Vec<Pa
         }
     }
     if found.is_empty() {
-        return Err(Error::parameter("INPUT", "no file was given; name LAS or LAZ files, directories or patterns"));
+        return Err(Error::parameter("INPUT", "no file was given; name scans, meshes, directories or patterns"));
     }
     found.sort();
     found.dedup();
@@ -53,6 +53,20 @@ pub(super) fn expand(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Vec<Pa
 
 fn is_scan(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("las") || e.eq_ignore_ascii_case("laz"))
+}
+
+/// Whether the name says mesh. (A scan under such a name is told by its signature.)
+pub(super) fn is_mesh(path: &Path) -> bool {
+    const ENDINGS: [&str; 5] = ["obj", "ply", "stl", "gltf", "glb"];
+    let named = path.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending)));
+    named && !has_signature_of_scan(path)
+}
+
+fn has_signature_of_scan(path: &Path) -> bool {
+    let mut start = [0; 4];
+    // Where it cannot be read, opening it as a mesh will say why.
+    fs::File::open(path)
+        .is_ok_and(|mut file| std::io::Read::read_exact(&mut file, &mut start).is_ok() && &start == b"LASF")
 }
 
 fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
@@ -80,7 +94,9 @@ fn matches(input: &Path, pattern: &str, found: &mut Vec<PathBuf>) -> Result<()> 
             let at = e.path().to_path_buf();
             Error::io(at, "list", e.into())
         })?;
-        if is_scan(&path) && !path.is_dir() {
+        let same_ending =
+            || path.extension().is_some_and(|e| input.extension().is_some_and(|f| e.eq_ignore_ascii_case(f)));
+        if !path.is_dir() && (is_scan(&path) || same_ending() && is_mesh(&path)) {
             found.push(path);
         }
     }
@@ -98,7 +114,7 @@ mod tests {
     #[test]
     fn files_directories_and_patterns_give_each_scan_once_in_order_of_path() {
         let dir = tempfile::tempdir().unwrap();
-        for name in ["b.las", "a.LAZ", "c.txt", "sub/d.laz"] {
+        for name in ["b.las", "a.LAZ", "c.txt", "sub/d.laz", "e.obj", "sub/f.PLY"] {
             let path = dir.path().join(name);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, name).unwrap();
@@ -113,6 +129,7 @@ mod tests {
         assert_eq!(names(&["", "b.las", "sub/../b.las"]).unwrap(), ["a.LAZ", "b.las"]);
         assert_eq!(names(&["**/*.laz"]).unwrap(), ["d.laz"]);
         assert_eq!(names(&["?.*"]).unwrap(), ["a.LAZ", "b.las"]);
+        assert_eq!(names(&["**/*.ply", "*.obj"]).unwrap(), ["e.obj", "f.PLY"]);
         assert_eq!(names(&["c.txt"]).unwrap(), ["c.txt"]);
         assert!(names(&["*.e57"]).unwrap_err().to_string().contains("matches no .las or .laz"));
         assert!(names(&["none.las"]).unwrap_err().to_string().contains("cannot open"));

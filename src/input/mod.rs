@@ -336,7 +336,7 @@ struct Unclear {
 fn other_format(path: &Path) -> Option<&'static str> {
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
     Some(match extension.as_str() {
-        "obj" | "stl" | "gltf" | "glb" | "ply" | "off" | "3mf" | "fbx" => "mesh file",
+        "off" | "3mf" | "fbx" => "mesh in a format that is not read (write it as OBJ, PLY, STL or glTF)",
         "e57" | "pcd" | "pts" | "ptx" | "xyz" | "rcp" | "rcs" => "point cloud of another format",
         "slices" => "slice archive",
         _ => return None,
@@ -347,13 +347,15 @@ fn other_format(path: &Path) -> Option<&'static str> {
 #[derive(Debug)]
 pub struct InputSet {
     files: Vec<ScanFile>,
+    meshes: Vec<PathBuf>,
     options: InputOptions,
     crs: Option<usize>,
 }
 
 impl InputSet {
     /// Opens and checks `inputs`: files; directories, which stand for the `.las` and `.laz` files directly in them;
-    /// patterns with `*`, `?`, `[...]`, `**` where no such file exists. The same file named twice is read once.
+    /// patterns with `*`, `?`, `[...]`, `**` where no such file exists. The same file named twice is read once. Files with
+    /// names of meshes are set aside.
     ///
     /// Fails with one line on the first file that cannot be read at all. Cut files, wrong counts, unknown units and the
     /// like are told to `monitor`. Cost: a few small reads a file, and its chunk table.
@@ -363,7 +365,8 @@ impl InputSet {
         {
             return Err(Error::parameter("--units", format!("{factor} is no number of metres per unit")));
         }
-        let paths = expand::expand(inputs, monitor)?;
+        let (meshes, paths): (Vec<_>, Vec<_>) =
+            expand::expand(inputs, monitor)?.into_iter().partition(|path| expand::is_mesh(path));
         let mut files = Vec::with_capacity(paths.len());
         let mut chunks_left = options.memory_bytes.max(16 << 20) / size_of::<laz::Chunk>() as u64;
         let (mut no_unit, mut degrees) = (Vec::new(), Vec::new());
@@ -399,7 +402,7 @@ impl InputSet {
              --units",
         );
         let crs = Self::common_crs(&files, monitor);
-        Ok(Self { files, options, crs })
+        Ok(Self { files, meshes, options, crs })
     }
 
     fn common_crs(files: &[ScanFile], monitor: &dyn Monitor) -> Option<usize> {
@@ -464,6 +467,11 @@ impl InputSet {
     /// The files, in order of their paths.
     pub fn files(&self) -> &[ScanFile] {
         &self.files
+    }
+
+    /// Meshes among the inputs, in order of their paths: not opened, no part of the set's points.
+    pub fn meshes(&self) -> &[PathBuf] {
+        &self.meshes
     }
 
     /// The options that the set was opened with.

@@ -1,6 +1,36 @@
-//! Triangle meshes in, exact heights per pixel out.
+//! Triangle meshes in: OBJ, PLY, STL and glTF files to triangles in metres, z up, and triangles to the grid.
+//!
+//! In: mesh files of any size. Out: triangles one batch after another, in the order of the files. Polygons are cut into
+//! triangles; materials, normals and texture coordinates are passed over. No byte of a file is trusted: a damaged one
+//! gives an [`Error::Input`](crate::Error::Input) of one line, and no number in it sizes anything before it is checked.
+//! Memory: bounded by [`MeshOptions::memory_bytes`]; corners that do not fit it wait in a temporary file.
+//!
+//! [`raster`] takes triangles to the grid exactly, [`sample`] as points, the thesis' way (algorithm 3.2).
+//!
+//! The readers of OBJ, PLY and STL are our own and thin, because the crates for these formats hold whole files in
+//! memory; glTF's structure is read by the crate `gltf`, its buffers piece by piece.
 
 pub mod raster;
+pub mod sample;
+
+#[cfg(feature = "convert")]
+mod read;
+
+#[cfg(feature = "convert")]
+pub use read::{MeshCounts, MeshFeed, MeshOptions, MeshSet};
 
 /// Corners of a triangle (m).
 pub type Triangle = [[f64; 3]; 3];
+
+/// How triangles become voxels.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum MeshMode {
+    /// Every pixel that a triangle touches, its exact heights there, and its true slope.
+    #[default]
+    Exact,
+    /// As points (thesis, algorithm 3.2), which are judged by the classifier.
+    Sampled {
+        /// Greatest distance of neighbouring points (m); the pixel size by default (thesis, equation 3.2).
+        step_m: Option<f64>,
+    },
+}

@@ -45,6 +45,31 @@ pub struct GridTriangle {
     steep: bool,
 }
 
+/// The corners in a fixed order, so that neither winding nor first corner shows in what is computed from them.
+fn sorted(triangle: &Triangle) -> Triangle {
+    let mut sorted = triangle.map(|corner| corner.map(|v| v + 0.0));
+    sorted.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
+    sorted
+}
+
+fn normal_of([a, b, c]: &Triangle) -> [f64; 3] {
+    let (p, q) = ([0, 1, 2].map(|k| b[k] - a[k]), [0, 1, 2].map(|k| c[k] - a[k]));
+    [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
+}
+
+/// Whether the triangle has an area: its normal in `f64` is not zero.
+pub fn has_area(triangle: &Triangle) -> bool {
+    normal_of(&sorted(triangle)) != [0.0; 3]
+}
+
+/// Area (m²) and longest edge (m) of a triangle.
+pub fn extent_of(triangle: &Triangle) -> (f64, f64) {
+    let [a, b, c] = triangle;
+    let length = |v: [f64; 3]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let edge = |p: &[f64; 3], q: &[f64; 3]| length([0, 1, 2].map(|k| q[k] - p[k]));
+    (length(normal_of(triangle)) / 2.0, edge(a, b).max(edge(b, c)).max(edge(c, a)))
+}
+
 impl Raster {
     /// A raster on `frame`; triangles steeper than `max_slope_deg` [degrees, 0..=90] are obstacles.
     pub fn new(frame: Frame, max_slope_deg: f64) -> Self {
@@ -54,12 +79,8 @@ impl Raster {
 
     /// The triangle on the grid; `None` if it has no area (its normal is zero in `f64`) or is not finite.
     pub fn place(&self, triangle: &Triangle) -> Option<GridTriangle> {
-        // Sorted, so that neither winding nor first corner shows in the result.
-        let mut sorted = triangle.map(|corner| corner.map(|v| v + 0.0));
-        sorted.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
-        let [a, b, c] = sorted;
-        let (p, q) = ([0, 1, 2].map(|k| b[k] - a[k]), [0, 1, 2].map(|k| c[k] - a[k]));
-        let normal = [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]];
+        let sorted = sorted(triangle);
+        let normal = normal_of(&sorted);
         if normal == [0.0; 3] || !sorted.as_flattened().iter().all(|v| v.is_finite()) {
             return None;
         }

@@ -1,9 +1,11 @@
 //! The voxel pass: points in any order to the voxels of one tile column after another, in bounded memory.
 //!
-//! In: batches of points in metres. [`record`] turns each into 8 bytes relative to its tile column, [`runs`] sorts
+//! In: batches of points in metres, and triangles, which [`surfaces`] takes to the grid. [`record`] turns each point, and
+//! what a triangle fills of each voxel, into 8 bytes relative to its tile column, [`runs`] sorts
 //! them by tile column within the memory budget, on disk where they do not fit, and [`fold`] makes the voxels of a
 //! column. Out: voxels with exact integer bottom, top, count and moments, in archive order.
 
 pub(crate) mod fold;
 pub(crate) mod record;
 pub(crate) mod runs;
+pub(crate) mod surfaces;

@@ -1,0 +1,79 @@
+//! Wavefront OBJ: `v` and `f` of the text format; all else is passed over.
+//!
+//! Two passes over the file: faces may name corners that come later, and corners before are counted from the end.
+//! Source: "Object Files (.obj)", Wavefront Advanced Visualizer, appendix B1.
+
+use super::polygon::Polygon;
+use super::text::{Lines, shown};
+use super::vertices::Vertices;
+use super::{MeshOptions, Triangle, Triangles};
+use crate::Result;
+use std::path::Path;
+
+/// Lines read for one batch of triangles.
+const LINES: usize = 512;
+
+pub(super) struct Reader {
+    lines: Lines,
+    vertices: Vertices,
+    /// Corners defined before the line at hand.
+    before: u64,
+    polygon: Polygon,
+}
+
+impl Reader {
+    pub(super) fn open(path: &Path, options: &MeshOptions) -> Result<Self> {
+        let mut lines = Lines::open(path, true)?;
+        let mut vertices = Vertices::new(options);
+        while lines.next()? {
+            let mut words = lines.words();
+            if words.next() == Some(b"v") {
+                vertices.push(lines.corner(&mut words)?)?;
+            }
+        }
+        vertices.flush()?;
+        Ok(Self { lines: Lines::open(path, true)?, vertices, before: 0, polygon: Polygon::default() })
+    }
+
+    fn face(&mut self, out: &mut Vec<Triangle>) -> Result<()> {
+        self.polygon.clear();
+        for word in self.lines.words().skip(1).take_while(|word| !word.starts_with(b"#")) {
+            let index = word.split(|&byte| byte == b'/').next().unwrap_or(word);
+            let parsed = std::str::from_utf8(index).ok().and_then(|text| text.parse::<i64>().ok());
+            let number = match parsed {
+                Some(index @ 1..) => Some(index as u64 - 1),
+                Some(index @ ..=-1) => self.before.checked_sub(index.unsigned_abs()),
+                Some(0) => None,
+                None => {
+                    return Err(self.lines.error(format!("expected the number of a corner, found {}", shown(word))));
+                }
+            };
+            let corner = match number {
+                Some(number) => self.vertices.get(number)?,
+                None => None,
+            };
+            let all = self.vertices.len();
+            let missing = || self.lines.error(format!("there is no corner {}: the file has {all}", shown(index)));
+            self.polygon.push(corner.ok_or_else(missing)?);
+        }
+        self.polygon.triangles(out).map_err(|reason| self.lines.error(reason))
+    }
+}
+
+impl Triangles for Reader {
+    fn read(&mut self, out: &mut Vec<Triangle>) -> Result<bool> {
+        for _ in 0..LINES {
+            if !self.lines.next()? {
+                return Ok(false);
+            }
+            let kind = self.lines.words().next();
+            match kind {
+                Some(b"v") => self.before += 1,
+                // "fo" is the old name.
+                Some(b"f" | b"fo") => self.face(out)?,
+                _ => {}
+            }
+        }
+        Ok(true)
+    }
+}

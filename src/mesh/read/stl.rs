@@ -1,0 +1,105 @@
+//! STL: the binary form (80 bytes, a count, 50 bytes a triangle) and the text form.
+//!
+//! Source: "StereoLithography Interface Specification", 3D Systems, 1989. Many binary files begin with "solid" as the
+//! text form does; so a file whose length is that of its count is binary.
+
+use super::text::{Lines, shown};
+use super::{Triangle, Triangles};
+use crate::{Error, Result};
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+use std::path::{Path, PathBuf};
+
+const HEAD_BYTES: u64 = 84;
+const TRIANGLE_BYTES: usize = 50;
+/// Triangles, or lines, read for one batch.
+const BATCH: u64 = 512;
+
+pub(super) enum Reader {
+    Binary { reader: BufReader<File>, path: PathBuf, left: u64, all: u64 },
+    Text { lines: Lines, corners: Vec<[f64; 3]>, open: bool },
+}
+
+impl Reader {
+    pub(super) fn open(path: &Path) -> Result<Self> {
+        let io = |action| move |e| Error::io(path, action, e);
+        let file = File::open(path).map_err(io("open"))?;
+        let bytes = file.metadata().map_err(io("read the length"))?.len();
+        let mut reader = BufReader::with_capacity(1 << 18, file);
+        let mut head = Vec::with_capacity(HEAD_BYTES as usize);
+        Read::by_ref(&mut reader).take(HEAD_BYTES).read_to_end(&mut head).map_err(io("read the header"))?;
+        let count = head.last_chunk().filter(|_| head.len() as u64 == HEAD_BYTES).map(|b| u32::from_le_bytes(*b));
+        let expected = count.map(|count| HEAD_BYTES + u64::from(count) * TRIANGLE_BYTES as u64);
+        if head.trim_ascii_start().starts_with(b"solid") && expected != Some(bytes) {
+            reader.rewind().map_err(io("read the header"))?;
+            return Ok(Self::Text { lines: Lines::new(reader, path, false), corners: Vec::new(), open: false });
+        }
+        match (count, expected) {
+            (Some(count), Some(expected)) if expected <= bytes => {
+                let all = u64::from(count);
+                Ok(Self::Binary { reader, path: path.to_path_buf(), left: all, all })
+            }
+            (Some(count), _) => {
+                let reason = format!(
+                    "it states {count} triangles of 50 bytes, which the file's {bytes} bytes do not hold: it is cut or \
+                     damaged; fetch or write it again"
+                );
+                Err(Error::input(path, "header, byte 80", reason))
+            }
+            _ => Err(Error::input(path, "header", format!("expected at least 84 bytes or \"solid\", found {bytes}"))),
+        }
+    }
+}
+
+impl Triangles for Reader {
+    fn read(&mut self, out: &mut Vec<Triangle>) -> Result<bool> {
+        match self {
+            Self::Binary { reader, path, left, all } => {
+                for _ in 0..BATCH.min(*left) {
+                    let mut bytes = [0; TRIANGLE_BYTES];
+                    let number = *all - *left;
+                    reader
+                        .read_exact(&mut bytes)
+                        .map_err(|e| Error::io(&path, format!("read triangle {number}"), e))?;
+                    // The first 12 bytes are the normal.
+                    let value = |at: usize| f64::from(f32::from_le_bytes([0, 1, 2, 3].map(|k| bytes[12 + 4 * at + k])));
+                    out.push([0, 1, 2].map(|corner| [0, 1, 2].map(|axis| value(3 * corner + axis))));
+                    *left -= 1;
+                }
+                Ok(*left > 0)
+            }
+            Self::Text { lines, corners, open } => {
+                for _ in 0..BATCH {
+                    if !lines.next()? {
+                        return match open {
+                            false => Ok(false),
+                            true => Err(lines.error("the file ends before \"endsolid\": it is cut; fetch it again")),
+                        };
+                    }
+                    let mut words = lines.words();
+                    match words.next() {
+                        Some(b"vertex") => corners.push(lines.corner(&mut words)?),
+                        Some(b"endloop") => {
+                            let [a, b, c] = corners[..] else {
+                                let found = corners.len();
+                                return Err(lines.error(format!("a loop has {found} corners; expected 3")));
+                            };
+                            out.push([a, b, c]);
+                            corners.clear();
+                        }
+                        Some(b"solid") => *open = true,
+                        Some(b"endsolid") => *open = false,
+                        Some(b"facet" | b"outer" | b"endfacet") | None => {}
+                        Some(other) => {
+                            return Err(lines.error(format!("expected a line of an STL file, found {}", shown(other))));
+                        }
+                    }
+                    if corners.len() > 3 {
+                        return Err(lines.error("a loop has more than 3 corners"));
+                    }
+                }
+                Ok(true)
+            }
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! Lines and words of text formats, of bounded length.
+
+use crate::{Error, Result};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+/// Longest line (bytes).
+const MOST_BYTES: u64 = 1 << 20;
+
+/// Reads a file line by line; knows which line it is at.
+pub(super) struct Lines {
+    reader: BufReader<File>,
+    path: PathBuf,
+    number: u64,
+    line: Vec<u8>,
+    /// Whether a line that ends in a backslash goes on in the next.
+    continued: bool,
+}
+
+impl Lines {
+    pub(super) fn open(path: &Path, continued: bool) -> Result<Self> {
+        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
+        Ok(Self::new(BufReader::with_capacity(1 << 18, file), path, continued))
+    }
+
+    pub(super) fn new(reader: BufReader<File>, path: &Path, continued: bool) -> Self {
+        Self { reader, path: path.to_path_buf(), number: 0, line: Vec::new(), continued }
+    }
+
+    /// The reader, behind the last line read.
+    pub(super) fn into_reader(self) -> BufReader<File> {
+        self.reader
+    }
+
+    /// Goes to the next line; false at the end of the file. What follows a `#` is for the caller to skip.
+    pub(super) fn next(&mut self) -> Result<bool> {
+        self.line.clear();
+        loop {
+            self.number += 1;
+            let left = MOST_BYTES.saturating_sub(self.line.len() as u64);
+            let read = Read::by_ref(&mut self.reader)
+                .take(left)
+                .read_until(b'\n', &mut self.line)
+                .map_err(|e| Error::io(&self.path, format!("read line {}", self.number), e))?;
+            if read as u64 == left && self.line.last() != Some(&b'\n') {
+                return Err(self.error(format!("a line of more than {MOST_BYTES} bytes: this is no text, or damaged")));
+            }
+            if read == 0 {
+                return Ok(!self.line.is_empty());
+            }
+            while self.line.last().is_some_and(|byte| matches!(byte, b'\n' | b'\r')) {
+                self.line.pop();
+            }
+            if !self.continued || self.line.last() != Some(&b'\\') {
+                return Ok(true);
+            }
+            *self.line.last_mut().unwrap_or(&mut 0) = b' ';
+        }
+    }
+
+    /// The words of the line.
+    pub(super) fn words(&self) -> impl Iterator<Item = &[u8]> {
+        self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
+    }
+
+    /// An error at this line.
+    pub(super) fn error(&self, reason: impl Into<String>) -> Error {
+        Error::input(&self.path, format!("line {}", self.number), reason)
+    }
+
+    /// A word of the line as a number.
+    pub(super) fn number(&self, word: Option<&[u8]>) -> Result<f64> {
+        let word = word.ok_or_else(|| self.error("expected a number, found the end of the line"))?;
+        let parsed = std::str::from_utf8(word).ok().and_then(|text| text.parse().ok());
+        parsed.ok_or_else(|| self.error(format!("expected a number, found {}", shown(word))))
+    }
+
+    /// Three words of the line as a corner.
+    pub(super) fn corner<'a>(&self, words: &mut impl Iterator<Item = &'a [u8]>) -> Result<[f64; 3]> {
+        Ok([self.number(words.next())?, self.number(words.next())?, self.number(words.next())?])
+    }
+}
+
+/// A word for an error message: short, on one line.
+pub(super) fn shown(word: &[u8]) -> String {
+    let text: String = String::from_utf8_lossy(word).chars().take(40).flat_map(char::escape_default).collect();
+    format!("\"{text}\"")
+}

@@ -1,0 +1,107 @@
+//! Corners of a mesh by number: in memory as far as they fit, the rest in an unnamed temporary file.
+
+use super::MeshOptions;
+use super::blocks::Blocks;
+use crate::{Error, Result};
+use std::io::{Seek, SeekFrom, Write};
+use std::path::PathBuf;
+
+const VERTEX_BYTES: usize = 24;
+const BUFFER_BYTES: usize = 64 << 10;
+
+/// Corners in the order of the file, 24 bytes each.
+pub(super) struct Vertices {
+    memory: Vec<[f64; 3]>,
+    most_in_memory: usize,
+    temp_dir: PathBuf,
+    /// The corners beyond those in memory, and what of them is not yet in the file.
+    file: Option<Blocks>,
+    buffer: Vec<u8>,
+    count: u64,
+}
+
+impl Vertices {
+    /// No corners; `options` say how many stay in memory.
+    pub(super) fn new(options: &MeshOptions) -> Self {
+        // A vector that grows holds up to three halves more than it needs while it moves.
+        let most_in_memory = (options.memory_bytes / 3 / VERTEX_BYTES as u64) as usize;
+        let temp_dir = options.temp_dir.clone();
+        Self { memory: Vec::new(), most_in_memory, temp_dir, file: None, buffer: Vec::new(), count: 0 }
+    }
+
+    pub(super) fn len(&self) -> u64 {
+        self.count
+    }
+
+    pub(super) fn push(&mut self, vertex: [f64; 3]) -> Result<()> {
+        self.count += 1;
+        if self.memory.len() < self.most_in_memory {
+            self.memory.push(vertex);
+            return Ok(());
+        }
+        vertex.iter().for_each(|v| self.buffer.extend_from_slice(&v.to_ne_bytes()));
+        if self.buffer.len() >= BUFFER_BYTES { self.flush() } else { Ok(()) }
+    }
+
+    /// Makes all corners readable; to be called after the last [`push`](Self::push).
+    pub(super) fn flush(&mut self) -> Result<()> {
+        if self.buffer.is_empty() {
+            return Ok(());
+        }
+        let dir = &self.temp_dir;
+        let refused = |action| move |e| Error::io(dir, action, e);
+        let blocks = match &mut self.file {
+            Some(blocks) => blocks,
+            none => {
+                let action = "create a temporary file (choose a folder with --temp-dir)";
+                none.insert(Blocks::new(tempfile::tempfile_in(dir).map_err(refused(action))?, dir))
+            }
+        };
+        blocks.forget();
+        let file = blocks.file_mut();
+        file.seek(SeekFrom::End(0))
+            .and_then(|_| file.write_all(&self.buffer))
+            .map_err(refused("write temporary data (choose a folder with space by --temp-dir)"))?;
+        self.buffer.clear();
+        Ok(())
+    }
+
+    /// Corner `number`, if there are so many.
+    pub(super) fn get(&mut self, number: u64) -> Result<Option<[f64; 3]>> {
+        if number >= self.count {
+            return Ok(None);
+        }
+        if let Some(&vertex) = usize::try_from(number).ok().and_then(|number| self.memory.get(number)) {
+            return Ok(Some(vertex));
+        }
+        let Some(blocks) = &mut self.file else { return Ok(None) };
+        let mut bytes = [0; VERTEX_BYTES];
+        blocks.read((number - self.memory.len() as u64) * VERTEX_BYTES as u64, &mut bytes)?;
+        let (values, _) = bytes.as_chunks::<8>();
+        Ok(Some([0, 1, 2].map(|axis| f64::from_ne_bytes(values[axis]))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::input::Units;
+    use crate::plan::Up;
+
+    #[test]
+    fn corners_come_back_from_memory_and_from_the_file() {
+        for memory_bytes in [0, 72 * 100, 1 << 20] {
+            let temp_dir = std::env::temp_dir();
+            let mut vertices = Vertices::new(&MeshOptions { units: Units::Auto, up: Up::Z, memory_bytes, temp_dir });
+            let vertex = |n: u64| [n as f64, -(n as f64), 0.5 / (n + 1) as f64];
+            (0..10_000).for_each(|n| vertices.push(vertex(n)).unwrap());
+            vertices.flush().unwrap();
+            assert_eq!(vertices.len(), 10_000);
+            for n in (0..10_000).map(|n| n * 7919 % 10_000) {
+                assert_eq!(vertices.get(n).unwrap(), Some(vertex(n)));
+            }
+            assert_eq!(vertices.get(10_000).unwrap(), None);
+            assert_eq!(vertices.file.is_some(), memory_bytes < 1 << 20);
+        }
+    }
+}
