@@ -405,7 +405,7 @@ pub fn fold_into(folded: &mut Folded, records: &[Record], folder: &mut Folder) {
 mod tests {
     use super::*;
     use crate::frame::Frame;
-    use crate::voxel::record::Recorder;
+    use crate::voxel::record::{Recorder, surface_voxels};
     use proptest::prelude::*;
 
     fn records(points: &[(f64, f64, f64)]) -> Vec<Record> {
@@ -425,9 +425,19 @@ mod tests {
         #[test]
         fn folding_in_pieces_and_in_any_order_is_folding_at_once(
             points in proptest::collection::vec((-1.0f64..33.0, -1.0f64..33.0, -4.0f64..4.0), 1..6000),
+            surfaces in proptest::collection::vec((0i64..64, 0i64..64, -600i64..600, 0i64..300, any::<bool>()), 0..500),
             piece in 1usize..500, min_points in 1u32..3
         ) {
             let mut records = records(&points);
+            let points_kept_at_most = records.len() as i64;
+            let recorder = Recorder::new(Frame::new(0.5, 1.5).unwrap());
+            for voxel in surfaces.iter().flat_map(|&(i, j, low, more, s)| surface_voxels((i, j), (low, low + more), s)) {
+                recorder.record_surface(&voxel, |index, record| {
+                    if (index.tx, index.ty) == (0, 0) {
+                        records.push(record);
+                    }
+                });
+            }
             let (mut at_once, mut piecemeal) = (Patch::default(), Patch::default());
             let dropped = at_once.fold(&records, min_points, Area::TILE);
             records.reverse();
@@ -437,7 +447,16 @@ mod tests {
             prop_assert_eq!(&at_once.voxels, &piecemeal.voxels);
             prop_assert_eq!(&at_once.starts, &piecemeal.starts);
             let points_kept: i64 = at_once.voxels.iter().map(|voxel| voxel.moments.n).sum();
-            prop_assert!(min_points > 1 || points_kept == records.len() as i64);
+            prop_assert!(points_kept <= points_kept_at_most);
+            prop_assert!(min_points > 1 || points_kept == points_kept_at_most);
+            for &(i, j, low, more, steep) in &surfaces {
+                let pixel = (j as usize + 1) * PATCH_PIXELS + i as usize + 1;
+                let (first, last) = (low.div_euclid(255), low.max(low + more - 1).div_euclid(255));
+                for voxel in (first..=last).map(|slice| slice + crate::voxel::record::BLOCK_SLICES / 2) {
+                    let found = at_once.voxels[at_once.range(pixel)].iter().find(|v| i64::from(v.slice) == voxel);
+                    prop_assert!(found.is_some_and(|v| v.surfaces != 0 && (v.is_steep() || !steep)));
+                }
+            }
         }
 
         #[test]

@@ -62,7 +62,8 @@ impl Polygon {
                 area(a, b, c) > 0.0 && !left.iter().any(|&p| holds(p))
             };
             // A polygon that crosses itself may have no ear; then any corner is cut off.
-            let at = (0..count).find(is_ear).unwrap_or(0);
+            // From the second corner on, so that a convex polygon becomes the usual fan around its first.
+            let at = (1..count).chain([0]).find(is_ear).unwrap_or(1);
             let (a, b, c) = around(at);
             out.push([a, b, c].map(|n| self.corners[n as usize]));
             left.remove(at);
