@@ -173,6 +173,7 @@ fn no_frame_on_a_stream_allocates() {
     }
     let counters = stream.counters();
     assert!(waits > 0 && counters.loaded > 50 && counters.evicted > 0, "{waits} waits, {counters:?}");
+}
 
 #[test]
 fn no_question_about_objects_allocates() {
