@@ -4,6 +4,7 @@ pub mod building;
 pub mod pawns;
 pub mod random;
 pub mod stability;
+pub mod thesis;
 pub mod voxels;
 pub mod walks;
 

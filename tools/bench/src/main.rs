@@ -18,6 +18,11 @@ enum Command {
     Stability(Stability),
     /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
     Walks(Common),
+    /// The thesis' tables again, with ours beside them; and objects against triangles
+    Thesis(Common),
+    /// One conversion, measured in a process of its own
+    #[command(hide = true)]
+    Measured(bench::thesis::Conversion),
 }
 
 #[derive(Debug, clap::Args)]
@@ -52,6 +57,8 @@ fn main() -> ExitCode {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
+        Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
+        Command::Measured(conversion) => conversion.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
