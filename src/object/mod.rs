@@ -84,10 +84,21 @@ pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
                     return true;
                 }
             }
-            (Some(children), other_children) if other_children.is_none() || one.size() >= other.size() => {
-                children.into_iter().for_each(|child| open.push((child, n)));
+            (Some([first, second]), other_children) if other_children.is_none() || one.size() >= other.size() => {
+                // The one nearer to the other object comes first: it may end the search.
+                let far = |child: u32| relative.distance_squared(&left.node(child).bounds(), &other.bounds());
+                let nearer_first = far(first) <= far(second);
+                let (near, far) = if nearer_first { (first, second) } else { (second, first) };
+                open.push((far, n));
+                open.push((near, n));
             }
-            (_, Some(children)) => children.into_iter().for_each(|child| open.push((m, child))),
+            (_, Some([first, second])) => {
+                let far = |child: u32| relative.distance_squared(&one.bounds(), &right.node(child).bounds());
+                let nearer_first = far(first) <= far(second);
+                let (near, far) = if nearer_first { (first, second) } else { (second, first) };
+                open.push((m, far));
+                open.push((m, near));
+            }
             (Some(_), None) => unreachable!("the arm before takes it"),
         }
     }

@@ -42,6 +42,12 @@ impl Relative {
         })
     }
 
+    /// Between the middles of two boxes (m²).
+    #[inline]
+    pub(super) fn distance_squared(&self, a: &LocalBox, b: &LocalBox) -> f64 {
+        self.between(a, b).iter().map(|v| v * v).sum()
+    }
+
     /// Whether a face of either box separates them: most pairs that are apart are told by that.
     #[inline]
     pub(super) fn separates_by_faces(&self, a: &LocalBox, b: &LocalBox) -> bool {

@@ -15,11 +15,12 @@ use std::path::Path;
 use std::time::Instant;
 
 const PIXELS: f64 = 700.0;
+const ROUNDS: usize = 5;
 const BODY: Body = Body::Cylinder { radius: 0.25, height: 1.8 };
 
 /// The table by name.
 pub fn measure(models: &[Model], folder: &Path, quick: bool) -> Result<Vec<(&'static str, String)>> {
-    let frames = if quick { 2_000 } else { 60_000 };
+    let frames = if quick { 2_000 } else { 20_000 };
     let mut table = Table::new([
         "model",
         "thesis (frames per second, with and without)",
@@ -52,12 +53,24 @@ pub fn measure(models: &[Model], folder: &Path, quick: bool) -> Result<Vec<(&'st
 /// Mean and 99.9th percentile of a frame (µs), and the way walked (m). The pawn turns now and then, and begins anew
 /// elsewhere every ten seconds.
 fn walk(store: &Store, model: &Model, frames: usize) -> Result<[f64; 3]> {
+    let mut times = vec![f64::INFINITY; frames];
+    let mut moved = 0.0;
+    // The same way each time, and for each frame the best: other work on the machine only adds.
+    for _ in 0..ROUNDS {
+        moved = walk_once(store, model, &mut times)?;
+    }
+    let mean = times.iter().sum::<f64>() / frames as f64;
+    times.sort_by(f64::total_cmp);
+    Ok([mean, times[(frames as f64 * 0.999) as usize - 1], moved])
+}
+
+/// One walk of as many frames as there are `times`, which are made no longer than these; returns the way walked.
+fn walk_once(store: &Store, model: &Model, times: &mut [f64]) -> Result<f64> {
     let mut random = Random(21);
     let config = Config { tick_s: 1.0 / 60.0, ..Config::new(BODY) };
     let mut walker = Walker::new(config, model.start.unwrap_or([0.0; 3]).into())?;
     let (mut heading, mut moved) = (0.0f64, 0.0);
-    let mut times = Vec::with_capacity(frames);
-    for frame in 0..frames {
+    for (frame, time) in times.iter_mut().enumerate() {
         if frame % 600 == 0 {
             walker.place(stand(store, model, &mut random).ok_or("no place to stand was found")?);
         }
@@ -67,12 +80,10 @@ fn walk(store: &Store, model: &Model, frames: usize) -> Result<[f64; 3]> {
         let before = walker.feet();
         let start = Instant::now();
         walker.step(store, 1.0 / 60.0, Wish::Direction(Vector2::new(heading.cos(), heading.sin())));
-        times.push(start.elapsed().as_secs_f64() * 1e6);
+        *time = time.min(start.elapsed().as_secs_f64() * 1e6);
         moved += (walker.feet().xy() - before.xy()).norm();
     }
-    let mean = times.iter().sum::<f64>() / frames as f64;
-    times.sort_by(f64::total_cmp);
-    Ok([mean, times[(frames as f64 * 0.999) as usize - 1], moved])
+    Ok(moved)
 }
 
 /// A place with a floor underfoot and room above.
