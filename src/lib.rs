@@ -42,6 +42,8 @@ pub mod store;
 
 pub mod query;
 
+pub mod object;
+
 pub mod walk;
 
 pub use error::{Error, Result};

@@ -61,11 +61,11 @@ pub struct Plan {
     pub tolerance_m: f64,
     /// How obstacles are found.
     pub classifier: Classifier,
-    /// Voxels with fewer points are dropped [points, >= 1].
+    /// Voxels with fewer points are dropped, unless a triangle of a mesh is in them [points, >= 1].
     pub min_points: u32,
     /// Whether voxels without matter in any of the 26 voxels around them are dropped.
     pub drop_isolated: bool,
-    /// Up axis of the input.
+    /// Up axis of the input, where its format does not fix it.
     pub up: Up,
     /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.
     pub exclude_classes: [u64; 4],

@@ -10,6 +10,7 @@ mod tower;
 use nalgebra::{Point3, Vector2, Vector3};
 use scene::Scene;
 use slicewalk::frame::PageKey;
+use slicewalk::object::{Model, Object, touches, touches_box, touches_scene, touches_sphere};
 use slicewalk::query::*;
 use slicewalk::store::{MemorySource, PageSet, Prefetch, Store, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Crowd, Response, Route, Walker, Wish};
@@ -172,4 +173,29 @@ fn no_frame_on_a_stream_allocates() {
     }
     let counters = stream.counters();
     assert!(waits > 0 && counters.loaded > 50 && counters.evicted > 0, "{waits} waits, {counters:?}");
+}
+
+#[test]
+fn no_question_about_objects_allocates() {
+    for (scene, mut random) in Scene::all().take(30) {
+        let some: Vec<PageKey> = scene.pages.iter().map(|page| page.0).filter(|_| random.chance(40)).collect();
+        let (store, part) = (scene.store(), scene.part(&some));
+        let model = Model::from_pages(&store).expect("all pages are there");
+        let boxes: Vec<Aabb> = (0..20).map(|_| scene.random_box(&mut random)).collect();
+        let count = allocations(|| {
+            for shape in &boxes {
+                let turn = nalgebra::Vector3::new(0.3, -0.2, shape.min().x);
+                let objects = [0.0, 0.1].map(|shift| {
+                    let moved = (shape.max() - shape.min()) * shift;
+                    Object::new(&model, nalgebra::Isometry3::new(moved, turn * shift))
+                });
+                black_box(touches(&objects[0], &objects[1]));
+                black_box(touches_box(&objects[1], shape));
+                black_box(touches_sphere(&objects[1], &Sphere::new(shape.min(), 0.2).expect("finite")));
+                black_box(touches_scene(&objects[1], &store));
+                black_box(touches_scene(&objects[1], &part));
+            }
+        });
+        assert_eq!(count, 0);
+    }
 }

@@ -7,7 +7,9 @@ mod scans;
 
 use scans::{Random, command, verifies, write_as};
 use std::fs;
+use std::io::Write;
 use std::time::Duration;
+use tempfile::TempDir;
 
 const POINTS: usize = 5_000_000;
 const MOST_KIB: u64 = (64 + 64) << 10;
@@ -19,9 +21,16 @@ fn peak_memory_kib(name: &str, pixel: &str, mut point: impl FnMut(usize, &mut Ra
     let points: Vec<[f64; 3]> = (0..POINTS).map(|number| point(number, &mut random)).collect();
     write_as(&folder.path().join("scan.las"), &points, 0.01, [0.0; 3]);
     drop(points);
+    let (peak, temp) = peak_of_file(&folder, name, "scan.las", pixel, POINTS);
+    assert!(temp <= 12 * POINTS as u64, "{name}: {temp} temporary bytes");
+    (peak, temp)
+}
+
+/// Converts `file`, of so many points or triangles, at 64 MiB.
+fn peak_of_file(folder: &TempDir, name: &str, file: &str, pixel: &str, count: usize) -> (u64, u64) {
     let report = folder.path().join("report.json");
     let mut child = command(folder.path())
-        .args(["scan.las", "-o", "a.slices", "--pixel", pixel, "--memory", "64MiB", "--threads", "2", "--json"])
+        .args([file, "-o", "a.slices", "--pixel", pixel, "--memory", "64MiB", "--threads", "2", "--json"])
         .args(["--temp-dir", ".", "--quiet"])
         .stdout(fs::File::create(&report).unwrap())
         .spawn()
@@ -41,12 +50,11 @@ fn peak_memory_kib(name: &str, pixel: &str, mut point: impl FnMut(usize, &mut Ra
     assert!(ended.success(), "{name}");
     verifies(&folder.path().join("a.slices"));
     let report: serde_json::Value = serde_json::from_str(&fs::read_to_string(report).unwrap()).unwrap();
-    assert_eq!(report["points_kept"], POINTS);
+    assert_eq!(report["points_kept"], count);
     let temp = report["temp_bytes"].as_u64().unwrap();
-    println!("{name}: {} MiB, {:.2} temporary bytes a point", peak >> 10, temp as f64 / POINTS as f64);
+    println!("{name}: {} MiB, {:.2} temporary bytes a point", peak >> 10, temp as f64 / count as f64);
     assert!(peak > 1 << 10, "{name}: {peak} KiB: nothing was measured");
     assert!(peak <= MOST_KIB, "{name}: {peak} KiB is more than {MOST_KIB}");
-    assert!(temp <= 12 * POINTS as u64, "{name}: {temp} temporary bytes");
     (peak, temp)
 }
 
@@ -72,4 +80,34 @@ fn a_strip_of_100_kilometres_stays_within_the_budget() {
 #[test]
 fn coincident_points_stay_within_the_budget() {
     peak_memory_kib("coincident", "0.1", |_, _| [12.34, 5.67, 8.9]);
+}
+
+#[test]
+fn a_mesh_larger_than_the_budget_stays_within_it_and_goes_to_disk() {
+    const SIDE: usize = 900;
+    let folder = tempfile::tempdir().unwrap();
+    let file = fs::File::create(folder.path().join("terrain.ply")).unwrap();
+    let mut out = std::io::BufWriter::new(file);
+    let faces = 2 * (SIDE - 1) * (SIDE - 1);
+    write!(
+        out,
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty double x\nproperty double y\nproperty double \
+         z\nelement face {faces}\nproperty list uchar uint vertex_indices\nend_header\n",
+        SIDE * SIDE
+    )
+    .unwrap();
+    for (i, j) in (0..SIDE * SIDE).map(|n| (n % SIDE, n / SIDE)) {
+        let at = [i as f64 * 0.5, j as f64 * 0.5, (i as f64 * 0.05).sin() * (j as f64 * 0.07).cos()];
+        at.iter().for_each(|v| out.write_all(&v.to_le_bytes()).unwrap());
+    }
+    for (i, j) in (0..(SIDE - 1) * (SIDE - 1)).map(|n| (n % (SIDE - 1), n / (SIDE - 1))) {
+        let corner = |x: usize, y: usize| ((j + y) * SIDE + i + x) as u32;
+        for face in [[corner(0, 0), corner(1, 0), corner(1, 1)], [corner(0, 0), corner(1, 1), corner(0, 1)]] {
+            out.write_all(&[3]).unwrap();
+            face.iter().for_each(|v| out.write_all(&v.to_le_bytes()).unwrap());
+        }
+    }
+    out.into_inner().unwrap();
+    let (_, temp) = peak_of_file(&folder, "mesh", "terrain.ply", "0.25", faces);
+    assert!(temp > 0, "the test shows little");
 }

@@ -289,7 +289,11 @@ fn bad_files_are_refused_in_one_line() {
         ("a.glb", bytes("good.glb")[..15].to_vec(), "header"),
         ("a.gltf", b"{".to_vec(), "structure"),
         ("a.gltf", b"{\"asset\":{\"version\":\"2.0\"}}".to_vec(), "no triangles"),
-        ("a.gltf", structure(3, r#","uri":"none.bin""#, r#"[{"mesh":0}]"#, "[0]").into(), "none.bin: cannot open"),
+        (
+            "a.gltf",
+            structure(3, r#","uri":"none.bin""#, r#"[{"mesh":0}]"#, "[0]").into(),
+            "buffer 0: cannot open none.bin",
+        ),
         ("a.gltf", structure(3, r#","uri":"https://x/y""#, r#"[{"mesh":0}]"#, "[0]").into(), "it lies elsewhere"),
         ("a.gltf", structure(3, r#","uri":"data:;base64,AAA!""#, r#"[{"mesh":0}]"#, "[0]").into(), "base64"),
         ("a.gltf", structure(3, r#","uri":"data:;base64,AAAA""#, r#"[{"mesh":0}]"#, "[0]").into(), "it is cut"),

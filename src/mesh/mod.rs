@@ -8,7 +8,7 @@
 //! [`raster`] takes triangles to the grid exactly, [`sample`] as points, the thesis' way (algorithm 3.2).
 //!
 //! The readers of OBJ, PLY and STL are our own and thin, because the crates for these formats hold whole files in
-//! memory; glTF's structure is read by the crate `gltf`, its buffers piece by piece.
+//! memory; glTF's structure is read by the crate `gltf-json`, its buffers piece by piece.
 
 pub mod raster;
 pub mod sample;

@@ -17,7 +17,7 @@
 //! axes of the grid gain nothing at all.
 
 use super::Triangle;
-use crate::frame::{Frame, floor_index};
+use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, floor_index};
 
 /// Growth of rows, pixels and heights, in units of the greatest coordinate (see the module text).
 const SLACK: f64 = 1.0 / (1u64 << 46) as f64;
@@ -100,6 +100,46 @@ impl GridTriangle {
     /// Whether it is steeper than the limit.
     pub fn is_steep(&self) -> bool {
         self.steep
+    }
+
+    /// Whether all its pixels and slices have an index on the grid.
+    pub fn is_on_grid(&self) -> bool {
+        let near = |v: f64, unit: i64| v.abs() < ((MAX_INDEX - 1) * unit) as f64;
+        let ends = self.min.iter().zip(&self.max).zip([1, 1, SLICE_QUANTA]);
+        ends.into_iter().all(|((&low, &high), unit)| near(low, unit) && near(high, unit))
+    }
+
+    /// Calls `give` with each pixel whose upright middle line crosses the triangle, and the height there (quanta).
+    ///
+    /// Where an edge lies is computed alike for all triangles that share it, and pixels are taken half open, so a line
+    /// through an edge crosses one or both or neither of its triangles as if it passed beside it: it crosses a closed mesh
+    /// an even number of times.
+    pub fn for_each_crossing(&self, mut give: impl FnMut((i64, i64), f64)) {
+        let [a, b, c] = self.corners;
+        let edges = [(a, b), (b, c), (a, c)];
+        let (p, q) = ([0, 1, 2].map(|k| b[k] - a[k]), [0, 1, 2].map(|k| c[k] - a[k]));
+        let area = p[0] * q[1] - p[1] * q[0];
+        for j in self.rows().0..=self.rows().1 {
+            let y = j as f64 + 0.5;
+            // Places where the edges cross the line of middles. Corners are sorted, so that neighbours compute the same.
+            let crossed = edges.map(|(a, b)| {
+                ((a[1] <= y) != (b[1] <= y)).then(|| a[0] + (b[0] - a[0]) * ((y - a[1]) / (b[1] - a[1])))
+            });
+            let mut places = crossed.into_iter().flatten();
+            let (Some(one), Some(other)) = (places.next(), places.next()) else { continue };
+            let (left, right) = (one.min(other), one.max(other));
+            // Middles from `left` on and before `right`.
+            for i in floor_index(left - 0.5)..=floor_index(right + 0.5) {
+                let x = i as f64 + 0.5;
+                if left <= x && x < right {
+                    let (u, v) = ((x - a[0]) * q[1] - (y - a[1]) * q[0], (y - a[1]) * p[0] - (x - a[0]) * p[1]);
+                    let height = a[2] + (u * p[2] + v * q[2]) / area;
+                    // Only an upright triangle has none, and then any of its heights will do.
+                    let height = if height.is_finite() { height } else { a[2] };
+                    give((i, j), height.clamp(self.min[2], self.max[2]));
+                }
+            }
+        }
     }
 
     /// First and last row of pixels that it touches.

@@ -25,6 +25,12 @@ impl Aabb {
         }
     }
 
+    /// The box between corners that are known to be in order and no NaN.
+    pub(crate) fn between(min: Point3<f64>, max: Point3<f64>) -> Self {
+        debug_assert!((0..3).all(|axis| min[axis] <= max[axis]));
+        Self { min, max }
+    }
+
     /// A box of `size` [m, >= 0] with `feet` in the middle of its bottom face: the pawn of the thesis.
     pub fn standing(feet: Point3<f64>, size: Vector3<f64>) -> Result<Self> {
         let half = Vector3::new(size.x / 2.0, size.y / 2.0, 0.0);

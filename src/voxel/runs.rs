@@ -137,7 +137,8 @@ impl RunBuilder {
 
     fn adder(&mut self) -> impl FnMut(ColumnIndex, Record) + use<'_> {
         let Self { records, numbers, columns, lookup, recent, only, .. } = self;
-        |index, record| {
+        let only = *only;
+        move |index, record| {
             if only.is_some_and(|(first, last)| !(first..=last).contains(&index.key().column)) {
                 return;
             }

@@ -87,9 +87,9 @@ impl SurfaceBuilder {
     ) -> Result<()> {
         let Some(placed) = self.raster.place(triangle) else { return Ok(()) };
         let (voxels, steep) = (&mut self.voxels, placed.is_steep());
-        let mut done = Ok(());
         let (first, last) = placed.rows();
         for j in first..=last {
+            let mut done = Ok(());
             placed.for_each_pixel(j, |i, bottom, top| {
                 for voxel in surface_voxels((i, j), (bottom, top), steep) {
                     if done.is_err() {
@@ -102,9 +102,7 @@ impl SurfaceBuilder {
                     }
                 }
             });
-            if done.is_err() {
-                return done;
-            }
+            done?;
         }
         Ok(())
     }

@@ -1,18 +1,22 @@
 //! glTF 2.0, as `.gltf` with its buffers and as `.glb`: the triangles of the default scene, or of all nodes where there
 //! is none, in the places that their nodes give them.
 //!
-//! The structure is read and checked by the crate `gltf` and held in memory; buffers are read piece by piece. Skins and
-//! morph targets stay at rest. Source: "glTF 2.0 Specification", Khronos Group, chapters 3.5 to 3.7.
+//! The structure is read by the crate `gltf-json` and held in memory; what of it is used is checked here, because the
+//! checks of the crate `gltf` panic on numbers of accessors that do not exist. Buffers are read piece by piece. Skins
+//! and morph targets stay at rest. Source: "glTF 2.0 Specification", Khronos Group, chapters 3.5 to 3.7.
 
 use super::blocks::Blocks;
 use super::{MeshOptions, Triangle, Triangles};
 use crate::{Error, Result};
 use base64::Engine;
-use gltf::accessor::{DataType, Dimensions};
-use gltf::buffer::Source;
-use gltf::mesh::Mode;
-use gltf::scene::Transform;
+use gltf_json::accessor::{Accessor, ComponentType, Type};
+use gltf_json::mesh::{Mode, Primitive, Semantic};
+use gltf_json::root::Get;
+use gltf_json::scene::Node;
+use gltf_json::validation::Checked;
+use gltf_json::{Buffer, Index, Root};
 use nalgebra::{Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
+use std::collections::HashSet;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -39,7 +43,7 @@ struct Values {
     start: u64,
     stride: u64,
     count: u64,
-    kind: DataType,
+    kind: ComponentType,
 }
 
 /// A part of a mesh in its place.
@@ -82,59 +86,83 @@ pub(super) struct Reader {
 impl Reader {
     pub(super) fn open(path: &Path, options: &MeshOptions) -> Result<Self> {
         let (json, binary) = read_structure(path, options.memory_bytes.max(LEAST_JSON_BYTES))?;
-        let gltf = gltf::Gltf::from_slice(&json).map_err(|e| {
-            let text = e.to_string().replace('\n', " ");
-            Error::input(path, "structure", format!("{text}; expected glTF 2.0 without required extensions"))
+        let root = Root::from_slice(&json).map_err(|e| {
+            Error::input(path, "structure", format!("{}; expected glTF 2.0", e.to_string().replace('\n', " ")))
         })?;
         drop(json);
         let mut reader =
             Self { path: path.to_path_buf(), buffers: Vec::new(), parts: Vec::new(), part: 0, triangle: 0 };
-        for buffer in gltf.buffers() {
-            let data = reader.open_buffer(buffer, binary)?;
+        if !root.asset.version.starts_with("2.") {
+            let reason = format!("expected glTF of version 2, found {:?}", root.asset.version);
+            return Err(reader.error("structure", reason));
+        }
+        if let Some(extension) = root.extensions_required.first() {
+            let reason = format!("it requires the extension {extension:?}; export the file without it");
+            return Err(reader.error("structure", reason));
+        }
+        for (number, buffer) in root.buffers.iter().enumerate() {
+            let data = reader.open_buffer(number, buffer, binary)?;
             reader.buffers.push(data);
         }
-        let scene = gltf.default_scene().or_else(|| gltf.scenes().next());
-        // Every node has one parent at most, so one that is met twice is damage, and might be a circle.
-        let mut met = vec![false; gltf.nodes().len()];
-        let mut open: Vec<(gltf::Node<'_>, Matrix4<f64>)> = match &scene {
-            Some(scene) => scene.nodes().map(|node| (node, Matrix4::identity())).collect(),
+        reader.add_scene(&root)?;
+        Ok(reader)
+    }
+
+    fn add_scene(&mut self, root: &Root) -> Result<()> {
+        let scene = match root.scene {
+            Some(number) => Some(self.part(root, number, "scene")?),
+            None => root.scenes.first(),
+        };
+        let roots: Vec<Index<Node>> = match scene {
+            Some(scene) => scene.nodes.clone(),
             None => {
-                let is_child = |node: &gltf::Node<'_>| {
-                    gltf.nodes().any(|parent| parent.children().any(|child| child.index() == node.index()))
-                };
-                gltf.nodes().filter(|node| !is_child(node)).map(|node| (node, Matrix4::identity())).collect()
+                let children: HashSet<usize> =
+                    root.nodes.iter().flat_map(|node| node.children.iter().flatten()).map(Index::value).collect();
+                (0..root.nodes.len()).filter(|n| !children.contains(n)).map(|n| Index::new(n as u32)).collect()
             }
         };
+        // Every node has one parent at most, so one that is met twice is damage, and might be a circle.
+        let mut met = vec![false; root.nodes.len()];
         // The last is taken first; so parts come in the order of the file.
-        open.reverse();
-        while let Some((node, above)) = open.pop() {
-            if std::mem::replace(&mut met[node.index()], true) {
-                return Err(reader.error(format!("node {}", node.index()), "it has two parents, or is its own"));
+        let mut open: Vec<_> = roots.into_iter().rev().map(|node| (node, Matrix4::identity())).collect();
+        while let Some((number, above)) = open.pop() {
+            let node: &Node = self.part(root, number, "node")?;
+            if std::mem::replace(&mut met[number.value()], true) {
+                return Err(self.error(format!("node {}", number.value()), "it has two parents, or is its own"));
             }
-            let place = above * matrix(node.transform());
-            for primitive in node.mesh().iter().flat_map(|mesh| mesh.primitives()) {
-                reader.add_part(&primitive, place)?;
+            let place = above * matrix(node);
+            if let Some(mesh) = node.mesh {
+                let mesh: &gltf_json::Mesh = self.part(root, mesh, "mesh")?;
+                mesh.primitives.iter().try_for_each(|primitive| self.add_part(root, primitive, place))?;
             }
-            let children: Vec<_> = node.children().collect();
-            open.extend(children.into_iter().rev().map(|child| (child, place)));
+            open.extend(node.children.iter().flatten().rev().map(|&child| (child, place)));
         }
-        Ok(reader)
+        Ok(())
+    }
+
+    /// The part of the structure with a number that the file gives.
+    fn part<'r, T>(&self, root: &'r Root, number: Index<T>, what: &str) -> Result<&'r T>
+    where
+        Root: Get<T>,
+    {
+        root.get(number)
+            .ok_or_else(|| self.error("structure", format!("it names {what} {}, which does not exist", number.value())))
     }
 
     fn error(&self, at: impl Into<String>, reason: impl Into<String>) -> Error {
         Error::input(&self.path, at, reason)
     }
 
-    fn open_buffer(&self, buffer: gltf::Buffer<'_>, binary: Option<(u64, u64)>) -> Result<Data> {
-        let at = || format!("buffer {}", buffer.index());
-        let data = match buffer.source() {
-            Source::Bin => {
+    fn open_buffer(&self, number: usize, buffer: &Buffer, binary: Option<BinaryPart>) -> Result<Data> {
+        let at = || format!("buffer {number}");
+        let data = match buffer.uri.as_deref() {
+            None => {
                 let (start, len) =
                     binary.ok_or_else(|| self.error(at(), "it should lie in this file, which has no binary part"))?;
                 let file = File::open(&self.path).map_err(|e| Error::io(&self.path, "open", e))?;
                 Data::File { blocks: Blocks::new(file, &self.path), start, len }
             }
-            Source::Uri(uri) => match uri.split_once("base64,") {
+            Some(uri) => match uri.split_once("base64,") {
                 Some((head, text)) if head.starts_with("data:") => {
                     let bytes = base64::engine::general_purpose::STANDARD.decode(text);
                     Data::Memory(bytes.map_err(|e| self.error(at(), format!("its base64 text is damaged: {e}")))?)
@@ -145,7 +173,8 @@ impl Reader {
                 _ => {
                     let path = self.path.with_file_name(decode_percent(uri));
                     let open = File::open(&path).and_then(|file| Ok((file.metadata()?.len(), file)));
-                    let (len, file) = open.map_err(|e| Error::io(&path, "open", e))?;
+                    let (len, file) =
+                        open.map_err(|e| self.error(at(), format!("cannot open {}: {e}", path.display())))?;
                     Data::File { blocks: Blocks::new(file, &path), start: 0, len }
                 }
             },
@@ -154,21 +183,21 @@ impl Reader {
             Data::File { len, .. } => *len,
             Data::Memory(bytes) => bytes.len() as u64,
         };
-        if found < buffer.length() as u64 {
-            let reason = format!("it should have {} bytes and has {found}: it is cut", buffer.length());
-            return Err(self.error(at(), reason));
+        let stated = buffer.byte_length.0;
+        if found < stated {
+            return Err(self.error(at(), format!("it should have {stated} bytes and has {found}: it is cut")));
         }
         Ok(data)
     }
 
-    fn add_part(&mut self, primitive: &gltf::Primitive<'_>, place: Matrix4<f64>) -> Result<()> {
-        if !matches!(primitive.mode(), Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
+    fn add_part(&mut self, root: &Root, primitive: &Primitive, place: Matrix4<f64>) -> Result<()> {
+        let Checked::Valid(mode @ (Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan)) = primitive.mode else {
             return Ok(());
-        }
-        let Some(positions) = primitive.get(&gltf::Semantic::Positions) else { return Ok(()) };
-        let (mode, kinds) = (primitive.mode(), [DataType::U8, DataType::U16, DataType::U32]);
-        let positions = self.values(&positions, Dimensions::Vec3, &[DataType::F32])?;
-        let indices = primitive.indices().map(|of| self.values(&of, Dimensions::Scalar, &kinds)).transpose()?;
+        };
+        let Some(&positions) = primitive.attributes.get(&Checked::Valid(Semantic::Positions)) else { return Ok(()) };
+        let kinds = [ComponentType::U8, ComponentType::U16, ComponentType::U32];
+        let positions = self.values(root, positions, Type::Vec3, &[ComponentType::F32])?;
+        let indices = primitive.indices.map(|of| self.values(root, of, Type::Scalar, &kinds)).transpose()?;
         if self.parts.len() == MOST_PARTS {
             return Err(self.error("structure", format!("more than {MOST_PARTS} placed parts of meshes")));
         }
@@ -177,25 +206,33 @@ impl Reader {
     }
 
     /// Values that lie within their buffer.
-    fn values(&self, of: &gltf::Accessor<'_>, dimensions: Dimensions, kinds: &[DataType]) -> Result<Values> {
-        let at = || format!("accessor {}", of.index());
-        if of.dimensions() != dimensions || !kinds.contains(&of.data_type()) {
-            let found = format!("{:?} of {:?}", of.dimensions(), of.data_type());
-            return Err(self.error(at(), format!("expected {dimensions:?} of {kinds:?}, found {found}")));
-        }
-        let (Some(view), None) = (of.view(), of.sparse()) else {
+    fn values(&self, root: &Root, of: Index<Accessor>, shape: Type, kinds: &[ComponentType]) -> Result<Values> {
+        let at = || format!("accessor {}", of.value());
+        let accessor = self.part(root, of, "accessor")?;
+        let kind = match (accessor.type_, accessor.component_type) {
+            (Checked::Valid(found), Checked::Valid(kind)) if found == shape && kinds.contains(&kind.0) => kind.0,
+            (found, kind) => {
+                let reason = format!("expected {shape:?} of {kinds:?}, found {found:?} of {kind:?}");
+                return Err(self.error(at(), reason));
+            }
+        };
+        let (Some(view), None) = (accessor.buffer_view, &accessor.sparse) else {
             return Err(self.error(at(), "sparse values are not supported; export the file without them"));
         };
-        let sum = |a: usize, b: usize| (a as u64).checked_add(b as u64);
-        let (size, count) = (of.size() as u64, of.count() as u64);
-        let stride = view.stride().map_or(size, |stride| stride as u64);
-        let start = sum(view.offset(), of.offset());
+        let view = self.part(root, view, "view")?;
+        let buffer = self.part(root, view.buffer, "buffer")?;
+        let (size, count) = ((kind.size() * shape.multiplicity()) as u64, accessor.count.0);
+        let stride = view.byte_stride.map_or(0, |stride| stride.0 as u64);
+        // Zero stands for no gaps.
+        let stride = if stride == 0 { size } else { stride };
+        let view_start = view.byte_offset.map_or(0, |offset| offset.0);
+        let start = view_start.checked_add(accessor.byte_offset.map_or(0, |offset| offset.0));
         let needed = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(size));
         let end = start.zip(needed).and_then(|(start, needed)| start.checked_add(needed));
-        let limit = sum(view.offset(), view.length()).unwrap_or(0).min(view.buffer().length() as u64);
+        let limit = view_start.saturating_add(view.byte_length.0).min(buffer.byte_length.0);
         match (start, end) {
             (Some(start), Some(end)) if end <= limit => {
-                Ok(Values { buffer: view.buffer().index(), start, stride, count, kind: of.data_type() })
+                Ok(Values { buffer: view.buffer.value(), start, stride, count, kind })
             }
             _ => Err(self.error(at(), format!("its {count} values reach beyond the {limit} bytes that hold them"))),
         }
@@ -216,8 +253,8 @@ impl Reader {
     fn index(&mut self, values: &Values, number: u64) -> Result<u64> {
         let mut bytes = [0; 4];
         let size = match values.kind {
-            DataType::U8 => 1,
-            DataType::U16 => 2,
+            ComponentType::U8 => 1,
+            ComponentType::U16 => 2,
             _ => 4,
         };
         self.fill(values, number, &mut bytes[..size])?;
@@ -259,20 +296,24 @@ impl Triangles for Reader {
     }
 }
 
-fn matrix(transform: Transform) -> Matrix4<f64> {
-    match transform {
-        Transform::Matrix { matrix } => Matrix4::from_fn(|row, column| f64::from(matrix[column][row])),
-        Transform::Decomposed { translation, rotation, scale } => {
-            let [x, y, z, w] = rotation.map(f64::from);
-            let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_homogeneous();
-            let scale = Matrix4::new_nonuniform_scaling(&Vector3::from(scale.map(f64::from)));
-            Matrix4::new_translation(&Vector3::from(translation.map(f64::from))) * turn * scale
-        }
+/// Where a node places what it holds; a matrix excludes the rest (glTF 2.0, section 3.5.3).
+fn matrix(node: &Node) -> Matrix4<f64> {
+    if let Some(matrix) = node.matrix {
+        return Matrix4::from_iterator(matrix.into_iter().map(f64::from));
     }
+    let wide = |v: [f32; 3]| Vector3::from(v.map(f64::from));
+    let shift = node.translation.map_or(Vector3::zeros(), wide);
+    let scale = node.scale.map_or(Vector3::repeat(1.0), wide);
+    let [x, y, z, w] = node.rotation.map_or([0.0, 0.0, 0.0, 1.0], |rotation| rotation.0.map(f64::from));
+    let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    Matrix4::new_translation(&shift) * turn.to_homogeneous() * Matrix4::new_nonuniform_scaling(&scale)
 }
 
+/// Where the binary part of a `.glb` begins, and its length.
+type BinaryPart = (u64, u64);
+
 /// The structure of a file, and of a `.glb` where its binary part begins and its length.
-fn read_structure(path: &Path, most_bytes: u64) -> Result<(Vec<u8>, Option<(u64, u64)>)> {
+fn read_structure(path: &Path, most_bytes: u64) -> Result<(Vec<u8>, Option<BinaryPart>)> {
     let io = |e| Error::io(path, "read the structure", e);
     let mut file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
     let bytes = file.metadata().map_err(io)?.len();

@@ -6,6 +6,7 @@ pub mod random;
 pub mod size;
 pub mod soak;
 pub mod stability;
+pub mod thesis;
 pub mod voxels;
 pub mod walks;
 

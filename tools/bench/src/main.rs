@@ -22,6 +22,11 @@ enum Command {
     Walks(Common),
     /// Answers of a small cache, asked from four threads, beside those of all pages in memory, for a long time
     Soak(Soak),
+    /// The thesis' tables again, with ours beside them; and objects against triangles
+    Thesis(Common),
+    /// One conversion, measured in a process of its own
+    #[command(hide = true)]
+    Measured(bench::thesis::Conversion),
 }
 
 #[derive(Debug, clap::Args)]
@@ -68,6 +73,8 @@ fn main() -> ExitCode {
         Command::Size(common) => bench::size::run(&common.out(), common.quick),
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
+        Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
+        Command::Measured(conversion) => conversion.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -121,7 +121,7 @@ pub fn run(out: &Path, quick: bool, only: Option<&str>) -> Result<()> {
 }
 
 /// The page with every `{{name}}` replaced.
-fn fill(page: &str, facts: &BTreeMap<String, String>) -> Result<String> {
+pub(crate) fn fill(page: &str, facts: &BTreeMap<String, String>) -> Result<String> {
     let mut parts = page.split("{{");
     let mut text = parts.next().unwrap_or_default().to_owned();
     for part in parts {

@@ -1,0 +1,66 @@
+//! Spans of triangles, and the inside of closed meshes.
+
+use super::tree::MOST_ITEMS;
+use crate::{Error, Result};
+
+type Pixel = (i64, i64);
+
+/// What triangles leave in the pixels, in any order.
+#[derive(Debug, Default)]
+pub(super) struct Columns {
+    /// Heights of surfaces (quanta).
+    surfaces: Vec<(Pixel, (i64, i64))>,
+    /// Heights at which the line through the middle of a pixel crosses a surface (quanta).
+    crossings: Vec<(Pixel, f64)>,
+}
+
+impl Columns {
+    pub(super) fn add(&mut self, pixel: Pixel, heights: (i64, i64)) {
+        self.surfaces.push((pixel, heights));
+    }
+
+    pub(super) fn cross(&mut self, pixel: Pixel, height: f64) {
+        self.crossings.push((pixel, height));
+    }
+
+    /// Fails when there are too many surfaces for a triangle of about `pixels` more. From time to time unites what
+    /// overlaps, so that small triangles by the million take no more than the pixels that they touch.
+    pub(super) fn make_room(&mut self, pixels: f64) -> Result<()> {
+        if self.surfaces.len() == self.surfaces.capacity() && !self.surfaces.is_empty() {
+            unite(&mut self.surfaces);
+            self.surfaces.reserve(self.surfaces.len());
+        }
+        let most = MOST_ITEMS as f64;
+        if self.surfaces.len() as f64 + pixels > most || self.crossings.len() as f64 + pixels > most {
+            let what = "pixels of a model's triangles (give a larger pixel)".into();
+            return Err(Error::Limit { what, value: "more".into(), max: MOST_ITEMS.to_string() });
+        }
+        Ok(())
+    }
+}
+
+/// The spans, united where they share a height; between the first and second crossing of a pixel, the third and fourth
+/// and so on there is matter.
+pub(super) fn fill(columns: Columns) -> Vec<(Pixel, (i64, i64))> {
+    let Columns { mut surfaces, mut crossings } = columns;
+    crossings.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    for column in crossings.chunk_by(|a, b| a.0 == b.0) {
+        let (pairs, _) = column.as_chunks::<2>();
+        let inside = |pair: &[(Pixel, f64); 2]| (pair[0].1.floor() as i64, pair[1].1.ceil() as i64);
+        surfaces.extend(pairs.iter().map(|pair| (pair[0].0, inside(pair))));
+    }
+    unite(&mut surfaces);
+    surfaces
+}
+
+/// Sorts, and makes one of neighbours that share a height.
+fn unite(surfaces: &mut Vec<(Pixel, (i64, i64))>) {
+    surfaces.sort_unstable();
+    surfaces.dedup_by(|next, kept| {
+        let same = next.0 == kept.0 && next.1.0 <= kept.1.1;
+        if same {
+            kept.1.1 = kept.1.1.max(next.1.1);
+        }
+        same
+    });
+}

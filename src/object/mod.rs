@@ -1,0 +1,153 @@
+//! Rigid objects made of voxels: against each other, against pawns, and against scenes.
+//!
+//! In: [`Model`]s, made from the pages of an archive or from triangles, and where they are ([`Object`]). Out: whether
+//! they touch. The thesis names this as future work ("inter-object collision ... by cross-checking both image
+//! representations for occupied pixels", section 5.1).
+//!
+//! # What touching means
+//!
+//! The matter of a model is that of queries: a span of pixel `(i, j)` fills the closed box of the pixel's square and all
+//! heights from its bottom to its top. An object carries these boxes, turned and moved by its pose. Two objects touch if
+//! a box of one and a box of the other share a point; this is decided for oriented boxes by the 15 separating axes
+//! (Gottschalk, Lin and Manocha, "OBBTree", 1996), and grows by `2⁻⁴⁵` of the coordinates for rounding, towards "hit".
+//! So of two surfaces that touch none is missed (G1), whatever their poses; and objects that touch have surfaces within
+//! the diagonals of a voxel of each, where no more than a pixel of `t × t × σ` lies between a box and its surface.
+//!
+//! # Method
+//!
+//! A binary tree of boxes over each model's spans, cut at the median; two trees are descended together, larger box
+//! first. A scene is its own summary: the boxes of the object's tree are asked of its pages, blocks and spans by
+//! [`overlaps`], and the few that remain are held against single spans. Nothing is allocated, locked or waited for.
+
+mod fill;
+mod model;
+mod oriented;
+mod scene;
+mod tree;
+
+pub use model::Model;
+pub use scene::touches_scene;
+
+use crate::query::{Aabb, Sphere};
+use nalgebra::{Isometry3, Point3, Vector3};
+use oriented::{LocalBox, Relative};
+use tree::{Tree, deepest};
+
+/// A model in its place.
+#[derive(Debug, Clone, Copy)]
+pub struct Object<'a> {
+    model: &'a Model,
+    /// From the coordinates of the model's tree, which are about its middle, to the world.
+    pose: Isometry3<f64>,
+}
+
+impl<'a> Object<'a> {
+    /// `model` moved from its own coordinates by `pose`.
+    pub fn new(model: &'a Model, pose: Isometry3<f64>) -> Self {
+        Self { model, pose: pose * nalgebra::Translation3::from(model.middle().coords) }
+    }
+
+    /// The model.
+    pub fn model(&self) -> &'a Model {
+        self.model
+    }
+
+    /// Middle (m) and radius (m) of a ball around the object: a first look for those who move many.
+    pub fn ball(&self) -> (Point3<f64>, f64) {
+        (Point3::from(self.pose.translation.vector), self.model.radius())
+    }
+
+    fn tree(&self) -> &'a Tree {
+        self.model.tree()
+    }
+}
+
+/// Whether two objects touch; see the [module text](self) for what that means. Ends at the first contact.
+///
+/// Cost: some ten nanoseconds for objects apart, microseconds for a close miss of two models of 50,000 spans.
+pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
+    let relative = Relative::new(&a.pose, &b.pose, a.model.radius() + b.model.radius());
+    let (left, right) = (a.tree(), b.tree());
+    let mut open = Pairs::default();
+    if !left.is_empty() && !right.is_empty() {
+        open.push((0, 0));
+    }
+    while let Some((m, n)) = open.pop() {
+        let (one, other) = (left.node(m), right.node(n));
+        if relative.separates_by_faces(&one.bounds(), &other.bounds()) {
+            continue;
+        }
+        match (one.children(m), other.children(n)) {
+            (None, None) => {
+                let pairs = left.items(one).flat_map(|p| right.items(other).map(move |q| (p, q)));
+                if pairs.into_iter().any(|(p, q)| relative.meets(&p, &q)) {
+                    return true;
+                }
+            }
+            (Some([first, second]), other_children) if other_children.is_none() || one.size() >= other.size() => {
+                // The one nearer to the other object comes first: it may end the search.
+                let far = |child: u32| relative.distance_squared(&left.node(child).bounds(), &other.bounds());
+                let nearer_first = far(first) <= far(second);
+                let (near, far) = if nearer_first { (first, second) } else { (second, first) };
+                open.push((far, n));
+                open.push((near, n));
+            }
+            (_, Some([first, second])) => {
+                let far = |child: u32| relative.distance_squared(&one.bounds(), &right.node(child).bounds());
+                let nearer_first = far(first) <= far(second);
+                let (near, far) = if nearer_first { (first, second) } else { (second, first) };
+                open.push((m, far));
+                open.push((m, near));
+            }
+            (Some(_), None) => unreachable!("the arm before takes it"),
+        }
+    }
+    false
+}
+
+/// Whether an object touches a box that stands upright in the world, for example a pawn.
+pub fn touches_box(object: &Object<'_>, shape: &Aabb) -> bool {
+    let half = (shape.max() - shape.min()) / 2.0;
+    let middle = Isometry3::translation(shape.min().x + half.x, shape.min().y + half.y, shape.min().z + half.z);
+    let relative = Relative::new(&object.pose, &middle, object.model.radius() + half.norm());
+    let shape = LocalBox { middle: [0.0; 3], half: half.into() };
+    object.tree().any(|bounds| !relative.separates_by_faces(bounds, &shape), |item| relative.meets(item, &shape))
+}
+
+/// Whether an object touches a sphere.
+pub fn touches_sphere(object: &Object<'_>, sphere: &Sphere) -> bool {
+    let center = object.pose.inverse_transform_point(&sphere.center());
+    let reach = sphere.radius() + oriented::SLACK * (center.coords.amax() + object.pose.translation.vector.amax());
+    let near = |bounds: &LocalBox| {
+        let beyond = |axis: usize| ((center[axis] - bounds.middle[axis]).abs() - bounds.half[axis]).max(0.0);
+        Vector3::new(beyond(0), beyond(1), beyond(2)).norm_squared() <= reach * reach
+    };
+    object.tree().any(near, near)
+}
+
+/// Pairs of nodes to look at. A pair gives way to two, one level deeper on one side, so there are never more than the
+/// levels of both trees and one.
+struct Pairs {
+    open: [(u32, u32); 2 * deepest() + 2],
+    count: usize,
+}
+
+impl Default for Pairs {
+    fn default() -> Self {
+        Self { open: [(0, 0); 2 * deepest() + 2], count: 0 }
+    }
+}
+
+impl Pairs {
+    #[inline]
+    fn push(&mut self, pair: (u32, u32)) {
+        self.open[self.count] = pair;
+        self.count += 1;
+    }
+
+    #[inline]
+    fn pop(&mut self) -> Option<(u32, u32)> {
+        self.count = self.count.checked_sub(1)?;
+        Some(self.open[self.count])
+    }
+}

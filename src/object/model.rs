@@ -1,0 +1,150 @@
+//! A model: the spans of an archive or of a mesh, under a tree.
+
+use super::fill::{Columns, fill};
+use super::tree::{Item, MOST_ITEMS, MOST_REACH, Tree};
+use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
+use crate::mesh::Triangle;
+use crate::mesh::raster::{Raster, extent_of};
+use crate::store::{PageSet, PageSlot};
+use crate::{Error, Result};
+use nalgebra::Point3;
+
+/// A span before its place in the tree is known: pixel, lowest and highest quantum.
+type Span = ((i64, i64), (i64, i64));
+
+/// The matter of a thing that moves. Memory: about 32 bytes a span.
+#[derive(Debug, Clone)]
+pub struct Model {
+    frame: Frame,
+    /// Pixel and quantum from which the tree counts.
+    origin: [i64; 3],
+    radius: f64,
+    tree: Tree,
+}
+
+impl Model {
+    /// A model of all matter of a set of pages.
+    ///
+    /// Fails if a page is not in memory, or the set is larger than a model can be.
+    pub fn from_pages<S: PageSet>(set: &S) -> Result<Self> {
+        let mut spans: Vec<Span> = Vec::new();
+        for number in 0..set.column_count() {
+            let (tx, ty, slots) = set.column_at(number);
+            for slot in slots {
+                let page = slot.page().ok_or_else(|| {
+                    let at = format!("({tx}, {ty}, {})", slot.layer());
+                    Error::parameter("model", format!("page {at} is not in memory; make models of resident stores"))
+                })?;
+                let base = i64::from(slot.layer()) * PAGE_QUANTA;
+                for (px, py, column) in page.columns() {
+                    let i = i64::from(tx) * TILE_PIXELS + i64::from(px);
+                    let j = i64::from(ty) * TILE_PIXELS + i64::from(py);
+                    let heights =
+                        column.iter().map(|span| (base + i64::from(span.bottom()), base + i64::from(span.top())));
+                    spans.extend(heights.map(|heights| ((i, j), heights)));
+                }
+            }
+        }
+        Self::new(*set.frame(), spans)
+    }
+
+    /// A model of these triangles (m), exactly as conversion takes them to the grid, without the joining of spans across
+    /// gaps; `solid` fills the inside of a closed mesh (a hole lets matter out along its pixels only). Triangles without
+    /// area are left out.
+    ///
+    /// Fails if a coordinate lies beyond the grid, or there are more spans than a model can hold.
+    pub fn from_triangles(frame: Frame, triangles: &[Triangle], solid: bool) -> Result<Self> {
+        let raster = Raster::new(frame, 90.0);
+        let mut columns = Columns::default();
+        for triangle in triangles {
+            let Some(placed) = raster.place(triangle) else { continue };
+            if !placed.is_on_grid() {
+                return Err(Error::Limit {
+                    what: "pixels and slices of a model's coordinates (give larger ones)".into(),
+                    value: "more".into(),
+                    max: crate::frame::MAX_INDEX.to_string(),
+                });
+            }
+            let (area, longest) = extent_of(triangle);
+            columns.make_room((area / frame.pixel_m() + longest) / frame.pixel_m())?;
+            let (first, last) = placed.rows();
+            (first..=last).for_each(|j| placed.for_each_pixel(j, |i, low, high| columns.add((i, j), (low, high))));
+            if solid {
+                placed.for_each_crossing(|pixel, height| columns.cross(pixel, height));
+            }
+        }
+        Self::new(frame, fill(columns))
+    }
+
+    fn new(frame: Frame, spans: Vec<Span>) -> Result<Self> {
+        let too_large = |what: &str, value: String, max: String| Error::Limit {
+            what: format!("{what} of a model (give a larger pixel)"),
+            value,
+            max,
+        };
+        if spans.len() > MOST_ITEMS {
+            return Err(too_large("spans", spans.len().to_string(), MOST_ITEMS.to_string()));
+        }
+        let ends = |span: &Span| [(span.0.0, span.0.0 + 1), (span.0.1, span.0.1 + 1), span.1];
+        let bounds = [0, 1, 2].map(|axis| {
+            let low = spans.iter().map(|span| ends(span)[axis].0).min().unwrap_or(0);
+            (low, spans.iter().map(|span| ends(span)[axis].1).max().unwrap_or(0))
+        });
+        let origin = bounds.map(|(low, high)| low + (high - low) / 2);
+        if let Some((low, high)) = bounds.into_iter().find(|(low, high)| high - low > MOST_REACH) {
+            return Err(too_large("pixels or quanta along an axis", (high - low).to_string(), MOST_REACH.to_string()));
+        }
+        let unit = [frame.pixel_m(), frame.pixel_m(), frame.quantum_m()];
+        // Bounded by the check above.
+        let local = |value: i64, axis: usize| (value - origin[axis]) as i32;
+        let items = spans.iter().map(|&((i, j), (bottom, top))| Item {
+            i: local(i, 0),
+            j: local(j, 1),
+            bottom: local(bottom, 2),
+            top: local(top, 2),
+        });
+        let tree = Tree::new(items.collect(), unit);
+        let radius = tree.all().map(|b| (0..3).map(|k| (b.middle[k].abs() + b.half[k]).powi(2)).sum::<f64>());
+        let radius = radius.fold(0.0, f64::max).sqrt();
+        Ok(Self { frame, origin, radius, tree })
+    }
+
+    /// The grid of the spans.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// Number of spans.
+    pub fn span_count(&self) -> usize {
+        self.tree.len()
+    }
+
+    /// Bytes of memory that the model holds.
+    pub fn weight_bytes(&self) -> usize {
+        self.tree.weight_bytes()
+    }
+
+    /// The boxes of all spans, least and greatest corner (m), in the model's own coordinates.
+    pub fn boxes(&self) -> impl Iterator<Item = (Point3<f64>, Point3<f64>)> {
+        let middle = self.middle();
+        self.tree.all().map(move |b| {
+            let corner = |sign: f64| Point3::from([0, 1, 2].map(|k| middle[k] + b.middle[k] + sign * b.half[k]));
+            (corner(-1.0), corner(1.0))
+        })
+    }
+
+    /// Where the tree's coordinates begin (m).
+    pub(super) fn middle(&self) -> Point3<f64> {
+        let [i, j, quantum] = self.origin.map(|v| v as f64);
+        Point3::new(i * self.frame.pixel_m(), j * self.frame.pixel_m(), quantum * self.frame.quantum_m())
+    }
+
+    /// Greatest distance of matter from the middle (m).
+    pub(super) fn radius(&self) -> f64 {
+        self.radius
+    }
+
+    pub(super) fn tree(&self) -> &Tree {
+        &self.tree
+    }
+}

@@ -1,0 +1,199 @@
+//! Objects against objects, pawns, spheres and scenes: equal to a brute-force look at all pairs of pixels, and within a
+//! pixel of the triangles that they stand for.
+#![cfg(feature = "convert")]
+
+#[path = "mesh/bodies.rs"]
+mod bodies;
+#[path = "mesh/files.rs"]
+mod files;
+
+use bodies::{Oriented, Random, bunny, gap_of_triangles, grid, knot, pose};
+use nalgebra::{Isometry3, Point3, Vector3};
+use slicewalk::frame::Frame;
+use slicewalk::mesh::Triangle;
+use slicewalk::object::{Model, Object, touches, touches_box, touches_scene, touches_sphere};
+use slicewalk::query::{Aabb, Overlap, Sphere};
+use slicewalk::slice::{PageBuilder, Span};
+use slicewalk::store::Store;
+use std::collections::HashMap;
+
+const POSES: usize = 2_000;
+const BUNNY_POSES: usize = 10_000;
+/// Nearer to touching than this nobody is asked to tell.
+const SLACK: f64 = 1e-10;
+
+/// The boxes of a model in the world.
+fn boxes(model: &Model, pose: &Isometry3<f64>) -> Vec<Oriented> {
+    model.boxes().map(|(min, max)| Oriented::new(pose, min, max)).collect()
+}
+
+/// The least gap between boxes of one kind and another; found faster by balls around both.
+fn least_gap(a: &[Oriented], b: &[Oriented]) -> f64 {
+    let pairs = a.iter().flat_map(|one| b.iter().map(move |other| (one, other)));
+    pairs.filter(|(one, other)| one.is_near(other)).map(|(one, other)| one.gap(other)).fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn two_bunnies_touch_exactly_where_their_pixels_do() {
+    let Some(triangles) = bunny() else { return };
+    let frame = Frame::new(0.012, 0.036).unwrap();
+    let model = Model::from_triangles(frame, &triangles, false).unwrap();
+    let mut random = Random(31);
+    let (mut hits, mut unclear) = (0, 0);
+    for _ in 0..BUNNY_POSES {
+        let poses = [(); 2].map(|()| pose(&mut random, 0.16));
+        let [a, b] = poses.map(|pose| Object::new(&model, pose));
+        let gap = least_gap(&boxes(&model, &poses[0]), &boxes(&model, &poses[1]));
+        if gap.abs() < SLACK {
+            unclear += 1;
+            continue;
+        }
+        assert_eq!(touches(&a, &b), gap < 0.0, "{poses:?}: {gap}");
+        assert_eq!(touches(&b, &a), gap < 0.0, "{poses:?}: {gap}");
+        hits += usize::from(gap < 0.0);
+    }
+    assert!(
+        hits > BUNNY_POSES / 10 && hits < BUNNY_POSES * 9 / 10 && unclear < 3,
+        "{hits} of {BUNNY_POSES}: the test shows little"
+    );
+}
+
+#[test]
+fn touching_triangles_are_never_missed_and_phantoms_are_within_a_voxel_of_each() {
+    let triangles = knot(24, 6);
+    let frame = Frame::new(0.02, 0.06).unwrap();
+    let model = Model::from_triangles(frame, &triangles, false).unwrap();
+    let voxel = Vector3::new(0.02, 0.02, 0.06).norm();
+    let mut random = Random(32);
+    let (mut hits, mut clear) = (0, 0);
+    for _ in 0..POSES / 10 {
+        let poses = [(); 2].map(|()| pose(&mut random, 4.0));
+        let [a, b] = poses.map(|pose| Object::new(&model, pose));
+        let placed = poses.map(|pose| bodies::placed(&triangles, &pose));
+        let gap = gap_of_triangles(&placed[0], &placed[1]);
+        if gap < -SLACK {
+            assert!(touches(&a, &b), "{poses:?}: {gap}");
+            hits += 1;
+        } else if gap > 2.0 * voxel {
+            assert!(!touches(&a, &b), "{poses:?}: {gap}");
+            clear += 1;
+        }
+    }
+    assert!(hits > POSES / 100 && clear > POSES / 100, "{hits} {clear}: the test shows little");
+}
+
+#[test]
+fn pawns_and_spheres_touch_an_object_exactly_where_its_pixels_do() {
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    let model = Model::from_triangles(frame, &knot(24, 6), false).unwrap();
+    let mut random = Random(33);
+    let mut hits = [0; 2];
+    for _ in 0..POSES {
+        let place = pose(&mut random, 1.0);
+        let object = Object::new(&model, place);
+        let own = boxes(&model, &place);
+        let feet = Point3::from([0; 3].map(|_| random.between(-2.5, 2.5)));
+        let size = Vector3::new(random.between(0.0, 0.6), random.between(0.0, 0.6), random.between(0.0, 1.8));
+        let pawn = Aabb::standing(feet, size).unwrap();
+        let gap = least_gap(&own, &[Oriented::new(&Isometry3::identity(), pawn.min(), pawn.max())]);
+        if gap.abs() > SLACK {
+            assert_eq!(touches_box(&object, &pawn), gap < 0.0, "{pawn:?}: {gap}");
+            hits[0] += usize::from(gap < 0.0);
+        }
+        let sphere = Sphere::new(feet, size.x).unwrap();
+        let far = own.iter().map(|b| b.distance_to(feet)).fold(f64::INFINITY, f64::min);
+        if (far - size.x).abs() > SLACK {
+            assert_eq!(touches_sphere(&object, &sphere), far < size.x, "{sphere:?}: {far}");
+            hits[1] += usize::from(far < size.x);
+        }
+    }
+    assert!(hits.iter().all(|&hits| hits > POSES / 20 && hits < POSES * 19 / 20), "{hits:?}: the test shows little");
+}
+
+#[test]
+fn objects_in_a_scene_touch_exactly_where_its_pixels_do_and_missing_pages_are_told() {
+    let frame = Frame::new(0.1, 0.3).unwrap();
+    let span = |bottom, top| Span::new(bottom, top, false).unwrap();
+    // A floor with posts, over four pages around the origin.
+    let mut pages = Vec::new();
+    for (tx, ty) in [(-1, -1), (0, -1), (-1, 0), (0, 0)] {
+        let mut builder = PageBuilder::default();
+        // Sixteen pixels of each, next to the origin.
+        for at in 0..16 * 16 {
+            let from = |tile: i32, at: u32| if tile < 0 { 48 + at } else { at };
+            let (px, py) = (from(tx, at % 16), from(ty, at / 16));
+            let post = if px % 9 == 3 && py % 7 == 5 { 3000 } else { 420 + px % 5 };
+            assert!(builder.set_column(px, py, &[span(400, post)]));
+        }
+        pages.push((slicewalk::frame::PageKey { tx, ty, layer: 0 }, builder.build()));
+    }
+    let store = Store::from_pages(frame, pages);
+    let scene = Model::from_pages(&store).unwrap();
+    let model = Model::from_triangles(Frame::new(0.05, 0.15).unwrap(), &knot(18, 5), false).unwrap();
+    let around: Vec<Oriented> = boxes(&scene, &Isometry3::identity());
+    let mut random = Random(34);
+    let mut hits = 0;
+    let poses = POSES / 20;
+    for _ in 0..poses {
+        let mut place = pose(&mut random, 3.0);
+        place.translation.vector.z = random.between(-0.5, 6.0);
+        let object = Object::new(&model, place);
+        let gap = least_gap(&boxes(&model, &place), &around);
+        if gap.abs() < SLACK {
+            continue;
+        }
+        let expected = if gap < 0.0 { Overlap::Hit } else { Overlap::Clear };
+        assert_eq!(touches_scene(&object, &store), expected, "{place:?}: {gap}");
+        // The scene as an object of its own says the same.
+        assert_eq!(touches(&object, &Object::new(&scene, Isometry3::identity())), gap < 0.0, "{place:?}: {gap}");
+        hits += usize::from(gap < 0.0);
+    }
+    assert!(hits > poses / 10 && hits < poses * 9 / 10, "{hits} of {poses}: the test shows little");
+}
+
+#[test]
+fn closed_meshes_may_be_solid() {
+    let frame = Frame::new(0.02, 0.06).unwrap();
+    let knot = knot(24, 12);
+    let small = |size: f64| -> Vec<Triangle> { knot.iter().map(|t| t.map(|p| p.map(|v| v * size))).collect() };
+    let [hollow, solid] = [false, true].map(|solid| Model::from_triangles(frame, &knot, solid).unwrap());
+    let pebble = Model::from_triangles(Frame::new(0.002, 0.006).unwrap(), &small(0.04), false).unwrap();
+    // The middle of the tube, far from its surface, and the hole of the ring.
+    let at = |x: f64| Object::new(&pebble, Isometry3::translation(x, 0.0, 0.0));
+    let [hollow, solid] = [&hollow, &solid].map(|model| Object::new(model, Isometry3::identity()));
+    assert!(touches(&solid, &at(1.0)) && !touches(&hollow, &at(1.0)), "inside the tube");
+    assert!(!touches(&solid, &at(0.0)) && !touches(&solid, &at(2.0)), "outside of it");
+    assert!(touches(&hollow, &at(1.4)) && touches(&solid, &at(1.4)), "on its surface");
+    // Every pixel of the solid agrees with the ring in closed form.
+    let mut columns: HashMap<(i64, i64), Vec<(f64, f64)>> = HashMap::new();
+    for (min, max) in solid.model().boxes() {
+        let middle = nalgebra::center(&min, &max);
+        columns.entry((frame.pixel_of(middle.x), frame.pixel_of(middle.y))).or_default().push((min.z, max.z));
+    }
+    let inside = |p: Vector3<f64>| (p.xy().norm() - 1.0).hypot(p.z) < 0.4;
+    for (i, j) in (-80..80).flat_map(|i| (-80..80).map(move |j| (i, j))) {
+        let (x, y) = ((f64::from(i) + 0.5) * 0.02, (f64::from(j) + 0.5) * 0.02);
+        let pixel = columns.get(&(i64::from(i), i64::from(j)));
+        let filled = pixel.is_some_and(|spans| spans.iter().any(|(low, high)| *low < 0.0 && 0.0 < *high));
+        let distance = ((x.hypot(y) - 1.0).abs() - 0.4).abs();
+        assert!(distance < 0.06 || filled == inside(Vector3::new(x, y, 0.0)), "({x}, {y}): {filled}");
+    }
+}
+
+#[test]
+fn models_without_matter_touch_nothing_and_models_beyond_the_grid_are_refused() {
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    let empty = Model::from_triangles(frame, &[[[0.0; 3]; 3]], true).unwrap();
+    let block = Model::from_triangles(frame, &grid(3), false).unwrap();
+    let [empty, block] = [&empty, &block].map(|model| Object::new(model, Isometry3::identity()));
+    assert!(!touches(&empty, &block) && !touches(&block, &empty) && touches(&block, &block));
+    let everything = Aabb::new(Point3::from([-1e9; 3]), Point3::from([1e9; 3])).unwrap();
+    assert!(!touches_box(&empty, &everything) && touches_box(&block, &everything));
+    assert!(!touches_sphere(&empty, &Sphere::new(Point3::origin(), 1e9).unwrap()));
+    let far = [[1e12, 0.0, 0.0], [1e12 + 1.0, 0.0, 0.0], [1e12, 1.0, 0.0]];
+    let error = Model::from_triangles(frame, &[far], false).unwrap_err().to_string();
+    assert!(error.contains("give larger ones"), "{error}");
+    let wide = [[0.0; 3], [1e8, 0.0, 0.0], [0.0, 0.01, 0.0]];
+    let error = Model::from_triangles(frame, &[wide], false).unwrap_err().to_string();
+    assert!(error.contains("give a larger pixel"), "{error}");
+}
