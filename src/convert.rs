@@ -734,7 +734,7 @@ impl<'a> ColumnWorker<'a> {
             patch: Patch::default(),
             folder: Folder::default(),
             verdicts: Vec::new(),
-            columns: ColumnPages::new(plan),
+            columns: ColumnPages::default(),
             tolerance: plan.tolerance_quanta(),
             encoder: PageEncoder::new(plan.frame),
             records: Vec::new(),

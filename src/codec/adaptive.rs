@@ -406,6 +406,16 @@ impl Given for Loose<'_> {
     }
 }
 
+/// Which of the six pixels before pixel `px` have matter, by the masks of its row, the row to the north and the next: west 2,
+/// west, north-west, north, north-east, north 2, from the lowest bit up.
+#[inline]
+fn pixel_context(rows: [u64; 3], px: u32) -> usize {
+    let [row, north, north_2] = rows;
+    let west = (row << 2) >> px & 3;
+    let north = ((u128::from(north) << 1) >> px) as u64 & 7;
+    (west + 4 * north + 32 * (north_2 >> px & 1)) as usize
+}
+
 /// Walks over the page that `given` tells or the coder reads, and hands each pixel's spans to `give`.
 fn walk<C: Coder, G: Given>(
     coder: C,
@@ -437,11 +447,8 @@ fn walk<C: Coder, G: Given>(
         let given_spans = given.spans(px, py);
         if matter >> block & 1 == 1
             && (full >> block & 1 == 1 || {
-                // West 2, west, north-west, north, north-east, north 2.
-                let context = (row << 2 >> px & 3)
-                    | ((row_north as u128) << 1 >> px & 7) as u64 * 4
-                    | (row_north_2 >> px & 1) * 32;
-                walk.coder.bit(&mut walk.models.pixel[context as usize & 63], !given_spans.is_empty())
+                let context = pixel_context([row, row_north, row_north_2], px);
+                walk.coder.bit(&mut walk.models.pixel[context], !given_spans.is_empty())
             })
         {
             row |= 1 << px;
@@ -621,7 +628,7 @@ pub(crate) mod tests {
         let mut builder = PageBuilder::default();
         for pixel in 0..PIXELS as u32 {
             let height = |k: u32| 255 * k + (pixel.wrapping_mul(2654435761).wrapping_mul(k + 1) >> 7) % 200;
-            let span = |k: u32| Span::new(height(k), height(k) + (pixel ^ k) % 50, (pixel ^ k) % 3 == 0);
+            let span = |k: u32| Span::new(height(k), height(k) + (pixel ^ k) % 50, (pixel ^ k).is_multiple_of(3));
             let spans: Vec<_> = (0..64).map(|k| span(k).unwrap()).collect();
             assert!(builder.set_column(pixel % 64, pixel / 64, &spans));
         }

@@ -2,12 +2,11 @@
 
 use super::{Page, PageBuilder, Span};
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA};
-use crate::plan::Plan;
 use crate::voxel::fold::{Area, Patch};
 use crate::voxel::record::{BLOCK_SLICES, PATCH_PIXELS};
 
-/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta), and
-/// the tolerance at both ends: a pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
+/// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta): a
+/// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
 /// allows both: matter only ever fills the gap between points of vertically adjacent voxels.
 const JOIN_QUANTA: i64 = SLICE_QUANTA / 3;
 
@@ -43,27 +42,14 @@ impl Piece {
 const KEPT_PIECES: usize = 1 << 16;
 
 /// Collects the spans of one tile column and hands out its pages. Memory: 8 bytes per span.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct ColumnPages {
-    /// Spans of a pixel in adjacent slices are one if the gap between their points is at most this (quanta).
-    join: i64,
     pieces: Vec<Piece>,
     builder: PageBuilder,
     column: Vec<Span>,
 }
 
 impl ColumnPages {
-    /// An empty column of an archive of `plan`.
-    pub fn new(plan: &Plan) -> Self {
-        // Each end may grow by the tolerance; spans that grow into each other are one.
-        Self {
-            join: JOIN_QUANTA + 2 * i64::from(plan.tolerance_quanta()),
-            pieces: Vec::new(),
-            builder: PageBuilder::default(),
-            column: Vec::new(),
-        }
-    }
-
     /// Adds the spans of all pixels in `area`, with one verdict (true: obstacle) per voxel of `patch`.
     pub fn add(&mut self, patch: &Patch, area: Area, verdicts: &[bool]) {
         for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
@@ -81,7 +67,7 @@ impl ColumnPages {
             open = Some(match open {
                 Some(below)
                     if below.slice + 1 == voxel.slice
-                        && (below.obstacle && obstacle || bottom - below.top <= self.join) =>
+                        && (below.obstacle && obstacle || bottom - below.top <= JOIN_QUANTA) =>
                 {
                     if below.obstacle == obstacle {
                         OpenSpan { top, slice: voxel.slice, ..below }

@@ -123,7 +123,7 @@ fn body(stream: &Stream, all: &Store, seed: u64, end: Instant) -> Result<Tally> 
                 tally.not_loaded += 1;
                 pawn.need(&missing);
                 drop(view);
-                if random.bits() % 4 == 0 {
+                if random.bits().is_multiple_of(4) {
                     stream.load_missing(&missing)?;
                 }
                 walker = truth;
