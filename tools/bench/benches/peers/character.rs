@@ -1,0 +1,130 @@
+//! Walking steps: our `Walker`, and `rapier3d`'s `KinematicCharacterController` with the settings of its guide.
+
+use super::measure::Measured;
+use super::oracle::Oracle;
+use super::parry::vector;
+use super::scene::{PAWN, ROUND, START, route};
+use nalgebra::{Point3, Vector3};
+use rapier3d::control::{CharacterAutostep, CharacterLength, KinematicCharacterController};
+use rapier3d::prelude::*;
+use slicewalk::store::Store;
+use slicewalk::walk::{Config, Route, State, Walker};
+use std::time::Instant;
+
+const FRAME_S: f64 = 1.0 / 60.0;
+/// Frames of a walk at most: twice what ours needs. It ends where the pawn has not come on for so many frames.
+const FRAMES: usize = 3200;
+const STANDS: usize = 240;
+/// Steps of the controller: greatest height, and least width of a tread (m). The first is our climb height.
+pub const STEPS: [(f32, f32); 2] = [(0.35, 0.05), (0.35, 0.2)];
+/// The body less this much is inside matter if it holds a point (m).
+const SHRUNK: f64 = 0.03;
+
+/// How a walk ended.
+pub struct Walked {
+    /// Times of frames (ns), and the pawn's feet after each.
+    pub measured: Measured<Point3<f64>>,
+    /// Waypoints reached.
+    pub reached: usize,
+}
+
+impl Walked {
+    fn new(mut times: Vec<f64>, answers: Vec<Point3<f64>>, reached: usize) -> Self {
+        times.sort_by(f64::total_cmp);
+        let at = |share: f64| times[((times.len() - 1) as f64 * share).round() as usize];
+        Self { measured: Measured { times: [at(0.5), at(0.99), at(0.999)], answers }, reached }
+    }
+
+    /// Frames in which the body, less a margin and the climb height at its feet, holds a point.
+    pub fn inside(&self, oracle: &Oracle) -> usize {
+        let half = Vector3::new(1.0, 1.0, 0.0) * ((PAWN[0] / 2.0 - SHRUNK) * std::f64::consts::FRAC_1_SQRT_2);
+        let holds = |feet: &&Point3<f64>| {
+            let (low, high) = (**feet - half, **feet + half);
+            let (low, high) = (low + Vector3::new(0.0, 0.0, 0.4), high + Vector3::new(0.0, 0.0, PAWN[2] - SHRUNK));
+            oracle.points(low, high).next().is_some()
+        };
+        self.measured.answers.iter().filter(holds).count()
+    }
+}
+
+pub fn ours(store: &Store, tick_s: f64) -> Result<Walked, crate::Failed> {
+    let mut walker = Walker::new(Config { tick_s, ..Config::new(ROUND) }, START.into())?;
+    let mut route = Route::new(route()?)?;
+    let (mut times, mut feet) = (Vec::new(), Vec::new());
+    while walker.state() != State::Arrived && times.len() < FRAMES {
+        let start = Instant::now();
+        walker.follow(store, FRAME_S, &mut route);
+        times.push(start.elapsed().as_secs_f64() * 1e9);
+        feet.push(walker.feet());
+    }
+    Ok(Walked::new(times, feet, route.next()))
+}
+
+/// A capsule, as its guide advises, that climbs steps of some height and width, and snaps down as far.
+pub fn rapier(world: SharedShape, step: f32, width: f32) -> Result<Walked, crate::Failed> {
+    let (mut bodies, mut colliders) = (RigidBodySet::new(), ColliderSet::new());
+    colliders.insert(ColliderBuilder::new(world));
+    let (mut broad, mut narrow) = (BroadPhaseBvh::new(), NarrowPhase::new());
+    let (mut pipeline, mut islands) = (PhysicsPipeline::new(), IslandManager::new());
+    let (mut joints, mut multibody, mut ccd) = (ImpulseJointSet::new(), MultibodyJointSet::new(), CCDSolver::new());
+    pipeline.step(
+        Vector::ZERO,
+        &IntegrationParameters::default(),
+        &mut islands,
+        &mut broad,
+        &mut narrow,
+        &mut bodies,
+        &mut colliders,
+        &mut joints,
+        &mut multibody,
+        &mut SoftBodySet::new(),
+        &mut ccd,
+        &(),
+        &(),
+    );
+    let queries = broad.as_query_pipeline(narrow.query_dispatcher(), &bodies, &colliders, QueryFilter::default());
+    let controller = KinematicCharacterController {
+        up: Vector::Z,
+        autostep: Some(CharacterAutostep {
+            max_height: CharacterLength::Absolute(step),
+            min_width: CharacterLength::Absolute(width),
+            include_dynamic_bodies: false,
+        }),
+        snap_to_ground: Some(CharacterLength::Absolute(step)),
+        ..KinematicCharacterController::default()
+    };
+    let radius = PAWN[0] / 2.0;
+    let half = PAWN[2] / 2.0;
+    let capsule =
+        Capsule::new(Vector::Z * -((half - radius) as f32), Vector::Z * ((half - radius) as f32), radius as f32);
+    let (places, speed) = (route()?, Config::new(ROUND).speed);
+    // A little above the ground, as its own skin asks.
+    let mut center = Point3::from(START) + Vector3::new(0.0, 0.0, half + 0.02);
+    let (mut next, mut falling) = (0, 0.0);
+    let (mut times, mut feet) = (Vec::new(), Vec::new());
+    while next < places.len() && times.len() < FRAMES {
+        let way = places[next] - center.xy();
+        if way.norm() <= 0.03 {
+            next += 1;
+            continue;
+        }
+        falling += 9.81 * FRAME_S;
+        let wanted = (way * (speed * FRAME_S / way.norm()).min(1.0)).push(-falling * FRAME_S);
+        let pose = Pose::from_translation(vector(&center.coords));
+        let start = Instant::now();
+        let moved = controller.move_shape(FRAME_S as f32, &queries, &capsule, &pose, vector(&wanted), |_| {});
+        times.push(start.elapsed().as_secs_f64() * 1e9);
+        let by = moved.translation;
+        center += Vector3::new(f64::from(by.x), f64::from(by.y), f64::from(by.z));
+        if moved.grounded {
+            falling = 0.0;
+        }
+        feet.push(center - Vector3::new(0.0, 0.0, half));
+        let before = feet.len().checked_sub(STANDS).map(|n| feet[n]);
+        if before.is_some_and(|before: Point3<f64>| (before - feet[feet.len() - 1]).norm() < 0.05) {
+            break;
+        }
+    }
+    println!("ends at {}", feet[feet.len() - 1]);
+    Ok(Walked::new(times, feet, next))
+}
