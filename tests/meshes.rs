@@ -16,9 +16,10 @@ use scans::{Random, converts, data, refuses, text, verifies};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
-use slicewalk::mesh::MeshMode;
+use slicewalk::input::Units;
+use slicewalk::mesh::{MeshMode, MeshOptions, MeshSet};
 use slicewalk::plan::Up;
-use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::query::{Aabb, Answer, Overlap, overlaps, probe};
 use slicewalk::store::Store;
 use std::collections::BTreeSet;
 use std::fs;
@@ -145,6 +146,46 @@ fn scans_and_meshes_mix_and_units_apply_to_both() {
     let store = Store::resident(&Archive::open(at("a.slices")).unwrap(), &NoMonitor).unwrap();
     let hit = |p: [f64; 3]| overlaps(&store, &Aabb::new(p.into(), p.into()).unwrap()) == Overlap::Hit;
     assert!(hit([0.5, 0.5, 0.5]) && hit([3.0, 3.0, 1.0]) && !hit([4.4, 4.4, 1.0]) && !hit([3.0, 3.0, 1.2]));
+}
+
+/// A square of 4 m from `x` on whose far edge lies higher by `rise`; upright if that is infinite.
+fn slope(x: f64, rise: f64) -> [Triangle; 2] {
+    let far = if rise.is_infinite() { (x, 4.0) } else { (x + 4.0, rise) };
+    let [a, b, c, d] = [[x, 0.0, 0.0], [far.0, 0.0, far.1], [far.0, 4.0, far.1], [x, 4.0, 0.0]];
+    [[a, b, c], [a, c, d]]
+}
+
+#[test]
+fn the_true_slope_makes_obstacles_whatever_the_classifier_and_scanned_points_do_not_hide_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let rises = [0.0, 4.0 * 44.9f64.to_radians().tan(), 4.0, 4.0 * 45.1f64.to_radians().tan(), f64::INFINITY];
+    let all: Vec<Triangle> = rises.iter().enumerate().flat_map(|(n, rise)| slope(10.0 * n as f64, *rise)).collect();
+    write_obj(&at("slopes.obj"), &all);
+    // A scanned floor under all of them, and one that is two metres away.
+    let scan: Vec<[f64; 3]> = (0..50_000)
+        .map(|n| {
+            [f64::from(n % 500) * 0.1 + 0.05, f64::from(n / 500) * 0.04 + 0.02, if n % 2 == 0 { -0.01 } else { -2.0 }]
+        })
+        .collect();
+    scans::write(&at("floor.las"), &scan);
+    for rule in ["plane", "span", "thesis"] {
+        for inputs in [&["slopes.obj"][..], &["slopes.obj", "floor.las"]] {
+            archive(folder.path(), inputs, &["--classifier", rule, "--units", "m"]);
+            let store = Store::resident(&Archive::open(at("out.slices")).unwrap(), &NoMonitor).unwrap();
+            let found = |n: usize| {
+                // Half way up.
+                let start = 10.0 * n as f64;
+                let (x, z) = if rises[n].is_infinite() { (start, 2.0) } else { (start + 2.0, rises[n] / 2.0) };
+                let shape = Aabb::new([x, 1.0, z].into(), [x, 3.0, z].into()).unwrap();
+                let Answer::Known(found) = probe(&store, &shape) else { panic!("all is loaded") };
+                assert!(found.hit, "{rule}, {inputs:?}: slope {n}");
+                found.obstacle
+            };
+            let verdicts = [0, 1, 2, 3, 4].map(found);
+            assert_eq!(verdicts, [false, false, false, true, true], "{rule}, {inputs:?}");
+        }
+    }
 }
 
 fn real_meshes() -> Vec<(PathBuf, Up, f64)> {
@@ -312,6 +353,61 @@ fn bad_files_are_refused_in_one_line() {
     }
     let said = refuses(folder.path(), &["a.off", "-o", "bad.slices"], 1);
     assert!(said.contains("a.off"), "{said}");
+}
+
+#[test]
+fn damage_anywhere_is_an_error_of_one_line_or_other_triangles() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let heap = heap(30, 5);
+    write_obj(&at("a.obj"), &heap);
+    for (name, form) in [("a.ply", Ply::Text), ("b.ply", Ply::Little), ("c.ply", Ply::Big)] {
+        write_ply(&at(name), &heap, form);
+    }
+    for (name, text) in [("a.stl", true), ("b.stl", false)] {
+        write_stl(&at(name), &heap, text);
+    }
+    let nodes = r#"[{"mesh":0,"children":[1]},{"mesh":0,"translation":[1,2,3]}]"#;
+    write_glb(&at("a.glb"), &structure(90, "", nodes, "[0]"), &buffer(&heap));
+    let mut random = Random(17);
+    let (mut refused, mut read) = (0, 0);
+    for name in ["a.obj", "a.ply", "b.ply", "c.ply", "a.stl", "b.stl", "a.glb"] {
+        let whole = fs::read(at(name)).unwrap();
+        let bad = at(&format!("bad-{name}"));
+        for round in 0..300 {
+            let mut bytes = whole.clone();
+            // Near the front as often as anywhere: that is where structure lies.
+            let limit = if round % 2 == 0 { bytes.len() } else { bytes.len().min(700) };
+            let place = random.below(limit);
+            match round % 5 {
+                0 => bytes.truncate(place),
+                1 => bytes[place] ^= 1 << random.below(8),
+                2 => bytes[place] = random.below(256) as u8,
+                3 => drop(bytes.drain(place..(place + 1 + random.below(9)).min(whole.len()))),
+                _ => bytes[place] = b"0123456789-.e{}[],\n "[random.below(20)],
+            }
+            fs::write(&bad, &bytes).unwrap();
+            let (units, temp_dir) = (Units::Factor(1.0), folder.path().to_path_buf());
+            let options = MeshOptions { units, up: Up::Z, memory_bytes: 1 << 20, temp_dir };
+            let set = MeshSet::open(std::slice::from_ref(&bad), options, &NoMonitor).unwrap();
+            let (mut feed, mut batch) = (set.feed(), Vec::new());
+            let error = loop {
+                match feed.next(&mut batch, &NoMonitor) {
+                    Ok(true) => assert!(batch.len() < 10_000),
+                    Ok(false) => break None,
+                    Err(error) => break Some(error.to_string()),
+                }
+            };
+            match error {
+                Some(error) => {
+                    assert!(error.contains("bad-") && !error.contains('\n'), "{name}, {round}: {error}");
+                    refused += 1;
+                }
+                None => read += 1,
+            }
+        }
+    }
+    assert!(refused > 300 && read > 300, "{refused} {read}: the test shows little");
 }
 
 #[test]

@@ -10,9 +10,9 @@ use crate::mesh::{MeshMode, Triangle};
 use crate::plan::Plan;
 use crate::{Error, Result};
 
-/// Most voxels that one triangle may fill, roughly; more are a mistake in the unit or the pixel size (2³⁶: 64 × 64 km in
-/// pixels of 0.25 m).
-const MOST_VOXELS: f64 = (1u64 << 36) as f64;
+/// Most voxels that one triangle may fill, roughly; more are a mistake in the unit or the pixel size, or a damaged corner,
+/// and would fill the disk (2³²: 34 GB, 1.3 × 1.3 km in pixels of 2 cm).
+const MOST_VOXELS: f64 = (1u64 << 32) as f64;
 
 /// Turns the triangles of one worker into records. Its scratch is reused.
 #[derive(Debug)]
