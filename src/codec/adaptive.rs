@@ -438,7 +438,7 @@ fn walk<C: Coder, G: Given>(
         if matter >> block & 1 == 1
             && (full >> block & 1 == 1 || {
                 // West 2, west, north-west, north, north-east, north 2.
-                let context = (row << 2 >> px & 3)
+                let context = ((row as u128) << 2 >> px & 3) as u64
                     | ((row_north as u128) << 1 >> px & 7) as u64 * 4
                     | (row_north_2 >> px & 1) * 32;
                 walk.coder.bit(&mut walk.models.pixel[context as usize & 63], !given_spans.is_empty())
@@ -609,7 +609,7 @@ pub(crate) mod tests {
             let whole = |height: u32| height / 17 * 17;
             let spans: Vec<_> = spans
                 .iter()
-                .map(|s| Span::new(whole(s.bottom()), whole(s.top()) + 1, s.is_obstacle()).unwrap())
+                .map(|s| Span::new(whole(s.bottom()), (whole(s.top()) + 1).min(16320), s.is_obstacle()).unwrap())
                 .collect();
             assert!(builder.set_column(px, py, &spans) || spans.len() > 1);
         }
