@@ -216,7 +216,7 @@ class Page:
         if before is None:
             candidates = [near[0] for near in neighbours]
         else:
-            found = (next((span for span in near if span.low > before.high), None) for near in neighbours)
+            found = (next((span for span in near if span.bottom > before.top), None) for near in neighbours)
             candidates = [span for span in found if span]
         m = len(candidates)
         lows = [span.low for span in candidates]
@@ -316,11 +316,11 @@ def find_lattice(heights, slice_height):
             continue
         first = None
         for end, height in heights:
-            low = (height - end) * ONE - slack
+            low, high = max((height - end) * ONE - slack, 0), (height - end + 1) * ONE + slack
             if first is None:
-                first, left = low, [low, low + ONE + 2 * slack]
+                first, left = low, [low, high]
             away = (low - first + step // 2) // step * step
-            left = [max(left[0], low - away), min(left[1], low - away + ONE + 2 * slack)]
+            left = [max(left[0], low - away), min(left[1], high - away)]
             if left[0] > left[1]:
                 break
         else:

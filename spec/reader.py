@@ -212,11 +212,11 @@ class Head:
             lows, highs = struct.unpack("<3d", self.min), struct.unpack("<3d", self.max)
             finite = all(plain(number, -sys.float_info.max, sys.float_info.max) for number in lows + highs)
             need(finite and all(map(float.__le__, lows, highs)), "H8", f"bounds {lows} to {highs}")
-            self.bounds = [list(lows), list(highs)]
+            self.bounds = {"min": list(lows), "max": list(highs)}
         else:
             need(not any(self.min + self.max), "H8", "bounds of no points")
         if self.pages:
-            slices = -INDEX <= self.slice_first <= self.slice_last <= INDEX
+            slices = -INDEX <= self.slice_first <= self.slice_last < INDEX
         else:
             slices = (self.slice_first, self.slice_last) == (0, -1)
         need(slices, "H8", f"slices {self.slice_first} to {self.slice_last}")
@@ -260,12 +260,12 @@ class Entry:
 
 
 def read_leaf(data, record, end_key, pages_len):
-    """Entries of a leaf, whose keys end below `end_key`, and its base."""
+    """Entries of a leaf, whose keys end below `end_key`."""
     column, layer, count, stored_len, raw_len, crc = record
     need(crc32c(data) == crc, "D1", "the checksum of a leaf is wrong")
     need(raw_len <= 10 + 47 * count, "D2", f"{raw_len} bytes for {count} entries")
     content = Bytes(unpack_frame(data, raw_len, "D2"))
-    base = content.varint()
+    place = content.varint()
     columns = [content.varint() for _ in range(count)]
     layers = [content.zigzag() for _ in range(count)]
     kinds = content.take(count)
@@ -281,7 +281,7 @@ def read_leaf(data, record, end_key, pages_len):
     spans = struct.unpack(f"<{count - paged}I", content.take(4 * (count - paged)))
     need(content.at == raw_len, "D3", f"{raw_len - content.at} bytes after the columns")
 
-    entries, place, paged, shared, uniform = [], base, 0, 0, 0
+    entries, paged, shared, uniform = [], 0, 0, 0
     at_column, at_layer = column, layer
     for at in range(count):
         at_column, at_layer = at_column + columns[at], at_layer + layers[at]
@@ -313,7 +313,7 @@ def read_leaf(data, record, end_key, pages_len):
         need(entry.offset + entry.length <= pages_len, "D6", f"page {key} ends after the pages")
     last = entries[-1].key()
     need(end_key is None or last < end_key, "D4", f"{last} in a leaf before that from {end_key}")
-    return entries, base
+    return entries
 
 
 def read_span(entry, word):
@@ -410,12 +410,11 @@ def read_entries(head, directory):
     entries, place, at, window = [], 0, 0, deque(maxlen=WINDOW)
     ends = [record[:2] for record in head.root[1:]] + [None]
     for record, end_key in zip(head.root, ends):
-        leaf, base = read_leaf(directory[at : at + record[3]], record, end_key, head.pages_len)
+        leaf = read_leaf(directory[at : at + record[3]], record, end_key, head.pages_len)
         at += record[3]
-        stored = any(entry.kind == "stored" for entry in leaf)
-        need(base == (place if stored else 0), "D9", f"stored pages of a leaf begin at {base}, not {place}")
         for entry in leaf:
             if entry.kind == "stored":
+                need(entry.offset == place, "D9", f"page {entry.key()} lies at {entry.offset}, not {place}")
                 place = entry.offset + entry.length
                 window.append(entry.same())
             elif entry.kind == "shared":
@@ -472,7 +471,8 @@ def read_archive(data):
                     [(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns
                 ]
             columns = decoded[entry.offset]
-            item |= {"offset": entry.offset, "length": entry.length, "blocks": entry.blocks, "words": entry.words}
+            item |= {"offset": ends[0] + entry.offset, "length": entry.length}
+            item |= {"blocks": entry.blocks, "words": entry.words}
             item["pixels"] = [
                 [at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(columns) if spans
             ]
@@ -482,31 +482,45 @@ def read_archive(data):
     check_entries(head, entries, part)
     right = (occupied, obstacle) == (head.voxels_occupied, head.voxels_obstacle)
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles")
-    return {"head": show_head(head), "crs": crs, "part": part, "pages": contents}
+    return {"info": show(head, crs, part), "pages": contents}
 
 
-def show_head(head):
+def show(head, crs, part):
+    """As `slicetool info --json` shows it."""
     named = lambda prefix, *names: {name: getattr(head, f"{prefix}_{name}") for name in names}
-    excluded = [c for c in range(256) if head.exclude_classes[c // 8] >> c % 8 & 1]
-    return {
-        "version": [head.major, head.minor],
-        "plan_hash": head.plan_hash[::-1].hex(),
+    facts = {
+        "format_version": f"{head.major}.{head.minor}",
         "pixel_size": head.pixel_size,
         "slice_height": head.slice_height,
+        "height_quantum": head.slice_height / 255,
+        "origin": [0.0, 0.0, 0.0],
+        "bounds": head.bounds,
+        "slices": head.slice_last - head.slice_first + 1,
+        "lowest_slice": head.slice_first if head.pages else None,
+        "tiles": named("tiles", "occupied", "stored", "unique"),
+        "pages": named("pages", "stored", "shared", "uniform"),
+        "voxels": named("voxels", "occupied", "obstacle"),
+        "bytes": {
+            "file": head.file_len,
+            "tiles": head.pages_len,
+            "directory": len(head.bytes) + head.directory_len,
+        },
         "max_slope": head.max_slope,
         "tolerance": head.tolerance,
         "classifier": ("span", "thesis", "plane")[head.classifier],
-        "up": "zy"[head.up],
-        "drop_isolated": bool(head.drop_isolated),
         "min_points": head.min_points,
-        "exclude_classes": excluded,
-        "points": named("points", "read", "kept", "withheld", "excluded"),
-        "bounds": head.bounds,
-        "slices": [head.slice_first, head.slice_last] if head.pages else None,
-        "tiles": named("tiles", "occupied", "stored", "unique"),
-        "voxels": named("voxels", "occupied", "obstacle"),
-        "pages": named("pages", "stored", "shared", "uniform"),
+        "drop_isolated": bool(head.drop_isolated),
+        "up": "zy"[head.up],
+        "excluded_classes": [c for c in range(256) if head.exclude_classes[c // 8] >> c % 8 & 1],
+        "plan_hash": head.plan_hash[::-1].hex(),
+        "crs": crs,
     }
+    for name in ("read", "kept", "withheld", "excluded"):
+        facts[f"points_{name}"] = getattr(head, f"points_{name}")
+    if part:
+        columns = {f"{end}_column": f"{part[end]:016x}" for end in ("first", "last")}
+        facts["shard"] = {"index": part["index"], "count": part["count"], "job": part["job"], **columns}
+    return facts
 
 
 def difference(mine, twin, where="content"):
@@ -551,8 +565,7 @@ def main():
         json.dump(content, sys.stdout, ensure_ascii=False)
         print()
     else:
-        del content["pages"]
-        print(json.dumps(content, ensure_ascii=False, indent=2))
+        print(json.dumps(content["info"], ensure_ascii=False, indent=2))
 
 
 if __name__ == "__main__":
