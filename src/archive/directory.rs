@@ -84,15 +84,10 @@ pub(super) fn max_raw_len(entries: u32) -> u64 {
 }
 
 /// The bytes of a leaf before compression. `entries` are ascending and not empty; their offsets count from the start
-/// of the pages section, and the stored pages among them lie one after the other.
-pub(super) fn encode_leaf(entries: &[PageEntry], out: &mut Vec<u8>) {
+/// of the pages section, and the stored pages among them lie one after the other from `base`, which moves behind them.
+pub(super) fn encode_leaf(entries: &[PageEntry], base: &mut u64, out: &mut Vec<u8>) {
     out.clear();
-    let stored = |entry: &PageEntry| match entry.place {
-        Place::Stored(extent) => Some(extent),
-        _ => None,
-    };
-    let mut next = entries.iter().find_map(stored).map_or(0, |extent| extent.offset);
-    put_varint(out, next);
+    put_varint(out, *base);
     let mut last = entries[0].key;
     for entry in entries {
         put_varint(out, entry.key.column() - last.column());
@@ -117,8 +112,8 @@ pub(super) fn encode_leaf(entries: &[PageEntry], out: &mut Vec<u8>) {
     }
     for (entry, extent) in paged() {
         match entry.place {
-            Place::Stored(_) => next = extent.offset + extent.len as u64,
-            _ => put_varint(out, next - extent.offset),
+            Place::Stored(_) => *base = extent.offset + extent.len as u64,
+            _ => put_varint(out, *base - extent.offset),
         }
     }
     for (_, extent) in paged() {
@@ -295,11 +290,33 @@ pub(super) mod tests {
         })
     }
 
+    fn encoded(entries: &[PageEntry]) -> Vec<u8> {
+        let stored = entries.iter().find(|entry| matches!(entry.place, Place::Stored(_)));
+        let mut base = stored.and_then(PageEntry::extent).map_or(0, |extent| extent.offset);
+        let mut raw = Vec::new();
+        encode_leaf(entries, &mut base, &mut raw);
+        raw
+    }
+
+    #[test]
+    fn a_leaf_may_share_pages_of_leaves_before_it_and_store_none() {
+        let (mut base, mut raw) = (5000, Vec::new());
+        let size = PageSize::new(1, 1).unwrap();
+        let entries = [100, 4900].map(|offset| PageEntry {
+            key: PageKey { tx: 0, ty: 0, layer: offset as i32 },
+            slices: 1,
+            size,
+            place: Place::Shared(Extent { offset, len: 100, crc: 7 }),
+        });
+        encode_leaf(&entries, &mut base, &mut raw);
+        assert_eq!(base, 5000);
+        assert_eq!(decode_leaf(&raw, 2, entries[0].key, 5000), Ok(entries.to_vec()));
+    }
+
     proptest! {
         #[test]
         fn leaves_round_trip(entries in entries()) {
-            let mut raw = Vec::new();
-            encode_leaf(&entries, &mut raw);
+            let raw = encoded(&entries);
             prop_assert!(raw.len() as u64 <= max_raw_len(entries.len() as u32));
             let again = decode_leaf(&raw, entries.len() as u32, entries[0].key, u64::MAX);
             prop_assert_eq!(again, Ok(entries));
@@ -309,8 +326,7 @@ pub(super) mod tests {
         fn damaged_leaves_are_refused_or_hold_valid_entries(
             entries in entries(), at: prop::sample::Index, value: u8, cut in 0usize..40
         ) {
-            let mut raw = Vec::new();
-            encode_leaf(&entries, &mut raw);
+            let mut raw = encoded(&entries);
             let place = at.index(raw.len());
             raw[place] = value;
             raw.truncate(raw.len().saturating_sub(cut.saturating_sub(20)));

@@ -285,11 +285,11 @@ impl ArchiveWriter {
         let mut leaves = Vec::new();
         let (mut entries, mut raw, mut stored) = (Vec::new(), Vec::new(), Vec::new());
         let mut packer = Packer::new();
-        let (mut first, mut offset) = (0, 0);
+        let (mut first, mut offset, mut base) = (0, 0, 0);
         while first < self.entries.len() {
             let count = (self.entries.len() - first).min(leaf_entries as u64) as usize;
             self.entries.read(first, count, &mut entries)?;
-            encode_leaf(&entries, &mut raw);
+            encode_leaf(&entries, &mut base, &mut raw);
             stored.clear();
             packer.pack(&raw, &mut stored);
             leaves.push(Leaf {

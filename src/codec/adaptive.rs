@@ -411,7 +411,7 @@ impl Given for Loose<'_> {
 #[inline]
 fn pixel_context(rows: [u64; 3], px: u32) -> usize {
     let [row, north, north_2] = rows;
-    let west = (row << 2) >> px & 3;
+    let west = ((u128::from(row) << 2) >> px) as u64 & 3;
     let north = ((u128::from(north) << 1) >> px) as u64 & 7;
     (west + 4 * north + 32 * (north_2 >> px & 1)) as usize
 }
@@ -616,7 +616,7 @@ pub(crate) mod tests {
             let whole = |height: u32| height / 17 * 17;
             let spans: Vec<_> = spans
                 .iter()
-                .map(|s| Span::new(whole(s.bottom()), whole(s.top()) + 1, s.is_obstacle()).unwrap())
+                .map(|s| Span::new(whole(s.bottom()), (whole(s.top()) + 1).min(16320), s.is_obstacle()).unwrap())
                 .collect();
             assert!(builder.set_column(px, py, &spans) || spans.len() > 1);
         }

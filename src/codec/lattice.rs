@@ -114,10 +114,11 @@ impl Lattice {
 
     /// The middle of all phases at which the heights lie on steps.
     fn phase_of(&self, heights: &[(u32, End)]) -> Option<u64> {
-        // Where the point of a height can be: within the quantum that was rounded away.
+        // Where the point of a height can be: within the quantum that was rounded away. Not below the floor of the page,
+        // where there is no step: a top of one quantum would have none.
         let point = |(height, end): (u32, End)| {
             let low = (height as i64 - (end == End::Top) as i64) * ONE;
-            (low - SLACK, low + ONE + SLACK)
+            ((low - SLACK).max(0), low + ONE + SLACK)
         };
         let step = self.step as i64;
         let (first, (mut low, mut high)) = heights.first().map(|&height| (point(height).0, point(height)))?;
@@ -181,6 +182,29 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn every_height_has_a_step_where_points_lie_on_the_floor_of_a_page() {
+        let mut found = 0;
+        for (pixel_cm, layer) in (1..100).flat_map(|pixel_cm| [-3, -1, 0, 1, 2, 5].map(|layer| (pixel_cm, layer))) {
+            let pixel_m = f64::from(pixel_cm) / 100.0;
+            let frame = Frame::new(pixel_m, 3.0 * pixel_m).unwrap();
+            let floor = layer * 64 * SLICE_QUANTA;
+            let first = (floor as f64 * frame.quantum_m() * 100.0).round();
+            let points: Vec<_> = (0..400).map(|n| (first + f64::from(n)) / 100.0).collect();
+            let on_page =
+                |z: &f64| frame.quantum_floor(*z) >= floor && frame.quantum_ceil(*z) < floor + 64 * SLICE_QUANTA;
+            let points: Vec<_> = points.into_iter().filter(on_page).collect();
+            let mut heights = heights(&frame, &points, floor);
+            heights.retain(|(height, _)| height % SLICE_QUANTA as u32 != 0);
+            let Some(lattice) = Lattice::find(&frame, &heights) else { continue };
+            found += 1;
+            for &(height, end) in &heights {
+                assert!(lattice.index(height, end).is_some(), "{height} {end:?} of {pixel_m} m in layer {layer}");
+            }
+        }
+        assert!(found > 100, "{found} grids have steps");
     }
 
     #[test]

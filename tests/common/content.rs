@@ -1,0 +1,72 @@
+//! All content of an archive as JSON, in the shape that `spec/reader.py --json` prints.
+
+use serde_json::{Value, json};
+use slicewalk::archive::{Archive, PageEntry, Place};
+use slicewalk::slice::Span;
+use slicewalk::{Error, NoMonitor, Result, info};
+
+/// What an archive holds, or the first rule that it breaks.
+pub fn content_or_rule(bytes: Vec<u8>) -> Value {
+    match Archive::from_bytes(bytes).and_then(|archive| checked(&archive)) {
+        Ok(content) => content,
+        Err(error) => json!({ "rule": rule_of(&error) }),
+    }
+}
+
+/// The rule of the specification that an error is about.
+pub fn rule_of(error: &Error) -> &'static str {
+    match error {
+        Error::Format { rule, .. } => rule,
+        Error::Unsupported { what, .. } if what.contains("H4") => "H4",
+        Error::Unsupported { what, .. } if what.contains("H5") => "H5",
+        error => panic!("{error}"),
+    }
+}
+
+fn checked(archive: &Archive) -> Result<Value> {
+    let mut rules = Vec::new();
+    archive.verify(&NoMonitor, &mut |finding| rules.push(finding.rule))?;
+    match rules.first() {
+        Some(rule) => Ok(json!({ "rule": rule })),
+        None => content(archive),
+    }
+}
+
+/// What an archive holds: `info`, then each page with its pixels.
+pub fn content(archive: &Archive) -> Result<Value> {
+    let pages = archive.entries().map(|entry| page(archive, &entry?)).collect::<Result<Vec<_>>>()?;
+    Ok(json!({ "info": info::info(archive)?, "pages": pages }))
+}
+
+fn page(archive: &Archive, entry: &PageEntry) -> Result<Value> {
+    let mut value = json!({
+        "key": [entry.key.tx, entry.key.ty, entry.key.layer],
+        "slices": format!("{:016x}", entry.slices),
+    });
+    let (kind, extent) = match &entry.place {
+        Place::Stored(extent) => ("stored", extent),
+        Place::Shared(extent) => ("shared", extent),
+        Place::Uniform(span) => {
+            value["kind"] = "uniform".into();
+            value["span"] = triple(span);
+            return Ok(value);
+        }
+    };
+    value["kind"] = kind.into();
+    value["offset"] = extent.offset.into();
+    value["length"] = extent.len.into();
+    value["blocks"] = entry.size.blocks().into();
+    value["words"] = entry.size.words().into();
+    let page = archive.page(entry)?;
+    let pixels = page.columns().map(|(px, py, spans)| {
+        let spans = spans.iter().map(triple);
+        [json!(px), json!(py)].into_iter().chain(spans).collect::<Value>()
+    });
+    value["pixels"] = pixels.collect();
+    Ok(value)
+}
+
+/// Bottom, top (quanta above the page's floor), 1 for an obstacle.
+fn triple(span: &Span) -> Value {
+    json!([span.bottom(), span.top(), u8::from(span.is_obstacle())])
+}
