@@ -1,11 +1,10 @@
 //! `slicetool walk`: a pawn follows waypoints; its path as CSV, what it cost as JSON.
 
-use crate::{Failure, Outcome};
+use crate::{Failure, Outcome, keep_apart};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
-use slicewalk::archive::Archive;
 use slicewalk::size::parse_size;
-use slicewalk::store::{FileSource, Motion, Prefetch, Stream, StreamOptions};
+use slicewalk::store::{Motion, Prefetch, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Response, Route, State, Walker};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -117,7 +116,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     };
     let mut walker = Walker::new(config, arguments.start)?;
     let mut route = Route::new(waypoints(&arguments.waypoints)?)?;
-    let stream = open(arguments)?;
+    keep_apart(&arguments.archive, &arguments.output)?;
+    let stream = stream(arguments)?;
     let frame_s = 1.0 / arguments.hz;
     let most = (arguments.max_seconds * arguments.hz).ceil().max(1.0) as u64;
     let mut path = String::from("t,x,y,z,state,frame_us,missing\n");
@@ -145,6 +145,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
         if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 {
             break;
         }
+    }
+    for failed in stream.take_errors() {
+        // Nothing that the pawn needed: that would have ended the walk.
+        crate::say(&format!("warning: page {}: {}", failed.key, failed.error));
     }
     std::fs::write(&arguments.output, path)
         .map_err(|e| Failure::Text(format!("{}: cannot write: {e}", arguments.output.display())))?;
@@ -187,8 +191,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     Ok(format!("{summary:#}\n"))
 }
 
-fn open(arguments: &Arguments) -> Result<Stream, Failure> {
-    let archive = Archive::from_source(Box::new(FileSource::open(&arguments.archive)?))?;
+fn stream(arguments: &Arguments) -> Result<Stream, Failure> {
+    let archive = crate::open(&arguments.archive)?;
     let prefetch = if arguments.prefetch == Switch::On { Prefetch::Thread } else { Prefetch::Off };
     let budget = usize::try_from(arguments.cache).unwrap_or(usize::MAX);
     Ok(Stream::open(archive, StreamOptions { prefetch, ..StreamOptions::new(budget) })?)

@@ -192,6 +192,12 @@ fn what_cannot_be_meant_is_refused() {
     assert!(text.contains("line 2") && text.contains("oops") && text.lines().count() == 1, "{text}");
     assert!(!out.exists());
     assert_eq!(run(&["--start", "0,0,0", "--climb", "2"]).status.code(), Some(1));
+    std::fs::write(&file, "1,1\n").unwrap();
+    let before = std::fs::read(&archive).unwrap();
+    let same = archive.to_str().unwrap();
+    let done = slicetool(&["walk", same, "--waypoints", file.to_str().unwrap(), "--start", "0,0,0", "-o", same]);
+    assert_eq!(done.status.code(), Some(1), "the archive is no place for the path");
+    assert_eq!(std::fs::read(&archive).unwrap(), before);
 }
 
 /// The folder of shared scans: `SLICEWALK_SHARED`, or beside the checkout.

@@ -1,6 +1,6 @@
 //! Walking steps: our `Walker`, and `rapier3d`'s `KinematicCharacterController` with the settings of its guide.
 
-use super::measure::Measured;
+use super::measure::{Measured, summary};
 use super::oracle::Oracle;
 use super::parry::vector;
 use super::scene::{PAWN, ROUND, START, route};
@@ -29,10 +29,8 @@ pub struct Walked {
 }
 
 impl Walked {
-    fn new(mut times: Vec<f64>, answers: Vec<Point3<f64>>, reached: usize) -> Self {
-        times.sort_by(f64::total_cmp);
-        let at = |share: f64| times[((times.len() - 1) as f64 * share).round() as usize];
-        Self { measured: Measured { times: [at(0.5), at(0.99), at(0.999)], answers }, reached }
+    fn new(times: Vec<f64>, answers: Vec<Point3<f64>>, reached: usize) -> Self {
+        Self { measured: Measured { times: summary(times), answers }, reached }
     }
 
     /// Frames in which the body, less a margin and the climb height at its feet, holds a point.
@@ -125,6 +123,5 @@ pub fn rapier(world: SharedShape, step: f32, width: f32) -> Result<Walked, crate
             break;
         }
     }
-    println!("ends at {}", feet[feet.len() - 1]);
     Ok(Walked::new(times, feet, next))
 }

@@ -28,13 +28,10 @@ const EXACT: f64 = 0.002;
 
 /// One line of the page: who, times, and wrong answers of two kinds.
 fn row<R>(page: &mut String, who: &str, measured: &Measured<R>, wrong: [usize; 2]) {
-    let [p50, p99, p999] = measured.times;
-    let line = format!(
-        "| {who} | {p50:.0} | {p99:.0} | {p999:.0} | {} | {} | {} |",
-        measured.answers.len(),
-        wrong[0],
-        wrong[1]
-    );
+    let [mean, p50, p99, p999] = measured.times;
+    let asked = measured.answers.len();
+    let line =
+        format!("| {who} | {mean:.0} | {p50:.0} | {p99:.0} | {p999:.0} | {asked} | {} | {} |", wrong[0], wrong[1]);
     println!("{line}");
     let _ = writeln!(page, "{line}");
 }
@@ -42,7 +39,7 @@ fn row<R>(page: &mut String, who: &str, measured: &Measured<R>, wrong: [usize; 2
 fn head(page: &mut String, what: &str, wrong: [&str; 2]) {
     let _ = write!(
         page,
-        "\n### {what}\n\n| | p50 (ns) | p99 | p99.9 | asked | {} | {} |\n| --- | --- | --- | --- | --- | --- | --- |\n",
+        "\n### {what}\n\n| | mean (ns) | p50 | p99 | p99.9 | asked | {} | {} |\n| --- | --- | --- | --- | --- | --- | --- | --- |\n",
         wrong[0], wrong[1]
     );
     println!("{what}");

@@ -8,8 +8,8 @@ const ROUND: Duration = Duration::from_millis(1500);
 const ROUNDS: usize = 3;
 
 pub struct Measured<R> {
-    /// Median, 99th and 99.9th percentile (ns).
-    pub times: [f64; 3],
+    /// Mean, median, 99th and 99.9th percentile (ns).
+    pub times: [f64; 4],
     /// The answers to the first items.
     pub answers: Vec<R>,
 }
@@ -38,9 +38,15 @@ pub fn measure<T, R>(items: &[T], mut call: impl FnMut(&T) -> R) -> Measured<R> 
             *best = best.min(nanoseconds(start));
         }
     }
-    best.sort_by(f64::total_cmp);
-    let at = |share: f64| (best[((best.len() - 1) as f64 * share).round() as usize] - clock).max(0.0);
-    Measured { times: [at(0.5), at(0.99), at(0.999)], answers }
+    best.iter_mut().for_each(|time| *time = (*time - clock).max(0.0));
+    Measured { times: summary(best), answers }
+}
+
+/// Mean, median, 99th and 99.9th percentile.
+pub fn summary(mut times: Vec<f64>) -> [f64; 4] {
+    times.sort_by(f64::total_cmp);
+    let at = |share: f64| times[((times.len() - 1) as f64 * share).round() as usize];
+    [times.iter().sum::<f64>() / times.len() as f64, at(0.5), at(0.99), at(0.999)]
 }
 
 fn nanoseconds(since: Instant) -> f64 {

@@ -3,6 +3,7 @@
 //!
 //! Out: `size.md`. All but its times are the same on every run.
 
+mod noise;
 mod octree;
 mod pictures;
 mod reads;
@@ -87,6 +88,16 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
             "free with walls",
             "dense tiles",
         ]));
+    let mut noises = Table::new([
+        "scan",
+        "spans",
+        "smooth",
+        "noise of a bottom (bits)",
+        "of a thickness",
+        "both",
+        "archive, a span (bits)",
+        "1/4 of PNG, both, a span",
+    ]);
     let mut times =
         Table::new(["scan", "open (us)", "pages", "decode (ms)", "us a page", "ns a span", "raster (GB/s)"]);
     let mut walks = Table::new(["scan", "pages read", "tiles walked through", "pages to tiles"]);
@@ -122,6 +133,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
         for (name, made) in [("0", &exact), ("t/4", &quarter)] {
             needs.row(need_row(case, name, made));
         }
+        noises.row(noise_row(case, &exact, png_both)?);
         times.row(time_row(case, &exact)?);
         if let Some(walk) = reads::along_walk(&case.name, &exact.archive)? {
             walks.row([
@@ -133,9 +145,11 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
         }
     }
     let page = format!(
-        "{}\n{}\n\n## What the scenes needed\n\n{}\n\n{}\n\n## Opening and decoding\n\n{}\n\n{}\n\n## Reads along a walk\n\n{}\n\n{}\n",
+        "{}\n{}\n\n## What no coder can save\n\n{}\n\n{}\n\n## What the scenes needed\n\n{}\n\n{}\n\n## Opening and decoding\n\n{}\n\n{}\n\n## Reads along a walk\n\n{}\n\n{}\n",
         include_str!("head.md"),
         sizes.markdown(),
+        include_str!("noise.md").trim_end(),
+        noises.markdown(),
         include_str!("needs.md").trim_end(),
         needs.markdown(),
         include_str!("times.md").trim_end(),
@@ -208,6 +222,21 @@ fn need_row(case: &Case, tolerance: &str, made: &Made) -> Vec<String> {
             format!("{} ×", number(dense as f64 / made.bytes as f64, 0)),
         ])
         .collect()
+}
+
+fn noise_row(case: &Case, made: &Made, png: u64) -> Result<Vec<String>> {
+    let noise = noise::of(&made.archive)?;
+    let bits_a_span = |bytes: f64| number(bytes * 8.0 / noise.spans.max(1) as f64, 1);
+    Ok(vec![
+        case.name.clone(),
+        noise.spans.to_string(),
+        percent(noise.smooth as f64 / noise.spans.max(1) as f64),
+        number(noise.bottom_bits, 1),
+        number(noise.thickness_bits, 1),
+        number(noise.bottom_bits + noise.thickness_bits, 1),
+        bits_a_span(made.bytes as f64),
+        bits_a_span(png as f64 / 4.0),
+    ])
 }
 
 fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {

@@ -1,9 +1,10 @@
 //! How near walks stay to the exact ones: for our response and for the thesis', beside each other; and falls through
-//! storeys that are not in memory yet.
+//! storeys that are not in memory yet; and crowds.
 //!
 //! Out: `walks.md`. The table of paths is the same on every run.
 
 pub mod cases;
+mod crowds;
 mod falls;
 pub mod path;
 
@@ -65,6 +66,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
         page += &format!("\n## Pixels of {} cm\n\n{}\n\n{within}\n", number(pixel * 100.0, 0), table.markdown());
     }
     page += &falls::section(quick)?;
+    page += &crowds::section(quick)?;
     std::fs::create_dir_all(out)?;
     std::fs::write(out.join("walks.md"), page)?;
     Ok(())
