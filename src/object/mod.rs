@@ -18,6 +18,20 @@
 //! A binary tree of boxes over each model's spans, cut at the median; two trees are descended together, larger box
 //! first. A scene is its own summary: the boxes of the object's tree are asked of its pages, blocks and spans by
 //! [`overlaps`], and the few that remain are held against single spans. Nothing is allocated, locked or waited for.
+//!
+//! ```no_run
+//! use slicewalk::archive::Archive;
+//! use slicewalk::object::{Model, Object, touches, touches_scene};
+//! use slicewalk::query::Overlap;
+//! use slicewalk::store::Store;
+//!
+//! let store = |path: &str| Store::resident(&Archive::open(path)?, &slicewalk::NoMonitor);
+//! let (scene, cart) = (store("hall.slices")?, Model::from_pages(&store("cart.slices")?)?);
+//! let here = Object::new(&cart, nalgebra::Isometry3::translation(3.0, 2.0, 0.1));
+//! let there = Object::new(&cart, nalgebra::Isometry3::rotation(nalgebra::Vector3::z() * 0.5));
+//! let free = !touches(&here, &there) && touches_scene(&here, &scene) == Overlap::Clear;
+//! # Ok::<(), slicewalk::Error>(())
+//! ```
 
 mod fill;
 mod model;
@@ -77,30 +91,24 @@ pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
         if relative.separates_by_faces(&one.bounds(), &other.bounds()) {
             continue;
         }
-        match (one.children(m), other.children(n)) {
+        // The larger is cut, and the half nearer to the other comes first: it may end the search.
+        let halves = match (one.children(m), other.children(n)) {
             (None, None) => {
                 let pairs = left.items(one).flat_map(|p| right.items(other).map(move |q| (p, q)));
                 if pairs.into_iter().any(|(p, q)| relative.meets(&p, &q)) {
                     return true;
                 }
+                continue;
             }
-            (Some([first, second]), other_children) if other_children.is_none() || one.size() >= other.size() => {
-                // The one nearer to the other object comes first: it may end the search.
-                let far = |child: u32| relative.distance_squared(&left.node(child).bounds(), &other.bounds());
-                let nearer_first = far(first) <= far(second);
-                let (near, far) = if nearer_first { (first, second) } else { (second, first) };
-                open.push((far, n));
-                open.push((near, n));
-            }
-            (_, Some([first, second])) => {
-                let far = |child: u32| relative.distance_squared(&one.bounds(), &right.node(child).bounds());
-                let nearer_first = far(first) <= far(second);
-                let (near, far) = if nearer_first { (first, second) } else { (second, first) };
-                open.push((m, far));
-                open.push((m, near));
-            }
-            (Some(_), None) => unreachable!("the arm before takes it"),
-        }
+            (Some(_), Some(halves)) if other.size() > one.size() => halves.map(|half| (m, half)),
+            (None, Some(halves)) => halves.map(|half| (m, half)),
+            (Some(halves), _) => halves.map(|half| (half, n)),
+        };
+        let [first, second] = halves;
+        let far = |(m, n): (u32, u32)| relative.distance_squared(&left.node(m).bounds(), &right.node(n).bounds());
+        let (near, far) = if far(first) <= far(second) { (first, second) } else { (second, first) };
+        open.push(far);
+        open.push(near);
     }
     false
 }
