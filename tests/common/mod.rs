@@ -1,7 +1,11 @@
 //! Small archives, sources that count and fail, and a readable form of an archive's content.
 #![allow(dead_code, reason = "each test file uses a part")]
 
-use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Totals};
+pub mod content;
+
+pub mod forge;
+
+use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Shard, Totals};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::plan::{Classifier, Plan, Up};
 use slicewalk::slice::{Page, PageBuilder, Span};
@@ -100,11 +104,19 @@ pub fn key(tx: i32, ty: i32, layer: i32) -> PageKey {
 }
 
 /// The bytes of an archive.
-pub fn archive((pages, totals): &(Pages, Totals)) -> Vec<u8> {
+pub fn archive(made: &(Pages, Totals)) -> Vec<u8> {
+    archive_of(&plan(), made, None)
+}
+
+/// The bytes of an archive of a plan, or of a part of one.
+pub fn archive_of(plan: &Plan, (pages, totals): &(Pages, Totals), shard: Option<Shard>) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("test.slices");
-    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
-    let mut encoder = PageEncoder::new(plan().frame);
+    let mut writer = ArchiveWriter::create(&target, plan, false).unwrap();
+    if let Some(shard) = shard {
+        writer.set_shard(shard);
+    }
+    let mut encoder = PageEncoder::new(plan.frame);
     for (&key, page) in pages {
         writer.put(key, encoder.encode(key, page)).unwrap();
     }

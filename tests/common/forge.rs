@@ -1,0 +1,90 @@
+//! Archives whose numbers are wrong and whose checksums are right.
+
+use slicewalk::codec::{Packer, Unpacker};
+
+/// An archive of one leaf in parts, to be put together again with right lengths and checksums.
+#[derive(Clone)]
+pub struct Parts {
+    pub head: Vec<u8>,
+    pub pages: Vec<u8>,
+    pub leaf: Vec<u8>,
+    pub metadata: Vec<u8>,
+}
+
+/// The u32 at `at`.
+pub fn word(bytes: &[u8], at: usize) -> usize {
+    u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize
+}
+
+/// Writes the lowest `len` bytes of `value` at `at`.
+pub fn put(bytes: &mut [u8], at: usize, value: u64, len: usize) {
+    bytes[at..at + len].copy_from_slice(&value.to_le_bytes()[..len]);
+}
+
+impl Parts {
+    /// Takes an archive apart.
+    pub fn of(bytes: &[u8]) -> Self {
+        let mut at = 0;
+        let mut take = |len: usize| {
+            at += len;
+            bytes[at - len..at].to_vec()
+        };
+        let head = take(word(bytes, 12));
+        let pages = take(word(bytes, 288));
+        let stored = take(word(bytes, 296));
+        let metadata = take(word(bytes, 304));
+        let leaf = Unpacker::new().unpack(&stored, 1 << 20, "").unwrap().to_vec();
+        Self { head, pages, leaf, metadata }
+    }
+
+    /// The leaf as it lies in the file.
+    pub fn stored_leaf(&self) -> Vec<u8> {
+        let mut stored = Vec::new();
+        Packer::new().pack(&self.leaf, &mut stored);
+        stored
+    }
+
+    /// Puts the head's numbers right, lets `forge` spoil them, and puts the checksums right.
+    pub fn build(&self, forge: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
+        let (mut head, stored) = (self.head.clone(), self.stored_leaf());
+        let lens = [self.pages.len(), stored.len(), self.metadata.len()];
+        let file_len = head.len() + lens.iter().sum::<usize>() + 24;
+        put(&mut head, 32, file_len as u64, 8);
+        for (field, len) in lens.iter().enumerate() {
+            put(&mut head, 288 + 8 * field, *len as u64, 8);
+        }
+        put(&mut head, 312, crc32c::crc32c(&self.metadata) as u64, 4);
+        put(&mut head, 384 + 16, stored.len() as u64, 4);
+        put(&mut head, 384 + 20, self.leaf.len() as u64, 4);
+        put(&mut head, 384 + 24, crc32c::crc32c(&stored) as u64, 4);
+        forge(&mut head);
+        let end = head.len() - 4;
+        let crc = crc32c::crc32c(&head[..end]) as u64;
+        put(&mut head, end, crc, 4);
+        let mut footer = vec![0; 12];
+        put(&mut footer, 0, file_len as u64, 8);
+        put(&mut footer, 8, crc, 4);
+        let crc = crc32c::crc32c(&footer);
+        footer.extend(crc.to_le_bytes());
+        [&head[..], &self.pages, &stored, &self.metadata, &footer, b"\x89CILS\r\n\x1a"].concat()
+    }
+
+    /// Replaces the encoding of the only page and puts lengths and checksums right.
+    pub fn with_page(&self, body: &[u8]) -> Self {
+        let mut pages = [&self.pages[..24], body].concat();
+        put(&mut pages, 16, body.len() as u64, 4);
+        Self { pages, ..self.clone() }.with_leader()
+    }
+
+    /// Puts the checksum of the only page right, and its length and checksum in the leaf.
+    pub fn with_leader(mut self) -> Self {
+        let crc = crc32c::crc32c_append(crc32c::crc32c(&self.pages[..20]), &self.pages[24..]);
+        put(&mut self.pages, 20, crc as u64, 4);
+        let mut len = Vec::new();
+        slicewalk::codec::put_varint(&mut len, self.pages.len() as u64);
+        // Base, column, layer, kind: one byte each; eight bytes of slices; then length, checksum, blocks and words.
+        let size = self.leaf[self.leaf.len() - 2..].to_vec();
+        self.leaf = [&self.leaf[..12], &len, &crc.to_le_bytes(), &size].concat();
+        self
+    }
+}

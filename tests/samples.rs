@@ -1,0 +1,82 @@
+//! The archives in `spec/samples/`, each with a JSON twin that says what it holds or which rule it breaks: material for
+//! readers of the format, ours and others (`spec/reader.py`).
+//!
+//! `SLICEWALK_SAMPLES=write cargo test --test samples` makes them anew.
+
+mod common;
+mod samples {
+    pub mod damaged;
+    pub mod good;
+}
+
+use common::content::content_or_rule;
+use common::read_all;
+use serde_json::{Value, json};
+use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Every sample: its name, its bytes, and the rule it breaks.
+fn all() -> Vec<(String, Vec<u8>, Option<&'static str>)> {
+    let good = samples::good::all().into_iter().map(|(name, bytes)| (name.to_string(), bytes, None));
+    let damaged = samples::damaged::all().into_iter();
+    good.chain(damaged.map(|(name, rule, bytes)| (format!("damaged-{name}"), bytes, Some(rule)))).collect()
+}
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/samples")
+}
+
+/// The JSON twin as it is stored: a page a line.
+fn text(twin: &Value) -> String {
+    let Some(pages) = twin["pages"].as_array() else { return format!("{twin}\n") };
+    let pages: Vec<_> = pages.iter().map(Value::to_string).collect();
+    format!("{{\"info\": {},\n\"pages\": [\n{}\n]}}\n", twin["info"], pages.join(",\n"))
+}
+
+#[test]
+fn every_sample_holds_what_its_twin_says() {
+    let write = std::env::var("SLICEWALK_SAMPLES").as_deref() == Ok("write");
+    let mut listed = BTreeSet::from([".gitignore".to_string()]);
+    let mut sum = 0;
+    for (name, bytes, rule) in all() {
+        let twin = content_or_rule(bytes.clone());
+        if let Some(rule) = rule {
+            assert_eq!(twin, json!({ "rule": rule }), "{name}");
+        }
+        let [archive, json] = ["slices", "json"].map(|end| format!("{name}.{end}"));
+        if write {
+            std::fs::write(folder().join(&archive), &bytes).unwrap();
+            std::fs::write(folder().join(&json), text(&twin)).unwrap();
+        }
+        let stored = std::fs::read(folder().join(&archive)).unwrap();
+        let expected: Value = serde_json::from_slice(&std::fs::read(folder().join(&json)).unwrap()).unwrap();
+        assert!(stored.len() < 20_000, "{name} is large: {} bytes", stored.len());
+        sum += stored.len();
+        assert!(content_or_rule(stored) == expected, "{name} does not hold what its twin says");
+        assert!(twin == expected, "{name} as it is made today does not hold what its twin says");
+        listed.extend([archive, json]);
+    }
+    assert!(sum < 150_000, "{sum} bytes");
+    let present = std::fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    assert_eq!(present.collect::<BTreeSet<_>>(), listed);
+}
+
+#[test]
+fn every_changed_byte_of_a_good_sample_is_found() {
+    for (name, good) in samples::good::all() {
+        let pages = read_all(&Archive::from_bytes(good.clone()).unwrap()).unwrap();
+        for at in 0..good.len() {
+            let mut bytes = good.clone();
+            bytes[at] ^= 1 << (at % 8);
+            let Ok(archive) = Archive::from_bytes(bytes) else { continue };
+            let mut findings = 0;
+            archive.verify(&NoMonitor, &mut |_| findings += 1).unwrap();
+            assert!(findings > 0, "{name}: byte {at}");
+            if let Ok(read) = read_all(&archive) {
+                assert_eq!(read, pages, "{name}: byte {at} changes the content");
+            }
+        }
+    }
+}

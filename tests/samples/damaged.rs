@@ -1,0 +1,96 @@
+//! Damaged and forged samples. Forged ones have right checksums and break the one rule that says so.
+
+use crate::common::forge::{Parts, put};
+use crate::common::{archive, key, page, plan, scene, two_pixels};
+use slicewalk::archive::Archive;
+use slicewalk::codec::Encoder;
+use slicewalk::frame::Frame;
+use slicewalk::slice::Span;
+
+/// Names, broken rules and bytes.
+pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
+    let good = archive(&two_pixels());
+    let parts = Parts::of(&good);
+    let sections = [parts.head.len(), parts.pages.len(), parts.stored_leaf().len(), parts.metadata.len()];
+    let start = |section: usize| sections[..section].iter().sum::<usize>();
+    let flipped = |at: usize| {
+        let mut bytes = good.clone();
+        bytes[at] ^= 0x10;
+        bytes
+    };
+    let many = Parts::of(&archive(&scene()));
+    let total = |at: usize, value: u64| many.build(|head| put(head, at, value, 8));
+    let metadata = |metadata: &[u8]| Parts { metadata: metadata.to_vec(), ..parts.clone() }.build(|_| ());
+    vec![
+        ("cut-in-head", "H2", good[..300].to_vec()),
+        ("cut-in-page", "H6", good[..start(1) + 30].to_vec()),
+        ("cut-in-footer", "H6", good[..good.len() - 1].to_vec()),
+        ("continued", "H6", [&good[..], b"\n"].concat()),
+        ("flipped-in-magic", "H1", flipped(3)),
+        ("flipped-in-head", "H3", flipped(100)),
+        ("flipped-in-page", "P2", flipped(start(1) + 30)),
+        ("flipped-in-leaf", "D1", flipped(start(2) + 9)),
+        ("flipped-in-metadata", "M1", flipped(start(3) + 9)),
+        ("flipped-in-footer", "F2", flipped(start(4) + 2)),
+        ("foreign-footer", "F3", [&good[..start(4)], &archive(&scene())[archive(&scene()).len() - 24..]].concat()),
+        ("next-major-version", "H4", parts.build(|head| put(head, 8, 2, 2))),
+        ("unknown-feature", "H5", parts.build(|head| put(head, 16, 1 << 40, 8))),
+        ("wrong-plan", "H7", parts.build(|head| put(head, 64, 0.5f64.to_bits(), 8))),
+        ("wrong-point-counts", "H8", parts.build(|head| put(head, 152, 1, 8))),
+        (
+            "wrong-pages",
+            "T1",
+            many.build(|head| [272, 280].into_iter().zip([0, 2]).for_each(|(at, n)| put(head, at, n, 8))),
+        ),
+        ("wrong-tiles", "T2", total(240, 1)),
+        ("wrong-voxels", "T3", total(256, 0)),
+        ("wrong-slices", "T4", total(216, 0)),
+        ("shares-no-page", "D10", shares_no_page(&many)),
+        ("no-slices", "D7", with_leaf(&parts, 4, 0)),
+        ("wrong-slices-of-page", "P9", with_leaf(&parts, 4, 2)),
+        ("wrong-words-of-page", "P11", with_leaf(&parts, 18, 2)),
+        ("unknown-model", "P5", with_body(&parts, |body| body[0] = 2)),
+        ("words-left", "P6", with_body(&parts, |body| body.extend([0, 0]))),
+        ("not-the-one-encoding", "P10", other_encoding()),
+        ("unordered-metadata", "M2", metadata(b"zzzz\0\0\0\0aaaa\0\0\0\0")),
+        ("crs-not-utf-8", "M3", metadata(b"CRS \x01\0\0\0\xFF")),
+        ("page-of-another-part", "T5", metadata(&[b"SHRD\x28\0\0\0\x01\0\0\0\x02\0\0\0", &[0; 32][..]].concat())),
+        ("wrong-part", "M4", metadata(&[b"SHRD\x28\0\0\0", &[0; 40][..]].concat())),
+    ]
+}
+
+fn with_leaf(parts: &Parts, at: usize, value: u8) -> Vec<u8> {
+    let mut parts = parts.clone();
+    parts.leaf[at] = value;
+    parts.build(|_| ())
+}
+
+fn with_body(parts: &Parts, change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
+    let mut body = parts.pages[24..].to_vec();
+    change(&mut body);
+    parts.with_page(&body).build(|_| ())
+}
+
+/// The only shared page begins one byte beside the page that it shares.
+fn shares_no_page(many: &Parts) -> Vec<u8> {
+    let archive = Archive::from_bytes(many.build(|_| ())).unwrap();
+    let entries = archive.leaf(0).unwrap();
+    let paged: Vec<_> = entries.iter().filter(|entry| entry.extent().is_some()).collect();
+    let more = |words: u32| 1 + usize::from(words >= 1 << 7) + usize::from(words >= 1 << 14);
+    let sizes: usize = paged.iter().map(|entry| 1 + more(entry.size.words() - entry.size.blocks())).sum();
+    // The distance is the last varint before checksums (4 bytes a page), sizes, and the one uniform span.
+    let at = many.leaf.len() - 4 - sizes - 4 * paged.len() - 1;
+    with_leaf(many, at, many.leaf[at] ^ 1)
+}
+
+/// Heights in centimetres, coded in quanta.
+fn other_encoding() -> Vec<u8> {
+    let columns = (0..64).map(|px| ((px, 0), vec![Span::new(51 * px, 51 * px + 1, false).unwrap()]));
+    let page = page(columns);
+    let parts = Parts::of(&archive(&([(key(0, 0, 0), page.clone())].into(), two_pixels().1)));
+    let mut body = Vec::new();
+    // An encoder of another grid finds no steps.
+    Encoder::new(Frame::new(1e5, 3e5).unwrap()).encode(&page, &mut body);
+    assert_ne!(body, parts.pages[24..], "steps in {:?}", plan().frame);
+    parts.with_page(&body).build(|_| ())
+}

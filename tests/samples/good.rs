@@ -1,0 +1,183 @@
+//! Sound samples.
+
+use crate::common::forge::{Parts, put};
+use crate::common::{Pages, Random, archive, archive_of, key, page, plan, scene, two_pixels};
+use slicewalk::archive::{PageEncoder, Shard, Totals};
+use slicewalk::frame::Frame;
+use slicewalk::plan::{Classifier, Plan, Up};
+use slicewalk::slice::{Page, Span};
+use std::collections::BTreeMap;
+
+/// Names and bytes.
+pub fn all() -> Vec<(&'static str, Vec<u8>)> {
+    let (in_centimetres, slope) = centimetres();
+    let (in_feet, pillars) = centimetres_cut();
+    vec![
+        ("empty", archive(&Default::default())),
+        ("two-pixels", archive(&two_pixels())),
+        ("floor", archive(&(floor(), totals()))),
+        ("wall", archive(&(wall(), totals()))),
+        ("stairs", archive(&(stairs(), totals()))),
+        ("crowded", archive(&(crowded(), totals()))),
+        ("shared-and-uniform", archive(&scene())),
+        ("centimetres", archive_of(&in_centimetres, &(slope, totals()), None)),
+        ("centimetres-cut", archive_of(&in_feet, &(pillars, totals()), None)),
+        ("tolerance", archive_of(&Plan { tolerance_m: 0.02, ..plan() }, &(simple(floor()), totals()), None)),
+        ("options", archive_of(&options(), &(floor(), totals()), None)),
+        ("part", archive_of(&plan(), &(stairs(), totals()), Some(part()))),
+        ("unknown-metadata", unknown_metadata()),
+        ("newer-minor-version", newer()),
+    ]
+}
+
+fn span(bottom: u32, top: u32, obstacle: bool) -> Span {
+    Span::new(bottom, top, obstacle).unwrap()
+}
+
+fn totals() -> Totals {
+    let bounds = Some(([-6.4, -6.4, -19.2], [12.8, 6.4, 38.4]));
+    Totals { points_read: 1_234_567, points_kept: 1_200_000, bounds, ..Totals::default() }
+}
+
+/// A rough floor over the four pages around the origin, up to their last rows and columns.
+fn floor() -> Pages {
+    let mut random = Random(3);
+    let mut corner = |px: u32, py: u32| {
+        page((0..12 * 9).map(|at| {
+            let bottom = 1000 + 2 * (at % 12) + 30 * (at / 12) + random.below(6);
+            ((px + at % 12, py + at / 12), vec![span(bottom, bottom + 1 + random.below(4), false)])
+        }))
+    };
+    Pages::from([
+        (key(-1, -1, 0), corner(52, 55)),
+        (key(-1, 0, 0), corner(52, 0)),
+        (key(0, -1, 0), corner(0, 55)),
+        (key(0, 0, 0), corner(0, 0)),
+    ])
+}
+
+/// A wall through three layers with a door and a lintel.
+fn wall() -> Pages {
+    let run = |spans: fn(u32) -> Vec<Span>| page((0..64).map(|py| ((60 + py % 4, py), spans(py))));
+    let low = |py| match py {
+        20..26 => vec![span(12_002 + py, 12_002 + py, false), span(14_000, 16_320, true)],
+        _ => vec![span(12_000, 16_320, true)],
+    };
+    Pages::from([
+        (key(0, 0, -1), run(low)),
+        (key(0, 0, 0), run(|_| vec![span(0, 16_320, true)])),
+        (key(0, 0, 1), run(|py| vec![span(0, 700 + py / 8, true)])),
+    ])
+}
+
+/// Stairs below a ceiling, with a landing that only touches an obstacle below it.
+fn stairs() -> Pages {
+    let mut random = Random(11);
+    let steps = (0..24 * 10).map(|at| {
+        let (px, py) = (30 + at % 24, 4 + at / 24);
+        let tread = 2000 + px / 3 * 150;
+        let riser = px % 3 == 0;
+        let bottom = tread - if riser { 150 } else { random.below(4) };
+        let ceiling = 9000 + random.below(9);
+        let mut spans = vec![span(bottom, tread + 2, riser), span(ceiling, ceiling + 3, false)];
+        if py == 13 {
+            spans.splice(..1, [span(1900, 2040, true), span(2040, 2045, false)]);
+        }
+        ((px, py), spans)
+    });
+    Pages::from([(key(0, 0, 0), page(steps)), (key(0, 0, 2), page([((0, 63), vec![span(16_319, 16_320, true)])]))])
+}
+
+/// Many spans in a pixel, at the ends of slices and pages, of both kinds, touching and apart; full blocks.
+fn crowded() -> Pages {
+    let mut random = Random(5);
+    let tower: Vec<_> = (0..64).map(|k| span(255 * k, 255 * k + 255, k % 2 == 1)).collect();
+    let rungs: Vec<_> = (0..64).map(|k| span(255 * k, 255 * k + k, k % 3 == 0)).collect();
+    let mut columns: BTreeMap<(u32, u32), Vec<Span>> = BTreeMap::new();
+    for at in 0..64 {
+        let bottom = random.below(16_000);
+        columns.insert((56 + at % 8, 8 + at / 8), vec![span(bottom, bottom + random.below(300), at % 5 == 0)]);
+    }
+    columns.insert((0, 0), tower.clone());
+    columns.insert((1, 0), rungs.clone());
+    columns.insert((62, 62), rungs);
+    columns.insert((63, 63), tower);
+    columns.insert((63, 0), vec![span(0, 0, false), span(1, 1, true), span(16_319, 16_319, false)]);
+    Pages::from([(key(-2, 1, -3), page(columns))])
+}
+
+/// A slope and pillars scanned in whole centimetres, of which a slice is no multiple of three. The slope begins on the
+/// floor of the page, where the rounding of products makes a quantum of height from nothing.
+fn centimetres() -> (Plan, Pages) {
+    let plan = Plan { frame: Frame::new(0.29, 0.87).unwrap(), ..plan() };
+    let (layer, floor_cm) = (1, 64 * 87);
+    let floor = 16_320 * i64::from(layer);
+    let columns = (0..20 * 20).filter_map(|at| {
+        let z = f64::from(floor_cm + at as i32) / 100.0;
+        let bottom = plan.frame.quantum_floor(z) - floor;
+        let pillar = at % 20 == 7;
+        let top = if pillar { 16_320 } else { plan.frame.quantum_ceil(z) - floor };
+        let span = Span::new(u32::try_from(bottom).ok()?, top as u32, pillar)?;
+        Some(((44 + at % 20, 30 + at / 20), vec![span]))
+    });
+    let pages = Pages::from([(key(3, 2, layer), page(columns))]);
+    (plan, pages)
+}
+
+/// A floor and pillars in whole centimetres, cut where two pages meet, which is no centimetre: slices of a foot.
+fn centimetres_cut() -> (Plan, Pages) {
+    let plan = Plan { frame: Frame::new(0.1016, 0.3048).unwrap(), ..plan() };
+    let quanta = |cm: u32| {
+        let z = f64::from(cm) / 100.0;
+        (plan.frame.quantum_floor(z) as u32, plan.frame.quantum_ceil(z) as u32)
+    };
+    let place = |at: u32| (8 + at % 9, 50 + at / 9);
+    let lower = (0..81).map(|at| {
+        let (bottom, top) = quanta(100 + at % 7);
+        (place(at), vec![if at % 9 < 2 { span(bottom, 16_320, true) } else { span(bottom, top, false) }])
+    });
+    let upper = (0..81).filter(|at| at % 9 < 2);
+    let upper = upper.map(|at| (place(at), vec![span(0, quanta(2950 + at % 40).1 - 16_320, true)]));
+    let pages = Pages::from([(key(0, 0, 0), page(lower)), (key(0, 0, 1), page(upper))]);
+    (plan, pages)
+}
+
+/// Pages with heights that are cheaper to encode, within six quanta.
+fn simple(pages: Pages) -> Pages {
+    let mut encoder = PageEncoder::new(plan().frame);
+    pages.into_iter().map(|(key, page): (_, Page)| (key, encoder.simplify(&page, 6))).collect()
+}
+
+/// No option as by default, and sizes that are no round numbers.
+fn options() -> Plan {
+    Plan {
+        frame: Frame::new(0.3048 / 7.0, 0.17).unwrap(),
+        max_slope_deg: 33.3,
+        tolerance_m: 0.0,
+        classifier: Classifier::Plane,
+        min_points: 3,
+        drop_isolated: true,
+        up: Up::Y,
+        exclude_classes: [1 << 7 | 1 << 18, 0, 0, 1 << 63],
+    }
+}
+
+/// All columns from that of page (0, 0).
+fn part() -> Shard {
+    Shard { index: 3, count: 3, first: 3 << 62, last: u64::MAX, job: 0x0123_4567_89AB_CDEF_0011_2233_4455_6677 }
+}
+
+fn unknown_metadata() -> Vec<u8> {
+    let mut parts = Parts::of(&archive(&two_pixels()));
+    parts.metadata = [b"AAAA\x03\0\0\0abc", &parts.metadata[..], b"zzzz\0\0\0\0"].concat();
+    parts.build(|_| ())
+}
+
+/// A later version 1.x with something in a reserved field, and an optional feature.
+fn newer() -> Vec<u8> {
+    Parts::of(&archive(&two_pixels())).build(|head| {
+        put(head, 10, 7, 2);
+        put(head, 24, 1 << 50, 8);
+        put(head, 325, 99, 1);
+    })
+}
