@@ -103,7 +103,7 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
         ("empty", &["empty", "no .las or .laz file lies in it"]),
         ("*.e57", &["*.e57", "matches no"]),
         ("notes.txt", &["notes.txt", "LASF"]),
-        ("house.obj", &["house.obj", "mesh"]),
+        ("house.obj", &["house.obj", "triangles"]),
         ("nothing.las", &["nothing.las"]),
         ("head.las", &["head.las"]),
         ("cut.las", &["cut.las", "3000 points, but none can be read", "fetch or write"]),

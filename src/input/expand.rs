@@ -129,7 +129,7 @@ mod tests {
         assert_eq!(names(&["", "b.las", "sub/../b.las"]).unwrap(), ["a.LAZ", "b.las"]);
         assert_eq!(names(&["**/*.laz"]).unwrap(), ["d.laz"]);
         assert_eq!(names(&["?.*"]).unwrap(), ["a.LAZ", "b.las"]);
-        assert_eq!(names(&["**/*.ply", "*.obj"]).unwrap(), ["e.obj", "f.PLY"]);
+        assert_eq!(names(&["**/*.PLY", "*.obj"]).unwrap(), ["e.obj", "f.PLY"]);
         assert_eq!(names(&["c.txt"]).unwrap(), ["c.txt"]);
         assert!(names(&["*.e57"]).unwrap_err().to_string().contains("matches no .las or .laz"));
         assert!(names(&["none.las"]).unwrap_err().to_string().contains("cannot open"));
