@@ -99,7 +99,7 @@ fn walk(store: &Store, count: usize, to_one: bool) -> Result<Seen> {
         let report = crowd.step(store, TICK_S, |n, _| Wish::Toward(goal(n)));
         seen.times.push(start.elapsed().as_secs_f64() * 1e3);
         seen.settled = report.arrived;
-        if seen.times.len() % 60 == 0 {
+        if seen.times.len().is_multiple_of(60) {
             seen.overlap = seen.overlap.max(deepest(crowd.walkers()));
         }
     }
