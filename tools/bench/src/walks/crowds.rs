@@ -65,7 +65,8 @@ pub fn section(quick: bool) -> Result<String> {
     Ok(format!(
         "\n## Crowds\n\nHalf boxes, half cylinders, in a walled hall of {} m with four columns at pixels of 5 cm; ticks of 1/60 s. \
          *Within* is the greatest distance of a pawn that has settled from its place: only one fits on a place that all \
-         want to. One run on one core of a shared machine.\n\n{}\n",
+         want to. A dense counterflow jams: nobody gives way. One run on one core of a \
+         machine that others kept busy: times are upper bounds.\n\n{}\n",
         2.0 * HALF_M,
         table.markdown()
     ))
