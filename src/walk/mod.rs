@@ -221,8 +221,10 @@ struct Motion {
     /// Of ours: the rest of a way around an edge, and the way into the wall that it is for (m).
     detour: Vector2<f64>,
     detour_for: Vector2<f64>,
-    /// On which side it goes around edges (1 left, -1 right, 0 either), and how far it has walked freely since (m).
+    /// On which side it goes around edges (1 left, -1 right, 0 either), how often it changed its mind about that, and how
+    /// far it has walked freely since (m).
     hand: f64,
+    changes: u32,
     free: f64,
 }
 
@@ -238,6 +240,7 @@ impl Motion {
             detour: none,
             detour_for: none,
             hand: 0.0,
+            changes: 0,
             free: 0.0,
         }
     }

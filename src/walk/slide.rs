@@ -17,8 +17,9 @@ const OFF: f64 = 0.3;
 /// Such a way is at most so long (pixels).
 pub(super) const EDGE_PIXELS: f64 = 4.0;
 const GAIN: f64 = 0.35;
-/// A pawn keeps going around edges on one side until it has walked so far without contact (pixels): else it might turn
-/// back and forth between two of them for ever.
+/// A pawn changes the side on which it goes around edges so often at most until it has walked so far without contact
+/// (pixels): else it might turn back and forth between two of them for ever.
+const CHANGES: u32 = 2;
 const FREE: f64 = 4.0;
 /// So much farther than need be, where there is room (pixels).
 const CLEAR: f64 = 0.02;
@@ -153,7 +154,7 @@ impl<S: PageSet> Walk<'_, S> {
     fn note_free(&mut self, way: f64) {
         self.motion.free += way;
         if self.motion.free > FREE * self.set.frame().pixel_m() {
-            self.motion.hand = 0.0;
+            (self.motion.hand, self.motion.changes) = (0.0, 0);
         }
     }
 
@@ -201,7 +202,8 @@ impl<S: PageSet> Walk<'_, S> {
                     continue;
                 }
                 let hand = side.dot(&left);
-                if hand * self.motion.hand < 0.0 {
+                let changes = self.motion.changes + u32::from(hand * self.motion.hand < 0.0);
+                if changes > CHANGES {
                     continue;
                 }
                 let way = |pixels: f64, off: f64| (side * pixels + normal * off) * pixel;
@@ -226,7 +228,7 @@ impl<S: PageSet> Walk<'_, S> {
                     long = clear;
                 }
                 (self.motion.detour, self.motion.detour_for) = (way(long, far), -normal);
-                (self.motion.hand, self.motion.free) = (hand, 0.0);
+                (self.motion.hand, self.motion.changes, self.motion.free) = (hand, changes, 0.0);
                 return ControlFlow::Continue(true);
             }
         }

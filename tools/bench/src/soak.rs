@@ -104,7 +104,7 @@ fn body(stream: &Stream, all: &Store, seed: u64, end: Instant) -> Result<Tally> 
     let mut walker = Walker::new(Config::new(shape), Point3::new(3.0, 3.0, 0.1))?;
     let mut heading = 0.0f64;
     while Instant::now() < end {
-        if tally.frames % 200 == 0 {
+        if tally.frames.is_multiple_of(200) {
             let storey = building::STOREY[0] * f64::from(random.bits() as u32 % 2);
             let mut at = |axis: usize| random.between(0.6, building::SIZE[axis] - 0.6);
             walker.place(Point3::new(at(0), at(1), storey + 0.8));

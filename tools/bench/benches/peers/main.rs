@@ -20,6 +20,8 @@ use std::fmt::Write;
 use std::path::Path;
 
 type Failed = Box<dyn std::error::Error>;
+/// Whether an answer about a ray, and the distance of the point that it goes through, is wrong.
+type Verdict<'a> = dyn Fn(Option<f64>, &(Ray, f64)) -> bool + 'a;
 
 /// How far down floor is looked for (m).
 const DEPTH: f64 = 1.0;
@@ -122,9 +124,8 @@ impl World<'_> {
             hit.is_some_and(|distance| !self.oracle.near(place(distance), 2.0 * self.pixel, 4.0 * self.pixel))
         };
         let mut add = |who: &str, measured: Measured<Option<f64>>| {
-            let count = |wrong: &dyn Fn(Option<f64>, &(Ray, f64)) -> bool| {
-                measured.answers.iter().zip(rays).filter(|(hit, ray)| wrong(**hit, ray)).count()
-            };
+            let count =
+                |wrong: &Verdict| measured.answers.iter().zip(rays).filter(|(hit, ray)| wrong(**hit, ray)).count();
             row(page, who, &measured, [count(&passed), count(&phantom)]);
         };
         add("slicewalk", measure(rays, |(ray, _)| cast(&self.store, ray).known().flatten().map(|hit| hit.distance)));

@@ -21,6 +21,15 @@ pub fn section(quick: bool) -> Result<String> {
     let count = if quick { 100 } else { 1000 };
     let mut build = Builder::new();
     build.level("floor", [-HALF_M, -HALF_M, HALF_M, HALF_M], 0.0, &[]);
+    let edge = 2.0 * HALF_M;
+    for [x, y, dx, dy] in [
+        [-HALF_M, -HALF_M, edge, 0.0],
+        [-HALF_M, HALF_M, edge, 0.0],
+        [-HALF_M, -HALF_M, 0.0, edge],
+        [HALF_M, -HALF_M, 0.0, edge],
+    ] {
+        build.quad("wall", [x, y, 0.0], [dx, dy, 0.0], [0.0, 0.0, 3.0]);
+    }
     for [x, y] in [[-12.0, -12.0], [12.0, -12.0], [12.0, 12.0], [-12.0, 12.0]] {
         build.column("column", [x, y], 0.3, [0.0, 3.0]);
     }
@@ -54,9 +63,10 @@ pub fn section(quick: bool) -> Result<String> {
         ]);
     }
     Ok(format!(
-        "\n## Crowds\n\nHalf boxes, half cylinders, in a hall of {} m with four columns at pixels of 5 cm; ticks of 1/60 s. \
+        "\n## Crowds\n\nHalf boxes, half cylinders, in a walled hall of {} m with four columns at pixels of 5 cm; ticks of 1/60 s. \
          *Within* is the greatest distance of a pawn that has settled from its place: only one fits on a place that all \
-         want to. One run on one core of a shared machine.\n\n{}\n",
+         want to. A dense counterflow jams: nobody gives way. One run on one core of a \
+         machine that others kept busy: times are upper bounds.\n\n{}\n",
         2.0 * HALF_M,
         table.markdown()
     ))
@@ -90,7 +100,7 @@ fn walk(store: &Store, count: usize, to_one: bool) -> Result<Seen> {
         let report = crowd.step(store, TICK_S, |n, _| Wish::Toward(goal(n)));
         seen.times.push(start.elapsed().as_secs_f64() * 1e3);
         seen.settled = report.arrived;
-        if seen.times.len() % 60 == 0 {
+        if seen.times.len().is_multiple_of(60) {
             seen.overlap = seen.overlap.max(deepest(crowd.walkers()));
         }
     }
