@@ -71,7 +71,7 @@ pub fn extent_of(triangle: &Triangle) -> (f64, f64) {
 }
 
 impl Raster {
-    /// A raster on `frame`; triangles steeper than `max_slope_deg` [degrees, 0..=90] are obstacles.
+    /// A raster on `frame`; triangles steeper than `max_slope_deg` (degrees, 0..=90) are obstacles.
     pub fn new(frame: Frame, max_slope_deg: f64) -> Self {
         let tangent = if max_slope_deg >= 90.0 { f64::INFINITY } else { max_slope_deg.to_radians().tan() };
         Self { frame, steep_squared: tangent * tangent * (1.0 + SLOPE_SLACK) }

@@ -10,7 +10,7 @@
 
 use super::Triangle;
 
-/// Calls `give` with the corners and, if an edge is longer than `step_m` [m, > 0], with points in the triangle.
+/// Calls `give` with the corners and, if an edge is longer than `step_m` (m, > 0), with points in the triangle.
 pub fn oversample(triangle: &Triangle, step_m: f64, mut give: impl FnMut([f64; 3])) {
     let &[a, b, c] = triangle;
     triangle.iter().for_each(|&corner| give(corner));

@@ -17,7 +17,8 @@
 //!
 //! A binary tree of boxes over each model's spans, cut at the median; two trees are descended together, larger box
 //! first. A scene is its own summary: the boxes of the object's tree are asked of its pages, blocks and spans by
-//! [`overlaps`], and the few that remain are held against single spans. Nothing is allocated, locked or waited for.
+//! [`overlaps`](crate::query::overlaps), and the few that remain are held against single spans. Nothing is allocated,
+//! locked or waited for.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;

@@ -122,7 +122,7 @@ impl RunBuilder {
         Ok(())
     }
 
-    /// Makes room for `count` [<= [`BATCH`]] points or voxels with all their copies, so that adding needs no checks.
+    /// Makes room for `count` (at most [`BATCH`]) points or voxels with all their copies, so that adding needs no checks.
     fn make_room(&mut self, count: usize, store: &RunStore) -> Result<()> {
         let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
         if self.records.len() + columns + 4 * count > self.capacity {

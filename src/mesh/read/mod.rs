@@ -178,7 +178,7 @@ pub struct MeshFeed<'a> {
 }
 
 impl MeshFeed<'_> {
-    /// Replaces `batch` by the next usable triangles [m, z up], maybe none; false after the last.
+    /// Replaces `batch` by the next usable triangles (m, z up), maybe none; false after the last.
     ///
     /// At the end of each file a warning tells how many triangles were left out; a file without any usable one is an
     /// error: an empty archive in place of a good one helps nobody.

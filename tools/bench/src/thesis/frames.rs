@@ -15,12 +15,12 @@ use std::path::Path;
 use std::time::Instant;
 
 const PIXELS: f64 = 700.0;
-const ROUNDS: usize = 5;
+const ROUNDS: usize = 3;
 const BODY: Body = Body::Cylinder { radius: 0.25, height: 1.8 };
 
 /// The table by name.
 pub fn measure(models: &[Model], folder: &Path, quick: bool) -> Result<Vec<(&'static str, String)>> {
-    let frames = if quick { 2_000 } else { 20_000 };
+    let frames = if quick { 2_000 } else { 12_000 };
     let mut table = Table::new([
         "model",
         "thesis (frames per second, with and without)",
