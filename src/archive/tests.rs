@@ -117,6 +117,27 @@ fn equal_and_uniform_pages_take_no_bytes_and_no_read() {
 }
 
 #[test]
+fn whole_leaves_may_share_one_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    let mut builder = PageBuilder::default();
+    assert!(builder.set_column(5, 6, &[Span::new(7, 8, false).unwrap()]));
+    let (page, mut encoder) = (builder.build(), PageEncoder::new(plan().frame));
+    let count = 3 * 4096;
+    for layer in 0..count {
+        let key = PageKey { tx: 0, ty: 0, layer };
+        writer.put(key, encoder.encode(key, &page)).unwrap();
+    }
+    let header = writer.finish(totals()).unwrap();
+    assert_eq!(header.pages, Pages { stored: 1, shared: count as u64 - 1, uniform: 0 });
+    let archive = Archive::open(&target).unwrap();
+    let last = archive.find(PageKey { tx: 0, ty: 0, layer: count - 1 }).unwrap().unwrap();
+    assert_eq!(archive.page(&last).unwrap(), page);
+    sound(&archive);
+}
+
+#[test]
 fn a_large_archive_has_a_padded_head_many_leaves_and_opens_with_two_reads() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("large.slices");

@@ -274,7 +274,8 @@ impl<C: Coder> Walk<'_, C> {
         };
         let length = self.coder.nibble(&mut models[context], residual.map_or(15, bits));
         if length == 15 {
-            // Cut at a slice boundary, between the steps.
+            // Cut at a slice boundary, between the steps. Other heights all have steps, or the lattice would not be theirs.
+            debug_assert!(given.is_none_or(|height| height.is_multiple_of(SLICE)), "no step for {given:?} {end:?}");
             let height = self.coder.raw(7, given.unwrap_or(0) / SLICE) * SLICE;
             return (height, self.lattice.at_or_above(height));
         }

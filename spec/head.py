@@ -1,0 +1,111 @@
+"""The head: chapter 3 of slice-archive.md."""
+
+import math
+import struct
+import sys
+
+from encoding import crc32c, xxh3_128
+from page import need
+
+MAGIC = b"\x89SLIC\r\n\x1a"
+FOOTER_LEN = 24
+FIXED_LEN = 384
+RECORD_LEN = 28
+INDEX = 1 << 36
+
+FIELDS = (
+    "magic:8s major:H minor:H head_len:I features_required:Q features_optional:Q file_len:Q plan_hash:16s "
+    "pixel_size:d slice_height:d max_slope:d tolerance:d classifier:B up:B drop_isolated:B reserved_plan:B min_points:I "
+    "exclude_classes:32s points_read:Q points_kept:Q points_withheld:Q points_excluded:Q min:24s max:24s "
+    "slice_first:q slice_last:q tiles_occupied:Q tiles_stored:Q tiles_unique:Q voxels_occupied:Q voxels_obstacle:Q "
+    "pages_stored:Q pages_shared:Q pages_uniform:Q pages_len:Q directory_len:Q metadata_len:Q metadata_crc:I "
+    "leaf_entries:I leaf_count:I has_bounds:B reserved:59s"
+)
+NAMES, TYPES = zip(*(field.split(":") for field in FIELDS.split()))
+FIXED = struct.Struct("<" + "".join(TYPES))
+assert FIXED.size == FIXED_LEN
+
+
+def plain(number, low, high):
+    """Whether a number lies within limits and is no NaN and no negative zero."""
+    return low <= number <= high and (number != 0 or math.copysign(1, number) > 0)
+
+
+class Head:
+    def __init__(self, data):
+        need(data[:8] == MAGIC, "H1", "not a slice archive")
+        need(len(data) >= 412, "H2", f"{len(data)} bytes")
+        head_len = int.from_bytes(data[12:16], "little")
+        need(388 <= head_len <= min(16384, len(data)), "H2", f"a head of {head_len} bytes")
+        self.bytes = head = data[:head_len]
+        self.crc = int.from_bytes(head[-4:], "little")
+        need(crc32c(head[:-4]) == self.crc, "H3", "the checksum of the head is wrong")
+        self.__dict__.update(zip(NAMES, FIXED.unpack(head[:FIXED_LEN])))
+        need(self.major == 1, "H4", f"version {self.major} is not supported")
+        need(self.features_required == 0, "H5", f"features {self.features_required:#x} are not supported")
+        need(self.file_len == len(data), "H6", f"{len(data)} bytes, should have {self.file_len}")
+        self.check_plan()
+        self.check_totals()
+        sections = head_len + self.pages_len + self.directory_len + self.metadata_len + FOOTER_LEN
+        need(sections == self.file_len, "H9", f"sections of {sections} bytes in a file of {self.file_len}")
+        need(self.metadata_len <= 1 << 20, "H9", f"metadata of {self.metadata_len} bytes")
+        need(self.minor or not any(self.reserved), "H10", "reserved bytes are not zero")
+        self.check_root()
+
+    def check_plan(self):
+        plan = (
+            plain(self.pixel_size, 1e-6, 1e6)
+            and plain(self.slice_height, 1e-6, 1e6)
+            and plain(self.max_slope, 0, 90)
+            and plain(self.tolerance, 0, 1e6)
+            and self.classifier <= 2
+            and self.up <= 1
+            and self.drop_isolated <= 1
+            and self.reserved_plan == 0
+            and self.min_points >= 1
+        )
+        need(plan, "H7", "the plan is not within its limits")
+        hash = xxh3_128(self.bytes[56:128])
+        need(hash == int.from_bytes(self.plan_hash, "little"), "H7", "the hash of the plan is wrong")
+
+    def check_totals(self):
+        points = self.points_kept + self.points_withheld + self.points_excluded
+        need(points <= self.points_read, "H8", f"{points} points of {self.points_read}")
+        self.pages = self.pages_stored + self.pages_shared + self.pages_uniform
+        tiles = self.pages <= self.tiles_occupied <= self.voxels_occupied
+        unique = self.tiles_unique <= self.tiles_stored <= self.tiles_occupied
+        need(tiles and unique, "H8", "the numbers of pages, tiles and voxels contradict each other")
+        need(self.voxels_obstacle <= self.voxels_occupied, "H8", "more voxels of obstacles than voxels")
+        need(self.pages <= 1 << 29, "H8", f"{self.pages} pages")
+        self.bounds = None
+        need(self.has_bounds <= 1, "H8", f"has_bounds is {self.has_bounds}")
+        if self.has_bounds:
+            lows, highs = struct.unpack("<3d", self.min), struct.unpack("<3d", self.max)
+            finite = all(plain(number, -sys.float_info.max, sys.float_info.max) for number in lows + highs)
+            need(finite and all(map(float.__le__, lows, highs)), "H8", f"bounds {lows} to {highs}")
+            self.bounds = {"min": list(lows), "max": list(highs)}
+        else:
+            need(not any(self.min + self.max), "H8", "bounds of no points")
+        if self.pages:
+            slices = -INDEX <= self.slice_first <= self.slice_last < INDEX
+        else:
+            slices = (self.slice_first, self.slice_last) == (0, -1)
+        need(slices, "H8", f"slices {self.slice_first} to {self.slice_last}")
+
+    def check_root(self):
+        allowed = 1 << 12 <= self.leaf_entries <= 1 << 20 and self.leaf_entries.bit_count() == 1
+        need(allowed, "R1", f"{self.leaf_entries} entries a leaf")
+        leaves = -(-self.pages // self.leaf_entries)
+        root_end = FIXED_LEN + RECORD_LEN * self.leaf_count
+        count = self.leaf_count == leaves <= 512 and root_end + 4 <= len(self.bytes)
+        need(count, "R1", f"{self.leaf_count} leaves of {self.pages} pages")
+        need(not any(self.bytes[root_end:-4]), "H10", "padding is not zero")
+        self.root = list(struct.iter_unpack("<QiIIII", self.bytes[FIXED_LEN:root_end]))
+        for before, after in zip(self.root, self.root[1:]):
+            need(before[:2] < after[:2], "R2", f"a leaf from {after[:2]} after one from {before[:2]}")
+        left = self.pages
+        for _, _, entries, *_ in self.root:
+            need(entries == min(left, self.leaf_entries), "R3", f"a leaf of {entries} entries")
+            left -= entries
+        stored = sum(record[3] for record in self.root)
+        need(stored == self.directory_len, "R4", f"leaves of {stored} bytes, not {self.directory_len}")
