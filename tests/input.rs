@@ -687,8 +687,6 @@ fn flipped_bytes_give_points_or_one_line_and_never_a_panic() {
 #[test]
 fn other_files_are_named_for_what_they_are() {
     let folder = Folder::new();
-    let mesh = refusal(&folder.file("model.obj", b"v 0 0 0\n"));
-    assert!(mesh.contains("mesh"), "{mesh}");
     let text = refusal(&folder.file("notes.laz", b"x y z\n1 2 3\n"));
     assert!(text.contains("found text: \"x y z\""), "{text}");
     assert!(refusal(&folder.file("nothing.las", b"")).contains("an empty file"));

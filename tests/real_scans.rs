@@ -12,9 +12,10 @@ use slicewalk::{Monitor, NoMonitor};
 use std::path::{Path, PathBuf};
 
 fn shared_data() -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+    let shared = std::env::var_os("SLICEWALK_SHARED").map(PathBuf::from);
+    let path = shared.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared")).join("data");
     if !path.is_dir() {
-        eprintln!("skipped: {} is missing", path.display());
+        eprintln!("skipped: {} does not exist; SLICEWALK_SHARED names another place", path.display());
         return None;
     }
     Some(path)

@@ -57,12 +57,13 @@ pub struct Encoder {
     frame: Frame,
     adaptive: adaptive::Scratch,
     builder: PageBuilder,
+    body: Vec<u8>,
 }
 
 impl Encoder {
     /// An encoder for pages of an archive with this grid.
     pub fn new(frame: Frame) -> Self {
-        Self { frame, adaptive: Default::default(), builder: PageBuilder::default() }
+        Self { frame, adaptive: Default::default(), builder: PageBuilder::default(), body: Vec::new() }
     }
 
     /// Appends the encoding of `page`, which must hold matter: at most [`MAX_BODY`] bytes. Equal pages have equal
@@ -72,12 +73,32 @@ impl Encoder {
         adaptive::encode(&self.frame, page, &mut self.adaptive, out);
     }
 
-    /// A page that is cheaper to encode than `page` and holds all its matter, in the same voxels: bottoms up to
-    /// `tolerance` (quanta) lower, tops as much higher. Greedy, in one pass.
+    /// The page of fewest bytes among some that hold all matter of `page`: itself, and those of which bottoms are up to
+    /// `tolerance` (quanta), or its half, quarter and so on, lower, and tops as much higher. Of equals the nearest.
+    ///
+    /// A wide tolerance does not always take fewer bytes than a narrow one: heights follow their neighbours as far as
+    /// they may, and may be further from where the surface goes next.
     pub fn simplify(&mut self, page: &Page, tolerance: u32) -> Page {
-        self.builder.clear();
-        adaptive::simplify(&self.frame, page, tolerance, &mut self.adaptive, &mut self.builder);
-        self.builder.build()
+        let mut body = std::mem::take(&mut self.body);
+        let mut length = |encoder: &mut Self, page: &Page| {
+            body.clear();
+            encoder.encode(page, &mut body);
+            body.len()
+        };
+        let mut best = (length(self, page), None);
+        let halves = std::iter::successors(Some(tolerance), |tolerance| Some(tolerance / 2));
+        let widths: Vec<u32> = halves.take_while(|&width| width > 0).collect();
+        for &width in widths.iter().rev() {
+            self.builder.clear();
+            adaptive::simplify(&self.frame, page, width, &mut self.adaptive, &mut self.builder);
+            let simple = self.builder.build();
+            let len = length(self, &simple);
+            if len < best.0 {
+                best = (len, Some(simple));
+            }
+        }
+        self.body = body;
+        best.1.unwrap_or_else(|| page.clone())
     }
 }
 
