@@ -72,6 +72,20 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// The plan of an archive on this grid with the options that `sliceconv` has by default.
+    pub fn new(frame: Frame) -> Self {
+        Self {
+            frame,
+            max_slope_deg: 45.0,
+            tolerance_m: 0.0,
+            classifier: Classifier::Plane,
+            min_points: 1,
+            drop_isolated: false,
+            up: Up::Z,
+            exclude_classes: [0; 4],
+        }
+    }
+
     /// How far heights may be moved outwards (quanta): what the tolerance holds of whole quanta, at most a slice.
     pub fn tolerance_quanta(&self) -> u32 {
         (self.tolerance_m / self.frame.quantum_m()).floor().clamp(0.0, SLICE_QUANTA as f64) as u32

@@ -256,16 +256,7 @@ mod tests {
                 error.lines().count() == 1 && error.contains("plan.json")
             };
             prop_assert!(refused(&text));
-            let plan = Plan {
-                frame: Frame::new(0.1, 0.3).unwrap(),
-                max_slope_deg: 45.0,
-                tolerance_m: 0.0,
-                classifier: Classifier::Plane,
-                min_points: 1,
-                drop_isolated: false,
-                up: Up::Z,
-                exclude_classes: [0; 4],
-            };
+            let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
             let good = to_json(&Job { plan, units: Units::Auto, mesh: MeshMode::Exact, spacing_m: None, inputs: Vec::new() }).to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }

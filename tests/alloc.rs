@@ -1,12 +1,15 @@
 //! A frame allocates nothing and frees nothing: queries, sweeps, walkers, crowds, views and hints, whatever they answer
 //! (guarantee G8).
 
+#[path = "common/counting.rs"]
+mod counting;
 #[path = "oracle/scene.rs"]
 #[allow(dead_code)]
 mod scene;
 #[path = "stream/tower.rs"]
 mod tower;
 
+use counting::allocations;
 use nalgebra::{Point3, Vector2, Vector3};
 use scene::Scene;
 use slicewalk::frame::PageKey;
@@ -14,42 +17,9 @@ use slicewalk::object::{Model, Object, touches, touches_box, touches_scene, touc
 use slicewalk::query::*;
 use slicewalk::store::{MemorySource, PageSet, Prefetch, Store, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Crowd, Response, Route, Walker, Wish};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::hint::black_box;
 use std::sync::LazyLock;
 use std::time::Duration;
-
-struct Counting;
-
-thread_local! {
-    static COUNT: Cell<u64> = const { Cell::new(0) };
-}
-
-// SAFETY: hands every call on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        COUNT.set(COUNT.get() + 1);
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        COUNT.set(COUNT.get() + 1);
-        // SAFETY: as above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// Times that this thread allocates or frees while `work` runs.
-fn allocations(work: impl FnOnce()) -> u64 {
-    let before = COUNT.get();
-    work();
-    COUNT.get() - before
-}
 
 #[test]
 fn no_query_allocates() {

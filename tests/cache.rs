@@ -1,44 +1,20 @@
 //! The cache of a stream: its budget, what views hold, shared pages, no allocation, many threads at once.
 
 mod common;
+#[path = "common/counting.rs"]
+mod counting;
 #[path = "stream/tower.rs"]
 mod tower;
 
+use counting::allocations;
 use slicewalk::archive::Archive;
 use slicewalk::query::{Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
 use slicewalk::store::{FileSource, MemorySource, PageSet, PageSlot, Prefetch, Step, Store, Stream, StreamOptions};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::hint::black_box;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tower::{Body, Random, open, resident};
-
-/// Counts the allocations and releases of each thread.
-struct Counting;
-
-thread_local! {
-    static COUNT: Cell<u64> = const { Cell::new(0) };
-}
-
-// SAFETY: hands every call on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        COUNT.set(COUNT.get() + 1);
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, ptr: *mut u8, layout: Layout) {
-        COUNT.set(COUNT.get() + 1);
-        // SAFETY: as above.
-        unsafe { System.dealloc(ptr, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 static TOWER: LazyLock<Vec<u8>> = LazyLock::new(|| tower::tower(4.0, 90.0, 7));
 
@@ -63,20 +39,20 @@ fn a_frame_of_queries_allocates_and_frees_nothing_while_pages_come_and_go() {
         let body = Body::at(random.in_range(-3.0, 3.0), random.in_range(-3.0, 3.0), random.in_range(0.0, 90.0));
         let (shape, motion) = (body.shape(), body.motion());
         let ray = Ray::new(body.feet, [1.0, 0.2, -0.3].into(), 4.0).unwrap();
-        let before = COUNT.get();
-        pawn.hint(&motion);
-        let view = stream.view();
-        for _ in 0..5 {
-            if let Overlap::NotLoaded(pages) = black_box(overlaps(&view, &shape)) {
-                missing += 1;
-                pawn.need(&pages);
+        let allocated = allocations(|| {
+            pawn.hint(&motion);
+            let view = stream.view();
+            for _ in 0..5 {
+                if let Overlap::NotLoaded(pages) = black_box(overlaps(&view, &shape)) {
+                    missing += 1;
+                    pawn.need(&pages);
+                }
+                black_box(floor_under(&view, &shape, body.feet.z, 3.0));
+                black_box(ceiling_above(&view, &shape, body.feet.z, 3.0));
+                black_box(cast(&view, &ray));
             }
-            black_box(floor_under(&view, &shape, body.feet.z, 3.0));
-            black_box(ceiling_above(&view, &shape, body.feet.z, 3.0));
-            black_box(cast(&view, &ray));
-        }
-        drop(view);
-        assert_eq!(COUNT.get(), before, "frame {frame}");
+        });
+        assert_eq!(allocated, 0, "frame {frame}");
     }
     let counters = stream.counters();
     assert!(missing > 0 && counters.evicted > 0, "{counters:?}");
@@ -297,43 +273,4 @@ fn soak_no_thread_ever_gets_a_wrong_answer() {
     println!("{known:?} answers, {unknown:?} not loaded, {counters:?}");
     assert!(counters.peak_bytes <= budget && counters.evicted > 0 && counters.failed == 0);
     assert!(known.into_inner() > 100);
-}
-
-/// Nanoseconds of box queries in a view and in a resident store, and of taking a view.
-#[test]
-#[ignore = "a measurement: run with --release --ignored --nocapture"]
-fn measure_queries_in_a_view_and_in_a_store() {
-    let all = resident(&TOWER);
-    let stream = stream(1 << 30, Prefetch::Off);
-    let keys: Vec<_> = stream.archive().entries().map(|entry| entry.unwrap().key).collect();
-    assert_eq!(stream.load(&keys, keys[0]).unwrap().left_out, 0);
-    let view = stream.view();
-    let mut random = Random(3);
-    let mut at = |low, high| random.in_range(low, high);
-    let anywhere: Vec<_> = (0..20_000).map(|_| Body::at(at(-4.0, 4.0), at(-4.0, 4.0), at(0.0, 88.0)).shape()).collect();
-    let walk: Vec<_> = (0..20_000).map(|step| Body::at(-3.0 + 3e-4 * f64::from(step), 1.1, 30.0).shape()).collect();
-    let shaft: Vec<_> = (0..20_000).map(|step| Body::at(0.0, 0.0, 88.0 - 4e-3 * f64::from(step)).shape()).collect();
-    for (name, shapes) in [("random", &anywhere), ("walk", &walk), ("fall", &shaft)] {
-        let measure = |f: &dyn Fn()| {
-            let one = || {
-                let start = Instant::now();
-                f();
-                start.elapsed().as_nanos() as f64 / shapes.len() as f64
-            };
-            (0..15).map(|_| one()).fold(f64::INFINITY, f64::min)
-        };
-        let store = measure(&|| {
-            shapes.iter().for_each(|shape| {
-                black_box(overlaps(&all, shape));
-            })
-        });
-        let viewed = measure(&|| {
-            shapes.iter().for_each(|shape| {
-                black_box(overlaps(&view, shape));
-            })
-        });
-        let taking = measure(&|| shapes.iter().for_each(|_| drop(black_box(stream.view()))));
-        println!("{name}: {store:.1} ns in a store, {viewed:.1} ns in a view; {taking:.1} ns to take and drop a view");
-    }
-    assert_eq!(stream.archive().source().len(), TOWER.len() as u64);
 }

@@ -4,7 +4,7 @@ use super::*;
 use crate::codec::pages;
 use crate::frame::{Frame, PageKey};
 use crate::monitor::NoMonitor;
-use crate::plan::{Classifier, Plan, Up};
+use crate::plan::{Classifier, Plan};
 use crate::slice::{Page, PageBuilder, Span};
 use crate::store::{ByteSource, MemorySource};
 use crate::{Error, Result};
@@ -14,16 +14,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 fn plan() -> Plan {
-    Plan {
-        frame: Frame::new(0.05, 0.15).unwrap(),
-        max_slope_deg: 45.0,
-        tolerance_m: 0.0,
-        classifier: Classifier::Span,
-        min_points: 1,
-        drop_isolated: false,
-        up: Up::Z,
-        exclude_classes: [1 << 7, 0, 0, 0],
-    }
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    Plan { classifier: Classifier::Span, exclude_classes: [1 << 7, 0, 0, 0], ..Plan::new(frame) }
 }
 
 fn totals() -> Totals {

@@ -212,21 +212,11 @@ mod tests {
     use super::split::{Cell, tiles};
     use super::*;
     use crate::frame::{Frame, morton};
-    use crate::plan::{Classifier, Up};
     use crate::voxel::record::HALO_PIXELS;
     use proptest::prelude::*;
 
     fn job(areas: &[([f64; 2], [f64; 2], u64)]) -> Job {
-        let plan = Plan {
-            frame: Frame::new(0.1, 0.3).unwrap(),
-            max_slope_deg: 45.0,
-            tolerance_m: 0.0,
-            classifier: Classifier::Plane,
-            min_points: 1,
-            drop_isolated: false,
-            up: Up::Z,
-            exclude_classes: [0; 4],
-        };
+        let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
         let facts = |(number, &(min, size, points)): (usize, &([f64; 2], [f64; 2], u64))| InputFacts {
             name: format!("{number}.las"),
             bytes: 1,

@@ -344,22 +344,12 @@ fn mark_steep(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::Up;
     use crate::voxel::record::{Record, Recorder};
 
     const T: f64 = 0.05;
 
     fn plan(classifier: Classifier, max_slope_deg: f64) -> Plan {
-        Plan {
-            frame: Frame::new(T, 3.0 * T).unwrap(),
-            max_slope_deg,
-            tolerance_m: 0.0,
-            classifier,
-            min_points: 1,
-            drop_isolated: false,
-            up: Up::Z,
-            exclude_classes: [0; 4],
-        }
+        Plan { max_slope_deg, classifier, ..Plan::new(Frame::new(T, 3.0 * T).unwrap()) }
     }
 
     /// A small generator of uniform numbers in 0..1 and of nearly normal ones.

@@ -462,23 +462,14 @@ mod tests {
     use super::*;
     use crate::archive::{ArchiveWriter, PageEncoder, Totals};
     use crate::frame::Frame;
-    use crate::plan::{Classifier, Plan, Up};
+    use crate::plan::{Classifier, Plan};
     use crate::query::{Aabb, Overlap, overlaps};
     use crate::slice::{PageBuilder, Span};
     use crate::walk::{Config, Walker, Wish};
     use nalgebra::Vector2;
 
     fn archive() -> Archive {
-        let plan = Plan {
-            frame: Frame::new(0.05, 0.15).unwrap(),
-            max_slope_deg: 45.0,
-            tolerance_m: 0.0,
-            classifier: Classifier::Span,
-            min_points: 1,
-            drop_isolated: false,
-            up: Up::Z,
-            exclude_classes: [0; 4],
-        };
+        let plan = Plan { classifier: Classifier::Span, ..Plan::new(Frame::new(0.05, 0.15).unwrap()) };
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("a.slices");
         let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();

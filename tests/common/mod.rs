@@ -7,7 +7,7 @@ pub mod forge;
 
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Shard, Totals};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::plan::{Classifier, Plan, Up};
+use slicewalk::plan::{Classifier, Plan};
 use slicewalk::slice::{Page, PageBuilder, Span};
 use slicewalk::store::{ByteSource, MemorySource};
 use slicewalk::{Error, Result};
@@ -21,16 +21,7 @@ pub type Pages = BTreeMap<PageKey, Page>;
 
 /// Pixels of 0.1 m, slices of 0.3 m.
 pub fn plan() -> Plan {
-    Plan {
-        frame: Frame::new(0.1, 0.3).unwrap(),
-        max_slope_deg: 45.0,
-        tolerance_m: 0.0,
-        classifier: Classifier::Span,
-        min_points: 1,
-        drop_isolated: false,
-        up: Up::Z,
-        exclude_classes: [0; 4],
-    }
+    Plan { classifier: Classifier::Span, ..Plan::new(Frame::new(0.1, 0.3).unwrap()) }
 }
 
 /// A page from spans by pixel.

@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
-use slicewalk::plan::{Classifier, Plan, Up};
+use slicewalk::plan::{Classifier, Plan};
 use slicewalk::query::Aabb;
 use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{ByteSource, Motion, Store};
@@ -89,16 +89,7 @@ pub fn tower(half: f64, height: f64, seed: u64) -> Vec<u8> {
             pages.insert(PageKey { tx: tx as i32, ty: ty as i32, layer: layer as i32 }, builder.build());
         }
     }
-    let plan = Plan {
-        frame,
-        max_slope_deg: 45.0,
-        tolerance_m: 0.0,
-        classifier: Classifier::Span,
-        min_points: 1,
-        drop_isolated: false,
-        up: Up::Z,
-        exclude_classes: [0; 4],
-    };
+    let plan = Plan { classifier: Classifier::Span, ..Plan::new(frame) };
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("tower.slices");
     let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
