@@ -21,8 +21,8 @@
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::plan::{Classifier, Plan};
-use crate::voxel::fold::{Area, BINS, Moments, Patch, Voxel, neighbourhood};
-use crate::voxel::record::{SLICE_STEPS, SUBPIXELS};
+use crate::voxel::fold::{Area, BINS, Moments, Patch, Sums, Voxel, neighbourhood};
+use crate::voxel::record::{PATCH_PIXELS, SLICE_STEPS, SUBPIXELS};
 use nalgebra::{Matrix2, Vector2};
 
 /// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
@@ -88,11 +88,11 @@ impl Judge {
 
     /// Sets `verdicts` to one verdict per voxel of `patch`: true for an obstacle. Only those of pixels in `area` are
     /// meant to be used; the halo's are computed from less.
-    pub fn judge(&self, patch: &Patch, area: Area, verdicts: &mut Vec<bool>) {
+    pub fn judge(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Vec<bool>) {
         verdicts.clear();
         verdicts.resize(patch.voxels().len(), false);
         if patch.voxels().iter().any(Voxel::has_points) {
-            self.judge_points(patch, area, verdicts);
+            self.judge_points(patch, sums, area, verdicts);
         }
         for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
             *verdict = voxel.is_steep() || voxel.has_points() && *verdict;
@@ -100,7 +100,7 @@ impl Judge {
     }
 
     /// Verdicts on voxels with points; those on others mean nothing.
-    fn judge_points(&self, patch: &Patch, area: Area, verdicts: &mut [bool]) {
+    fn judge_points(&self, patch: &Patch, of_voxels: &mut Sums, area: Area, verdicts: &mut [bool]) {
         match self.classifier {
             Classifier::Thesis => {
                 for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
@@ -125,7 +125,7 @@ impl Judge {
                             continue;
                         }
                         around.climb(patch, centre.slice);
-                        verdicts[number] = self.is_steep(patch, &steep_alone, &around, number);
+                        verdicts[number] = self.is_steep(patch, of_voxels, &steep_alone, &around, number);
                     }
                 }
             }
@@ -167,7 +167,14 @@ impl Judge {
     }
 
     /// Verdict on one voxel by the surface around it.
-    fn is_steep(&self, patch: &Patch, steep_alone: &[bool], around: &Around, number: usize) -> bool {
+    fn is_steep(
+        &self,
+        patch: &Patch,
+        of_voxels: &mut Sums,
+        steep_alone: &[bool],
+        around: &Around,
+        number: usize,
+    ) -> bool {
         let centre = &patch.voxels()[number];
         let first_slice = i64::from(centre.slice) - 1;
         let (low, high) =
@@ -195,8 +202,9 @@ impl Judge {
         }
         let mut sums = Moments::default();
         for &(other, dx, dy) in &connected[..count] {
-            let voxel = &patch.voxels()[other];
-            sums.add_shifted(&voxel.moments, dx, dy, i64::from(voxel.slice) - first_slice);
+            let pixel = around.pixel + dy as usize * PATCH_PIXELS + dx as usize - PATCH_PIXELS - 1;
+            let slices = i64::from(patch.voxels()[other].slice) - first_slice;
+            sums.add_shifted(of_voxels.of(patch, pixel, other), dx, dy, slices);
         }
         match self.fit(&sums) {
             Fit::Plane { slope_squared } => slope_squared > self.steep_squared,
@@ -452,10 +460,11 @@ mod tests {
             });
         }
         let mut patch = Patch::default();
-        patch.fold(&records, 1, Area::TILE);
+        let mut sums = Sums::default();
+        patch.fold(&records, 1, Area::TILE, &mut sums);
         let inner = Area { x, y: (4, 60) };
         let mut verdicts = Vec::new();
-        Judge::new(plan).judge(&patch, inner, &mut verdicts);
+        Judge::new(plan).judge(&patch, &mut sums, inner, &mut verdicts);
         let (mut all, mut obstacles) = (0, 0);
         for pixel in patch.occupied().filter(|&pixel| inner.holds(pixel)) {
             for number in patch.range(pixel) {
