@@ -151,6 +151,10 @@ impl Judge {
             return false;
         }
         let (low, high) = (below.high as f64 + margin, above.low as f64 - margin);
+        let reaches_in = |neighbour: usize| {
+            let voxels = &patch.voxels()[patch.around(neighbour, (below.high / SLICE_QUANTA) as u32)];
+            voxels.iter().any(|v| quanta_above(v, 0, v.top) as f64 >= low && quanta_above(v, 0, v.bottom) as f64 <= high)
+        };
         let around = |neighbour: usize, height: i64| {
             pieces(&patch.voxels()[patch.around(neighbour, (height / SLICE_QUANTA) as u32)])
         };
@@ -163,7 +167,9 @@ impl Judge {
                 && around(neighbour, above.low).any(|piece| near(piece.low, above.low))
                 && !matter(neighbour).any(|piece| piece.high as f64 > low && (piece.low as f64) < high)
         };
-        neighbourhood(pixel).any(|(neighbour, ..)| matter(neighbour).any(inside) && !same_void(2 * pixel - neighbour))
+        neighbourhood(pixel).any(|(neighbour, ..)| {
+            reaches_in(neighbour) && matter(neighbour).any(inside) && !same_void(2 * pixel - neighbour)
+        })
     }
 
     /// Verdict on one voxel by the surface around it.
@@ -412,11 +418,20 @@ fn mark_steep(
     verdicts: &mut [bool],
 ) {
     let range = patch.range(pixel);
-    for_each_run(&patch.voxels()[range.clone()], connected, |voxels, extent| {
-        if extent as f64 > greatest_extent {
-            verdicts[range.start + voxels.start()..=range.start + voxels.end()].fill(true);
+    let mut start = range.start;
+    // No run goes past an empty slice, so most pixels need no look at their pieces.
+    for stack in patch.voxels()[range].chunk_by(|below, above| above.slice - below.slice <= 1) {
+        if let [first, .., last] | [first @ last] = stack
+            && (quanta_above(last, first.slice.into(), last.top) - i64::from(first.bottom)) as f64 > greatest_extent
+        {
+            for_each_run(stack, &connected, |voxels, extent| {
+                if extent as f64 > greatest_extent {
+                    verdicts[start + voxels.start()..=start + voxels.end()].fill(true);
+                }
+            });
         }
-    });
+        start += stack.len();
+    }
 }
 
 #[cfg(test)]

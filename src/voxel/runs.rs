@@ -9,7 +9,7 @@
 //! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile
 //! column and run.
 
-use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_PIXELS, Record, Recorder, SurfaceVoxel};
+use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, PATCH_PIXELS, Record, Recorder, SurfaceVoxel};
 use crate::{Error, Result};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -178,6 +178,7 @@ impl RunBuilder {
             sorted[*place as usize] = record;
             *place += 1;
         }
+        // The records are in `sorted` now; their memory is scratch from here on.
         let mut rest = &mut sorted[..];
         let mut start = 0;
         for &(_, number) in &order {
@@ -185,7 +186,7 @@ impl RunBuilder {
             let end = self.columns[number as usize].1;
             let (segment, others) = rest.split_at_mut((end - start) as usize);
             if segment.len() as u64 >= SORTED_RECORDS {
-                segment.sort_unstable();
+                sort_by_pixel(segment, &mut self.records);
             }
             (rest, start) = (others, end);
         }
@@ -195,6 +196,23 @@ impl RunBuilder {
         self.lookup.clear();
         index.shrink_to_fit();
         store.add(sorted, index)
+    }
+}
+
+/// Sorts many records by pixel, and by nothing else, by counting.
+fn sort_by_pixel(records: &mut [Record], scratch: &mut Vec<Record>) {
+    let mut next = [0u32; PATCH_AREA];
+    records.iter().for_each(|record| next[record.pixel()] += 1);
+    let mut start = 0;
+    for count in &mut next {
+        start += std::mem::replace(count, start);
+    }
+    scratch.clear();
+    scratch.extend_from_slice(records);
+    for &record in &*scratch {
+        let place = &mut next[record.pixel()];
+        records[*place as usize] = record;
+        *place += 1;
     }
 }
 
