@@ -2,6 +2,7 @@
 
 pub mod building;
 pub mod pawns;
+pub mod peers;
 pub mod random;
 pub mod size;
 pub mod soak;
