@@ -5,9 +5,11 @@
 
 mod cell;
 mod clouds;
+mod doors;
 mod images;
 mod method;
 mod ours;
+mod paths;
 mod record;
 mod solid;
 mod subject;
@@ -15,7 +17,11 @@ mod workload;
 
 use crate::stability::Result;
 use cell::Effort;
+use doors::Doors;
 use method::Method;
+use nalgebra::Point3;
+use ours::Ours;
+use rapier3d::prelude::SharedShape;
 use record::{Cell, Figure, Record};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -26,6 +32,12 @@ use workload::{Grazing, Workload};
 const PIXELS_CM: [u32; 6] = [32, 16, 8, 4, 2, 1];
 /// What a method may take (bytes).
 const MEMORY_BYTES: f64 = 4e9;
+
+/// The scene in whose name doors and paths are measured: they have scenes of their own, one is enough.
+const WALKED: &str = "house";
+/// The controller that walks in cubes, and the pixel sizes at which it does (cm).
+const CONTROLLER: &str = "rapier3d";
+const CONTROLLED_CM: [u32; 3] = [4, 8, 16];
 
 /// What to measure.
 #[derive(Debug, Clone, clap::Args)]
@@ -81,12 +93,12 @@ impl Plan {
 fn methods(subject: &Subject) -> Vec<Box<dyn Method>> {
     if subject.is_mesh() {
         // A triangle has its own slope: classifiers play no part.
-        let ours = ours::Ours::ALL.into_iter().filter(|ours| ours.classifier == ours::Ours::PLANE.classifier);
+        let ours = Ours::ALL.into_iter().filter(|ours| ours.classifier == Ours::PLANE.classifier);
         let ours = ours.map(|ours| Box::new(ours) as Box<dyn Method>);
         return ours.chain([Box::new(solid::Triangles) as Box<dyn Method>]).collect();
     }
     let mut all: Vec<Box<dyn Method>> = Vec::new();
-    for ours in ours::Ours::ALL {
+    for ours in Ours::ALL {
         all.push(Box::new(ours));
     }
     all.push(Box::new(images::Thesis));
@@ -107,11 +119,14 @@ pub fn run(options: &Options) -> Result<()> {
         let only = options.only.as_deref().unwrap_or_default();
         return Err(format!("--only {only}: no such scene; there are {}", subject::NAMES.join(", ")).into());
     }
-    let mut record = Record::open(&out, options.fresh)?;
+    measure_all(&plan, &mut Record::open(&out, options.fresh)?)
+}
+
+fn measure_all(plan: &Plan, record: &mut Record) -> Result<()> {
     for name in &plan.scenes {
         let start = Instant::now();
         match Subject::named(name, plan.points)? {
-            Some(subject) => measure_scene(&subject, &plan, &mut record)?,
+            Some(subject) => measure_scene(&subject, plan, record)?,
             None => eprintln!("{name}: skipped, its file is missing"),
         }
         eprintln!("{name}: {:.0} s", start.elapsed().as_secs_f64());
@@ -142,6 +157,7 @@ fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<
         let pixel_m = f64::from(pixel_cm) / 100.0;
         let cubes = subject.cubes(pixel_m);
         let grazing = Grazing::new(subject, pixel_m, plan.effort.grazing)?;
+        let doors = if subject.name == WALKED { Some(Doors::new(pixel_m)?) } else { None };
         for ((method, before), same) in methods.iter().zip(&mut before).zip(&mut same) {
             if record.has(&subject.name, method.name(), pixel_cm) {
                 continue;
@@ -171,6 +187,12 @@ fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<
             *before = Some(Before { cubes, build_s: seen.build_s, resident_bytes: seen.resident_bytes });
             cell.figures = seen.figures;
             cell.figures.push(area.clone());
+            if let Some(doors) = &doors {
+                cell.figures.extend(doors.of_boxes(&**method)?);
+                if method.name() == Ours::PLANE.name {
+                    cell.figures.extend(paths::ours(pixel_m)?);
+                }
+            }
             cell.phantoms = seen.phantoms;
             eprintln!("{} {pixel_cm} cm {}: {}", subject.name, method.name(), line(&cell, start.elapsed()));
             record.add(&cell)?;
@@ -178,8 +200,34 @@ fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<
                 *same = Some(cell);
             }
         }
+        if let Some(doors) = doors.filter(|_| !record.has(WALKED, CONTROLLER, pixel_cm)) {
+            let start = Instant::now();
+            record.add(&controlled(&doors, pixel_cm)?)?;
+            eprintln!("{WALKED} {pixel_cm} cm {CONTROLLER}: {:.1} s in all", start.elapsed().as_secs_f64());
+        }
     }
     Ok(())
+}
+
+/// The controller's cell: its door and its paths.
+fn controlled(doors: &Doors, pixel_cm: u32) -> Result<Cell> {
+    let mut cell = Cell {
+        scene: WALKED.into(),
+        method: CONTROLLER.into(),
+        settings: "KinematicCharacterController on Voxels of t; up z, offset and slopes by default; autostep 0.35 m on the better of treads of 0.05 and 0.2 m; snap to ground 0.35 m".into(),
+        pixel_cm,
+        figures: Vec::new(),
+        phantoms: Vec::new(),
+    };
+    if CONTROLLED_CM.contains(&pixel_cm) {
+        let pixel_m = f64::from(pixel_cm) / 100.0;
+        let points: Vec<Point3<f64>> = doors.subject.local().collect();
+        cell.figures.extend(doors.of_capsules(SharedShape::new(solid::cubes(&points, pixel_m))));
+        cell.figures.extend(paths::rapier(pixel_m)?);
+    } else {
+        cell.settings = format!("walks only at {CONTROLLED_CM:?} cm: a frame takes it milliseconds");
+    }
+    Ok(cell)
 }
 
 /// Why a cell would take too much time or memory, if it would.
@@ -221,4 +269,63 @@ fn line(cell: &Cell, took: Duration) -> String {
         of("in_p99_cm"),
         took.as_secs_f64(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tiny_run_writes_every_figure_and_misses_nothing() -> Result<()> {
+        let folder = tempfile::tempdir()?;
+        let options = Options { quick: true, out: None, only: Some("house".into()), budget: 60.0, fresh: true };
+        let plan = Plan { pixels_cm: vec![32], points: Some(5000), ..Plan::new(&options) };
+        measure_all(&plan, &mut Record::open(folder.path(), true)?)?;
+        let text = std::fs::read_to_string(folder.path().join("measured.csv"))?;
+        let of = |method: &str, metric: &str| {
+            let line =
+                |line: &&str| line.starts_with(&format!("house,{method},")) && line.contains(&format!(",32,{metric},"));
+            let found = text.lines().find(line).ok_or_else(|| format!("no {metric} of {method} in\n{text}"))?;
+            let rest = found.split_once(&format!(",{metric},")).ok_or("no value")?.1;
+            Ok::<f64, crate::stability::Error>(rest.split(',').next().ok_or("no value")?.parse()?)
+        };
+        let common = [
+            "random_mean_ns",
+            "random_p50_ns",
+            "random_p99_ns",
+            "walk_mean_ns",
+            "walk_p50_ns",
+            "walk_p99_ns",
+            "build_s",
+            "resident_bytes",
+            "area_m2",
+            "missed",
+            "phantom",
+            "out_max_cm",
+            "out_p99_cm",
+            "out_mean_cm",
+            "in_max_cm",
+            "in_p99_cm",
+            "in_mean_cm",
+            "floor_rmse_cm",
+            "door_cm",
+            "toi_cm",
+            "toi_late_cm",
+        ];
+        for method in ["slicewalk plane", "parry3d Voxels"] {
+            for metric in common {
+                assert!(of(method, metric)? >= 0.0, "{method}: {metric}");
+            }
+        }
+        for metric in ["file_bytes", "slope_wrong", "path_cm"] {
+            assert!(of("slicewalk plane", metric)? >= 0.0, "{metric}");
+        }
+        for ours in Ours::ALL {
+            assert_eq!((of(ours.name, "missed")?, of(ours.name, "in_max_cm")?), (0.0, 0.0), "{}", ours.name);
+        }
+        assert!(of("kiddo spheres", "missed")? > 0.0, "inscribed spheres leave corners out");
+        let phantoms = std::fs::read_to_string(folder.path().join("phantoms.csv"))?;
+        assert!(phantoms.lines().any(|line| line.starts_with("house,slicewalk plane,32,") && line.contains(",1,")));
+        Ok(())
+    }
 }

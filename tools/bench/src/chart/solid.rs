@@ -4,7 +4,7 @@ use super::method::{Built, Method, Vec3, cube, moved};
 use super::subject::Subject;
 use crate::peers::parry;
 use crate::stability::Result;
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use parry3d::math::Vector;
 use parry3d::shape::{Shape, TriMesh};
 use slicewalk::query::Aabb;
@@ -42,7 +42,7 @@ impl Method for Voxels {
 
     fn build(&self, subject: &Subject, pixel_m: f64) -> Result<Box<dyn Built>> {
         let points: Vec<_> = subject.local().collect();
-        let voxels = parry::voxels(&points, [pixel_m; 3]);
+        let voxels = cubes(&points, pixel_m);
         Ok(Box::new(Solid { shape: voxels, origin: subject.origin, claims: Claims::Cubes(pixel_m) }))
     }
 }
@@ -62,7 +62,7 @@ impl Method for Faces {
 
     fn build(&self, subject: &Subject, pixel_m: f64) -> Result<Box<dyn Built>> {
         let points: Vec<_> = subject.local().collect();
-        let mesh = parry::mesh(&parry::voxels(&points, [pixel_m; 3]))?;
+        let mesh = parry::mesh(&cubes(&points, pixel_m))?;
         Ok(Box::new(Solid { shape: mesh, origin: subject.origin, claims: Claims::Faces }))
     }
 }
@@ -90,6 +90,11 @@ impl Method for Triangles {
         let indices = (0..subject.triangles.len() as u32).map(|n| [3 * n, 3 * n + 1, 3 * n + 2]).collect();
         Ok(Box::new(Solid { shape: TriMesh::new(vertices, indices)?, origin: subject.origin, claims: Claims::Faces }))
     }
+}
+
+/// Cubes of this edge (m) around points.
+pub fn cubes(points: &[Point3<f64>], edge_m: f64) -> parry3d::shape::Voxels {
+    parry::voxels(points, [edge_m; 3])
 }
 
 enum Claims {
