@@ -209,7 +209,7 @@ fn inwards(built: &dyn Built, subject: &Subject, count: usize) -> Errors {
 fn floors(built: &dyn Built, work: &Workload, effort: &Effort) -> Option<Figure> {
     let begin = Instant::now();
     let mut errors = Errors::default();
-    for (shape, truth) in work.walk.shapes.iter().zip(&work.floors) {
+    for (shape, truth) in work.raised.iter().zip(&work.floors) {
         let found = built.floor(shape, DEPTH_M)?;
         errors.0.extend(found.zip(*truth).map(|(found, truth)| (found - truth) * 100.0));
         if begin.elapsed() > 10 * effort.round {

@@ -22,6 +22,8 @@ const WIDTH_M: f64 = 0.5;
 const HEIGHT_M: f64 = 1.8;
 /// Fits under the flights of the stairs of the scanned building (m).
 const INDOOR_HEIGHT_M: f64 = 1.6;
+/// Of the largest scan the middle is enough: so far to each side (m). All of it would take hours at the finest pixels.
+const AUTZEN_HALF_M: f64 = 200.0;
 /// Pixels of the ground whose number is a scene's area (m).
 const GROUND_M: f64 = 0.32;
 
@@ -77,7 +79,11 @@ impl Subject {
             "indoor" => return scan("indoor_two_storey_zup.laz", Units::Factor(1.0)),
             "room" => return scan("pump_room.laz", Units::Factor(1.0)),
             "delft" => return scan("delft_city_block_ahn3.laz", Units::Factor(1.0)),
-            "autzen" => return scan("autzen_stadium.laz", Units::Factor(0.3048)),
+            "autzen" => {
+                let Some(path) = real("autzen_stadium.laz") else { return Ok(None) };
+                let all = middle(read_scan(&path, Units::Factor(0.3048))?, AUTZEN_HALF_M);
+                Self::written(name, thinned(all, count))?
+            }
             "sibenik" => {
                 let path = real_mesh("sibenik.obj");
                 if !path.is_file() {
@@ -115,8 +121,8 @@ impl Subject {
 
     fn scan(name: &str, path: &Path, units: Units, count: Option<usize>) -> Result<Self> {
         let all = read_scan(path, units)?;
-        match count.filter(|&count| count < all.len()) {
-            Some(count) => Self::written(name, all.iter().step_by(all.len() / count).copied().collect()),
+        match count {
+            Some(_) => Self::written(name, thinned(all, count)),
             None => Self::new(name, all, path.to_path_buf(), units, None),
         }
     }
@@ -186,4 +192,21 @@ impl Subject {
         let pixels = self.points.iter().map(|p| [p.x, p.y].map(|v| (v / GROUND_M).floor() as i64));
         pixels.collect::<HashSet<_>>().len() as f64 * GROUND_M * GROUND_M
     }
+}
+
+/// Every so manieth point, for about `count` of them.
+fn thinned(all: Vec<[f64; 3]>, count: Option<usize>) -> Vec<[f64; 3]> {
+    let step = count.map_or(1, |count| all.len() / count.max(1)).max(1);
+    all.into_iter().step_by(step).collect()
+}
+
+/// The points at most `half` (m) from the middle of the bounds along x and y.
+fn middle(mut all: Vec<[f64; 3]>, half: f64) -> Vec<[f64; 3]> {
+    let middle = [0, 1].map(|axis| {
+        let ends = [f64::INFINITY, f64::NEG_INFINITY];
+        let [low, high] = all.iter().fold(ends, |[low, high], p| [low.min(p[axis]), high.max(p[axis])]);
+        (low + high) / 2.0
+    });
+    all.retain(|p| (0..2).all(|axis| (p[axis] - middle[axis]).abs() <= half));
+    all
 }

@@ -39,9 +39,11 @@ impl Boxes {
 pub struct Workload {
     pub random: Boxes,
     pub walk: Boxes,
-    /// Height of the highest point under each box of the walk (m).
+    /// The boxes of the walk from the height that it climbs, and the highest point under each (m).
+    pub raised: Vec<Aabb>,
     pub floors: Vec<Option<f64>>,
-    /// Sweeps that begin free, and how far they come.
+    /// Sweeps of such boxes that begin free, and how far they come (m). Coarse cubes make floors begin too high; that is
+    /// told by the height of floors, and should not be told again as a wall.
     pub sweeps: Vec<(Aabb, Vector3<f64>)>,
     pub reached: Vec<f64>,
 }
@@ -60,9 +62,10 @@ impl Workload {
         let mut random = Random(21);
         let anywhere: Result<Vec<_>> = (0..count).map(|_| anywhere(subject, &mut random)).collect();
         let walk = Boxes::new(subject, walk(subject, count, &mut random)?);
-        let floors = walk.shapes.iter().map(|shape| subject.oracle.top(shape, DEPTH_M)).collect();
-        let free: Vec<_> =
-            walk.shapes.iter().zip(&walk.truth).filter(|(_, hit)| !**hit).map(|(shape, _)| *shape).collect();
+        let raise = |shape: &Aabb| Aabb::new(shape.min() + Vector3::z() * CLIMB_M, shape.max());
+        let raised = walk.shapes.iter().map(raise).collect::<slicewalk::Result<Vec<_>>>()?;
+        let floors = raised.iter().map(|shape| subject.oracle.top(shape, DEPTH_M)).collect();
+        let free: Vec<_> = raised.iter().filter(|shape| !subject.oracle.hits(shape)).copied().collect();
         let sweeps: Vec<_> = (0..if free.is_empty() { 0 } else { count / 4 })
             .map(|_| {
                 let angle = random.between(0.0, std::f64::consts::TAU);
@@ -71,7 +74,7 @@ impl Workload {
             })
             .collect();
         let reached = sweeps.iter().map(|(shape, way)| subject.oracle.sweep(shape, *way)).collect();
-        Ok(Self { random: Boxes::new(subject, anywhere?), walk, floors, sweeps, reached })
+        Ok(Self { random: Boxes::new(subject, anywhere?), walk, raised, floors, sweeps, reached })
     }
 }
 
