@@ -24,6 +24,11 @@ enum Command {
     Soak(Soak),
     /// The thesis' tables again, with ours beside them; and objects against triangles
     Thesis(Common),
+    /// Instructions of the hot paths beside the committed ones; needs Valgrind
+    Counts(bench::counts::Counts),
+    /// The hot paths, called for callgrind
+    #[command(hide = true)]
+    Counted(bench::counts::paths::Calls),
     /// One conversion, measured in a process of its own
     #[command(hide = true)]
     Measured(bench::thesis::Conversion),
@@ -74,6 +79,8 @@ fn main() -> ExitCode {
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
+        Command::Counts(counts) => counts.run(),
+        Command::Counted(calls) => calls.run(),
         Command::Measured(conversion) => conversion.run(),
     };
     match done {
