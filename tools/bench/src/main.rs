@@ -31,9 +31,11 @@ enum Command {
     /// The hot paths, called for callgrind
     #[command(hide = true)]
     Counted(bench::counts::paths::Calls),
+    /// Conversion against the size of its input, queries against the size of the scene, and a scene of great extent
+    Scale(bench::scale::Scale),
     /// One conversion, measured in a process of its own
     #[command(hide = true)]
-    Measured(bench::thesis::Conversion),
+    Measured(bench::measured::Conversion),
 }
 
 #[derive(Debug, clap::Args)]
@@ -84,6 +86,7 @@ fn main() -> ExitCode {
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
         Command::Counts(counts) => counts.run(),
         Command::Counted(calls) => calls.run(),
+        Command::Scale(scale) => scale.run(),
         Command::Measured(conversion) => conversion.run(),
     };
     match done {
