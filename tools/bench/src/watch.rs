@@ -12,6 +12,9 @@ const SAMPLE_S: f64 = 0.5;
 /// Ticks of processor time in a second, as Linux tells them to programs on every machine.
 const TICKS_PER_S: f64 = 100.0;
 
+/// Resident memory over time (s, bytes).
+pub type Memory = Vec<(f64, u64)>;
+
 /// What was seen of a program.
 #[derive(Debug, Clone)]
 pub struct Watched {
@@ -22,7 +25,7 @@ pub struct Watched {
     /// Greatest resident memory (bytes), as of the last look before it ended.
     pub peak_bytes: u64,
     /// Resident memory over time (s, bytes).
-    pub resident: Vec<(f64, u64)>,
+    pub resident: Memory,
     /// What it printed.
     pub said: String,
 }

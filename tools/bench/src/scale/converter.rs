@@ -10,12 +10,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const RUNS: usize = 3;
+/// Points on a square metre of the generated scan; ten blocks have ten million.
+const DENSITY: u64 = 1600;
 
-/// A file, and the pixel size for it (m).
+/// A file, and pixel sizes for it (m): four times the spacing of its points, as a conversion chooses by itself, and finer.
 struct Case {
     name: &'static str,
     path: PathBuf,
-    pixel_m: f64,
+    pixels_m: &'static [f64],
 }
 
 /// Converts a real scan, where there is one, and a generated one by both programs, in turn.
@@ -32,16 +34,22 @@ pub fn measure(found: &mut Found, work: &Path, program: Option<&Path>, quick: bo
     for case in cases(work, quick)? {
         let archive = work.join("ours.slices");
         let tree = work.join("theirs.copc.laz");
-        let conversion = Conversion::new(&case.path, &archive, false, case.pixel_m);
-        let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+        let mut programs: Vec<(String, Vec<Watched>, &Path)> =
+            case.pixels_m.iter().map(|t| (format!("ours, pixels of {t} m"), Vec::new(), archive.as_path())).collect();
+        programs.push((version.trim().to_owned(), Vec::new(), &tree));
+        let mut sizes = vec![0; programs.len()];
         for _ in 0..if quick { 1 } else { RUNS } {
-            ours.push(conversion.watched()?.1);
-            theirs.push(watch(Command::new(program).arg(&case.path).arg(&tree))?);
+            for (n, (_, runs, out)) in programs.iter_mut().enumerate() {
+                runs.push(match case.pixels_m.get(n) {
+                    Some(&pixel_m) => Conversion::new(&case.path, &archive, false, pixel_m).watched()?.1,
+                    None => watch(Command::new(program).arg(&case.path).arg(&tree))?,
+                });
+                sizes[n] = std::fs::metadata(&out)?.len();
+                std::fs::remove_file(out)?;
+            }
         }
-        let ours_name = format!("ours, pixels of {} m", case.pixel_m);
-        for (name, runs, out) in [(ours_name.as_str(), ours, archive), (version.trim(), theirs, tree)] {
-            table.row(row(case.name, name, &runs, std::fs::metadata(&out)?.len()));
-            std::fs::remove_file(out)?;
+        for ((name, runs, _), size) in programs.iter().zip(sizes) {
+            table.row(row(case.name, name, runs, size));
         }
     }
     found.section(&format!(
@@ -68,13 +76,12 @@ fn row(file: &str, program: &str, runs: &[Watched], out: u64) -> Vec<String> {
 
 fn cases(work: &Path, quick: bool) -> Result<Vec<Case>> {
     let path = work.join("town.laz");
-    let points = if quick { 300_000 } else { 10_000_000 };
-    Town::of_points(points).write(&path, points)?;
-    let mut cases = vec![Case { name: "generated town", path, pixel_m: 0.1 }];
+    Town::new(if quick { 1 } else { 10 }).write(&path, DENSITY)?;
+    let mut cases = vec![Case { name: "generated town", path, pixels_m: &[0.1] }];
     let shared = std::env::var_os("SLICEWALK_SHARED").map_or_else(|| "../shared".into(), PathBuf::from);
     let path = shared.join("data/autzen_stadium.laz");
     if path.exists() {
-        cases.push(Case { name: "autzen", path, pixel_m: 0.25 });
+        cases.push(Case { name: "autzen", path, pixels_m: &[1.1, 0.25] });
     } else {
         eprintln!("autzen is left out: {} is missing", path.display());
     }

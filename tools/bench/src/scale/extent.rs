@@ -16,6 +16,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 const PIXEL_M: f64 = 0.05;
+/// Noise of the scanner, one standard deviation (m).
+const NOISE_M: f64 = 0.002;
 const MEMORY: u64 = 512 << 20;
 const CACHE: usize = 64 << 20;
 const FRAME_S: f64 = 1.0 / 60.0;
@@ -45,7 +47,7 @@ pub fn measure(found: &mut Found, work: &Path, quick: bool) -> Result<()> {
     let params = if quick { params.with("width", 240.0).with("depth", 180.0).with("height", 60.0) } else { params };
     let scene = Scene::named("extent", &params)?;
     let (scan, path) = (work.join("extent.las"), work.join("extent.slices"));
-    let spec = SampleSpec::direct_density(PIXEL_M.powi(-2));
+    let spec = SampleSpec::direct_density(PIXEL_M.powi(-2)).with_noise(NOISE_M);
     let spec = SampleSpec { mode: Mode::Direct(Order::Grid), ..spec };
     let written = write_samples(&scan, scene.samples(1, &spec)?, &WriteSpec::default())?;
     let conversion = Conversion { memory: Some(MEMORY), ..Conversion::new(&scan, &path, false, PIXEL_M) };
@@ -130,6 +132,9 @@ fn walk(path: &Path, size: [f64; 2], prefetch: Prefetch) -> Result<Walked> {
             metres += report.moved.norm();
         }
         frames += 1;
+        if prefetch == Prefetch::Off {
+            continue;
+        }
         let due = Duration::from_secs_f64(frames as f64 * FRAME_S / HASTE);
         std::thread::sleep(due.saturating_sub(clock.elapsed()));
     }

@@ -1,17 +1,20 @@
 //! Speed and memory of conversions against the number of points.
 
-use super::town::Town;
+use super::town::{SURFACE_M2, Town};
 use super::{Found, spread};
 use crate::measured::Conversion;
 use crate::reading::read_las;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
+use crate::watch::Memory;
 use std::path::Path;
 use std::time::Instant;
 
 /// Memory budget, and the bytes that a conversion may take beyond it.
 const MEMORY: u64 = 512 << 20;
 const PIXEL_M: f64 = 0.1;
+/// Points on a square metre: a pixel is four times their spacing, as a conversion chooses by itself.
+const DENSITY: u64 = 1600;
 /// Disk per point: its record, what the conversion writes for a while (limit: 12), and the archive.
 const DISK_PER_POINT: u64 = 20 + 12 + 4;
 /// What is left free on the disk (bytes).
@@ -54,7 +57,7 @@ pub fn measure(found: &mut Found, work: &Path, millions: &[u64], quick: bool) ->
         memory = resident;
     }
     found.section(&format!(
-        "## Conversion against the number of points\n\n`--memory 512MiB --pixel 0.1`, blocks in random order, points in random \
+        "## Conversion against the number of points\n\n{DENSITY} points on a square metre, `--memory 512MiB --pixel 0.1` (four times the spacing of points, as `--pixel auto` chooses); blocks in random order, points in random \
          order within each block; the file is read once before, so it is cached as far as the memory goes. Median of \
          three runs up to 100 M points, one run beyond; `las` reads the same file on one thread, in turn with the \
          conversions.\n\n{}\n{notes}",
@@ -67,10 +70,10 @@ pub fn measure(found: &mut Found, work: &Path, millions: &[u64], quick: bool) ->
     Ok(samples)
 }
 
-fn one(found: &mut Found, work: &Path, points: u64, runs: usize) -> Result<(Vec<String>, Vec<(f64, u64)>)> {
+fn one(found: &mut Found, work: &Path, points: u64, runs: usize) -> Result<(Vec<String>, Memory)> {
     let (scan, archive) = (work.join("town.las"), work.join("town.slices"));
-    let town = Town::of_points(points);
-    town.write(&scan, points)?;
+    let town = Town::new(points / (DENSITY * SURFACE_M2));
+    let points = town.write(&scan, DENSITY)?;
     let bytes = std::fs::metadata(&scan)?.len();
     let conversion = Conversion { memory: Some(MEMORY), ..Conversion::new(&scan, &archive, false, PIXEL_M) };
     let [mut reading, mut seconds, mut peaks] = [const { Vec::new() }; 3];

@@ -11,14 +11,14 @@ use slicewalk::store::PageSet;
 use std::path::Path;
 
 /// Edge of a block (m).
-pub const BLOCK_M: f64 = 30.0;
+const BLOCK_M: f64 = 18.0;
 /// House: width, depth, height (m).
-const HOUSE_M: [f64; 3] = [14.0, 12.0, 8.0];
-/// How far the house stands from the middle of its block, at most (m).
-const SHIFT_M: f64 = 5.0;
+const HOUSE_M: [f64; 3] = [8.0, 7.0, 7.3];
+/// How far the house stands from the middle of its block along an axis, at most (m).
+const SHIFT_M: f64 = 1.8;
 const PILLARS: usize = 6;
-/// Points of a block: 100 for a square metre of its surfaces.
-pub const POINTS_PER_BLOCK: u64 = 153_000;
+/// Surface of a block (m²).
+pub const SURFACE_M2: u64 = 625;
 
 /// A town, as many blocks along x as along y or one more; the last row may be short.
 #[derive(Debug, Clone, Copy)]
@@ -27,14 +27,9 @@ pub struct Town {
 }
 
 impl Town {
-    /// A town of about so many points.
-    pub fn of_points(points: u64) -> Self {
-        Self { blocks: (points as f64 / POINTS_PER_BLOCK as f64).round().max(1.0) as u64 }
-    }
-
-    /// Number of blocks.
-    pub fn blocks(&self) -> u64 {
-        self.blocks
+    /// A town of so many blocks, at least one.
+    pub fn new(blocks: u64) -> Self {
+        Self { blocks: blocks.max(1) }
     }
 
     /// Ground (m²).
@@ -71,27 +66,22 @@ impl Town {
         // No block has anything in this place.
         let street = |random: &mut Random| {
             let [x, y] = self.corner(random.bits() % self.blocks);
-            Point3::new(x + 2.3, y + 3.0, 0.05)
+            Point3::new(x + 2.2, y + 2.2, 0.05)
         };
         let start = street(&mut Random(seed));
         pawns::wander(set, count, seed, start, |place| self.holds(place), street)
     }
 
-    /// Writes `points` points of the town: block after block in random order, in random order within each.
-    pub fn write(&self, path: &Path, points: u64) -> Result<()> {
+    /// Writes a scan with so many points on a square metre: block after block in random order, in random order within
+    /// each. The number of points.
+    pub fn write(&self, path: &Path, density: u64) -> Result<u64> {
         let mut order: Vec<u64> = (0..self.blocks).collect();
         let mut random = Random(1);
         for n in (1..order.len()).rev() {
             order.swap(n, (random.bits() % (n as u64 + 1)) as usize);
         }
-        let (mut left, blocks) = (points, self.blocks);
-        let samples = order.into_iter().enumerate().flat_map(|(n, block)| {
-            let count = left / (blocks - n as u64);
-            left -= count;
-            self.samples(block, count)
-        });
-        write_samples(path, samples, &WriteSpec::for_path(path))?;
-        Ok(())
+        let samples = order.into_iter().flat_map(|block| self.samples(block, density * SURFACE_M2));
+        Ok(write_samples(path, samples, &WriteSpec::for_path(path))?.points)
     }
 
     fn samples(&self, block: u64, count: u64) -> Vec<Sample> {
@@ -112,8 +102,8 @@ impl Town {
         builder.open_cuboid("house", [house[0], house[1], 0.0], far);
         // Along two sides of the block, where no house can stand.
         for _ in 0..PILLARS {
-            let along = random.between(2.0, BLOCK_M - 2.0);
-            builder.column("pillar", [x + along, y + random.between(0.5, 2.0)], 0.2, [0.0, 3.0]);
+            let along = random.between(1.0, BLOCK_M - 1.0);
+            builder.column("pillar", [x + along, y + random.between(0.5, 1.0)], 0.2, [0.0, 3.0]);
         }
         let bench = [x + random.between(0.5, 1.0), y + random.between(4.0, BLOCK_M - 4.0)];
         builder.open_cuboid("bench", [bench[0], bench[1], 0.0], [bench[0] + 0.5, bench[1] + 2.0, 0.45]);
@@ -126,24 +116,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_block_has_the_points_of_its_area() {
-        let town = Town::of_points(POINTS_PER_BLOCK * 7);
-        let area: f64 = town.scene(3).surfaces().iter().map(|surface| surface.shape.area()).sum();
-        assert!((POINTS_PER_BLOCK as f64 / area - 100.0).abs() < 2.0, "{area}");
-        assert_eq!(town.blocks(), 7);
+    fn blocks_have_their_surface() {
+        let area: f64 = Town::new(7).scene(3).surfaces().iter().map(|surface| surface.shape.area()).sum();
+        assert!((area - SURFACE_M2 as f64).abs() < 1.0, "{area}");
     }
 
     #[test]
-    fn a_file_holds_all_points_and_they_lie_in_the_town() {
+    fn a_scan_holds_all_blocks_and_no_other() {
         let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("town.las");
-        let town = Town { blocks: 5 };
-        town.write(&path, 10_003).expect("writes");
-        let mut reader = las::Reader::from_path(&path).expect("a LAS file");
-        let points: Vec<_> = reader.points().collect::<las::Result<_>>().expect("points");
-        assert_eq!(points.len(), 10_003);
-        let blocks: std::collections::BTreeSet<_> =
-            points.iter().map(|p| [p.x, p.y].map(|v| (v / BLOCK_M).floor() as i64)).collect();
-        assert!(blocks.contains(&[0, 0]) && blocks.contains(&[1, 1]) && !blocks.contains(&[2, 2]), "{blocks:?}");
+        let town = Town::new(5);
+        assert_eq!(town.write(&folder.path().join("town.las"), 2).expect("writes"), 5 * 2 * SURFACE_M2);
+        let points = (0..5).flat_map(|block| town.samples(block, 2000)).map(|sample| sample.position);
+        // Noise carries points of a border into the next block.
+        let inner = |p: &[f64; 3]| p[..2].iter().all(|v| (0.1..BLOCK_M - 0.1).contains(&v.rem_euclid(BLOCK_M)));
+        let block = |[x, y, _]: [f64; 3]| [x, y].map(|v| (v / BLOCK_M).floor() as i64);
+        let blocks: std::collections::BTreeSet<_> = points.filter(inner).map(block).collect();
+        let expected = [[0, 0], [0, 1], [1, 0], [1, 1], [2, 0]];
+        assert!(blocks.iter().eq(&expected), "{blocks:?}");
+        let middle = |[i, j]: [i64; 2]| Point3::new((i as f64 + 0.5) * BLOCK_M, (j as f64 + 0.5) * BLOCK_M, 0.0);
+        assert!(expected.iter().all(|at| town.holds(middle(*at))));
+        assert!([[2, 1], [3, 0], [-1, 0], [0, -1], [0, 2]].iter().all(|at| !town.holds(middle(*at))));
     }
 }
