@@ -78,12 +78,7 @@ fn cases(work: &Path, quick: bool) -> Result<Vec<Case>> {
     let path = work.join("town.laz");
     Town::new(if quick { 1 } else { 10 }).write(&path, DENSITY)?;
     let mut cases = vec![Case { name: "generated town", path, pixels_m: &[0.1] }];
-    let shared = std::env::var_os("SLICEWALK_SHARED").map_or_else(|| "../shared".into(), PathBuf::from);
-    let path = shared.join("data/autzen_stadium.laz");
-    if path.exists() {
-        cases.push(Case { name: "autzen", path, pixels_m: &[1.1, 0.25] });
-    } else {
-        eprintln!("autzen is left out: {} is missing", path.display());
-    }
+    let autzen = crate::shared::file("autzen_stadium.laz");
+    cases.extend(autzen.map(|path| Case { name: "autzen", path, pixels_m: &[1.1, 0.25] }));
     Ok(cases)
 }
