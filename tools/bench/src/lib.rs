@@ -1,7 +1,9 @@
 //! Scenes and workloads that the benchmarks share, and the stability report.
 
 pub mod building;
+pub mod chart;
 pub mod counts;
+mod heap;
 pub mod measured;
 pub mod pawns;
 pub mod peers;

@@ -7,7 +7,7 @@ pub(crate) mod lab;
 mod patch;
 mod plot;
 pub(crate) mod table;
-mod written;
+pub(crate) mod written;
 
 mod floors;
 mod planes;

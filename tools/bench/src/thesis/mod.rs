@@ -4,7 +4,7 @@
 
 mod bunnies;
 mod frames;
-mod models;
+pub(crate) mod models;
 mod prepare;
 
 use crate::stability::{Result, fill};
