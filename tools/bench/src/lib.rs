@@ -1,6 +1,7 @@
 //! Scenes and workloads that the benchmarks share, and the stability report.
 
 pub mod building;
+pub mod chart;
 pub mod pawns;
 pub mod random;
 pub mod size;

@@ -24,6 +24,8 @@ enum Command {
     Soak(Soak),
     /// The thesis' tables again, with ours beside them; and objects against triangles
     Thesis(Common),
+    /// The charts and pages of what `chart` and `scale` measured, again, without measuring
+    Draw(Draw),
     /// One conversion, measured in a process of its own
     #[command(hide = true)]
     Measured(bench::thesis::Conversion),
@@ -35,6 +37,13 @@ struct Soak {
     #[arg(long, default_value_t = 10.0)]
     minutes: f64,
     /// Folder for `soak.md`
+    #[arg(long, default_value = "tools/bench/results")]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Draw {
+    /// Folder with `chart/measured.csv`, to write into
     #[arg(long, default_value = "tools/bench/results")]
     out: PathBuf,
 }
@@ -74,6 +83,7 @@ fn main() -> ExitCode {
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
+        Command::Draw(draw) => bench::chart::draw::run(&draw.out),
         Command::Measured(conversion) => conversion.run(),
     };
     match done {

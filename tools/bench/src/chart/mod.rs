@@ -1,0 +1,3 @@
+//! Speed and size charted against accuracy, ours beside its peers.
+
+pub mod draw;
