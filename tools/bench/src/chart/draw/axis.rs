@@ -133,7 +133,7 @@ fn with_prefix(value: f64) -> String {
 }
 
 /// A number without needless digits.
-fn short(value: f64) -> String {
+pub fn short(value: f64) -> String {
     if value != 0.0 && value.abs() < 1e-4 {
         return format!("{value:.0e}");
     }

@@ -1,6 +1,7 @@
 //! A chart before it is drawn: axes, tracks of dots, and the front.
 
 use super::axis::Axis;
+use super::style::Style;
 
 /// A chart.
 #[derive(Debug, Clone)]
@@ -18,11 +19,12 @@ pub struct Figure {
     pub notes: Vec<String>,
 }
 
-/// The dots of one method, joined in their order.
+/// The dots of one method or quantity, joined in their order.
 #[derive(Debug, Clone)]
 pub struct Track {
-    /// Decides colour and marker.
-    pub method: String,
+    /// In the legend.
+    pub name: String,
+    pub style: Style,
     pub dots: Vec<Dot>,
 }
 

@@ -44,18 +44,24 @@ pub struct Surroundings {
     pub lines: Vec<[(f64, f64); 2]>,
 }
 
+/// From the middle of a dot to a word beside it (pixels).
+const BESIDE: f64 = 6.0;
+/// Lines through a word before it cannot be read.
+const MOST_CROSSED: usize = 1;
+
 impl Surroundings {
     /// A place for a word of this size beside a dot, which is taken from then on; none where there is no room.
     pub fn place(&mut self, dot: (f64, f64), width: f64, height: f64) -> Option<Rect> {
         const WAYS: [(f64, f64); 8] =
             [(0.0, -1.0), (1.0, -1.0), (1.0, 0.0), (-1.0, -1.0), (-1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (-1.0, 1.0)];
         let free = WAYS.iter().filter_map(|way| {
-            let (away_x, away_y) = (width / 2.0 + 5.0, height / 2.0 + 5.0);
+            let (away_x, away_y) = (width / 2.0 + BESIDE, height / 2.0 + BESIDE);
             let rect = Rect::around((dot.0 + way.0 * away_x, dot.1 + way.1 * away_y), width, height);
             let clear = self.bounds.holds(&rect) && !self.taken.iter().any(|taken| taken.meets(&rect));
             let crossed = || self.lines.iter().filter(|[a, b]| rect.crossed(*a, *b)).count();
             clear.then(|| (crossed(), rect))
         });
+        let free = free.filter(|(crossed, _)| *crossed <= MOST_CROSSED);
         let best = free.min_by_key(|(crossed, _)| *crossed)?.1;
         self.taken.push(best);
         Some(best)
@@ -71,7 +77,7 @@ mod tests {
         let bounds = Rect(0.0, 0.0, 60.0, 60.0);
         let mut around = Surroundings { bounds, taken: vec![], lines: vec![[(0.0, 17.0), (60.0, 17.0)]] };
         let first = around.place((30.0, 30.0), 16.0, 12.0);
-        assert_eq!(first.map(|rect| rect.middle()), Some((43.0, 30.0)), "above runs a line");
+        assert_eq!(first.map(|rect| rect.middle()), Some((44.0, 30.0)), "above runs a line");
         let more: Vec<Rect> = (0..20).map_while(|_| around.place((30.0, 30.0), 16.0, 12.0)).collect();
         assert!((3..8).contains(&more.len()), "{more:?}");
         let all = &around.taken;

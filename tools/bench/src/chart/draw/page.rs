@@ -16,7 +16,7 @@ pub fn page(scenes: &[Scene], drawn: &[Drawn], machine: &str) -> Result<String> 
     }
     let facts = BTreeMap::from([
         ("machine".to_owned(), machine.to_owned()),
-        ("shown".into(), super::axis::figures(plots::SHOWN_CM)),
+        ("shown".into(), super::axis::short(plots::SHOWN_CM)),
         ("summary".into(), verdict::summary(scenes)),
         ("settings".into(), tables::settings(scenes)),
         ("scale".into(), pictures(plots::SCALE, drawn)),
@@ -26,7 +26,7 @@ pub fn page(scenes: &[Scene], drawn: &[Drawn], machine: &str) -> Result<String> 
 }
 
 fn section(page: &mut String, scene: &Scene, drawn: &[Drawn]) -> Result<()> {
-    let shown = super::axis::figures(plots::SHOWN_CM);
+    let shown = super::axis::short(plots::SHOWN_CM);
     writeln!(page, "## {}\n\n{}", scene.name, pictures(&scene.name, drawn))?;
     if let Some(stands) = verdict::table(scene) {
         writeln!(page, "Ours on the fronts:\n\n{stands}\n")?;

@@ -1,6 +1,6 @@
 //! Which charts there are: of a scene, and of size.
 
-use super::axis::{Axis, figures};
+use super::axis::{Axis, figures, short};
 use super::figure::{Dot, Figure, Spread, Track};
 use super::front;
 use super::model::{COSTS, Cost, Scene, Series, Setting};
@@ -32,9 +32,7 @@ type Costly<'a> = (&'a Series, &'a Setting, (f64, f64));
 /// All settings of a scene whose cost and error are known.
 pub fn costly<'a>(scene: &'a Scene, cost: &'a Cost) -> impl Iterator<Item = Costly<'a>> {
     let all = scene.series.iter().flat_map(|series| series.settings.iter().map(move |setting| (series, setting)));
-    all.filter_map(|(series, setting)| {
-        Some((series, setting, (scene.cost(cost, setting)?.value, setting.error_cm()?)))
-    })
+    all.filter_map(|(series, setting)| Some((series, setting, (scene.cost(cost, setting)?.value, setting.error_cm()?))))
 }
 
 fn error(scene: &Scene, cost: &Cost) -> Option<Figure> {
@@ -42,7 +40,7 @@ fn error(scene: &Scene, cost: &Cost) -> Option<Figure> {
     let allowed: Vec<_> = all.iter().filter(|(_, setting, _)| !setting.misses()).map(|found| found.2).collect();
     let dot = |(series, setting, at): &Costly| {
         let spread = scene.cost(cost, setting)?;
-        let t = figures(setting.pixel_cm);
+        let t = short(setting.pixel_cm);
         let says = format!(
             "{}, t = {t} cm: {} {} ({} to {}), error {} cm{}{}",
             series.method,
@@ -55,10 +53,11 @@ fn error(scene: &Scene, cost: &Cost) -> Option<Figure> {
             share(setting, "phantom", "phantoms"),
         );
         let spread = Spread::X(spread.low, spread.high);
-        Some(Dot { at: *at, spread, label: short_t(setting.pixel_cm), hollow: setting.misses(), says })
+        Some(Dot { at: *at, spread, label: short(setting.pixel_cm), hollow: setting.misses(), says })
     };
     let tracks = scene.series.iter().map(|series| Track {
-        method: series.method.clone(),
+        name: series.method.clone(),
+        style: style::style(&series.method),
         dots: all.iter().filter(|found| found.0.method == series.method).filter_map(dot).collect(),
     });
     let tracks: Vec<Track> = tracks.collect();
@@ -71,11 +70,6 @@ fn error(scene: &Scene, cost: &Cost) -> Option<Figure> {
         front: front::stairs(&allowed),
         notes: vec!["Numbers: t, the edge of".into(), "a pixel or cube (cm).".into(), "Left and low is good.".into()],
     })
-}
-
-fn short_t(pixel_cm: f64) -> String {
-    let text = format!("{pixel_cm:.2}");
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 fn share(setting: &Setting, metric: &str, word: &str) -> String {
@@ -94,10 +88,10 @@ fn phantoms_of(scene: &Scene, phantoms: &[Phantom]) -> Option<Figure> {
     let track = |method: &str| {
         let mut dots: Vec<Dot> = shown().filter(|line| line.method == method).map(phantom_dot).collect();
         dots.sort_by(|a, b| a.at.0.total_cmp(&b.at.0));
-        Track { method: method.into(), dots }
+        Track { name: method.into(), style: style::style(method), dots }
     };
     let (low, high) = shown().fold((0f64, 0f64), |ends, line| (ends.0.min(line.gap_cm), ends.1.max(line.gap_cm)));
-    let t = figures(pixel_cm);
+    let t = short(pixel_cm);
     Some(Figure {
         name: file(&scene.name, "phantoms"),
         title: format!("{}: boxes answered \"hit\" over the gap to the nearest point, t = {t} cm", scene.name),
@@ -110,18 +104,18 @@ fn phantoms_of(scene: &Scene, phantoms: &[Phantom]) -> Option<Figure> {
 }
 
 fn phantom_dot(line: &Phantom) -> Dot {
-    let says = format!("{}, gap {} cm: {} % hit", line.method, figures(line.gap_cm), figures(line.share * 100.0));
+    let says = format!("{}, gap {} cm: {} % hit", line.method, short(line.gap_cm), figures(line.share * 100.0));
     Dot { at: (line.gap_cm, line.share), spread: Spread::None, label: String::new(), hollow: false, says }
 }
 
-/// A chart over size: key, what is measured, its metric in which lines, axes, and whether the tracks are one of each kind.
+/// A chart over size.
 struct Over {
     key: &'static str,
     title: &'static str,
     of: &'static str,
     x: &'static str,
     y: &'static str,
-    /// Metric, and the method whose style it is drawn in.
+    /// Metric, and its name in the legend.
     metrics: &'static [(&'static str, &'static str)],
 }
 
@@ -158,7 +152,7 @@ pub fn of_scale(lines: &[Scaled]) -> Vec<(String, Figure)> {
 }
 
 fn over_size(over: &Over, lines: &[Scaled]) -> Option<Figure> {
-    let track = |(metric, name): &(&str, &str)| {
+    let track = |((metric, name), style): (&(&str, &str), style::Style)| {
         let of_it = lines.iter().filter(|line| line.what == over.of && line.metric == *metric);
         let dot = |line: &Scaled| {
             let says = format!("{name}: {} at {}", figures(line.value.value), figures(line.size));
@@ -167,9 +161,9 @@ fn over_size(over: &Over, lines: &[Scaled]) -> Option<Figure> {
         };
         let mut dots: Vec<Dot> = of_it.map(dot).collect();
         dots.sort_by(|a, b| a.at.0.total_cmp(&b.at.0));
-        Track { method: (*name).into(), dots }
+        Track { name: (*name).into(), style, dots }
     };
-    let tracks: Vec<Track> = over.metrics.iter().map(track).collect();
+    let tracks: Vec<Track> = over.metrics.iter().zip(style::QUANTITIES).map(track).collect();
     let dots = || tracks.iter().flat_map(|track| &track.dots);
     dots().next()?;
     // A wide axis keeps what is flat looking flat.

@@ -62,8 +62,14 @@ pub fn rank(method: &str) -> (usize, String) {
     (at.unwrap_or(METHODS.len()), method.to_owned())
 }
 
-/// Colour and marker; grey stars for a method that is new here.
-pub fn style(method: &str) -> (RGBColor, Marker) {
+/// Colour and marker.
+pub type Style = (RGBColor, Marker);
+
+/// The style of slicewalk's first quantity, and of one beside it, where there is nothing but slicewalk.
+pub const QUANTITIES: [Style; 2] = [(COLOURS[3], Marker::Circle), (COLOURS[0], Marker::Square)];
+
+/// That of a method; grey stars for one that is new here.
+pub fn style(method: &str) -> Style {
     let known = METHODS.iter().find(|known| known.0 == method);
     known.map_or((COLOURS[6], Marker::Star), |known| (COLOURS[known.1], known.2))
 }

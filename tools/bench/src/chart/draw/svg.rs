@@ -1,8 +1,8 @@
 //! A figure as SVG text: plotters draws the axes, and the marks by their pixels, so that words keep clear of them.
 
-use super::figure::{Dot, Figure, Spread};
+use super::figure::{Figure, Spread};
 use super::labels::{Rect, Surroundings};
-use super::style::{GRID, INK, Marker, PAPER, style};
+use super::style::{GRID, INK, Marker, PAPER};
 use crate::stability::Result;
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -13,7 +13,10 @@ const SIZE: (u32, u32) = (900, 540);
 /// Width of the legend (pixels).
 const LEGEND: u32 = 200;
 const RADIUS: f64 = 5.0;
-const WORDS: i32 = 14;
+/// Sizes of words: plotters takes 1.24 times what it writes.
+const TITLE: i32 = 20;
+const WORDS: i32 = 17;
+const SMALL: i32 = 15;
 
 type Root<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
@@ -28,13 +31,14 @@ pub fn render(figure: &Figure) -> Result<String> {
         spots
     };
     let body = text.trim_end().strip_suffix("</svg>").ok_or("the drawing has no end")?;
-    Ok(format!("{body}{spots}</svg>\n"))
+    // What is so anyway need not be said: the page is a seventh smaller.
+    Ok(format!("{}{spots}</svg>\n", body.replace(r#" opacity="1""#, "").replace(r#" stroke-width="1""#, "")))
 }
 
 /// Gives the places to point at, as SVG.
 fn draw(root: &Root, figure: &Figure) -> Result<String> {
     let (area, _) = root.split_horizontally(SIZE.0 - LEGEND);
-    words(root, &figure.title, (14, 22), HPos::Left, 17)?;
+    words(root, &figure.title, (14, 22), HPos::Left, TITLE)?;
     let mut chart = ChartBuilder::on(&area)
         .margin(14)
         .margin_top(40)
@@ -49,7 +53,7 @@ fn draw(root: &Root, figure: &Figure) -> Result<String> {
         .x_desc(&figure.x.label)
         .y_desc(&figure.y.label)
         .label_style(("sans-serif", WORDS).into_font().color(&INK))
-        .axis_desc_style(("sans-serif", 15).into_font().color(&INK))
+        .axis_desc_style(("sans-serif", WORDS).into_font().color(&INK))
         .x_label_formatter(&|tick| figure.x.number(*tick))
         .y_label_formatter(&|tick| figure.y.number(*tick))
         .draw()?;
@@ -70,8 +74,11 @@ fn ends(range: std::ops::Range<i32>) -> (f64, f64) {
     (f64::from(range.start.min(range.end)), f64::from(range.start.max(range.end)))
 }
 
+fn whole((x, y): (f64, f64)) -> (i32, i32) {
+    (x.round() as i32, y.round() as i32)
+}
+
 fn marks(root: &Root, figure: &Figure, pixel: impl Fn((f64, f64)) -> (f64, f64), bounds: Rect) -> Result<()> {
-    let whole = |(x, y): (f64, f64)| (x.round() as i32, y.round() as i32);
     let mut around = Surroundings { bounds, taken: vec![], lines: vec![] };
     let mut line = |places: Vec<(f64, f64)>, style: ShapeStyle| -> Result<()> {
         around.lines.extend(places.windows(2).map(|pair| [pair[0], pair[1]]));
@@ -80,7 +87,7 @@ fn marks(root: &Root, figure: &Figure, pixel: impl Fn((f64, f64)) -> (f64, f64),
     };
     line(figure.front.iter().map(|corner| pixel(*corner)).collect(), front_style())?;
     for track in &figure.tracks {
-        let colour = style(&track.method).0;
+        let colour = track.style.0;
         line(track.dots.iter().map(|dot| pixel(dot.at)).collect(), colour.mix(0.75).stroke_width(2))?;
         for dot in &track.dots {
             let ends = match dot.spread {
@@ -94,23 +101,41 @@ fn marks(root: &Root, figure: &Figure, pixel: impl Fn((f64, f64)) -> (f64, f64),
     }
     // Ours last, so that it lies on top.
     for track in figure.tracks.iter().rev() {
-        let (colour, shape) = style(&track.method);
+        let (colour, shape) = track.style;
         for dot in &track.dots {
             let place = pixel(dot.at);
             marker(root, place, RADIUS, shape, colour, dot.hollow)?;
-            around.taken.push(Rect::around(place, 2.0 * RADIUS, 2.0 * RADIUS));
+            around.taken.push(Rect::around(place, 2.3 * RADIUS, 2.3 * RADIUS));
         }
     }
-    // Words of the front first: where there is no room for all, these stay.
+    words_beside(root, figure, pixel, around)
+}
+
+/// The labels of dots: those of the front first, and one for dots of a track that lie on each other.
+fn words_beside(
+    root: &Root,
+    figure: &Figure,
+    pixel: impl Fn((f64, f64)) -> (f64, f64),
+    mut around: Surroundings,
+) -> Result<()> {
     let dots = || figure.tracks.iter().flat_map(|track| track.dots.iter().map(move |dot| (track, dot)));
-    let on_front = |dot: &Dot| figure.front.contains(&dot.at);
-    let (first, rest): (Vec<_>, Vec<_>) = dots().partition(|(_, dot)| on_front(dot));
+    let (first, rest): (Vec<_>, Vec<_>) = dots().partition(|(_, dot)| figure.front.contains(&dot.at));
+    let mut named: Vec<(&str, (f64, f64))> = Vec::new();
     for (track, dot) in first.into_iter().chain(rest).filter(|(_, dot)| !dot.label.is_empty()) {
-        let width = dot.label.chars().count() as f64 * 7.2 + 2.0;
-        if let Some(rect) = around.place(pixel(dot.at), width, 12.0) {
-            let font = ("sans-serif", 12).into_font().color(&style(&track.method).0);
-            let anchor = Pos::new(HPos::Center, VPos::Center);
-            root.draw(&Text::new(dot.label.clone(), whole(rect.middle()), font.pos(anchor)))?;
+        let place = pixel(dot.at);
+        let near = |other: (f64, f64)| (other.0 - place.0).hypot(other.1 - place.1) < 2.0 * RADIUS;
+        if named.iter().any(|(name, other)| *name == track.name && near(*other)) {
+            continue;
+        }
+        let width = dot.label.chars().count() as f64 * 7.5 + 2.0;
+        if let Some(rect) = around.place(place, width, 12.0) {
+            let font = ("sans-serif", SMALL).into_font().color(&track.style.0);
+            root.draw(&Text::new(
+                dot.label.clone(),
+                whole(rect.middle()),
+                font.pos(Pos::new(HPos::Center, VPos::Center)),
+            ))?;
+            named.push((&track.name, place));
         }
     }
     Ok(())
@@ -141,10 +166,10 @@ fn legend(root: &Root, figure: &Figure) -> Result<()> {
     let left = (SIZE.0 - LEGEND) as i32 + 8;
     let mut y = 54;
     for track in figure.tracks.iter().filter(|track| !track.dots.is_empty()) {
-        let (colour, shape) = style(&track.method);
+        let (colour, shape) = track.style;
         root.draw(&PathElement::new([(left, y), (left + 24, y)], colour.mix(0.75).stroke_width(2)))?;
         marker(root, (f64::from(left + 12), f64::from(y)), RADIUS, shape, colour, false)?;
-        words(root, &track.method, (left + 32, y), HPos::Left, WORDS)?;
+        words(root, &track.name, (left + 32, y), HPos::Left, WORDS)?;
         y += 22;
     }
     if !figure.front.is_empty() {
@@ -159,7 +184,7 @@ fn legend(root: &Root, figure: &Figure) -> Result<()> {
     }
     y += 6;
     for note in &figure.notes {
-        words(root, note, (left, y), HPos::Left, 13)?;
+        words(root, note, (left, y), HPos::Left, SMALL)?;
         y += 18;
     }
     Ok(())
@@ -177,7 +202,10 @@ fn spots(figure: &Figure, pixel: impl Fn((f64, f64)) -> (f64, f64)) -> Result<St
     for dot in figure.tracks.iter().flat_map(|track| &track.dots) {
         let (x, y) = pixel(dot.at);
         let says = escaped(&dot.says);
-        writeln!(spots, r##"<circle class="spot" cx="{x}" cy="{y}" r="8" fill-opacity="0"><title>{says}</title></circle>"##)?;
+        writeln!(
+            spots,
+            r##"<circle class="spot" cx="{x}" cy="{y}" r="8" fill-opacity="0"><title>{says}</title></circle>"##
+        )?;
     }
     Ok(spots)
 }

@@ -1,6 +1,6 @@
 //! What was measured at one pixel size, as tables; the settings; and what was left out.
 
-use super::axis::figures;
+use super::axis::{figures, short};
 use super::model::{COSTS, Scene, Series, Setting, Skipped};
 use super::plots::SHOWN_CM;
 use crate::stability::table::{Table, percent};
@@ -94,7 +94,7 @@ pub fn skipped(scene: &Scene) -> String {
     }
     let line = |(cell, mut sizes): (&Skipped, Vec<f64>)| {
         sizes.sort_by(f64::total_cmp);
-        let sizes: Vec<_> = sizes.into_iter().map(figures).collect();
+        let sizes: Vec<_> = sizes.into_iter().map(short).collect();
         format!("- not run: {} at {} cm: {}\n", cell.method, sizes.join(", "), cell.reason)
     };
     groups.into_iter().map(line).collect()

@@ -1,6 +1,6 @@
 //! Whether ours is on the front, and who beats it where it is not.
 
-use super::axis::figures;
+use super::axis::short;
 use super::front::dominates;
 use super::model::{COSTS, Cost, Scene};
 use super::plots::costly;
@@ -58,7 +58,7 @@ impl Stand {
             Self::Front(methods) => format!("front: {}", listed(methods)),
             Self::OnlyOurs(methods) => format!("no peer better than {}; ours at another setting is", listed(methods)),
             Self::Beaten { method, by } => {
-                let by: Vec<_> = by.iter().map(|(peer, t)| format!("`{peer}` at {} cm", figures(*t))).collect();
+                let by: Vec<_> = by.iter().map(|(peer, t)| format!("`{peer}` at {} cm", short(*t))).collect();
                 format!("**{method} beaten** by {}", by.join(", "))
             }
             Self::Misses => "**misses points**".into(),
@@ -77,7 +77,8 @@ fn listed(methods: &[String]) -> String {
 
 /// A row for each pixel size, a column for each cost, as Markdown; none where nothing of ours was measured.
 pub fn table(scene: &Scene) -> Option<String> {
-    let costs: Vec<_> = COSTS.iter().map(|cost| (cost, stands(scene, cost))).filter(|(_, all)| !all.is_empty()).collect();
+    let costs: Vec<_> =
+        COSTS.iter().map(|cost| (cost, stands(scene, cost))).filter(|(_, all)| !all.is_empty()).collect();
     let mut sizes: Vec<f64> = costs.iter().flat_map(|(_, all)| all.iter().map(|stand| stand.0)).collect();
     sizes.sort_by(f64::total_cmp);
     sizes.dedup();
@@ -90,7 +91,7 @@ pub fn table(scene: &Scene) -> Option<String> {
         let cell = |all: &Vec<(f64, Stand)>| {
             all.iter().find(|stand| stand.0 == size).map_or_else(|| "–".into(), |stand| stand.1.words())
         };
-        table.row(std::iter::once(figures(size)).chain(costs.iter().map(|(_, all)| cell(all))));
+        table.row(std::iter::once(short(size)).chain(costs.iter().map(|(_, all)| cell(all))));
     }
     Some(table.markdown())
 }
@@ -106,7 +107,7 @@ pub fn summary(scenes: &[Scene]) -> String {
         let beaten: Vec<_> = all
             .iter()
             .filter(|(_, _, stand)| !stand.unbeaten())
-            .map(|(scene, size, stand)| format!("{} at {} cm: {}", scene.name, figures(*size), stand.words()))
+            .map(|(scene, size, stand)| format!("{} at {} cm: {}", scene.name, short(*size), stand.words()))
             .collect();
         if all.is_empty() {
             continue;
