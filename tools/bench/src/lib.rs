@@ -3,6 +3,7 @@
 pub mod building;
 pub mod chart;
 pub mod pawns;
+pub mod peers;
 pub mod random;
 pub mod size;
 pub mod soak;

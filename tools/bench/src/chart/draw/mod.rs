@@ -65,3 +65,42 @@ fn draw(figure: &figure::Figure, group: String, what: String) -> Result<Drawn> {
 fn write(path: &Path, text: &str) -> Result<()> {
     std::fs::write(path, text).map_err(|e| format!("{}: cannot be written: {e}", path.display()).into())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MEASURED: &str = "\
+scene,method,settings,pixel_cm,metric,value,low,high,n
+house,slicewalk plane,\"slices of 3 pixels, plane\",4,walk_mean_ns,60,55,66,4000
+house,slicewalk plane,\"slices of 3 pixels, plane\",4,out_p99_cm,5,5,5,20000
+house,slicewalk plane,\"slices of 3 pixels, plane\",4,in_p99_cm,0,0,0,20000
+house,slicewalk plane,\"slices of 3 pixels, plane\",4,missed,0,0,0,4000
+house,octomap,<lazy>,4,walk_mean_ns,30,30,30,4000
+house,octomap,<lazy>,4,out_p99_cm,4,4,4,20000
+house,octomap,<lazy>,4,in_p99_cm,0,0,0,20000
+house,capt,would take 40 GB,4,skipped,,,,
+";
+
+    #[test]
+    fn the_pages_name_the_peer_that_is_better_and_need_nothing_else() -> Result<()> {
+        let folder = tempfile::tempdir()?;
+        let charts = folder.path().join("chart");
+        std::fs::create_dir(&charts)?;
+        std::fs::write(charts.join("measured.csv"), MEASURED)?;
+        std::fs::write(charts.join(MACHINE_FILE), "an abacus\n")?;
+        run(folder.path())?;
+        let read = |name: &str| std::fs::read_to_string(folder.path().join(name));
+        let (words, page, svg) = (read("chart.md")?, read("chart.html")?, read("chart/house-walk.svg")?);
+        for found in ["an abacus", "**slicewalk plane beaten** by `octomap` at 4 cm", "capt at 4 cm: would take 40 GB"]
+        {
+            assert!(words.contains(found), "{found:?} is missing in {words}");
+        }
+        assert!(svg.contains("octomap, t = 4 cm: 30.0 ns (30.0 to 30.0), error 4.00 cm"), "{svg}");
+        let outside = page.replace("http://www.w3.org/2000/svg", "");
+        assert!(
+            page.contains(svg.trim()) && !["http", "src=", "href=", "url("].iter().any(|way| outside.contains(way))
+        );
+        Ok(())
+    }
+}

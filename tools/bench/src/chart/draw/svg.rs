@@ -64,9 +64,9 @@ fn draw(root: &Root, figure: &Figure) -> Result<String> {
     let (left, right) = ends(chart.plotting_area().get_x_axis_pixel_range());
     let (top, bottom) = ends(chart.plotting_area().get_y_axis_pixel_range());
     let bounds = Rect(left, top, right, bottom);
-    marks(root, figure, &pixel, bounds)?;
+    marks(root, figure, pixel, bounds)?;
     legend(root, figure)?;
-    spots(figure, &pixel)
+    spots(figure, pixel)
 }
 
 /// Both ends of a range of pixels, the lesser first.

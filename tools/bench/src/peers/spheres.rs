@@ -1,6 +1,7 @@
 //! Peers that know points and spheres: the collision-affording point tree `capt`, and the k-d tree `kiddo`.
 
 use super::scene::PAWN;
+use crate::stability::Result;
 use capt::Capt;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Point3;
@@ -48,7 +49,7 @@ pub struct Tree {
 }
 
 impl Tree {
-    pub fn new(points: Vec<[f64; 3]>) -> Result<Self, crate::Failed> {
+    pub fn new(points: Vec<[f64; 3]>) -> Result<Self> {
         let tree = ImmutableKdTree::new_from_slice(&points).map_err(|e| format!("kiddo: {e:?}"))?;
         Ok(Self { tree, points })
     }

@@ -1,7 +1,7 @@
 //! The real scan at one pixel size, and where a pawn asks in it.
 
-use crate::Failed;
-use bench::Random;
+use crate::Random;
+use crate::stability::{Error, Result};
 use nalgebra::{Point2, Point3, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
@@ -26,14 +26,14 @@ pub fn scan() -> Option<PathBuf> {
     Some(shared.join("data/indoor_two_storey_zup.laz")).filter(|path| path.is_file())
 }
 
-pub fn points(scan: &Path) -> Result<Vec<Point3<f64>>, Failed> {
+pub fn points(scan: &Path) -> Result<Vec<Point3<f64>>> {
     let mut reader = las::Reader::from_path(scan)?;
     let data = reader.read_all()?;
-    let points: Result<Vec<_>, _> = data.points().map(|p| p.map(|p| Point3::new(p.x, p.y, p.z))).collect();
+    let points: std::result::Result<Vec<_>, _> = data.points().map(|p| p.map(|p| Point3::new(p.x, p.y, p.z))).collect();
     Ok(points?)
 }
 
-pub fn store(scan: &Path, pixel_m: f64) -> Result<Store, Failed> {
+pub fn store(scan: &Path, pixel_m: f64) -> Result<Store> {
     let folder = tempfile::tempdir()?;
     let mut options = ConvertOptions::new(vec![scan.to_path_buf()], folder.path().join("scan.slices"));
     options.pixel = PixelSize::Metres(pixel_m);
@@ -42,7 +42,7 @@ pub fn store(scan: &Path, pixel_m: f64) -> Result<Store, Failed> {
 }
 
 /// The way up the stairs and back that `docs/walking.md` tells of.
-pub fn route() -> Result<Vec<Point2<f64>>, Failed> {
+pub fn route() -> Result<Vec<Point2<f64>>> {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/route-indoor.csv"))?;
     let place = |line: &str| {
         let (x, y) = line.split_once(',')?;
@@ -64,7 +64,7 @@ pub struct Workload {
 }
 
 impl Workload {
-    pub fn new(points: &[Point3<f64>], store: &Store) -> Result<Self, Failed> {
+    pub fn new(points: &[Point3<f64>], store: &Store) -> Result<Self> {
         let (low, high) = points.iter().fold((points[0], points[0]), |(low, high), p| (low.inf(p), high.sup(p)));
         let mut random = Random(21);
         let pawn = |feet| Aabb::standing(feet, Vector3::from(PAWN));
@@ -72,7 +72,7 @@ impl Workload {
             let mut at = |axis: usize, less: f64| random.between(low[axis], high[axis] - less);
             pawn(Point3::new(at(0, 0.0), at(1, 0.0), at(2, PAWN[2])))
         });
-        let anywhere: Vec<_> = anywhere.collect::<Result<_, _>>()?;
+        let anywhere: Vec<_> = anywhere.collect::<std::result::Result<_, _>>()?;
         let config = Config { tick_s: 1.0 / 600.0, ..Config::new(ROUND) };
         let (mut walker, mut route) = (Walker::new(config, START.into())?, Route::new(route()?)?);
         let mut walk = Vec::new();
@@ -95,7 +95,7 @@ impl Workload {
             let to = points[random.bits() as usize % points.len()];
             Ok((Ray::new(eyes, to - eyes, 10.0)?, (to - eyes).norm()))
         });
-        let rays: Result<Vec<_>, Failed> = rays.collect();
+        let rays: std::result::Result<Vec<_>, Error> = rays.collect();
         Ok(Self { random: anywhere, walk: walk.clone(), sweeps, rays: rays? })
     }
 }

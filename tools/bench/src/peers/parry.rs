@@ -1,5 +1,6 @@
 //! `parry3d`: the same voxels as `Voxels`, and their faces as a `TriMesh`.
 
+use crate::stability::Result;
 use nalgebra::{Point3, Vector3};
 use parry3d::math::{IVector, Pose, Vector};
 use parry3d::query::{ShapeCastOptions, cast_shapes, intersection_test};
@@ -16,7 +17,7 @@ pub fn voxels(points: &[Point3<f64>], size: [f64; 3]) -> Voxels {
 }
 
 /// The faces of voxels, two triangles each.
-pub fn mesh(voxels: &Voxels) -> Result<TriMesh, crate::Failed> {
+pub fn mesh(voxels: &Voxels) -> Result<TriMesh> {
     let (vertices, indices) = voxels.to_trimesh();
     Ok(TriMesh::new(vertices, indices)?)
 }

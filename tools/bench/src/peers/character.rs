@@ -4,6 +4,7 @@ use super::measure::{Measured, summary};
 use super::oracle::Oracle;
 use super::parry::vector;
 use super::scene::{PAWN, ROUND, START, route};
+use crate::stability::Result;
 use nalgebra::{Point3, Vector3};
 use rapier3d::control::{CharacterAutostep, CharacterLength, KinematicCharacterController};
 use rapier3d::prelude::*;
@@ -45,7 +46,7 @@ impl Walked {
     }
 }
 
-pub fn ours(store: &Store, tick_s: f64) -> Result<Walked, crate::Failed> {
+pub fn ours(store: &Store, tick_s: f64) -> Result<Walked> {
     let mut walker = Walker::new(Config { tick_s, ..Config::new(ROUND) }, START.into())?;
     let mut route = Route::new(route()?)?;
     let (mut times, mut feet) = (Vec::new(), Vec::new());
@@ -59,7 +60,7 @@ pub fn ours(store: &Store, tick_s: f64) -> Result<Walked, crate::Failed> {
 }
 
 /// A capsule, as its guide advises, that climbs steps of some height and width, and snaps down as far.
-pub fn rapier(world: SharedShape, step: f32, width: f32) -> Result<Walked, crate::Failed> {
+pub fn rapier(world: SharedShape, step: f32, width: f32) -> Result<Walked> {
     let (mut bodies, mut colliders) = (RigidBodySet::new(), ColliderSet::new());
     colliders.insert(ColliderBuilder::new(world));
     let (mut broad, mut narrow) = (BroadPhaseBvh::new(), NarrowPhase::new());

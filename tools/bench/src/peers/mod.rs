@@ -1,15 +1,17 @@
 //! Ours beside its peers: the same questions about the same real scan, in one run on one machine, with the wrong answers
 //! beside the times. Brute force over the points says which answers are wrong.
 //!
-//! `cargo bench -p bench --bench peers` writes `tools/bench/results/peers.md`. Needs the shared scans.
+//! `bench peers` writes `peers.md`. Needs the shared scans.
 
-mod character;
-mod measure;
-mod oracle;
-mod parry;
-mod scene;
-mod spheres;
+pub(crate) mod character;
+pub(crate) mod measure;
+pub mod octomap;
+pub(crate) mod oracle;
+pub(crate) mod parry;
+pub(crate) mod scene;
+pub(crate) mod spheres;
 
+use crate::stability::Result;
 use measure::{Measured, measure};
 use oracle::Oracle;
 use parry3d::shape::SharedShape;
@@ -19,7 +21,6 @@ use slicewalk::store::Store;
 use std::fmt::Write;
 use std::path::Path;
 
-type Failed = Box<dyn std::error::Error>;
 /// Whether an answer about a ray, and the distance of the point that it goes through, is wrong.
 type Verdict<'a> = dyn Fn(Option<f64>, &(Ray, f64)) -> bool + 'a;
 
@@ -134,7 +135,7 @@ impl World<'_> {
         }
     }
 
-    fn walks(&self, page: &mut String) -> Result<(), Failed> {
+    fn walks(&self, page: &mut String) -> Result<()> {
         let places = scene::route()?.len();
         head(page, "A frame of a walk, 60 a second", ["frames inside matter", "waypoints not reached"]);
         let mut add = |who: &str, walked: character::Walked| {
@@ -152,11 +153,8 @@ impl World<'_> {
     }
 }
 
-fn main() -> Result<(), Failed> {
-    if std::env::args().any(|argument| argument == "--test") {
-        println!("peers: not part of the smoke run");
-        return Ok(());
-    }
+/// Writes `peers.md` into `out`; quick: one pixel size.
+pub fn run(out: &Path, quick: bool) -> Result<()> {
     let Some(scan) = scene::scan() else {
         println!("skipped: the shared scans are missing");
         return Ok(());
@@ -167,7 +165,7 @@ fn main() -> Result<(), Failed> {
     // The way is that of the coarser grid for both.
     let workload = Workload::new(&points, &scene::store(&scan, 0.05)?)?;
     let mut page = String::from(include_str!("head.md"));
-    for pixel in [0.05, 0.02] {
+    for &pixel in if quick { &[0.05][..] } else { &[0.05, 0.02] } {
         println!("== pixels of {pixel} m");
         let _ = writeln!(page, "\n## Pixels of {:.0} cm", pixel * 100.0);
         let store = scene::store(&scan, pixel)?;
@@ -197,8 +195,7 @@ fn main() -> Result<(), Failed> {
         world.rays(&mut page, &workload.rays);
         world.walks(&mut page)?;
     }
-    let out = Path::new(env!("CARGO_MANIFEST_DIR")).join("results/peers.md");
-    std::fs::write(&out, page)?;
-    println!("wrote {}", out.display());
+    std::fs::create_dir_all(out)?;
+    std::fs::write(out.join("peers.md"), page)?;
     Ok(())
 }
