@@ -6,6 +6,7 @@
 pub(crate) mod character;
 pub(crate) mod measure;
 pub mod octomap;
+pub mod recast;
 pub(crate) mod oracle;
 pub(crate) mod parry;
 pub(crate) mod scene;

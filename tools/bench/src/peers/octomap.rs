@@ -1,146 +1,159 @@
-//! OctoMap: an octree of occupied cubes, asked by a C++ program of ours that is built when its library is installed.
+//! OctoMap: an octree of occupied cubes, behind a few C++ functions of ours that are built when its library is installed.
 
 use crate::stability::Result;
 use nalgebra::{Point3, Vector3};
 use slicewalk::query::Aabb;
-use std::path::{Path, PathBuf};
+use std::ffi::{CString, c_char, c_int, c_void};
+use std::path::Path;
 use std::process::{Command, Output};
+use std::sync::Arc;
 
 /// What its documentation advises, and how boxes are asked.
-pub const SETTINGS: &str = "points as occupied by updateNode, lazy; updateInnerOccupancy, toMaxLikelihood, prune; no free space; boxes by a search down from the root that leaves out what lies outside";
+pub const SETTINGS: &str = "updateNode as occupied, lazy; updateInnerOccupancy, toMaxLikelihood, prune; no free space; \
+     boxes by a search down from the root, into what meets the box only";
 const SOURCE: &str = include_str!("../../octomap/octomap.cc");
 /// Cubes to a side of its trees.
 const SIDE: f64 = 65_536.0;
 
-/// The program, in a folder of its own.
-pub struct Octomap {
-    folder: tempfile::TempDir,
-    program: PathBuf,
+/// The functions of `octomap.cc`.
+struct Functions {
+    build: unsafe extern "C" fn(*const f64, usize, f64) -> *mut c_void,
+    free: unsafe extern "C" fn(*mut c_void),
+    hits: unsafe extern "C" fn(*const c_void, *const f64) -> c_int,
+    memory_bytes: unsafe extern "C" fn(*const c_void) -> usize,
+    leaves: unsafe extern "C" fn(*const c_void, *mut f64, usize) -> usize,
+    write: unsafe extern "C" fn(*mut c_void, *const c_char) -> c_int,
+    /// The functions are its: it stays as long as they do.
+    _library: libloading::Library,
 }
 
-/// What it answered, and what it cost.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Asked {
-    /// Time to build (s).
-    pub build_s: f64,
-    /// Memory, by its own count (bytes).
-    pub resident_bytes: u64,
-    /// Its binary tree, `.bt` (bytes).
-    pub file_bytes: u64,
-    /// Occupied cubes of the finest level.
-    pub occupied_cubes: u64,
-    /// Whether it calls each box a hit.
-    pub answers: Vec<bool>,
-    /// For each repeat the time of each box, the best of three less the clock's (ns).
-    pub times_ns: Vec<Vec<f64>>,
-    /// Least corners of occupied cubes, evenly among all (m).
-    pub cubes: Vec<Point3<f64>>,
-}
-
-/// What to build and to ask.
-#[derive(Debug, Clone, Copy)]
-pub struct Task<'a> {
-    /// Occupied places.
-    pub points: &'a [Point3<f64>],
-    /// Edge of a cube (m).
-    pub cube_m: f64,
-    /// Boxes to ask about.
-    pub boxes: &'a [Aabb],
-    /// How often the times are taken.
-    pub repeats: usize,
-    /// Cubes to give, at most.
-    pub samples: usize,
-}
+/// The library, built and loaded.
+#[derive(Clone)]
+pub struct Octomap(Arc<Functions>);
 
 impl Octomap {
-    /// Builds the program; an error says in one line why there is none.
-    pub fn new() -> Result<Self> {
-        let compiler = std::env::var_os("CXX").unwrap_or_else(|| "c++".into());
+    /// Builds and loads it; an error says in one line why there is none.
+    pub fn load() -> Result<Self> {
         let folder = tempfile::tempdir()?;
-        let (source, program) = (folder.path().join("octomap.cc"), folder.path().join("octomap"));
-        std::fs::write(&source, SOURCE)?;
-        let header = folder.path().join("header.cc");
-        std::fs::write(&header, "#include <octomap/OcTree.h>\n")?;
-        let start = |command: &mut Command| {
-            command.output().map_err(|e| format!("{} cannot be started: {e}", compiler.to_string_lossy()))
+        let library = folder.path().join("liboctree.so");
+        compile(folder.path(), &library)?;
+        // SAFETY: the library was made from our source a moment ago. It runs nothing when it is loaded but what the
+        // constructors of the C++ and OctoMap libraries do, and its functions have these types.
+        let functions = unsafe {
+            let library =
+                libloading::Library::new(&library).map_err(|e| format!("octomap.cc cannot be loaded: {e}"))?;
+            Functions {
+                build: *library.get(c"octree_build")?,
+                free: *library.get(c"octree_free")?,
+                hits: *library.get(c"octree_hits")?,
+                memory_bytes: *library.get(c"octree_memory_bytes")?,
+                leaves: *library.get(c"octree_leaves")?,
+                write: *library.get(c"octree_write")?,
+                _library: library,
+            }
         };
-        if !start(Command::new(&compiler).arg("-E").arg(&header))?.status.success() {
-            return Err("liboctomap-dev is not installed".into());
-        }
-        let mut build = Command::new(&compiler);
-        build.args(["-std=c++17", "-O3", "-DNDEBUG", "-o"]).args([&program, &source]);
-        successful(start(build.args(["-loctomap", "-loctomath"]))?, "octomap.cc does not compile")?;
-        Ok(Self { folder, program })
+        Ok(Self(Arc::new(functions)))
     }
 
-    /// Builds a tree and asks it.
-    pub fn ask(&self, task: &Task) -> Result<Asked> {
-        let from = middle(task)?;
-        let place = |name| self.folder.path().join(name);
-        let (points, boxes, answers, tree) = (place("points"), place("boxes"), place("answers"), place("tree.bt"));
-        let shifted = |p: &Point3<f64>| [p.x - from.x, p.y - from.y, p.z - from.z];
-        write(&points, task.points.iter().flat_map(shifted))?;
-        let ends = |shape: &Aabb| [shifted(&shape.min()), shifted(&shape.max())];
-        write(&boxes, task.boxes.iter().flat_map(ends).flatten())?;
-        let mut command = Command::new(&self.program);
-        command.arg(task.cube_m.to_string()).args([&points, &boxes]);
-        command.args([task.repeats, task.samples].map(|count| count.to_string())).args([&answers, &tree]);
-        let said = successful(command.output()?, "octomap.cc failed")?;
-        let fact = |name: &str| -> Result<f64> {
-            let found = said.lines().find_map(|line| line.strip_prefix(name)?.trim().parse().ok());
-            found.ok_or_else(|| format!("octomap.cc gave no {name}").into())
-        };
-        let values = read(&answers)?;
-        let asked = task.boxes.len();
-        if values.len() < asked * (1 + task.repeats) || !(values.len() - asked * (1 + task.repeats)).is_multiple_of(3) {
-            return Err(format!("octomap.cc gave {} numbers about {asked} boxes", values.len()).into());
+    /// A tree of cubes of this edge (m) about points; an error where it would be too wide.
+    pub fn tree(&self, points: &[Point3<f64>], cube_m: f64) -> Result<Tree> {
+        let from = middle(points, cube_m)?;
+        let places: Vec<[f64; 3]> = points.iter().map(|p| (p - from).into()).collect();
+        // SAFETY: as many points as the count says, three numbers each.
+        let handle = unsafe { (self.0.build)(places.as_ptr().cast(), places.len(), cube_m) };
+        if handle.is_null() {
+            return Err("OctoMap could not build the tree: memory ran out".into());
         }
-        let (hits, rest) = values.split_at(asked);
-        let (times, cubes) = rest.split_at(asked * task.repeats);
-        let times_ns = (0..task.repeats).map(|repeat| times[repeat * asked..][..asked].to_vec());
-        Ok(Asked {
-            build_s: fact("build_s")?,
-            resident_bytes: fact("resident_bytes")? as u64,
-            file_bytes: std::fs::metadata(&tree)?.len(),
-            occupied_cubes: fact("occupied_cubes")? as u64,
-            answers: hits.iter().map(|hit| *hit == 1.0).collect(),
-            times_ns: times_ns.collect(),
-            cubes: cubes.chunks_exact(3).map(|c| Point3::new(c[0], c[1], c[2]) + from).collect(),
-        })
+        Ok(Tree { functions: self.0.clone(), handle, from })
     }
 }
 
-/// Whole cubes from the origin to the middle of the points: its trees lie around (0, 0, 0). An error where they do not fit.
-fn middle(task: &Task) -> Result<Vector3<f64>> {
-    let mut points = task.points.iter();
-    let first = *points.next().ok_or("no points")?;
-    let (low, high) = points.fold((first, first), |(low, high), p| (low.inf(p), high.sup(p)));
-    let cubes = (high - low).max() / task.cube_m;
-    if cubes > SIDE - 4.0 {
-        return Err(format!("{cubes:.0} cubes to a side; its trees have {SIDE} at most").into());
+fn compile(folder: &Path, library: &Path) -> Result<()> {
+    let compiler = std::env::var_os("CXX").unwrap_or_else(|| "c++".into());
+    let (source, header) = (folder.join("octomap.cc"), folder.join("header.cc"));
+    std::fs::write(&source, SOURCE)?;
+    std::fs::write(&header, "#include <octomap/OcTree.h>\n")?;
+    let start = |command: &mut Command| -> Result<Output> {
+        command.output().map_err(|e| format!("{} cannot be started: {e}", compiler.to_string_lossy()).into())
+    };
+    if !start(Command::new(&compiler).arg("-E").arg(&header))?.status.success() {
+        return Err("liboctomap-dev is not installed".into());
     }
-    Ok(nalgebra::center(&low, &high).coords.map(|value| (value / task.cube_m).round() * task.cube_m))
-}
-
-/// What a program said, or its first line of complaint.
-fn successful(output: Output, failed: &str) -> Result<String> {
+    let mut build = Command::new(&compiler);
+    build.args(["-std=c++17", "-O3", "-DNDEBUG", "-shared", "-fPIC", "-o"]).args([library, &source]);
+    let output = start(build.args(["-loctomap", "-loctomath"]))?;
     if output.status.success() {
-        return Ok(String::from_utf8_lossy(&output.stdout).into_owned());
+        return Ok(());
     }
     let said = String::from_utf8_lossy(&output.stderr);
     let line = said.lines().find(|line| line.contains("error")).or(said.lines().next());
-    Err(format!("{failed} ({}): {}", output.status, line.unwrap_or("no word why")).into())
+    Err(format!("octomap.cc does not compile ({}): {}", output.status, line.unwrap_or("no word why")).into())
 }
 
-fn write(path: &Path, values: impl Iterator<Item = f64>) -> Result<()> {
-    let bytes: Vec<u8> = values.flat_map(f64::to_ne_bytes).collect();
-    Ok(std::fs::write(path, bytes)?)
+/// Whole cubes from the origin to the middle of the points: its trees lie around (0, 0, 0).
+fn middle(points: &[Point3<f64>], cube_m: f64) -> Result<Vector3<f64>> {
+    let first = *points.first().ok_or("no points")?;
+    let (low, high) = points.iter().fold((first, first), |(low, high), p| (low.inf(p), high.sup(p)));
+    let cubes = (high - low).max() / cube_m;
+    if cubes > SIDE - 4.0 {
+        return Err(format!("{cubes:.0} cubes to a side; OctoMap's trees have {SIDE} at most").into());
+    }
+    Ok(nalgebra::center(&low, &high).coords.map(|value| (value / cube_m).round() * cube_m))
 }
 
-fn read(path: &Path) -> Result<Vec<f64>> {
-    let bytes = std::fs::read(path)?;
-    let (values, _) = bytes.as_chunks::<8>();
-    Ok(values.iter().map(|value| f64::from_ne_bytes(*value)).collect())
+/// A tree.
+pub struct Tree {
+    functions: Arc<Functions>,
+    handle: *mut c_void,
+    from: Vector3<f64>,
+}
+
+impl Tree {
+    /// Whether a closed box touches an occupied cube.
+    pub fn hits(&self, shape: &Aabb) -> bool {
+        let (min, max) = (shape.min() - self.from, shape.max() - self.from);
+        let ends = [min.x, min.y, min.z, max.x, max.y, max.z];
+        // SAFETY: the handle is that of a tree until it is dropped; six numbers are read.
+        unsafe { (self.functions.hits)(self.handle, ends.as_ptr()) == 1 }
+    }
+
+    /// Memory, by its own count (bytes).
+    pub fn memory_bytes(&self) -> u64 {
+        // SAFETY: as above.
+        unsafe { (self.functions.memory_bytes)(self.handle) as u64 }
+    }
+
+    /// Bytes of its binary tree, `.bt`.
+    pub fn file_bytes(&self) -> Result<u64> {
+        let file = tempfile::NamedTempFile::new()?;
+        let path = CString::new(file.path().as_os_str().as_encoded_bytes())?;
+        // SAFETY: as above; the path ends with a zero.
+        if unsafe { (self.functions.write)(self.handle, path.as_ptr()) } != 1 {
+            return Err(format!("{}: OctoMap cannot write its tree", file.path().display()).into());
+        }
+        Ok(std::fs::metadata(file.path())?.len())
+    }
+
+    /// Occupied leaves: cubes, and eight times as large where all eight are occupied, and so on; least and greatest corner.
+    pub fn leaves(&self) -> Vec<[Point3<f64>; 2]> {
+        // SAFETY: as above; without room nothing is written.
+        let count = unsafe { (self.functions.leaves)(self.handle, std::ptr::null_mut(), 0) };
+        let mut leaves = vec![[0.0; 4]; count];
+        // SAFETY: as above; there is room for four numbers for each of so many leaves, and the tree has not changed.
+        unsafe { (self.functions.leaves)(self.handle, leaves.as_mut_ptr().cast(), count) };
+        let corners = |[x, y, z, edge]: [f64; 4]| {
+            let least = Point3::new(x, y, z) + self.from;
+            [least, least + Vector3::repeat(edge)]
+        };
+        leaves.into_iter().map(corners).collect()
+    }
+}
+
+impl Drop for Tree {
+    fn drop(&mut self) {
+        // SAFETY: nobody else has the handle.
+        unsafe { (self.functions.free)(self.handle) }
+    }
 }
 
 #[cfg(test)]
@@ -149,42 +162,44 @@ mod tests {
     use crate::Random;
     use std::collections::HashSet;
 
+    const CUBE: f64 = 0.25;
+
     #[test]
     fn its_answers_are_those_of_the_cubes_that_hold_a_point() -> Result<()> {
-        let octomap = match Octomap::new() {
+        let octomap = match Octomap::load() {
             Ok(octomap) => octomap,
             Err(error) => {
                 eprintln!("skipped: {error}");
                 return Ok(());
             }
         };
-        const CUBE: f64 = 0.25;
         let mut random = Random(5);
         let mut place = |low: f64, high: f64| Point3::from([0, 1, 2].map(|_| random.between(low, high)));
         // Far from the origin, and dense enough in a corner that cubes are pruned into larger ones.
         let mut points: Vec<_> = (0..3000).map(|_| place(1000.0, 1002.0)).collect();
         points.extend((0..300).map(|_| place(1000.0, 1020.0)));
-        let boxes: Result<Vec<_>> =
-            (0..500).map(|_| Ok(Aabb::standing(place(999.0, 1021.0), Vector3::new(0.5, 0.5, 1.8))?)).collect();
-        let boxes = boxes?;
         let cell = |p: &Point3<f64>| [0, 1, 2].map(|axis| (p[axis] / CUBE).floor() as i64);
         let cubes: HashSet<[i64; 3]> = points.iter().map(cell).collect();
-        let task = Task { points: &points, cube_m: CUBE, boxes: &boxes, repeats: 2, samples: 100_000 };
-        let asked = octomap.ask(&task)?;
-        let touches = |shape: &Aabb| {
+        let tree = octomap.tree(&points, CUBE)?;
+        let mut hits = 0;
+        for _ in 0..500 {
+            let shape = Aabb::standing(place(999.0, 1006.0), Vector3::new(0.5, 0.5, 1.8))?;
             let (low, high) = (cell(&shape.min()), cell(&shape.max()));
-            cubes.iter().any(|cube| (0..3).all(|axis| (low[axis]..=high[axis]).contains(&cube[axis])))
-        };
-        let expected: Vec<bool> = boxes.iter().map(touches).collect();
-        assert!(expected.contains(&true) && expected.contains(&false));
-        assert_eq!(asked.answers, expected);
-        let inside = |corner: &Point3<f64>| cell(&(corner + Vector3::repeat(CUBE / 2.0)));
-        assert_eq!(asked.cubes.iter().map(inside).collect::<HashSet<_>>(), cubes);
-        assert_eq!((asked.occupied_cubes, asked.cubes.len()), (cubes.len() as u64, cubes.len()));
-        assert_eq!(asked.times_ns.iter().map(Vec::len).collect::<Vec<_>>(), [500, 500]);
-        assert!(asked.file_bytes > 100 && asked.resident_bytes > 16 * asked.file_bytes / 2, "{asked:?}");
-        let wide = Task { cube_m: 20.0 / 70_000.0, ..task };
-        assert!(octomap.ask(&wide).is_err_and(|error| error.to_string().contains("65536 at most")));
+            let touches = cubes.iter().any(|cube| (0..3).all(|axis| (low[axis]..=high[axis]).contains(&cube[axis])));
+            assert_eq!(tree.hits(&shape), touches, "{shape:?}");
+            hits += usize::from(touches);
+        }
+        assert!((25..450).contains(&hits), "{hits}");
+        let leaves = tree.leaves();
+        assert!(leaves.len() < cubes.len(), "none was pruned");
+        let volume: f64 = leaves.iter().map(|[min, max]| (max - min).product()).sum();
+        assert!((volume / CUBE.powi(3) - cubes.len() as f64).abs() < 1e-6);
+        let inside = |[min, _]: &[Point3<f64>; 2]| cubes.contains(&cell(&(min + Vector3::repeat(CUBE / 2.0))));
+        assert!(leaves.iter().all(inside));
+        let (memory, file) = (tree.memory_bytes(), tree.file_bytes()?);
+        assert!(file > 100 && memory > file, "{memory} {file}");
+        let wide = octomap.tree(&points, 20.0 / 70_000.0);
+        assert!(wide.is_err_and(|error| error.to_string().contains("65536 at most")));
         Ok(())
     }
 }
