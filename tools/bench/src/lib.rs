@@ -2,6 +2,7 @@
 
 pub mod building;
 pub mod chart;
+mod heap;
 pub mod pawns;
 pub mod peers;
 pub mod random;

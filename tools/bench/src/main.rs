@@ -20,6 +20,8 @@ enum Command {
     Size(Common),
     /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
     Walks(Common),
+    /// Speed beside accuracy: every method in every scene at six pixel sizes
+    Chart(bench::chart::Options),
     /// The same questions to ours and to its peers, about a real scan, with the wrong answers
     Peers(Common),
     /// Answers of a small cache, asked from four threads, beside those of all pages in memory, for a long time
@@ -82,6 +84,7 @@ fn main() -> ExitCode {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
         Command::Size(common) => bench::size::run(&common.out(), common.quick),
+        Command::Chart(options) => bench::chart::run(&options),
         Command::Peers(common) => bench::peers::run(&common.out(), common.quick),
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),

@@ -5,14 +5,15 @@ use super::oracle::Oracle;
 use super::parry::vector;
 use super::scene::{PAWN, ROUND, START, route};
 use crate::stability::Result;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 use rapier3d::control::{CharacterAutostep, CharacterLength, KinematicCharacterController};
 use rapier3d::prelude::*;
 use slicewalk::store::Store;
 use slicewalk::walk::{Config, Route, State, Walker};
 use std::time::Instant;
 
-const FRAME_S: f64 = 1.0 / 60.0;
+/// Length of a frame (s).
+pub const FRAME_S: f64 = 1.0 / 60.0;
 /// Frames of a walk at most: twice what ours needs. It ends where the pawn has not come on for so many frames.
 const FRAMES: usize = 3200;
 const STANDS: usize = 240;
@@ -59,66 +60,119 @@ pub fn ours(store: &Store, tick_s: f64) -> Result<Walked> {
     Ok(Walked::new(times, feet, route.next()))
 }
 
+/// A world as the controller asks it.
+pub struct Physics {
+    bodies: RigidBodySet,
+    colliders: ColliderSet,
+    broad: BroadPhaseBvh,
+    narrow: NarrowPhase,
+}
+
+impl Physics {
+    /// A world of one shape.
+    pub fn new(world: SharedShape) -> Self {
+        let (mut bodies, mut colliders) = (RigidBodySet::new(), ColliderSet::new());
+        colliders.insert(ColliderBuilder::new(world));
+        let (mut broad, mut narrow) = (BroadPhaseBvh::new(), NarrowPhase::new());
+        PhysicsPipeline::new().step(
+            Vector::ZERO,
+            &IntegrationParameters::default(),
+            &mut IslandManager::new(),
+            &mut broad,
+            &mut narrow,
+            &mut bodies,
+            &mut colliders,
+            &mut ImpulseJointSet::new(),
+            &mut MultibodyJointSet::new(),
+            &mut SoftBodySet::new(),
+            &mut CCDSolver::new(),
+            &(),
+            &(),
+        );
+        Self { bodies, colliders, broad, narrow }
+    }
+}
+
 /// A capsule, as its guide advises, that climbs steps of some height and width, and snaps down as far.
-pub fn rapier(world: SharedShape, step: f32, width: f32) -> Result<Walked> {
-    let (mut bodies, mut colliders) = (RigidBodySet::new(), ColliderSet::new());
-    colliders.insert(ColliderBuilder::new(world));
-    let (mut broad, mut narrow) = (BroadPhaseBvh::new(), NarrowPhase::new());
-    let (mut pipeline, mut islands) = (PhysicsPipeline::new(), IslandManager::new());
-    let (mut joints, mut multibody, mut ccd) = (ImpulseJointSet::new(), MultibodyJointSet::new(), CCDSolver::new());
-    pipeline.step(
-        Vector::ZERO,
-        &IntegrationParameters::default(),
-        &mut islands,
-        &mut broad,
-        &mut narrow,
-        &mut bodies,
-        &mut colliders,
-        &mut joints,
-        &mut multibody,
-        &mut SoftBodySet::new(),
-        &mut ccd,
-        &(),
-        &(),
-    );
-    let queries = broad.as_query_pipeline(narrow.query_dispatcher(), &bodies, &colliders, QueryFilter::default());
-    let controller = KinematicCharacterController {
-        up: Vector::Z,
-        autostep: Some(CharacterAutostep {
-            max_height: CharacterLength::Absolute(step),
-            min_width: CharacterLength::Absolute(width),
-            include_dynamic_bodies: false,
-        }),
-        snap_to_ground: Some(CharacterLength::Absolute(step)),
-        ..KinematicCharacterController::default()
-    };
-    let radius = PAWN[0] / 2.0;
-    let half = PAWN[2] / 2.0;
-    let capsule =
-        Capsule::new(Vector::Z * -((half - radius) as f32), Vector::Z * ((half - radius) as f32), radius as f32);
+pub struct Pawn<'a> {
+    queries: QueryPipeline<'a>,
+    controller: KinematicCharacterController,
+    capsule: Capsule,
+    /// Half of its height (m).
+    half: f64,
+    center: Point3<f64>,
+    /// Its speed downwards (m/s).
+    falling: f64,
+}
+
+impl<'a> Pawn<'a> {
+    /// With its feet somewhere, a radius and a height (m), and steps of a height and a least width of treads (m).
+    pub fn new(world: &'a Physics, feet: Point3<f64>, [radius, height]: [f64; 2], (step, width): (f32, f32)) -> Self {
+        let dispatcher = world.narrow.query_dispatcher();
+        let queries =
+            world.broad.as_query_pipeline(dispatcher, &world.bodies, &world.colliders, QueryFilter::default());
+        let controller = KinematicCharacterController {
+            up: Vector::Z,
+            autostep: Some(CharacterAutostep {
+                max_height: CharacterLength::Absolute(step),
+                min_width: CharacterLength::Absolute(width),
+                include_dynamic_bodies: false,
+            }),
+            snap_to_ground: Some(CharacterLength::Absolute(step)),
+            ..KinematicCharacterController::default()
+        };
+        let half = height / 2.0;
+        let end = Vector::Z * (half - radius) as f32;
+        let capsule = Capsule::new(-end, end, radius as f32);
+        // A little above the ground, as its own skin asks.
+        let center = feet + Vector3::new(0.0, 0.0, half + 0.02);
+        Self { queries, controller, capsule, half, center, falling: 0.0 }
+    }
+
+    /// Where its feet are (m).
+    pub fn feet(&self) -> Point3<f64> {
+        self.center - Vector3::new(0.0, 0.0, self.half)
+    }
+
+    /// A frame in which it wants to go so far across (m), and keeps its height where nothing else says so.
+    pub fn float(&mut self, across: Vector2<f64>) {
+        self.falling = -9.81 * FRAME_S;
+        self.step(across);
+    }
+
+    /// A frame in which it wants to go so far across (m), and falls where nothing holds it; how long that took (ns).
+    pub fn step(&mut self, across: Vector2<f64>) -> f64 {
+        self.falling += 9.81 * FRAME_S;
+        let wanted = across.push(-self.falling * FRAME_S);
+        let pose = Pose::from_translation(vector(&self.center.coords));
+        let start = Instant::now();
+        let (queries, capsule) = (&self.queries, &self.capsule);
+        let moved = self.controller.move_shape(FRAME_S as f32, queries, capsule, &pose, vector(&wanted), |_| {});
+        let took = start.elapsed().as_secs_f64() * 1e9;
+        let by = moved.translation;
+        self.center += Vector3::new(f64::from(by.x), f64::from(by.y), f64::from(by.z));
+        if moved.grounded {
+            self.falling = 0.0;
+        }
+        took
+    }
+}
+
+/// Its walk along the route.
+pub fn rapier(world: SharedShape, steps: (f32, f32)) -> Result<Walked> {
+    let physics = Physics::new(world);
+    let mut pawn = Pawn::new(&physics, START.into(), [PAWN[0] / 2.0, PAWN[2]], steps);
     let (places, speed) = (route()?, Config::new(ROUND).speed);
-    // A little above the ground, as its own skin asks.
-    let mut center = Point3::from(START) + Vector3::new(0.0, 0.0, half + 0.02);
-    let (mut next, mut falling) = (0, 0.0);
+    let mut next = 0;
     let (mut times, mut feet) = (Vec::new(), Vec::new());
     while next < places.len() && times.len() < FRAMES {
-        let way = places[next] - center.xy();
+        let way = places[next] - pawn.feet().xy();
         if way.norm() <= 0.03 {
             next += 1;
             continue;
         }
-        falling += 9.81 * FRAME_S;
-        let wanted = (way * (speed * FRAME_S / way.norm()).min(1.0)).push(-falling * FRAME_S);
-        let pose = Pose::from_translation(vector(&center.coords));
-        let start = Instant::now();
-        let moved = controller.move_shape(FRAME_S as f32, &queries, &capsule, &pose, vector(&wanted), |_| {});
-        times.push(start.elapsed().as_secs_f64() * 1e9);
-        let by = moved.translation;
-        center += Vector3::new(f64::from(by.x), f64::from(by.y), f64::from(by.z));
-        if moved.grounded {
-            falling = 0.0;
-        }
-        feet.push(center - Vector3::new(0.0, 0.0, half));
+        times.push(pawn.step(way * (speed * FRAME_S / way.norm()).min(1.0)));
+        feet.push(pawn.feet());
         let before = feet.len().checked_sub(STANDS).map(|n| feet[n]);
         if before.is_some_and(|before: Point3<f64>| (before - feet[feet.len() - 1]).norm() < 0.05) {
             break;

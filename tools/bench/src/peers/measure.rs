@@ -14,9 +14,14 @@ pub struct Measured<R> {
     pub answers: Vec<R>,
 }
 
-/// Asks about as many items as there is time for. Per item the best of three rounds, less the clock's own time: other
+/// Asks about as many items as there is time for.
+pub fn measure<T, R>(items: &[T], call: impl FnMut(&T) -> R) -> Measured<R> {
+    measure_within(ROUND, items, call)
+}
+
+/// Asks about as many items as one round has time for. Per item the best of three rounds, less the clock's own time: other
 /// work on the machine only adds.
-pub fn measure<T, R>(items: &[T], mut call: impl FnMut(&T) -> R) -> Measured<R> {
+pub fn measure_within<T, R>(round: Duration, items: &[T], mut call: impl FnMut(&T) -> R) -> Measured<R> {
     let mut clock: Vec<f64> = (0..10_000).map(|_| nanoseconds(Instant::now())).collect();
     clock.sort_by(f64::total_cmp);
     let clock = clock[clock.len() / 2];
@@ -27,7 +32,7 @@ pub fn measure<T, R>(items: &[T], mut call: impl FnMut(&T) -> R) -> Measured<R> 
         let answer = black_box(call(black_box(item)));
         best.push(nanoseconds(start));
         answers.push(answer);
-        if begin.elapsed() > ROUND {
+        if begin.elapsed() > round {
             break;
         }
     }

@@ -145,9 +145,9 @@ impl World<'_> {
         add("slicewalk `Walker`, ticks of 1/240 s", character::ours(&self.store, 1.0 / 240.0)?);
         add("slicewalk `Walker`, ticks of 1/60 s", character::ours(&self.store, 1.0 / 60.0)?);
         for (who, world) in &self.peers {
-            for (step, width) in character::STEPS {
-                let who = format!("rapier3d controller on {who}, step {step} m, tread {width} m");
-                add(&who, character::rapier(world.clone(), step, width)?);
+            for steps in character::STEPS {
+                let who = format!("rapier3d controller on {who}, step {} m, tread {} m", steps.0, steps.1);
+                add(&who, character::rapier(world.clone(), steps)?);
             }
         }
         Ok(())

@@ -90,13 +90,18 @@ fn compile(folder: &Path, library: &Path) -> Result<()> {
     Err(format!("octomap.cc does not compile ({}): {}", output.status, line.unwrap_or("no word why")).into())
 }
 
+/// Why its trees cannot hold something of this size (m), if they cannot.
+pub fn too_wide(size: Vector3<f64>, cube_m: f64) -> Option<String> {
+    let cubes = size.max() / cube_m;
+    (cubes > SIDE - 4.0).then(|| format!("{cubes:.0} cubes to a side; OctoMap's trees have {SIDE} at most"))
+}
+
 /// Whole cubes from the origin to the middle of the points: its trees lie around (0, 0, 0).
 fn middle(points: &[Point3<f64>], cube_m: f64) -> Result<Vector3<f64>> {
     let first = *points.first().ok_or("no points")?;
     let (low, high) = points.iter().fold((first, first), |(low, high), p| (low.inf(p), high.sup(p)));
-    let cubes = (high - low).max() / cube_m;
-    if cubes > SIDE - 4.0 {
-        return Err(format!("{cubes:.0} cubes to a side; OctoMap's trees have {SIDE} at most").into());
+    if let Some(why) = too_wide(high - low, cube_m) {
+        return Err(why.into());
     }
     Ok(nalgebra::center(&low, &high).coords.map(|value| (value / cube_m).round() * cube_m))
 }

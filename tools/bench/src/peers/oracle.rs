@@ -4,14 +4,19 @@ use nalgebra::{Point3, Vector3};
 use slicewalk::query::Aabb;
 use std::collections::HashMap;
 
-/// Edge of a cell (m).
+/// Edge of a cell (m), where nothing else is asked for.
 const CELL: f64 = 0.1;
 
-/// All points, by cells.
-pub struct Oracle(HashMap<[i32; 3], Vec<Point3<f64>>>);
+/// All points, ordered by cells.
+pub struct Oracle {
+    edge: f64,
+    points: Vec<Point3<f64>>,
+    /// Where the points of a cell lie: first, and one behind the last.
+    cells: HashMap<[i32; 3], (u32, u32)>,
+}
 
-fn cell(p: &Point3<f64>) -> [i32; 3] {
-    [p.x, p.y, p.z].map(|v| (v / CELL).floor() as i32)
+fn cell(p: &Point3<f64>, edge: f64) -> [i32; 3] {
+    [p.x, p.y, p.z].map(|v| (v / edge).floor() as i32)
 }
 
 /// What is touched is not met: points on the faces of a box do not stop it.
@@ -22,17 +27,30 @@ fn inside(shape: &Aabb) -> (Point3<f64>, Point3<f64>) {
 
 impl Oracle {
     pub fn new(points: &[Point3<f64>]) -> Self {
-        let mut cells: HashMap<_, Vec<_>> = HashMap::new();
-        points.iter().for_each(|p| cells.entry(cell(p)).or_default().push(*p));
-        Self(cells)
+        Self::with_cells(points, CELL)
+    }
+
+    /// With cells of this edge (m): as many as the points make worthwhile.
+    pub fn with_cells(points: &[Point3<f64>], edge: f64) -> Self {
+        let mut points = points.to_vec();
+        points.sort_by_cached_key(|p| cell(p, edge));
+        let mut cells = HashMap::new();
+        let mut first = 0;
+        for own in points.chunk_by(|a, b| cell(a, edge) == cell(b, edge)) {
+            let end = first + own.len() as u32;
+            cells.insert(cell(&own[0], edge), (first, end));
+            first = end;
+        }
+        Self { edge, points, cells }
     }
 
     /// The points in a closed box.
     pub fn points(&self, min: Point3<f64>, max: Point3<f64>) -> impl Iterator<Item = &Point3<f64>> {
-        let (low, high) = (cell(&min), cell(&max));
+        let (low, high) = (cell(&min, self.edge), cell(&max, self.edge));
         let cells = (low[0]..=high[0])
             .flat_map(move |i| (low[1]..=high[1]).flat_map(move |j| (low[2]..=high[2]).map(move |k| [i, j, k])));
-        let points = cells.filter_map(|cell| self.0.get(&cell)).flatten();
+        let ranges = cells.filter_map(|cell| self.cells.get(&cell));
+        let points = ranges.flat_map(|&(first, end)| &self.points[first as usize..end as usize]);
         points.filter(move |p| (0..3).all(|axis| (min[axis]..=max[axis]).contains(&p[axis])))
     }
 

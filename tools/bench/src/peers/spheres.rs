@@ -9,12 +9,12 @@ use slicewalk::query::Aabb;
 use std::collections::HashMap;
 
 /// Radius of the spheres that stand for a pawn (m), and their number: inscribed, one above the other.
-const RADIUS: f64 = PAWN[0] / 2.0;
+pub const RADIUS: f64 = PAWN[0] / 2.0;
 const COUNT: usize = 6;
 
-fn centers(shape: &Aabb) -> impl Iterator<Item = [f64; 3]> {
+pub fn centers(shape: &Aabb) -> impl Iterator<Item = [f64; 3]> {
     let middle = nalgebra::center(&shape.min(), &shape.max());
-    let (low, rise) = (shape.min().z + RADIUS, PAWN[2] - 2.0 * RADIUS);
+    let (low, rise) = (shape.min().z + RADIUS, shape.max().z - shape.min().z - 2.0 * RADIUS);
     (0..COUNT).map(move |n| [middle.x, middle.y, low + rise * n as f64 / (COUNT - 1) as f64])
 }
 
@@ -52,6 +52,22 @@ impl Tree {
     pub fn new(points: Vec<[f64; 3]>) -> Result<Self> {
         let tree = ImmutableKdTree::new_from_slice(&points).map_err(|e| format!("kiddo: {e:?}"))?;
         Ok(Self { tree, points })
+    }
+
+    /// The points.
+    pub fn points(&self) -> &[[f64; 3]] {
+        &self.points
+    }
+
+    /// Distance to the nearest point (m).
+    pub fn nearest(&self, to: [f64; 3]) -> f64 {
+        self.tree.query(&to).nearest_one::<SquaredEuclidean<f64>>().execute().distance.sqrt()
+    }
+
+    /// Numbers of the points within this distance (m).
+    pub fn within(&self, of: [f64; 3], distance: f64) -> impl Iterator<Item = usize> {
+        let near = self.tree.query(&of).within::<SquaredEuclidean<f64>>(distance * distance).unsorted().execute();
+        near.into_iter().map(|found| found.item as usize)
     }
 
     /// The pawn as spheres: the nearest point of each.

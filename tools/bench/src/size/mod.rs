@@ -5,7 +5,7 @@
 
 mod noise;
 mod octree;
-mod pictures;
+pub(crate) mod pictures;
 mod reads;
 
 use crate::stability::Result;

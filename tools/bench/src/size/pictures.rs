@@ -46,7 +46,8 @@ pub fn bytes(archive: &Archive) -> Result<[u64; 2]> {
     Ok(sums)
 }
 
-fn png(width: usize, height: usize, pixels: &[u8]) -> Result<Vec<u8>> {
+/// A picture of three bytes a pixel as a PNG file.
+pub(crate) fn png(width: usize, height: usize, pixels: &[u8]) -> Result<Vec<u8>> {
     let mut file = Vec::new();
     let mut encoder = Encoder::new(&mut file, width as u32, height as u32);
     encoder.set_color(ColorType::Rgb);

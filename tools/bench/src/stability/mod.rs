@@ -7,7 +7,7 @@ pub(crate) mod lab;
 mod patch;
 pub(crate) mod plot;
 pub(crate) mod table;
-mod written;
+pub(crate) mod written;
 
 mod floors;
 mod planes;

@@ -83,16 +83,21 @@ impl Written {
         &self.pixels[start..end]
     }
 
-    /// Calls `give` with every voxel.
-    pub fn voxels(&self, mut give: impl FnMut(Voxel)) {
+    /// Calls `give` with every pixel that is not black: its place, red value, and whether it is an obstacle.
+    pub fn pixels(&self, mut give: impl FnMut([i64; 3], u8, bool)) {
         for pixel in &self.pixels {
             let place = |shift: u32, bits: u32| (pixel.key >> shift & ((1 << bits) - 1)) as i64;
-            let slice = place(0, SLICE_BITS);
-            let at = [place(SLICE_BITS + PIXEL_BITS, PIXEL_BITS), place(SLICE_BITS, PIXEL_BITS)];
-            let z = [slice, slice + 1].map(|s| self.z0 + s as f64 * self.setting.slice_m());
-            let pixel = Voxel { pixel: [at[0] + self.first[0], at[1] + self.first[1]], z, obstacle: pixel.obstacle };
-            give(pixel);
+            let (i, j) = (place(SLICE_BITS + PIXEL_BITS, PIXEL_BITS), place(SLICE_BITS, PIXEL_BITS));
+            give([i + self.first[0], j + self.first[1], place(0, SLICE_BITS)], pixel.red, pixel.obstacle);
         }
+    }
+
+    /// Calls `give` with every voxel.
+    pub fn voxels(&self, mut give: impl FnMut(Voxel)) {
+        self.pixels(|[i, j, slice], _, obstacle| {
+            let z = [slice, slice + 1].map(|s| self.z0 + s as f64 * self.setting.slice_m());
+            give(Voxel { pixel: [i, j], z, obstacle });
+        });
     }
 
     /// Highest floor pixel at one place whose height is at most `from` and at least `from - depth` (m).

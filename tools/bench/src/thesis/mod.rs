@@ -5,7 +5,7 @@
 mod bunnies;
 mod frames;
 mod measured;
-mod models;
+pub(crate) mod models;
 mod prepare;
 
 use crate::stability::{Result, fill};

@@ -6,7 +6,7 @@ use crate::stability::table::{Table, number};
 use scangen::write::write_triangles_obj;
 use scangen::{Params, Scene, WriteSpec, write_las};
 use slicewalk::NoMonitor;
-use slicewalk::input::{Decoder, InputOptions, InputSet};
+use slicewalk::input::{Decoder, InputOptions, InputSet, Units};
 use slicewalk::mesh::{MeshOptions, MeshSet, Triangle};
 use slicewalk::plan::Up;
 use std::path::{Path, PathBuf};
@@ -75,7 +75,8 @@ impl Model {
     }
 }
 
-fn shared() -> PathBuf {
+/// The folder of real data.
+pub fn shared() -> PathBuf {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
     std::env::var_os("SLICEWALK_SHARED").map_or_else(beside, PathBuf::from).join("data")
 }
@@ -88,7 +89,7 @@ pub fn real_mesh(name: &str) -> PathBuf {
 /// Triangles of a mesh file (m, z up).
 pub fn triangles(path: &Path, y_up: bool) -> Result<Vec<Triangle>> {
     let options = MeshOptions {
-        units: slicewalk::input::Units::Factor(1.0),
+        units: Units::Factor(1.0),
         up: if y_up { Up::Y } else { Up::Z },
         memory_bytes: 1 << 30,
         temp_dir: std::env::temp_dir(),
@@ -134,7 +135,7 @@ pub fn all(folder: &Path, quick: bool) -> Result<Vec<Model>> {
     }
     let scan = shared().join("indoor_two_storey_zup.laz");
     if scan.exists() {
-        let points = read_scan(&scan)?;
+        let points = read_scan(&scan, Units::Auto)?;
         for (name, about, count, thesis) in [
             ("scan, 271,731 points", "two storeys, thinned at random to the thesis' number", 271_731, ROOM),
             ("scan, 580,062 points", "two storeys, thinned at random to the thesis' number", 580_062, ENTRANCE),
@@ -150,8 +151,9 @@ pub fn all(folder: &Path, quick: bool) -> Result<Vec<Model>> {
     Ok(models)
 }
 
-fn read_scan(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let set = InputSet::open(&[path.to_path_buf()], InputOptions::default(), &NoMonitor)?;
+/// Points of a scan (m).
+pub fn read_scan(path: &Path, units: Units) -> Result<Vec<[f64; 3]>> {
+    let set = InputSet::open(&[path.to_path_buf()], InputOptions { units, ..InputOptions::default() }, &NoMonitor)?;
     let (mut decoder, mut all) = (Decoder::new(), Vec::new());
     for unit in set.units() {
         decoder.decode(&set, &unit, &mut |batch| {

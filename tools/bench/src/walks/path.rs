@@ -30,7 +30,7 @@ pub fn walk<S: PageSet>(set: &S, case: &Case, response: Response) -> Deviation {
 
 /// Distance to the nearest point of a polyline, whose last stretch may go on for ever (m), and where that is as a share of
 /// its length.
-fn nearest(line: &[Point3<f64>], goes_on: bool, to: Point3<f64>) -> (f64, f64) {
+pub fn nearest(line: &[Point3<f64>], goes_on: bool, to: Point3<f64>) -> (f64, f64) {
     let (mut best, mut before) = ((f64::INFINITY, 0.0), 0.0);
     for (n, ends) in line.windows(2).enumerate() {
         let along: Vector3<f64> = ends[1] - ends[0];

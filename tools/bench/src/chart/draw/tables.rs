@@ -7,13 +7,16 @@ use crate::stability::table::{Table, percent};
 
 const NONE: &str = "–";
 /// Metrics of the second table: metric, heading, and whether it is a share.
-const WALKING: [(&str, &str, bool); 7] = [
+const WALKING: [(&str, &str, bool); 10] = [
     ("floor_rmse_cm", "floor, RMSE (cm)", false),
     ("slope_wrong", "wrong slope verdicts", true),
     ("door_cm", "least door (cm)", false),
     ("path_cm", "path off (cm)", false),
     ("toi_cm", "contact, mean error (cm)", false),
     ("toi_late_cm", "contact, latest (cm)", false),
+    ("stand_rmse_cm", "where one may stand: height, RMSE (cm)", false),
+    ("stand_missing", "not claimed", true),
+    ("stand_wrong", "of claims wrong", true),
     ("out_max_cm", "claimed matter to point, most (cm)", false),
 ];
 
