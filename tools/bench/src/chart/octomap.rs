@@ -51,7 +51,7 @@ impl Built for Cubes {
     }
 
     fn file_bytes(&self) -> Result<Option<u64>> {
-        self.0.file_bytes().map(Some)
+        Ok(Some(self.0.file_bytes()))
     }
 
     fn outside_bytes(&self) -> usize {

@@ -12,8 +12,6 @@ use slicewalk::store::{PageSet, Store};
 
 /// A claim within this of a floor is about that floor (m).
 const SAME_M: f64 = CLIMB;
-/// Floors nearer below each other are one (m).
-const APART_M: f64 = 1e-6;
 /// Edge of the patch under the middle of the feet whose highest matter is the floor (m): scans have holes.
 const FOOT_M: f64 = 0.05;
 
@@ -35,7 +33,7 @@ pub struct Column {
     pub x: f64,
     /// Where.
     pub y: f64,
-    /// From the highest down.
+    /// From the highest down; what lies less than a climb under another is no floor, but what that lies on.
     pub floors: Vec<(f64, Stand)>,
 }
 
@@ -60,7 +58,7 @@ pub fn columns(scene: &Scene, count: usize, seed: u64) -> Vec<Column> {
         let mut from = bounds.max[2] + 1.0;
         while let Some((z, slope)) = scene.floor_under(x, y, from) {
             floors.push((z, stand(scene, [x, y, z], slope)));
-            from = z - APART_M;
+            from = z - CLIMB;
         }
         Column { x, y, floors }
     };

@@ -3,7 +3,7 @@
 use crate::stability::Result;
 use nalgebra::{Point3, Vector3};
 use slicewalk::query::Aabb;
-use std::ffi::{CString, c_char, c_int, c_void};
+use std::ffi::{c_int, c_void};
 use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::Arc;
@@ -22,7 +22,7 @@ struct Functions {
     hits: unsafe extern "C" fn(*const c_void, *const f64) -> c_int,
     memory_bytes: unsafe extern "C" fn(*const c_void) -> usize,
     leaves: unsafe extern "C" fn(*const c_void, *mut f64, usize) -> usize,
-    write: unsafe extern "C" fn(*mut c_void, *const c_char) -> c_int,
+    binary_bytes: unsafe extern "C" fn(*const c_void) -> usize,
     /// The functions are its: it stays as long as they do.
     _library: libloading::Library,
 }
@@ -48,7 +48,7 @@ impl Octomap {
                 hits: *library.get(c"octree_hits")?,
                 memory_bytes: *library.get(c"octree_memory_bytes")?,
                 leaves: *library.get(c"octree_leaves")?,
-                write: *library.get(c"octree_write")?,
+                binary_bytes: *library.get(c"octree_binary_bytes")?,
                 _library: library,
             }
         };
@@ -128,15 +128,10 @@ impl Tree {
         unsafe { (self.functions.memory_bytes)(self.handle) as u64 }
     }
 
-    /// Bytes of its binary tree, `.bt`.
-    pub fn file_bytes(&self) -> Result<u64> {
-        let file = tempfile::NamedTempFile::new()?;
-        let path = CString::new(file.path().as_os_str().as_encoded_bytes())?;
-        // SAFETY: as above; the path ends with a zero.
-        if unsafe { (self.functions.write)(self.handle, path.as_ptr()) } != 1 {
-            return Err(format!("{}: OctoMap cannot write its tree", file.path().display()).into());
-        }
-        Ok(std::fs::metadata(file.path())?.len())
+    /// Bytes of its binary tree, `.bt`, less a few lines of text.
+    pub fn file_bytes(&self) -> u64 {
+        // SAFETY: as above.
+        unsafe { (self.functions.binary_bytes)(self.handle) as u64 }
     }
 
     /// Occupied leaves: cubes, and eight times as large where all eight are occupied, and so on; least and greatest corner.
@@ -201,7 +196,7 @@ mod tests {
         assert!((volume / CUBE.powi(3) - cubes.len() as f64).abs() < 1e-6);
         let inside = |[min, _]: &[Point3<f64>; 2]| cubes.contains(&cell(&(min + Vector3::repeat(CUBE / 2.0))));
         assert!(leaves.iter().all(inside));
-        let (memory, file) = (tree.memory_bytes(), tree.file_bytes()?);
+        let (memory, file) = (tree.memory_bytes(), tree.file_bytes());
         assert!(file > 100 && memory > file, "{memory} {file}");
         let wide = octomap.tree(&points, 20.0 / 70_000.0);
         assert!(wide.is_err_and(|error| error.to_string().contains("65536 at most")));

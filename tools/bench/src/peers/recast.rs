@@ -5,8 +5,8 @@ use glam::{UVec3, Vec3A};
 use nalgebra::{Point3, Vector3};
 use parry3d::shape::TriMesh;
 use rerecast::{
-    AreaType, BuildContoursFlags, CompactHeightfield, Config, ConfigBuilder, DetailNavmesh, HeightfieldBuilder,
-    PolygonNavmesh,
+    AreaType, BuildContoursFlags, CompactHeightfield, Config, ConfigBuilder, Contour, ContourSet, DetailNavmesh,
+    HeightfieldBuilder, PolygonNavmesh,
 };
 use std::collections::HashMap;
 use std::time::Instant;
@@ -20,10 +20,12 @@ pub const CLIMB: f64 = 0.35;
 /// The steepest floor it walks on (degrees).
 pub const SLOPE_DEG: f64 = 45.0;
 /// What its documentation advises, with cells of a pixel instead of a half or a third of the radius.
-pub const SETTINGS: &str = "cells of t, half as high; agent 0.25 m wide, 1.8 m high, climbs 0.35 m, slopes to 45°; \
+pub const SETTINGS: &str = "cells of t, half as high or 7.2 mm; agent 0.25 m wide, 1.8 m high, climbs 0.35 m, slopes to 45°; \
      the rest by ConfigBuilder::default; one mesh without tiles; heights of the detail mesh";
 /// Columns of a heightfield: more take more than a gigabyte.
 const MOST_CELLS: f64 = 40e6;
+/// Recast counts headroom in a byte: with lower cells one of this height could stand nowhere (m).
+const LEAST_CELL_HEIGHT_M: f64 = HEIGHT / 250.0;
 /// Edge of a cell of the index over triangles (m).
 const INDEX_M: f64 = 0.5;
 
@@ -114,7 +116,7 @@ fn make(triangles: &[Triangle], low: Point3<f64>, cell_m: f64) -> Result<(u64, P
     let aabb = mesh.compute_aabb().ok_or("no triangles")?;
     let settings = ConfigBuilder {
         cell_size_fraction: (RADIUS / cell_m) as f32,
-        cell_height_fraction: (2.0 * RADIUS / cell_m) as f32,
+        cell_height_fraction: (RADIUS / (cell_m / 2.0).max(LEAST_CELL_HEIGHT_M)) as f32,
         agent_height: HEIGHT as f32,
         agent_radius: RADIUS as f32,
         walkable_climb: CLIMB as f32,
@@ -137,9 +139,18 @@ fn make(triangles: &[Triangle], low: Point3<f64>, cell_m: f64) -> Result<(u64, P
     field.build_regions(settings.border_size, settings.min_region_area, settings.merge_region_area)?;
     let flags = BuildContoursFlags::default();
     let contours = field.build_contours(settings.max_simplification_error, settings.max_edge_len, flags);
+    let contours = sound(contours, settings.max_vertices_per_polygon);
     let polygons = contours.into_polygon_mesh(settings.max_vertices_per_polygon)?;
     let detail = DetailNavmesh::new(&polygons, &field, settings.detail_sample_dist, settings.detail_sample_max_error)?;
     Ok((field_bytes(&field), polygons, detail))
+}
+
+/// The contours that triangles can be made of. The port gives up at one that is not; Recast warns, and leaves it out.
+fn sound(contours: ContourSet, max_vertices_per_polygon: u16) -> ContourSet {
+    let ContourSet { contours: all, aabb, cell_size, cell_height, width, height, border_size, max_error } = contours;
+    let set = |contours| ContourSet { contours, aabb, cell_size, cell_height, width, height, border_size, max_error };
+    let alone = |contour: &Contour| set(vec![contour.clone()]).into_polygon_mesh(max_vertices_per_polygon).is_ok();
+    set(all.into_iter().filter(alone).collect())
 }
 
 /// y up, turned so that what is counter-clockwise stays so.
