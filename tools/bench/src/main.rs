@@ -28,6 +28,8 @@ enum Command {
     Soak(Soak),
     /// The thesis' tables again, with ours beside them; and objects against triangles
     Thesis(Common),
+    /// The charts and pages of what `chart` and `scale` measured, again, without measuring
+    Draw(Draw),
     /// Instructions of the hot paths beside the committed ones; needs Valgrind
     Counts(bench::counts::Counts),
     /// The hot paths, called for callgrind
@@ -46,6 +48,13 @@ struct Soak {
     #[arg(long, default_value_t = 10.0)]
     minutes: f64,
     /// Folder for `soak.md`
+    #[arg(long, default_value = "tools/bench/results")]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Draw {
+    /// Folder with `chart/measured.csv`, to write into
     #[arg(long, default_value = "tools/bench/results")]
     out: PathBuf,
 }
@@ -87,6 +96,7 @@ fn main() -> ExitCode {
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
+        Command::Draw(draw) => bench::chart::draw::run(&draw.out),
         Command::Counts(counts) => counts.run(),
         Command::Counted(calls) => calls.run(),
         Command::Scale(scale) => scale.run(),
