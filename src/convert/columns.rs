@@ -16,6 +16,8 @@ use std::sync::Mutex;
 /// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel (with its
 /// verdicts and the place of its sums) and span that it may become.
 const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 8 + 16;
+/// Records of a job; patches count in 32 bits.
+const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
 const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
 /// Memory of a small page that waits to be written, beyond its bytes.
@@ -43,7 +45,7 @@ pub(super) fn write_columns(
     let merge = Merge::new(store);
     monitor.stage("writing slices", merge.records(), "records");
     let ahead = JOBS_AHEAD_PER_THREAD * threads;
-    let max_records = memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD;
+    let max_records = (memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD).min(MOST_RECORDS);
     let max_columns = (memory_bytes / 8 / ahead as u64 / PAGE_BYTES).max(1);
     let dense = Dense { one_at_a_time: Mutex::new(()), max_voxels: memory_bytes / 4 / DENSE_BYTES_PER_VOXEL };
     let (job_in, job_out) = bounded::<(u64, Job)>(threads);
@@ -218,7 +220,7 @@ impl<'a> ColumnWorker<'a> {
     ///
     /// Cost: one to three passes over the column's records, then for each area its rows.
     fn dense_column(&mut self, merge: &Merge<'_>, job: &Job) -> Result<u64> {
-        if let Some(dropped) = self.fold_piecemeal(merge, job, Area::TILE, self.max_records / 4)? {
+        if let Some(dropped) = self.fold_piecemeal(merge, job, Area::TILE, self.max_voxels())? {
             return Ok(dropped);
         }
         let mut counts = vec![0u64; PATCH_AREA];
@@ -258,6 +260,11 @@ impl<'a> ColumnWorker<'a> {
             }
         }
         Ok(dropped)
+    }
+
+    /// Voxels with sums that fit where `max_records` records do.
+    fn max_voxels(&self) -> u64 {
+        self.max_records * JOB_BYTES_PER_RECORD / DENSE_BYTES_PER_VOXEL
     }
 
     /// Folds the records of `area` piece by piece; `None` if they make more than `max_voxels`.
