@@ -56,6 +56,7 @@ impl Ground {
             return Ok(cell);
         }
         match self.navmesh(subject, f64::from(pixel_cm) / 100.0, cubes) {
+            Ok(navmesh) if navmesh.navmesh_bytes == 0 => cell.settings = "no region is large enough to walk on".into(),
             Ok(navmesh) => {
                 self.before = Some((cubes, navmesh.build_s));
                 cell.figures = vec![

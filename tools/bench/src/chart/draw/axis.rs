@@ -42,6 +42,11 @@ impl Axis {
         Self { label: label.into(), scale, low: below(low / 1.3), high: above(high * 1.3) }
     }
 
+    /// The same, but no farther than a value that nothing exceeds.
+    pub fn up_to(self, most: f64) -> Self {
+        Self { high: self.high.min(most), ..self }
+    }
+
     /// A linear axis from `low` to `high`.
     pub fn linear(label: &str, low: f64, high: f64) -> Self {
         Self { label: label.into(), scale: Scale::Linear, low, high: if high > low { high } else { low + 1.0 } }
@@ -173,6 +178,7 @@ mod tests {
         assert_eq!([0.0, 1.0, 1e4, 1e6].map(|tick| long.number(tick)), ["0", "1", "10 k", "1 M"]);
         let places = [0.0, 20.0, 3e6].map(|value| long.map(&value, (0, 1000)));
         assert!(0 < places[0] && places[0] + 50 < places[1] && places[2] < 1000, "{places:?}");
+        assert_eq!(Axis::log("share", [0.0, 0.4, 0.9].into_iter()).up_to(1.0).ticks(), [0.0, 0.2, 0.5, 1.0]);
         assert_eq!(Axis::linear("gap", -8.0, 64.0).ticks(), [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]);
     }
 

@@ -92,7 +92,8 @@ house,capt,would take 40 GB,4,skipped,,,,
         run(folder.path())?;
         let read = |name: &str| std::fs::read_to_string(folder.path().join(name));
         let (words, page, svg) = (read("chart.md")?, read("chart.html")?, read("chart/house-walk.svg")?);
-        for found in ["an abacus", "**slicewalk plane beaten** by `octomap` at 4 cm", "capt at 4 cm: would take 40 GB"]
+        for found in
+            ["an abacus", "**`slicewalk plane` beaten** by `octomap` at 4 cm", "capt at 4 cm: would take 40 GB"]
         {
             assert!(words.contains(found), "{found:?} is missing in {words}");
         }

@@ -20,15 +20,23 @@ struct Wrong {
     what: &'static str,
     axis: &'static str,
     of: fn(&Setting) -> Option<f64>,
+    /// What it never exceeds.
+    most: f64,
 }
 
-const ERROR: Wrong =
-    Wrong { key: "", what: "error", axis: "error (cm): 99th percentile, the worse direction", of: Setting::error_cm };
+const ERROR: Wrong = Wrong {
+    key: "",
+    what: "error",
+    axis: "error (cm): 99th percentile, the worse direction",
+    of: Setting::error_cm,
+    most: f64::INFINITY,
+};
 const PHANTOMS: Wrong = Wrong {
     key: "phantoms-",
     what: "phantoms",
     axis: "boxes without a point that are answered \"hit\" (%)",
     of: |setting| Some(setting.get("phantom")?.value * 100.0),
+    most: 100.0,
 };
 
 /// The charts of a scene, each with what it shows.
@@ -92,7 +100,7 @@ fn against(scene: &Scene, wrong: Wrong, cost: &Cost) -> Option<Figure> {
         name: file(&scene.name, &format!("{}{}", wrong.key, cost.key)),
         title: format!("{}: {} against {}", scene.name, wrong.what, cost.what),
         x: Axis::log(cost.axis, all.iter().map(|found| found.2.0)),
-        y: Axis::log(wrong.axis, all.iter().map(|found| found.2.1)),
+        y: Axis::log(wrong.axis, all.iter().map(|found| found.2.1)).up_to(wrong.most),
         tracks,
         front: front::stairs(&allowed),
         notes: vec!["Numbers: t, the edge of".into(), "a pixel or cube (cm).".into(), "Left and low is good.".into()],

@@ -44,7 +44,10 @@ pub fn costs(scene: &Scene) -> String {
                 },
             )
         });
-        table.row([series.method.clone(), error, share("missed"), share("phantom")].into_iter().chain(costs));
+        let cells: Vec<_> = [error, share("missed"), share("phantom")].into_iter().chain(costs).collect();
+        if cells.iter().any(|cell| cell != NONE) {
+            table.row(std::iter::once(series.method.clone()).chain(cells));
+        }
     }
     table.markdown()
 }

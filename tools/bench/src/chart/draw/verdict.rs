@@ -56,10 +56,10 @@ impl Stand {
     fn words(&self) -> String {
         match self {
             Self::Front(methods) => format!("front: {}", listed(methods)),
-            Self::OnlyOurs(methods) => format!("no peer better than {}; ours at another setting is", listed(methods)),
+            Self::OnlyOurs(methods) => format!("no peer better than {}, ours at another setting is", listed(methods)),
             Self::Beaten { method, by } => {
-                let by: Vec<_> = by.iter().map(|(peer, t)| format!("`{peer}` at {} cm", short(*t))).collect();
-                format!("**{method} beaten** by {}", by.join(", "))
+                let peers: Vec<_> = by.chunk_by(|a, b| a.0 == b.0).map(at_sizes).collect();
+                format!("**`{method}` beaten** by {}", peers.join(", "))
             }
             Self::Misses => "**misses points**".into(),
         }
@@ -72,7 +72,13 @@ impl Stand {
 }
 
 fn listed(methods: &[String]) -> String {
-    methods.iter().map(|method| method.trim_start_matches("slicewalk ")).collect::<Vec<_>>().join(", ")
+    methods.iter().map(|method| format!("`{method}`")).collect::<Vec<_>>().join(", ")
+}
+
+/// One peer with its pixel sizes.
+fn at_sizes(same: &[(String, f64)]) -> String {
+    let sizes: Vec<_> = same.iter().map(|(_, size)| short(*size)).collect();
+    format!("`{}` at {} cm", same[0].0, sizes.join(", "))
 }
 
 /// A row for each pixel size, a column for each cost, as Markdown; none where nothing of ours was measured.
@@ -164,6 +170,7 @@ mod tests {
         lines[2].4 = 0.1;
         assert_eq!(stands(&scene(&lines)[0], &COSTS[0])[2].1, Stand::Misses);
         let words = summary(&scene(&lines));
+        assert_eq!(at_sizes(&[("capt".into(), 4.0), ("capt".into(), 8.0)]), "`capt` at 4, 8 cm");
         assert!(words.contains("of 3 pairs") && words.contains("front at 1") && words.contains("both at 2"), "{words}");
     }
 }
