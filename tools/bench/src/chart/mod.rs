@@ -156,7 +156,7 @@ fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<
     for pixel_cm in pixels {
         let pixel_m = f64::from(pixel_cm) / 100.0;
         let cubes = subject.cubes(pixel_m);
-        let grazing = Grazing::new(subject, pixel_m, plan.effort.grazing)?;
+        let grazing = Grazing::new(subject, &work, pixel_m, plan.effort.grazing)?;
         let doors = if subject.name == WALKED { Some(Doors::new(pixel_m)?) } else { None };
         for ((method, before), same) in methods.iter().zip(&mut before).zip(&mut same) {
             if record.has(&subject.name, method.name(), pixel_cm) {

@@ -23,7 +23,7 @@ const HEIGHT_M: f64 = 1.8;
 /// Fits under the flights of the stairs of the scanned building (m).
 const INDOOR_HEIGHT_M: f64 = 1.6;
 /// Of the largest scan the middle is enough: so far to each side (m). All of it would take hours at the finest pixels.
-const AUTZEN_HALF_M: f64 = 200.0;
+const AUTZEN_HALF_M: f64 = 100.0;
 /// Pixels of the ground whose number is a scene's area (m).
 const GROUND_M: f64 = 0.32;
 
