@@ -16,7 +16,7 @@ use crate::plan::{Classifier, Plan, Up};
 use crate::shard::{Part, ShardOptions};
 use crate::slice::columns::ColumnPages;
 use crate::slice::obstacle::Judge;
-use crate::voxel::fold::{Area, Folded, Folder, Patch, Voxel, fold_into};
+use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
 use crate::voxel::record::{ColumnKey, PATCH_AREA, Record, Recorder};
 use crate::voxel::runs::{Job, Merge, RunBuilder, RunStore};
 use crate::voxel::surfaces::SurfaceBuilder;
@@ -34,13 +34,13 @@ pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
 /// Pixels along the longer side of meshes whose pixel size is chosen automatically (thesis, equation 3.3 with the sides
 /// of the images in place of the printed ones, at the larger of its two resolutions).
 pub const AUTO_PIXELS: f64 = 700.0;
-/// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel and
-/// span that it may become.
-const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 16;
+/// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel (with its
+/// verdicts and the place of its sums) and span that it may become.
+const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 8 + 16;
 /// Disk per point in the temporary file: its record, copies in the halo, and the index.
 const TEMP_BYTES_PER_POINT: u64 = 9;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
-const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(u64, Voxel)>() as u64;
+const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
 /// Memory of a small page that waits to be written, beyond its bytes.
 const PAGE_BYTES: u64 = 256;
 /// Jobs that may be finished before the oldest unfinished one.
@@ -714,7 +714,8 @@ struct ColumnWorker<'a> {
     drop_isolated: bool,
     max_records: u64,
     patch: Patch,
-    folder: Folder,
+    sums: Sums,
+    folder: PieceFolder,
     verdicts: Vec<bool>,
     columns: ColumnPages,
     tolerance: u32,
@@ -732,7 +733,8 @@ impl<'a> ColumnWorker<'a> {
             drop_isolated: plan.drop_isolated,
             max_records,
             patch: Patch::default(),
-            folder: Folder::default(),
+            sums: Sums::default(),
+            folder: PieceFolder::default(),
             verdicts: Vec::new(),
             columns: ColumnPages::default(),
             tolerance: plan.tolerance_quanta(),
@@ -755,7 +757,7 @@ impl<'a> ColumnWorker<'a> {
         for &(key, count) in &job.columns {
             let (own, others) = rest.split_at(count as usize);
             rest = others;
-            dropped += self.patch.fold(own, self.min_points, Area::TILE) + self.judge_and_add(Area::TILE);
+            dropped += self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums) + self.judge_and_add(Area::TILE);
             self.encode(key, &mut pages)?;
         }
         self.records = records;
@@ -787,7 +789,7 @@ impl<'a> ColumnWorker<'a> {
                     own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
                     true
                 })?;
-                dropped += self.patch.fold(&own, self.min_points, area) + self.judge_and_add(area);
+                dropped += self.patch.fold(&own, self.min_points, area, &mut self.sums) + self.judge_and_add(area);
                 self.records = own;
             } else if let Some([low, high]) = area.halves() {
                 // The last is taken first, and spans are to come in order of pixels where they can.
@@ -795,9 +797,9 @@ impl<'a> ColumnWorker<'a> {
             } else {
                 let dense = self.dense;
                 let _alone = dense.one_at_a_time.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-                self.patch = Patch::default();
+                (self.patch, self.sums) = Default::default();
                 let folded = self.fold_piecemeal(merge, job, area, dense.max_voxels)?;
-                self.patch = Patch::default();
+                (self.patch, self.sums) = Default::default();
                 dropped += folded.ok_or_else(|| Error::Limit {
                     what: "occupied slices of one pixel and its neighbours (give more --memory, or a larger --slice)"
                         .into(),
@@ -817,14 +819,14 @@ impl<'a> ColumnWorker<'a> {
         let fits = self.stream(merge, job, area, |records| {
             own.clear();
             own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
-            fold_into(&mut folded, &own, &mut folder);
+            folder.fold_into(&mut folded, &own);
             folded.len() as u64 <= max_voxels
         })?;
         self.folder = folder;
         if !fits {
             return Ok(None);
         }
-        let dropped = self.patch.set_folded(&folded, self.min_points, area);
+        let dropped = self.patch.set_folded(&folded, self.min_points, area, &mut self.sums);
         drop(folded);
         Ok(Some(dropped + self.judge_and_add(area)))
     }
@@ -852,8 +854,8 @@ impl<'a> ColumnWorker<'a> {
 
     /// Returns how many isolated voxels were dropped.
     fn judge_and_add(&mut self, area: Area) -> u64 {
-        let dropped = if self.drop_isolated { self.patch.drop_isolated(area) } else { 0 };
-        self.judge.judge(&self.patch, area, &mut self.verdicts);
+        let dropped = if self.drop_isolated { self.patch.drop_isolated(area, &mut self.sums) } else { 0 };
+        self.judge.judge(&self.patch, &mut self.sums, area, &mut self.verdicts);
         self.columns.add(&self.patch, area, &self.verdicts);
         dropped
     }

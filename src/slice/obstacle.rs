@@ -21,8 +21,8 @@
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::plan::{Classifier, Plan};
-use crate::voxel::fold::{Area, BINS, Moments, Patch, Voxel, neighbourhood};
-use crate::voxel::record::{SLICE_STEPS, SUBPIXELS};
+use crate::voxel::fold::{Area, BINS, Moments, Patch, Sums, Voxel, neighbourhood};
+use crate::voxel::record::{PATCH_PIXELS, SLICE_STEPS, SUBPIXELS};
 use nalgebra::{Matrix2, Vector2};
 
 /// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
@@ -47,7 +47,7 @@ pub struct Judge {
     steep_run: f64,
     clearly_steep_run: f64,
     /// Vertical gap across which voxels of neighbouring pixels are connected (quanta).
-    reach: f64,
+    reach: i64,
     /// Vertical extent of connected matter in a 3 × 3 × 3 neighbourhood that a surface at the limit cannot have (quanta).
     steep_neighbourhood: f64,
     /// Gap between voxels of one pixel across which they are connected without further evidence (quanta).
@@ -56,6 +56,8 @@ pub struct Judge {
     intrusion: f64,
     /// Greatest mean square residual of a plane (steps²).
     greatest_square: f64,
+    /// Connected matter that extends no further than this is no steep plane (quanta).
+    level: i64,
 }
 
 impl Judge {
@@ -74,21 +76,23 @@ impl Judge {
             steep_squared: steep * steep,
             steep_run: run(limit),
             clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
-            reach: tangent(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG)) * quanta_per_pixel,
+            // Gaps are whole quanta, so the part behind the point decides nothing.
+            reach: (tangent(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG)) * quanta_per_pixel) as i64,
             steep_neighbourhood: 3.0 * tangent(limit) * quanta_per_pixel,
             pixel: quanta_per_pixel,
             intrusion: run(limit),
             greatest_square: (GREATEST_RESIDUAL_PIXELS * steps_per_pixel).powi(2),
+            level: level(tangent(limit), quanta_per_pixel),
         }
     }
 
     /// Sets `verdicts` to one verdict per voxel of `patch`: true for an obstacle. Only those of pixels in `area` are
     /// meant to be used; the halo's are computed from less.
-    pub fn judge(&self, patch: &Patch, area: Area, verdicts: &mut Vec<bool>) {
+    pub fn judge(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Vec<bool>) {
         verdicts.clear();
         verdicts.resize(patch.voxels().len(), false);
         if patch.voxels().iter().any(Voxel::has_points) {
-            self.judge_points(patch, area, verdicts);
+            self.judge_points(patch, sums, area, verdicts);
         }
         for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
             *verdict = voxel.is_steep() || voxel.has_points() && *verdict;
@@ -96,7 +100,7 @@ impl Judge {
     }
 
     /// Verdicts on voxels with points; those on others mean nothing.
-    fn judge_points(&self, patch: &Patch, area: Area, verdicts: &mut [bool]) {
+    fn judge_points(&self, patch: &Patch, of_voxels: &mut Sums, area: Area, verdicts: &mut [bool]) {
         match self.classifier {
             Classifier::Thesis => {
                 for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
@@ -114,10 +118,14 @@ impl Judge {
                     mark_steep(patch, pixel, alone, self.clearly_steep_run, &mut steep_alone);
                 }
                 for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+                    let mut around = Around::new(patch, pixel);
                     for number in patch.range(pixel) {
-                        if !verdicts[number] && patch.voxels()[number].has_points() {
-                            verdicts[number] = self.is_steep(patch, &steep_alone, pixel, number);
+                        let centre = &patch.voxels()[number];
+                        if verdicts[number] || !centre.has_points() {
+                            continue;
                         }
+                        around.climb(patch, centre.slice);
+                        verdicts[number] = self.is_steep(patch, of_voxels, &steep_alone, &around, number);
                     }
                 }
             }
@@ -143,6 +151,10 @@ impl Judge {
             return false;
         }
         let (low, high) = (below.high as f64 + margin, above.low as f64 - margin);
+        let reaches_in = |neighbour: usize| {
+            let voxels = &patch.voxels()[patch.around(neighbour, (below.high / SLICE_QUANTA) as u32)];
+            voxels.iter().any(|v| quanta_above(v, 0, v.top) as f64 >= low && quanta_above(v, 0, v.bottom) as f64 <= high)
+        };
         let around = |neighbour: usize, height: i64| {
             pieces(&patch.voxels()[patch.around(neighbour, (height / SLICE_QUANTA) as u32)])
         };
@@ -155,62 +167,56 @@ impl Judge {
                 && around(neighbour, above.low).any(|piece| near(piece.low, above.low))
                 && !matter(neighbour).any(|piece| piece.high as f64 > low && (piece.low as f64) < high)
         };
-        neighbourhood(pixel).any(|(neighbour, ..)| matter(neighbour).any(inside) && !same_void(2 * pixel - neighbour))
+        neighbourhood(pixel).any(|(neighbour, ..)| {
+            reaches_in(neighbour) && matter(neighbour).any(inside) && !same_void(2 * pixel - neighbour)
+        })
     }
 
     /// Verdict on one voxel by the surface around it.
-    fn is_steep(&self, patch: &Patch, steep_alone: &[bool], pixel: usize, number: usize) -> bool {
+    fn is_steep(
+        &self,
+        patch: &Patch,
+        of_voxels: &mut Sums,
+        steep_alone: &[bool],
+        around: &Around,
+        number: usize,
+    ) -> bool {
         let centre = &patch.voxels()[number];
         let first_slice = i64::from(centre.slice) - 1;
         let (low, high) =
             (quanta_above(centre, first_slice, centre.bottom), quanta_above(centre, first_slice, centre.top));
-        let mut sums = Moments::default();
-        for (neighbour, dx, dy) in neighbourhood(pixel) {
-            for other in patch.around(neighbour, centre.slice) {
+        let (mut lowest, mut highest) = (low, high);
+        // At most three voxels in each of nine pixels.
+        let mut connected = [(0, 0, 0); 27];
+        let mut count = 0;
+        for (place, range) in around.ranges().enumerate() {
+            for other in range {
                 let voxel = &patch.voxels()[other];
                 let bottom = quanta_above(voxel, first_slice, voxel.bottom);
                 let top = quanta_above(voxel, first_slice, voxel.top);
                 let gap = (bottom - high).max(low - top);
-                if !steep_alone[other] && gap as f64 <= self.reach {
-                    sums.add_shifted(&voxel.moments, dx, dy, i64::from(voxel.slice) - first_slice);
+                if !steep_alone[other] && gap <= self.reach {
+                    (lowest, highest) = (lowest.min(bottom), highest.max(top));
+                    connected[count] = (other, place as i64 % 3, place as i64 / 3);
+                    count += 1;
                 }
             }
         }
+        let chain_is_steep = || chain_extent(patch, around, centre) as f64 > self.steep_neighbourhood;
+        if highest - lowest <= self.level && !chain_is_steep() {
+            return false;
+        }
+        let mut sums = Moments::default();
+        for &(other, dx, dy) in &connected[..count] {
+            let pixel = around.pixel + dy as usize * PATCH_PIXELS + dx as usize - PATCH_PIXELS - 1;
+            let slices = i64::from(patch.voxels()[other].slice) - first_slice;
+            sums.add_shifted(of_voxels.of(patch, pixel, other), dx, dy, slices);
+        }
         match self.fit(&sums) {
             Fit::Plane { slope_squared } => slope_squared > self.steep_squared,
-            Fit::NoPlane => self.run_extent(patch, pixel, number) as f64 > self.steep_run,
-            Fit::Undetermined => self.chain_extent(patch, pixel, centre) as f64 > self.steep_neighbourhood,
+            Fit::NoPlane => self.run_extent(patch, around.pixel, number) as f64 > self.steep_run,
+            Fit::Undetermined => chain_is_steep(),
         }
-    }
-
-    /// Vertical extent of the matter in the 3 × 3 × 3 neighbourhood of a voxel that hangs together with it across voids
-    /// of less than a slice height (quanta): where few points stand in a line, what tells a wall from an edge.
-    fn chain_extent(&self, patch: &Patch, pixel: usize, centre: &Voxel) -> i64 {
-        const SLICE: u32 = BINS as u32;
-        let mut bins = 0u64;
-        for (neighbour, ..) in neighbourhood(pixel) {
-            for voxel in &patch.voxels()[patch.around(neighbour, centre.slice)] {
-                // Slices below, at and above the centre take the bits 0, 16 and 32.
-                bins |= u64::from(voxel.bins) << ((voxel.slice + 1 - centre.slice) * SLICE);
-            }
-        }
-        let start = SLICE + centre.bins.trailing_zeros();
-        let (mut low, mut high) = (start, start);
-        loop {
-            let above = (bins >> (high + 1)).trailing_zeros();
-            if above >= SLICE {
-                break;
-            }
-            high += 1 + above;
-        }
-        while low > 0 {
-            let below = (bins << (64 - low)).leading_zeros();
-            if below >= SLICE {
-                break;
-            }
-            low -= 1 + below;
-        }
-        i64::from(high - low) * SLICE_QUANTA / BINS
     }
 
     fn fit(&self, sums: &Moments) -> Fit {
@@ -252,6 +258,84 @@ impl Judge {
         });
         greatest
     }
+}
+
+/// Vertical extent (quanta) up to which connected matter is no steep plane, whatever its points.
+///
+/// The gradient `g` of a least-squares plane explains no more than all variance of the heights: `|g|²·λ ≤ var(w)`, where
+/// `λ`, the least variance of the places, is at least [`LEAST_SPREAD_PIXELS`]² or the plane is undetermined. Heights
+/// within `h` have at most the variance `h²/4`. So up to `h = 2·LEAST_SPREAD·tan(limit)` no plane is too steep, and up to
+/// `2·GREATEST_RESIDUAL` every plane fits.
+fn level(tangent: f64, quanta_per_pixel: f64) -> i64 {
+    // A little less, for the rounding of the fit.
+    (2.0 * 0.999 * (LEAST_SPREAD_PIXELS * tangent).min(GREATEST_RESIDUAL_PIXELS) * quanta_per_pixel) as i64
+}
+
+/// The voxels of 3 × 3 pixels in three slices, which move up with the voxels of the pixel in the middle.
+struct Around {
+    pixel: usize,
+    /// Per pixel of the neighbourhood: numbers of the first voxel in these slices, of the first above them, and of the
+    /// first of the next pixel.
+    places: [[usize; 3]; 9],
+}
+
+impl Around {
+    fn new(patch: &Patch, pixel: usize) -> Self {
+        let mut places = [[0; 3]; 9];
+        for (place, (neighbour, ..)) in places.iter_mut().zip(neighbourhood(pixel)) {
+            let range = patch.range(neighbour);
+            *place = [range.start, range.start, range.end];
+        }
+        Self { pixel, places }
+    }
+
+    /// Moves up to the slices `slice − 1 ..= slice + 1`.
+    #[inline]
+    fn climb(&mut self, patch: &Patch, slice: u32) {
+        let voxels = patch.voxels();
+        for [first, above, end] in &mut self.places {
+            while *first < *end && voxels[*first].slice + 1 < slice {
+                *first += 1;
+            }
+            *above = (*first).max(*above);
+            while *above < *end && voxels[*above].slice <= slice + 1 {
+                *above += 1;
+            }
+        }
+    }
+
+    /// Numbers of the voxels, pixel by pixel in the order of [`neighbourhood`].
+    fn ranges(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
+        self.places.iter().map(|&[first, above, _]| first..above)
+    }
+}
+
+/// Vertical extent of the matter in the 3 × 3 × 3 neighbourhood of a voxel that hangs together with it across voids
+/// of less than a slice height (quanta): where few points stand in a line, what tells a wall from an edge.
+fn chain_extent(patch: &Patch, around: &Around, centre: &Voxel) -> i64 {
+    const SLICE: u32 = BINS as u32;
+    let mut bins = 0u64;
+    for voxel in around.ranges().flat_map(|range| &patch.voxels()[range]) {
+        // Slices below, at and above the centre take the bits 0, 16 and 32.
+        bins |= u64::from(voxel.bins) << ((voxel.slice + 1 - centre.slice) * SLICE);
+    }
+    let start = SLICE + centre.bins.trailing_zeros();
+    let (mut low, mut high) = (start, start);
+    loop {
+        let above = (bins >> (high + 1)).trailing_zeros();
+        if above >= SLICE {
+            break;
+        }
+        high += 1 + above;
+    }
+    while low > 0 {
+        let below = (bins << (64 - low)).leading_zeros();
+        if below >= SLICE {
+            break;
+        }
+        low -= 1 + below;
+    }
+    i64::from(high - low) * SLICE_QUANTA / BINS
 }
 
 enum Fit {
@@ -334,11 +418,20 @@ fn mark_steep(
     verdicts: &mut [bool],
 ) {
     let range = patch.range(pixel);
-    for_each_run(&patch.voxels()[range.clone()], connected, |voxels, extent| {
-        if extent as f64 > greatest_extent {
-            verdicts[range.start + voxels.start()..=range.start + voxels.end()].fill(true);
+    let mut start = range.start;
+    // No run goes past an empty slice, so most pixels need no look at their pieces.
+    for stack in patch.voxels()[range].chunk_by(|below, above| above.slice - below.slice <= 1) {
+        if let [first, .., last] | [first @ last] = stack
+            && (quanta_above(last, first.slice.into(), last.top) - i64::from(first.bottom)) as f64 > greatest_extent
+        {
+            for_each_run(stack, &connected, |voxels, extent| {
+                if extent as f64 > greatest_extent {
+                    verdicts[start + voxels.start()..=start + voxels.end()].fill(true);
+                }
+            });
         }
-    });
+        start += stack.len();
+    }
 }
 
 #[cfg(test)]
@@ -382,10 +475,11 @@ mod tests {
             });
         }
         let mut patch = Patch::default();
-        patch.fold(&records, 1, Area::TILE);
+        let mut sums = Sums::default();
+        patch.fold(&records, 1, Area::TILE, &mut sums);
         let inner = Area { x, y: (4, 60) };
         let mut verdicts = Vec::new();
-        Judge::new(plan).judge(&patch, inner, &mut verdicts);
+        Judge::new(plan).judge(&patch, &mut sums, inner, &mut verdicts);
         let (mut all, mut obstacles) = (0, 0);
         for pixel in patch.occupied().filter(|&pixel| inner.holds(pixel)) {
             for number in patch.range(pixel) {

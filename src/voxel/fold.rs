@@ -47,6 +47,15 @@ impl Moments {
         self.ww += w * w;
     }
 
+    /// Adds the point of a record; surfaces do not count.
+    #[inline]
+    fn add_record(&mut self, record: Record) {
+        if record.surface().is_none() {
+            let (u, v) = record.place();
+            self.add(i64::from(u), i64::from(v), i64::from(record.height()));
+        }
+    }
+
     /// Adds the points of a voxel that lies `pixels_x`, `pixels_y` and `slices` away from the origin of these sums.
     #[inline]
     pub fn add_shifted(&mut self, of: &Self, pixels_x: i64, pixels_y: i64, slices: i64) {
@@ -64,21 +73,20 @@ impl Moments {
     }
 }
 
-/// All points and surfaces of one voxel, folded.
+/// The matter of one voxel, folded: what points and surfaces have in common. Sums over the points are kept apart, since
+/// few voxels need them (see [`Sums`]).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Voxel {
     /// Slice above the first of the column's block.
     pub slice: u32,
+    /// Sixteenths of the slice that hold matter: what lies between bottom and top, matter or void.
+    pub bins: u16,
     /// Greatest quantum at or below the lowest matter, above the slice's floor (0..=254).
     pub bottom: u8,
     /// Least quantum at or above the highest matter, above the slice's floor (0..=255).
     pub top: u8,
-    /// Sixteenths of the slice that hold matter: what lies between bottom and top, matter or void.
-    pub bins: u16,
-    /// [`FLAT`](Self::FLAT) and [`STEEP`](Self::STEEP), for the surfaces of meshes in the voxel.
-    pub surfaces: u8,
-    /// Sums over the points.
-    pub moments: Moments,
+    /// What the matter is: [`POINTS`](Self::POINTS), [`FLAT`](Self::FLAT), [`STEEP`](Self::STEEP).
+    pub kinds: u8,
 }
 
 impl Voxel {
@@ -86,12 +94,12 @@ impl Voxel {
     pub const FLAT: u8 = 1;
     /// A surface that is.
     pub const STEEP: u8 = 2;
+    /// Points.
+    pub const POINTS: u8 = 4;
 
-    fn of(record: Record) -> Self {
-        let (slice, moments) = (record.slice(), Moments::default());
-        let mut voxel = Self { slice, bottom: u8::MAX, top: 0, bins: 0, surfaces: 0, moments };
-        voxel.add(record);
-        voxel
+    /// Without matter.
+    fn empty(slice: u32) -> Self {
+        Self { slice, bins: 0, bottom: u8::MAX, top: 0, kinds: 0 }
     }
 
     #[inline]
@@ -99,11 +107,11 @@ impl Voxel {
         if let Some(part) = record.surface() {
             return self.add_surface(part);
         }
-        let (height, (u, v)) = (record.height(), record.place());
+        let height = record.height();
         self.bottom = self.bottom.min(bottom_quantum(height) as u8);
         self.top = self.top.max(top_quantum(height) as u8);
         self.bins |= 1 << (height / BIN_STEPS);
-        self.moments.add(i64::from(u), i64::from(v), i64::from(height));
+        self.kinds |= Self::POINTS;
     }
 
     fn add_surface(&mut self, part: SurfacePart) {
@@ -113,25 +121,29 @@ impl Voxel {
         // What ends on the lower border of a bin does not reach into it.
         let (first, last) = (bin(part.bottom), bin(part.top.saturating_sub(1).max(part.bottom)));
         self.bins |= (u16::MAX >> (BINS - 1 - (last - first))) << first;
-        self.surfaces |= if part.steep { Self::STEEP } else { Self::FLAT };
+        self.kinds |= if part.steep { Self::STEEP } else { Self::FLAT };
     }
 
     /// Whether a surface steeper than the limit is among its matter.
     pub fn is_steep(&self) -> bool {
-        self.surfaces & Self::STEEP != 0
+        self.kinds & Self::STEEP != 0
     }
 
     /// Whether it holds points, as opposed to surfaces alone.
     pub fn has_points(&self) -> bool {
-        self.moments.n > 0
+        self.kinds & Self::POINTS != 0
+    }
+
+    /// Whether it holds a surface.
+    fn has_surface(&self) -> bool {
+        self.kinds & (Self::FLAT | Self::STEEP) != 0
     }
 
     fn merge(&mut self, other: &Self) {
         self.bottom = self.bottom.min(other.bottom);
         self.top = self.top.max(other.top);
         self.bins |= other.bins;
-        self.surfaces |= other.surfaces;
-        self.moments.add_shifted(&other.moments, 0, 0, 0);
+        self.kinds |= other.kinds;
     }
 }
 
@@ -183,75 +195,145 @@ impl Area {
 /// Slices of one pixel that are told apart at once; more than that far apart in one pixel costs a search.
 const RECENT: usize = 1 << 10;
 
-/// Folds records into voxels, one pixel after another; its scratch is reused.
+/// Folds the records of one pixel after another into voxels; its scratch is reused.
 #[derive(Debug)]
-pub struct Folder {
-    by_pixel: Vec<Record>,
-    voxels: Vec<Voxel>,
+struct Folder {
+    /// Voxels of the pixel at hand and how many points each has.
+    voxels: Vec<(Voxel, u32)>,
     /// Number in `voxels` of the last voxel whose slice has this remainder; may be left over from an earlier pixel.
     recent: Box<[u32; RECENT]>,
 }
 
 impl Default for Folder {
     fn default() -> Self {
-        Self { by_pixel: Vec::new(), voxels: Vec::new(), recent: Box::new([0; RECENT]) }
+        Self { voxels: Vec::new(), recent: Box::new([0; RECENT]) }
     }
 }
 
 impl Folder {
-    /// Calls `give` with every pixel that has records, in order, and its voxels, lowest slice first.
-    pub fn fold(&mut self, records: &[Record], mut give: impl FnMut(usize, &[Voxel])) {
-        self.sort_by_pixel(records);
-        let Self { by_pixel, voxels, recent } = self;
-        for points in by_pixel.chunk_by(|a, b| a.pixel() == b.pixel()) {
-            voxels.clear();
-            for &point in points {
-                let slice = point.slice();
-                let place = &mut recent[slice as usize % RECENT];
-                let found = match voxels.get(*place as usize) {
-                    Some(voxel) if voxel.slice == slice => Some(*place as usize),
-                    // Another slice of this pixel has the same remainder, so this one may hide behind it.
-                    Some(voxel) if voxel.slice as usize % RECENT == slice as usize % RECENT => {
-                        voxels.iter().position(|voxel| voxel.slice == slice)
-                    }
-                    _ => None,
-                };
-                match found {
-                    Some(number) => {
-                        *place = number as u32;
-                        voxels[number].add(point);
-                    }
-                    None => {
-                        *place = voxels.len() as u32;
-                        voxels.push(Voxel::of(point));
-                    }
+    /// The voxels of one pixel's records, lowest slice first, with the numbers of their points.
+    fn fold(&mut self, points: &[Record]) -> &[(Voxel, u32)] {
+        let Self { voxels, recent } = self;
+        voxels.clear();
+        for &point in points {
+            let slice = point.slice();
+            let place = &mut recent[slice as usize % RECENT];
+            let found = match voxels.get(*place as usize) {
+                Some((voxel, _)) if voxel.slice == slice => Some(*place as usize),
+                // Another slice of this pixel has the same remainder, so this one may hide behind it.
+                Some((voxel, _)) if voxel.slice as usize % RECENT == slice as usize % RECENT => {
+                    voxels.iter().position(|(voxel, _)| voxel.slice == slice)
                 }
-            }
-            voxels.sort_unstable_by_key(|voxel| voxel.slice);
-            give(points[0].pixel(), voxels);
+                _ => None,
+            };
+            let number = found.unwrap_or_else(|| {
+                voxels.push((Voxel::empty(slice), 0));
+                voxels.len() - 1
+            });
+            *place = number as u32;
+            voxels[number].0.add(point);
+            voxels[number].1 = voxels[number].1.saturating_add(1);
+        }
+        voxels.sort_unstable_by_key(|(voxel, _)| voxel.slice);
+        voxels
+    }
+}
+
+/// Records grouped by patch pixel.
+#[derive(Debug, Default)]
+struct ByPixel {
+    records: Vec<Record>,
+    /// Where each pixel's records begin, and the end.
+    starts: Vec<u32>,
+}
+
+impl ByPixel {
+    /// Replaces the content: a counting sort.
+    fn set(&mut self, records: &[Record]) {
+        // One more than the pixels: while records are placed, entry `p + 1` is where the next one of `p` goes.
+        self.starts.clear();
+        self.starts.resize(PATCH_AREA + 2, 0);
+        records.iter().for_each(|record| self.starts[record.pixel() + 2] += 1);
+        let mut end = 0;
+        for start in &mut self.starts {
+            end += *start;
+            *start = end;
+        }
+        self.records.resize(records.len(), Record(0));
+        for &record in records {
+            let place = &mut self.starts[record.pixel() + 1];
+            self.records[*place as usize] = record;
+            *place += 1;
         }
     }
 
-    /// Sorts by pixel: many records by counting; a general sort is only as good on few.
-    fn sort_by_pixel(&mut self, records: &[Record]) {
-        self.by_pixel.clear();
-        if records.len() < PATCH_AREA / 4 {
-            self.by_pixel.extend_from_slice(records);
-            self.by_pixel.sort_unstable();
-            return;
+    fn range(&self, pixel: usize) -> std::ops::Range<usize> {
+        self.starts[pixel] as usize..self.starts[pixel + 1] as usize
+    }
+
+    /// Patch pixels with records, in order, and these.
+    fn pixels(&self) -> impl Iterator<Item = (usize, &[Record])> {
+        (0..PATCH_AREA).map(|pixel| (pixel, &self.records[self.range(pixel)])).filter(|(_, own)| !own.is_empty())
+    }
+}
+
+/// Sums kept at once; beyond that they are made again when they are wanted again.
+const KEPT_SUMS: usize = 1 << 16;
+const NO_SUM: u32 = u32::MAX;
+
+/// Sums over the points of voxels, made when they are wanted: most voxels are judged by the extent of their matter alone.
+///
+/// Memory: the records of the patch, 4 bytes per voxel, and [`KEPT_SUMS`] sums; or the sums of all voxels where the
+/// records are gone.
+#[derive(Debug, Default)]
+pub struct Sums {
+    records: ByPixel,
+    /// Whether the records of a pixel are in order of slices.
+    in_order: Vec<bool>,
+    kept: Vec<Moments>,
+    /// Place in `kept` of each voxel's sums.
+    places: Vec<u32>,
+}
+
+impl Sums {
+    /// The sums over the points of voxel `number` of `patch`, which lies in `pixel`.
+    pub fn of(&mut self, patch: &Patch, pixel: usize, number: usize) -> &Moments {
+        if self.places[number] == NO_SUM {
+            if self.kept.len() >= KEPT_SUMS {
+                self.kept.clear();
+                self.places.fill(NO_SUM);
+            }
+            let range = self.records.range(pixel);
+            let own = &mut self.records.records[range];
+            if !std::mem::replace(&mut self.in_order[pixel], true) {
+                own.sort_unstable();
+            }
+            let slice = patch.voxels[number].slice;
+            let first = own.partition_point(|record| record.slice() < slice);
+            let mut sums = Moments::default();
+            own[first..].iter().take_while(|record| record.slice() == slice).for_each(|&record| sums.add_record(record));
+            self.places[number] = self.kept.len() as u32;
+            self.kept.push(sums);
         }
-        self.by_pixel.resize(records.len(), Record(0));
-        let mut next = [0u32; PATCH_AREA];
-        records.iter().for_each(|record| next[record.pixel()] += 1);
-        let mut start = 0;
-        for count in &mut next {
-            start += std::mem::replace(count, start);
-        }
-        for &record in records {
-            let place = &mut next[record.pixel()];
-            self.by_pixel[*place as usize] = record;
-            *place += 1;
-        }
+        &self.kept[self.places[number] as usize]
+    }
+
+    /// Nothing is summed yet of the voxels of a patch made of `self.records`.
+    fn begin(&mut self, voxels: usize) {
+        self.in_order.clear();
+        self.in_order.resize(PATCH_AREA, false);
+        self.kept.clear();
+        self.places.clear();
+        self.places.resize(voxels, NO_SUM);
+    }
+
+    /// The sums of all voxels, in order.
+    fn set_all(&mut self, all: impl Iterator<Item = Moments>) {
+        self.records = ByPixel::default();
+        self.kept.clear();
+        self.kept.extend(all);
+        self.places.clear();
+        self.places.extend(0..self.kept.len() as u32);
     }
 }
 
@@ -281,26 +363,34 @@ impl Patch {
         self.starts[patch_pixel] as usize..self.starts[patch_pixel + 1] as usize
     }
 
-    /// Replaces the content by the fold of `records`. Voxels of fewer than `min_points` points and no surface are
-    /// dropped; returns how many were, without those in the halo around `area`.
-    pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area) -> u64 {
+    /// Replaces the content by the fold of `records`, over which `sums` will sum. Voxels of fewer than `min_points` points
+    /// and no surface are dropped; returns how many were, without those in the halo around `area`.
+    pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area, sums: &mut Sums) -> u64 {
         let mut folder = std::mem::take(&mut self.folder);
         self.clear();
+        sums.records.set(records);
         let mut dropped = 0;
-        folder.fold(records, |pixel, voxels| dropped += self.push(pixel, voxels.iter().copied(), min_points, area));
+        for (pixel, own) in sums.records.pixels() {
+            let kept = |(voxel, points): &(Voxel, u32)| voxel.has_surface() || *points >= min_points;
+            let voxels = folder.fold(own);
+            dropped += self.push(pixel, voxels.iter().map(|voxel| (voxel.0, kept(voxel))), area);
+        }
         self.end();
         self.folder = folder;
+        sums.begin(self.voxels.len());
         dropped
     }
 
-    /// Replaces the content by voxels that were folded piecemeal (see [`fold_into`]).
-    pub fn set_folded(&mut self, folded: &Folded, min_points: u32, area: Area) -> u64 {
+    /// Replaces the content by voxels that were folded piecemeal (see [`fold_into`]), and `sums` by theirs.
+    pub fn set_folded(&mut self, folded: &Folded, min_points: u32, area: Area, sums: &mut Sums) -> u64 {
         self.clear();
+        let kept = |(_, voxel, sums): &(usize, Voxel, Moments)| voxel.has_surface() || sums.n >= i64::from(min_points);
         let mut dropped = 0;
         for voxels in folded.chunk_by(|a, b| a.0 == b.0) {
-            dropped += self.push(voxels[0].0, voxels.iter().map(|voxel| voxel.1), min_points, area);
+            dropped += self.push(voxels[0].0, voxels.iter().map(|voxel| (voxel.1, kept(voxel))), area);
         }
         self.end();
+        sums.set_all(folded.iter().filter(|voxel| kept(voxel)).map(|voxel| voxel.2));
         dropped
     }
 
@@ -320,7 +410,7 @@ impl Patch {
 
     /// Drops the voxels of `area` that have no other voxel in the 3 × 3 × 3 around them, and returns how many. A lone
     /// voxel is in nobody's neighbourhood, so it makes no difference that those of the halo stay.
-    pub fn drop_isolated(&mut self, area: Area) -> u64 {
+    pub fn drop_isolated(&mut self, area: Area, sums: &mut Sums) -> u64 {
         let mut kept = vec![true; self.voxels.len()];
         for pixel in self.occupied().filter(|&pixel| area.holds(pixel)) {
             for number in self.range(pixel) {
@@ -329,15 +419,16 @@ impl Patch {
                 kept[number] = around > 1;
             }
         }
-        let (starts, occupied, voxels) =
-            (std::mem::take(&mut self.starts), std::mem::take(&mut self.occupied), std::mem::take(&mut self.voxels));
-        for pixel in occupied {
-            let range = starts[usize::from(pixel)] as usize..starts[usize::from(pixel) + 1] as usize;
-            let stay = range.filter(|&number| kept[number]).map(|number| voxels[number]);
-            self.push(usize::from(pixel), stay, 1, area);
+        let before = std::mem::take(self);
+        for pixel in before.occupied() {
+            let own = before.range(pixel).map(|number| (before.voxels[number], kept[number]));
+            self.push(pixel, own, area);
         }
         self.end();
-        (voxels.len() - self.voxels.len()) as u64
+        self.folder = before.folder;
+        let mut stay = kept.iter();
+        sums.places.retain(|_| stay.next().is_none_or(|&stays| stays));
+        (kept.len() - self.voxels.len()) as u64
     }
 
     fn clear(&mut self) {
@@ -346,14 +437,13 @@ impl Patch {
         self.voxels.clear();
     }
 
-    /// Adds the voxels of the next pixel; returns how many of the area's were dropped.
-    fn push(&mut self, pixel: usize, voxels: impl Iterator<Item = Voxel>, min_points: u32, area: Area) -> u64 {
+    /// Adds those voxels of the next pixel that are kept; returns how many of the area's are not.
+    fn push(&mut self, pixel: usize, voxels: impl Iterator<Item = (Voxel, bool)>, area: Area) -> u64 {
         let first = self.voxels.len();
         let mut dropped = 0;
-        self.voxels.extend(voxels.filter(|voxel| {
-            let kept = voxel.surfaces != 0 || voxel.moments.n >= i64::from(min_points);
+        self.voxels.extend(voxels.filter_map(|(voxel, kept)| {
             dropped += u64::from(!kept && area.holds(pixel));
-            kept
+            kept.then_some(voxel)
         }));
         if self.voxels.len() > first {
             self.starts.resize(pixel + 1, first as u32);
@@ -377,28 +467,49 @@ pub fn neighbourhood(patch_pixel: usize) -> impl Iterator<Item = (usize, i64, i6
 
 const _: () = assert!(HALO_PIXELS == 1, "neighbourhoods are 3 × 3 pixels");
 
-/// Voxels with their patch pixel, in order of pixel and slice.
-pub type Folded = Vec<(usize, Voxel)>;
+/// Voxels with their patch pixel and sums, in order of pixel and slice.
+pub type Folded = Vec<(usize, Voxel, Moments)>;
 
-/// Folds `records` into voxels folded before.
-pub fn fold_into(folded: &mut Folded, records: &[Record], folder: &mut Folder) {
-    let before = std::mem::take(folded);
-    folded.reserve(before.len());
-    let mut before = before.into_iter().peekable();
-    folder.fold(records, |pixel, voxels| {
-        for voxel in voxels {
-            let key = (pixel, voxel.slice);
-            while let Some(earlier) = before.next_if(|(pixel, earlier)| (*pixel, earlier.slice) < key) {
-                folded.push(earlier);
+/// Folds records into voxels piece by piece, where they are too many to be kept.
+#[derive(Debug, Default)]
+pub struct PieceFolder {
+    records: ByPixel,
+    folder: Folder,
+}
+
+impl PieceFolder {
+    /// Folds `records` into voxels folded before.
+    pub fn fold_into(&mut self, folded: &mut Folded, records: &[Record]) {
+        let before = std::mem::take(folded);
+        folded.reserve(before.len());
+        let mut before = before.into_iter().peekable();
+        self.records.set(records);
+        let mut own_sums = Vec::new();
+        for (pixel, own) in self.records.pixels() {
+            let voxels = self.folder.fold(own);
+            own_sums.clear();
+            own_sums.resize(voxels.len(), Moments::default());
+            let mut number = 0;
+            for &record in own {
+                if voxels[number].0.slice != record.slice() {
+                    number = voxels.partition_point(|(voxel, _)| voxel.slice < record.slice());
+                }
+                own_sums[number].add_record(record);
             }
-            let mut voxel = *voxel;
-            if let Some((_, same)) = before.next_if(|(pixel, earlier)| (*pixel, earlier.slice) == key) {
-                voxel.merge(&same);
+            for (&(mut voxel, _), mut sums) in voxels.iter().zip(own_sums.iter().copied()) {
+                let key = (pixel, voxel.slice);
+                while let Some(earlier) = before.next_if(|(pixel, earlier, _)| (*pixel, earlier.slice) < key) {
+                    folded.push(earlier);
+                }
+                if let Some((_, same, more)) = before.next_if(|(pixel, earlier, _)| (*pixel, earlier.slice) == key) {
+                    voxel.merge(&same);
+                    sums.add_shifted(&more, 0, 0, 0);
+                }
+                folded.push((pixel, voxel, sums));
             }
-            folded.push((pixel, voxel));
         }
-    });
-    folded.extend(before);
+        folded.extend(before);
+    }
 }
 
 #[cfg(test)]
@@ -439,14 +550,21 @@ mod tests {
                 });
             }
             let (mut at_once, mut piecemeal) = (Patch::default(), Patch::default());
-            let dropped = at_once.fold(&records, min_points, Area::TILE);
+            let (mut made, mut added) = (Sums::default(), Sums::default());
+            let dropped = at_once.fold(&records, min_points, Area::TILE, &mut made);
             records.reverse();
-            let (mut folded, mut folder) = (Folded::new(), Folder::default());
-            records.chunks(piece).for_each(|piece| fold_into(&mut folded, piece, &mut folder));
-            prop_assert_eq!(piecemeal.set_folded(&folded, min_points, Area::TILE), dropped);
+            let (mut folded, mut folder) = (Folded::new(), PieceFolder::default());
+            records.chunks(piece).for_each(|piece| folder.fold_into(&mut folded, piece));
+            prop_assert_eq!(piecemeal.set_folded(&folded, min_points, Area::TILE, &mut added), dropped);
             prop_assert_eq!(&at_once.voxels, &piecemeal.voxels);
             prop_assert_eq!(&at_once.starts, &piecemeal.starts);
-            let points_kept: i64 = at_once.voxels.iter().map(|voxel| voxel.moments.n).sum();
+            let mut points_kept = 0;
+            for pixel in at_once.occupied() {
+                for number in at_once.range(pixel) {
+                    prop_assert_eq!(made.of(&at_once, pixel, number), added.of(&piecemeal, pixel, number));
+                    points_kept += made.of(&at_once, pixel, number).n;
+                }
+            }
             prop_assert!(points_kept <= points_kept_at_most);
             prop_assert!(min_points > 1 || points_kept == points_kept_at_most);
             for &(i, j, low, more, steep) in &surfaces {
@@ -454,7 +572,7 @@ mod tests {
                 let (first, last) = (low.div_euclid(255), low.max(low + more - 1).div_euclid(255));
                 for voxel in (first..=last).map(|slice| slice + crate::voxel::record::BLOCK_SLICES / 2) {
                     let found = at_once.voxels[at_once.range(pixel)].iter().find(|v| i64::from(v.slice) == voxel);
-                    prop_assert!(found.is_some_and(|v| v.surfaces != 0 && (v.is_steep() || !steep)));
+                    prop_assert!(found.is_some_and(|v| v.has_surface() && (v.is_steep() || !steep)));
                 }
             }
         }
@@ -478,10 +596,12 @@ mod tests {
     fn slices_far_apart_in_one_pixel_are_told_apart() {
         let points: Vec<_> = (0..9000).map(|n| (0.2, 0.2, f64::from(n * 7919 % 4500) * 1.5 + 0.1)).collect();
         let mut patch = Patch::default();
-        patch.fold(&records(&points), 1, Area::TILE);
+        let mut sums = Sums::default();
+        patch.fold(&records(&points), 1, Area::TILE, &mut sums);
         assert_eq!(patch.voxels().len(), 4500);
         assert!(patch.voxels().is_sorted_by_key(|voxel| voxel.slice));
-        assert!(patch.voxels().iter().all(|voxel| voxel.moments.n == 2));
+        let pixel = PATCH_PIXELS + 1;
+        assert!(patch.range(pixel).all(|number| sums.of(&patch, pixel, number).n == 2));
     }
 
     #[test]
@@ -496,10 +616,12 @@ mod tests {
             (32.2, 3.2, 0.1),
         ];
         let mut patch = Patch::default();
-        patch.fold(&records(&points), 1, Area::TILE);
-        assert_eq!(patch.drop_isolated(Area::TILE), 3, "one alone, two a slice apart; not the diagonal pair");
+        let mut sums = Sums::default();
+        patch.fold(&records(&points), 1, Area::TILE, &mut sums);
+        assert_eq!(patch.drop_isolated(Area::TILE, &mut sums), 3, "one alone, two a slice apart; not the diagonal pair");
         assert_eq!(patch.voxels().len(), 4, "the last pair lies across the tile's edge and stays");
         assert_eq!(patch.occupied().count(), 4);
+        assert_eq!(sums.places.len(), 4, "the sums stay with their voxels");
     }
 
     #[test]

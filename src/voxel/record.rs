@@ -139,7 +139,7 @@ pub fn bottom_quantum(steps: u32) -> u32 {
 /// Least quantum at or above a height in steps.
 #[inline]
 pub fn top_quantum(steps: u32) -> u32 {
-    steps.div_ceil(STEPS_PER_QUANTUM as u32)
+    (steps + STEPS_PER_QUANTUM as u32 - 1) / STEPS_PER_QUANTUM as u32
 }
 
 /// Turns world points into records.
@@ -168,6 +168,10 @@ impl ColumnIndex {
     }
 }
 
+/// No point on the grid lies as many slices below the origin.
+const MOST_SLICES: i64 = 1 << 40;
+const _: () = assert!(MAX_INDEX < MOST_SLICES && MOST_SLICES < i64::MAX / SLICE_STEPS / 2);
+
 /// Points whose places are computed in one go.
 pub const BATCH: usize = 1 << 10;
 
@@ -191,21 +195,30 @@ impl Recorder {
     /// Gives `sink` each point's record, and its copies for tile columns whose halo it lies in. The points, at most
     /// [`BATCH`], must be within [`reaches`](Self::reaches).
     pub fn record(&self, x: &[f64], y: &[f64], z: &[f64], mut sink: impl FnMut(ColumnIndex, Record)) {
-        let mut places = [[0i64; 3]; BATCH];
-        for (((place, &x), &y), &z) in places.iter_mut().zip(x).zip(y).zip(z) {
+        let count = x.len().min(y.len()).min(z.len());
+        // One array per coordinate, so that the arithmetic compiles to vector instructions.
+        let [mut fx, mut fy, mut steps] = [[0i64; BATCH]; 3];
+        let across = |to: &mut [i64; BATCH], from: &[f64]| {
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = floor_small(from * self.subpixels_per_m);
+            }
+        };
+        across(&mut fx, x);
+        across(&mut fy, y);
+        for (steps, z) in steps.iter_mut().zip(z) {
             let cells = z * self.cells_per_m;
             let cell = floor_small(cells);
-            let between = (cell as f64 != cells) as i64;
-            *place = [floor_small(x * self.subpixels_per_m), floor_small(y * self.subpixels_per_m), 2 * cell + between];
+            *steps = 2 * cell + (cell as f64 != cells) as i64;
         }
-        for &[fx, fy, steps] in &places[..x.len().min(y.len()).min(z.len())] {
+        for ((&fx, &fy), &steps) in fx.iter().zip(&fy).zip(&steps).take(count) {
             self.place(fx, fy, steps, &mut sink);
         }
     }
 
     #[inline]
     fn place(&self, fx: i64, fy: i64, steps: i64, sink: &mut impl FnMut(ColumnIndex, Record)) {
-        let slice = steps.div_euclid(SLICE_STEPS);
+        // Moved above zero by whole slices: an unsigned division by a constant is a multiplication.
+        let slice = ((steps + MOST_SLICES * SLICE_STEPS) as u64 / SLICE_STEPS as u64) as i64 - MOST_SLICES;
         let height = (steps - slice * SLICE_STEPS) as u64;
         let (u, v) = ((fx & (SUBPIXELS - 1)) as u64, (fy & (SUBPIXELS - 1)) as u64);
         let place = (height << SUBPIXEL_BITS | u) << SUBPIXEL_BITS | v;

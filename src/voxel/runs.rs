@@ -9,7 +9,7 @@
 //! while merging up to 4 KiB per run, or less for very many runs. Disk: 8 bytes per record plus 3 to 12 bytes per tile
 //! column and run.
 
-use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_PIXELS, Record, Recorder, SurfaceVoxel};
+use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, PATCH_PIXELS, Record, Recorder, SurfaceVoxel};
 use crate::{Error, Result};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -28,6 +28,11 @@ const RECORD_BYTES: u64 = size_of::<Record>() as u64;
 /// Segments of a run with at least this many records are sorted by pixel too: a column of very many records is worked on
 /// in areas, and their rows can then be found without reading the whole column for each.
 const SORTED_RECORDS: u64 = 1 << 14;
+/// Columns are joined to a job up to this many records, which fit a second-level cache.
+const JOB_RECORDS: u64 = 1 << 16;
+/// Records of a run while no run is on disk: only there many runs cost more than few, and memory that is never touched
+/// costs nothing.
+const SMALL_RUN_RECORDS: usize = 1 << 20;
 /// Read-ahead in the index of a run on disk, least and most.
 const INDEX_CHUNK_BYTES: (u64, u64) = (256, 4096);
 const COPY_BYTES: usize = 1 << 16;
@@ -76,6 +81,8 @@ pub struct RunBuilder {
     lookup: HashMap<ColumnIndex, u32, BuildHasherDefault<ColumnHasher>>,
     /// Number of the last column met at this place of a 16 × 16 pattern; may be left over from an earlier run.
     recent: [u32; 256],
+    /// Memory of a run that went to disk.
+    spare: Vec<Record>,
 }
 
 impl RunBuilder {
@@ -91,6 +98,7 @@ impl RunBuilder {
             columns: Vec::new(),
             lookup: HashMap::default(),
             recent: [0; 256],
+            spare: Vec::new(),
         }
     }
 
@@ -125,12 +133,14 @@ impl RunBuilder {
     /// Makes room for `count` (at most [`BATCH`]) points or voxels with all their copies, so that adding needs no checks.
     fn make_room(&mut self, count: usize, store: &RunStore) -> Result<()> {
         let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
-        if self.records.len() + columns + 4 * count > self.capacity {
+        let spills = store.file.get().is_some();
+        let capacity = if spills { self.capacity } else { self.capacity.min(SMALL_RUN_RECORDS) };
+        if self.records.len() + columns + 4 * count > capacity {
             self.flush(store)?;
         }
-        if self.records.capacity() == 0 {
-            self.records.reserve_exact(self.capacity);
-            self.numbers.reserve_exact(self.capacity);
+        if self.records.capacity() < capacity {
+            self.records.reserve_exact(capacity - self.records.len());
+            self.numbers.reserve_exact(capacity - self.numbers.len());
         }
         Ok(())
     }
@@ -172,12 +182,14 @@ impl RunBuilder {
             encoder.encode(Segment { key, records }, &mut index);
             next += records;
         }
-        let mut sorted = vec![Record(0); self.records.len()];
+        let mut sorted = std::mem::take(&mut self.spare);
+        sorted.resize(self.records.len(), Record(0));
         for (&record, &number) in self.records.iter().zip(&self.numbers) {
             let place = &mut self.columns[number as usize].1;
             sorted[*place as usize] = record;
             *place += 1;
         }
+        // The records are in `sorted` now; their memory is scratch from here on.
         let mut rest = &mut sorted[..];
         let mut start = 0;
         for &(_, number) in &order {
@@ -185,7 +197,7 @@ impl RunBuilder {
             let end = self.columns[number as usize].1;
             let (segment, others) = rest.split_at_mut((end - start) as usize);
             if segment.len() as u64 >= SORTED_RECORDS {
-                segment.sort_unstable();
+                sort_by_pixel(segment, &mut self.records);
             }
             (rest, start) = (others, end);
         }
@@ -194,7 +206,25 @@ impl RunBuilder {
         self.columns.clear();
         self.lookup.clear();
         index.shrink_to_fit();
-        store.add(sorted, index)
+        self.spare = store.add(sorted, index)?;
+        Ok(())
+    }
+}
+
+/// Sorts many records by pixel, and by nothing else, by counting.
+fn sort_by_pixel(records: &mut [Record], scratch: &mut Vec<Record>) {
+    let mut next = [0u32; PATCH_AREA];
+    records.iter().for_each(|record| next[record.pixel()] += 1);
+    let mut start = 0;
+    for count in &mut next {
+        start += std::mem::replace(count, start);
+    }
+    scratch.clear();
+    scratch.extend_from_slice(records);
+    for &record in &*scratch {
+        let place = &mut next[record.pixel()];
+        records[*place as usize] = record;
+        *place += 1;
     }
 }
 
@@ -293,7 +323,8 @@ impl RunStore {
         self.kept.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 
-    fn add(&self, records: Vec<Record>, index: Vec<u8>) -> Result<()> {
+    /// Takes a run, and gives back its memory if it is not needed.
+    fn add(&self, mut records: Vec<Record>, index: Vec<u8>) -> Result<Vec<Record>> {
         let columns = count_segments(&index)?;
         let count = records.len() as u64;
         let bytes = count * RECORD_BYTES + index.len() as u64;
@@ -301,8 +332,9 @@ impl RunStore {
             let mut kept = self.lock();
             if kept.memory_bytes + bytes <= self.retain_bytes {
                 kept.memory_bytes += bytes;
+                records.shrink_to_fit();
                 kept.runs.push(Run { place: Place::Memory { records, index }, records: count, columns });
-                return Ok(());
+                return Ok(Vec::new());
             }
             let at = kept.file_bytes;
             kept.file_bytes += bytes;
@@ -320,7 +352,7 @@ impl RunStore {
         self.write(file, &index, index_at)?;
         let place = Place::Disk { records_at, index_at, index_bytes: index.len() as u64 };
         self.lock().runs.push(Run { place, records: count, columns });
-        Ok(())
+        Ok(records)
     }
 
     fn file(&self) -> Result<&File> {
@@ -540,7 +572,7 @@ impl<'a> Merge<'a> {
             }
             let segment_of = |run: usize, cursors: &[Cursor]| cursors[run].segment.map_or(0, |segment| segment.records);
             let records: u64 = same.iter().map(|&run| u64::from(segment_of(run, &cursors))).sum();
-            let full = job.records + records > max_records || job.columns.len() as u64 >= max_columns;
+            let full = job.records + records > max_records.min(JOB_RECORDS) || job.columns.len() as u64 >= max_columns;
             if !job.columns.is_empty() && full {
                 part_of.fill(usize::MAX);
                 give(std::mem::take(&mut job))?;
@@ -573,11 +605,18 @@ impl<'a> Merge<'a> {
         }
         let mut buffer = Vec::new();
         for part in &job.parts {
-            let total = part.columns.iter().map(|column| column.1 as usize).sum();
-            buffer.clear();
-            buffer.resize(total, Record(0));
-            self.store.read_records(&self.runs[part.run], part.first_record, &mut buffer)?;
-            let mut rest = &buffer[..];
+            let run = &self.runs[part.run];
+            let total: usize = part.columns.iter().map(|column| column.1 as usize).sum();
+            let first = part.first_record as usize;
+            let mut rest = match &run.place {
+                Place::Memory { records, .. } => &records[first..first + total],
+                Place::Disk { .. } => {
+                    buffer.clear();
+                    buffer.resize(total, Record(0));
+                    self.store.read_records(run, part.first_record, &mut buffer)?;
+                    &buffer[..]
+                }
+            };
             for &(column, count) in &part.columns {
                 let (own, others) = rest.split_at(count as usize);
                 let place = &mut next[column as usize];
