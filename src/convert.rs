@@ -757,7 +757,8 @@ impl<'a> ColumnWorker<'a> {
         for &(key, count) in &job.columns {
             let (own, others) = rest.split_at(count as usize);
             rest = others;
-            dropped += self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums) + self.judge_and_add(Area::TILE);
+            dropped +=
+                self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums) + self.judge_and_add(Area::TILE);
             self.encode(key, &mut pages)?;
         }
         self.records = records;

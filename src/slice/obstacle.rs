@@ -153,7 +153,9 @@ impl Judge {
         let (low, high) = (below.high as f64 + margin, above.low as f64 - margin);
         let reaches_in = |neighbour: usize| {
             let voxels = &patch.voxels()[patch.around(neighbour, (below.high / SLICE_QUANTA) as u32)];
-            voxels.iter().any(|v| quanta_above(v, 0, v.top) as f64 >= low && quanta_above(v, 0, v.bottom) as f64 <= high)
+            voxels
+                .iter()
+                .any(|v| quanta_above(v, 0, v.top) as f64 >= low && quanta_above(v, 0, v.bottom) as f64 <= high)
         };
         let around = |neighbour: usize, height: i64| {
             pieces(&patch.voxels()[patch.around(neighbour, (height / SLICE_QUANTA) as u32)])

@@ -311,7 +311,10 @@ impl Sums {
             let slice = patch.voxels[number].slice;
             let first = own.partition_point(|record| record.slice() < slice);
             let mut sums = Moments::default();
-            own[first..].iter().take_while(|record| record.slice() == slice).for_each(|&record| sums.add_record(record));
+            own[first..]
+                .iter()
+                .take_while(|record| record.slice() == slice)
+                .for_each(|&record| sums.add_record(record));
             self.places[number] = self.kept.len() as u32;
             self.kept.push(sums);
         }
@@ -618,7 +621,11 @@ mod tests {
         let mut patch = Patch::default();
         let mut sums = Sums::default();
         patch.fold(&records(&points), 1, Area::TILE, &mut sums);
-        assert_eq!(patch.drop_isolated(Area::TILE, &mut sums), 3, "one alone, two a slice apart; not the diagonal pair");
+        assert_eq!(
+            patch.drop_isolated(Area::TILE, &mut sums),
+            3,
+            "one alone, two a slice apart; not the diagonal pair"
+        );
         assert_eq!(patch.voxels().len(), 4, "the last pair lies across the tile's edge and stays");
         assert_eq!(patch.occupied().count(), 4);
         assert_eq!(sums.places.len(), 4, "the sums stay with their voxels");

@@ -91,7 +91,7 @@ impl Subject {
                 }
                 Self::mesh(name, path, count.unwrap_or(400_000))?
             }
-            _ => return Err(format!("--only {name}: no such scene; there are {}", NAMES.join(", ")).into()),
+            _ => return Err(format!("{name}: no such scene; there are {}", NAMES.join(", ")).into()),
         }))
     }
 
