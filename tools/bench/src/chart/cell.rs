@@ -159,22 +159,24 @@ fn curve(built: &dyn Built, grazing: &Grazing, pixel_m: f64, effort: &Effort) ->
 
 /// Distances from places on claimed matter to the nearest point (m). Places are spread over the claims by their surface.
 fn outwards(built: &dyn Built, subject: &Subject, count: usize) -> Result<Errors> {
-    let (mut whole, mut number) = (0.0, 0usize);
+    let (mut claims, mut whole) = (Vec::new(), 0.0);
     built.claimed(&mut |min, max| {
-        whole += surface(min, max).max(f64::MIN_POSITIVE);
-        number += 1;
+        // A point has no surface, but is as good as another.
+        let own = surface(min, max).max(f64::MIN_POSITIVE);
+        whole += own;
+        claims.push((min, max, own));
     })?;
     let mut random = Random(31);
-    let step = whole / count.min(8 * number.max(1)) as f64;
+    let step = whole / count.min(8 * claims.len().max(1)) as f64;
     let (mut sum, mut next) = (0.0, random.between(0.0, step));
     let mut errors = Errors::default();
-    built.claimed(&mut |min, max| {
-        sum += surface(min, max).max(f64::MIN_POSITIVE);
+    for (min, max, own) in claims {
+        sum += own;
         while next < sum {
             errors.0.push(subject.distance(on_surface(min, max, &mut random)));
             next += step;
         }
-    })?;
+    }
     Ok(errors)
 }
 
