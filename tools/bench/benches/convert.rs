@@ -7,6 +7,7 @@
 //! `SLICEWALK_BENCH_LAS` and `SLICEWALK_BENCH_LAZ` name files to use instead of generated ones. `--test` runs each
 //! contestant once on little data.
 
+use bench::reading::read_las;
 use laz::{LazVlr, ParLasZipDecompressor};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
@@ -32,7 +33,7 @@ fn main() {
 
     let las = std::env::var_os("SLICEWALK_BENCH_LAS").map(PathBuf::from);
     let las = las.unwrap_or_else(|| generate(&dir.path().join("house.las"), las_points));
-    compare("LAS", &las, runs, threads, |path, _| read_las(path));
+    compare("LAS", &las, runs, threads, |path, _| read_las(path).expect("a LAS file"));
 
     let laz = std::env::var_os("SLICEWALK_BENCH_LAZ").map(PathBuf::from);
     let laz = laz.unwrap_or_else(|| generate(&dir.path().join("house.laz"), laz_points));
@@ -77,23 +78,6 @@ fn compare(name: &str, path: &Path, runs: usize, threads: usize, bare: impl Fn(&
             median / bare_median
         );
     }
-}
-
-/// Reads all coordinates with `las`, on one thread: what the crate offers for uncompressed files.
-fn read_las(path: &Path) -> u64 {
-    let mut reader = las::Reader::from_path(path).expect("a LAS file");
-    let mut points = reader.read_points(0).expect("an empty batch");
-    let (mut count, mut sum) = (0, 0.0);
-    loop {
-        let read = reader.fill_points(500_000, &mut points).expect("points");
-        if read == 0 {
-            break;
-        }
-        count += read;
-        sum += points.x().sum::<f64>() + points.y().sum::<f64>() + points.z().sum::<f64>();
-    }
-    black_box(sum);
-    count
 }
 
 /// Decodes all points with `laz`'s parallel decoder, and looks at nothing.

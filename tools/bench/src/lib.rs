@@ -2,15 +2,20 @@
 
 pub mod building;
 pub mod chart;
+pub mod counts;
 mod heap;
+pub mod measured;
 pub mod pawns;
 pub mod peers;
 pub mod random;
+pub mod reading;
+pub mod scale;
 pub mod size;
 pub mod soak;
 pub mod stability;
 pub mod thesis;
 pub mod voxels;
 pub mod walks;
+mod watch;
 
 pub use random::Random;

@@ -28,9 +28,16 @@ enum Command {
     Soak(Soak),
     /// The thesis' tables again, with ours beside them; and objects against triangles
     Thesis(Common),
+    /// Instructions of the hot paths beside the committed ones; needs Valgrind
+    Counts(bench::counts::Counts),
+    /// The hot paths, called for callgrind
+    #[command(hide = true)]
+    Counted(bench::counts::paths::Calls),
+    /// Conversion against the size of its input, queries against the size of the scene, and a scene of great extent
+    Scale(bench::scale::Scale),
     /// One conversion, measured in a process of its own
     #[command(hide = true)]
-    Measured(bench::thesis::Conversion),
+    Measured(bench::measured::Conversion),
 }
 
 #[derive(Debug, clap::Args)]
@@ -80,6 +87,9 @@ fn main() -> ExitCode {
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
+        Command::Counts(counts) => counts.run(),
+        Command::Counted(calls) => calls.run(),
+        Command::Scale(scale) => scale.run(),
         Command::Measured(conversion) => conversion.run(),
     };
     match done {

@@ -25,10 +25,29 @@ pub fn random(count: usize, seed: u64) -> Vec<Aabb> {
     (0..count).map(|_| anywhere()).collect()
 }
 
-/// Steps of 2.3 cm (1.4 m/s at 60 Hz), feet 3 cm above the floor; turns where an obstacle is in the way.
+/// Steps through the building.
 pub fn walk<S: PageSet>(set: &S, count: usize, seed: u64) -> Vec<Aabb> {
+    let inside = |place: Point3<f64>| (0..2).all(|axis| (0.4..SIZE[axis] - 0.4).contains(&place[axis]));
+    // Out of a corner, and now and then to the other storey.
+    let elsewhere = |random: &mut Random| {
+        let storey = f64::from(u8::from(random.bits() & 1 == 1)) * STOREY[0];
+        Point3::new(random.between(0.5, SIZE[0] - 0.5), random.between(0.5, SIZE[1] - 0.5), storey + 0.05)
+    };
+    wander(set, count, seed, Point3::new(3.0, 2.0, 0.05), inside, elsewhere)
+}
+
+/// Steps of 2.3 cm (1.4 m/s at 60 Hz), feet 3 cm above the floor; turns where an obstacle is in the way or a place is not
+/// `inside`, and now and then begins again `elsewhere` (m).
+pub fn wander<S: PageSet>(
+    set: &S,
+    count: usize,
+    seed: u64,
+    start: Point3<f64>,
+    inside: impl Fn(Point3<f64>) -> bool,
+    elsewhere: impl Fn(&mut Random) -> Point3<f64>,
+) -> Vec<Aabb> {
     let mut random = Random(seed);
-    let mut feet = Point3::new(3.0, 2.0, 0.05);
+    let mut feet = start;
     let mut heading = 0.3f64;
     let mut steps = Vec::with_capacity(count);
     while steps.len() < count {
@@ -36,14 +55,10 @@ pub fn walk<S: PageSet>(set: &S, count: usize, seed: u64) -> Vec<Aabb> {
         let shape = pawn(next);
         steps.push(shape);
         let Answer::Known(found) = probe(set, &shape) else { panic!("all pages are in memory") };
-        let inside = (0..2).all(|axis| (0.4..SIZE[axis] - 0.4).contains(&next[axis]));
-        if found.hit || !inside {
+        if found.hit || !inside(next) {
             heading = random.between(0.0, std::f64::consts::TAU);
             if steps.len() % 4000 > 3900 {
-                // Out of a corner, and now and then to the other storey.
-                let storey = f64::from(u8::from(random.bits() & 1 == 1)) * STOREY[0];
-                feet =
-                    Point3::new(random.between(0.5, SIZE[0] - 0.5), random.between(0.5, SIZE[1] - 0.5), storey + 0.05);
+                feet = elsewhere(&mut random);
             }
         } else {
             feet = next;

@@ -1,8 +1,8 @@
 //! Frames (table 4.2) and memory at run time (figure 4.4): a pawn walks about in each model, 60 frames a second.
 
-use super::measured::Conversion;
 use super::models::Model;
 use crate::Random;
+use crate::measured::Conversion;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
 use nalgebra::{Point3, Vector2};

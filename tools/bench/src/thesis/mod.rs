@@ -4,15 +4,12 @@
 
 mod bunnies;
 mod frames;
-mod measured;
 pub(crate) mod models;
 mod prepare;
 
 use crate::stability::{Result, fill};
 use std::collections::BTreeMap;
 use std::path::Path;
-
-pub use measured::Conversion;
 
 /// The words of the page; `{{name}}` stands for a table.
 const PAGE: &str = include_str!("page.md");

@@ -1,8 +1,8 @@
 //! Preparation: points made by oversampling (table 4.4), time and memory (figures 4.2 and 4.3, table 4.3), and what
 //! oversampling misses.
 
-use super::measured::{Conversion, Measured};
 use super::models::Model;
+use crate::measured::{Conversion, Measured};
 use crate::stability::Result;
 use crate::stability::table::{Table, number, percent};
 use slicewalk::NoMonitor;

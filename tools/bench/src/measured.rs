@@ -1,6 +1,7 @@
 //! A conversion in a process of its own, with its time and its greatest memory.
 
 use crate::stability::Result;
+use crate::watch::{Watched, watch};
 use slicewalk::NoMonitor;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::mesh::MeshMode;
@@ -28,23 +29,33 @@ pub struct Conversion {
     /// By the thesis' rule for obstacles
     #[arg(long)]
     pub thesis_rule: bool,
+    /// Memory budget (bytes); that of the command line if left out
+    #[arg(long)]
+    pub memory: Option<u64>,
 }
 
 /// What came of it.
 #[derive(Debug, Clone, Copy)]
 pub struct Measured {
+    /// Time of the conversion itself (s).
     pub seconds: f64,
     /// Greatest resident memory (MiB).
     pub peak_mib: f64,
+    /// Points made of triangles.
     pub points_made: u64,
+    /// Length of the archive (bytes).
     pub bytes: u64,
+    /// Temporary data written to disk (bytes).
+    pub temp_bytes: u64,
+    /// Points read from the input.
+    pub points_read: u64,
 }
 
 impl Conversion {
     /// A conversion to pixels of `pixel` metres, exact.
     pub fn new(input: &Path, output: &Path, y_up: bool, pixel: f64) -> Self {
         let (input, output) = (input.to_path_buf(), output.to_path_buf());
-        Self { input, output, pixel, step: None, y_up, thesis_rule: false }
+        Self { input, output, pixel, step: None, y_up, thesis_rule: false, memory: None }
     }
 
     /// Converts, and prints what a parent process reads.
@@ -53,6 +64,7 @@ impl Conversion {
         options.pixel = PixelSize::Metres(self.pixel);
         options.up = if self.y_up { Up::Y } else { Up::Z };
         options.overwrite = true;
+        options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         if let Some(step) = self.step {
             options.mesh = MeshMode::Sampled { step_m: Some(step) };
         }
@@ -62,32 +74,57 @@ impl Conversion {
         let start = Instant::now();
         let report = convert(&options, &NoMonitor)?;
         let seconds = start.elapsed().as_secs_f64();
-        println!("{seconds} {} {} {}", peak_mib()?, report.points_made, report.header.file_len);
+        let header = &report.header;
+        println!(
+            "{seconds} {} {} {} {} {}",
+            peak_mib()?,
+            report.points_made,
+            header.file_len,
+            report.temp_bytes,
+            header.points_read
+        );
         Ok(())
     }
 
     /// Converts in a process of its own: the fastest of `rounds`.
     pub fn measure(&self, rounds: usize) -> Result<Measured> {
-        let mut best: Option<Measured> = None;
-        for _ in 0..rounds.max(1) {
-            let mut command = Command::new(std::env::current_exe()?);
-            command.arg("measured").arg(&self.input).arg(&self.output).arg(format!("--pixel={}", self.pixel));
-            command.args(self.step.map(|step| format!("--step={step}")));
-            command.args(self.y_up.then_some("--y-up")).args(self.thesis_rule.then_some("--thesis-rule"));
-            let done = command.output()?;
-            if !done.status.success() {
-                let said = String::from_utf8_lossy(&done.stderr);
-                return Err(format!("{}: {said}", self.input.display()).into());
+        let mut best = self.watched()?.0;
+        for _ in 1..rounds {
+            let found = self.watched()?.0;
+            if found.seconds < best.seconds {
+                best = found;
             }
-            let text = String::from_utf8(done.stdout)?;
-            let numbers: Vec<f64> = text.split_whitespace().map(str::parse).collect::<std::result::Result<_, _>>()?;
-            let [seconds, peak_mib, points_made, bytes] = numbers[..] else {
-                return Err(format!("said {text:?}").into());
-            };
-            let found = Measured { seconds, peak_mib, points_made: points_made as u64, bytes: bytes as u64 };
-            best = best.filter(|best| best.seconds <= seconds).or(Some(found));
         }
-        best.ok_or_else(|| "nothing was measured".into())
+        Ok(best)
+    }
+
+    /// Converts once in a process of its own, and watches it.
+    pub fn watched(&self) -> Result<(Measured, Watched)> {
+        let mut command = Command::new(std::env::current_exe()?);
+        command.arg("measured").arg(&self.input).arg(&self.output).arg(format!("--pixel={}", self.pixel));
+        command.args(self.step.map(|step| format!("--step={step}")));
+        command.args(self.y_up.then_some("--y-up")).args(self.thesis_rule.then_some("--thesis-rule"));
+        command.args(self.memory.map(|bytes| format!("--memory={bytes}")));
+        let watched = watch(&mut command).map_err(|error| format!("{}: {error}", self.input.display()))?;
+        Ok((Measured::parse(&watched.said)?, watched))
+    }
+}
+
+impl Measured {
+    /// What [`Conversion::run`] printed.
+    fn parse(said: &str) -> Result<Self> {
+        let numbers: Option<Vec<f64>> = said.split_whitespace().map(|word| word.parse().ok()).collect();
+        match numbers.as_deref() {
+            Some(&[seconds, peak_mib, points_made, bytes, temp_bytes, points_read]) => Ok(Self {
+                seconds,
+                peak_mib,
+                points_made: points_made as u64,
+                bytes: bytes as u64,
+                temp_bytes: temp_bytes as u64,
+                points_read: points_read as u64,
+            }),
+            _ => Err(format!("a conversion said {said:?}").into()),
+        }
     }
 }
 

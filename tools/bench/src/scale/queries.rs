@@ -1,0 +1,92 @@
+//! Queries against the size of the scene.
+
+use super::Found;
+use super::town::Town;
+use crate::peers::measure::measure as timed;
+use crate::stability::Result;
+use crate::stability::table::{Table, number};
+use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
+use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::store::Store;
+use std::hint::black_box;
+use std::path::Path;
+use std::time::Instant;
+
+const PIXEL_M: f64 = 0.1;
+/// Points on a square metre: two a pixel, to keep files small.
+const DENSITY: u64 = 200;
+/// About so many voxels a block, for the choice of sizes alone; the table has the true numbers.
+const VOXELS_PER_BLOCK: f64 = 57_000.0;
+const ASKED: usize = 20_000;
+const REPEATS: usize = 5;
+
+/// Asks the same of towns of 0.1 to 30 M voxels.
+pub fn measure(found: &mut Found, work: &Path, quick: bool) -> Result<()> {
+    let sizes = if quick { &[0.1, 1.0][..] } else { &[0.1, 0.3, 1.0, 3.0, 10.0, 30.0] };
+    let mut table = Table::new([
+        "voxels (M)",
+        "pages",
+        "in memory (MB)",
+        "random: mean (ns)",
+        "p50",
+        "hits (%)",
+        "walk: mean (ns)",
+        "p50",
+        "hits (%)",
+    ]);
+    for millions in sizes {
+        table.row(one(found, work, Town::new((millions * 1e6 / VOXELS_PER_BLOCK) as u64))?);
+    }
+    found.section(&format!(
+        "## Queries against the size of the scene\n\nA box of 0.5 × 0.5 × 1.8 m, all pages in memory, pixels of 10 cm: {ASKED} \
+         boxes anywhere in the town, and as many steps of a walk through it. The mean is that of all boxes asked one after the other; p50 that of single boxes, the best of three, less the time of the clock. Median of {REPEATS} repeats; {DENSITY} points on a square metre.\n\n{}\n",
+        table.markdown()
+    ));
+    Ok(())
+}
+
+fn one(found: &mut Found, work: &Path, town: Town) -> Result<Vec<String>> {
+    let (scan, path) = (work.join("town.las"), work.join("town.slices"));
+    town.write(&scan, DENSITY)?;
+    let mut options = ConvertOptions::new(vec![scan.clone()], path.clone());
+    options.pixel = PixelSize::Metres(PIXEL_M);
+    options.overwrite = true;
+    options.temp_dir = work.to_owned();
+    let header = convert(&options, &NoMonitor)?.header;
+    let voxels = header.voxels.occupied;
+    let store = Store::resident(&Archive::open(&path)?, &NoMonitor)?;
+    for path in [scan, path] {
+        std::fs::remove_file(path)?;
+    }
+    let mut row = vec![
+        number(voxels as f64 / 1e6, 2),
+        store.page_counts().0.to_string(),
+        number((store.weight_bytes() + store.table_bytes()) as f64 / 1e6, 1),
+    ];
+    let walk = town.walking_pawns(&store, ASKED, 12);
+    for (name, shapes) in [("random", town.random_pawns(ASKED, 11)), ("walk", walk)] {
+        row.extend(ask(found, &store, voxels, name, &shapes));
+    }
+    Ok(row)
+}
+
+fn ask(found: &mut Found, store: &Store, voxels: u64, name: &str, shapes: &[Aabb]) -> Vec<String> {
+    let [mut means, mut medians] = [const { Vec::new() }; 2];
+    let mut hits = 0;
+    for _ in 0..REPEATS {
+        let start = Instant::now();
+        for shape in shapes {
+            black_box(overlaps(store, black_box(shape)));
+        }
+        means.push(start.elapsed().as_secs_f64() * 1e9 / shapes.len() as f64);
+        let measured = timed(shapes, |shape| overlaps(store, shape));
+        medians.push(measured.times[1]);
+        hits = measured.answers.iter().filter(|&answer| *answer == Overlap::Hit).count();
+    }
+    found.add("query", voxels, &format!("{name}_mean_ns"), &means);
+    found.add("query", voxels, &format!("{name}_p50_ns"), &medians);
+    let share = hits as f64 / shapes.len() as f64 * 100.0;
+    vec![number(super::spread(&means).0, 1), number(super::spread(&medians).0, 0), number(share, 1)]
+}
