@@ -74,7 +74,7 @@ impl Subject {
                     _ => Params::new(),
                 };
                 let scene = Scene::named(name, &params)?;
-                Self::generated(scene, count.unwrap_or(1_500_000))?
+                Self::generated(scene, count.unwrap_or(1_000_000))?
             }
             "indoor" => return scan("indoor_two_storey_zup.laz", Units::Factor(1.0)),
             "room" => return scan("pump_room.laz", Units::Factor(1.0)),
