@@ -35,6 +35,8 @@ enum Command {
     Counted(bench::counts::paths::Calls),
     /// Conversion against the size of its input, queries against the size of the scene, and a scene of great extent
     Scale(bench::scale::Scale),
+    /// The charts and pages of what `chart` and `scale` measured, again, without measuring
+    Draw(Draw),
     /// One conversion, measured in a process of its own
     #[command(hide = true)]
     Measured(bench::measured::Conversion),
@@ -46,6 +48,13 @@ struct Soak {
     #[arg(long, default_value_t = 10.0)]
     minutes: f64,
     /// Folder for `soak.md`
+    #[arg(long, default_value = "tools/bench/results")]
+    out: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+struct Draw {
+    /// Folder with `chart/measured.csv`, to write into
     #[arg(long, default_value = "tools/bench/results")]
     out: PathBuf,
 }
@@ -90,6 +99,7 @@ fn main() -> ExitCode {
         Command::Counts(counts) => counts.run(),
         Command::Counted(calls) => calls.run(),
         Command::Scale(scale) => scale.run(),
+        Command::Draw(draw) => bench::chart::draw::run(&draw.out),
         Command::Measured(conversion) => conversion.run(),
     };
     match done {

@@ -3,6 +3,7 @@
 use super::method::{Built, Method, Vec3};
 use super::record::{Figure, Phantom};
 use super::subject::Subject;
+use super::walkable::{self, Judged};
 use super::workload::{Boxes, DEPTH_M, Grazing, Workload};
 use crate::Random;
 use crate::heap::live_bytes;
@@ -79,6 +80,7 @@ pub fn measure(
     }
     figures.extend(floors(built, grazing, effort));
     figures.extend(sweeps(built, subject, work, effort));
+    figures.extend(stands(built, subject, work));
     figures.extend(slopes(built, subject, pixel_m, effort));
     Ok(Seen { figures, phantoms, build_s, resident_bytes: resident })
 }
@@ -99,7 +101,8 @@ fn build(
         times.push(start.elapsed().as_secs_f64());
         if times.len() >= effort.repeats || begin.elapsed() > effort.builds {
             let kept = live_bytes().saturating_sub(before).saturating_sub(built.spare_bytes());
-            return Ok((built, times, kept as f64));
+            let outside = built.outside_bytes();
+            return Ok((built, times, (kept + outside) as f64));
         }
     }
 }
@@ -248,6 +251,27 @@ fn sweeps(built: &dyn Built, subject: &Subject, work: &Workload, effort: &Effort
     let late = errors.0.iter().copied().fold(0.0, f64::max);
     let mean = errors.0.iter().map(|e| e.abs()).sum::<f64>() / n as f64;
     vec![Figure::one("toi_cm", mean, n), Figure::one("toi_late_cm", late, n)]
+}
+
+/// Where one may stand, against the true surfaces.
+fn stands(built: &dyn Built, subject: &Subject, work: &Workload) -> Vec<Figure> {
+    let between = [subject.bounds[0].z - 1.0, subject.bounds[1].z + 1.0];
+    let claims = |x, y| built.standing([x, y], between).unwrap_or_default();
+    if built.standing([0.0; 2], between).is_none() {
+        return Vec::new();
+    }
+    stand_figures(&walkable::judge(&work.columns, claims))
+}
+
+/// As figures of a cell; none where nobody was asked.
+pub fn stand_figures(judged: &Judged) -> Vec<Figure> {
+    let heights = &judged.heights;
+    let figures = [
+        Figure::one("stand_rmse_cm", heights.rmse() * 100.0, heights.0.len()),
+        Figure::one("stand_missing", judged.missing.value(), judged.missing.all as usize),
+        Figure::one("stand_wrong", judged.wrong.value(), judged.wrong.all as usize),
+    ];
+    figures.into_iter().filter(|figure| figure.n > 0).collect()
 }
 
 /// Steepest floor (degrees): the default limit.

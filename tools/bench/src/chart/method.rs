@@ -22,6 +22,11 @@ pub trait Method {
         true
     }
 
+    /// Why it cannot be built here at all, if it cannot.
+    fn refuses(&self, _subject: &Subject, _pixel_m: f64) -> Option<String> {
+        None
+    }
+
     /// A rough guess of the memory it will take (bytes); `cubes` is the number of cubes of a pixel that hold points.
     fn estimate_bytes(&self, subject: &Subject, pixel_m: f64, cubes: usize) -> f64;
 
@@ -49,6 +54,11 @@ pub trait Built {
         0
     }
 
+    /// Memory that it holds outside of the counted heap (bytes).
+    fn outside_bytes(&self) -> usize {
+        0
+    }
+
     /// Calls `give` with the closed boxes of matter that it claims (m); a point is a box without extent.
     fn claimed(&self, give: &mut dyn FnMut(Vec3, Vec3)) -> Result<()>;
 
@@ -69,6 +79,11 @@ pub trait Built {
 
     /// How far a box comes until the first contact (m).
     fn sweep(&self, _shape: &Aabb, _way: Vector3<f64>) -> Option<f64> {
+        None
+    }
+
+    /// Heights at which one may stand over a place, between two heights (m).
+    fn standing(&self, _place: [f64; 2], _between: [f64; 2]) -> Option<Vec<f64>> {
         None
     }
 

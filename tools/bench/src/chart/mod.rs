@@ -1,19 +1,23 @@
 //! Speed beside accuracy: every method in every scene at six pixel sizes, with what each costs and how wrong it is.
 //!
 //! Out: `chart/measured.csv`, one line per figure, and `chart/phantoms.csv`, shares of hits over the distance of the
-//! nearest point. Both grow cell by cell; a run goes on where the last one was stopped.
+//! nearest point. Both grow cell by cell; a run goes on where the last one was stopped. From them [`draw`] makes charts.
 
 mod cell;
 mod clouds;
 mod doors;
+pub mod draw;
 mod images;
 mod method;
+mod octomap;
 mod ours;
 mod paths;
 mod plan;
+mod recast;
 mod record;
 mod solid;
 mod subject;
+pub mod walkable;
 mod workload;
 
 use crate::stability::Result;
@@ -39,7 +43,7 @@ const WALKED: &str = "house";
 const CONTROLLER: &str = "rapier3d";
 const CONTROLLED_CM: [u32; 3] = [4, 8, 16];
 
-/// All methods for a scene. OctoMap and Recast are peers of the same kind: they join this list.
+/// All methods for a scene that answer about boxes.
 fn methods(subject: &Subject) -> Vec<Box<dyn Method>> {
     if subject.is_mesh() {
         // A triangle has its own slope: classifiers play no part.
@@ -57,13 +61,18 @@ fn methods(subject: &Subject) -> Vec<Box<dyn Method>> {
     all.push(Box::new(clouds::Kiddo { exact: false }));
     all.push(Box::new(clouds::Kiddo { exact: true }));
     all.push(Box::new(clouds::Capt));
+    all.push(Box::new(octomap::Octomap));
     all
 }
 
-/// Measures, and appends to the tables in `chart/` of the folder.
+/// Measures, appends to the tables in `chart/` of the folder, and draws them.
 pub fn run(options: &Options) -> Result<()> {
     let plan = Plan::new(options)?;
-    measure_all(&plan, &mut Record::open(&options.folder(), options.fresh)?)
+    let out = options.folder();
+    let charts = out.join("chart");
+    measure_all(&plan, &mut Record::open(&charts, options.fresh)?)?;
+    std::fs::write(charts.join(draw::MACHINE_FILE), draw::machine() + "\n")?;
+    draw::run(&out)
 }
 
 fn measure_all(plan: &Plan, record: &mut Record) -> Result<()> {
@@ -87,14 +96,16 @@ struct Before {
 
 fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<()> {
     let methods = methods(subject);
-    let open =
-        |record: &Record, pixel: u32| methods.iter().any(|method| !record.has(&subject.name, method.name(), pixel));
+    let walked = (subject.name == WALKED).then_some(CONTROLLER);
+    let names = || methods.iter().map(|method| method.name()).chain([recast::NAME]).chain(walked);
+    let open = |record: &Record, pixel: u32| names().any(|name| !record.has(&subject.name, name, pixel));
     let pixels: Vec<u32> = plan.pixels_cm.iter().copied().filter(|&pixel| open(record, pixel)).collect();
     if pixels.is_empty() {
         return Ok(());
     }
     let work = Workload::new(subject, plan.effort.questions)?;
     let area = Figure::one("area_m2", subject.area(), 1);
+    let mut ground = recast::Ground::new(subject);
     let mut before: Vec<Option<Before>> = methods.iter().map(|_| None).collect();
     let mut same: Vec<Option<Cell>> = methods.iter().map(|_| None).collect();
     for pixel_cm in pixels {
@@ -149,6 +160,11 @@ fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<
                 *same = Some(cell);
             }
         }
+        if !record.has(&subject.name, recast::NAME, pixel_cm) {
+            let start = Instant::now();
+            record.add(&ground.cell(subject, pixel_cm, cubes, &work.columns, plan.budget_s)?)?;
+            eprintln!("{} {pixel_cm} cm {}: {:.1} s in all", subject.name, recast::NAME, start.elapsed().as_secs_f64());
+        }
         if let Some(doors) = doors.filter(|_| !record.has(WALKED, CONTROLLER, pixel_cm)) {
             let start = Instant::now();
             record.add(&controlled(&doors, pixel_cm)?)?;
@@ -179,7 +195,7 @@ fn controlled(doors: &Doors, pixel_cm: u32) -> Result<Cell> {
     Ok(cell)
 }
 
-/// Why a cell would take too much time or memory, if it would.
+/// Why a cell is not measured, if it is not: it would take too much time or memory, or cannot be built at all.
 fn too_much(
     method: &dyn Method,
     subject: &Subject,
@@ -188,6 +204,9 @@ fn too_much(
     before: Option<&Before>,
     plan: &Plan,
 ) -> Option<String> {
+    if let Some(why) = method.refuses(subject, pixel_m) {
+        return Some(why);
+    }
     let bytes = method.estimate_bytes(subject, pixel_m, cubes);
     let guess = |bytes: f64| format!("would take about {:.1} GB; {} GB is the limit", bytes / 1e9, MEMORY_BYTES / 1e9);
     if bytes > MEMORY_BYTES {
@@ -266,9 +285,11 @@ mod tests {
                 assert!(of(method, metric)? >= 0.0, "{method}: {metric}");
             }
         }
-        for metric in ["file_bytes", "slope_wrong", "path_cm"] {
+        for metric in ["file_bytes", "slope_wrong", "path_cm", "stand_rmse_cm", "stand_missing", "stand_wrong"] {
             assert!(of("slicewalk plane", metric)? >= 0.0, "{metric}");
         }
+        // One may not be installed, the other may find 32 cm too coarse; both are told of.
+        assert!(text.contains("house,octomap,") && text.contains("house,recast,"));
         for ours in Ours::ALL {
             assert_eq!((of(ours.name, "missed")?, of(ours.name, "in_max_cm")?), (0.0, 0.0), "{}", ours.name);
         }

@@ -144,6 +144,10 @@ impl Built for Pages {
         }
     }
 
+    fn standing(&self, [x, y]: [f64; 2], between: [f64; 2]) -> Option<Vec<f64>> {
+        (!self.broad).then(|| super::walkable::standing(&self.store, x, y, between))
+    }
+
     fn obstacle(&self, at: Point3<f64>) -> Option<bool> {
         let found = probe(&self.store, &Aabb::new(at, at).ok()?).known()?;
         (found.hit && !self.broad).then_some(found.obstacle)

@@ -38,10 +38,10 @@ pub(super) struct Plan {
 }
 
 impl Options {
-    /// The folder of the tables.
+    /// The folder of the results.
     pub(super) fn folder(&self) -> PathBuf {
         let default = if self.quick { "target/bench-quick" } else { "tools/bench/results" };
-        self.out.clone().unwrap_or_else(|| default.into()).join("chart")
+        self.out.clone().unwrap_or_else(|| default.into())
     }
 }
 

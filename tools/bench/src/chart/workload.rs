@@ -1,6 +1,7 @@
 //! What is asked: boxes anywhere, boxes along a walk, sweeps, and boxes that graze matter; with what is true of each.
 
 use super::subject::Subject;
+use super::walkable::{self, Column};
 use crate::Random;
 use crate::stability::Result;
 use nalgebra::{Point3, Vector3};
@@ -46,6 +47,8 @@ pub struct Workload {
     /// told by the height of floors, and should not be told again as a wall.
     pub sweeps: Vec<(Aabb, Vector3<f64>)>,
     pub reached: Vec<f64>,
+    /// Places all over the scene, and where one may stand there; none without true surfaces.
+    pub columns: Vec<Column>,
 }
 
 /// Whether a closed box holds matter.
@@ -74,7 +77,8 @@ impl Workload {
             })
             .collect();
         let reached = sweeps.iter().map(|(shape, way)| subject.oracle.sweep(shape, *way)).collect();
-        Ok(Self { random: Boxes::new(subject, anywhere?), walk, raised, floors, sweeps, reached })
+        let columns = subject.scene.as_ref().map_or_else(Vec::new, |scene| walkable::columns(scene, count, 22));
+        Ok(Self { random: Boxes::new(subject, anywhere?), walk, raised, floors, sweeps, reached, columns })
     }
 }
 

@@ -5,8 +5,10 @@
 
 pub(crate) mod character;
 pub(crate) mod measure;
+pub mod octomap;
 pub(crate) mod oracle;
 pub(crate) mod parry;
+pub mod recast;
 pub(crate) mod scene;
 pub(crate) mod spheres;
 

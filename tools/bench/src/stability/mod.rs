@@ -5,7 +5,7 @@
 
 pub(crate) mod lab;
 mod patch;
-mod plot;
+pub(crate) mod plot;
 pub(crate) mod table;
 pub(crate) mod written;
 

@@ -51,7 +51,7 @@ pub struct Plot {
 }
 
 /// Told apart by the colour-blind too (Okabe and Ito).
-const COLOURS: [RGBColor; 8] = [
+pub(crate) const COLOURS: [RGBColor; 8] = [
     RGBColor(213, 94, 0),
     RGBColor(230, 159, 0),
     RGBColor(0, 158, 115),

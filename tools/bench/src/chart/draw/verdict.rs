@@ -1,0 +1,169 @@
+//! Whether ours is on the front, and who beats it where it is not.
+
+use super::axis::short;
+use super::front::dominates;
+use super::model::{COSTS, Cost, Scene};
+use super::plots::costly;
+use crate::stability::table::Table;
+
+/// How ours stands at one pixel size, for one cost.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Stand {
+    /// These methods of ours are on the front.
+    Front(Vec<String>),
+    /// No peer beats these methods of ours, but ours at another setting beats all of ours here.
+    OnlyOurs(Vec<String>),
+    /// Peers, each with its pixel size (cm), that beat the method of ours that the fewest beat.
+    Beaten { method: String, by: Vec<(String, f64)> },
+    /// Every method of ours misses points here.
+    Misses,
+}
+
+/// How ours stands at each of its pixel sizes; empty where cost or error of ours is not known.
+pub fn stands(scene: &Scene, cost: &Cost) -> Vec<(f64, Stand)> {
+    let all: Vec<_> = costly(scene, cost).collect();
+    let mut sizes: Vec<f64> = all.iter().filter(|found| found.0.ours()).map(|found| found.1.pixel_cm).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.dedup();
+    let allowed = || all.iter().filter(|found| !found.1.misses());
+    let beats = |at: (f64, f64), peers: bool| {
+        allowed().filter(move |other| (!other.0.ours() || !peers) && dominates(other.2, at))
+    };
+    let stand = |size: &f64| {
+        let here = || allowed().filter(|found| found.0.ours() && found.1.pixel_cm == *size);
+        let of_ours = |peers: bool| {
+            let unbeaten = here().filter(|found| beats(found.2, peers).next().is_none());
+            unbeaten.map(|found| found.0.method.clone()).collect::<Vec<_>>()
+        };
+        let stand = match (of_ours(false), of_ours(true)) {
+            (front, _) if !front.is_empty() => Stand::Front(front),
+            (_, only) if !only.is_empty() => Stand::OnlyOurs(only),
+            _ => match here().min_by_key(|found| beats(found.2, true).count()) {
+                Some(least) => {
+                    let by = beats(least.2, true).map(|other| (other.0.method.clone(), other.1.pixel_cm)).collect();
+                    Stand::Beaten { method: least.0.method.clone(), by }
+                }
+                None => Stand::Misses,
+            },
+        };
+        (*size, stand)
+    };
+    sizes.iter().map(stand).collect()
+}
+
+impl Stand {
+    /// In a cell of a table.
+    fn words(&self) -> String {
+        match self {
+            Self::Front(methods) => format!("front: {}", listed(methods)),
+            Self::OnlyOurs(methods) => format!("no peer better than {}; ours at another setting is", listed(methods)),
+            Self::Beaten { method, by } => {
+                let by: Vec<_> = by.iter().map(|(peer, t)| format!("`{peer}` at {} cm", short(*t))).collect();
+                format!("**{method} beaten** by {}", by.join(", "))
+            }
+            Self::Misses => "**misses points**".into(),
+        }
+    }
+
+    /// Whether no peer is better in both.
+    pub fn unbeaten(&self) -> bool {
+        matches!(self, Self::Front(_) | Self::OnlyOurs(_))
+    }
+}
+
+fn listed(methods: &[String]) -> String {
+    methods.iter().map(|method| method.trim_start_matches("slicewalk ")).collect::<Vec<_>>().join(", ")
+}
+
+/// A row for each pixel size, a column for each cost, as Markdown; none where nothing of ours was measured.
+pub fn table(scene: &Scene) -> Option<String> {
+    let costs: Vec<_> =
+        COSTS.iter().map(|cost| (cost, stands(scene, cost))).filter(|(_, all)| !all.is_empty()).collect();
+    let mut sizes: Vec<f64> = costs.iter().flat_map(|(_, all)| all.iter().map(|stand| stand.0)).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.dedup();
+    if sizes.is_empty() {
+        return None;
+    }
+    let head = std::iter::once("t (cm)").chain(costs.iter().map(|(cost, _)| cost.what));
+    let mut table = Table::new(head);
+    for size in sizes {
+        let cell = |all: &Vec<(f64, Stand)>| {
+            all.iter().find(|stand| stand.0 == size).map_or_else(|| "–".into(), |stand| stand.1.words())
+        };
+        table.row(std::iter::once(short(size)).chain(costs.iter().map(|(_, all)| cell(all))));
+    }
+    Some(table.markdown())
+}
+
+/// Over all scenes and pixel sizes: at how many no peer is better, for each cost, and where one is.
+pub fn summary(scenes: &[Scene]) -> String {
+    let mut words = Vec::new();
+    for cost in &COSTS {
+        let all: Vec<_> = scenes
+            .iter()
+            .flat_map(|scene| stands(scene, cost).into_iter().map(move |(size, stand)| (scene, size, stand)))
+            .collect();
+        let beaten: Vec<_> = all
+            .iter()
+            .filter(|(_, _, stand)| !stand.unbeaten())
+            .map(|(scene, size, stand)| format!("{} at {} cm: {}", scene.name, short(*size), stand.words()))
+            .collect();
+        if all.is_empty() {
+            continue;
+        }
+        let on_front = all.iter().filter(|(_, _, stand)| matches!(stand, Stand::Front(_))).count();
+        words.push(format!(
+            "- error and {}: of {} pairs of scene and t, ours is on the front at {on_front}, and no peer is better in both at {}{}",
+            cost.what,
+            all.len(),
+            all.len() - beaten.len(),
+            if beaten.is_empty() { ".".into() } else { format!(". Better peers: {}.", beaten.join("; ")) },
+        ));
+    }
+    words.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{model, read};
+    use super::*;
+
+    fn scene(lines: &[(&str, f64, f64, f64, f64)]) -> Vec<Scene> {
+        let cells = lines.iter().flat_map(|(method, pixel_cm, ns, error, missed)| {
+            [("walk_mean_ns", ns), ("out_p99_cm", error), ("in_p99_cm", &0.0), ("missed", missed)].map(
+                |(metric, value)| read::Cell {
+                    scene: "house".into(),
+                    method: (*method).into(),
+                    settings: String::new(),
+                    pixel_cm: *pixel_cm,
+                    metric: metric.into(),
+                    value: Some(read::Value { value: *value, low: *value, high: *value }),
+                },
+            )
+        });
+        model::scenes(cells.collect())
+    }
+
+    #[test]
+    fn a_peer_that_is_faster_and_nearer_is_named_and_one_that_misses_is_not() {
+        let mut lines = vec![
+            ("slicewalk plane", 1.0, 60.0, 1.0, 0.0),
+            ("slicewalk plane", 4.0, 70.0, 4.0, 0.0),
+            ("slicewalk span", 8.0, 90.0, 8.0, 0.0),
+            ("capt", 4.0, 80.0, 5.0, 0.0),
+            ("kiddo spheres", 4.0, 10.0, 0.5, 0.01),
+        ];
+        let found = stands(&scene(&lines)[0], &COSTS[0]);
+        let expected = [
+            (1.0, Stand::Front(vec!["slicewalk plane".into()])),
+            (4.0, Stand::OnlyOurs(vec!["slicewalk plane".into()])),
+            (8.0, Stand::Beaten { method: "slicewalk span".into(), by: vec![("capt".into(), 4.0)] }),
+        ];
+        assert_eq!(found, expected);
+        lines[2].4 = 0.1;
+        assert_eq!(stands(&scene(&lines)[0], &COSTS[0])[2].1, Stand::Misses);
+        let words = summary(&scene(&lines));
+        assert!(words.contains("of 3 pairs") && words.contains("front at 1") && words.contains("both at 2"), "{words}");
+    }
+}
