@@ -139,7 +139,7 @@ pub fn bottom_quantum(steps: u32) -> u32 {
 /// Least quantum at or above a height in steps.
 #[inline]
 pub fn top_quantum(steps: u32) -> u32 {
-    (steps + STEPS_PER_QUANTUM as u32 - 1) / STEPS_PER_QUANTUM as u32
+    steps.div_ceil(STEPS_PER_QUANTUM as u32)
 }
 
 /// Turns world points into records.

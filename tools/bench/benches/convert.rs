@@ -4,14 +4,15 @@
 //! time of `slicewalk`'s reading alone, the time of a whole conversion, and the ratios. Runs of all contestants alternate, so that a busy machine slows
 //! all of them alike; the figure is the median, with the fastest and slowest behind it.
 //!
-//! `SLICEWALK_BENCH_LAS` and `SLICEWALK_BENCH_LAZ` name files to use instead of generated ones. `--test` runs each
-//! contestant once on little data.
+//! Real scans, where they are at hand, follow at the pixel size that `sliceconv` chooses. `SLICEWALK_BENCH_LAS` and
+//! `SLICEWALK_BENCH_LAZ` name files to use instead of generated ones. `--test` runs each contestant once on little data.
 
 use bench::reading::read_las;
 use laz::{LazVlr, ParLasZipDecompressor};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
-use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+use slicewalk::convert::{AUTO_PIXEL_SPACINGS, ConvertOptions, PixelSize, convert};
+use slicewalk::input::spacing::estimate_spacing;
 use slicewalk::input::{Decoder, InputOptions, InputSet, Units};
 use std::fs::File;
 use std::hint::black_box;
@@ -21,6 +22,7 @@ use std::time::Instant;
 
 const PIXEL_M: f64 = 0.05;
 const RUNS: usize = 7;
+const SCANS: [&str; 3] = ["autzen_stadium.laz", "delft_city_block_ahn3.laz", "indoor_two_storey_zup.laz"];
 
 fn main() {
     let smoke = std::env::args().any(|argument| argument == "--test");
@@ -28,16 +30,28 @@ fn main() {
     let (las_points, laz_points, runs) = if smoke { (200_000, 100_000, 1) } else { (20_000_000, 3_000_000, RUNS) };
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
     println!(
-        "conversion at {PIXEL_M} m on {threads} threads, {runs} alternating runs each; median (fastest to slowest)"
+        "conversion, at {PIXEL_M} m where nothing else is said, on {threads} threads, {runs} alternating runs each; median (fastest to slowest)"
     );
 
     let las = std::env::var_os("SLICEWALK_BENCH_LAS").map(PathBuf::from);
     let las = las.unwrap_or_else(|| generate(&dir.path().join("house.las"), las_points));
-    compare("LAS", &las, runs, threads, |path, _| read_las(path).expect("a LAS file"));
+    compare("LAS", &las, PIXEL_M, runs, threads, |path, _| read_las(path).expect("a LAS file"));
 
     let laz = std::env::var_os("SLICEWALK_BENCH_LAZ").map(PathBuf::from);
     let laz = laz.unwrap_or_else(|| generate(&dir.path().join("house.laz"), laz_points));
-    compare("LAZ", &laz, runs, threads, |path, _| decode_laz(path));
+    compare("LAZ", &laz, PIXEL_M, runs, threads, |path, _| decode_laz(path));
+    for name in if smoke { &[][..] } else { &SCANS } {
+        let Some(scan) = bench::shared::file(name) else { continue };
+        let pixel_m = chosen_pixel(&scan);
+        compare(&format!("{name} at {pixel_m:.3} m"), &scan, pixel_m, runs, threads, |path, _| decode_laz(path));
+    }
+}
+
+/// The pixel size that is chosen for a scan (in its own unit).
+fn chosen_pixel(path: &Path) -> f64 {
+    let options = InputOptions { units: Units::Factor(1.0), ..InputOptions::default() };
+    let set = InputSet::open(&[path.to_owned()], options, &NoMonitor).expect("a scan");
+    AUTO_PIXEL_SPACINGS * estimate_spacing(&set, 1, &NoMonitor).expect("points").spacing_m
 }
 
 fn generate(path: &Path, points: u64) -> PathBuf {
@@ -47,15 +61,15 @@ fn generate(path: &Path, points: u64) -> PathBuf {
     path.to_owned()
 }
 
-fn compare(name: &str, path: &Path, runs: usize, threads: usize, bare: impl Fn(&Path, usize) -> u64) {
+fn compare(name: &str, path: &Path, pixel_m: f64, runs: usize, threads: usize, bare: impl Fn(&Path, usize) -> u64) {
     let bytes = std::fs::metadata(path).expect("the file").len();
     let points = bare(path, threads);
     println!("\n{name}: {} points, {bytes} bytes", points);
     let contestants: [(&str, &dyn Fn() -> u64); 4] = [
         ("bare crates", &|| bare(path, threads)),
         ("our reading", &|| read_ours(path, threads)),
-        ("conversion", &|| convert_file(path, threads)),
-        ("conversion, 1 thread", &|| convert_file(path, 1)),
+        ("conversion", &|| convert_file(path, pixel_m, threads)),
+        ("conversion, 1 thread", &|| convert_file(path, pixel_m, 1)),
     ];
     let mut seconds = [const { Vec::new() }; 4];
     for _ in 0..runs {
@@ -127,10 +141,10 @@ fn read_ours(path: &Path, threads: usize) -> u64 {
     })
 }
 
-fn convert_file(path: &Path, threads: usize) -> u64 {
+fn convert_file(path: &Path, pixel_m: f64, threads: usize) -> u64 {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let mut options = ConvertOptions::new(vec![path.to_owned()], dir.path().join("scan.slices"));
-    options.pixel = PixelSize::Metres(PIXEL_M);
+    options.pixel = PixelSize::Metres(pixel_m);
     options.units = Units::Factor(1.0);
     options.threads = threads;
     options.temp_dir = dir.path().to_owned();

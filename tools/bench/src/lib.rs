@@ -10,6 +10,7 @@ pub mod peers;
 pub mod random;
 pub mod reading;
 pub mod scale;
+pub mod shared;
 pub mod size;
 pub mod soak;
 pub mod stability;

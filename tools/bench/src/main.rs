@@ -28,6 +28,8 @@ enum Command {
     Soak(Soak),
     /// The thesis' tables again, with ours beside them; and objects against triangles
     Thesis(Common),
+    /// The charts and pages of what `chart` and `scale` measured, again, without measuring
+    Draw(Draw),
     /// Instructions of the hot paths beside the committed ones; needs Valgrind
     Counts(bench::counts::Counts),
     /// The hot paths, called for callgrind
@@ -35,8 +37,6 @@ enum Command {
     Counted(bench::counts::paths::Calls),
     /// Conversion against the size of its input, queries against the size of the scene, and a scene of great extent
     Scale(bench::scale::Scale),
-    /// The charts and pages of what `chart` and `scale` measured, again, without measuring
-    Draw(Draw),
     /// One conversion, measured in a process of its own
     #[command(hide = true)]
     Measured(bench::measured::Conversion),
@@ -96,10 +96,10 @@ fn main() -> ExitCode {
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
+        Command::Draw(draw) => bench::chart::draw::run(&draw.out),
         Command::Counts(counts) => counts.run(),
         Command::Counted(calls) => calls.run(),
         Command::Scale(scale) => scale.run(),
-        Command::Draw(draw) => bench::chart::draw::run(&draw.out),
         Command::Measured(conversion) => conversion.run(),
     };
     match done {

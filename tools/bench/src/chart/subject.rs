@@ -2,8 +2,9 @@
 
 use crate::peers::oracle::Oracle;
 use crate::peers::spheres::Tree;
+use crate::shared;
 use crate::stability::Result;
-use crate::thesis::models::{read_scan, real_mesh, shared, triangles};
+use crate::thesis::models::{read_scan, triangles};
 use nalgebra::{Point3, Vector3};
 use scangen::scene::Surface;
 use scangen::shape::{Polygon, Shape};
@@ -64,8 +65,7 @@ pub struct Subject {
 impl Subject {
     /// The scene of this name, of about `count` points if it is generated or thinned; `None` where its file is missing.
     pub fn named(name: &str, count: Option<usize>) -> Result<Option<Self>> {
-        let real = |file: &str| Some(shared().join(file)).filter(|path| path.is_file());
-        let scan = |file: &str, units| real(file).map(|path| Self::scan(name, &path, units, count)).transpose();
+        let scan = |file: &str, units| shared::file(file).map(|path| Self::scan(name, &path, units, count)).transpose();
         Ok(Some(match name {
             "house" | "church" | "street" | "terrain" => {
                 let params = match name {
@@ -80,15 +80,12 @@ impl Subject {
             "room" => return scan("pump_room.laz", Units::Factor(1.0)),
             "delft" => return scan("delft_city_block_ahn3.laz", Units::Factor(1.0)),
             "autzen" => {
-                let Some(path) = real("autzen_stadium.laz") else { return Ok(None) };
+                let Some(path) = shared::file("autzen_stadium.laz") else { return Ok(None) };
                 let all = middle(read_scan(&path, Units::Factor(0.3048))?, AUTZEN_HALF_M);
                 Self::written(name, thinned(all, count))?
             }
             "sibenik" => {
-                let path = real_mesh("sibenik.obj");
-                if !path.is_file() {
-                    return Ok(None);
-                }
+                let Some(path) = shared::file("meshes/sibenik.obj") else { return Ok(None) };
                 Self::mesh(name, path, count.unwrap_or(400_000))?
             }
             _ => return Err(format!("{name}: no such scene; there are {}", NAMES.join(", ")).into()),

@@ -21,9 +21,7 @@ const LIFT: f64 = 0.03;
 
 /// The scan, if it is there.
 pub fn scan() -> Option<PathBuf> {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    let shared = std::env::var_os("SLICEWALK_SHARED").map_or_else(beside, PathBuf::from);
-    Some(shared.join("data/indoor_two_storey_zup.laz")).filter(|path| path.is_file())
+    crate::shared::file("indoor_two_storey_zup.laz")
 }
 
 pub fn points(scan: &Path) -> Result<Vec<Point3<f64>>> {

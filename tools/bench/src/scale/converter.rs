@@ -13,11 +13,13 @@ const RUNS: usize = 3;
 /// Points on a square metre of the generated scan; ten blocks have ten million.
 const DENSITY: u64 = 1600;
 
-/// A file, and pixel sizes for it (m): four times the spacing of its points, as a conversion chooses by itself, and finer.
+/// A file, and pixel sizes in its own unit: four times the spacing of its points, as a conversion chooses by itself, and
+/// finer.
 struct Case {
     name: &'static str,
     path: PathBuf,
-    pixels_m: &'static [f64],
+    pixels: &'static [f64],
+    unit: &'static str,
 }
 
 /// Converts a real scan, where there is one, and a generated one by both programs, in turn.
@@ -34,14 +36,17 @@ pub fn measure(found: &mut Found, work: &Path, program: Option<&Path>, quick: bo
     for case in cases(work, quick)? {
         let archive = work.join("ours.slices");
         let tree = work.join("theirs.copc.laz");
-        let mut programs: Vec<(String, Vec<Watched>, &Path)> =
-            case.pixels_m.iter().map(|t| (format!("ours, pixels of {t} m"), Vec::new(), archive.as_path())).collect();
+        let mut programs: Vec<(String, Vec<Watched>, &Path)> = case
+            .pixels
+            .iter()
+            .map(|t| (format!("ours, pixels of {t} {}", case.unit), Vec::new(), archive.as_path()))
+            .collect();
         programs.push((version.trim().to_owned(), Vec::new(), &tree));
         let mut sizes = vec![0; programs.len()];
         for _ in 0..if quick { 1 } else { RUNS } {
             for (n, (_, runs, out)) in programs.iter_mut().enumerate() {
-                runs.push(match case.pixels_m.get(n) {
-                    Some(&pixel_m) => Conversion::new(&case.path, &archive, false, pixel_m).watched()?.1,
+                runs.push(match case.pixels.get(n) {
+                    Some(&pixel) => Conversion::new(&case.path, &archive, false, pixel).watched()?.1,
                     None => watch(Command::new(program).arg(&case.path).arg(&tree))?,
                 });
                 sizes[n] = std::fs::metadata(&out)?.len();
@@ -77,13 +82,8 @@ fn row(file: &str, program: &str, runs: &[Watched], out: u64) -> Vec<String> {
 fn cases(work: &Path, quick: bool) -> Result<Vec<Case>> {
     let path = work.join("town.laz");
     Town::new(if quick { 1 } else { 10 }).write(&path, DENSITY)?;
-    let mut cases = vec![Case { name: "generated town", path, pixels_m: &[0.1] }];
-    let shared = std::env::var_os("SLICEWALK_SHARED").map_or_else(|| "../shared".into(), PathBuf::from);
-    let path = shared.join("data/autzen_stadium.laz");
-    if path.exists() {
-        cases.push(Case { name: "autzen", path, pixels_m: &[1.1, 0.25] });
-    } else {
-        eprintln!("autzen is left out: {} is missing", path.display());
-    }
+    let mut cases = vec![Case { name: "generated town", path, pixels: &[0.1], unit: "m" }];
+    let autzen = crate::shared::file("autzen_stadium.laz");
+    cases.extend(autzen.map(|path| Case { name: "autzen", path, pixels: &[3.6, 1.1], unit: "feet" }));
     Ok(cases)
 }

@@ -63,7 +63,12 @@ impl Found {
     /// Adds the median of `values`, with the least and the greatest.
     fn add(&mut self, what: &str, size: u64, metric: &str, values: &[f64]) {
         let (middle, low, high) = spread(values);
-        let cells = [middle, low, high].map(|value| number(value, if value.abs() < 100.0 { 4 } else { 0 }));
+        let decimals = match middle.abs() {
+            ..1e2 => 4,
+            ..1e5 => 1,
+            _ => 0,
+        };
+        let cells = [middle, low, high].map(|value| number(value, decimals));
         self.numbers.row([what.to_owned(), size.to_string(), metric.to_owned()].into_iter().chain(cells));
     }
 

@@ -164,13 +164,8 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
 
 fn cases(folder: &Path, quick: bool) -> Result<Vec<Case>> {
     let mut cases = Vec::new();
-    let shared = std::env::var_os("SLICEWALK_SHARED").map_or_else(|| PathBuf::from("../shared"), PathBuf::from);
     for (name, spacing_m, unit) in &SCANS[..if quick { 2 } else { SCANS.len() }] {
-        let file = shared.join(format!("data/{name}.laz"));
-        if !file.exists() {
-            eprintln!("skipped: {} does not exist; SLICEWALK_SHARED names another place", file.display());
-            continue;
-        }
+        let Some(file) = crate::shared::file(&format!("{name}.laz")) else { continue };
         // Two digits, as `--pixel auto` rounds.
         let pixel_m = format!("{:.1e}", 4.0 * spacing_m).parse()?;
         let units = if *unit == 1.0 { Units::Auto } else { Units::Factor(*unit) };

@@ -1,7 +1,8 @@
 //! Two Stanford bunnies in random poses: ours at some pixel sizes, and their triangles by `parry3d`.
 
-use super::models::{real_mesh, triangles};
+use super::models::triangles;
 use crate::Random;
+use crate::shared;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -22,10 +23,9 @@ const ROUNDS: usize = 3;
 
 /// The table by name.
 pub fn measure(quick: bool) -> Result<Vec<(&'static str, String)>> {
-    let path = real_mesh("bunny_stanford.ply");
-    if !path.exists() {
+    let Some(path) = shared::file("meshes/bunny_stanford.ply") else {
         return Ok(vec![("bunnies", "The bunny was not there.".into())]);
-    }
+    };
     let mut bunny = triangles(&path, true)?;
     // About its middle.
     bunny.iter_mut().flatten().for_each(|p| *p = [p[0] + 0.017, p[1] - 0.002, p[2] - 0.11]);

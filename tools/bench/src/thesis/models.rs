@@ -1,6 +1,7 @@
 //! The models of the comparison: those of the thesis where they are to be had, else of its kind.
 
 use crate::Random;
+use crate::shared;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
 use scangen::write::write_triangles_obj;
@@ -75,17 +76,6 @@ impl Model {
     }
 }
 
-/// The folder of real data.
-pub fn shared() -> PathBuf {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    std::env::var_os("SLICEWALK_SHARED").map_or_else(beside, PathBuf::from).join("data")
-}
-
-/// Path of a mesh in the folder of real data.
-pub fn real_mesh(name: &str) -> PathBuf {
-    shared().join("meshes").join(name)
-}
-
 /// Triangles of a mesh file (m, z up).
 pub fn triangles(path: &Path, y_up: bool) -> Result<Vec<Triangle>> {
     let options = MeshOptions {
@@ -106,10 +96,6 @@ pub fn triangles(path: &Path, y_up: bool) -> Result<Vec<Triangle>> {
 pub fn all(folder: &Path, quick: bool) -> Result<Vec<Model>> {
     let mut models = Vec::new();
     let mut add = |name, about, path: PathBuf, y_up, thesis, start| -> Result<()> {
-        if !path.exists() {
-            eprintln!("left out: {} does not exist; SLICEWALK_SHARED names another place", path.display());
-            return Ok(());
-        }
         let triangles = triangles(&path, y_up)?;
         let (min, max) = bounds(triangles.iter().flatten());
         models.push(Model { name, about, path, y_up, thesis, points: Vec::new(), triangles, min, max, start });
@@ -127,14 +113,18 @@ pub fn all(folder: &Path, quick: bool) -> Result<Vec<Model>> {
         write_triangles_obj(&path, &scene, 0.1)?;
         add(name, about, path, false, thesis, scene.walk().map(|walk| walk.start))?;
     }
-    add("Sibenik", "the thesis' own, 75,284 triangles", real_mesh("sibenik.obj"), true, SIBENIK, None)?;
-    if !quick {
-        add("Sponza", "atrium, not in the thesis", real_mesh("sponza_dabrovic.obj"), true, None, None)?;
-        add("nav_test", "level for walking, not in the thesis", real_mesh("nav_test.obj"), true, None, None)?;
-        add("Delft street", "streets and houses, not in the thesis", real_mesh("delft_street.obj"), false, None, None)?;
+    let real = [
+        ("Sibenik", "the thesis' own, 75,284 triangles", "meshes/sibenik.obj", true, SIBENIK),
+        ("Sponza", "atrium, not in the thesis", "meshes/sponza_dabrovic.obj", true, None),
+        ("nav_test", "level for walking, not in the thesis", "meshes/nav_test.obj", true, None),
+        ("Delft street", "streets and houses, not in the thesis", "meshes/delft_street.obj", false, None),
+    ];
+    for (name, about, file, y_up, thesis) in real.into_iter().take(if quick { 1 } else { 4 }) {
+        if let Some(path) = shared::file(file) {
+            add(name, about, path, y_up, thesis, None)?;
+        }
     }
-    let scan = shared().join("indoor_two_storey_zup.laz");
-    if scan.exists() {
+    if let Some(scan) = shared::file("indoor_two_storey_zup.laz") {
         let points = read_scan(&scan, Units::Auto)?;
         for (name, about, count, thesis) in [
             ("scan, 271,731 points", "two storeys, thinned at random to the thesis' number", 271_731, ROOM),

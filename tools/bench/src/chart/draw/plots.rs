@@ -11,13 +11,34 @@ use super::style;
 pub const SCALE: &str = "scale";
 /// Pixels of the chart of phantoms and of the tables (cm), where they were measured.
 pub const SHOWN_CM: f64 = 4.0;
-const ERROR: &str = "error (cm): 99th percentile, the worse direction";
+
+/// What is charted against a cost.
+#[derive(Debug, Clone, Copy)]
+struct Wrong {
+    /// Part of the names of its files, before that of the cost.
+    key: &'static str,
+    what: &'static str,
+    axis: &'static str,
+    of: fn(&Setting) -> Option<f64>,
+}
+
+const ERROR: Wrong =
+    Wrong { key: "", what: "error", axis: "error (cm): 99th percentile, the worse direction", of: Setting::error_cm };
+const PHANTOMS: Wrong = Wrong {
+    key: "phantoms-",
+    what: "phantoms",
+    axis: "boxes without a point that are answered \"hit\" (%)",
+    of: |setting| Some(setting.get("phantom")?.value * 100.0),
+};
 
 /// The charts of a scene, each with what it shows.
 pub fn of_scene(scene: &Scene, phantoms: &[Phantom]) -> Vec<(String, Figure)> {
-    let costs = COSTS.iter().filter_map(|cost| Some((format!("error against {}", cost.what), error(scene, cost)?)));
+    let errors = COSTS.iter().map(|cost| (ERROR, cost)).chain([(PHANTOMS, &COSTS[0])]);
+    let named = |(wrong, cost): (Wrong, &Cost)| {
+        Some((format!("{} against {}", wrong.what, cost.what), against(scene, wrong, cost)?))
+    };
     let shares = phantoms_of(scene, phantoms).map(|figure| ("phantoms over the gap".to_owned(), figure));
-    costs.chain(shares).collect()
+    errors.filter_map(named).chain(shares).collect()
 }
 
 /// A file name for a scene: letters, digits and hyphens.
@@ -26,29 +47,35 @@ fn file(scene: &str, what: &str) -> String {
     format!("{}-{what}", scene.chars().map(plain).collect::<String>())
 }
 
-/// A method's setting with both its costs, cost and error.
+/// A method's setting with its cost and how wrong it is.
 type Costly<'a> = (&'a Series, &'a Setting, (f64, f64));
 
 /// All settings of a scene whose cost and error are known.
 pub fn costly<'a>(scene: &'a Scene, cost: &'a Cost) -> impl Iterator<Item = Costly<'a>> {
-    let all = scene.series.iter().flat_map(|series| series.settings.iter().map(move |setting| (series, setting)));
-    all.filter_map(|(series, setting)| Some((series, setting, (scene.cost(cost, setting)?.value, setting.error_cm()?))))
+    known(scene, ERROR, cost)
 }
 
-fn error(scene: &Scene, cost: &Cost) -> Option<Figure> {
-    let all: Vec<Costly> = costly(scene, cost).collect();
+fn known<'a>(scene: &'a Scene, wrong: Wrong, cost: &'a Cost) -> impl Iterator<Item = Costly<'a>> {
+    let all = scene.series.iter().flat_map(|series| series.settings.iter().map(move |setting| (series, setting)));
+    all.filter_map(move |(series, setting)| {
+        Some((series, setting, (scene.cost(cost, setting)?.value, (wrong.of)(setting)?)))
+    })
+}
+
+fn against(scene: &Scene, wrong: Wrong, cost: &Cost) -> Option<Figure> {
+    let all: Vec<Costly> = known(scene, wrong, cost).collect();
     let allowed: Vec<_> = all.iter().filter(|(_, setting, _)| !setting.misses()).map(|found| found.2).collect();
     let dot = |(series, setting, at): &Costly| {
         let spread = scene.cost(cost, setting)?;
         let t = short(setting.pixel_cm);
         let says = format!(
-            "{}, t = {t} cm: {} {} ({} to {}), error {} cm{}{}",
+            "{}, t = {t} cm: {} {} ({} to {}){}{}{}",
             series.method,
             figures(at.0),
             cost.unit,
             figures(spread.low),
             figures(spread.high),
-            figures(at.1),
+            setting.error_cm().map_or_else(String::new, |error| format!(", error {} cm", figures(error))),
             share(setting, "missed", "misses"),
             share(setting, "phantom", "phantoms"),
         );
@@ -62,10 +89,10 @@ fn error(scene: &Scene, cost: &Cost) -> Option<Figure> {
     });
     let tracks: Vec<Track> = tracks.collect();
     (!all.is_empty()).then(|| Figure {
-        name: file(&scene.name, cost.key),
-        title: format!("{}: error against {}", scene.name, cost.what),
+        name: file(&scene.name, &format!("{}{}", wrong.key, cost.key)),
+        title: format!("{}: {} against {}", scene.name, wrong.what, cost.what),
         x: Axis::log(cost.axis, all.iter().map(|found| found.2.0)),
-        y: Axis::log(ERROR, all.iter().map(|found| found.2.1)),
+        y: Axis::log(wrong.axis, all.iter().map(|found| found.2.1)),
         tracks,
         front: front::stairs(&allowed),
         notes: vec!["Numbers: t, the edge of".into(), "a pixel or cube (cm).".into(), "Left and low is good.".into()],

@@ -1,0 +1,84 @@
+//! First pass over meshes: what triangles fill of voxels, or points on them, into runs.
+
+use super::points::{Own, Read, out_of_reach};
+use super::work::on_threads;
+use super::{ConvertOptions, build_bytes};
+use crate::input::UnitCounts;
+use crate::mesh::{MeshCounts, MeshSet};
+use crate::plan::Plan;
+use crate::shard::Part;
+use crate::voxel::record::Recorder;
+use crate::voxel::runs::{RunBuilder, RunStore};
+use crate::voxel::surfaces::SurfaceBuilder;
+use crate::{Error, Monitor, Result};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// What the first pass finds in meshes.
+pub(super) struct MeshRead {
+    /// Triangles as if they were points, with the bounds of their corners.
+    pub read: Read,
+    pub triangles: MeshCounts,
+    pub points_made: u64,
+}
+
+/// First pass: all triangles into runs. One worker at a time reads; all of them take triangles to the grid.
+pub(super) fn read_meshes(
+    set: &MeshSet,
+    options: &ConvertOptions,
+    plan: &Plan,
+    store: &RunStore,
+    part: Option<&Part>,
+    monitor: &dyn Monitor,
+) -> Result<MeshRead> {
+    if set.is_empty() {
+        return Ok(MeshRead { read: Read::NOTHING, triangles: MeshCounts::default(), points_made: 0 });
+    }
+    monitor.stage("reading meshes", 0, "triangles");
+    let feed = Mutex::new(set.feed());
+    let failed = AtomicBool::new(false);
+    let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
+    let work = || -> Result<(Read, u64)> {
+        let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes(options));
+        if let Some(part) = part {
+            runs = runs.only(part.shard.first, part.shard.last);
+        }
+        let mut surfaces = SurfaceBuilder::new(plan, options.mesh);
+        let (mut read, mut batch) = (Read::NOTHING, Vec::new());
+        while feed.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next(&mut batch, monitor)? {
+            for triangle in &batch {
+                if cancelled() {
+                    return Err(Error::Interrupted);
+                }
+                let fold = |start, pick: fn(f64, f64) -> f64| {
+                    [0, 1, 2].map(|axis| triangle.iter().fold(start, |extreme, corner| pick(extreme, corner[axis])))
+                };
+                let (min, max) = (fold(f64::INFINITY, f64::min), fold(f64::NEG_INFINITY, f64::max));
+                if !surfaces.reaches(min, max) {
+                    return Err(out_of_reach(&plan.frame, min, max));
+                }
+                read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
+                surfaces.push(triangle, &mut runs, store, &cancelled)?;
+            }
+            monitor.advance(batch.len() as u64);
+        }
+        surfaces.flush(&mut runs, store)?;
+        runs.flush(store)?;
+        Ok((read, surfaces.points_made()))
+    };
+    let done = on_threads(options.threads.max(1), || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+    let triangles = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner).counts();
+    let mut all = MeshRead { read: Read::NOTHING, triangles, points_made: 0 };
+    all.read.counts.read = triangles.read;
+    all.read.counts.not_finite = triangles.left_out;
+    if part.is_none_or(Part::owns_meshes) {
+        all.read.own.kept = triangles.read - triangles.left_out;
+        all.read.own.left_out =
+            UnitCounts { read: triangles.left_out, not_finite: triangles.left_out, ..Read::NOTHING.counts };
+    }
+    for (read, points_made) in done {
+        all.read.merge(&read);
+        all.points_made += points_made;
+    }
+    Ok(all)
+}

@@ -1,0 +1,309 @@
+//! Conversion: scans and meshes in, one archive out.
+//!
+//! Two passes over bounded memory. First every worker reads pieces of the input and sorts their points, and what
+//! triangles fill of voxels, into runs by tile column. Then tile columns come out of the merged runs in archive order;
+//! workers fold them to voxels, judge floors and obstacles, form spans, and encode pages, and one thread writes these in
+//! order.
+//!
+//! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
+//! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
+
+mod columns;
+mod meshes;
+mod points;
+mod work;
+
+use crate::archive::{ArchiveWriter, Header, Shard, Totals};
+use crate::frame::Frame;
+use crate::input::spacing::{Spacing, estimate_spacing};
+use crate::input::{InputOptions, InputSet, UnitCounts, Units};
+use crate::mesh::{MeshCounts, MeshMode, MeshOptions, MeshSet};
+use crate::plan::{Classifier, Plan, Up};
+use crate::shard::{Part, ShardOptions};
+use crate::voxel::runs::RunStore;
+use crate::{Error, Monitor, NoMonitor, Result};
+use columns::write_columns;
+use meshes::read_meshes;
+use points::read_points;
+use std::path::PathBuf;
+
+/// Least memory budget (bytes).
+pub const MIN_MEMORY_BYTES: u64 = 64 << 20;
+/// Pixel size chosen automatically, in units of the scan's point spacing.
+pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
+/// Pixels along the longer side of meshes whose pixel size is chosen automatically (thesis, equation 3.3 with the sides
+/// of the images in place of the printed ones, at the larger of its two resolutions).
+pub const AUTO_PIXELS: f64 = 700.0;
+/// Disk per point in the temporary file: its record, copies in the halo, and the index.
+const TEMP_BYTES_PER_POINT: u64 = 9;
+
+/// How the pixel size is chosen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PixelSize {
+    /// From the scans' own point spacing, or the extent of the meshes where there is no scan (costs one more pass over
+    /// the input).
+    Auto,
+    /// This many metres.
+    Metres(f64),
+}
+
+/// What to convert, and how. See the README for the command line that sets these.
+#[derive(Debug, Clone)]
+pub struct ConvertOptions {
+    /// Files, folders and glob patterns.
+    pub inputs: Vec<PathBuf>,
+    /// The archive to write.
+    pub output: PathBuf,
+    /// Pixel size `t`.
+    pub pixel: PixelSize,
+    /// Slice height `σ` (m); three pixel sizes by default (thesis, section 3.1.3).
+    pub slice_m: Option<f64>,
+    /// Steepest slope that can be stood on (degrees).
+    pub max_slope_deg: f64,
+    /// How far heights may be coarsened, outwards (m).
+    pub tolerance_m: f64,
+    /// How floors and obstacles are told apart.
+    pub classifier: Classifier,
+    /// Memory budget [bytes, at least 64 MiB].
+    pub memory_bytes: u64,
+    /// Worker threads [>= 1].
+    pub threads: usize,
+    /// Folder for temporary data.
+    pub temp_dir: PathBuf,
+    /// LAS classes left out, as in [`Plan::exclude_classes`].
+    pub exclude_classes: [u64; 4],
+    /// Voxels with fewer points are dropped.
+    pub min_points: u32,
+    /// Whether voxels without matter in any of the 26 voxels around them are dropped.
+    pub drop_isolated: bool,
+    /// Up axis of the input.
+    pub up: Up,
+    /// Unit of the input.
+    pub units: Units,
+    /// How meshes become voxels.
+    pub mesh: MeshMode,
+    /// Whether an existing archive may be replaced.
+    pub overwrite: bool,
+    /// The part to convert; `None` for the whole.
+    pub shard: Option<ShardOptions>,
+}
+
+impl ConvertOptions {
+    /// Defaults of the command line for these inputs and this output.
+    pub fn new(inputs: Vec<PathBuf>, output: PathBuf) -> Self {
+        Self {
+            inputs,
+            output,
+            pixel: PixelSize::Auto,
+            slice_m: None,
+            max_slope_deg: 45.0,
+            tolerance_m: 0.0,
+            classifier: Classifier::Plane,
+            memory_bytes: 512 << 20,
+            threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
+            temp_dir: std::env::temp_dir(),
+            exclude_classes: [0; 4],
+            min_points: 1,
+            drop_isolated: false,
+            up: Up::Z,
+            units: Units::Auto,
+            mesh: MeshMode::Exact,
+            overwrite: false,
+            shard: None,
+        }
+    }
+}
+
+/// What a conversion did.
+#[derive(Debug, Clone)]
+pub struct Report {
+    /// Header of the archive.
+    pub header: Header,
+    /// Which part it holds, if not the whole.
+    pub shard: Option<Shard>,
+    /// Point spacing found, if the pixel size was chosen automatically.
+    pub spacing: Option<Spacing>,
+    /// Text of the coordinate reference system; empty if the input names none.
+    pub crs: String,
+    /// Bytes of temporary data written to disk.
+    pub temp_bytes: u64,
+    /// Points left out because a coordinate was not finite.
+    pub points_not_finite: u64,
+    /// Triangles of meshes; they count as points in the header too.
+    pub triangles: MeshCounts,
+    /// Points made of them, if they were sampled.
+    pub points_made: u64,
+    /// Voxels dropped for having fewer than the least number of points or for being isolated, and with them their
+    /// points: boxes that hold only such points are no hits (G1 holds for all other points).
+    pub voxels_dropped: u64,
+}
+
+/// The files of a conversion.
+pub(crate) struct Inputs {
+    pub scans: InputSet,
+    pub meshes: MeshSet,
+}
+
+/// Opens the inputs of a conversion.
+pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Inputs> {
+    if options.memory_bytes < MIN_MEMORY_BYTES {
+        let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", options.memory_bytes);
+        return Err(Error::parameter("--memory", reason));
+    }
+    let input_options = InputOptions {
+        units: options.units,
+        up: options.up,
+        exclude_classes: options.exclude_classes,
+        memory_bytes: options.memory_bytes / 8 / options.threads.max(1) as u64,
+    };
+    let scans = InputSet::open(&options.inputs, input_options, monitor)?;
+    let mesh_options = MeshOptions {
+        units: options.units,
+        up: options.up,
+        memory_bytes: options.memory_bytes / 8,
+        temp_dir: options.temp_dir.clone(),
+    };
+    let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
+    Ok(Inputs { scans, meshes })
+}
+
+/// The plan of a conversion of `inputs`, and the point spacing if the pixel size follows from it.
+pub(crate) fn plan(
+    options: &ConvertOptions,
+    Inputs { scans: set, meshes }: &Inputs,
+    monitor: &dyn Monitor,
+) -> Result<(Plan, Option<Spacing>)> {
+    let (pixel_m, spacing) = match options.pixel {
+        PixelSize::Metres(pixel_m) => (pixel_m, None),
+        PixelSize::Auto if set.files().is_empty() => (pixel_of_extent(meshes, monitor)?, None),
+        PixelSize::Auto => {
+            let spacing = estimate_spacing(set, options.threads.max(1), monitor)?;
+            // The same losses come up again in the pass that counts; they are told then.
+            set.warn_of_losses(&NoMonitor);
+            (round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2), Some(spacing))
+        }
+    };
+    let plan = Plan {
+        frame: Frame::new(pixel_m, options.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12)))?,
+        max_slope_deg: options.max_slope_deg,
+        tolerance_m: options.tolerance_m,
+        classifier: options.classifier,
+        min_points: options.min_points,
+        drop_isolated: options.drop_isolated,
+        up: options.up,
+        exclude_classes: options.exclude_classes,
+    };
+    plan.check()?;
+    Ok((plan, spacing))
+}
+
+/// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
+///
+/// Cost: time linear in the points, memory at most the budget plus a constant, disk at most 12 bytes per point where
+/// the points do not fit the budget. Errors: unusable input or options, full disk, interruption by `monitor`.
+pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
+    let threads = options.threads.max(1);
+    let inputs = open_inputs(options, monitor)?;
+    let (plan, spacing) = plan(options, &inputs, monitor)?;
+    let Inputs { scans: set, meshes } = inputs;
+    let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options)).transpose()?;
+    // Made first, so that an archive that must not be replaced is found before the work and not after it.
+    let mut writer = ArchiveWriter::create(&options.output, &plan, options.overwrite)?;
+    if let Some(part) = &part {
+        writer.set_shard(part.shard);
+    }
+
+    let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
+    check_free_space(options, &set)?;
+    let mut read = read_points(&set, &plan, &store, build_bytes(options), threads, part.as_ref(), monitor)?;
+    set.warn_of_losses(monitor);
+    // A part that leaves files out cannot say of the whole that nothing in it can be used.
+    let whole = part.as_ref().is_none_or(Part::reads_all);
+    if whole {
+        refuse_unusable(&set, &read.counts)?;
+    }
+    let points_not_finite = read.own.left_out.not_finite;
+    let mesh_read = read_meshes(&meshes, options, &plan, &store, part.as_ref(), monitor)?;
+    read.merge(&mesh_read.read);
+    if whole && read.counts.read == 0 {
+        monitor.warn("the input holds no points: the archive is empty");
+    }
+    let voxels_dropped = write_columns(&plan, &store, options.memory_bytes, threads, &mut writer, monitor)?;
+    let own = read.own;
+    let header = writer.finish(Totals {
+        points_read: own.kept + own.left_out.read,
+        points_kept: own.kept,
+        points_withheld: own.left_out.withheld,
+        points_excluded: own.left_out.excluded,
+        bounds: (own.min[0] <= own.max[0]).then_some((own.min, own.max)),
+        crs: set.crs().unwrap_or_default().to_owned(),
+    })?;
+    Ok(Report {
+        header,
+        shard: part.map(|part| part.shard),
+        crs: set.crs().unwrap_or_default().to_owned(),
+        spacing,
+        temp_bytes: store.temp_bytes(),
+        points_not_finite,
+        triangles: mesh_read.triangles,
+        points_made: mesh_read.points_made,
+        voxels_dropped,
+    })
+}
+
+/// Memory of one worker's run under construction.
+fn build_bytes(options: &ConvertOptions) -> u64 {
+    options.memory_bytes / 4 / options.threads.max(1) as u64
+}
+
+/// `value` to so many significant decimal digits.
+fn round_to_digits(value: f64, digits: usize) -> f64 {
+    format!("{value:.*e}", digits - 1).parse().unwrap_or(value)
+}
+
+/// Pixel size of meshes alone: their longer side in [`AUTO_PIXELS`] pixels.
+fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
+    monitor.stage("extent", 0, "triangles");
+    let longer = meshes.bounds(monitor)?.map_or(0.0, |(min, max)| (max[0] - min[0]).max(max[1] - min[1]));
+    if longer > 0.0 {
+        Ok(round_to_digits(longer / AUTO_PIXELS, 2))
+    } else {
+        Err(Error::parameter("--pixel auto", "the meshes have no extent in x and y; give the pixel size in metres"))
+    }
+}
+
+/// Refuses to begin what the disk will not hold. Headers may lie, so a count beyond one point per byte is not believed.
+fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
+    let parts = options.shard.as_ref().map_or(1, |shard| u64::from(shard.count.max(1)));
+    let points = set.points_stated().min(set.bytes()) / parts;
+    let needed = (points * TEMP_BYTES_PER_POINT).saturating_sub(options.memory_bytes / 2);
+    let dir = &options.temp_dir;
+    let free = fs4::available_space(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
+    if needed > free {
+        let what = format!(
+            "temporary data for {points} points in {} (bytes) (choose a folder with --temp-dir or give more --memory)",
+            dir.display()
+        );
+        return Err(Error::Limit { what, value: needed.to_string(), max: free.to_string() });
+    }
+    Ok(())
+}
+
+/// Refuses scans that state points of which none can be used: an empty archive in place of a good one helps nobody.
+/// Scans that state none, or whose points are all left out on purpose, make an empty archive.
+fn refuse_unusable(set: &InputSet, counts: &UnitCounts) -> Result<()> {
+    let Some(first) = set.files().iter().find(|file| file.points_stated() > 0) else { return Ok(()) };
+    if counts.read == 0 {
+        let reason = format!(
+            "the header states {} points, but none can be read: the file is cut or damaged; fetch or write it again",
+            first.points_stated()
+        );
+        return Err(Error::input(first.path(), "points", reason));
+    }
+    if counts.not_finite == counts.read {
+        let reason = "no point has a finite position within 1e12 m: scale or offset in the header (bytes 131 to 178) are \
+                      damaged; fetch or write the file again";
+        return Err(Error::input(first.path(), "points", reason));
+    }
+    Ok(())
+}

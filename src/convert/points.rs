@@ -1,0 +1,180 @@
+//! First pass over scans: points into runs.
+
+use super::work::on_threads;
+use crate::frame::Frame;
+use crate::input::{Decoder, InputSet, ScanFile, UnitCounts};
+use crate::plan::Plan;
+use crate::shard::Part;
+use crate::voxel::record::Recorder;
+use crate::voxel::runs::{RunBuilder, RunStore};
+use crate::{Error, Monitor, Result};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// What the first pass finds out; all of it independent of the order of points.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Read {
+    /// All points read.
+    pub counts: UnitCounts,
+    /// Bounds of all kept points.
+    pub min: [f64; 3],
+    pub max: [f64; 3],
+    pub own: Own,
+}
+
+/// The points that count in the archive: all, or in a part each point in one part.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Own {
+    pub kept: u64,
+    pub min: [f64; 3],
+    pub max: [f64; 3],
+    /// Points that make no voxel.
+    pub left_out: UnitCounts,
+}
+
+impl Read {
+    pub const NOTHING: Self = {
+        let none = UnitCounts { read: 0, withheld: 0, excluded: 0, not_finite: 0, missing: 0 };
+        let (min, max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        Self { counts: none, min, max, own: Own { kept: 0, min, max, left_out: none } }
+    };
+
+    pub fn merge(&mut self, other: &Self) {
+        self.counts += other.counts;
+        self.own.kept += other.own.kept;
+        self.own.left_out += other.own.left_out;
+        join(&mut self.min, &mut self.max, (&other.min, &other.max));
+        join(&mut self.own.min, &mut self.own.max, (&other.own.min, &other.own.max));
+    }
+}
+
+/// Makes bounds reach around others.
+fn join(min: &mut [f64; 3], max: &mut [f64; 3], other: (&[f64; 3], &[f64; 3])) {
+    for axis in 0..3 {
+        min[axis] = min[axis].min(other.0[axis]);
+        max[axis] = max[axis].max(other.1[axis]);
+    }
+}
+
+/// First pass: all points, or those that a part needs, into runs.
+pub(super) fn read_points(
+    set: &InputSet,
+    plan: &Plan,
+    store: &RunStore,
+    build_bytes: u64,
+    threads: usize,
+    part: Option<&Part>,
+    monitor: &dyn Monitor,
+) -> Result<Read> {
+    monitor.stage("reading points", set.points_stated(), "points");
+    let recorder = Recorder::new(plan.frame);
+    let units = Mutex::new(set.units().filter(|unit| part.is_none_or(|part| part.reads(unit.file()))));
+    let next_unit = || units.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
+    // What one worker cannot do ends the work of all, not only its own.
+    let failed = AtomicBool::new(false);
+    let of_files = Mutex::new(vec![Read::NOTHING; set.files().len()]);
+    let work = || -> Result<Read> {
+        let mut decoder = Decoder::new();
+        let mut builder = RunBuilder::new(recorder, build_bytes);
+        if let Some(part) = part {
+            builder = builder.only(part.shard.first, part.shard.last);
+        }
+        let mut read = Read::NOTHING;
+        while let Some(unit) = next_unit() {
+            let mut of_unit = Read::NOTHING;
+            of_unit.counts = decoder.decode(set, &unit, &mut |batch| {
+                // A unit may be a whole file, so one look per unit would be too few.
+                if monitor.cancelled() || failed.load(Ordering::Relaxed) {
+                    return Err(Error::Interrupted);
+                }
+                monitor.advance(batch.len() as u64);
+                let (mut min, mut max) = (Read::NOTHING.min, Read::NOTHING.max);
+                for (axis, values) in [&batch.x, &batch.y, &batch.z].into_iter().enumerate() {
+                    (min[axis], max[axis]) = range(values);
+                }
+                if batch.x.is_empty() {
+                    return Ok(());
+                }
+                if !recorder.reaches(min, max) {
+                    return Err(out_of_reach(&plan.frame, min, max));
+                }
+                let (kept, own_min, own_max) = match part {
+                    Some(part) => {
+                        part.check_bounds(&set.files()[unit.file()], unit.file(), min, max)?;
+                        part.own(batch)
+                    }
+                    None => (batch.len() as u64, min, max),
+                };
+                let own = Own { kept, min: own_min, max: own_max, ..Read::NOTHING.own };
+                of_unit.merge(&Read { min, max, own, ..Read::NOTHING });
+                builder.push(&batch.x, &batch.y, &batch.z, store)
+            })?;
+            if part.is_none_or(|part| part.owns(unit.file())) {
+                of_unit.own.left_out = of_unit.counts;
+                of_unit.own.left_out.read -= of_unit.counts.kept();
+            }
+            monitor.advance(of_unit.counts.read - of_unit.counts.kept());
+            read.merge(&of_unit);
+            of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[unit.file()].merge(&of_unit);
+        }
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        builder.flush(store)?;
+        Ok(read)
+    };
+    let mut all = Read::NOTHING;
+    for read in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
+        all.merge(&read);
+    }
+    warn_of_bounds(set, &of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner), monitor);
+    Ok(all)
+}
+
+/// One warning if headers state other bounds than the points have: the archive's are those of the points, and a user
+/// who compares the two should know which is wrong.
+fn warn_of_bounds(set: &InputSet, of_files: &[Read], monitor: &dyn Monitor) {
+    let disagrees = |(file, read): &(&ScanFile, &Read)| {
+        let kept = read.counts.kept();
+        // Points left out may be those at the corners; then the stated box may well be larger.
+        let all = kept == read.counts.read && read.counts.missing == 0;
+        kept > 0 && file.bounds_disagree(read.min, read.max, all)
+    };
+    let mut found = set.files().iter().zip(of_files).filter(disagrees);
+    if let Some((file, read)) = found.next() {
+        let others = match found.count() {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        monitor.warn(&format!(
+            "{}{others}: the header states other bounds than the points have; theirs are used: {:?} to {:?}",
+            file.path().display(),
+            read.min,
+            read.max
+        ));
+    }
+}
+
+/// Least and greatest value, in lanes that compile to vector instructions.
+fn range(values: &[f64]) -> (f64, f64) {
+    let (mut min, mut max) = ([f64::INFINITY; 8], [f64::NEG_INFINITY; 8]);
+    let (chunks, rest) = values.as_chunks::<8>();
+    for chunk in chunks {
+        for lane in 0..8 {
+            min[lane] = if chunk[lane] < min[lane] { chunk[lane] } else { min[lane] };
+            max[lane] = if chunk[lane] > max[lane] { chunk[lane] } else { max[lane] };
+        }
+    }
+    let min = min.iter().chain(rest).fold(f64::INFINITY, |a, &b| a.min(b));
+    let max = max.iter().chain(rest).fold(f64::NEG_INFINITY, |a, &b| a.max(b));
+    (min, max)
+}
+
+pub(super) fn out_of_reach(frame: &Frame, min: [f64; 3], max: [f64; 3]) -> Error {
+    Error::Limit {
+        what: "coordinates that a grid of this pixel size reaches (m) (give a larger --pixel, or the unit by --units)"
+            .into(),
+        value: format!("{min:?} to {max:?}"),
+        max: format!("±{}", frame.pixel_m().min(frame.slice_m()) * crate::frame::MAX_INDEX as f64),
+    }
+}

@@ -1,0 +1,24 @@
+//! Workers of the first pass.
+
+use crate::{Error, Result};
+
+/// What `work` gives on each of so many threads, or the error that says most.
+pub(super) fn on_threads<T: Send>(threads: usize, work: impl Fn() -> Result<T> + Sync) -> Result<Vec<T>> {
+    let results: Vec<Result<T>> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(&work)).collect();
+        workers
+            .into_iter()
+            .map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+            .collect()
+    });
+    let (mut done, mut stopped) = (Vec::with_capacity(threads), false);
+    for result in results {
+        match result {
+            Ok(result) => done.push(result),
+            // Stopped by another's error, which says more.
+            Err(Error::Interrupted) => stopped = true,
+            Err(error) => return Err(error),
+        }
+    }
+    if stopped { Err(Error::Interrupted) } else { Ok(done) }
+}
