@@ -80,15 +80,17 @@ impl Images {
         ((z - self.z0) / self.setting.slice_m()).floor() as i64
     }
 
-    /// Pixels under a box in one picture that are not black: place in the picture.
-    fn pixels<'a>(&'a self, image: &'a [u8], min: Point3<f64>, max: Point3<f64>) -> impl Iterator<Item = usize> + 'a {
+    /// Red values of the pixels under a box in one picture that are not black.
+    fn reds<'a>(&self, image: &'a [u8], min: Point3<f64>, max: Point3<f64>) -> impl Iterator<Item = u8> + use<'a> {
         // Clipped to the picture, so that a box outside asks nothing.
-        let [columns, rows] = [0, 1].map(|axis| {
-            let last = self.first[axis] + self.size[axis] - 1;
-            self.index(min[axis]).max(self.first[axis])..=self.index(max[axis]).min(last)
+        let [[left, right], [low, high]] = [0, 1].map(|axis| {
+            let first = (self.index(min[axis]) - self.first[axis]).clamp(0, self.size[axis]);
+            let end = (self.index(max[axis]) + 1 - self.first[axis]).clamp(first, self.size[axis]);
+            [first as usize, end as usize]
         });
-        let places = rows.flat_map(move |j| columns.clone().filter_map(move |i| self.at(i, j)));
-        places.filter(|&at| image[at + 1] != 0)
+        let width = self.size[0] as usize;
+        let rows = (low..high).map(move |row| &image[3 * (row * width + left)..3 * (row * width + right)]);
+        rows.flat_map(|row| row.chunks_exact(3)).filter(|pixel| pixel[1] != 0).map(|pixel| pixel[0])
     }
 
     fn height(&self, slice: i64, red: u8) -> f64 {
@@ -99,8 +101,8 @@ impl Images {
 impl Built for Images {
     fn hits(&self, shape: &Aabb) -> bool {
         let (min, max) = (shape.min(), shape.max());
-        let slices = (self.slice(min.z)..=self.slice(max.z)).filter_map(|slice| self.slices.get(&slice));
-        slices.into_iter().any(|image| self.pixels(image, min, max).next().is_some())
+        let mut slices = (self.slice(min.z)..=self.slice(max.z)).filter_map(|slice| self.slices.get(&slice));
+        slices.any(|image| self.reds(image, min, max).next().is_some())
     }
 
     fn file_bytes(&self) -> Result<Option<u64>> {
@@ -119,8 +121,7 @@ impl Built for Images {
         let (t, sigma) = (self.setting.pixel_m, self.setting.slice_m());
         for (&slice, image) in &self.slices {
             let z = self.z0 + slice as f64 * sigma;
-            for (n, pixel) in image.chunks_exact(3).enumerate().filter(|(_, pixel)| pixel[1] != 0) {
-                debug_assert!(pixel[2] != 0);
+            for (n, _) in image.chunks_exact(3).enumerate().filter(|(_, pixel)| pixel[1] != 0) {
                 let (i, j) = (n as i64 % self.size[0] + self.first[0], n as i64 / self.size[0] + self.first[1]);
                 let (x, y) = (i as f64 * t, j as f64 * t);
                 give([x, y, z], [x + t, y + t, z + sigma]);
@@ -135,7 +136,7 @@ impl Built for Images {
         let mut slices = (self.slice(lowest)..=self.slice(min.z)).rev();
         Some(slices.find_map(|slice| {
             let image = self.slices.get(&slice)?;
-            let heights = self.pixels(image, min, max).map(|at| self.height(slice, image[at]));
+            let heights = self.reds(image, min, max).map(|red| self.height(slice, red));
             heights.filter(|z| (lowest..=min.z).contains(z)).max_by(f64::total_cmp)
         }))
     }

@@ -12,6 +12,7 @@ mod method;
 mod octomap;
 mod ours;
 mod paths;
+mod plan;
 mod recast;
 mod record;
 mod solid;
@@ -20,20 +21,19 @@ pub mod walkable;
 mod workload;
 
 use crate::stability::Result;
-use cell::Effort;
 use doors::Doors;
 use method::Method;
 use nalgebra::Point3;
 use ours::Ours;
+use plan::Plan;
 use rapier3d::prelude::SharedShape;
 use record::{Cell, Figure, Record};
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use subject::Subject;
 use workload::{Grazing, Workload};
 
-/// Pixel sizes (cm), from coarse to fine, so that what a finer one will take can be told.
-const PIXELS_CM: [u32; 6] = [32, 16, 8, 4, 2, 1];
+pub use plan::Options;
+
 /// What a method may take (bytes).
 const MEMORY_BYTES: f64 = 4e9;
 
@@ -42,56 +42,6 @@ const WALKED: &str = "house";
 /// The controller that walks in cubes, and the pixel sizes at which it does (cm).
 const CONTROLLER: &str = "rapier3d";
 const CONTROLLED_CM: [u32; 3] = [4, 8, 16];
-
-/// What to measure.
-#[derive(Debug, Clone, clap::Args)]
-pub struct Options {
-    /// Small samples of three scenes: a check that everything runs
-    #[arg(long)]
-    pub quick: bool,
-    /// Folder to write `chart/` into [default: tools/bench/results, or target/bench-quick with --quick]
-    #[arg(long)]
-    pub out: Option<PathBuf>,
-    /// Only this scene
-    #[arg(long, value_name = "SCENE")]
-    pub only: Option<String>,
-    /// Seconds that a method may take to build one cell
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
-    pub budget: f64,
-    /// Begins anew instead of going on
-    #[arg(long)]
-    pub fresh: bool,
-}
-
-/// How large a run is.
-struct Plan {
-    scenes: Vec<&'static str>,
-    pixels_cm: Vec<u32>,
-    points: Option<usize>,
-    effort: Effort,
-    budget_s: f64,
-}
-
-impl Plan {
-    fn new(options: &Options) -> Self {
-        let of = |full, quick| if options.quick { quick } else { full };
-        let effort = Effort {
-            questions: of(4000, 400),
-            repeats: of(3, 2),
-            places: of(20_000, 2000),
-            grazing: of(100, 10),
-            round: Duration::from_millis(of(100, 10) as u64),
-            builds: Duration::from_millis(of(1500, 100) as u64),
-        };
-        let scenes: Vec<_> = match &options.only {
-            Some(only) => subject::NAMES.into_iter().filter(|name| name == only).collect(),
-            None if options.quick => vec!["house", "delft", "sibenik"],
-            None => subject::NAMES.to_vec(),
-        };
-        let pixels_cm = if options.quick { vec![32, 8] } else { PIXELS_CM.to_vec() };
-        Self { scenes, pixels_cm, points: options.quick.then_some(40_000), effort, budget_s: options.budget }
-    }
-}
 
 /// All methods for a scene that answer about boxes.
 fn methods(subject: &Subject) -> Vec<Box<dyn Method>> {
@@ -117,14 +67,9 @@ fn methods(subject: &Subject) -> Vec<Box<dyn Method>> {
 
 /// Measures, appends to the tables in `chart/` of the folder, and draws them.
 pub fn run(options: &Options) -> Result<()> {
-    let default = if options.quick { "target/bench-quick" } else { "tools/bench/results" };
-    let out = options.out.clone().unwrap_or_else(|| default.into());
+    let plan = Plan::new(options)?;
+    let out = options.folder();
     let charts = out.join("chart");
-    let plan = Plan::new(options);
-    if plan.scenes.is_empty() {
-        let only = options.only.as_deref().unwrap_or_default();
-        return Err(format!("--only {only}: no such scene; there are {}", subject::NAMES.join(", ")).into());
-    }
     measure_all(&plan, &mut Record::open(&charts, options.fresh)?)?;
     std::fs::write(charts.join(draw::MACHINE_FILE), draw::machine() + "\n")?;
     draw::run(&out)
@@ -151,7 +96,8 @@ struct Before {
 
 fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<()> {
     let methods = methods(subject);
-    let names = || methods.iter().map(|method| method.name()).chain([recast::NAME]);
+    let walked = (subject.name == WALKED).then_some(CONTROLLER);
+    let names = || methods.iter().map(|method| method.name()).chain([recast::NAME]).chain(walked);
     let open = |record: &Record, pixel: u32| names().any(|name| !record.has(&subject.name, name, pixel));
     let pixels: Vec<u32> = plan.pixels_cm.iter().copied().filter(|&pixel| open(record, pixel)).collect();
     if pixels.is_empty() {
@@ -165,7 +111,7 @@ fn measure_scene(subject: &Subject, plan: &Plan, record: &mut Record) -> Result<
     for pixel_cm in pixels {
         let pixel_m = f64::from(pixel_cm) / 100.0;
         let cubes = subject.cubes(pixel_m);
-        let grazing = Grazing::new(subject, pixel_m, plan.effort.grazing)?;
+        let grazing = Grazing::new(subject, &work, pixel_m, plan.effort.grazing)?;
         let doors = if subject.name == WALKED { Some(Doors::new(pixel_m)?) } else { None };
         for ((method, before), same) in methods.iter().zip(&mut before).zip(&mut same) {
             if record.has(&subject.name, method.name(), pixel_cm) {
@@ -301,7 +247,7 @@ mod tests {
     fn a_tiny_run_writes_every_figure_and_misses_nothing() -> Result<()> {
         let folder = tempfile::tempdir()?;
         let options = Options { quick: true, out: None, only: Some("house".into()), budget: 60.0, fresh: true };
-        let plan = Plan { pixels_cm: vec![32], points: Some(5000), ..Plan::new(&options) };
+        let plan = Plan { pixels_cm: vec![32], points: Some(5000), ..Plan::new(&options)? };
         measure_all(&plan, &mut Record::open(folder.path(), true)?)?;
         let text = std::fs::read_to_string(folder.path().join("measured.csv"))?;
         let of = |method: &str, metric: &str| {

@@ -24,7 +24,7 @@ const HEIGHT_M: f64 = 1.8;
 /// Fits under the flights of the stairs of the scanned building (m).
 const INDOOR_HEIGHT_M: f64 = 1.6;
 /// Of the largest scan the middle is enough: so far to each side (m). All of it would take hours at the finest pixels.
-const AUTZEN_HALF_M: f64 = 200.0;
+const AUTZEN_HALF_M: f64 = 100.0;
 /// Pixels of the ground whose number is a scene's area (m).
 const GROUND_M: f64 = 0.32;
 
@@ -74,7 +74,7 @@ impl Subject {
                     _ => Params::new(),
                 };
                 let scene = Scene::named(name, &params)?;
-                Self::generated(scene, count.unwrap_or(1_500_000))?
+                Self::generated(scene, count.unwrap_or(1_000_000))?
             }
             "indoor" => return scan("indoor_two_storey_zup.laz", Units::Factor(1.0)),
             "room" => return scan("pump_room.laz", Units::Factor(1.0)),
@@ -88,7 +88,7 @@ impl Subject {
                 let Some(path) = shared::file("meshes/sibenik.obj") else { return Ok(None) };
                 Self::mesh(name, path, count.unwrap_or(400_000))?
             }
-            _ => return Err(format!("--only {name}: no such scene; there are {}", NAMES.join(", ")).into()),
+            _ => return Err(format!("{name}: no such scene; there are {}", NAMES.join(", ")).into()),
         }))
     }
 

@@ -41,8 +41,8 @@ pub struct Workload {
     pub random: Boxes,
     pub walk: Boxes,
     /// The boxes of the walk from the height that it climbs, and the highest point under each (m).
-    pub raised: Vec<Aabb>,
-    pub floors: Vec<Option<f64>>,
+    raised: Vec<Aabb>,
+    floors: Vec<Option<f64>>,
     /// Sweeps of such boxes that begin free, and how far they come (m). Coarse cubes make floors begin too high; that is
     /// told by the height of floors, and should not be told again as a wall.
     pub sweeps: Vec<(Aabb, Vector3<f64>)>,
@@ -129,19 +129,22 @@ fn stand(subject: &Subject, random: &mut Random) -> Result<Point3<f64>> {
     Err(format!("{}: no place to stand was found in 20,000", subject.name).into())
 }
 
-/// Boxes near matter at one pixel size.
+/// Boxes near matter at one pixel size, and where floors can be told from walls.
 pub struct Grazing {
     /// Boxes, and the signed distance of the nearest point, negative inside (m).
     pub shapes: Vec<Aabb>,
     pub gaps: Vec<f64>,
+    /// Raised boxes of the walk and the highest points under them, where nothing much higher is within a pixel and a half:
+    /// how far walls reach is told by other figures.
+    pub floors: Vec<(Aabb, f64)>,
 }
 
 impl Grazing {
     /// Up to `each` boxes per bin of distance; distances from -1 to 4 pixels.
-    pub fn new(subject: &Subject, pixel_m: f64, each: usize) -> Result<Self> {
+    pub fn new(subject: &Subject, work: &Workload, pixel_m: f64, each: usize) -> Result<Self> {
         let mut random = Random(77);
         let mut bins = vec![0; ((FARTHEST - NEAREST) * BINS) as usize];
-        let mut grazing = Self { shapes: Vec::new(), gaps: Vec::new() };
+        let mut grazing = Self { shapes: Vec::new(), gaps: Vec::new(), floors: floors(subject, work, pixel_m)? };
         if subject.is_mesh() {
             return Ok(grazing);
         }
@@ -173,6 +176,24 @@ impl Grazing {
     pub fn middle(bin: usize, pixel_m: f64) -> f64 {
         ((bin as f64 + 0.5) / BINS + NEAREST) * pixel_m
     }
+}
+
+/// Every fourth raised box of the walk, where the ground around it is no steeper than one in two.
+fn floors(subject: &Subject, work: &Workload, pixel_m: f64) -> Result<Vec<(Aabb, f64)>> {
+    let mut floors = Vec::new();
+    if subject.is_mesh() {
+        // Its points are too few to say how high it is.
+        return Ok(floors);
+    }
+    let around = Vector3::new(1.5, 1.5, 0.0) * pixel_m;
+    for (shape, floor) in work.raised.iter().zip(&work.floors).step_by(4) {
+        let Some(floor) = *floor else { continue };
+        let wider = Aabb::new(shape.min() - around, shape.max() + around)?;
+        if subject.oracle.top(&wider, DEPTH_M).is_some_and(|top| top - floor <= around.x / 2.0 + 0.01) {
+            floors.push((*shape, floor));
+        }
+    }
+    Ok(floors)
 }
 
 /// Signed distance of the nearest point along the axis on which it is farthest (m); `None` outside the bins.
