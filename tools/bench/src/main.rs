@@ -1,6 +1,7 @@
 //! `bench`: measurements that write tables and plots into the repository.
 
 use clap::{Parser, Subcommand};
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -14,6 +15,8 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Every table and chart, one after the other: an hour and more
+    All(Common),
     /// One sweep per way in which such systems fail, for the thesis' rule and for ours
     Stability(Stability),
     /// Bytes of scans as archives, pictures and octrees, and what the scenes needed
@@ -85,8 +88,19 @@ struct Stability {
     only: Option<String>,
 }
 
-fn main() -> ExitCode {
-    let done = match Args::parse().command {
+/// The parts of `bench all`; charts last, for they draw what the others found.
+const ALL: [&[&str]; 7] =
+    [&["stability"], &["size"], &["walks"], &["thesis"], &["peers"], &["scale"], &["chart", "--fresh"]];
+
+fn run(command: Command) -> bench::stability::Result<()> {
+    match command {
+        Command::All(common) => ALL.into_iter().try_for_each(|part| {
+            eprintln!("bench {}", part.join(" "));
+            let quick = common.quick.then(|| OsString::from("--quick"));
+            let out = [OsString::from("--out"), common.out().into()];
+            let words = ["bench"].iter().chain(part).map(OsString::from).chain(out).chain(quick);
+            run(Args::try_parse_from(words)?.command)
+        }),
         Command::Stability(Stability { common, only }) => {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
@@ -101,8 +115,11 @@ fn main() -> ExitCode {
         Command::Counted(calls) => calls.run(),
         Command::Scale(scale) => scale.run(),
         Command::Measured(conversion) => conversion.run(),
-    };
-    match done {
+    }
+}
+
+fn main() -> ExitCode {
+    match run(Args::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("bench: {error}");
