@@ -1,6 +1,6 @@
 //! Where one may stand: what surfaces in closed form say, and how far the claims of a method are from that.
 //!
-//! The one who stands is that of [`recast`]: a cylinder that ignores what lies below its climb height.
+//! The one who stands is that of Recast: a cylinder that ignores what lies below its climb height.
 
 use crate::Random;
 use crate::peers::recast::{CLIMB, HEIGHT, RADIUS, SLOPE_DEG};

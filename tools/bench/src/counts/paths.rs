@@ -1,4 +1,4 @@
-//! The hot paths, each called through [`region`], which callgrind knows by its name. Runs in a process of its own, under
+//! The hot paths, each called through `region`, which callgrind knows by its name. Runs in a process of its own, under
 //! Valgrind; what it needs to have ready is made before, outside.
 
 use crate::stability::Result;

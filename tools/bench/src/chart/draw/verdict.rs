@@ -106,28 +106,38 @@ pub fn table(scene: &Scene) -> Option<String> {
 pub fn summary(scenes: &[Scene]) -> String {
     let mut words = Vec::new();
     for cost in &COSTS {
-        let all: Vec<_> = scenes
-            .iter()
-            .flat_map(|scene| stands(scene, cost).into_iter().map(move |(size, stand)| (scene, size, stand)))
-            .collect();
-        let beaten: Vec<_> = all
-            .iter()
-            .filter(|(_, _, stand)| !stand.unbeaten())
-            .map(|(scene, size, stand)| format!("{} at {} cm: {}", scene.name, short(*size), stand.words()))
-            .collect();
-        if all.is_empty() {
+        let all: Vec<_> = scenes.iter().map(|scene| (scene, stands(scene, cost))).collect();
+        let count = |wanted: fn(&Stand) -> bool| all.iter().flat_map(|(_, all)| all).filter(|at| wanted(&at.1)).count();
+        let pairs = count(|_| true);
+        if pairs == 0 {
             continue;
         }
-        let on_front = all.iter().filter(|(_, _, stand)| matches!(stand, Stand::Front(_))).count();
+        let beaten: Vec<_> = all.iter().filter_map(|(scene, all)| beaten_in(&scene.name, all)).collect();
         words.push(format!(
-            "- error and {}: of {} pairs of scene and t, ours is on the front at {on_front}, and no peer is better in both at {}{}",
+            "- error and {}: of {pairs} pairs of scene and t, ours is on the front at {}, and no peer is better in both at {}{}",
             cost.what,
-            all.len(),
-            all.len() - beaten.len(),
+            count(|stand| matches!(stand, Stand::Front(_))),
+            count(Stand::unbeaten),
             if beaten.is_empty() { ".".into() } else { format!(". Better peers: {}.", beaten.join("; ")) },
         ));
     }
     words.join("\n")
+}
+
+/// At which pixel sizes of a scene peers are better, and which; `None` at none.
+fn beaten_in(scene: &str, all: &[(f64, Stand)]) -> Option<String> {
+    let beaten = || all.iter().filter(|(_, stand)| !stand.unbeaten());
+    let sizes: Vec<_> = beaten().map(|(size, _)| short(*size)).collect();
+    let mut peers: Vec<String> = Vec::new();
+    for (_, stand) in beaten() {
+        match stand {
+            Stand::Beaten { by, .. } => peers.extend(by.iter().map(|(peer, _)| format!("`{peer}`"))),
+            _ => peers.push("ours misses points".into()),
+        }
+    }
+    peers.sort();
+    peers.dedup();
+    (!sizes.is_empty()).then(|| format!("{scene} at {} cm: {}", sizes.join(", "), peers.join(", ")))
 }
 
 #[cfg(test)]
@@ -170,6 +180,9 @@ mod tests {
         lines[2].4 = 0.1;
         assert_eq!(stands(&scene(&lines)[0], &COSTS[0])[2].1, Stand::Misses);
         let words = summary(&scene(&lines));
+        let places = [(1.0, found[2].1.clone()), (2.0, found[0].1.clone()), (4.0, found[2].1.clone())];
+        assert_eq!(beaten_in("hall", &places).as_deref(), Some("hall at 1, 4 cm: `capt`"));
+        assert_eq!(beaten_in("hall", &places[1..2]), None);
         assert_eq!(at_sizes(&[("capt".into(), 4.0), ("capt".into(), 8.0)]), "`capt` at 4, 8 cm");
         assert!(words.contains("of 3 pairs") && words.contains("front at 1") && words.contains("both at 2"), "{words}");
     }
