@@ -460,13 +460,8 @@ mod tests {
         }
     }
 
-    /// Share of voxels judged obstacle among the inner pixels of tile (0, 0), which holds `points`.
-    fn obstacle_share(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> f64 {
-        obstacle_share_between(plan, points, (4, 60))
-    }
-
-    /// The same among the pixels from `x.0` to before `x.1` alone.
-    fn obstacle_share_between(plan: &Plan, points: impl Iterator<Item = [f64; 3]>, x: (u32, u32)) -> f64 {
+    /// The voxels of tile (0, 0), which holds `points`.
+    fn folded(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> (Patch, Sums) {
         let recorder = Recorder::new(plan.frame);
         let mut records: Vec<Record> = Vec::new();
         for [x, y, z] in points {
@@ -476,9 +471,19 @@ mod tests {
                 }
             });
         }
-        let mut patch = Patch::default();
-        let mut sums = Sums::default();
+        let (mut patch, mut sums) = (Patch::default(), Sums::default());
         patch.fold(&records, 1, Area::TILE, &mut sums);
+        (patch, sums)
+    }
+
+    /// Share of voxels judged obstacle among the inner pixels of tile (0, 0), which holds `points`.
+    fn obstacle_share(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> f64 {
+        obstacle_share_between(plan, points, (4, 60))
+    }
+
+    /// The same among the pixels from `x.0` to before `x.1` alone.
+    fn obstacle_share_between(plan: &Plan, points: impl Iterator<Item = [f64; 3]>, x: (u32, u32)) -> f64 {
+        let (patch, mut sums) = folded(plan, points);
         let inner = Area { x, y: (4, 60) };
         let mut verdicts = Vec::new();
         Judge::new(plan).judge(&patch, &mut sums, inner, &mut verdicts);
@@ -533,6 +538,31 @@ mod tests {
                     }
                 }
             }
+        }
+    }
+
+    #[test]
+    fn what_is_floor_without_a_fit_is_floor_by_the_fit_too() {
+        let mut random = Random(31);
+        let edge = 64.0 * T;
+        for (limit, noise) in [(30.0, 0.002), (45.0, 0.004), (45.0, 0.012), (60.0, 0.02), (80.0, 0.03)] {
+            let plan = plan(Classifier::Plane, limit);
+            // From a point in three pixels to ten in one: where points hardly determine a plane, and where they do.
+            let points: Vec<_> = (0..12_000)
+                .map(|_| {
+                    let (x, y) = (random.uniform() * edge, random.uniform().powi(3) * edge);
+                    let step = f64::from((x * 3.0) as u32) * 0.05 + x * 0.2;
+                    [x, y, step + noise * random.normal()]
+                })
+                .collect();
+            let with = Judge::new(&plan);
+            let without = Judge { level: -1, ..with };
+            let (patch, mut sums) = folded(&plan, points.into_iter());
+            let [mut fast, mut full] = [Vec::new(), Vec::new()];
+            with.judge(&patch, &mut sums, Area::TILE, &mut fast);
+            without.judge(&patch, &mut sums, Area::TILE, &mut full);
+            assert!(fast == full, "limit {limit}, noise {noise}");
+            assert!(full.contains(&false), "the test would show nothing");
         }
     }
 

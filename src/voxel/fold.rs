@@ -608,6 +608,26 @@ mod tests {
     }
 
     #[test]
+    fn more_sums_than_are_kept_are_made_again() {
+        let places = (0..64 * 64).flat_map(|p| (0..20).map(move |s| (p, s)));
+        let points: Vec<_> = places
+            .map(|(p, s)| (f64::from(p % 64) * 0.5 + 0.2, f64::from(p / 64) * 0.5 + 0.2, f64::from(s) * 1.5 + 0.1))
+            .collect();
+        assert!(points.len() > KEPT_SUMS, "the test would show nothing");
+        let (mut patch, mut sums) = (Patch::default(), Sums::default());
+        patch.fold(&records(&points), 1, Area::TILE, &mut sums);
+        for round in 0..2 {
+            for pixel in patch.occupied() {
+                for number in patch.range(pixel) {
+                    let alone = *sums.of(&patch, pixel, number);
+                    assert_eq!((alone.n, alone.u), (1, 51), "round {round}, voxel {number}");
+                    assert!(sums.kept.len() <= KEPT_SUMS);
+                }
+            }
+        }
+    }
+
+    #[test]
     fn only_voxels_alone_in_their_neighbourhood_are_dropped() {
         let points = [
             (5.2, 5.2, 0.1),
