@@ -28,8 +28,6 @@ const RECORD_BYTES: u64 = size_of::<Record>() as u64;
 /// Segments of a run with at least this many records are sorted by pixel too: a column of very many records is worked on
 /// in areas, and their rows can then be found without reading the whole column for each.
 const SORTED_RECORDS: u64 = 1 << 14;
-/// Columns are joined to a job up to this many records, which fit a second-level cache.
-const JOB_RECORDS: u64 = 1 << 16;
 /// Records of a run while no run is on disk: only there many runs cost more than few, and memory that is never touched
 /// costs nothing.
 const SMALL_RUN_RECORDS: usize = 1 << 20;
@@ -572,7 +570,7 @@ impl<'a> Merge<'a> {
             }
             let segment_of = |run: usize, cursors: &[Cursor]| cursors[run].segment.map_or(0, |segment| segment.records);
             let records: u64 = same.iter().map(|&run| u64::from(segment_of(run, &cursors))).sum();
-            let full = job.records + records > max_records.min(JOB_RECORDS) || job.columns.len() as u64 >= max_columns;
+            let full = job.records + records > max_records || job.columns.len() as u64 >= max_columns;
             if !job.columns.is_empty() && full {
                 part_of.fill(usize::MAX);
                 give(std::mem::take(&mut job))?;
