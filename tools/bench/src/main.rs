@@ -15,7 +15,7 @@ struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Every table and chart, one after the other: an hour and more
+    /// Every table and chart, one after the other
     All(Common),
     /// One sweep per way in which such systems fail, for the thesis' rule and for ours
     Stability(Stability),
