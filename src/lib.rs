@@ -5,6 +5,8 @@ pub mod monitor;
 
 pub mod frame;
 
+pub mod bytes;
+
 pub mod plan;
 
 #[cfg(feature = "convert")]

@@ -8,8 +8,9 @@ mod tower;
 use clock::ClockSource;
 
 use slicewalk::query::{Answer, Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
-use slicewalk::store::testing::{Fault, FaultySource, GatedSource, SlowSource};
-use slicewalk::store::{Counters, MemorySource, Prefetch, Step, Stream, StreamOptions};
+use slicewalk::bytes::testing::{Fault, FaultySource, GatedSource, SlowSource};
+use slicewalk::bytes::MemorySource;
+use slicewalk::store::{Counters, Prefetch, Step, Stream, StreamOptions};
 use slicewalk::walk::{Config, Walker, Wish};
 use std::sync::{Arc, LazyLock, mpsc};
 use std::time::{Duration, Instant};

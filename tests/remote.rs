@@ -5,7 +5,8 @@ mod tower;
 
 use slicewalk::archive::{Archive, PageEntry};
 use slicewalk::query::{Overlap, overlaps};
-use slicewalk::store::{ByteSource, Prefetch, RemoteOptions, RemoteSource, Step, Stream, StreamOptions};
+use slicewalk::bytes::{ByteSource, RemoteOptions, RemoteSource};
+use slicewalk::store::{Prefetch, Step, Stream, StreamOptions};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -9,7 +9,7 @@ use super::page::{EncodedPage, PageDecoder};
 use super::reader::Archive;
 use super::shard::Shard;
 use super::writer::{ArchiveWriter, Existing, Totals};
-use crate::store::{ByteSource, FileSource};
+use crate::bytes::{ByteSource, FileSource};
 use crate::{Error, Monitor, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

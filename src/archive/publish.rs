@@ -60,7 +60,7 @@ impl PartFile {
 
     /// Reads back what was written.
     pub fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
-        let read = crate::store::read_exact_at(&self.file, offset, buf);
+        let read = crate::bytes::read_exact_at(&self.file, offset, buf);
         read.map_err(|error| Error::io(&self.path, format!("read {} bytes at {offset}", buf.len()), error))
     }
 

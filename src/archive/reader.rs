@@ -9,7 +9,7 @@ use crate::codec::{Unpacker, Violation};
 use crate::frame::{Frame, PageKey};
 use crate::plan::Plan;
 use crate::slice::Page;
-use crate::store::{ByteSource, FileSource, MapSource, MemorySource};
+use crate::bytes::{ByteSource, FileSource, MapSource, MemorySource};
 use crate::{Error, Result};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -14,7 +14,7 @@ use super::writer::{ArchiveWriter, Totals};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 use crate::plan::Plan;
 use crate::slice::Page;
-use crate::store::{ByteSource, FileSource};
+use crate::bytes::{ByteSource, FileSource};
 use crate::{Error, Monitor, Result};
 use std::path::Path;
 

@@ -6,7 +6,7 @@ use crate::frame::{Frame, PageKey};
 use crate::monitor::NoMonitor;
 use crate::plan::{Classifier, Plan};
 use crate::slice::{Page, PageBuilder, Span};
-use crate::store::{ByteSource, MemorySource};
+use crate::bytes::{ByteSource, MemorySource};
 use crate::{Error, Result};
 use proptest::prelude::*;
 use std::collections::BTreeMap;

@@ -12,7 +12,7 @@ use super::spill::Entries;
 use crate::codec::Packer;
 use crate::frame::PageKey;
 use crate::plan::Plan;
-use crate::store::{ByteSource, FileSource};
+use crate::bytes::{ByteSource, FileSource};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 

@@ -7,6 +7,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
+use crate::bytes::read_up_to;
 use crate::{Error, Result};
 
 /// Read-ahead of a [`Window`] (bytes).
@@ -36,7 +37,7 @@ impl Source {
 
     /// Fills `out` from `offset` on; returns fewer bytes only where the file ends.
     pub(super) fn read_at(&self, out: &mut [u8], offset: u64) -> Result<usize> {
-        self.fill(out, offset)
+        read_up_to(&self.file, offset, out)
             .map_err(|e| Error::io(&self.path, format!("read {} bytes at byte {offset}", out.len()), e))
     }
 
@@ -45,29 +46,6 @@ impl Source {
         let mut bytes = vec![0; len];
         Ok((self.read_at(&mut bytes, offset)? == len).then_some(bytes))
     }
-
-    fn fill(&self, out: &mut [u8], offset: u64) -> io::Result<usize> {
-        let mut done = 0;
-        while done < out.len() {
-            match positioned_read(&self.file, &mut out[done..], offset + done as u64) {
-                Ok(0) => break,
-                Ok(n) => done += n,
-                Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-                Err(e) => return Err(e),
-            }
-        }
-        Ok(done)
-    }
-}
-
-#[cfg(unix)]
-fn positioned_read(file: &File, out: &mut [u8], offset: u64) -> io::Result<usize> {
-    std::os::unix::fs::FileExt::read_at(file, out, offset)
-}
-
-#[cfg(windows)]
-fn positioned_read(file: &File, out: &mut [u8], offset: u64) -> io::Result<usize> {
-    std::os::windows::fs::FileExt::seek_read(file, out, offset)
 }
 
 /// The bytes `start .. start + len` of a file as a stream of their own.
@@ -99,7 +77,7 @@ impl<'a> Window<'a> {
         self.next = 0;
         let want = self.len.saturating_sub(self.held_at).min(WINDOW_BYTES as u64) as usize;
         self.held.resize(want, 0);
-        let got = self.source.fill(&mut self.held, self.start + self.held_at)?;
+        let got = read_up_to(&self.source.file, self.start + self.held_at, &mut self.held)?;
         self.held.truncate(got);
         Ok(())
     }

@@ -20,7 +20,7 @@ use crate::convert::{ConvertOptions, PixelSize};
 use crate::input::{InputSet, ScanFile, StatedBounds, Units};
 use crate::mesh::MeshMode;
 use crate::plan::Plan;
-use crate::store::{ByteSource, FileSource};
+use crate::bytes::{ByteSource, FileSource};
 use crate::{Error, Monitor, Result};
 use std::collections::HashMap;
 use std::path::Path;

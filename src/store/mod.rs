@@ -20,25 +20,17 @@ mod held;
 mod loader;
 mod motion;
 mod publish;
-#[cfg(feature = "remote")]
-mod remote;
 mod snapshot;
-mod source;
 mod stream;
 mod sync;
 mod tally;
-pub mod testing;
 
 pub use budget::{LoadReport, Region};
 pub use columns::KeyBounds;
 pub use held::{Store, StoreSlot};
 pub use loader::PageError;
 pub use motion::Motion;
-#[cfg(feature = "remote")]
-pub use remote::{RemoteOptions, RemoteSource};
 pub use snapshot::{View, ViewSlot};
-pub(crate) use source::read_exact_at;
-pub use source::{ByteSource, FileSource, MapSource, MemorySource};
 pub use stream::{Pawn, Prefetch, Step, Stream, StreamOptions};
 pub use tally::Counters;
 

@@ -10,6 +10,7 @@
 //! column and run.
 
 use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, PATCH_PIXELS, Record, Recorder, SurfaceVoxel};
+use crate::bytes::{read_exact_at, write_all_at};
 use crate::{Error, Result};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -364,7 +365,7 @@ impl RunStore {
     }
 
     fn write(&self, file: &File, bytes: &[u8], offset: u64) -> Result<()> {
-        write_all_at(file, bytes, offset).map_err(|e| {
+        write_all_at(file, offset, bytes).map_err(|e| {
             let action = format!("write temporary data at byte {offset} (choose a folder with space by --temp-dir)");
             Error::io(&self.temp_dir, action, e)
         })
@@ -372,7 +373,7 @@ impl RunStore {
 
     fn read(&self, bytes: &mut [u8], offset: u64) -> Result<()> {
         let file = self.file()?;
-        read_exact_at(file, bytes, offset)
+        read_exact_at(file, offset, bytes)
             .map_err(|e| Error::io(&self.temp_dir, format!("read temporary data at byte {offset}"), e))
     }
 
@@ -405,39 +406,6 @@ fn count_segments(index: &[u8]) -> Result<u64> {
         count += 1;
     }
     Ok(count)
-}
-
-#[cfg(unix)]
-fn write_all_at(file: &File, bytes: &[u8], offset: u64) -> io::Result<()> {
-    std::os::unix::fs::FileExt::write_all_at(file, bytes, offset)
-}
-
-#[cfg(unix)]
-fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
-    std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
-}
-
-#[cfg(windows)]
-fn write_all_at(file: &File, mut bytes: &[u8], mut offset: u64) -> io::Result<()> {
-    while !bytes.is_empty() {
-        let written = std::os::windows::fs::FileExt::seek_write(file, bytes, offset)?;
-        bytes = &bytes[written..];
-        offset += written as u64;
-    }
-    Ok(())
-}
-
-#[cfg(windows)]
-fn read_exact_at(file: &File, mut bytes: &mut [u8], mut offset: u64) -> io::Result<()> {
-    while !bytes.is_empty() {
-        let read = std::os::windows::fs::FileExt::seek_read(file, bytes, offset)?;
-        if read == 0 {
-            return Err(io::ErrorKind::UnexpectedEof.into());
-        }
-        bytes = &mut bytes[read..];
-        offset += read as u64;
-    }
-    Ok(())
 }
 
 /// Reads the segments of one run from front to back.

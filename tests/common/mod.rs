@@ -9,7 +9,7 @@ use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Shard, Tota
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::plan::{Classifier, Plan};
 use slicewalk::slice::{Page, PageBuilder, Span};
-use slicewalk::store::{ByteSource, MemorySource};
+use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::{Error, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -1,7 +1,8 @@
 //! A source whose reads take time of a clock that a test moves: real threads, virtual time.
 
 use slicewalk::Result;
-use slicewalk::store::{ByteSource, MemorySource, Stream};
+use slicewalk::bytes::{ByteSource, MemorySource};
+use slicewalk::store::Stream;
 use std::sync::{Condvar, Mutex};
 use std::time::Duration;
 

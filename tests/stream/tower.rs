@@ -8,7 +8,8 @@ use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::plan::{Classifier, Plan};
 use slicewalk::query::Aabb;
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::{ByteSource, Motion, Store};
+use slicewalk::bytes::ByteSource;
+use slicewalk::store::{Motion, Store};
 use std::collections::BTreeMap;
 
 /// Latency of a slow source (s), and the time of a frame.

@@ -8,8 +8,9 @@ use scangen::scene::Walk;
 use scangen::{Params, SampleSpec, Scene};
 use slicewalk::archive::Archive;
 use slicewalk::plan::Classifier;
-use slicewalk::store::testing::SlowSource;
-use slicewalk::store::{Counters, MemorySource, Prefetch, Stream, StreamOptions};
+use slicewalk::bytes::testing::SlowSource;
+use slicewalk::bytes::MemorySource;
+use slicewalk::store::{Counters, Prefetch, Stream, StreamOptions};
 use slicewalk::walk::{Config, Route, State, Walker};
 use std::time::{Duration, Instant};
 

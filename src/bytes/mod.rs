@@ -3,6 +3,16 @@
 //! In: an offset and a length. Out: bytes, or an error. Memory: none of its own. Everything above asks here, so a test
 //! that counts, delays, cuts or damages reads needs to know nothing else.
 
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "conversion writes; walking only reads"))]
+mod positioned;
+#[cfg(feature = "remote")]
+mod remote;
+pub mod testing;
+
+pub(crate) use positioned::*;
+#[cfg(feature = "remote")]
+pub use remote::{RemoteOptions, RemoteSource};
+
 use crate::{Error, Result};
 use std::fs::File;
 use std::io;
@@ -133,27 +143,4 @@ fn copy_from(bytes: &[u8], offset: u64, buf: &mut [u8]) -> io::Result<()> {
 
 fn read_error(path: &Path, offset: u64, len: usize, source: io::Error) -> Error {
     Error::io(path, format!("read {len} bytes at {offset}"), source)
-}
-
-/// Fills `buf` from byte `offset` of `file` without moving a shared cursor.
-#[cfg(unix)]
-pub(crate) fn read_exact_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<()> {
-    std::os::unix::fs::FileExt::read_exact_at(file, buf, offset)
-}
-
-/// Fills `buf` from byte `offset` of `file`.
-#[cfg(windows)]
-pub(crate) fn read_exact_at(file: &File, mut offset: u64, mut buf: &mut [u8]) -> io::Result<()> {
-    while !buf.is_empty() {
-        match std::os::windows::fs::FileExt::seek_read(file, buf, offset) {
-            Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
-            Ok(read) => {
-                buf = &mut buf[read..];
-                offset += read as u64;
-            }
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(())
 }
