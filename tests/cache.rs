@@ -8,8 +8,8 @@ mod tower;
 
 use counting::allocations;
 use slicewalk::archive::Archive;
-use slicewalk::query::{Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
 use slicewalk::bytes::{FileSource, MemorySource};
+use slicewalk::query::{Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
 use slicewalk::store::{PageSet, PageSlot, Prefetch, Step, Store, Stream, StreamOptions};
 use std::hint::black_box;
 use std::sync::LazyLock;

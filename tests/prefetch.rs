@@ -7,9 +7,9 @@ mod tower;
 
 use clock::ClockSource;
 
-use slicewalk::query::{Answer, Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
-use slicewalk::bytes::testing::{Fault, FaultySource, GatedSource, SlowSource};
 use slicewalk::bytes::MemorySource;
+use slicewalk::bytes::testing::{Fault, FaultySource, GatedSource, SlowSource};
+use slicewalk::query::{Answer, Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
 use slicewalk::store::{Counters, Prefetch, Step, Stream, StreamOptions};
 use slicewalk::walk::{Config, Walker, Wish};
 use std::sync::{Arc, LazyLock, mpsc};

@@ -4,8 +4,8 @@
 mod tower;
 
 use slicewalk::archive::{Archive, PageEntry};
-use slicewalk::query::{Overlap, overlaps};
 use slicewalk::bytes::{ByteSource, RemoteOptions, RemoteSource};
+use slicewalk::query::{Overlap, overlaps};
 use slicewalk::store::{Prefetch, Step, Stream, StreamOptions};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};

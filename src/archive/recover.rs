@@ -11,10 +11,10 @@ use super::metadata::Metadata;
 use super::page::{self, EncodedPage, PageDecoder};
 use super::reader::Archive;
 use super::writer::{ArchiveWriter, Totals};
+use crate::bytes::{ByteSource, FileSource};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 use crate::plan::Plan;
 use crate::slice::Page;
-use crate::bytes::{ByteSource, FileSource};
 use crate::{Error, Monitor, Result};
 use std::path::Path;
 

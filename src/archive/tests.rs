@@ -1,12 +1,12 @@
 //! The archive as a whole: what is put comes back, by key and in order, and the same pages make the same file.
 
 use super::*;
+use crate::bytes::{ByteSource, MemorySource};
 use crate::codec::pages;
 use crate::frame::{Frame, PageKey};
 use crate::monitor::NoMonitor;
 use crate::plan::{Classifier, Plan};
 use crate::slice::{Page, PageBuilder, Span};
-use crate::bytes::{ByteSource, MemorySource};
 use crate::{Error, Result};
 use proptest::prelude::*;
 use std::collections::BTreeMap;

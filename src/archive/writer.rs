@@ -9,10 +9,10 @@ use super::page::EncodedPage;
 use super::publish::{PartFile, remove_leftovers};
 use super::shard::Shard;
 use super::spill::Entries;
+use crate::bytes::{ByteSource, FileSource};
 use crate::codec::Packer;
 use crate::frame::PageKey;
 use crate::plan::Plan;
-use crate::bytes::{ByteSource, FileSource};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 

@@ -3,7 +3,8 @@
 use super::Object;
 use super::oriented::{LocalBox, Relative};
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
-use crate::query::{Aabb, Missing, Overlap, overlaps};
+use crate::query::{Aabb, Overlap, overlaps};
+use crate::store::Missing;
 use crate::store::{PageSet, PageSlot};
 use nalgebra::{Isometry3, Point3};
 

@@ -1,11 +1,12 @@
 //! The lowest underside of matter above a footprint.
 
+use super::answer::Answer;
 use super::blocks::{Place, for_each_bit, local, slices_between};
 use super::columns::{Tile, floor_of, for_each_column, layers};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Shape};
-use super::missing::{Answer, Missing, note};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
+use crate::store::{Missing, note};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 

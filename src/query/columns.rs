@@ -3,9 +3,9 @@
 use super::blocks::{self, Kinds, Place};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Rect};
-use super::missing::{Missing, note};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 use crate::slice::Page;
+use crate::store::{Missing, note};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 

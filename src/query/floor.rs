@@ -1,13 +1,14 @@
 //! The highest floor under a footprint.
 
+use super::answer::Answer;
 use super::blocks::{Place, for_each_bit, for_each_strip, local, slices_between};
 use super::columns::{Tile, floor_of, for_each_column, layers};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Shape};
-use super::missing::{Answer, Missing, note};
 use super::scan::{select, top_in_lanes};
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::slice::{BlockView, Page, Span};
+use crate::store::{Missing, note};
 use crate::store::{PageSet, PageSlot};
 use std::ops::ControlFlow;
 

@@ -28,6 +28,7 @@
 //! pixels.
 
 mod aabb;
+mod answer;
 mod blocks;
 mod ceiling;
 mod columns;
@@ -35,7 +36,6 @@ mod cylinder;
 mod disc;
 mod floor;
 mod grid;
-mod missing;
 mod probe;
 mod ray;
 mod scan;
@@ -47,11 +47,11 @@ mod sweep_solid;
 mod sweep_step;
 
 pub use aabb::Aabb;
+pub use answer::{Answer, Overlap};
 pub use ceiling::ceiling_above;
 pub use cylinder::Cylinder;
 pub use floor::floor_under;
 pub use grid::Shape;
-pub use missing::{Answer, MISSING_KEYS, Missing, Overlap};
 pub use probe::{Probe, probe, probe_batch};
 pub use ray::{Ray, RayHit, cast};
 pub use sphere::Sphere;

@@ -1,11 +1,11 @@
 //! Everything that a walker asks in one go.
 
+use super::answer::Answer;
 use super::blocks::{MATTER, OBSTACLE};
 use super::columns::{Touch, for_each_column};
 use super::floor::FloorSearch;
 use super::grid::Shape;
 use super::grid::sealed::OnPixels;
-use super::missing::Answer;
 use crate::store::PageSet;
 use std::ops::ControlFlow;
 

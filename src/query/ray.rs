@@ -5,14 +5,15 @@
 //! are computed from the cell's index instead of summed up, so errors do not grow with the number of steps. And cells
 //! are grown by a margin, so a ray along an edge or through a corner looks at the cells on both sides.
 
+use super::answer::Answer;
 use super::blocks::{local, local_heights, slices_between, touches_union};
 use super::columns::{floor_of, layers};
 use super::disc::SLACK;
 use super::grid::{Heights, Rect};
-use super::missing::{Answer, Missing, note};
 use crate::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS, floor_index};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, PageSet, PageSlot};
+use crate::store::{Missing, note};
 use crate::{Error, Result};
 use nalgebra::{Point3, Vector3};
 use std::ops::ControlFlow;

@@ -4,11 +4,13 @@
 //! against every span that the motion can reach: tile columns in the order of travel, pages, blocks and spans pruned by
 //! the same intervals. Nothing is sampled, so no speed is too high.
 
-use super::missing::{Answer, Missing, note};
+use super::answer::Answer;
+
 use super::sweep_descent::{Cell, Visit, descend};
 use super::sweep_solid::{Contact, Moving, Solid};
 use crate::frame::{Frame, PageKey, floor_index};
 use crate::store::PageSet;
+use crate::store::{Missing, note};
 use nalgebra::Vector3;
 
 /// The first matter that a moving shape meets.

@@ -1,12 +1,13 @@
 //! How far matter is from a shape, and the shortest way out of it.
 
+use super::answer::Answer;
 use super::disc::SLACK;
 use super::grid::Rect;
-use super::missing::{Answer, Missing, note};
 use super::sweep_descent::{Area, Cell, Visit, descend};
 use super::sweep_solid::{Form, Moving, Resting, Solid, norm};
 use crate::frame::{Frame, PageKey, floor_index};
 use crate::store::PageSet;
+use crate::store::{Missing, note};
 use nalgebra::Vector3;
 
 /// Distance from `shape` to the nearest matter, if that is at most `max` (m, >= 0); 0 if the shape touches matter,

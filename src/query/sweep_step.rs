@@ -1,10 +1,12 @@
 //! Tops under a footprint: how high a step is, and the floor as the thesis takes it.
 
-use super::missing::{Answer, Missing, note};
+use super::answer::Answer;
+
 use super::sweep_descent::{Area, Cell, Visit, descend};
 use super::sweep_solid::{Moving, Solid};
 use crate::frame::PageKey;
 use crate::store::PageSet;
+use crate::store::{Missing, note};
 use nalgebra::Vector3;
 
 /// World height (m) of the highest top of matter of either kind under `shape`, looked for from height `from` (m) down

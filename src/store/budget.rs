@@ -37,7 +37,7 @@ impl Store {
         self.load_keys(wanted, around)
     }
 
-    /// As [`load`](Self::load) for the pages that a query missed (see [`Missing`](crate::query::Missing)).
+    /// As [`load`](Self::load) for the pages that a query missed (see [`Missing`](crate::store::Missing)).
     pub fn load_missing(&mut self, missing: &[PageKey], around: PageKey) -> Result<LoadReport> {
         let mut wanted = missing.to_vec();
         wanted.sort_unstable_by_key(|key| (distance(*key, around), *key));

@@ -7,7 +7,7 @@ use super::snapshot::View;
 use super::tally::Counters;
 use crate::archive::{Archive, PageDecoder};
 use crate::frame::PageKey;
-use crate::query::Missing;
+use crate::store::Missing;
 use crate::{Error, Result};
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};

@@ -12,7 +12,7 @@
 
 use super::follow::REACH_M;
 use super::{BLOCKED_BELOW, Body, Ground, State, Walker, Wish};
-use crate::query::Missing;
+use crate::store::Missing;
 use crate::store::PageSet;
 use crate::{Error, Result};
 use nalgebra::{Point2, Point3, Vector2};

@@ -23,7 +23,8 @@ pub use crowd::{Crowd, CrowdReport};
 pub use follow::Route;
 
 use crate::frame::Frame;
-use crate::query::{Answer, Missing};
+use crate::query::Answer;
+use crate::store::Missing;
 use crate::store::{Motion as Outlook, PageSet};
 use crate::{Error, Result};
 use nalgebra::{Point2, Point3, Vector2, Vector3};

@@ -6,10 +6,10 @@ pub mod content;
 pub mod forge;
 
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Shard, Totals};
+use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::plan::{Classifier, Plan};
 use slicewalk::slice::{Page, PageBuilder, Span};
-use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::{Error, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write;

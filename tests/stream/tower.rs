@@ -4,11 +4,11 @@
 use nalgebra::{Point3, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
+use slicewalk::bytes::ByteSource;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::plan::{Classifier, Plan};
 use slicewalk::query::Aabb;
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::bytes::ByteSource;
 use slicewalk::store::{Motion, Store};
 use std::collections::BTreeMap;
 

@@ -2,7 +2,8 @@
 
 use crate::{Failure, Outcome};
 use slicewalk::frame::PageKey;
-use slicewalk::query::{Aabb, Answer, Missing, Ray, cast, probe};
+use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
+use slicewalk::store::Missing;
 use slicewalk::store::Store;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Answers that can also say which pages are missing.
+//! The pages that an answer needed and that are not in memory.
 
 use crate::frame::PageKey;
 
@@ -15,13 +15,13 @@ pub struct Missing {
 impl Missing {
     /// One missing page.
     #[cold]
-    pub(super) fn one(key: PageKey) -> Self {
+    pub(crate) fn one(key: PageKey) -> Self {
         Self { keys: [key; MISSING_KEYS], count: 1 }
     }
 
     /// Counts `key`, unless it is among the keys named already.
     #[cold]
-    pub(super) fn push(&mut self, key: PageKey) {
+    pub(crate) fn push(&mut self, key: PageKey) {
         if self.keys().contains(&key) {
             return;
         }
@@ -51,43 +51,9 @@ impl std::fmt::Debug for Missing {
 
 /// Adds `key` to pages missing so far.
 #[cold]
-pub(super) fn note(missing: &mut Option<Missing>, key: PageKey) {
+pub(crate) fn note(missing: &mut Option<Missing>, key: PageKey) {
     match missing {
         Some(missing) => missing.push(key),
         None => *missing = Some(Missing::one(key)),
-    }
-}
-
-/// Whether a shape touches matter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Overlap {
-    /// It touches none.
-    Clear,
-    /// It touches matter, or may within the bounds that the [module text](crate::query) states.
-    Hit,
-    /// It touches none in the pages in memory, but these pages could hold some.
-    NotLoaded(Missing),
-}
-
-/// An answer, or the pages without which it is not known.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Answer<T> {
-    /// The answer.
-    Known(T),
-    /// These pages are not in memory and could change the answer.
-    NotLoaded(Missing),
-}
-
-impl<T> Answer<T> {
-    pub(super) fn new(value: T, missing: Option<Missing>) -> Self {
-        missing.map_or(Self::Known(value), Self::NotLoaded)
-    }
-
-    /// The answer, if it is known.
-    pub fn known(self) -> Option<T> {
-        match self {
-            Self::Known(value) => Some(value),
-            Self::NotLoaded(_) => None,
-        }
     }
 }
