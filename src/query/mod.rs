@@ -41,10 +41,6 @@ mod ray;
 mod scan;
 mod sphere;
 mod sweep;
-mod sweep_descent;
-mod sweep_near;
-mod sweep_solid;
-mod sweep_step;
 
 pub use aabb::Aabb;
 pub use answer::{Answer, Overlap};
@@ -55,10 +51,10 @@ pub use grid::Shape;
 pub use probe::{Probe, probe, probe_batch};
 pub use ray::{Ray, RayHit, cast};
 pub use sphere::Sphere;
-pub use sweep::{SweepHit, sweep, sweep_batch};
-pub use sweep_near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
-pub use sweep_solid::Solid;
-pub use sweep_step::{mean_floor_under, top_under};
+pub use sweep::{
+    Solid, SweepHit, clearance, clearance_batch, depenetrate, depenetrate_batch, mean_floor_under, sweep, sweep_batch,
+    top_under,
+};
 
 use crate::store::PageSet;
 use blocks::MATTER;

@@ -1,10 +1,10 @@
 //! The way down to the spans that a moving or growing shape may meet: tile columns, pages, blocks, spans. What is worth
 //! a look is decided by a visitor that is asked about boxes, from large to small.
 
-use super::blocks::{for_each_bit, local, slices_between, slices_of};
-use super::columns::{floor_of, layers};
-use super::grid::{Heights, Rect};
 use crate::frame::{PageKey, SLICE_QUANTA, TILE_PIXELS};
+use crate::query::blocks::{for_each_bit, local, slices_between, slices_of};
+use crate::query::columns::{floor_of, layers};
+use crate::query::grid::{Heights, Rect};
 use crate::slice::{Page, Span};
 use crate::store::{PageSet, PageSlot};
 

@@ -4,14 +4,23 @@
 //! against every span that the motion can reach: tile columns in the order of travel, pages, blocks and spans pruned by
 //! the same intervals. Nothing is sampled, so no speed is too high.
 
+mod descent;
+mod near;
+mod solid;
+mod step;
+
+pub use near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
+pub use solid::Solid;
+pub use step::{mean_floor_under, top_under};
+
 use super::answer::Answer;
 
-use super::sweep_descent::{Cell, Visit, descend};
-use super::sweep_solid::{Contact, Moving, Solid};
 use crate::frame::{Frame, PageKey, floor_index};
 use crate::store::PageSet;
 use crate::store::{Missing, note};
+use descent::{Cell, Visit, descend};
 use nalgebra::Vector3;
+use solid::{Contact, Moving, Solid};
 
 /// The first matter that a moving shape meets.
 #[derive(Debug, Clone, Copy, PartialEq)]

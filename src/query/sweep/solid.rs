@@ -6,17 +6,17 @@
 //! For each axis the times at which the shape's bounding box enters and leaves a box are monotone functions of the
 //! box's faces. So the same function that judges spans prunes blocks and pages, exactly.
 
-use super::disc::SLACK;
-use super::grid::Rect;
-use super::sweep_descent::{Area, Cell};
-use super::{Aabb, Cylinder, Sphere};
+use super::descent::{Area, Cell};
 use crate::frame::{Frame, floor_index};
+use crate::query::disc::SLACK;
+use crate::query::grid::Rect;
+use crate::query::{Aabb, Cylinder, Sphere};
 use nalgebra::{Point3, Vector3};
 
 /// A shape that can be swept: [`Aabb`], [`Cylinder`], [`Sphere`].
-pub trait Solid: super::Shape + sealed::OnSolid {}
+pub trait Solid: crate::query::Shape + sealed::OnSolid {}
 
-impl<T: super::Shape + sealed::OnSolid> Solid for T {}
+impl<T: crate::query::Shape + sealed::OnSolid> Solid for T {}
 
 pub(super) mod sealed {
     use super::Resting;

@@ -1,9 +1,9 @@
 //! Tops under a footprint: how high a step is, and the floor as the thesis takes it.
 
-use super::answer::Answer;
+use crate::query::answer::Answer;
 
-use super::sweep_descent::{Area, Cell, Visit, descend};
-use super::sweep_solid::{Moving, Solid};
+use super::descent::{Area, Cell, Visit, descend};
+use super::solid::{Moving, Solid};
 use crate::frame::PageKey;
 use crate::store::PageSet;
 use crate::store::{Missing, note};
@@ -12,9 +12,9 @@ use nalgebra::Vector3;
 /// World height (m) of the highest top of matter of either kind under `shape`, looked for from height `from` (m) down
 /// to `from - depth` (m, >= 0, finite); `None` if there is none. Matter that goes on above `from` has no top there.
 ///
-/// As for [`sweep`](super::sweep()), pixels count whose interior the shape's footprint meets; its own heights do not
+/// As for [`sweep`](crate::query::sweep()), pixels count whose interior the shape's footprint meets; its own heights do not
 /// matter. Matter that ends with its page and goes on in the next counts as if it ended there. Cost: as
-/// [`floor_under`](super::floor_under). A NaN finds nothing.
+/// [`floor_under`](crate::query::floor_under). A NaN finds nothing.
 pub fn top_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Answer<Option<f64>> {
     let Some((area, moving)) = window(set, shape, from, depth) else { return Answer::Known(None) };
     let mut search = Highest { moving, limit: area.high, best: area.low - 1, found: false, missing: None };

@@ -1,11 +1,11 @@
 //! How far matter is from a shape, and the shortest way out of it.
 
-use super::answer::Answer;
-use super::disc::SLACK;
-use super::grid::Rect;
-use super::sweep_descent::{Area, Cell, Visit, descend};
-use super::sweep_solid::{Form, Moving, Resting, Solid, norm};
+use super::descent::{Area, Cell, Visit, descend};
+use super::solid::{Form, Moving, Resting, Solid, norm};
 use crate::frame::{Frame, PageKey, floor_index};
+use crate::query::answer::Answer;
+use crate::query::disc::SLACK;
+use crate::query::grid::Rect;
 use crate::store::PageSet;
 use crate::store::{Missing, note};
 use nalgebra::Vector3;
@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 /// `None` if there is none so near. Not loaded if a page that is not in memory could hold nearer matter.
 ///
 /// Exact but for rounding errors (2⁻⁴⁸ of the coordinates). A NaN finds nothing. Cost: as
-/// [`overlaps`](super::overlaps) of the shape grown by the distance found; name no larger `max` than needed.
+/// [`overlaps`](crate::query::overlaps) of the shape grown by the distance found; name no larger `max` than needed.
 pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<f64>> {
     if max.is_nan() || max < 0.0 {
         return Answer::Known(None);
