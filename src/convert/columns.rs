@@ -3,11 +3,11 @@
 use crate::archive::{ArchiveWriter, EncodedPage, PageEncoder};
 use crate::frame::PageKey;
 use crate::plan::Plan;
-use crate::slice::columns::ColumnPages;
-use crate::slice::obstacle::Judge;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
+use crate::voxel::judge::Judge;
 use crate::voxel::record::{ColumnKey, PATCH_AREA, Record};
 use crate::voxel::runs::{Job, Merge, RunStore};
+use crate::voxel::spans::ColumnPages;
 use crate::{Error, Monitor, Result};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::collections::BTreeMap;

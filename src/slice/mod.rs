@@ -7,10 +7,6 @@
 //! A span is a maximal vertical run of matter in one pixel. Inside it no height is stored, so a wall costs one span
 //! however many slices it crosses, and slices inside a wall are equal by construction.
 
-#[cfg(feature = "convert")]
-pub(crate) mod columns;
-#[cfg(feature = "convert")]
-pub(crate) mod obstacle;
 mod page;
 mod span;
 

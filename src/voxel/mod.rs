@@ -6,6 +6,8 @@
 //! column. Out: voxels with exact integer bottom, top, count and moments, in archive order.
 
 pub(crate) mod fold;
+pub(crate) mod judge;
 pub(crate) mod record;
 pub(crate) mod runs;
+pub(crate) mod spans;
 pub(crate) mod surfaces;

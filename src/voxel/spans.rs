@@ -1,9 +1,9 @@
 //! From voxels with verdicts to the pages of a tile column.
 
-use super::{Page, PageBuilder, Span};
+use super::fold::{Area, Patch};
+use super::record::{BLOCK_SLICES, PATCH_PIXELS};
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA};
-use crate::voxel::fold::{Area, Patch};
-use crate::voxel::record::{BLOCK_SLICES, PATCH_PIXELS};
+use crate::slice::{Page, PageBuilder, Span};
 
 /// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta): a
 /// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2

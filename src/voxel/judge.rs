@@ -19,10 +19,10 @@
 //! Surfaces of meshes have a true slope, whatever the classifier: a voxel with a surface steeper than the limit is an
 //! obstacle, one with other surfaces and no points is floor. Towards points, surfaces count as matter in the runs.
 
+use super::fold::{Area, BINS, Moments, Patch, Sums, Voxel, neighbourhood};
+use super::record::{PATCH_PIXELS, SLICE_STEPS, SUBPIXELS};
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::plan::{Classifier, Plan};
-use crate::voxel::fold::{Area, BINS, Moments, Patch, Sums, Voxel, neighbourhood};
-use crate::voxel::record::{PATCH_PIXELS, SLICE_STEPS, SUBPIXELS};
 use nalgebra::{Matrix2, Vector2};
 
 /// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
