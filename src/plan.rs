@@ -2,6 +2,10 @@
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::{Error, Result};
+use xxhash_rust::xxh3::xxh3_128;
+
+/// Length of [`Plan::to_bytes`].
+pub(crate) const PLAN_BYTES: usize = 72;
 
 /// How floors and obstacles are told apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -105,6 +109,29 @@ impl Plan {
             return Err(Error::parameter("--min-points", "0 is too few; 1 keeps every point"));
         }
         Ok(())
+    }
+
+    /// The canonical bytes that identify the plan, which are also its bytes in an archive's head (spec, chapter 3).
+    pub(crate) fn to_bytes(&self) -> [u8; PLAN_BYTES] {
+        let mut bytes = [0; PLAN_BYTES];
+        // Adding zero turns -0 into 0: equal plans have equal bytes.
+        let sizes = [self.frame.pixel_m(), self.frame.slice_m(), self.max_slope_deg + 0.0, self.tolerance_m + 0.0];
+        for (slot, value) in bytes[..32].chunks_exact_mut(8).zip(sizes) {
+            slot.copy_from_slice(&value.to_le_bytes());
+        }
+        bytes[32] = Classifier::ALL.iter().position(|&c| c == self.classifier).map_or(u8::MAX, |code| code as u8);
+        bytes[33] = (self.up == Up::Y) as u8;
+        bytes[34] = self.drop_isolated as u8;
+        bytes[36..40].copy_from_slice(&self.min_points.to_le_bytes());
+        for (slot, value) in bytes[40..].chunks_exact_mut(8).zip(self.exclude_classes) {
+            slot.copy_from_slice(&value.to_le_bytes());
+        }
+        bytes
+    }
+
+    /// Identity of the plan: XXH3-128 of its canonical bytes. Archives of one plan can be compared and merged.
+    pub fn hash(&self) -> u128 {
+        xxh3_128(&self.to_bytes())
     }
 
     /// Whether points of LAS class `class` are left out.

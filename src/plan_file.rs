@@ -1,6 +1,5 @@
 //! Plan files: a job as JSON, so that every machine that converts a part of a scan works to the same plan.
 
-use crate::archive::plan_hash;
 use crate::frame::Frame;
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
@@ -30,7 +29,7 @@ pub fn to_json(job: &Job) -> Value {
         "drop_isolated": plan.drop_isolated,
         "up": plan.up.name(),
         "excluded_classes": (0..=255u8).filter(|&class| plan.excludes(class)).collect::<Vec<_>>(),
-        "plan_hash": format!("{:032x}", plan_hash(plan)),
+        "plan_hash": format!("{:032x}", plan.hash()),
         "units": match job.units {
             Units::Auto => json!("auto"),
             Units::Factor(factor) => json!(factor),
@@ -148,8 +147,8 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
     };
     plan.check().map_err(|error| Wrong::new("plan", format!("options within their limits, but {error}")))?;
     let stated = field(value, "plan_hash", "32 hexadecimal digits", hex)?;
-    if stated != plan_hash(&plan) {
-        let expected = format!("{:032x} for these options: the file was changed by hand", plan_hash(&plan));
+    if stated != plan.hash() {
+        let expected = format!("{:032x} for these options: the file was changed by hand", plan.hash());
         return Err(Wrong::new("plan_hash", expected));
     }
     let units = |v: &Value| match v.as_f64() {

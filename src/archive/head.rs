@@ -158,29 +158,6 @@ pub(super) struct Leaf {
     pub crc: u32,
 }
 
-/// The 72 bytes that the hash of a plan covers, which are also its bytes in the head.
-fn plan_bytes(plan: &Plan) -> [u8; PLAN.end - PLAN.start] {
-    let mut bytes = [0; PLAN.end - PLAN.start];
-    // Adding zero turns -0 into 0: equal plans have equal bytes.
-    let sizes = [plan.frame.pixel_m(), plan.frame.slice_m(), plan.max_slope_deg + 0.0, plan.tolerance_m + 0.0];
-    for (slot, value) in bytes[..32].chunks_exact_mut(8).zip(sizes) {
-        slot.copy_from_slice(&value.to_le_bytes());
-    }
-    bytes[32] = Classifier::ALL.iter().position(|&c| c == plan.classifier).map_or(u8::MAX, |code| code as u8);
-    bytes[33] = (plan.up == Up::Y) as u8;
-    bytes[34] = plan.drop_isolated as u8;
-    bytes[36..40].copy_from_slice(&plan.min_points.to_le_bytes());
-    for (slot, value) in bytes[40..].chunks_exact_mut(8).zip(plan.exclude_classes) {
-        slot.copy_from_slice(&value.to_le_bytes());
-    }
-    bytes
-}
-
-/// Identity of a plan: XXH3-128 of its canonical bytes.
-pub fn plan_hash(plan: &Plan) -> u128 {
-    xxh3_128(&plan_bytes(plan))
-}
-
 /// Length of a head for `leaves` leaves without padding (bytes).
 pub(super) fn exact_len(leaves: usize) -> usize {
     FIXED + leaves * ROOT_RECORD + CRC
@@ -199,7 +176,7 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
     word(&mut out, header.file_len);
     out.extend(header.plan_hash.to_le_bytes());
     debug_assert_eq!(out.len(), PLAN.start);
-    out.extend(plan_bytes(&header.plan));
+    out.extend(header.plan.to_bytes());
     for points in [header.points_read, header.points_kept, header.points_withheld, header.points_excluded] {
         word(&mut out, points);
     }
@@ -388,7 +365,7 @@ fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
     let [_, _, max_slope_deg, tolerance_m] = sizes;
     let plan = Plan { frame, max_slope_deg, tolerance_m, classifier, min_points, drop_isolated, up, exclude_classes };
     plan.check().map_err(wrong)?;
-    if reserved != 0 || plan_bytes(&plan) != *bytes {
+    if reserved != 0 || plan.to_bytes() != *bytes {
         return Err(Violation::new("H7", "the canonical bytes of the plan", hex(bytes)));
     }
     let hash = xxh3_128(bytes);

@@ -35,7 +35,7 @@ mod recover;
 
 pub use directory::{Extent, PageEntry, Place};
 pub use extract::extract;
-pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels, plan_hash};
+pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub use merge::{Merged, merge};
 pub use page::{EncodedPage, PageDecoder, PageEncoder};
 pub use reader::Archive;

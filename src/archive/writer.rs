@@ -90,7 +90,7 @@ impl ArchiveWriter {
             features_optional: 0,
             file_len: 0,
             plan: plan.clone(),
-            plan_hash: head::plan_hash(plan),
+            plan_hash: plan.hash(),
             points_read: 0,
             points_kept: 0,
             points_withheld: 0,

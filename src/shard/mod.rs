@@ -15,7 +15,7 @@ mod split;
 
 pub(crate) use self::part::Part;
 use self::split::split;
-use crate::archive::{MAX_SHARDS, Shard, plan_hash};
+use crate::archive::{MAX_SHARDS, Shard};
 use crate::bytes::{ByteSource, FileSource};
 use crate::convert::{ConvertOptions, PixelSize};
 use crate::input::{InputSet, ScanFile, StatedBounds, Units};
@@ -114,7 +114,7 @@ impl Job {
 
     /// Identity of the job: of everything that decides what its parts hold.
     pub fn hash(&self) -> u128 {
-        let mut bytes = plan_hash(&self.plan).to_le_bytes().to_vec();
+        let mut bytes = self.plan.hash().to_le_bytes().to_vec();
         let unit = match self.units {
             Units::Auto => 0.0,
             Units::Factor(factor) => factor,
