@@ -28,12 +28,6 @@ pub mod stats;
 #[cfg(feature = "convert")]
 pub mod convert;
 
-#[cfg(feature = "convert")]
-pub mod shard;
-
-#[cfg(feature = "cli")]
-pub mod plan_file;
-
 #[cfg(feature = "cli")]
 pub mod info;
 

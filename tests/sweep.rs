@@ -10,7 +10,7 @@ mod scene;
 use nalgebra::{Point3, Vector3};
 use scene::{Random, Scene};
 use slicewalk::query::*;
-use slicewalk::store::PageSet;
+use slicewalk::store::{Missing, PageSet};
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).
 const SLACK: f64 = 1e-7;

@@ -3,12 +3,12 @@
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+use slicewalk::convert::plan_file;
 use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
+use slicewalk::convert::{Job, ShardOptions};
 use slicewalk::input::Units;
 use slicewalk::mesh::MeshMode;
 use slicewalk::plan::{Classifier, Up};
-use slicewalk::plan_file;
-use slicewalk::shard::{Job, ShardOptions};
 use slicewalk::size::parse_size;
 use slicewalk::{Error, Monitor};
 use std::io::Write;

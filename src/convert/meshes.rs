@@ -3,10 +3,10 @@
 use super::points::{Own, Read, out_of_reach};
 use super::work::on_threads;
 use super::{ConvertOptions, build_bytes};
+use crate::convert::Part;
 use crate::input::UnitCounts;
 use crate::mesh::{MeshCounts, MeshSet};
 use crate::plan::Plan;
-use crate::shard::Part;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::voxel::surfaces::SurfaceBuilder;

@@ -1,10 +1,10 @@
 //! First pass over scans: points into runs.
 
 use super::work::on_threads;
+use crate::convert::Part;
 use crate::frame::Frame;
 use crate::input::{Decoder, InputSet, ScanFile, UnitCounts};
 use crate::plan::Plan;
-use crate::shard::Part;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::{Error, Monitor, Result};

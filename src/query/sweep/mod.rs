@@ -20,7 +20,7 @@ use crate::store::PageSet;
 use crate::store::{Missing, note};
 use descent::{Cell, Visit, descend};
 use nalgebra::Vector3;
-use solid::{Contact, Moving, Solid};
+use solid::{Contact, Moving};
 
 /// The first matter that a moving shape meets.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,7 +4,7 @@ use crate::Outcome;
 use serde_json::json;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Pages, Recovered, recover};
-use slicewalk::plan_file;
+use slicewalk::convert::plan_file;
 use std::fmt::Write;
 use std::path::PathBuf;
 

@@ -326,7 +326,7 @@ fn parts(folder: &Path) -> Vec<String> {
     let part = |index: u32| {
         let name = format!("{index}.slices");
         options.output = folder.join(&name);
-        options.shard = Some(slicewalk::shard::ShardOptions { index, count: 3, job: None });
+        options.shard = Some(slicewalk::convert::ShardOptions { index, count: 3, job: None });
         convert(&options, &NoMonitor).unwrap();
         name
     };
@@ -383,8 +383,8 @@ fn recover_writes_what_is_left_and_says_what_is_not() {
     assert!(refuses(at, &["recover", "tail.slices", "-o", "t.slices"]).contains("--plan"));
     let mut options = ConvertOptions::new(vec![at.join("scan.las")], at.join("unused"));
     options.pixel = PixelSize::Metres(0.02);
-    let job = slicewalk::shard::Job::new(&options, &NoMonitor).unwrap();
-    slicewalk::plan_file::write(&job, &at.join("plan.json"), false).unwrap();
+    let job = slicewalk::convert::Job::new(&options, &NoMonitor).unwrap();
+    slicewalk::convert::plan_file::write(&job, &at.join("plan.json"), false).unwrap();
     let recover = ["recover", "tail.slices", "-o", "t.slices", "--plan", "plan.json"];
     assert!(done(at, &recover).contains("pages lost: unknown"));
     assert!(json(&done(at, &["diff", "whole.slices", "t.slices", "--json"]))["identical"] == true);

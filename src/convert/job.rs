@@ -10,69 +10,16 @@
 //! file whole, fails if a point lies outside of them: no point is lost unnoticed. Meshes are read by every part; their
 //! triangles count in the first, and their bounds in all.
 
-mod part;
-mod split;
-
-pub(crate) use self::part::Part;
-use self::split::split;
+use super::facts::InputFacts;
+use super::options::{ConvertOptions, PixelSize};
+use super::split::split;
 use crate::archive::{MAX_SHARDS, Shard};
-use crate::bytes::{ByteSource, FileSource};
-use crate::convert::{ConvertOptions, PixelSize};
-use crate::input::{InputSet, ScanFile, StatedBounds, Units};
+use crate::input::{InputSet, Units};
 use crate::mesh::MeshMode;
 use crate::plan::Plan;
 use crate::{Error, Monitor, Result};
 use std::collections::HashMap;
-use std::path::Path;
 use xxhash_rust::xxh3::xxh3_128;
-
-/// Bytes at either end of a file by which it is known again, beside its length.
-const FINGERPRINT_BYTES: u64 = 4096;
-
-/// An input file as a plan remembers it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct InputFacts {
-    /// Its name without folders, for the reader of the plan only.
-    pub name: String,
-    /// Its length (bytes).
-    pub bytes: u64,
-    /// Points that its header states.
-    pub points: u64,
-    /// XXH3-128 of its length, its first and its last 4096 bytes: tells whether another machine has the same file.
-    pub fingerprint: u128,
-    /// Bounds that its header states (m); parts that these do not meet leave the file out. `None`: all parts read it.
-    pub bounds: Option<StatedBounds>,
-}
-
-impl InputFacts {
-    fn of(file: &ScanFile) -> Result<Self> {
-        let name = file.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let bounds = file.bounds_with_slack();
-        let (bytes, points) = (file.bytes(), file.points_stated());
-        Ok(Self { name, bytes, points, fingerprint: fingerprint(file.path())?, bounds })
-    }
-}
-
-impl InputFacts {
-    /// Meshes have no headers that tell bounds: every part reads them.
-    fn of_mesh(path: &Path) -> Result<Self> {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let bytes = FileSource::open(path)?.len();
-        Ok(Self { name, bytes, points: 0, fingerprint: fingerprint(path)?, bounds: None })
-    }
-}
-
-fn fingerprint(path: &Path) -> Result<u128> {
-    let source = FileSource::open(path)?;
-    let (len, ends) = (source.len(), source.len().min(FINGERPRINT_BYTES));
-    let mut bytes = len.to_le_bytes().to_vec();
-    for at in [0, len - ends] {
-        let start = bytes.len();
-        bytes.resize(start + ends as usize, 0);
-        source.read_at(at, &mut bytes[start..])?;
-    }
-    Ok(xxh3_128(&bytes))
-}
 
 /// A conversion fixed before any point is converted; `sliceconv --write-plan` writes one.
 #[derive(Debug, Clone, PartialEq)]
@@ -92,13 +39,13 @@ pub struct Job {
 impl Job {
     /// The job that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
-        let inputs = crate::convert::open_inputs(options, monitor)?;
-        let (plan, spacing) = crate::convert::plan(options, &inputs, monitor)?;
+        let inputs = super::open_inputs(options, monitor)?;
+        let (plan, spacing) = super::plan(options, &inputs, monitor)?;
         let job = Self::of(&inputs.scans, plan, options)?;
         Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..job })
     }
 
-    fn of(set: &InputSet, plan: Plan, options: &ConvertOptions) -> Result<Self> {
+    pub(super) fn of(set: &InputSet, plan: Plan, options: &ConvertOptions) -> Result<Self> {
         let scans = set.files().iter().map(InputFacts::of);
         let inputs = scans.chain(set.meshes().iter().map(|path| InputFacts::of_mesh(path)));
         let inputs = inputs.collect::<Result<Vec<_>>>()?;
@@ -165,7 +112,7 @@ impl Job {
     }
 
     /// Refuses inputs that are not those of the job.
-    fn check_same_inputs(&self, here: &Self) -> Result<()> {
+    pub(super) fn check_same_inputs(&self, here: &Self) -> Result<()> {
         let missing = |from: &Self, of: &Self| {
             let mut rest: HashMap<u128, usize> = HashMap::new();
             from.inputs.iter().for_each(|input| *rest.entry(input.fingerprint).or_default() += 1);
@@ -196,22 +143,12 @@ impl Job {
     }
 }
 
-/// What to convert of a scan, if not all.
-#[derive(Debug, Clone)]
-pub struct ShardOptions {
-    /// Number of the part [1..=count].
-    pub index: u32,
-    /// Number of all parts [1..=65536].
-    pub count: u32,
-    /// The job as a plan fixed it; made anew from the inputs if `None`, the same in every part.
-    pub job: Option<Job>,
-}
-
 #[cfg(test)]
 mod tests {
-    use super::split::{Cell, tiles};
+    use super::super::split::{Cell, tiles};
     use super::*;
     use crate::frame::{Frame, morton};
+    use crate::input::StatedBounds;
     use crate::voxel::record::HALO_PIXELS;
     use proptest::prelude::*;
 

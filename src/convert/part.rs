@@ -1,9 +1,10 @@
 //! One part of a conversion: which files it reads, and which points count in it.
 
+use super::facts::{InputFacts, fingerprint};
+use super::job::Job;
+use super::options::{ConvertOptions, ShardOptions};
 use super::split::{Cell, tiles};
-use super::{InputFacts, Job, ShardOptions, fingerprint};
 use crate::archive::Shard;
-use crate::convert::ConvertOptions;
 use crate::frame::{Frame, TILE_PIXELS, morton};
 use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds};
 use crate::plan::Plan;

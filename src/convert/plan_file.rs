@@ -1,10 +1,10 @@
 //! Plan files: a job as JSON, so that every machine that converts a part of a scan works to the same plan.
 
+use crate::convert::{InputFacts, Job};
 use crate::frame::Frame;
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
 use crate::plan::{Classifier, Plan, Up};
-use crate::shard::{InputFacts, Job};
 use crate::{Error, Result};
 use serde_json::{Value, json};
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! Cutting the grid into ranges of columns of about equal weight, and which areas such a range meets.
 
-use super::InputFacts;
+use super::facts::InputFacts;
 use crate::frame::{Frame, TILE_PIXELS};
 use crate::input::StatedBounds;
 
