@@ -11,7 +11,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tower::{Body, resident, tower};
 
 /// What the server does to requests.
@@ -31,7 +31,20 @@ enum Manner {
     Fails,
     /// Gives other bytes than those asked for.
     OtherRange,
+    /// Answers with this status line and these header lines, and with a body that tries to control a terminal.
+    Refuses(&'static str, &'static str),
+    /// Refuses once, and is good again.
+    RefusesOnce(&'static str, &'static str),
+    /// Refuses with a body of 64 MiB.
+    RefusesAtLength,
+    /// Stops in the middle of the first body, and has no such version any more.
+    ShortThenReplaced,
+    /// Sends the body in chunks, without a length.
+    Chunked,
 }
+
+/// A body that a terminal must never see as it is.
+const RUDE: &str = "<Error>\n\t<Code>\u{1b}[31mNo\u{7}</Code>\r\n</Error>";
 
 struct State {
     bytes: Vec<u8>,
@@ -39,6 +52,17 @@ struct State {
     manner: Manner,
     /// Header lines of all requests.
     requests: Vec<Vec<String>>,
+    /// When each request came.
+    times: Vec<Instant>,
+    /// Bytes written as bodies of refusals.
+    refused: usize,
+}
+
+impl State {
+    fn new(bytes: Vec<u8>, tag: Option<&str>) -> Self {
+        let tag = tag.map(str::to_string);
+        Self { bytes, tag, manner: Manner::Good, requests: Vec::new(), times: Vec::new(), refused: 0 }
+    }
 }
 
 struct Server {
@@ -51,8 +75,7 @@ impl Server {
     fn new(bytes: Vec<u8>, tag: Option<&str>) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}/scans/tower.slices", listener.local_addr().unwrap());
-        let tag = tag.map(str::to_string);
-        let state = Arc::new(Mutex::new(State { bytes, tag, manner: Manner::Good, requests: Vec::new() }));
+        let state = Arc::new(Mutex::new(State::new(bytes, tag)));
         let stop = Arc::new(AtomicBool::new(false));
         let (shared, stopped) = (state.clone(), stop.clone());
         std::thread::spawn(move || {
@@ -75,13 +98,26 @@ impl Server {
     }
 
     fn source(&self) -> slicewalk::Result<RemoteSource> {
-        let options = RemoteOptions { timeout: Duration::from_secs(5), retries: 1, ..RemoteOptions::default() };
-        RemoteSource::with(&self.url, &options)
+        RemoteSource::with(&self.url, &options())
+    }
+
+    /// The first line of the last request.
+    fn asked(&self) -> String {
+        self.state.lock().unwrap().requests.last().unwrap()[0].clone()
+    }
+
+    /// Whether the last request had this header line.
+    fn was_told(&self, line: &str) -> bool {
+        self.state.lock().unwrap().requests.last().unwrap().iter().any(|said| said.eq_ignore_ascii_case(line))
     }
 
     fn archive(&self) -> Archive {
         Archive::from_source(Box::new(self.source().unwrap())).unwrap()
     }
+}
+
+fn options() -> RemoteOptions {
+    RemoteOptions { timeout: Duration::from_secs(5), retries: 1, ..RemoteOptions::default() }
 }
 
 impl Drop for Server {
@@ -101,9 +137,12 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     let field = |name: &str| head.iter().find_map(|line| line.to_lowercase().strip_prefix(name).map(str::to_string));
     let mut state = state.lock().unwrap();
     state.requests.push(head.clone());
+    state.times.push(Instant::now());
     let manner = state.manner;
-    if manner == Manner::ShortOnce {
-        state.manner = Manner::Good;
+    match manner {
+        Manner::ShortOnce | Manner::RefusesOnce(..) => state.manner = Manner::Good,
+        Manner::ShortThenReplaced => state.manner = Manner::Refuses("412 Precondition Failed", ""),
+        _ => {}
     }
     let len = state.bytes.len();
     let range = field("range: bytes=").unwrap_or_default();
@@ -126,6 +165,21 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     if let Some(status) = status {
         return write!(client, "HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
     }
+    if let Manner::Refuses(status, headers) | Manner::RefusesOnce(status, headers) = manner {
+        let length = RUDE.len();
+        return write!(
+            client,
+            "HTTP/1.1 {status}\r\n{headers}Content-Length: {length}\r\nConnection: close\r\n\r\n{RUDE}"
+        );
+    }
+    if manner == Manner::RefusesAtLength {
+        write!(client, "HTTP/1.1 403 Forbidden\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", 64 << 20)?;
+        for _ in 0..64 {
+            client.write_all(&[b'<'; 1 << 20])?;
+            state.refused += 1 << 20;
+        }
+        return Ok(());
+    }
     let (code, body, range) = match manner {
         Manner::Whole => ("200 OK", &state.bytes[..], String::new()),
         _ => {
@@ -135,8 +189,17 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
         }
     };
     let length = body.len();
+    if manner == Manner::Chunked {
+        write!(client, "HTTP/1.1 {code}\r\n{tag_line}{range}Transfer-Encoding: chunked\r\nConnection: close\r\n\r\n")?;
+        for chunk in body.chunks(1000) {
+            write!(client, "{:x}\r\n", chunk.len())?;
+            client.write_all(chunk)?;
+            write!(client, "\r\n")?;
+        }
+        return write!(client, "0\r\n\r\n");
+    }
     write!(client, "HTTP/1.1 {code}\r\n{tag_line}{range}Content-Length: {length}\r\nConnection: close\r\n\r\n")?;
-    let short = matches!(manner, Manner::Short | Manner::ShortOnce);
+    let short = matches!(manner, Manner::Short | Manner::ShortOnce | Manner::ShortThenReplaced);
     client.write_all(if short { &body[..length / 2] } else { body })
 }
 
@@ -196,8 +259,7 @@ fn an_object_that_is_replaced_is_an_error_even_if_the_server_does_not_mind() {
         // Without any tag it is the length or the checksum in the directory that tells.
         let error = error_of(archive.page(&entry)).to_string();
         assert!(["replaced", "rule P"].iter().any(|text| error.contains(text)), "{error}");
-        *server.state.lock().unwrap() =
-            State { bytes: old.clone(), tag: tag.map(str::to_string), manner: Manner::Good, requests: vec![] };
+        *server.state.lock().unwrap() = State::new(old.clone(), tag);
         assert!(archive.page(&entry).unwrap() == good);
     }
 }
@@ -254,7 +316,154 @@ fn a_file_is_an_object_too_and_addresses_without_sense_are_refused() {
     assert!(source.read_at(u64::MAX, &mut [0]).is_err());
     std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
     assert!(source.read_at(bytes.len() as u64 - 10, &mut [0; 10]).is_err(), "cut");
-    for address in ["", "nothing", "ftp://host/a", "http://host/a?key=1", "file:///no/such/file"] {
+    for address in ["", "nothing", "ftp://host/a", "s3://bucket/a?key=1", "file:///a?key=1", "file:///no/such/file"] {
         assert!(RemoteSource::open(address).is_err(), "{address}");
     }
+}
+
+#[test]
+fn the_body_of_a_refusal_is_read_to_a_bound_and_said_in_one_line() {
+    let server = Server::new(tower(1.0, 9.0, 4), None);
+    server.set(Manner::RefusesAtLength);
+    let text = error_of(server.source()).to_string();
+    assert!(text.contains("403 Forbidden: <<<") && text.len() < 500, "{text}");
+    // What the sockets hold is written, whoever reads.
+    let refused = server.state.lock().unwrap().refused;
+    assert!(refused < 32 << 20, "{refused} bytes were taken");
+    server.set(Manner::Refuses("429 Too Many Requests", ""));
+    let text = error_of(server.source()).to_string();
+    assert!(text.ends_with(r"429 Too Many Requests: <Error> <Code>\u{1b}[31mNo\u{7}</Code> </Error>"), "{text}");
+}
+
+#[test]
+fn secrets_of_an_address_are_sent_and_never_printed() {
+    let server = Server::new(tower(2.0, 30.0, 4), Some("\"one\""));
+    let host = server.url.split('/').nth(2).unwrap();
+    let address = format!("http://anna:hush%3Ahush@{host}/scans/tower.slices?signature=token");
+    let open = || RemoteSource::with(&address, &options());
+    let silent = |text: String| assert!(!["anna", "hush", "token"].iter().any(|word| text.contains(word)), "{text}");
+    let source = open().unwrap();
+    assert_eq!(server.asked(), "GET /scans/tower.slices?signature=token HTTP/1.1");
+    assert!(
+        server.was_told("authorization: Basic YW5uYTpodXNoOmh1c2g="),
+        "{:?}",
+        server.state.lock().unwrap().requests
+    );
+    silent(format!("{source:?}"));
+    let manners = [
+        Manner::Whole,
+        Manner::Short,
+        Manner::NotFound,
+        Manner::Closes,
+        Manner::Fails,
+        Manner::OtherRange,
+        Manner::OtherTag,
+        Manner::Refuses("401 Unauthorized", ""),
+        Manner::Refuses("302 Found", "Location: http://anna:hush@127.0.0.1:1/token\r\n"),
+    ];
+    for manner in manners {
+        server.set(manner);
+        let errors = [source.read_at(source.len() - 9, &mut [0; 9]).err(), open().err()];
+        for error in errors.into_iter().flatten() {
+            println!("{manner:?}: {error}");
+            silent(format!("{error} {error:?}"));
+        }
+    }
+    for address in ["ftp://anna:hush@host/a", "s3://anna:hush@bucket/a", "http://anna:hush@:x/"] {
+        let error = error_of(RemoteSource::open(address));
+        silent(format!("{error} {error:?}"));
+    }
+    let settings = vec![("aws_secret_access_key".to_string(), "hush".to_string())];
+    let text = format!("{:?}", RemoteOptions { settings, ..RemoteOptions::default() });
+    assert!(text.contains("aws_secret_access_key"), "{text}");
+    assert!(!text.contains("hush"), "{text}");
+}
+
+#[test]
+fn an_asynchronous_task_gets_errors_and_may_drop_a_source() {
+    let server = Server::new(tower(2.0, 30.0, 4), None);
+    let source = server.source().unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    runtime.block_on(async {
+        let asked = server.count();
+        for error in [error_of(server.source()), error_of(source.read_at(source.len() - 9, &mut [0; 9]))] {
+            assert!(error.to_string().contains("asynchronous"), "{error}");
+        }
+        assert_eq!(server.count(), asked);
+        drop(source);
+    });
+}
+
+#[test]
+fn an_object_replaced_in_the_middle_of_a_read_is_called_replaced() {
+    let server = Server::new(tower(2.0, 30.0, 4), Some("\"one\""));
+    let source = server.source().unwrap();
+    server.set(Manner::ShortThenReplaced);
+    let asked = server.count();
+    let text = error_of(source.read_at(20_000, &mut [0; 9000])).to_string();
+    assert!(text.contains("replaced"), "{text}");
+    assert_eq!(server.count(), asked + 2);
+    assert!(server.was_told("if-match: \"one\"") && !server.was_told("range: bytes=20000-28999"), "it is taken up");
+}
+
+#[test]
+fn the_path_of_an_address_is_sent_as_it_is() {
+    let mut server = Server::new(tower(1.0, 9.0, 4), None);
+    server.url = server.url.replace("scans/tower", "a%2Fb//c%20d%25/\u{e9}+");
+    server.source().unwrap();
+    assert_eq!(server.asked(), "GET /a%2Fb//c%20d%25/%C3%A9+.slices HTTP/1.1");
+}
+
+#[test]
+fn an_answer_without_a_length_is_taken() {
+    let bytes = tower(2.0, 30.0, 4);
+    let server = Server::new(bytes.clone(), Some("\"one\""));
+    server.set(Manner::Chunked);
+    let source = server.source().unwrap();
+    let mut all = vec![0; bytes.len()];
+    source.read_at(0, &mut all).unwrap();
+    assert!(all == bytes);
+}
+
+#[test]
+fn a_server_that_asks_for_a_wait_gets_it_within_the_time_of_a_request() {
+    let server = Server::new(tower(2.0, 30.0, 4), None);
+    server.set(Manner::RefusesOnce("429 Too Many Requests", "Retry-After: 1\r\n"));
+    server.source().unwrap();
+    {
+        let times = &server.state.lock().unwrap().times;
+        assert!(times[1] - times[0] >= Duration::from_secs(1), "{:?}", times[1] - times[0]);
+    }
+    server.set(Manner::Refuses("503 Service Unavailable", "Retry-After: 3600\r\n"));
+    let asked = server.count();
+    let text = error_of(server.source()).to_string();
+    assert!(text.contains("3600 s"), "{text}");
+    assert_eq!(server.count(), asked + 1, "longer than a request may take: not asked again");
+}
+
+#[test]
+fn an_object_store_is_asked_as_a_server_is() {
+    let bytes = tower(2.0, 30.0, 4);
+    let server = Server::new(bytes.clone(), Some("\"one\""));
+    let endpoint = format!("http://{}", server.url.split('/').nth(2).unwrap());
+    let open = |more: &[(&str, &str)]| {
+        let common = [("aws_endpoint", &endpoint[..]), ("aws_allow_http", "true"), ("aws_region", "eu-west-1")];
+        let settings = common.iter().chain(more).map(|(key, value)| (key.to_string(), value.to_string()));
+        RemoteSource::with("s3://scans/a b/tower.slices", &RemoteOptions { settings: settings.collect(), ..options() })
+    };
+    // Without either, the store would ask the cloud's own address for credentials.
+    let unsigned = [("aws_skip_signature", "true")];
+    let signed = [("aws_access_key_id", "anyone"), ("aws_secret_access_key", "hush")];
+    for more in [&unsigned[..], &signed] {
+        let source = open(more).unwrap();
+        assert_eq!(server.asked(), "GET /scans/a%20b/tower.slices HTTP/1.1");
+        let mut all = vec![0; bytes.len()];
+        source.read_at(0, &mut all).unwrap();
+        assert!(all == bytes);
+    }
+    server.set(Manner::RefusesOnce("503 Slow Down", "Retry-After: 0\r\n"));
+    assert!(open(&unsigned).is_ok());
+    server.set(Manner::Refuses("403 Forbidden", ""));
+    let text = error_of(open(&signed)).to_string();
+    assert!(text.contains("403 Forbidden: <Error>") && !text.contains("hush"), "{text}");
 }

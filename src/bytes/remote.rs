@@ -3,31 +3,47 @@
 //! The first request fetches the first 16 KiB, and with them length and version (ETag) of the object; opening an archive
 //! then takes one more, for its footer. All later requests ask for that very version, so an object that is replaced
 //! while it is open gives an error, never a mixture; what a server says about the version is checked besides.
+//!
+//! Errors name the address without user, password and query, and print of an answer its status and one line.
+
+mod text;
+mod transport;
 
 use super::ByteSource;
 use crate::{Error, Result};
+use base64::Engine;
 use futures_util::StreamExt;
 use object_store::aws::AmazonS3Builder;
+use object_store::client::HttpError;
 use object_store::http::HttpBuilder;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{
-    BackoffConfig, ClientOptions, GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreScheme, RetryConfig,
+    ClientOptions, GetOptions, GetRange, HeaderValue, ObjectMeta, ObjectStore, ObjectStoreScheme, RetryConfig,
 };
+use percent_encoding::percent_decode_str;
 use std::io;
+use std::ops::Range;
 use std::time::Duration;
+use text::{cause, connection, one_line, public_name};
 use tokio::runtime::{Builder, Handle, Runtime};
-use url::{Position, Url};
+use transport::{Connector, Refusal};
+use url::Url;
 
 /// Bytes that come with the first request: the longest head of an archive.
 const FIRST: u64 = 16 << 10;
 
+/// The wait before the first repetition of a request; it doubles up to 64 times this.
+const WAIT: Duration = Duration::from_millis(50);
+
 /// How to reach an object.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct RemoteOptions {
-    /// Longest time of one request (s), connecting included.
+    /// Longest time of one request (s), connecting included, and longest wait that a server may ask for (`Retry-After`)
+    /// before the request is repeated; if it asks for more, the read fails at once.
     pub timeout: Duration,
     /// How often a request is repeated that failed for a reason which may pass: a lost connection, an error of the server.
+    /// So a read fails after `(2 · retries + 1) · timeout` at the latest.
     pub retries: usize,
     /// Settings of the object store by name, for example `("aws_endpoint", ...)`; for S3 these come on top of the
     /// environment's `AWS_*`.
@@ -41,42 +57,55 @@ impl Default for RemoteOptions {
     }
 }
 
+/// Names of the settings only: values may be secret.
+impl std::fmt::Debug for RemoteOptions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let names: Vec<&str> = self.settings.iter().map(|(name, _)| &name[..]).collect();
+        let Self { timeout, retries, settings: _ } = self;
+        f.debug_struct("RemoteOptions")
+            .field("timeout", timeout)
+            .field("retries", retries)
+            .field("settings", &names)
+            .finish()
+    }
+}
+
 /// An object on a web server or in an object store.
 ///
-/// Reads block the calling thread: give the archive to a [`Stream`](super::Stream), whose thread does the waiting. Memory:
-/// 16 KiB, and the connection's.
+/// Reads block the calling thread: give the archive to a [`Stream`](crate::store::Stream), whose thread does the waiting.
+/// Memory: 16 KiB, and the connection's.
 pub struct RemoteSource {
     store: Box<dyn ObjectStore>,
     path: Path,
     /// For messages: no password, no query.
     name: String,
-    runtime: Runtime,
+    options: RemoteOptions,
+    /// `None` only while it is dropped.
+    runtime: Option<Runtime>,
     first: Vec<u8>,
     meta: ObjectMeta,
 }
 
 impl RemoteSource {
     /// Opens the object at `url`: `https://`, `http://`, `s3://bucket/key` (and addresses of Amazon S3 and Cloudflare R2), or
-    /// `file://`. One request. A query in the address is refused: servers that sign addresses need settings instead.
+    /// `file://`. One request. Addresses of web servers are used as they are: a query (a signed address) is part of every
+    /// request, `user:password@` is sent as basic authentication; no message prints either.
     pub fn open(url: &str) -> Result<Self> {
         Self::with(url, &RemoteOptions::default())
     }
 
     /// As [`open`](Self::open), with options.
     ///
-    /// Fails if the address is not understood, the object is not there, the server does not give ranges, or the caller is an
-    /// asynchronous task (reads block).
+    /// Fails if the address is not understood, the object is not there, the server does not give ranges, or the calling
+    /// thread belongs to an asynchronous runtime (reads block; use a thread of your own).
     pub fn with(url: &str, options: &RemoteOptions) -> Result<Self> {
         let refused = |reason: String| Error::parameter("address of a remote archive", reason);
         let url = Url::parse(url).map_err(|error| refused(error.to_string()))?;
-        if url.query().is_some() {
-            return Err(refused("has a query; give the settings of the store instead".into()));
-        }
-        let (scheme, path) = ObjectStoreScheme::parse(&url).map_err(|error| refused(error.to_string()))?;
-        let store = connect(&scheme, &url, options).map_err(|error| refused(error.to_string()))?;
-        let name = format!("{}://{}{}", url.scheme(), &url[Position::BeforeHost..Position::AfterPort], url.path());
+        let name = public_name(&url);
+        refuse_tasks(&name)?;
+        let (store, path) = connect(url, options).map_err(refused)?;
         let runtime = Builder::new_current_thread().enable_all().build();
-        let runtime = runtime.map_err(|error| Error::io(&name, "start its runtime", error))?;
+        let runtime = Some(runtime.map_err(|error| Error::io(&name, "start its runtime", error))?);
         let meta = ObjectMeta {
             location: path.clone(),
             last_modified: Default::default(),
@@ -84,51 +113,66 @@ impl RemoteSource {
             e_tag: None,
             version: None,
         };
-        let mut source = Self { store, path, name, runtime, first: Vec::new(), meta };
-        let options = GetOptions { range: Some(GetRange::Bounded(0..FIRST)), ..GetOptions::default() };
-        let (meta, first) = source.get(options, FIRST as usize, 0)?;
-        if first.len() as u64 != meta.size.min(FIRST) {
-            return Err(source.error(0, first.len(), io::ErrorKind::UnexpectedEof.into()));
-        }
+        let mut source = Self { store, path, name, options: options.clone(), runtime, first: Vec::new(), meta };
+        let (meta, first) = source.get(0..FIRST, None)?;
         (source.meta, source.first) = (meta, first);
         Ok(source)
     }
 
-    /// Asks for bytes: at most `len` of them, from `offset` on.
-    fn get(&self, options: GetOptions, len: usize, offset: u64) -> Result<(ObjectMeta, Vec<u8>)> {
-        if Handle::try_current().is_ok() {
-            let reason = "was asked for in an asynchronous task, which must not block; use a thread";
-            return Err(Error::parameter(self.name.clone(), reason));
+    /// The bytes of `range` that the object has, of the version `known`, or of any.
+    fn get(&self, range: Range<u64>, known: Option<&ObjectMeta>) -> Result<(ObjectMeta, Vec<u8>)> {
+        refuse_tasks(&self.name)?;
+        let runtime = self.runtime.as_ref().expect("only dropping takes it");
+        let (mut meta, mut bytes) = (known.cloned(), Vec::with_capacity((range.end - range.start) as usize));
+        let mut failures = 0;
+        loop {
+            let failure = match runtime.block_on(self.ask(&range, &mut meta, &mut bytes)) {
+                Ok(meta) => return Ok((meta, bytes)),
+                Err(failure) => failure,
+            };
+            let wait = failure.wait(failures, self.options.timeout).filter(|_| failures < self.options.retries);
+            let Some(wait) = wait else {
+                return Err(Error::io(&self.name, reading(&range), failure.into()));
+            };
+            failures += 1;
+            std::thread::sleep(wait);
         }
-        let answer = self.runtime.block_on(async {
-            let result = self.store.get_opts(&self.path, options).await?;
-            let meta = result.meta.clone();
-            let mut bytes = Vec::with_capacity(len);
-            let mut stream = result.into_stream();
-            while let Some(part) = stream.next().await {
-                let part = part?;
-                let left = len - bytes.len();
-                // More than was asked for is not kept; the length tells.
-                bytes.extend_from_slice(&part[..part.len().min(left)]);
-                if part.len() > left {
-                    break;
-                }
+    }
+
+    /// One request for what `bytes` lacks of `range`; `meta` becomes known with the first answer.
+    async fn ask(
+        &self,
+        range: &Range<u64>,
+        meta: &mut Option<ObjectMeta>,
+        bytes: &mut Vec<u8>,
+    ) -> Result<ObjectMeta, Failure> {
+        let mut options = meta.as_ref().map_or(GetOptions::default(), same_version);
+        // A read that broke off is taken up where it did if that version can be asked for; else it begins again.
+        if options.if_match.is_none() && options.if_unmodified_since.is_none() {
+            bytes.clear();
+        }
+        let start = range.start + bytes.len() as u64;
+        options.range = Some(GetRange::Bounded(start..range.end));
+        let answer = self.store.get_opts(&self.path, options).await?;
+        let found = answer.meta.clone();
+        let version = |meta: &ObjectMeta| (meta.size, meta.e_tag.clone(), meta.last_modified);
+        if meta.as_ref().is_some_and(|known| version(known) != version(&found)) {
+            return Err(Failure::Replaced);
+        }
+        *meta = Some(found.clone());
+        let end = range.end.min(found.size);
+        let mut stream = answer.into_stream();
+        while let Some(part) = stream.next().await {
+            let part = part?;
+            // More than was asked for is not kept.
+            let left = (end - range.start) as usize - bytes.len();
+            bytes.extend_from_slice(&part[..part.len().min(left)]);
+            if part.len() > left {
+                break;
             }
-            Ok((meta, bytes))
-        });
-        answer.map_err(|error: object_store::Error| self.error(offset, len, io_error(error)))
-    }
-
-    fn error(&self, offset: u64, len: usize, error: io::Error) -> Error {
-        Error::io(&self.name, format!("read {len} bytes at {offset}"), error)
-    }
-
-    /// Asks for the version that was opened.
-    fn same_version(&self) -> GetOptions {
-        // A weak tag never matches; then the time of the last change has to do, if the server tells it.
-        let strong = self.meta.e_tag.clone().filter(|tag| !tag.starts_with("W/"));
-        let time = Some(self.meta.last_modified).filter(|time| strong.is_none() && time.timestamp() > 0);
-        GetOptions { if_match: strong, if_unmodified_since: time, ..GetOptions::default() }
+        }
+        let missing = end - range.start - bytes.len() as u64;
+        if missing > 0 { Err(Failure::Short { missing }) } else { Ok(found) }
     }
 }
 
@@ -138,23 +182,26 @@ impl ByteSource for RemoteSource {
     }
 
     fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
-        let end = offset.checked_add(buf.len() as u64).filter(|&end| end <= self.meta.size);
-        let Some(end) = end else { return Err(self.error(offset, buf.len(), io::ErrorKind::UnexpectedEof.into())) };
+        let end = offset.saturating_add(buf.len() as u64);
+        if end > self.meta.size {
+            return Err(Error::io(&self.name, reading(&(offset..end)), io::ErrorKind::UnexpectedEof.into()));
+        }
         if end <= self.first.len() as u64 {
             buf.copy_from_slice(&self.first[offset as usize..end as usize]);
             return Ok(());
         }
-        let options = GetOptions { range: Some(GetRange::Bounded(offset..end)), ..self.same_version() };
-        let (meta, bytes) = self.get(options, buf.len(), offset)?;
-        let version = |meta: &ObjectMeta| (meta.size, meta.e_tag.clone(), meta.last_modified);
-        if version(&meta) != version(&self.meta) {
-            return Err(self.error(offset, buf.len(), replaced()));
-        }
-        if bytes.len() != buf.len() {
-            return Err(self.error(offset, buf.len(), io::ErrorKind::UnexpectedEof.into()));
-        }
+        let (_, bytes) = self.get(offset..end, Some(&self.meta))?;
         buf.copy_from_slice(&bytes);
         Ok(())
+    }
+}
+
+impl Drop for RemoteSource {
+    fn drop(&mut self) {
+        // An ordinary drop waits for the runtime's threads, which panics in an asynchronous task.
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
+        }
     }
 }
 
@@ -164,47 +211,137 @@ impl std::fmt::Debug for RemoteSource {
     }
 }
 
-fn connect(
-    scheme: &ObjectStoreScheme,
-    url: &Url,
-    options: &RemoteOptions,
-) -> object_store::Result<Box<dyn ObjectStore>> {
-    let backoff = BackoffConfig { init_backoff: Duration::from_millis(50), ..BackoffConfig::default() };
-    let retry = RetryConfig { backoff, max_retries: options.retries, retry_timeout: 3 * options.timeout };
-    let client = ClientOptions::new().with_timeout(options.timeout).with_connect_timeout(options.timeout);
-    Ok(match scheme {
-        ObjectStoreScheme::Local => Box::new(LocalFileSystem::new()),
-        ObjectStoreScheme::Http => {
-            let client = client.with_allow_http(url.scheme() == "http");
-            let server = HttpBuilder::new().with_url(&url[..Position::BeforePath]);
-            Box::new(server.with_client_options(client).with_retry(retry).build()?)
-        }
-        ObjectStoreScheme::AmazonS3 => {
-            let mut builder =
-                AmazonS3Builder::from_env().with_client_options(client).with_retry(retry).with_url(url.as_str());
-            for (key, value) in &options.settings {
-                builder = builder.with_config(key.to_ascii_lowercase().parse()?, value);
+/// Why a read failed.
+enum Failure {
+    Replaced,
+    /// An answer that ended well, but too early.
+    Short {
+        missing: u64,
+    },
+    Store(object_store::Error),
+}
+
+impl Failure {
+    /// How long to wait before the request is repeated, after so many failures; `None` if that is of no use.
+    fn wait(&self, failures: usize, longest: Duration) -> Option<Duration> {
+        let Self::Store(error) = self else { return None };
+        let own = WAIT * (1 << failures.min(6));
+        match cause::<Refusal>(error) {
+            Some(refusal) if !refusal.may_pass() => None,
+            Some(refusal) => {
+                Some(refusal.wait.map_or(own, |asked| asked.max(own))).filter(|&wait| wait <= longest.max(own))
             }
-            Box::new(builder.build()?)
+            None => cause::<HttpError>(error).map(|_| own),
         }
-        other => {
-            let source = format!("{other:?} is not supported; use http(s), s3 or file").into();
-            return Err(object_store::Error::Generic { store: "remote", source });
-        }
-    })
-}
-
-fn replaced() -> io::Error {
-    io::Error::other("the object was replaced since it was opened; open it again")
-}
-
-fn io_error(error: object_store::Error) -> io::Error {
-    match error {
-        object_store::Error::Precondition { .. } => replaced(),
-        object_store::Error::NotFound { .. } => io::Error::new(io::ErrorKind::NotFound, "there is no such object"),
-        object_store::Error::PermissionDenied { .. } | object_store::Error::Unauthenticated { .. } => {
-            io::Error::new(io::ErrorKind::PermissionDenied, error)
-        }
-        other => io::Error::other(other),
     }
+}
+
+impl From<object_store::Error> for Failure {
+    fn from(error: object_store::Error) -> Self {
+        let replaced = matches!(error, object_store::Error::Precondition { .. })
+            || cause::<Refusal>(&error).is_some_and(Refusal::is_replaced);
+        if replaced { Self::Replaced } else { Self::Store(error) }
+    }
+}
+
+/// As text alone: the errors of the store hold addresses.
+impl From<Failure> for io::Error {
+    fn from(failure: Failure) -> Self {
+        let error = match failure {
+            Failure::Replaced => {
+                return Self::other("the object was replaced since it was opened; open it again");
+            }
+            Failure::Short { missing } => {
+                return Self::new(io::ErrorKind::UnexpectedEof, format!("the answer lacks {missing} bytes"));
+            }
+            Failure::Store(error) => error,
+        };
+        if let Some(refusal) = cause::<Refusal>(&error) {
+            return Self::new(refusal.kind(), refusal.to_string());
+        }
+        if let Some(error) = cause::<HttpError>(&error) {
+            return Self::other(connection(error));
+        }
+        match error {
+            object_store::Error::NotFound { .. } => Self::new(io::ErrorKind::NotFound, "there is no such object"),
+            other => Self::other(one_line(&other.to_string())),
+        }
+    }
+}
+
+fn reading(range: &Range<u64>) -> String {
+    format!("read {} bytes at {}", range.end - range.start, range.start)
+}
+
+/// Threads of an asynchronous runtime must not block.
+fn refuse_tasks(name: &str) -> Result<()> {
+    if Handle::try_current().is_err() {
+        return Ok(());
+    }
+    let reason = "was asked for in an asynchronous task, which must not block; use a thread of your own";
+    Err(Error::parameter(name, reason))
+}
+
+/// Asks for the version of `meta`, if the server can be asked that.
+fn same_version(meta: &ObjectMeta) -> GetOptions {
+    // A weak tag never matches; then the time of the last change has to do, if the server tells it.
+    let strong = meta.e_tag.clone().filter(|tag| !tag.starts_with("W/"));
+    let time = Some(meta.last_modified).filter(|time| strong.is_none() && time.timestamp() > 0);
+    GetOptions { if_match: strong, if_unmodified_since: time, ..GetOptions::default() }
+}
+
+/// The store that serves `url`, and the path of the object in it.
+fn connect(mut url: Url, options: &RemoteOptions) -> Result<(Box<dyn ObjectStore>, Path), String> {
+    let client = ClientOptions::new().with_timeout(options.timeout).with_connect_timeout(options.timeout);
+    // Requests are repeated here, where a server's wish to wait and the version are known.
+    let retry = RetryConfig { max_retries: 0, ..RetryConfig::default() };
+    let text = |error: object_store::Error| one_line(&error.to_string());
+    let web = matches!(url.scheme(), "http" | "https");
+    let authorization = basic_authorization(&url);
+    let secret = authorization.is_some() || url.query().is_some();
+    if secret && !web {
+        let what = if authorization.is_some() { "a user or password" } else { "a query" };
+        return Err(format!(
+            "has {what}, as only http and https addresses may; give the settings of the store instead"
+        ));
+    }
+    match ObjectStoreScheme::parse(&url) {
+        Ok((ObjectStoreScheme::AmazonS3, path)) if !secret => {
+            let mut builder = AmazonS3Builder::from_env()
+                .with_client_options(client)
+                .with_retry(retry)
+                .with_http_connector(Connector { authorization: None })
+                .with_url(url.as_str());
+            for (key, value) in &options.settings {
+                builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text)?, value);
+            }
+            Ok((Box::new(builder.build().map_err(text)?), path))
+        }
+        Ok((ObjectStoreScheme::Local, path)) => Ok((Box::new(LocalFileSystem::new()), path)),
+        _ if web => {
+            let client = client.with_allow_http(url.scheme() == "http");
+            url.set_fragment(None);
+            // The header says them.
+            let _ = (url.set_username(""), url.set_password(None));
+            // With the whole address as the base, and nothing below it, no character of its path is decoded.
+            let server = HttpBuilder::new().with_url(url).with_client_options(client).with_retry(retry);
+            let server = server.with_http_connector(Connector { authorization });
+            Ok((Box::new(server.build().map_err(text)?), Path::default()))
+        }
+        _ => Err("is none that is supported; use https, http, s3 or file".into()),
+    }
+}
+
+/// The header for user and password of an address, if it has them.
+fn basic_authorization(url: &Url) -> Option<HeaderValue> {
+    if url.username().is_empty() && url.password().is_none() {
+        return None;
+    }
+    let mut bytes: Vec<u8> = percent_decode_str(url.username()).collect();
+    bytes.push(b':');
+    bytes.extend(percent_decode_str(url.password().unwrap_or_default()));
+    let text = format!("Basic {}", base64::engine::general_purpose::STANDARD.encode(bytes));
+    let mut value = HeaderValue::try_from(text).ok()?;
+    value.set_sensitive(true);
+    Some(value)
 }

@@ -1,0 +1,150 @@
+//! What goes over the wire: a client below `object_store` that bounds what it takes from a server that refuses, and keeps
+//! what the store above would lose: the status, the reason the server gives, and the wait it asks for.
+
+use super::text::one_line;
+use async_trait::async_trait;
+use futures_util::StreamExt;
+use object_store::ClientOptions;
+use object_store::HeaderValue;
+use object_store::client::{
+    HttpClient, HttpConnector, HttpError, HttpErrorKind, HttpRequest, HttpResponse, HttpResponseBody, HttpService,
+    ReqwestConnector,
+};
+use std::time::Duration;
+
+/// Bytes of a refusal's body that are read.
+const SAID: usize = 1 << 10;
+
+const NOT_FOUND: u16 = 404;
+const TIMED_OUT: u16 = 408;
+const GONE: u16 = 410;
+const REPLACED: u16 = 412;
+const TOO_MANY: u16 = 429;
+const PARTIAL: u16 = 206;
+
+/// An answer other than the bytes that were asked for.
+#[derive(Debug, Clone, thiserror::Error)]
+#[error("HTTP status {name}{}{}", .wait.map_or(String::new(), |wait| format!(", retry after {} s", wait.as_secs())),
+    if .said.is_empty() { String::new() } else { format!(": {}", .said) })]
+pub(super) struct Refusal {
+    status: u16,
+    /// Number and name of the status.
+    name: String,
+    /// The wait that the server asks for.
+    pub(super) wait: Option<Duration>,
+    /// The beginning of the body, as one line.
+    said: String,
+}
+
+impl Refusal {
+    /// Whether the version that was asked for is gone.
+    pub(super) fn is_replaced(&self) -> bool {
+        self.status == REPLACED
+    }
+
+    /// Whether the same request may succeed later.
+    pub(super) fn may_pass(&self) -> bool {
+        matches!(self.status, TIMED_OUT | TOO_MANY | 500..=599)
+    }
+
+    /// The nearest kind of error.
+    pub(super) fn kind(&self) -> std::io::ErrorKind {
+        match self.status {
+            401 | 403 => std::io::ErrorKind::PermissionDenied,
+            NOT_FOUND | GONE => std::io::ErrorKind::NotFound,
+            _ => std::io::ErrorKind::Other,
+        }
+    }
+}
+
+/// Makes clients that send `authorization`, if there is one, with every request.
+#[derive(Debug)]
+pub(super) struct Connector {
+    pub(super) authorization: Option<HeaderValue>,
+}
+
+impl HttpConnector for Connector {
+    fn connect(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
+        let client = ReqwestConnector::default().connect(options)?;
+        Ok(HttpClient::new(Transport { client, authorization: self.authorization.clone() }))
+    }
+}
+
+#[derive(Debug)]
+struct Transport {
+    client: HttpClient,
+    authorization: Option<HeaderValue>,
+}
+
+#[async_trait]
+impl HttpService for Transport {
+    async fn call(&self, mut request: HttpRequest) -> Result<HttpResponse, HttpError> {
+        if let Some(value) = &self.authorization {
+            request.headers_mut().insert("authorization", value.clone());
+        }
+        // Requests without a range are the store's own, for credentials; it judges their answers itself.
+        let reads = request.headers().contains_key("range");
+        let answer = self.client.execute(request).await?;
+        let status = answer.status();
+        if status.is_success() && (!reads || status.as_u16() == PARTIAL) {
+            return Ok(with_length(answer));
+        }
+        let (parts, body) = answer.into_parts();
+        let body = beginning(body).await;
+        if !reads {
+            return Ok(HttpResponse::from_parts(parts, body.into()));
+        }
+        let seconds = parts.headers.get("retry-after").and_then(|value| value.to_str().ok()?.trim().parse().ok());
+        let said = match status.is_success() {
+            true => "the server does not serve byte ranges".to_string(),
+            false => one_line(&String::from_utf8_lossy(&body)),
+        };
+        let wait = seconds.map(Duration::from_secs);
+        let refusal = Refusal { status: status.as_u16(), name: status.to_string(), wait, said };
+        Err(HttpError::new(HttpErrorKind::Unknown, refusal))
+    }
+}
+
+/// The beginning of a body, as far as it comes.
+async fn beginning(body: HttpResponseBody) -> Vec<u8> {
+    let (mut start, mut stream) = (Vec::new(), body.bytes_stream());
+    while let Some(Ok(part)) = stream.next().await {
+        start.extend_from_slice(&part[..part.len().min(SAID - start.len())]);
+        if start.len() == SAID {
+            break;
+        }
+    }
+    start
+}
+
+/// Answers sent in chunks state no length, which the store requires; `Content-Range` says the same.
+fn with_length(mut answer: HttpResponse) -> HttpResponse {
+    let headers = answer.headers_mut();
+    let range = headers.get("content-range").and_then(|value| value.to_str().ok());
+    if let Some(length) = range.and_then(length_of)
+        && !headers.contains_key("content-length")
+    {
+        headers.insert("content-length", length.into());
+    }
+    answer
+}
+
+/// Number of bytes in `bytes FIRST-LAST/SIZE`.
+fn length_of(range: &str) -> Option<u64> {
+    let (first, last) = range.trim().strip_prefix("bytes ")?.split_once('/')?.0.split_once('-')?;
+    last.parse::<u64>().ok()?.checked_sub(first.parse().ok()?)?.checked_add(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::length_of;
+
+    #[test]
+    fn lengths_of_ranges() {
+        assert_eq!(length_of("bytes 5-9/20"), Some(5));
+        assert_eq!(length_of("bytes 0-0/*"), Some(1));
+        let senseless =
+            ["", "bytes */20", "bytes 9-5/20", "bytes 0-18446744073709551615/1", "lines 0-1/2", "bytes a-b/c"];
+        assert!(senseless.iter().all(|range| length_of(range).is_none()));
+    }
+}
