@@ -30,6 +30,8 @@ pub(super) const MIN_LEAF_ENTRIES: u32 = 4096;
 pub(super) const MAX_LEAF_ENTRIES: u32 = 1 << 20;
 /// Greatest length of the metadata block (bytes).
 pub(super) const MAX_METADATA: u64 = 1 << 20;
+/// Where the length of the archive lies in the head.
+const FILE_LEN: std::ops::Range<usize> = 32..40;
 /// Where the canonical bytes of the plan lie in the head.
 const PLAN: std::ops::Range<usize> = 56..128;
 
@@ -173,6 +175,7 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
     let word = |out: &mut Vec<u8>, value: u64| out.extend(value.to_le_bytes());
     word(&mut out, header.features_required);
     word(&mut out, header.features_optional);
+    debug_assert_eq!(out.len(), FILE_LEN.start);
     word(&mut out, header.file_len);
     out.extend(header.plan_hash.to_le_bytes());
     debug_assert_eq!(out.len(), PLAN.start);
@@ -247,14 +250,25 @@ pub(super) fn check_footer(bytes: &[u8; FOOTER], file_len: u64, head: &[u8]) -> 
     Ok(())
 }
 
+/// Rule H1, of the first bytes of a file.
+pub(super) fn check_magic(bytes: &[u8]) -> Result<()> {
+    let magic = &bytes[..bytes.len().min(MAGIC.len())];
+    if magic != MAGIC {
+        return Err(Violation::new("H1", format!("a slice archive, {}", hex(&MAGIC)), hex(magic)).at("head", 0));
+    }
+    Ok(())
+}
+
+/// Length of the archive (bytes) that the first bytes of a head state, unchecked; `None` if they are too few.
+pub(super) fn stated_len(bytes: &[u8]) -> Option<u64> {
+    bytes.get(FILE_LEN)?.try_into().ok().map(u64::from_le_bytes)
+}
+
 /// Header and leaves from the first bytes of a file of `file_len` bytes, and how many of the bytes are the head's.
 /// `bytes` must reach to the end of the file or [`MAX_HEAD`] bytes far.
 pub(super) fn decode(bytes: &[u8], file_len: u64) -> Result<(Header, Vec<Leaf>)> {
     let at = |violation: Violation| violation.at("head", 0);
-    let magic = &bytes[..bytes.len().min(MAGIC.len())];
-    if magic != MAGIC {
-        return Err(at(Violation::new("H1", format!("a slice archive, {}", hex(&MAGIC)), hex(magic))));
-    }
+    check_magic(bytes)?;
     let least = exact_len(0) + FOOTER;
     if bytes.len() < least {
         return Err(at(Violation::new("H2", format!("at least {least} bytes in the file"), file_len)));

@@ -23,6 +23,10 @@ mod spill;
 
 mod writer;
 
+mod catalog;
+
+mod opening;
+
 mod reader;
 
 mod verify;
@@ -33,10 +37,12 @@ mod extract;
 
 mod recover;
 
+pub use catalog::Catalog;
 pub use directory::{Extent, PageEntry, Place};
 pub use extract::extract;
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub use merge::{Merged, merge};
+pub use opening::{Opened, Opening};
 pub use page::{EncodedPage, PageDecoder, PageEncoder};
 pub use reader::Archive;
 pub use recover::{Recovered, recover};

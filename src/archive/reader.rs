@@ -1,16 +1,18 @@
 //! Reading an archive: head and footer at once, directory leaves and pages on demand (chapter 10).
 
-use super::directory::{PageEntry, Place, decode_leaf, max_raw_len};
-use super::head::{self, FOOTER, Header, Leaf, MAX_HEAD};
+use super::catalog::Catalog;
+use super::directory::PageEntry;
+use super::head::Header;
 use super::metadata::Metadata;
+use super::opening::{Opened, Opening};
 use super::page::PageDecoder;
 use super::shard::Shard;
 use crate::bytes::{ByteSource, FileSource, MapSource, MemorySource};
-use crate::codec::{Unpacker, Violation};
 use crate::frame::{Frame, PageKey};
 use crate::plan::Plan;
 use crate::slice::Page;
 use crate::{Error, Result};
+use std::ops::Range;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -19,8 +21,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Memory: the root directory (at most 512 leaves, 24 KiB) and the leaf that [`find`](Self::find) used last.
 pub struct Archive {
     source: Box<dyn ByteSource>,
-    header: Header,
-    leaves: Vec<Leaf>,
+    catalog: Catalog,
     found: Mutex<Option<(usize, Arc<[PageEntry]>)>>,
 }
 
@@ -44,37 +45,42 @@ impl Archive {
     /// Opens an archive with at most two reads: its first 16 KiB, and its footer if that lies beyond them. Finds any
     /// damage of head and footer, and bytes that are missing or too many; pages and leaves are checked when read.
     pub fn from_source(source: Box<dyn ByteSource>) -> Result<Self> {
-        let file_len = source.len();
-        let mut start = vec![0; file_len.min(MAX_HEAD as u64) as usize];
-        source.read_at(0, &mut start)?;
-        let (header, leaves) = head::decode(&start, file_len)?;
-        let mut footer = [0; FOOTER];
-        match start.len() as u64 == file_len {
-            true => footer.copy_from_slice(&start[start.len() - FOOTER..]),
-            false => source.read_at(file_len - FOOTER as u64, &mut footer)?,
+        let mut opening = Opening::new(Some(source.len()));
+        loop {
+            match opening.next()? {
+                Opened::Ready(catalog) => return Ok(Self::from_parts(source, *catalog)),
+                Opened::Wants(ranges) => {
+                    for range in ranges {
+                        opening.give(range.start, &read(&*source, range.clone())?);
+                    }
+                }
+            }
         }
-        head::check_footer(&footer, file_len, &start[..header.bytes.head as usize])?;
-        Ok(Self::from_parts(source, header, leaves))
     }
 
     /// An archive whose head is known, whatever the state of the rest.
-    pub(super) fn from_parts(source: Box<dyn ByteSource>, header: Header, leaves: Vec<Leaf>) -> Self {
-        Self { source, header, leaves, found: Mutex::new(None) }
+    pub(super) fn from_parts(source: Box<dyn ByteSource>, catalog: Catalog) -> Self {
+        Self { source, catalog, found: Mutex::new(None) }
+    }
+
+    /// What is known of the archive without another read.
+    pub fn catalog(&self) -> &Catalog {
+        &self.catalog
     }
 
     /// What the head says about the whole.
     pub fn header(&self) -> &Header {
-        &self.header
+        self.catalog.header()
     }
 
     /// Grid and options of the conversion.
     pub fn plan(&self) -> &Plan {
-        &self.header.plan
+        &self.header().plan
     }
 
     /// The grid.
     pub fn frame(&self) -> &Frame {
-        &self.header.plan.frame
+        &self.header().plan.frame
     }
 
     /// Where the bytes come from.
@@ -93,71 +99,27 @@ impl Archive {
     }
 
     pub(super) fn metadata(&self) -> Result<Metadata> {
-        let offset = self.header.metadata_offset();
-        // At most 1 MiB: rule H9.
-        let mut bytes = vec![0; self.header.bytes.metadata as usize];
-        self.source.read_at(offset, &mut bytes)?;
-        let metadata = Metadata::decode(&bytes, self.header.metadata_crc);
-        metadata.map_err(|violation| violation.at("metadata", offset))
+        self.catalog.decode_metadata(&read(&*self.source, self.catalog.metadata_range())?)
     }
 
     /// Number of directory leaves.
     pub fn leaf_count(&self) -> usize {
-        self.leaves.len()
+        self.catalog.leaf_count()
     }
 
     /// The leaf whose entries could include `key`; no read.
     pub fn leaf_of(&self, key: PageKey) -> Option<usize> {
-        self.leaves.partition_point(|leaf| leaf.first <= key).checked_sub(1)
+        self.catalog.leaf_of(key)
     }
 
     /// Key of the first entry of leaf `index`; no read.
     pub fn leaf_first(&self, index: usize) -> PageKey {
-        self.leaves[index].first
+        self.catalog.leaf_first(index)
     }
 
     /// Entries of leaf `index`, ascending. One read of about 10 bytes an entry.
     pub fn leaf(&self, index: usize) -> Result<Vec<PageEntry>> {
-        let leaf = &self.leaves[index];
-        let offset = self.header.directory_offset() + leaf.offset;
-        // Not beyond the directory section: rule R4.
-        let mut stored = vec![0; leaf.stored_len as usize];
-        self.source.read_at(offset, &mut stored)?;
-        let entries = self.decode_leaf(index, &stored);
-        entries.map_err(|violation| violation.at(format!("directory leaf {index}"), offset))
-    }
-
-    fn decode_leaf(&self, index: usize, stored: &[u8]) -> Result<Vec<PageEntry>, Violation> {
-        let leaf = &self.leaves[index];
-        let crc = crc32c::crc32c(stored);
-        if crc != leaf.crc {
-            return Err(Violation::new("D1", format!("checksum {:08x}", leaf.crc), format!("{crc:08x}")));
-        }
-        if leaf.raw_len as u64 > max_raw_len(leaf.entries) {
-            let expected = format!("at most {} bytes for {} entries", max_raw_len(leaf.entries), leaf.entries);
-            return Err(Violation::new("D2", expected, leaf.raw_len));
-        }
-        let mut unpacker = Unpacker::new();
-        let raw = unpacker.unpack(stored, leaf.raw_len as usize, "D2")?;
-        if raw.len() != leaf.raw_len as usize {
-            return Err(Violation::new("D2", format!("{} bytes in the frame", leaf.raw_len), raw.len()));
-        }
-        let mut entries = decode_leaf(raw, leaf.entries, leaf.first, self.header.bytes.pages)?;
-        if let (Some(next), Some(last)) = (self.leaves.get(index + 1), entries.last())
-            && last.key >= next.first
-        {
-            return Err(Violation::new(
-                "D4",
-                format!("keys below {}, where the next leaf begins", next.first),
-                last.key,
-            ));
-        }
-        for entry in &mut entries {
-            if let Place::Stored(extent) | Place::Shared(extent) = &mut entry.place {
-                extent.offset += self.header.pages_offset();
-            }
-        }
-        Ok(entries)
+        self.catalog.decode_leaf(index, &read(&*self.source, self.catalog.leaf_range(index))?)
     }
 
     /// All entries in ascending order, leaf by leaf. A leaf that cannot be read is one error, and the next follows.
@@ -174,28 +136,20 @@ impl Archive {
     /// All entries in ascending order, leaves that lie together in one read of at most 1 MiB (or one leaf). Fails with
     /// the first leaf that cannot be read.
     pub(crate) fn all_entries(&self) -> Result<Vec<PageEntry>> {
-        let (mut all, mut bytes, mut first) = (Vec::new(), Vec::new(), 0);
-        while first < self.leaves.len() {
-            let mut len = 0;
-            let fits = |leaf: &&Leaf| {
-                len += leaf.stored_len as usize;
-                len <= 1 << 20
-            };
-            let count = self.leaves[first..].iter().take_while(fits).count().max(1);
-            let leaves = &self.leaves[first..first + count];
-            let start = leaves[0].offset;
-            // Not beyond the directory section: rule R4.
-            bytes.resize(leaves.iter().map(|leaf| leaf.stored_len as usize).sum(), 0);
-            let at = self.header.directory_offset() + start;
-            self.source.read_at(at, &mut bytes)?;
-            for (number, leaf) in leaves.iter().enumerate() {
-                let from = (leaf.offset - start) as usize;
-                let stored = &bytes[from..from + leaf.stored_len as usize];
-                let entries = self.decode_leaf(first + number, stored);
-                let part = || format!("directory leaf {}", first + number);
-                all.extend(entries.map_err(|violation| violation.at(part(), at + from as u64))?);
+        let (catalog, mut all, mut first) = (&self.catalog, Vec::new(), 0);
+        while first < catalog.leaf_count() {
+            let start = catalog.leaf_range(first).start;
+            let rest = first + 1..catalog.leaf_count();
+            let more = rest.take_while(|&leaf| catalog.leaf_range(leaf).end - start <= 1 << 20).count();
+            let end = first + 1 + more;
+            let bytes = read(&*self.source, start..catalog.leaf_range(end - 1).end)?;
+            for leaf in first..end {
+                let range = catalog.leaf_range(leaf);
+                all.extend(
+                    catalog.decode_leaf(leaf, &bytes[(range.start - start) as usize..(range.end - start) as usize])?,
+                );
             }
-            first += count;
+            first = end;
         }
         Ok(all)
     }
@@ -240,8 +194,15 @@ impl Archive {
     }
 }
 
+/// The bytes of `range`, whose length a rule of the format bounds.
+fn read(source: &dyn ByteSource, range: Range<u64>) -> Result<Vec<u8>> {
+    let mut bytes = vec![0; (range.end - range.start) as usize];
+    source.read_at(range.start, &mut bytes)?;
+    Ok(bytes)
+}
+
 impl std::fmt::Debug for Archive {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Archive").field("header", &self.header).field("leaves", &self.leaves.len()).finish()
+        f.debug_struct("Archive").field("header", self.header()).field("leaves", &self.leaf_count()).finish()
     }
 }

@@ -5,8 +5,9 @@
 //! sound. The head gives the plan and where the leaves lie; without it, the plan must come from elsewhere.
 //! Memory: 3 MiB of the file, one leaf, and one writer.
 
+use super::catalog::Catalog;
 use super::directory::{PageEntry, Place};
-use super::head::{self, Bounds, Header, Leaf, MAX_HEAD, Pages};
+use super::head::{self, Bounds, Header, MAX_HEAD, Pages};
 use super::metadata::Metadata;
 use super::page::{self, EncodedPage, PageDecoder};
 use super::reader::Archive;
@@ -59,8 +60,8 @@ pub fn recover(
     monitor: &dyn Monitor,
 ) -> Result<Recovered> {
     let source = FileSource::open(path)?;
-    let old = sound_head(&source).map(|(header, leaves)| {
-        let archive = Archive::from_parts(Box::new(FileSource::open(path)?), header, leaves);
+    let old = sound_head(&source).map(|catalog| {
+        let archive = Archive::from_parts(Box::new(FileSource::open(path)?), catalog);
         Ok::<_, Error>(archive)
     });
     let old = old.transpose()?;
@@ -145,13 +146,13 @@ pub fn recover(
 }
 
 /// Head and leaves, if all of the head is there and right; the rest of the file may be cut.
-fn sound_head(source: &FileSource) -> Option<(Header, Vec<Leaf>)> {
+fn sound_head(source: &FileSource) -> Option<Catalog> {
     let mut start = vec![0; MAX_HEAD];
     let there = source.len().min(MAX_HEAD as u64) as usize;
     source.read_at(0, &mut start[..there]).ok()?;
     let stated = u64::from_le_bytes(start[32..40].try_into().ok()?);
     let (header, leaves) = head::decode(&start, stated).ok()?;
-    (header.bytes.head <= there as u64).then_some((header, leaves))
+    (header.bytes.head <= there as u64).then(|| Catalog::new(header, leaves))
 }
 
 enum Kind {

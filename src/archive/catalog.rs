@@ -1,0 +1,115 @@
+//! What an open archive knows without its pages: where leaves and metadata lie, and what their bytes say.
+//!
+//! In: bytes that the caller fetched. Out: entries of pages, metadata. No reads, and no state.
+
+use super::directory::{PageEntry, Place, decode_leaf, max_raw_len};
+use super::head::{Header, Leaf};
+use super::metadata::Metadata;
+use crate::Result;
+use crate::codec::{Unpacker, Violation};
+use crate::frame::PageKey;
+use std::ops::Range;
+
+/// The head of an archive: header and root directory. What it names is fetched by its range and decoded here;
+/// pages by their [`extent`](PageEntry::extent) and a [`PageDecoder`](super::PageDecoder).
+///
+/// Memory: at most 512 leaves of 48 bytes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Catalog {
+    header: Header,
+    leaves: Vec<Leaf>,
+}
+
+impl Catalog {
+    pub(super) fn new(header: Header, leaves: Vec<Leaf>) -> Self {
+        Self { header, leaves }
+    }
+
+    /// What the head says about the whole.
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// Number of directory leaves.
+    pub fn leaf_count(&self) -> usize {
+        self.leaves.len()
+    }
+
+    /// The leaf whose entries could include `key`.
+    pub fn leaf_of(&self, key: PageKey) -> Option<usize> {
+        self.leaves.partition_point(|leaf| leaf.first <= key).checked_sub(1)
+    }
+
+    /// Key of the first entry of leaf `index`.
+    pub fn leaf_first(&self, index: usize) -> PageKey {
+        self.leaves[index].first
+    }
+
+    /// Where the bytes of leaf `index` lie, within the directory section (rule R4). Leaves lie one behind the other.
+    pub fn leaf_range(&self, index: usize) -> Range<u64> {
+        let leaf = &self.leaves[index];
+        let start = self.header.directory_offset() + leaf.offset;
+        start..start + u64::from(leaf.stored_len)
+    }
+
+    /// Number of entries of leaf `index`, at most 2²⁰.
+    pub fn leaf_entries(&self, index: usize) -> u32 {
+        self.leaves[index].entries
+    }
+
+    /// Entries of leaf `index`, ascending, from `stored`, the bytes of its range. Breaks of rules D1 to D11 are errors.
+    /// Memory besides the result: at most 47 bytes an entry.
+    pub fn decode_leaf(&self, index: usize, stored: &[u8]) -> Result<Vec<PageEntry>> {
+        let entries = self.check_and_decode(index, stored);
+        entries.map_err(|violation| violation.at(format!("directory leaf {index}"), self.leaf_range(index).start))
+    }
+
+    fn check_and_decode(&self, index: usize, stored: &[u8]) -> Result<Vec<PageEntry>, Violation> {
+        let leaf = &self.leaves[index];
+        let crc = crc32c::crc32c(stored);
+        if crc != leaf.crc {
+            return Err(Violation::new("D1", format!("checksum {:08x}", leaf.crc), format!("{crc:08x}")));
+        }
+        if leaf.raw_len as u64 > max_raw_len(leaf.entries) {
+            let expected = format!("at most {} bytes for {} entries", max_raw_len(leaf.entries), leaf.entries);
+            return Err(Violation::new("D2", expected, leaf.raw_len));
+        }
+        let mut unpacker = Unpacker::new();
+        let raw = unpacker.unpack(stored, leaf.raw_len as usize, "D2")?;
+        if raw.len() != leaf.raw_len as usize {
+            return Err(Violation::new("D2", format!("{} bytes in the frame", leaf.raw_len), raw.len()));
+        }
+        let mut entries = decode_leaf(raw, leaf.entries, leaf.first, self.header.bytes.pages)?;
+        if let (Some(next), Some(last)) = (self.leaves.get(index + 1), entries.last())
+            && last.key >= next.first
+        {
+            return Err(Violation::new(
+                "D4",
+                format!("keys below {}, where the next leaf begins", next.first),
+                last.key,
+            ));
+        }
+        for entry in &mut entries {
+            if let Place::Stored(extent) | Place::Shared(extent) = &mut entry.place {
+                extent.offset += self.header.pages_offset();
+            }
+        }
+        Ok(entries)
+    }
+
+    /// Where the metadata block lies: at most 1 MiB (rule H9).
+    pub fn metadata_range(&self) -> Range<u64> {
+        let start = self.header.metadata_offset();
+        start..start + self.header.bytes.metadata
+    }
+
+    /// The coordinate reference system as the input stated it, empty if unknown, from the bytes of the metadata block.
+    pub fn decode_crs(&self, metadata: &[u8]) -> Result<String> {
+        Ok(self.decode_metadata(metadata)?.crs)
+    }
+
+    pub(super) fn decode_metadata(&self, bytes: &[u8]) -> Result<Metadata> {
+        let metadata = Metadata::decode(bytes, self.header.metadata_crc);
+        metadata.map_err(|violation| violation.at("metadata", self.header.metadata_offset()))
+    }
+}
