@@ -17,7 +17,7 @@ pub fn info(archive: &Archive) -> Result<Value> {
 pub fn header_info(header: &Header, crs: &str) -> Value {
     let plan = &header.plan;
     let bounds = header.bounds.map(|(min, max)| json!({ "min": min, "max": max }));
-    let classes = (0..=255u8).filter(|&class| plan.excludes(class)).collect::<Vec<_>>();
+    let classes = plan.options.exclude_classes.iter().collect::<Vec<_>>();
     json!({
         "format_version": format!("{}.{}", header.version.0, header.version.1),
         "pixel_size": plan.frame.pixel_m(),
@@ -47,12 +47,12 @@ pub fn header_info(header: &Header, crs: &str) -> Value {
             "tiles": header.bytes.pages,
             "directory": header.bytes.head + header.bytes.directory,
         },
-        "max_slope": plan.max_slope_deg,
-        "tolerance": plan.tolerance_m,
-        "classifier": plan.classifier.name(),
-        "min_points": plan.min_points,
-        "drop_isolated": plan.drop_isolated,
-        "up": plan.up.name(),
+        "max_slope": plan.options.max_slope_deg,
+        "tolerance": plan.options.tolerance_m,
+        "classifier": plan.options.classifier.name(),
+        "min_points": plan.options.min_points,
+        "drop_isolated": plan.options.drop_isolated,
+        "up": plan.options.up.name(),
         "excluded_classes": classes,
         "plan_hash": format!("{:032x}", header.plan_hash),
         "crs": (!crs.is_empty()).then_some(crs),

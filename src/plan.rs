@@ -2,6 +2,8 @@
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::{Error, Result};
+use bitvec::array::BitArray;
+use bitvec::order::Lsb0;
 use xxhash_rust::xxh3::xxh3_128;
 
 /// Length of [`Plan::to_bytes`].
@@ -54,47 +56,136 @@ impl Up {
     }
 }
 
+/// A set of LAS classes (0 to 255), one bit a class.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ClassSet(BitArray<[u64; 4], Lsb0>);
+
+impl ClassSet {
+    /// The set whose class `c` is bit `c % 64` of word `c / 64`: its form in an archive's head.
+    pub const fn from_words(words: [u64; 4]) -> Self {
+        Self(BitArray { _ord: std::marker::PhantomData, data: words })
+    }
+
+    /// The words of [`from_words`](Self::from_words).
+    pub const fn words(&self) -> [u64; 4] {
+        self.0.data
+    }
+
+    /// Adds a class.
+    pub fn insert(&mut self, class: u8) {
+        self.0.set(usize::from(class), true);
+    }
+
+    /// Whether the set has this class.
+    #[inline]
+    pub fn contains(&self, class: u8) -> bool {
+        self.0[usize::from(class)]
+    }
+
+    /// Whether the set has no class.
+    pub fn is_empty(&self) -> bool {
+        self.0.not_any()
+    }
+
+    /// The classes, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = u8> + '_ {
+        self.0.iter_ones().map(|class| class as u8)
+    }
+}
+
+impl FromIterator<u8> for ClassSet {
+    fn from_iter<I: IntoIterator<Item = u8>>(classes: I) -> Self {
+        let mut set = Self::default();
+        classes.into_iter().for_each(|class| set.insert(class));
+        set
+    }
+}
+
 /// Grid and options that decide an archive's content.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// The grid.
     pub frame: Frame,
-    /// Steepest slope that can be stood on [degrees, 0..=90].
+    /// Everything else.
+    pub options: PlanOptions,
+}
+
+/// What decides an archive's content beside the grid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlanOptions {
+    /// Steepest slope that can be stood on (degrees, 0 to 90).
     pub max_slope_deg: f64,
-    /// How far heights may be coarsened, always outwards [m, >= 0].
+    /// How far heights may be coarsened, always outwards (m, at least 0).
     pub tolerance_m: f64,
     /// How obstacles are found.
     pub classifier: Classifier,
-    /// Voxels with fewer points are dropped, unless a triangle of a mesh is in them [points, >= 1].
+    /// Voxels with fewer points are dropped, unless a triangle of a mesh is in them (points, at least 1).
     pub min_points: u32,
     /// Whether voxels without matter in any of the 26 voxels around them are dropped.
     pub drop_isolated: bool,
     /// Up axis of the input, where its format does not fix it.
     pub up: Up,
-    /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.
-    pub exclude_classes: [u64; 4],
+    /// Points of these LAS classes are left out.
+    pub exclude_classes: ClassSet,
 }
 
-impl Plan {
-    /// The plan of an archive on this grid with the options that `sliceconv` has by default.
-    pub fn new(frame: Frame) -> Self {
+impl Default for PlanOptions {
+    /// The options that `sliceconv` has by default.
+    fn default() -> Self {
         Self {
-            frame,
             max_slope_deg: 45.0,
             tolerance_m: 0.0,
             classifier: Classifier::Plane,
             min_points: 1,
             drop_isolated: false,
             up: Up::Z,
-            exclude_classes: [0; 4],
+            exclude_classes: ClassSet::default(),
         }
+    }
+}
+
+impl Plan {
+    /// The plan of an archive on this grid with the default options.
+    pub fn new(frame: Frame) -> Self {
+        Self { frame, options: PlanOptions::default() }
     }
 
     /// How far heights may be moved outwards (quanta): what the tolerance holds of whole quanta, at most a slice.
     pub fn tolerance_quanta(&self) -> u32 {
-        (self.tolerance_m / self.frame.quantum_m()).floor().clamp(0.0, SLICE_QUANTA as f64) as u32
+        (self.options.tolerance_m / self.frame.quantum_m()).floor().clamp(0.0, SLICE_QUANTA as f64) as u32
     }
 
+    /// The canonical bytes that identify the plan, which are also its bytes in an archive's head (spec, chapter 3).
+    pub(crate) fn to_bytes(&self) -> [u8; PLAN_BYTES] {
+        let mut bytes = [0; PLAN_BYTES];
+        // Adding zero turns -0 into 0: equal plans have equal bytes.
+        let sizes = [
+            self.frame.pixel_m(),
+            self.frame.slice_m(),
+            self.options.max_slope_deg + 0.0,
+            self.options.tolerance_m + 0.0,
+        ];
+        for (slot, value) in bytes[..32].chunks_exact_mut(8).zip(sizes) {
+            slot.copy_from_slice(&value.to_le_bytes());
+        }
+        bytes[32] =
+            Classifier::ALL.iter().position(|&c| c == self.options.classifier).map_or(u8::MAX, |code| code as u8);
+        bytes[33] = (self.options.up == Up::Y) as u8;
+        bytes[34] = self.options.drop_isolated as u8;
+        bytes[36..40].copy_from_slice(&self.options.min_points.to_le_bytes());
+        for (slot, value) in bytes[40..].chunks_exact_mut(8).zip(self.options.exclude_classes.words()) {
+            slot.copy_from_slice(&value.to_le_bytes());
+        }
+        bytes
+    }
+
+    /// Identity of the plan: XXH3-128 of its canonical bytes. Archives of one plan can be compared and merged.
+    pub fn hash(&self) -> u128 {
+        xxh3_128(&self.to_bytes())
+    }
+}
+
+impl PlanOptions {
     /// Refuses values outside the limits stated at the fields.
     pub fn check(&self) -> Result<()> {
         if !(0.0..=90.0).contains(&self.max_slope_deg) {
@@ -109,33 +200,5 @@ impl Plan {
             return Err(Error::parameter("--min-points", "0 is too few; 1 keeps every point"));
         }
         Ok(())
-    }
-
-    /// The canonical bytes that identify the plan, which are also its bytes in an archive's head (spec, chapter 3).
-    pub(crate) fn to_bytes(&self) -> [u8; PLAN_BYTES] {
-        let mut bytes = [0; PLAN_BYTES];
-        // Adding zero turns -0 into 0: equal plans have equal bytes.
-        let sizes = [self.frame.pixel_m(), self.frame.slice_m(), self.max_slope_deg + 0.0, self.tolerance_m + 0.0];
-        for (slot, value) in bytes[..32].chunks_exact_mut(8).zip(sizes) {
-            slot.copy_from_slice(&value.to_le_bytes());
-        }
-        bytes[32] = Classifier::ALL.iter().position(|&c| c == self.classifier).map_or(u8::MAX, |code| code as u8);
-        bytes[33] = (self.up == Up::Y) as u8;
-        bytes[34] = self.drop_isolated as u8;
-        bytes[36..40].copy_from_slice(&self.min_points.to_le_bytes());
-        for (slot, value) in bytes[40..].chunks_exact_mut(8).zip(self.exclude_classes) {
-            slot.copy_from_slice(&value.to_le_bytes());
-        }
-        bytes
-    }
-
-    /// Identity of the plan: XXH3-128 of its canonical bytes. Archives of one plan can be compared and merged.
-    pub fn hash(&self) -> u128 {
-        xxh3_128(&self.to_bytes())
-    }
-
-    /// Whether points of LAS class `class` are left out.
-    pub fn excludes(&self, class: u8) -> bool {
-        self.exclude_classes[class as usize / 64] >> (class % 64) & 1 == 1
     }
 }

@@ -450,7 +450,7 @@ fn withheld_points_and_classes_are_left_out_of_packed_files_too() {
         scan.records.iter_mut().step_by(5).for_each(|r| r[15] |= flag_bit);
         let class = |r: &Vec<u8>| r[class_at] & 31;
         let withheld = |r: &Vec<u8>| r[15] & flag_bit != 0;
-        let options = InputOptions { exclude_classes: [1 << 3, 0, 0, 0], ..InputOptions::default() };
+        let options = InputOptions { exclude_classes: [3].into_iter().collect(), ..InputOptions::default() };
         let all = scan.expected();
         let kept: Vec<_> = std::iter::zip(&scan.records, &all)
             .filter(|(r, _)| class(r) != 3 && !withheld(r))

@@ -207,7 +207,7 @@ fn without_a_head_the_plan_must_be_given_and_bounds_come_from_the_pages() {
     assert!(min[0] >= f64::from(lowest) * 6.4 - 1e-9 && min[0] <= max[0] && max[2] > 90.0, "{min:?} {max:?}");
     fs::write(&from, &good).unwrap();
     let mut other = plan();
-    other.max_slope_deg = 30.0;
+    other.options.max_slope_deg = 30.0;
     let error = recover(&from, Some(&other), &to, false, &NoMonitor).unwrap_err().to_string();
     assert!(error.contains("--plan") && error.contains("a.slices"), "{error}");
     // Bytes put in between: the pages are found where they lie now.

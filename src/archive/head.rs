@@ -5,7 +5,7 @@
 use super::FORMAT_VERSION;
 use crate::codec::{Reader, Violation};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
-use crate::plan::{Classifier, Plan, Up};
+use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -360,7 +360,7 @@ fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
     let sizes = [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
     let [classifier, up, drop_isolated, reserved] = reader.array()?;
     let min_points = reader.u32()?;
-    let exclude_classes = [reader.u64()?, reader.u64()?, reader.u64()?, reader.u64()?];
+    let exclude_classes = ClassSet::from_words([reader.u64()?, reader.u64()?, reader.u64()?, reader.u64()?]);
     let wrong = |error: Error| Violation::new("H7", "a plan within its limits", error);
     let Some(&classifier) = Classifier::ALL.get(classifier as usize) else {
         return Err(Violation::new("H7", "classifier 0, 1 or 2", classifier));
@@ -377,8 +377,10 @@ fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
     };
     let frame = Frame::new(sizes[0], sizes[1]).map_err(wrong)?;
     let [_, _, max_slope_deg, tolerance_m] = sizes;
-    let plan = Plan { frame, max_slope_deg, tolerance_m, classifier, min_points, drop_isolated, up, exclude_classes };
-    plan.check().map_err(wrong)?;
+    let options =
+        PlanOptions { max_slope_deg, tolerance_m, classifier, min_points, drop_isolated, up, exclude_classes };
+    let plan = Plan { frame, options };
+    plan.options.check().map_err(wrong)?;
     if reserved != 0 || plan.to_bytes() != *bytes {
         return Err(Violation::new("H7", "the canonical bytes of the plan", hex(bytes)));
     }

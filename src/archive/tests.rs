@@ -5,7 +5,7 @@ use crate::bytes::{ByteSource, MemorySource};
 use crate::codec::pages;
 use crate::frame::{Frame, PageKey};
 use crate::monitor::NoMonitor;
-use crate::plan::{Classifier, Plan};
+use crate::plan::{Classifier, Plan, PlanOptions};
 use crate::slice::{Page, PageBuilder, Span};
 use crate::{Error, Result};
 use proptest::prelude::*;
@@ -15,7 +15,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 fn plan() -> Plan {
     let frame = Frame::new(0.05, 0.15).unwrap();
-    Plan { classifier: Classifier::Span, exclude_classes: [1 << 7, 0, 0, 0], ..Plan::new(frame) }
+    let options = PlanOptions {
+        classifier: Classifier::Span,
+        exclude_classes: [7].into_iter().collect(),
+        ..PlanOptions::default()
+    };
+    Plan { frame, options }
 }
 
 fn totals() -> Totals {

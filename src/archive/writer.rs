@@ -80,7 +80,7 @@ impl ArchiveWriter {
 
     /// As [`create`](Self::create).
     pub(super) fn begin(target: &Path, plan: &Plan, existing: Existing) -> Result<Self> {
-        plan.check()?;
+        plan.options.check()?;
         // What is there can only be compared at the end.
         check_target(target, existing != Existing::Refuse)?;
         remove_leftovers(target)?;

@@ -250,9 +250,9 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     let mut options = ConvertOptions::new(arguments.inputs.clone(), arguments.output.clone().unwrap_or_default());
     options.pixel = arguments.pixel;
     options.slice_m = arguments.slice;
-    options.max_slope_deg = arguments.max_slope;
-    options.tolerance_m = arguments.tolerance;
-    options.classifier = match arguments.classifier {
+    options.plan.max_slope_deg = arguments.max_slope;
+    options.plan.tolerance_m = arguments.tolerance;
+    options.plan.classifier = match arguments.classifier {
         Rule::Span => Classifier::Span,
         Rule::Thesis => Classifier::Thesis,
         Rule::Plane => Classifier::Plane,
@@ -260,12 +260,10 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.memory_bytes = arguments.memory;
     options.threads = arguments.threads.map_or(options.threads, usize::from);
     options.temp_dir = arguments.temp_dir.clone().unwrap_or(options.temp_dir);
-    for class in &arguments.exclude_class {
-        options.exclude_classes[usize::from(class / 64)] |= 1 << (class % 64);
-    }
-    options.min_points = arguments.min_points;
-    options.drop_isolated = arguments.drop_isolated;
-    options.up = match arguments.up {
+    options.plan.exclude_classes = arguments.exclude_class.iter().copied().collect();
+    options.plan.min_points = arguments.min_points;
+    options.plan.drop_isolated = arguments.drop_isolated;
+    options.plan.up = match arguments.up {
         Axis::Z => Up::Z,
         Axis::Y => Up::Y,
     };
@@ -295,13 +293,13 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
     let options = [
         ("pixel", "--pixel", wanted.pixel == planned.pixel),
         ("slice", "--slice", wanted.slice_m == planned.slice_m),
-        ("max_slope", "--max-slope", wanted.max_slope_deg == planned.max_slope_deg),
-        ("tolerance", "--tolerance", wanted.tolerance_m == planned.tolerance_m),
-        ("classifier", "--classifier", wanted.classifier == planned.classifier),
-        ("exclude_class", "--exclude-class", wanted.exclude_classes == planned.exclude_classes),
-        ("min_points", "--min-points", wanted.min_points == planned.min_points),
-        ("drop_isolated", "--drop-isolated", wanted.drop_isolated == planned.drop_isolated),
-        ("up", "--up", wanted.up == planned.up),
+        ("max_slope", "--max-slope", wanted.plan.max_slope_deg == planned.plan.max_slope_deg),
+        ("tolerance", "--tolerance", wanted.plan.tolerance_m == planned.plan.tolerance_m),
+        ("classifier", "--classifier", wanted.plan.classifier == planned.plan.classifier),
+        ("exclude_class", "--exclude-class", wanted.plan.exclude_classes == planned.plan.exclude_classes),
+        ("min_points", "--min-points", wanted.plan.min_points == planned.plan.min_points),
+        ("drop_isolated", "--drop-isolated", wanted.plan.drop_isolated == planned.plan.drop_isolated),
+        ("up", "--up", wanted.plan.up == planned.plan.up),
         ("units", "--units", wanted.units == planned.units),
         ("mesh", "--mesh", wanted.mesh == planned.mesh),
     ];

@@ -83,17 +83,9 @@ impl Job {
 
     /// Sets the options that the job fixes.
     pub fn apply_to(&self, options: &mut ConvertOptions) {
-        let Plan { frame, max_slope_deg, tolerance_m, classifier, min_points, drop_isolated, up, exclude_classes } =
-            self.plan.clone();
-        options.pixel = PixelSize::Metres(frame.pixel_m());
-        options.slice_m = Some(frame.slice_m());
-        options.max_slope_deg = max_slope_deg;
-        options.tolerance_m = tolerance_m;
-        options.classifier = classifier;
-        options.min_points = min_points;
-        options.drop_isolated = drop_isolated;
-        options.up = up;
-        options.exclude_classes = exclude_classes;
+        options.pixel = PixelSize::Metres(self.plan.frame.pixel_m());
+        options.slice_m = Some(self.plan.frame.slice_m());
+        options.plan = self.plan.options.clone();
         options.units = self.units;
         options.mesh = self.mesh;
     }
@@ -219,7 +211,7 @@ mod tests {
         renamed.inputs[0].name = "other.las".into();
         assert_eq!(renamed.hash(), one.hash());
         let mut changes = vec![one.clone(); 6];
-        changes[0].plan.max_slope_deg = 44.0;
+        changes[0].plan.options.max_slope_deg = 44.0;
         changes[1].units = Units::Factor(1.0);
         changes[2].inputs[0].fingerprint = 9;
         changes[3].inputs[1].bounds = None;

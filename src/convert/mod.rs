@@ -83,16 +83,17 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
         let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", options.memory_bytes);
         return Err(Error::parameter("--memory", reason));
     }
+    options.plan.check()?;
     let input_options = InputOptions {
         units: options.units,
-        up: options.up,
-        exclude_classes: options.exclude_classes,
+        up: options.plan.up,
+        exclude_classes: options.plan.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads.max(1) as u64,
     };
     let scans = InputSet::open(&options.inputs, input_options, monitor)?;
     let mesh_options = MeshOptions {
         units: options.units,
-        up: options.up,
+        up: options.plan.up,
         memory_bytes: options.memory_bytes / 8,
         temp_dir: options.temp_dir.clone(),
     };
@@ -118,15 +119,8 @@ pub(crate) fn plan(
     };
     let plan = Plan {
         frame: Frame::new(pixel_m, options.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12)))?,
-        max_slope_deg: options.max_slope_deg,
-        tolerance_m: options.tolerance_m,
-        classifier: options.classifier,
-        min_points: options.min_points,
-        drop_isolated: options.drop_isolated,
-        up: options.up,
-        exclude_classes: options.exclude_classes,
+        options: options.plan.clone(),
     };
-    plan.check()?;
     Ok((plan, spacing))
 }
 

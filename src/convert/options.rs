@@ -3,7 +3,7 @@
 use super::job::Job;
 use crate::input::Units;
 use crate::mesh::MeshMode;
-use crate::plan::{Classifier, Up};
+use crate::plan::PlanOptions;
 use std::path::PathBuf;
 
 /// How the pixel size is chosen.
@@ -27,26 +27,14 @@ pub struct ConvertOptions {
     pub pixel: PixelSize,
     /// Slice height `σ` (m); three pixel sizes by default (thesis, section 3.1.3).
     pub slice_m: Option<f64>,
-    /// Steepest slope that can be stood on (degrees).
-    pub max_slope_deg: f64,
-    /// How far heights may be coarsened, outwards (m).
-    pub tolerance_m: f64,
-    /// How floors and obstacles are told apart.
-    pub classifier: Classifier,
+    /// What else decides the content of the archive.
+    pub plan: PlanOptions,
     /// Memory budget [bytes, at least 64 MiB].
     pub memory_bytes: u64,
     /// Worker threads [>= 1].
     pub threads: usize,
     /// Folder for temporary data.
     pub temp_dir: PathBuf,
-    /// LAS classes left out, as in [`Plan::exclude_classes`].
-    pub exclude_classes: [u64; 4],
-    /// Voxels with fewer points are dropped.
-    pub min_points: u32,
-    /// Whether voxels without matter in any of the 26 voxels around them are dropped.
-    pub drop_isolated: bool,
-    /// Up axis of the input.
-    pub up: Up,
     /// Unit of the input.
     pub units: Units,
     /// How meshes become voxels.
@@ -65,16 +53,10 @@ impl ConvertOptions {
             output,
             pixel: PixelSize::Auto,
             slice_m: None,
-            max_slope_deg: 45.0,
-            tolerance_m: 0.0,
-            classifier: Classifier::Plane,
+            plan: PlanOptions::default(),
             memory_bytes: 512 << 20,
             threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
             temp_dir: std::env::temp_dir(),
-            exclude_classes: [0; 4],
-            min_points: 1,
-            drop_isolated: false,
-            up: Up::Z,
             units: Units::Auto,
             mesh: MeshMode::Exact,
             overwrite: false,

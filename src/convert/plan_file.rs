@@ -4,7 +4,7 @@ use crate::convert::{InputFacts, Job};
 use crate::frame::Frame;
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
-use crate::plan::{Classifier, Plan, Up};
+use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -22,13 +22,13 @@ pub fn to_json(job: &Job) -> Value {
         "slicewalk_plan": VERSION,
         "pixel_size": plan.frame.pixel_m(),
         "slice_height": plan.frame.slice_m(),
-        "max_slope": plan.max_slope_deg,
-        "tolerance": plan.tolerance_m,
-        "classifier": plan.classifier.name(),
-        "min_points": plan.min_points,
-        "drop_isolated": plan.drop_isolated,
-        "up": plan.up.name(),
-        "excluded_classes": (0..=255u8).filter(|&class| plan.excludes(class)).collect::<Vec<_>>(),
+        "max_slope": plan.options.max_slope_deg,
+        "tolerance": plan.options.tolerance_m,
+        "classifier": plan.options.classifier.name(),
+        "min_points": plan.options.min_points,
+        "drop_isolated": plan.options.drop_isolated,
+        "up": plan.options.up.name(),
+        "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
         "plan_hash": format!("{:032x}", plan.hash()),
         "units": match job.units {
             Units::Auto => json!("auto"),
@@ -128,15 +128,11 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
     let classifier = |v: &Value| Classifier::ALL.into_iter().find(|rule| Some(rule.name()) == v.as_str());
     let up = |v: &Value| [Up::Z, Up::Y].into_iter().find(|up| Some(up.name()) == v.as_str());
     let classes = |v: &Value| {
-        let mut words = [0u64; 4];
-        for class in v.as_array()? {
-            let class = u8::try_from(class.as_u64()?).ok()?;
-            words[usize::from(class / 64)] |= 1 << (class % 64);
-        }
-        Some(words)
+        let classes = v.as_array()?.iter();
+        classes.map(|class| u8::try_from(class.as_u64()?).ok()).collect::<Option<ClassSet>>()
     };
-    let plan = Plan {
-        frame: frame.map_err(|error| Wrong::new("pixel_size, slice_height", format!("a grid, but {error}")))?,
+    let frame = frame.map_err(|error| Wrong::new("pixel_size, slice_height", format!("a grid, but {error}")))?;
+    let options = PlanOptions {
         max_slope_deg: field(value, "max_slope", "an angle in degrees", number)?,
         tolerance_m: field(value, "tolerance", "a length in metres", number)?,
         classifier: field(value, "classifier", "span, thesis or plane", classifier)?,
@@ -145,7 +141,8 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
         up: field(value, "up", "z or y", up)?,
         exclude_classes: field(value, "excluded_classes", "a list of classes from 0 to 255", classes)?,
     };
-    plan.check().map_err(|error| Wrong::new("plan", format!("options within their limits, but {error}")))?;
+    options.check().map_err(|error| Wrong::new("plan", format!("options within their limits, but {error}")))?;
+    let plan = Plan { frame, options };
     let stated = field(value, "plan_hash", "32 hexadecimal digits", hex)?;
     if stated != plan.hash() {
         let expected = format!("{:032x} for these options: the file was changed by hand", plan.hash());
@@ -223,16 +220,16 @@ mod tests {
             spacing_m in proptest::option::of(1e-6f64..1e3), inputs in proptest::collection::vec(input(), 0..5)
         ) {
             let (pixel, slice, max_slope_deg, tolerance_m) = sizes;
-            let plan = Plan {
-                frame: Frame::new(pixel, slice).unwrap(),
+            let options = PlanOptions {
                 max_slope_deg,
                 tolerance_m,
                 classifier: Classifier::ALL[rule],
                 min_points,
                 drop_isolated: flags.0,
                 up: if flags.1 { Up::Y } else { Up::Z },
-                exclude_classes: classes,
+                exclude_classes: ClassSet::from_words(classes),
             };
+            let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };
             let units = units.map_or(Units::Auto, Units::Factor);
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
             let mut job = Job { plan, units, mesh, spacing_m, inputs };

@@ -5,7 +5,7 @@
 //! the turn of the axes, so that an independent reader gets the same bits.
 
 use crate::input::{PointBatch, UnitCounts};
-use crate::plan::Up;
+use crate::plan::{ClassSet, Up};
 
 /// Greatest coordinate that is kept, in magnitude (m).
 pub(super) const FARTHEST_M: f64 = 1e12;
@@ -64,8 +64,8 @@ pub(super) struct Filter {
 }
 
 impl Filter {
-    pub(super) fn new(layout: Layout, exclude: &[u64; 4], transform: &Transform) -> Self {
-        let excluded = |class: usize| if exclude[class / 64] >> (class % 64) & 1 == 1 { EXCLUDED } else { 0 };
+    pub(super) fn new(layout: Layout, exclude: &ClassSet, transform: &Transform) -> Self {
+        let excluded = |class: usize| if exclude.contains(class as u8) { EXCLUDED } else { 0 };
         let withheld = |byte: usize, bit: u32| if byte >> bit & 1 == 1 { WITHHELD } else { 0 };
         let (byte_15, byte_16) = match layout {
             Layout::Old => (std::array::from_fn(|b| withheld(b, 7) | excluded(b & 31)), [0; 256]),
@@ -177,7 +177,7 @@ mod tests {
         bytes
     }
 
-    fn run(records: &[Vec<u8>], layout: Layout, exclude: [u64; 4], transform: Transform) -> (PointBatch, UnitCounts) {
+    fn run(records: &[Vec<u8>], layout: Layout, exclude: ClassSet, transform: Transform) -> (PointBatch, UnitCounts) {
         let (mut batch, mut counts) = (PointBatch::default(), UnitCounts::default());
         let filter = Filter::new(layout, &exclude, &transform);
         convert(&records.concat(), records[0].len(), &transform, &filter, &mut batch, &mut counts);
@@ -190,7 +190,7 @@ mod tests {
     fn every_stride_gives_the_same_exact_coordinates() {
         for stride in 20..=70 {
             let records: Vec<_> = (0..9).map(|i| record(stride, [i, -i * 7, i32::MAX - i], 0, 0)).collect();
-            let (batch, counts) = run(&records, Layout::Extended, [0; 4], PLAIN);
+            let (batch, counts) = run(&records, Layout::Extended, ClassSet::default(), PLAIN);
             assert_eq!(counts.read, 9);
             for i in 0..9 {
                 assert_eq!(batch.x[i], i as f64 * 0.01 + 1.0);
@@ -202,7 +202,7 @@ mod tests {
 
     #[test]
     fn withheld_and_excluded_points_are_left_out_and_counted_in_both_layouts() {
-        let exclude = [1 << 7, 0, 1 << 2, 0]; // classes 7 and 130
+        let exclude: ClassSet = [7, 130].into_iter().collect();
         let old: Vec<_> = [0, 0x80, 7, 0x87, 0x67, 2].map(|b| record(20, [1, 2, 3], b, 7)).into();
         let (batch, counts) = run(&old, Layout::Old, exclude, PLAIN);
         assert_eq!((batch.len(), counts.withheld, counts.excluded), (2, 2, 2));
@@ -215,16 +215,18 @@ mod tests {
     #[test]
     fn far_and_infinite_coordinates_are_left_out_and_counted() {
         let records: Vec<_> = [1, 1000, i32::MAX, -5].map(|v| record(34, [v, 0, 0], 0, 0)).into();
-        let (batch, counts) = run(&records, Layout::Old, [0; 4], Transform { scale: [1e10, 1.0, 1.0], ..PLAIN });
+        let (batch, counts) =
+            run(&records, Layout::Old, ClassSet::default(), Transform { scale: [1e10, 1.0, 1.0], ..PLAIN });
         assert_eq!((batch.x.as_slice(), counts.not_finite), ([1e10 + 1.0, -5e10 + 1.0].as_slice(), 2));
-        let (batch, counts) = run(&records, Layout::Old, [0; 4], Transform { scale: [1e308, 1.0, 1.0], ..PLAIN });
+        let (batch, counts) =
+            run(&records, Layout::Old, ClassSet::default(), Transform { scale: [1e308, 1.0, 1.0], ..PLAIN });
         assert_eq!((batch.len(), counts.not_finite), (0, 4));
     }
 
     #[test]
     fn up_y_turns_z_to_minus_y_and_y_to_z() {
         let turned = Transform { unit: [0.5, 0.5, 2.0], up: Up::Y, ..PLAIN };
-        let (batch, _) = run(&[record(26, [100, 200, 300], 0, 0)], Layout::Old, [0; 4], turned);
+        let (batch, _) = run(&[record(26, [100, 200, 300], 0, 0)], Layout::Old, ClassSet::default(), turned);
         assert_eq!((batch.x[0], batch.y[0], batch.z[0]), (1.0, -12.0, 0.0));
     }
 }

@@ -32,7 +32,7 @@ use self::header::Header;
 use self::laz::{Body, Packing, Run};
 use self::records::Records;
 use self::source::Source;
-use crate::plan::Up;
+use crate::plan::{ClassSet, Up};
 use crate::{Error, Monitor, Result};
 
 pub use self::laz::quiet_decoder_panics;
@@ -62,14 +62,14 @@ pub struct InputOptions {
     /// Which axis of the files points up.
     pub up: Up,
     /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.
-    pub exclude_classes: [u64; 4],
+    pub exclude_classes: ClassSet,
     /// What one decoder may hold of one compressed LAZ chunk, and the set of chunk tables (bytes).
     pub memory_bytes: u64,
 }
 
 impl Default for InputOptions {
     fn default() -> Self {
-        Self { units: Units::Auto, up: Up::Z, exclude_classes: [0; 4], memory_bytes: 64 << 20 }
+        Self { units: Units::Auto, up: Up::Z, exclude_classes: ClassSet::default(), memory_bytes: 64 << 20 }
     }
 }
 
@@ -563,7 +563,7 @@ impl Decoder {
             convert::convert(records, record_bytes, &file.transform, &file.filter, batch, &mut counts);
             if batch.is_empty() { Ok(()) } else { sink(batch) }
         };
-        let classes = set.options.exclude_classes != [0; 4];
+        let classes = !set.options.exclude_classes.is_empty();
         let run = |packing, start, len, open, name| {
             let (points, memory_bytes) = (unit.points, set.options.memory_bytes);
             Run { source, packing, start, len, points, open, classes, memory_bytes, name }

@@ -462,14 +462,14 @@ mod tests {
     use super::*;
     use crate::archive::{ArchiveWriter, PageEncoder, Totals};
     use crate::frame::Frame;
-    use crate::plan::{Classifier, Plan};
+    use crate::plan::Plan;
     use crate::query::{Aabb, Overlap, overlaps};
     use crate::slice::{PageBuilder, Span};
     use crate::walk::{Config, Walker, Wish};
     use nalgebra::Vector2;
 
     fn archive() -> Archive {
-        let plan = Plan { classifier: Classifier::Span, ..Plan::new(Frame::new(0.05, 0.15).unwrap()) };
+        let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("a.slices");
         let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();

@@ -66,13 +66,13 @@ impl Judge {
         let frame: &Frame = &plan.frame;
         let quanta_per_pixel = frame.pixel_m() / frame.quantum_m();
         let tangent = |deg: f64| if deg >= 90.0 { f64::INFINITY } else { deg.to_radians().tan() };
-        let limit = plan.max_slope_deg;
+        let limit = plan.options.max_slope_deg;
         let bound = |more: f64| (limit + more).min(STEEPEST_BOUND_DEG.max(limit));
         let steps_per_pixel = frame.pixel_m() / frame.slice_m() * SLICE_STEPS as f64;
         let steep = tangent(limit) * steps_per_pixel / SUBPIXELS as f64;
         let run = |deg: f64| std::f64::consts::SQRT_2 * tangent(deg) * quanta_per_pixel;
         Self {
-            classifier: plan.classifier,
+            classifier: plan.options.classifier,
             steep_squared: steep * steep,
             steep_run: run(limit),
             clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
@@ -439,12 +439,14 @@ fn mark_steep(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::PlanOptions;
     use crate::voxel::record::{Record, Recorder};
 
     const T: f64 = 0.05;
 
     fn plan(classifier: Classifier, max_slope_deg: f64) -> Plan {
-        Plan { max_slope_deg, classifier, ..Plan::new(Frame::new(T, 3.0 * T).unwrap()) }
+        let options = PlanOptions { max_slope_deg, classifier, ..PlanOptions::default() };
+        Plan { frame: Frame::new(T, 3.0 * T).unwrap(), options }
     }
 
     /// A small generator of uniform numbers in 0..1 and of nearly normal ones.

@@ -38,7 +38,7 @@ impl SurfaceBuilder {
         Self {
             frame: plan.frame,
             recorder: Recorder::new(plan.frame),
-            raster: Raster::new(plan.frame, plan.max_slope_deg),
+            raster: Raster::new(plan.frame, plan.options.max_slope_deg),
             step_m,
             voxels: Vec::with_capacity(BATCH),
             points: PointBatch::default(),

@@ -8,7 +8,7 @@ pub mod forge;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Shard, Totals};
 use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::plan::{Classifier, Plan};
+use slicewalk::plan::{Classifier, Plan, PlanOptions};
 use slicewalk::slice::{Page, PageBuilder, Span};
 use slicewalk::{Error, Result};
 use std::collections::BTreeMap;
@@ -21,7 +21,8 @@ pub type Pages = BTreeMap<PageKey, Page>;
 
 /// Pixels of 0.1 m, slices of 0.3 m.
 pub fn plan() -> Plan {
-    Plan { classifier: Classifier::Span, ..Plan::new(Frame::new(0.1, 0.3).unwrap()) }
+    let options = PlanOptions { classifier: Classifier::Span, ..PlanOptions::default() };
+    Plan { frame: Frame::new(0.1, 0.3).unwrap(), options }
 }
 
 /// A page from spans by pixel.
@@ -127,9 +128,13 @@ pub fn render(archive: &Archive) -> String {
     let mut line = |text: std::fmt::Arguments<'_>| writeln!(out, "{text}").unwrap();
     line(format_args!("version {}.{}", header.version.0, header.version.1));
     line(format_args!("pixel {} slice {}", archive.frame().pixel_m(), archive.frame().slice_m()));
-    line(format_args!("slope {} tolerance {}", header.plan.max_slope_deg, header.plan.tolerance_m));
-    line(format_args!("classifier {} up {:?}", header.plan.classifier.name(), header.plan.up));
-    line(format_args!("min_points {} exclude {:?}", header.plan.min_points, header.plan.exclude_classes));
+    line(format_args!("slope {} tolerance {}", header.plan.options.max_slope_deg, header.plan.options.tolerance_m));
+    line(format_args!("classifier {} up {:?}", header.plan.options.classifier.name(), header.plan.options.up));
+    line(format_args!(
+        "min_points {} exclude {:?}",
+        header.plan.options.min_points,
+        header.plan.options.exclude_classes.words()
+    ));
     line(format_args!("plan {:032x}", header.plan_hash));
     line(format_args!(
         "points read {} kept {} withheld {} excluded {}",

@@ -5,7 +5,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
-use slicewalk::plan::Classifier;
+use slicewalk::plan::{Classifier, PlanOptions};
 use std::collections::BTreeMap;
 
 /// Grid, file and rule of a conversion.
@@ -36,7 +36,7 @@ pub fn converted(points: &[[f64; 3]], setting: Setting) -> (Vec<[f64; 3]>, Vec<u
     let options = ConvertOptions {
         pixel: PixelSize::Metres(setting.pixel_m),
         slice_m: Some(setting.slice_m),
-        classifier: setting.classifier,
+        plan: PlanOptions { classifier: setting.classifier, ..PlanOptions::default() },
         threads: 2,
         temp_dir: folder.path().into(),
         ..ConvertOptions::new(vec![input], output.clone())

@@ -4,7 +4,7 @@ use crate::common::forge::{Parts, put};
 use crate::common::{Pages, Random, archive, archive_of, key, page, plan, scene, two_pixels};
 use slicewalk::archive::{PageEncoder, Shard, Totals};
 use slicewalk::frame::Frame;
-use slicewalk::plan::{Classifier, Plan, Up};
+use slicewalk::plan::{Classifier, Plan, PlanOptions, Up};
 use slicewalk::slice::{Page, Span};
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("shared-and-uniform", archive(&scene())),
         ("centimetres", archive_of(&in_centimetres, &(slope, totals()), None)),
         ("centimetres-cut", archive_of(&in_feet, &(pillars, totals()), None)),
-        ("tolerance", archive_of(&Plan { tolerance_m: 0.02, ..plan() }, &(simple(floor()), totals()), None)),
+        ("tolerance", archive_of(&tolerant(), &(simple(floor()), totals()), None)),
         ("options", archive_of(&options(), &(floor(), totals()), None)),
         ("part", archive_of(&plan(), &(stairs(), totals()), Some(part()))),
         ("unknown-metadata", unknown_metadata()),
@@ -148,18 +148,24 @@ fn simple(pages: Pages) -> Pages {
     pages.into_iter().map(|(key, page): (_, Page)| (key, encoder.simplify(&page, 6))).collect()
 }
 
+/// The plan of the samples, but coarse heights.
+fn tolerant() -> Plan {
+    let plan = plan();
+    Plan { options: PlanOptions { tolerance_m: 0.02, ..plan.options }, ..plan }
+}
+
 /// No option as by default, and sizes that are no round numbers.
 fn options() -> Plan {
-    Plan {
-        frame: Frame::new(0.3048 / 7.0, 0.17).unwrap(),
+    let options = PlanOptions {
         max_slope_deg: 33.3,
         tolerance_m: 0.0,
         classifier: Classifier::Plane,
         min_points: 3,
         drop_isolated: true,
         up: Up::Y,
-        exclude_classes: [1 << 7 | 1 << 18, 0, 0, 1 << 63],
-    }
+        exclude_classes: [7, 18, 255].into_iter().collect(),
+    };
+    Plan { frame: Frame::new(0.3048 / 7.0, 0.17).unwrap(), options }
 }
 
 /// All columns from that of page (0, 0).

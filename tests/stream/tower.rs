@@ -6,7 +6,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::bytes::ByteSource;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
-use slicewalk::plan::{Classifier, Plan};
+use slicewalk::plan::Plan;
 use slicewalk::query::Aabb;
 use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{Motion, Store};
@@ -90,7 +90,7 @@ pub fn tower(half: f64, height: f64, seed: u64) -> Vec<u8> {
             pages.insert(PageKey { tx: tx as i32, ty: ty as i32, layer: layer as i32 }, builder.build());
         }
     }
-    let plan = Plan { classifier: Classifier::Span, ..Plan::new(frame) };
+    let plan = Plan::new(frame);
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("tower.slices");
     let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();

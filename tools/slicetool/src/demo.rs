@@ -70,7 +70,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     options.pixel = PixelSize::Metres(PIXEL_M);
     options.units = slicewalk::input::Units::Factor(1.0);
     options.overwrite = true;
-    options.exclude_classes[usize::from(NOISE_CLASS / 64)] |= 1 << (NOISE_CLASS % 64);
+    options.plan.exclude_classes.insert(NOISE_CLASS);
     let started = Instant::now();
     let report = convert(&options, &Warnings)?;
     let seconds = started.elapsed().as_secs_f64();

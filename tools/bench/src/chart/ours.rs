@@ -8,7 +8,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
-use slicewalk::plan::Classifier;
+use slicewalk::plan::{Classifier, PlanOptions};
 use slicewalk::query::{Aabb, Answer, Overlap, overlaps, probe, sweep, top_under};
 use slicewalk::store::Store;
 use std::path::PathBuf;
@@ -60,10 +60,13 @@ impl Method for Ours {
         let file = folder.path().join("scene.slices");
         let options = ConvertOptions {
             pixel: PixelSize::Metres(pixel_m),
-            classifier: self.classifier,
-            tolerance_m: self.tolerance * pixel_m,
+            plan: PlanOptions {
+                classifier: self.classifier,
+                tolerance_m: self.tolerance * pixel_m,
+                up: subject.up,
+                ..PlanOptions::default()
+            },
             units: subject.units,
-            up: subject.up,
             temp_dir: folder.path().into(),
             ..ConvertOptions::new(vec![subject.file.clone()], file.clone())
         };

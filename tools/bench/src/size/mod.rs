@@ -190,7 +190,7 @@ fn make(case: &Case, tolerance_m: f64, folder: &Path) -> Result<Made> {
     let mut options = ConvertOptions::new(vec![case.file.clone()], output.clone());
     options.pixel = PixelSize::Metres(case.pixel_m);
     options.units = case.units;
-    options.tolerance_m = tolerance_m;
+    options.plan.tolerance_m = tolerance_m;
     options.overwrite = true;
     options.temp_dir = folder.to_owned();
     let header = convert(&options, &NoMonitor)?.header;

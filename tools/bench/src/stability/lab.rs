@@ -9,7 +9,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
-use slicewalk::plan::Classifier;
+use slicewalk::plan::{Classifier, PlanOptions};
 use slicewalk::query::{Aabb, Answer, Overlap, floor_under, overlaps, probe};
 use slicewalk::store::Store;
 use std::path::PathBuf;
@@ -108,9 +108,12 @@ impl Scan {
         let output = self.path("scan.slices");
         let options = ConvertOptions {
             pixel: PixelSize::Metres(setting.pixel_m),
-            max_slope_deg: setting.limit_deg,
-            classifier,
-            min_points: setting.min_points,
+            plan: PlanOptions {
+                max_slope_deg: setting.limit_deg,
+                classifier,
+                min_points: setting.min_points,
+                ..PlanOptions::default()
+            },
             threads: 1,
             overwrite: true,
             temp_dir: self.folder.path().into(),
