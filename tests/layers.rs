@@ -1,6 +1,6 @@
 //! Dependencies between the modules of the library point one way: a module uses those listed above it, never those below.
 //!
-//! The order is that of the code map in README. Every path counts that begins with `crate` or `super`, wherever it
+//! The order is that of the code map in docs/ARCHITECTURE.md. Every path counts that begins with `crate` or `super`, wherever it
 //! stands: in `use`, in expressions, inside macros. Comments and tests are free to look down.
 
 use proc_macro2::{Delimiter, Group, Ident, TokenStream, TokenTree};
@@ -17,7 +17,7 @@ type Uses = BTreeMap<String, BTreeMap<String, String>>;
 #[test]
 fn modules_use_only_those_above_them_in_the_code_map() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let map = std::fs::read_to_string(root.join("README.md")).unwrap();
+    let map = std::fs::read_to_string(root.join("docs/ARCHITECTURE.md")).unwrap();
     let broken = broken_rules(&uses_below(&root.join("src")), &order_in(&map));
     assert!(broken.is_empty(), "{broken:#?}");
 }
