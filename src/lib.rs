@@ -1,4 +1,106 @@
-//! Walk in laser scans too large for memory.
+//! Walk in laser scans that are too large for memory.
+//!
+//! Slicewalk converts LAS and LAZ scans of any size, and meshes, into one compact *slice archive*: for every pixel of the
+//! ground plan the bottom, the top and an obstacle flag of each vertical run of matter (a *span*). Programs open the
+//! archive, keep the pages around a moving body in memory, and ask exact collision questions that never wait for the disk.
+//! The method is that of R. K. dos Anjos, *Image Based Collision Detection* (IST Lisbon, 2011), and its future work.
+//!
+//! # Convert
+//!
+//! [`convert`](convert::convert) reads points and triangles in any order, in bounded memory, and publishes the archive when
+//! it is complete. The same points always give the same bytes.
+#![cfg_attr(
+    feature = "convert",
+    doc = r#"
+```no_run
+use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+
+let mut options = ConvertOptions::new(vec!["scan.laz".into()], "scan.slices".into());
+options.pixel = PixelSize::Metres(0.05); // or PixelSize::Auto: four times the point spacing
+options.plan.max_slope_deg = 40.0;
+let report = convert(&options, &slicewalk::NoMonitor)?;
+println!("{} voxels", report.header.voxels.occupied);
+# Ok::<(), slicewalk::Error>(())
+```
+"#
+)]
+//!
+//! # Open and ask
+//!
+//! [`Archive`](archive::Archive) reads an archive from a file, from memory or from any
+//! [`ByteSource`](bytes::ByteSource). [`Store`](store::Store) holds all its pages; [`query`] has the questions. An answer
+//! errs towards "hit" only, and by less than a pixel and a slice.
+//!
+//! ```no_run
+//! use slicewalk::archive::Archive;
+//! use slicewalk::nalgebra::{Point3, Vector3};
+//! use slicewalk::query::{Aabb, Answer, Overlap, Ray, cast, floor_under, overlaps};
+//! use slicewalk::store::Store;
+//!
+//! let store = Store::resident(&Archive::open("scan.slices")?, &slicewalk::NoMonitor)?;
+//! let pawn = Aabb::standing(Point3::new(12.0, 7.5, 1.2), Vector3::new(0.5, 0.5, 1.8))?;
+//! let free = overlaps(&store, &pawn) == Overlap::Clear;
+//! # Ok::<(), slicewalk::Error>(())
+//! ```
+//!
+//! # Walk
+//!
+//! A [`Walker`](walk::Walker) is a pawn with gravity, stairs and walls. Its path does not depend on the frame rate.
+//!
+//! ```no_run
+//! # use slicewalk::archive::Archive;
+//! # use slicewalk::store::Store;
+//! # let store = Store::resident(&Archive::open("scan.slices")?, &slicewalk::NoMonitor)?;
+//! use slicewalk::nalgebra::{Point3, Vector2};
+//! use slicewalk::walk::{Config, Walker, Wish};
+//!
+//! let mut pawn = Walker::new(Config::default(), Point3::new(12.0, 7.5, 1.2))?;
+//! for _frame in 0..600 {
+//!     pawn.step(&store, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+//! }
+//! println!("{} {:?}", pawn.feet(), pawn.state());
+//! # Ok::<(), slicewalk::Error>(())
+//! ```
+//!
+//! # Stream
+//!
+//! Where the archive is larger than memory, a [`Stream`](store::Stream) holds the pages around moving bodies under a byte
+//! budget and loads them before they are needed. Queries run on a [`View`](store::View) of it: they take no lock, do no
+//! I/O and allocate nothing. A page that is not in memory makes the answer "not loaded", never "free".
+//!
+//! ```no_run
+//! use slicewalk::archive::Archive;
+//! use slicewalk::nalgebra::{Point3, Vector2};
+//! use slicewalk::store::{Stream, StreamOptions};
+//! use slicewalk::walk::{Config, Walker, Wish};
+//!
+//! let stream = Stream::open(Archive::open("city.slices")?, StreamOptions::new(64 << 20))?;
+//! let mut body = stream.pawn();
+//! let mut pawn = Walker::new(Config::default(), Point3::new(12.0, 7.5, 1.2))?;
+//! for _frame in 0..600 {
+//!     let view = stream.view();
+//!     body.hint(&pawn.outlook(stream.archive().frame()));
+//!     let report = pawn.step(&view, 1.0 / 60.0, Wish::Direction(Vector2::x()));
+//!     if let Some(missing) = report.missing {
+//!         body.need(&missing); // the pawn waits in place until these pages are there
+//!     }
+//! }
+//! # Ok::<(), slicewalk::Error>(())
+//! ```
+//!
+//! # Map of the modules
+//!
+//! | to | module |
+//! |---|---|
+//! | convert scans and meshes, whole or in parts | [`convert`](mod@convert), [`input`], [`mesh`], [`plan`] |
+//! | read, check, merge, recover and cut archives | [`archive`], [`stats`] |
+//! | bring bytes from elsewhere | [`bytes`] |
+//! | keep pages in memory | [`store`], [`slice`] |
+//! | ask | [`query`], [`object`] |
+//! | walk | [`walk`] |
+//! | the grid, errors, progress | [`frame`], [`error`], [`monitor`] |
+//!
+//! Without default features the crate only reads: no conversion, and nothing that a browser does not have.
 
 pub mod error;
 pub mod monitor;
@@ -43,4 +145,14 @@ pub mod object;
 pub mod walk;
 
 pub use error::{Error, Result};
+pub use nalgebra;
 pub use monitor::{Monitor, NoMonitor};
+
+/// Compiles the examples of the pages.
+#[cfg(all(doctest, feature = "convert"))]
+mod pages {
+    #[doc = include_str!("../README.md")]
+    struct Readme;
+    #[doc = include_str!("../docs/meshes.md")]
+    struct Meshes;
+}
