@@ -163,7 +163,7 @@ def read_metadata(data, crc):
         need(before < tag, "M2", f"record {tag} after {before}")
         records[tag] = data[at - size : at]
         before = tag
-    crs, part = None, None
+    crs, part, units = None, None, []
     if b"CRS " in records:
         try:
             crs = records[b"CRS "].decode("utf-8")
@@ -178,7 +178,30 @@ def read_metadata(data, crc):
         ends = (first == 0) == (index == 1) and (last == U64) == (index == count)
         need(numbers and ends, "M4", f"part {index} of {count} with columns {first} to {last}")
         part = {"index": index, "count": count, "first": first, "last": last, "job": record[:23:-1].hex()}
-    return crs, part
+    if b"UNIT" in records:
+        record = records[b"UNIT"]
+        need(len(record) % 16 == 0 and 16 <= len(record) <= 4096, "M5", f"units in {len(record)} bytes")
+        units = list(struct.iter_unpack("<dd", record))
+        need(all(1e-9 <= number <= 1e9 for unit in units for number in unit), "M5", f"units {units}")
+        need(all(a < b for a, b in zip(units, units[1:])), "M5", f"units {units}")
+    if b"READ" in records:
+        check_inputs(records[b"READ"])
+    return crs, part, units
+
+
+def check_inputs(record):
+    at, before = 0, -1
+    while at < len(record) or before < 0:
+        need(at + 21 <= len(record), "M6", "an input ends early")
+        (number,) = struct.unpack_from("<I", record, at)
+        name = record[at + 21 : at + 21 + record[at + 20]]
+        need(len(name) == record[at + 20], "M6", f"the name of input {number} ends early")
+        try:
+            name.decode("utf-8")
+        except UnicodeDecodeError:
+            raise Refused("M6", f"the name of input {number} is not UTF-8") from None
+        need(before < number, "M6", f"input {number} after {before}")
+        at, before = at + 21 + len(name), number
 
 
 # Chapter 8: the whole file.
@@ -234,7 +257,7 @@ def read_archive(data):
         ends.append(ends[-1] + length)
     pages, directory, metadata = (data[a:b] for a, b in zip(ends, ends[1:]))
     check_footer(head, data[ends[-1] :])
-    crs, part = read_metadata(metadata, head.metadata_crc)
+    crs, part, units = read_metadata(metadata, head.metadata_crc)
     entries = read_entries(head, directory)
     occupied = obstacle = 0
     decoded, contents = {}, []
@@ -267,10 +290,10 @@ def read_archive(data):
     check_entries(head, entries, part)
     right = (occupied, obstacle) == (head.voxels_occupied, head.voxels_obstacle)
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles")
-    return {"info": show(head, crs, part), "pages": contents}
+    return {"info": show(head, crs, part, units), "pages": contents}
 
 
-def show(head, crs, part):
+def show(head, crs, part, units):
     """As `slicetool info --json` shows it."""
     named = lambda prefix, *names: {name: getattr(head, f"{prefix}_{name}") for name in names}
     facts = {
@@ -299,6 +322,7 @@ def show(head, crs, part):
         "excluded_classes": [c for c in range(256) if head.exclude_classes[c // 8] >> c % 8 & 1],
         "plan_hash": head.plan_hash[::-1].hex(),
         "crs": crs,
+        "unit": show_units(units),
     }
     for name in ("read", "kept", "withheld", "excluded"):
         facts[f"points_{name}"] = getattr(head, f"points_{name}")
@@ -306,6 +330,15 @@ def show(head, crs, part):
         columns = {f"{end}_column": f"{part[end]:016x}" for end in ("first", "last")}
         facts["shard"] = {"index": part["index"], "count": part["count"], "job": part["job"], **columns}
     return facts
+
+
+def show_units(units):
+    names = {1.0: "m", 0.3048: "ft", 1200 / 3937: "us-ft"}
+    one = lambda factor: {"name": names.get(factor, "other"), "factor": factor}
+    whole = lambda ground, up: one(ground) if up == ground else {**one(ground), "vertical": one(up)}
+    if len(units) > 1:
+        return {"name": "mixed", "factor": None, "units": [whole(*unit) for unit in units]}
+    return whole(*units[0]) if units else None
 
 
 def difference(mine, twin, where="content"):

@@ -2,19 +2,20 @@
 
 use crate::Result;
 use crate::archive::{Archive, Header, Shard};
+use crate::unit::{LengthUnit, unit_name};
 use serde_json::{Value, json};
 
 /// Facts of an archive under the keys of the command-line contract (`slicetool info --json`).
 pub fn info(archive: &Archive) -> Result<Value> {
-    let mut facts = header_info(archive.header(), &archive.crs()?);
+    let mut facts = header_info(archive.header(), &archive.crs()?, &archive.units()?);
     if let Some(shard) = archive.shard()? {
         facts["shard"] = shard_info(&shard);
     }
     Ok(facts)
 }
 
-/// As [`info`], from a header and the text of the coordinate reference system.
-pub fn header_info(header: &Header, crs: &str) -> Value {
+/// As [`info`], from a header, the text of the coordinate reference system, and the units of the inputs.
+pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
     let plan = &header.plan;
     let bounds = header.bounds.map(|(min, max)| json!({ "min": min, "max": max }));
     let classes = plan.options.exclude_classes.iter().collect::<Vec<_>>();
@@ -56,7 +57,43 @@ pub fn header_info(header: &Header, crs: &str) -> Value {
         "excluded_classes": classes,
         "plan_hash": format!("{:032x}", header.plan_hash),
         "crs": (!crs.is_empty()).then_some(crs),
+        "unit": unit_info(units),
     })
+}
+
+/// Name and factor (m) of the unit in which the inputs came: null if unknown, `mixed` if there are several.
+fn unit_info(units: &[LengthUnit]) -> Value {
+    let one = |factor: f64| json!({ "name": unit_name(factor), "factor": factor });
+    let whole = |unit: &LengthUnit| {
+        let mut facts = one(unit.horizontal_m);
+        if unit.vertical_m != unit.horizontal_m {
+            facts["vertical"] = one(unit.vertical_m);
+        }
+        facts
+    };
+    match units {
+        [] => Value::Null,
+        [unit] => whole(unit),
+        _ => json!({ "name": "mixed", "factor": null, "units": units.iter().map(whole).collect::<Vec<_>>() }),
+    }
+}
+
+/// The units of the inputs in words.
+pub fn units_in_words(units: &[LengthUnit]) -> String {
+    let one = |factor: f64| match unit_name(factor) {
+        "m" => "metres".to_owned(),
+        "ft" => format!("feet ({factor} m)"),
+        "us-ft" => format!("US survey feet ({factor} m)"),
+        _ => format!("units of {factor} m"),
+    };
+    let whole = |unit: &LengthUnit| match unit.horizontal_m == unit.vertical_m {
+        true => one(unit.horizontal_m),
+        false => format!("{}, heights in {}", one(unit.horizontal_m), one(unit.vertical_m)),
+    };
+    match units {
+        [] => "unknown".to_owned(),
+        units => units.iter().map(whole).collect::<Vec<_>>().join("; "),
+    }
 }
 
 /// Facts of a part of a conversion.

@@ -111,6 +111,8 @@ pub mod bytes;
 
 pub mod plan;
 
+pub mod unit;
+
 #[cfg(feature = "convert")]
 pub mod input;
 

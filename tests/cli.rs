@@ -136,8 +136,9 @@ fn bounds_in_the_header_that_are_not_those_of_the_points_give_one_warning() {
         las[179..187].copy_from_slice(&(if name == "wide.las" { 1e9f64 } else { 1.0 }).to_le_bytes());
         fs::write(at.join(name), las).unwrap();
     }
-    let about =
-        |said: &str| said.lines().filter(|line| line.contains("other bounds")).map(str::to_owned).collect::<Vec<_>>();
+    let about = |said: &str| {
+        said.lines().filter(|line| line.contains("the bounds in the header")).map(str::to_owned).collect::<Vec<_>>()
+    };
     assert_eq!(about(&converts(at, &with(&["scan.las", "scan.laz"], &[]))), [""; 0]);
     for inputs in [&["wide.las"][..], &["narrow.las"], &["narrow.las", "wide.las", "scan.las"]] {
         let lines = about(&converts(at, &with(inputs, &["--force"])));

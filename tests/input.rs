@@ -657,7 +657,7 @@ fn the_reference_system_is_found_after_the_points_and_agreed_on_over_files() {
         assert!(set.crs().unwrap().starts_with("PROJCS[\"a\""));
         assert_eq!(set.files()[0].unit_m(), [0.3048; 3]);
     }
-    assert!(heard.0.lock().unwrap()[0].contains("different reference systems"));
+    assert!(heard.0.lock().unwrap()[0].contains("a.las (b) state different reference systems"));
 }
 
 #[test]

@@ -115,6 +115,30 @@ fn polygons_negative_numbers_and_continued_lines_are_understood() {
 }
 
 #[test]
+fn a_byte_order_mark_before_text_is_no_part_of_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let heap = heap(60, 8);
+    write_obj(&at("a.obj"), &heap);
+    write_ply(&at("a.ply"), &heap, Ply::Text);
+    write_stl(&at("a.stl"), &heap, true);
+    fs::write(at("a.bin"), buffer(&heap)).unwrap();
+    fs::write(at("a.gltf"), structure(180, r#","uri":"a.bin""#, r#"[{"mesh":0}]"#, "[0]")).unwrap();
+    for name in ["a.obj", "a.ply", "a.stl", "a.gltf"] {
+        let mut bytes = fs::read(at(name)).unwrap();
+        if name == "a.obj" {
+            // A line that counts stands first.
+            bytes = bytes.splitn(4, |&byte| byte == b'\n').last().unwrap().to_vec();
+            assert!(bytes.starts_with(b"v "));
+            fs::write(at(name), &bytes).unwrap();
+        }
+        let expected = archive(folder.path(), &[name], &[]);
+        fs::write(at(name), [b"\xEF\xBB\xBF", &bytes[..]].concat()).unwrap();
+        assert!(archive(folder.path(), &[name], &[]) == expected, "{name}");
+    }
+}
+
+#[test]
 fn nodes_of_gltf_place_their_meshes_and_the_triangles_are_turned_to_z_up() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.glb");

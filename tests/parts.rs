@@ -43,6 +43,7 @@ fn totals(points: u64, x: f64) -> Totals {
         points_excluded: 2,
         bounds,
         crs: "here".into(),
+        units: vec![slicewalk::unit::LengthUnit::of(0.3048)],
     }
 }
 

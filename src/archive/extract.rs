@@ -104,13 +104,15 @@ pub fn extract(
             Some(part) => writer.put(key, encoder.encode(key, &part))?,
         }
     }
+    let metadata = archive.metadata()?;
     writer.finish(Totals {
         points_read: header.points_read,
         points_kept: header.points_kept,
         points_withheld: header.points_withheld,
         points_excluded: header.points_excluded,
         bounds: header.bounds.and_then(|whole| region.bounds(frame, &whole)),
-        crs: archive.crs()?,
+        crs: metadata.crs,
+        units: metadata.units,
     })
 }
 

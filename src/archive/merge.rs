@@ -5,13 +5,15 @@
 //! its way. Memory: that of one writer and one page.
 
 use super::head::{Bounds, Header, Tiles, Voxels};
+use super::metadata::Metadata;
 use super::page::{EncodedPage, PageDecoder};
 use super::reader::Archive;
-use super::shard::Shard;
+use super::shard::{InputRead, Shard};
 use super::writer::{ArchiveWriter, Existing, Totals};
 use crate::bytes::{ByteSource, FileSource};
+use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Result};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 /// What a merge did.
@@ -21,6 +23,8 @@ pub struct Merged {
     pub header: Header,
     /// Coordinate reference system of the whole, empty if unknown.
     pub crs: String,
+    /// Units in which the inputs came.
+    pub units: Vec<LengthUnit>,
     /// Whether the archive was written; `false` if the target already had its bytes.
     pub written: bool,
     /// Copies of parts that are among the others, and were left out.
@@ -33,6 +37,8 @@ struct Part<'a> {
     header: Header,
     shard: Shard,
     crs: String,
+    units: Vec<LengthUnit>,
+    read: Vec<InputRead>,
 }
 
 impl<'a> Part<'a> {
@@ -48,7 +54,8 @@ impl<'a> Part<'a> {
                           sliceconv --shard writes";
             return Err(Error::input(path, "metadata", reason));
         };
-        Ok(Self { path, header: archive.header().clone(), shard, crs: metadata.crs })
+        let Metadata { crs, units, read, .. } = metadata;
+        Ok(Self { path, header: archive.header().clone(), shard, crs, units, read })
     }
 
     /// The archive once more.
@@ -94,14 +101,14 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
     let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing)?;
-    let mut totals = Totals { crs: first.crs.clone(), ..Totals::default() };
+    let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), ..Totals::default() };
     for part in &parts {
         copy(part, &mut writer, monitor)?;
         add(&mut totals, part)?;
     }
     let (header, written) = writer.finish_or_keep(totals)?;
-    let crs = first.crs.clone();
-    Ok(Merged { header, crs, written, copies })
+    let (crs, units) = (first.crs.clone(), first.units.clone());
+    Ok(Merged { header, crs, units, written, copies })
 }
 
 /// The parts from first to last, and the names of copies; refuses what does not make one whole.
@@ -153,8 +160,38 @@ fn in_order(parts: Vec<Part<'_>>) -> Result<(Vec<Part<'_>>, Vec<PathBuf>)> {
         if pair[0].crs != pair[1].crs {
             return pair[1].refuse(format!("its reference system is not that of {}", pair[0].path.display()));
         }
+        if pair[0].units != pair[1].units {
+            return pair[1].refuse(format!("the units of its inputs are not those of {}", pair[0].path.display()));
+        }
     }
+    same_inputs(&ordered)?;
     Ok((ordered, copies))
+}
+
+/// Refuses parts of which one read another content of an input than another.
+fn same_inputs(parts: &[Part<'_>]) -> Result<()> {
+    let mut first: HashMap<u32, (&Part<'_>, u128)> = HashMap::new();
+    for part in parts {
+        for read in &part.read {
+            let (other, hash) = *first.entry(read.input).or_insert((part, read.hash));
+            if hash != read.hash {
+                let name = match &read.name[..] {
+                    "" => format!("input {} of the plan", read.input),
+                    name => name.to_owned(),
+                };
+                let reason = format!(
+                    "it changed between two parts: {} ({}) and {} ({}) read different content; convert all parts again \
+                     that read it",
+                    other.shard,
+                    other.path.display(),
+                    part.shard,
+                    part.path.display()
+                );
+                return Err(Error::input(name, "content", reason));
+            }
+        }
+    }
+    Ok(())
 }
 
 fn same_bytes(a: &Part<'_>, b: &Part<'_>) -> Result<bool> {

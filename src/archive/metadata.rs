@@ -1,23 +1,38 @@
 //! Metadata: tagged records of any kind; unknown ones are skipped (chapter 7).
 
 use super::head::{MAX_METADATA, hex};
-use super::shard::Shard;
+use super::shard::{InputRead, Shard};
 use crate::codec::{Reader, Violation};
+use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
 
 /// Tag of the coordinate reference system, as the input states it.
 const CRS: [u8; 4] = *b"CRS ";
 
+/// Tag of what a part read of inputs that other parts read too.
+const READ: [u8; 4] = *b"READ";
+
 /// Tag of the part of a conversion that the archive holds.
 const SHARD: [u8; 4] = *b"SHRD";
 
+/// Tag of the units that were applied to the inputs.
+const UNIT: [u8; 4] = *b"UNIT";
+/// Bytes of one unit.
+const UNIT_LEN: usize = 16;
+/// Most units of inputs that one archive can state.
+pub const MAX_UNITS: usize = 256;
+
 /// What the metadata say.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Metadata {
     /// Coordinate reference system, empty if unknown.
     pub crs: String,
     /// Which part of a conversion the archive holds; `None` for a whole.
     pub shard: Option<Shard>,
+    /// What a part read of inputs that other parts read too; in order of their numbers.
+    pub read: Vec<InputRead>,
+    /// Units of the inputs, ascending and each once; none if unknown.
+    pub units: Vec<LengthUnit>,
 }
 
 impl Metadata {
@@ -32,8 +47,15 @@ impl Metadata {
         if !self.crs.is_empty() {
             put(CRS, self.crs.as_bytes());
         }
+        if !self.read.is_empty() {
+            put(READ, &InputRead::encode(&self.read));
+        }
         if let Some(shard) = &self.shard {
             put(SHARD, &shard.encode());
+        }
+        if !self.units.is_empty() {
+            let numbers = self.units.iter().flat_map(|unit| [unit.horizontal_m, unit.vertical_m]);
+            put(UNIT, &numbers.flat_map(f64::to_le_bytes).collect::<Vec<_>>());
         }
         if out.len() as u64 > MAX_METADATA {
             let [value, max] = [out.len() as u64, MAX_METADATA].map(|len| format!("{len} bytes"));
@@ -67,7 +89,9 @@ impl Metadata {
                         return Err(Violation::new("M3", "a text", "none"));
                     }
                 }
+                READ => metadata.read = InputRead::decode(content)?,
                 SHARD => metadata.shard = Some(Shard::decode(content)?),
+                UNIT => metadata.units = decode_units(content)?,
                 _ => {}
             }
             last = Some(tag);
@@ -75,6 +99,26 @@ impl Metadata {
         }
         Ok(metadata)
     }
+}
+
+/// Rule M5.
+fn decode_units(content: &[u8]) -> Result<Vec<LengthUnit>, Violation> {
+    let (records, rest) = content.as_chunks::<UNIT_LEN>();
+    let wrong = |found: String| Violation::new("M5", "1 to 256 units, ascending, of 1e-9 to 1e9 m", found);
+    if records.is_empty() || !rest.is_empty() || records.len() > MAX_UNITS {
+        return Err(wrong(format!("{} bytes", content.len())));
+    }
+    let mut units: Vec<LengthUnit> = Vec::with_capacity(records.len());
+    for record in records {
+        let mut reader = Reader::new(record, "M5");
+        let unit = LengthUnit { horizontal_m: reader.f64()?, vertical_m: reader.f64()? };
+        let sound = [unit.horizontal_m, unit.vertical_m].iter().all(|length| UNIT_RANGE_M.contains(length));
+        if !sound || units.last().is_some_and(|last| last.order(&unit).is_ge()) {
+            return Err(wrong(format!("{unit:?} after {:?}", units.last())));
+        }
+        units.push(unit);
+    }
+    Ok(units)
 }
 
 #[cfg(test)]
@@ -87,7 +131,8 @@ mod tests {
         let record = |tag: &[u8; 4], content: &[u8]| [tag, &(content.len() as u32).to_le_bytes()[..], content].concat();
         let read = |bytes: &[u8]| Metadata::decode(bytes, crc32c::crc32c(bytes)).map_err(|violation| violation.rule);
         let (crs, other) = (record(b"CRS ", b"EPSG:28992"), record(b"zzzz", &[0xFF; 3]));
-        assert_eq!(read(&[&crs[..], &other].concat()), Ok(Metadata { crs: "EPSG:28992".into(), shard: None }));
+        let known = Metadata { crs: "EPSG:28992".into(), ..Metadata::default() };
+        assert_eq!(read(&[&crs[..], &other].concat()), Ok(known));
         assert_eq!(read(&other), Ok(Metadata::default()));
         assert_eq!(read(&[&other[..], &crs].concat()), Err("M2"));
         assert_eq!(read(&[&crs[..], &crs].concat()), Err("M2"));
@@ -96,21 +141,41 @@ mod tests {
         assert_eq!(read(&record(b"CRS ", b"")), Err("M3"));
         assert_eq!(read(&record(b"SHRD", &[0; 40])), Err("M4"));
         assert_eq!(Metadata::decode(&crs, 0).map_err(|violation| violation.rule), Err("M1"));
-        let long = Metadata { crs: "x".repeat(1 << 20), shard: None };
+        let units =
+            |numbers: &[f64]| record(b"UNIT", &numbers.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<_>>());
+        assert_eq!(read(&units(&[0.3048, 1.0, 1.0, 1.0])).map(|found| found.units.len()), Ok(2));
+        for wrong in
+            [&[][..], &[1.0], &[1.0, 0.0], &[f64::NAN, 1.0], &[1.0, -1.0], &[1.0, 1.0, 1.0, 1.0], &[2.0, 1.0, 1.0, 1.0]]
+        {
+            assert_eq!(read(&units(wrong)), Err("M5"), "{wrong:?}");
+        }
+        assert_eq!(read(&record(b"READ", b"")), Err("M6"));
+        let long = Metadata { crs: "x".repeat(1 << 20), ..Metadata::default() };
         assert!(matches!(long.encode(), Err(Error::Limit { .. })));
     }
 
     proptest! {
         #[test]
-        fn records_round_trip(crs in ".{0,40}", part in proptest::option::of((0u32..5, any::<u128>()))) {
+        fn records_round_trip(
+            crs in ".{0,40}", part in proptest::option::of((0u32..5, any::<u128>())),
+            units in proptest::collection::vec((1e-9f64..1e9, 1e-9f64..1e9), 0..4),
+            inputs in proptest::collection::btree_map(any::<u32>(), (any::<u128>(), ".{0,300}"), 0..4)
+        ) {
             let shard = part.map(|(index, job)| {
                 let first = u64::from(index) << 60;
                 let last = if index == 4 { u64::MAX } else { first + (1 << 60) - 1 };
                 Shard { index: index + 1, count: 5, first, last, job }
             });
-            let metadata = Metadata { crs, shard };
+            let units = units.into_iter().map(|(horizontal_m, vertical_m)| LengthUnit { horizontal_m, vertical_m });
+            let read = inputs.into_iter().map(|(input, (hash, name))| InputRead { input, hash, name }).collect();
+            let metadata = Metadata { crs, shard, read, units: LengthUnit::distinct(units) };
             let bytes = metadata.encode().unwrap();
-            prop_assert_eq!(Metadata::decode(&bytes, crc32c::crc32c(&bytes)), Ok(metadata));
+            let mut found = Metadata::decode(&bytes, crc32c::crc32c(&bytes)).unwrap();
+            for (found, given) in found.read.iter_mut().zip(&metadata.read) {
+                prop_assert!(given.name.starts_with(&found.name) && found.name.len() + 4 > given.name.len().min(255));
+                found.name.clone_from(&given.name);
+            }
+            prop_assert_eq!(found, metadata);
         }
 
         #[test]

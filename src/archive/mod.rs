@@ -42,11 +42,12 @@ pub use directory::{Extent, PageEntry, Place};
 pub use extract::extract;
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub use merge::{Merged, merge};
+pub use metadata::MAX_UNITS;
 pub use opening::{Opened, Opening};
 pub use page::{EncodedPage, PageDecoder, PageEncoder};
 pub use reader::Archive;
 pub use recover::{Recovered, recover};
-pub use shard::{MAX_SHARDS, Shard};
+pub use shard::{InputRead, MAX_SHARDS, Shard};
 pub use verify::{Finding, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};
 

@@ -11,6 +11,7 @@ use crate::bytes::{ByteSource, FileSource, MapSource, MemorySource};
 use crate::frame::{Frame, PageKey};
 use crate::plan::Plan;
 use crate::slice::Page;
+use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::ops::Range;
 use std::path::Path;
@@ -96,6 +97,11 @@ impl Archive {
     /// Which part of a conversion the archive holds, if it was converted in parts. One read.
     pub fn shard(&self) -> Result<Option<Shard>> {
         Ok(self.metadata()?.shard)
+    }
+
+    /// The units in which the inputs came, ascending and each once; none if unknown. One read.
+    pub fn units(&self) -> Result<Vec<LengthUnit>> {
+        Ok(self.metadata()?.units)
     }
 
     pub(super) fn metadata(&self) -> Result<Metadata> {

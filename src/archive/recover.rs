@@ -124,10 +124,11 @@ pub fn recover(
     });
     let metadata = old.as_ref().and_then(|archive| archive.metadata().ok());
     let metadata_lost = metadata.is_none();
-    let Metadata { crs, shard } = metadata.unwrap_or_default();
+    let Metadata { crs, shard, read, units } = metadata.unwrap_or_default();
     // With a page less it is no part that merges to the whole.
     if let Some(shard) = shard.filter(|_| lost.is_some_and(|lost| lost.total() == 0)) {
         writer.set_shard(shard);
+        writer.set_read(read);
     }
     let totals = match old.as_ref().map(Archive::header) {
         Some(header) => Totals {
@@ -137,8 +138,9 @@ pub fn recover(
             points_excluded: header.points_excluded,
             bounds: header.bounds,
             crs,
+            units,
         },
-        None => Totals { bounds: matter.bounds(&plan), crs, ..Totals::default() },
+        None => Totals { bounds: matter.bounds(&plan), crs, units, ..Totals::default() },
     };
     let leaves = old.as_ref().map(|archive| (told.sound, archive.leaf_count()));
     let header = writer.finish(totals)?;

@@ -1,4 +1,4 @@
-//! The record that makes an archive one part of several that were converted apart (chapter 7, tag `SHRD`).
+//! The records that make an archive one part of several that were converted apart (chapter 7, tags `SHRD` and `READ`).
 
 use crate::codec::{Reader, Violation};
 use std::ops::RangeInclusive;
@@ -69,9 +69,89 @@ impl std::fmt::Display for Shard {
     }
 }
 
+/// What a part read of an input that other parts read too: by this `merge` finds parts of different versions of it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct InputRead {
+    /// Number of the input in the job.
+    pub input: u32,
+    /// Hash of all that was read of it, in whatever order.
+    pub hash: u128,
+    /// Name of the file without folders, for messages; its first 255 bytes are kept.
+    pub name: String,
+}
+
+impl InputRead {
+    /// Most inputs in one record: with names cut short they fit the metadata.
+    pub const MOST: usize = 1 << 15;
+    /// Bytes of an input without its name.
+    const LEN: usize = 21;
+    /// Bytes of all names; where they take more, none is kept.
+    const MOST_NAMES: usize = 1 << 17;
+
+    /// The part of the name that is kept.
+    fn short_name(&self) -> &str {
+        let mut end = self.name.len().min(usize::from(u8::MAX));
+        while !self.name.is_char_boundary(end) {
+            end -= 1;
+        }
+        &self.name[..end]
+    }
+
+    pub(super) fn encode(all: &[Self]) -> Vec<u8> {
+        let named = all.iter().map(|one| one.short_name().len()).sum::<usize>() <= Self::MOST_NAMES;
+        let mut out = Vec::new();
+        for one in all {
+            let name = if named { one.short_name() } else { "" };
+            out.extend(one.input.to_le_bytes());
+            out.extend(one.hash.to_le_bytes());
+            out.push(name.len() as u8);
+            out.extend(name.as_bytes());
+        }
+        out
+    }
+
+    /// Rule M6.
+    pub(super) fn decode(content: &[u8]) -> Result<Vec<Self>, Violation> {
+        let mut all: Vec<Self> = Vec::new();
+        let mut rest = content;
+        while !rest.is_empty() || all.is_empty() {
+            let mut reader = Reader::new(rest, "M6");
+            let (input, hash) = (reader.u32()?, u128::from_le_bytes(reader.array()?));
+            let [len] = reader.array()?;
+            let name = std::str::from_utf8(reader.take(len.into())?);
+            let name = name.map_err(|error| Violation::new("M6", "names in UTF-8", error))?.to_owned();
+            if let Some(last) = all.last().filter(|last| last.input >= input) {
+                return Err(Violation::new("M6", format!("an input above {}", last.input), input));
+            }
+            rest = &rest[Self::LEN + usize::from(len)..];
+            all.push(Self { input, hash, name });
+        }
+        Ok(all)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn inputs_round_trip_without_names_where_these_are_too_long_and_disorder_is_refused() {
+        let read = |input: u32| InputRead { input, hash: u128::from(input) << 77, name: "größe".repeat(60) };
+        let two = [read(3), read(9)];
+        let found = InputRead::decode(&InputRead::encode(&two)).unwrap();
+        assert_eq!((found[1].input, found[1].hash, found[1].name.len()), (9, 9 << 77, 254));
+        let many: Vec<_> = (0..InputRead::MOST as u32).map(read).collect();
+        let bytes = InputRead::encode(&many);
+        assert!(bytes.len() <= 700_000);
+        assert!(
+            InputRead::decode(&bytes).unwrap().iter().zip(&many).all(|(a, b)| a.hash == b.hash && a.name.is_empty())
+        );
+        let bytes = InputRead::encode(&two);
+        let disorder = [&bytes[21 + 254..], &bytes[..21 + 254]].concat();
+        for wrong in [&[][..], &bytes[..20], &bytes[..bytes.len() - 1], &disorder, &[0xFF; 60]] {
+            assert_eq!(InputRead::decode(wrong).map_err(|violation| violation.rule), Err("M6"));
+        }
+    }
 
     #[test]
     fn parts_round_trip_and_impossible_ones_are_refused() {

@@ -25,7 +25,8 @@ fn plan() -> Plan {
 
 fn totals() -> Totals {
     let bounds = Some(([-1.0, -2.0, -3.0], [1.0, 2.0, 3.5]));
-    Totals { points_read: 9, points_kept: 5, points_withheld: 1, points_excluded: 2, bounds, crs: "EPSG:28992".into() }
+    let (crs, units) = ("EPSG:28992".into(), Vec::new());
+    Totals { points_read: 9, points_kept: 5, points_withheld: 1, points_excluded: 2, bounds, crs, units }
 }
 
 fn write(target: &Path, pages: &BTreeMap<PageKey, Page>) -> Result<Header> {

@@ -7,12 +7,13 @@ use super::head::{self, Bounds, Header, Leaf, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LE
 use super::metadata::Metadata;
 use super::page::EncodedPage;
 use super::publish::{PartFile, remove_leftovers};
-use super::shard::Shard;
+use super::shard::{InputRead, Shard};
 use super::spill::Entries;
 use crate::bytes::{ByteSource, FileSource};
 use crate::codec::Packer;
 use crate::frame::PageKey;
 use crate::plan::Plan;
+use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -35,6 +36,8 @@ pub struct Totals {
     pub bounds: Option<Bounds>,
     /// Coordinate reference system as the input states it, at most 1 MiB; empty if unknown.
     pub crs: String,
+    /// Units in which the inputs came, ascending and each once, at most 256; none if unknown.
+    pub units: Vec<LengthUnit>,
 }
 
 /// Writes an archive that appears complete under its name, or not at all.
@@ -58,6 +61,7 @@ pub struct ArchiveWriter {
     last: Option<PageKey>,
     counts: Header,
     shard: Option<Shard>,
+    read: Vec<InputRead>,
 }
 
 /// What becomes of an archive that already has the target's name.
@@ -117,6 +121,7 @@ impl ArchiveWriter {
             last: None,
             counts,
             shard: None,
+            read: Vec::new(),
         })
     }
 
@@ -128,6 +133,11 @@ impl ArchiveWriter {
     /// Makes the archive a part of a conversion; its pages must lie in the columns of `shard`.
     pub fn set_shard(&mut self, shard: Shard) {
         self.shard = Some(shard);
+    }
+
+    /// Says what a part read of inputs that other parts read too, in order of their numbers.
+    pub fn set_read(&mut self, read: Vec<InputRead>) {
+        self.read = read;
     }
 
     /// Adds a page. Keys must ascend, and the page must hold matter and be encoded under this key.
@@ -258,7 +268,8 @@ impl ArchiveWriter {
         }
         let pages = self.flushed + self.buffer.len() as u64;
         let leaves = self.append_leaves(leaf_entries)?;
-        let metadata = Metadata { crs: totals.crs, shard: self.shard }.encode()?;
+        let read = std::mem::take(&mut self.read);
+        let metadata = Metadata { crs: totals.crs, shard: self.shard, read, units: totals.units }.encode()?;
         self.append(&metadata)?;
 
         let directory = leaves.iter().map(|leaf| leaf.stored_len as u64).sum();

@@ -324,7 +324,7 @@ fn print_plan(arguments: &Arguments, job: &Job) {
 fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
     let header = &report.header;
     if arguments.json {
-        let mut facts = slicewalk::info::header_info(header, &report.crs);
+        let mut facts = slicewalk::info::header_info(header, &report.crs, &report.units);
         facts["points_not_finite"] = report.points_not_finite.into();
         facts["triangles_read"] = report.triangles.read.into();
         facts["triangles_left_out"] = report.triangles.left_out.into();
@@ -366,6 +366,7 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         slicewalk::info::slice_count(header),
         frame.slice_m()
     ));
+    say(&format!("unit of the source: {}; the archive is in metres", slicewalk::info::units_in_words(&report.units)));
     if report.voxels_dropped > 0 {
         let dropped = report.voxels_dropped;
         say(&format!("{dropped} voxels of too few points or without neighbours dropped, and their points"));

@@ -14,7 +14,8 @@ use super::facts::InputFacts;
 use super::options::{ConvertOptions, PixelSize};
 use super::split::split;
 use crate::archive::{MAX_SHARDS, Shard};
-use crate::input::{InputSet, Units};
+use crate::input::scenes::{Scene, far_apart};
+use crate::input::{InputSet, ScanFile, Units};
 use crate::mesh::MeshMode;
 use crate::plan::Plan;
 use crate::{Error, Monitor, Result};
@@ -41,6 +42,8 @@ impl Job {
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let inputs = super::open_inputs(options, monitor)?;
         let (plan, spacing) = super::plan(options, &inputs, monitor)?;
+        let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
+        far_apart(&scenes).inspect(|text| monitor.warn(text));
         let job = Self::of(&inputs.scans, plan, options)?;
         Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..job })
     }

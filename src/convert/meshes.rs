@@ -5,6 +5,7 @@ use super::work::on_threads;
 use super::{ConvertOptions, build_bytes};
 use crate::convert::Part;
 use crate::input::UnitCounts;
+use crate::input::scenes::Scene;
 use crate::mesh::{MeshCounts, MeshSet};
 use crate::plan::Plan;
 use crate::voxel::record::Recorder;
@@ -15,24 +16,27 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// What the first pass finds in meshes.
-pub(super) struct MeshRead {
+pub(super) struct MeshRead<'a> {
     /// Triangles as if they were points, with the bounds of their corners.
     pub read: Read,
     pub triangles: MeshCounts,
     pub points_made: u64,
+    /// Files with their bounds.
+    pub scenes: Vec<Scene<'a>>,
 }
 
 /// First pass: all triangles into runs. One worker at a time reads; all of them take triangles to the grid.
-pub(super) fn read_meshes(
-    set: &MeshSet,
+pub(super) fn read_meshes<'a>(
+    set: &'a MeshSet,
     options: &ConvertOptions,
     plan: &Plan,
     store: &RunStore,
     part: Option<&Part>,
     monitor: &dyn Monitor,
-) -> Result<MeshRead> {
+) -> Result<MeshRead<'a>> {
     if set.is_empty() {
-        return Ok(MeshRead { read: Read::NOTHING, triangles: MeshCounts::default(), points_made: 0 });
+        let (read, triangles) = (Read::NOTHING, MeshCounts::default());
+        return Ok(MeshRead { read, triangles, points_made: 0, scenes: Vec::new() });
     }
     monitor.stage("reading meshes", 0, "triangles");
     let feed = Mutex::new(set.feed());
@@ -67,8 +71,9 @@ pub(super) fn read_meshes(
         Ok((read, surfaces.points_made()))
     };
     let done = on_threads(options.threads.max(1), || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
-    let triangles = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner).counts();
-    let mut all = MeshRead { read: Read::NOTHING, triangles, points_made: 0 };
+    let feed = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let triangles = feed.counts();
+    let mut all = MeshRead { read: Read::NOTHING, triangles, points_made: 0, scenes: feed.scenes().collect() };
     all.read.counts.read = triangles.read;
     all.read.counts.not_finite = triangles.left_out;
     if part.is_none_or(Part::owns_meshes) {

@@ -24,12 +24,14 @@ pub use facts::InputFacts;
 pub use job::Job;
 pub use options::{ConvertOptions, PixelSize, ShardOptions};
 
-use crate::archive::{ArchiveWriter, Header, Shard, Totals};
+use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Shard, Totals};
 use crate::frame::Frame;
+use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, estimate_spacing};
 use crate::input::{InputOptions, InputSet, UnitCounts};
 use crate::mesh::{MeshCounts, MeshOptions, MeshSet};
 use crate::plan::Plan;
+use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
 use crate::{Error, Monitor, NoMonitor, Result};
 use columns::write_columns;
@@ -58,6 +60,8 @@ pub struct Report {
     pub spacing: Option<Spacing>,
     /// Text of the coordinate reference system; empty if the input names none.
     pub crs: String,
+    /// Units in which the inputs came, each once.
+    pub units: Vec<LengthUnit>,
     /// Bytes of temporary data written to disk.
     pub temp_bytes: u64,
     /// Points left out because a coordinate was not finite.
@@ -133,6 +137,11 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let inputs = open_inputs(options, monitor)?;
     let (plan, spacing) = plan(options, &inputs, monitor)?;
     let Inputs { scans: set, meshes } = inputs;
+    let units = LengthUnit::distinct(set.length_units().chain(meshes.length_unit()));
+    if units.len() > MAX_UNITS {
+        let what = "different units of inputs (set one for all with --units)".into();
+        return Err(Error::Limit { what, value: units.len().to_string(), max: MAX_UNITS.to_string() });
+    }
     let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options)).transpose()?;
     // Made first, so that an archive that must not be replaced is found before the work and not after it.
     let mut writer = ArchiveWriter::create(&options.output, &plan, options.overwrite)?;
@@ -142,7 +151,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
 
     let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
     check_free_space(options, &set)?;
-    let mut read = read_points(&set, &plan, &store, build_bytes(options), threads, part.as_ref(), monitor)?;
+    let (mut read, of_files) = read_points(&set, &plan, &store, build_bytes(options), threads, part.as_ref(), monitor)?;
     set.warn_of_losses(monitor);
     // A part that leaves files out cannot say of the whole that nothing in it can be used.
     let whole = part.as_ref().is_none_or(Part::reads_all);
@@ -152,6 +161,10 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let points_not_finite = read.own.left_out.not_finite;
     let mesh_read = read_meshes(&meshes, options, &plan, &store, part.as_ref(), monitor)?;
     read.merge(&mesh_read.read);
+    if whole {
+        let scenes: Vec<Scene> = points::scenes(&set, &of_files).chain(mesh_read.scenes).collect();
+        far_apart(&scenes).inspect(|text| monitor.warn(text));
+    }
     if whole && read.counts.read == 0 {
         monitor.warn("the input holds no points: the archive is empty");
     }
@@ -164,11 +177,13 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         points_excluded: own.left_out.excluded,
         bounds: (own.min[0] <= own.max[0]).then_some((own.min, own.max)),
         crs: set.crs().unwrap_or_default().to_owned(),
+        units: units.clone(),
     })?;
     Ok(Report {
         header,
         shard: part.map(|part| part.shard),
         crs: set.crs().unwrap_or_default().to_owned(),
+        units,
         spacing,
         temp_bytes: store.temp_bytes(),
         points_not_finite,

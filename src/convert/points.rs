@@ -3,6 +3,7 @@
 use super::work::on_threads;
 use crate::convert::Part;
 use crate::frame::Frame;
+use crate::input::scenes::Scene;
 use crate::input::{Decoder, InputSet, ScanFile, UnitCounts};
 use crate::plan::Plan;
 use crate::voxel::record::Recorder;
@@ -20,6 +21,25 @@ pub(super) struct Read {
     pub min: [f64; 3],
     pub max: [f64; 3],
     pub own: Own,
+}
+
+/// What was found in one file.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct OfFile {
+    min: [f64; 3],
+    max: [f64; 3],
+    kept: u64,
+    left_out: u64,
+}
+
+impl OfFile {
+    const NOTHING: Self = Self { min: Read::NOTHING.min, max: Read::NOTHING.max, kept: 0, left_out: 0 };
+
+    fn add(&mut self, read: &Read) {
+        join(&mut self.min, &mut self.max, (&read.min, &read.max));
+        self.kept += read.counts.kept();
+        self.left_out += read.counts.read - read.counts.kept() + read.counts.missing;
+    }
 }
 
 /// The points that count in the archive: all, or in a part each point in one part.
@@ -56,7 +76,7 @@ fn join(min: &mut [f64; 3], max: &mut [f64; 3], other: (&[f64; 3], &[f64; 3])) {
     }
 }
 
-/// First pass: all points, or those that a part needs, into runs.
+/// First pass: all points, or those that a part needs, into runs; and what it found in each file.
 pub(super) fn read_points(
     set: &InputSet,
     plan: &Plan,
@@ -65,14 +85,14 @@ pub(super) fn read_points(
     threads: usize,
     part: Option<&Part>,
     monitor: &dyn Monitor,
-) -> Result<Read> {
+) -> Result<(Read, Vec<OfFile>)> {
     monitor.stage("reading points", set.points_stated(), "points");
     let recorder = Recorder::new(plan.frame);
     let units = Mutex::new(set.units().filter(|unit| part.is_none_or(|part| part.reads(unit.file()))));
     let next_unit = || units.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
     // What one worker cannot do ends the work of all, not only its own.
     let failed = AtomicBool::new(false);
-    let of_files = Mutex::new(vec![Read::NOTHING; set.files().len()]);
+    let of_files = Mutex::new(vec![OfFile::NOTHING; set.files().len()]);
     let work = || -> Result<Read> {
         let mut decoder = Decoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
@@ -115,7 +135,7 @@ pub(super) fn read_points(
             }
             monitor.advance(of_unit.counts.read - of_unit.counts.kept());
             read.merge(&of_unit);
-            of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[unit.file()].merge(&of_unit);
+            of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[unit.file()].add(&of_unit);
         }
         if monitor.cancelled() {
             return Err(Error::Interrupted);
@@ -127,18 +147,23 @@ pub(super) fn read_points(
     for read in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
         all.merge(&read);
     }
-    warn_of_bounds(set, &of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner), monitor);
-    Ok(all)
+    let of_files = of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    warn_of_bounds(set, &of_files, monitor);
+    Ok((all, of_files))
+}
+
+/// The files that have points, with their bounds.
+pub(super) fn scenes<'a>(set: &'a InputSet, of_files: &'a [OfFile]) -> impl Iterator<Item = Scene<'a>> {
+    let files = set.files().iter().zip(of_files).filter(|(_, found)| found.kept > 0);
+    files.map(|(file, found)| Scene { path: file.path(), min: found.min, max: found.max })
 }
 
 /// One warning if headers state other bounds than the points have: the archive's are those of the points, and a user
 /// who compares the two should know which is wrong.
-fn warn_of_bounds(set: &InputSet, of_files: &[Read], monitor: &dyn Monitor) {
-    let disagrees = |(file, read): &(&ScanFile, &Read)| {
-        let kept = read.counts.kept();
-        // Points left out may be those at the corners; then the stated box may well be larger.
-        let all = kept == read.counts.read && read.counts.missing == 0;
-        kept > 0 && file.bounds_disagree(read.min, read.max, all)
+fn warn_of_bounds(set: &InputSet, of_files: &[OfFile], monitor: &dyn Monitor) {
+    // Points left out may be those at the corners; then the stated box may well be larger.
+    let disagrees = |(file, found): &(&ScanFile, &OfFile)| {
+        found.kept > 0 && file.bounds_disagree(found.min, found.max, found.left_out == 0)
     };
     let mut found = set.files().iter().zip(of_files).filter(disagrees);
     if let Some((file, read)) = found.next() {
@@ -147,7 +172,7 @@ fn warn_of_bounds(set: &InputSet, of_files: &[Read], monitor: &dyn Monitor) {
             more => format!(" and {more} more"),
         };
         monitor.warn(&format!(
-            "{}{others}: the header states other bounds than the points have; theirs are used: {:?} to {:?}",
+            "{}{others}: the bounds in the header are not those of the points; using the latter: {:?} to {:?}",
             file.path().display(),
             read.min,
             read.max

@@ -16,9 +16,9 @@ use super::records::{GEO_DOUBLES, GEO_KEYS, GEO_TEXT, Records, WKT};
 pub(super) struct Georeference {
     /// WKT, else `EPSG:n`, else the citation of the GeoTIFF keys.
     pub text: Option<String>,
-    /// Metres per unit of x and y.
+    /// Metres per unit of x and y, as stated: any number.
     pub horizontal: Option<f64>,
-    /// Metres per unit of z.
+    /// Metres per unit of z, likewise.
     pub vertical: Option<f64>,
     /// x and y are longitude and latitude.
     pub degrees: bool,
@@ -26,7 +26,16 @@ pub(super) struct Georeference {
     pub notes: Vec<String>,
 }
 
+/// Units that are believed (m): scans come in units from the millimetre to the mile, and a size beyond an order of
+/// magnitude more is damage that would crush the scene to a point or blow it up.
+const BELIEVED_M: std::ops::RangeInclusive<f64> = 1e-3..=1e4;
+
 impl Georeference {
+    /// A stated unit that cannot be meant.
+    pub(super) fn absurd_unit(&self) -> Option<f64> {
+        [self.horizontal, self.vertical].into_iter().flatten().find(|unit| !BELIEVED_M.contains(unit))
+    }
+
     pub(super) fn read(records: &Records, says_wkt: bool) -> Self {
         let wkt = records.projection(WKT).and_then(clean_text);
         let keys = records.projection(GEO_KEYS).map(|keys| Self::from_keys(keys, records));
@@ -85,7 +94,7 @@ impl Georeference {
         let code = |id| entry(id).filter(|e| e[1] == 0).map(|e| e[3]);
         let double = |id| {
             let at = 8 * usize::from(entry(id).filter(|e| e[1] == GEO_DOUBLES)?[3]);
-            (at + 8 <= doubles.len()).then(|| f64_at(doubles, at)).filter(|v| v.is_finite() && *v > 0.0)
+            (at + 8 <= doubles.len()).then(|| exact(f64_at(doubles, at)))
         };
         let citation = |id| {
             let e = entry(id).filter(|e| e[1] == GEO_TEXT)?;
@@ -128,6 +137,12 @@ fn clean_text(bytes: &[u8]) -> Option<String> {
     (!text.is_empty()).then(|| text.to_string())
 }
 
+/// A reference system for messages: the name in its text, or its code.
+pub(super) fn short_name(text: &str) -> String {
+    let name = text.split('"').nth(1).unwrap_or(text);
+    name.chars().take(60).map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
 /// A unit named in a citation such as "NAD83 / Texas Central (ftUS)": the last resort.
 fn unit_in_words(text: &str) -> Option<f64> {
     let text = text.to_ascii_lowercase();
@@ -141,16 +156,10 @@ fn unit_in_words(text: &str) -> Option<f64> {
     }
 }
 
-/// Replaces a printed conversion factor by the exact foot that it stands for.
-fn exact(factor: f64) -> Option<f64> {
-    let near = |exact: f64| (factor - exact).abs() <= 1e-9 * exact;
-    match factor {
-        f if near(1.0) && f.is_finite() => Some(1.0),
-        _ if near(FOOT) => Some(FOOT),
-        _ if near(US_SURVEY_FOOT) => Some(US_SURVEY_FOOT),
-        f if f.is_finite() && (1e-6..=1e6).contains(&f) => Some(f),
-        _ => None,
-    }
+/// Replaces a printed conversion factor by the metre or the exact foot that it stands for.
+fn exact(factor: f64) -> f64 {
+    let near = |exact: &f64| (factor - exact).abs() <= 1e-9 * exact;
+    [1.0, FOOT, US_SURVEY_FOOT].into_iter().find(near).unwrap_or(factor)
 }
 
 /// One bracketed word of well-known text.
@@ -210,7 +219,7 @@ impl Node {
 
     fn unit(&self) -> Option<f64> {
         let unit = self.children.iter().find(|c| c.word == "UNIT" || c.word == "LENGTHUNIT")?;
-        exact(*unit.numbers.first()?)
+        unit.numbers.first().map(|&factor| exact(factor))
     }
 
     /// Unit of the system, or (WKT 2 may state it so) of its first axis that has one.
@@ -260,7 +269,7 @@ mod tests {
 
     #[test]
     fn damaged_text_is_noted_and_never_followed_deep() {
-        for text in ["PROJCS[\"P", "]", "A[B[C", &"A[".repeat(100_000), "PROJCS[UNIT[\"x\",NaN]]", ""] {
+        for text in ["PROJCS[\"P", "]", "A[B[C", &"A[".repeat(100_000), "PROJCS[UNIT[\"x\",one]]", ""] {
             let found = wkt(text);
             assert!(found.horizontal.is_none());
         }
@@ -284,6 +293,12 @@ mod tests {
         assert_eq!((stated.horizontal, stated.vertical), (Some(US_SURVEY_FOOT), Some(FOOT)));
         let by_size = keys(&[[3076, 0, 1, 32767], [3077, GEO_DOUBLES, 1, 1]], "", &[7.0, 2.5]);
         assert_eq!(by_size.horizontal, Some(2.5));
+        for size in [1e-7, 1e9, 0.0, -1.0, f64::NAN] {
+            let absurd = keys(&[[3076, 0, 1, 32767], [3077, GEO_DOUBLES, 1, 0]], "", &[size]).absurd_unit();
+            assert!(absurd.is_some_and(|unit| unit == size || size.is_nan()), "{size}: {absurd:?}");
+            assert!(wkt(&format!(r#"PROJCS["P",UNIT["odd",{size}]]"#)).absurd_unit().is_some(), "{size}");
+        }
+        assert_eq!(by_size.absurd_unit(), None);
         let by_system = keys(&[[3072, 0, 1, 2229]], "", &[]);
         assert_eq!(by_system.horizontal, Some(US_SURVEY_FOOT));
         let by_words = keys(&[[3073, GEO_TEXT, 14, 0]], "Somewhere (ft)|", &[]);

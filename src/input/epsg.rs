@@ -6,10 +6,7 @@
 //! either unassigned or no projected system. Every other projected code is taken as metres, except the few listed in
 //! [`projected`] (British chains rounded to the nearest millimetre).
 
-/// US survey foot (m).
-pub(super) const US_SURVEY_FOOT: f64 = 1200.0 / 3937.0;
-/// International foot (m).
-pub(super) const FOOT: f64 = 0.3048;
+pub(super) use crate::unit::{FOOT_M as FOOT, US_SURVEY_FOOT_M as US_SURVEY_FOOT};
 
 /// Metres per unit of the axes of projected system `code`; `None` for codes that are no EPSG code (0, 32767 and above).
 pub(super) fn projected(code: u16) -> Option<f64> {

@@ -21,6 +21,7 @@ mod header;
 mod las;
 mod laz;
 mod records;
+pub(crate) mod scenes;
 mod source;
 pub mod spacing;
 
@@ -31,8 +32,10 @@ use self::convert::{Filter, Layout, Transform};
 use self::header::Header;
 use self::laz::{Body, Packing, Run};
 use self::records::Records;
+use self::scenes::Scene;
 use self::source::Source;
 use crate::plan::{ClassSet, Up};
+use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Result};
 
 pub use self::laz::quiet_decoder_panics;
@@ -191,6 +194,13 @@ impl ScanFile {
         let unit = match options.units {
             Units::Factor(factor) => [factor; 3],
             Units::Auto => {
+                if let Some(unit) = georeference.absurd_unit() {
+                    let reason = format!(
+                        "it states a unit of {unit} m, which is no unit of scans (expected 0.001 to 10000 m); give the \
+                         right one with --units"
+                    );
+                    return Err(Error::input(path, "reference system", reason));
+                }
                 notes.append(&mut georeference.notes);
                 unclear.degrees = georeference.degrees;
                 unclear.unit = georeference.horizontal.is_none() && !georeference.degrees;
@@ -317,6 +327,12 @@ impl ScanFile {
         finite.then_some(StatedBounds { min, max })
     }
 
+    /// The file with the bounds that its header claims, if it claims points.
+    pub(crate) fn scene_stated(&self) -> Option<Scene<'_>> {
+        let StatedBounds { min, max } = self.bounds_stated().filter(|_| self.points_expected() > 0)?;
+        Some(Scene { path: &self.path, min, max })
+    }
+
     /// How far a coordinate between `min` and `max` may lie from what a header says of it (m): a step of the largest
     /// scale, and rounding.
     fn slack(&self, min: f64, max: f64) -> f64 {
@@ -408,11 +424,19 @@ impl InputSet {
     fn common_crs(files: &[ScanFile], monitor: &dyn Monitor) -> Option<usize> {
         let named = || (0..files.len()).filter(|&i| files[i].crs.is_some());
         let least = named().min_by_key(|&i| files[i].crs.as_deref())?;
-        if let Some(other) = named().find(|&i| files[i].crs != files[least].crs) {
+        let (same, others): (Vec<_>, Vec<_>) = named().partition(|&i| files[i].crs == files[least].crs);
+        if !others.is_empty() {
+            let those = |some: &[usize]| {
+                let file = &files[some[0]];
+                let more = if some.len() > 1 { format!(" and {} more", some.len() - 1) } else { String::new() };
+                let crs = crs::short_name(file.crs().unwrap_or_default());
+                format!("{}{more} ({crs})", file.path.display())
+            };
             monitor.warn(&format!(
-                "{} and {} state different reference systems; that of the former is kept",
-                files[least].path.display(),
-                files[other].path.display()
+                "{} and {} state different reference systems: coordinates are taken as they are, and the archive names \
+                 the former system; bring the scans into one system first",
+                those(&same),
+                those(&others)
             ));
         }
         Some(least)
@@ -462,6 +486,14 @@ impl InputSet {
     /// The reference system of the scans; of several, the one whose text sorts first.
     pub fn crs(&self) -> Option<&str> {
         self.files[self.crs?].crs()
+    }
+
+    /// Units of the files that hold points.
+    pub fn length_units(&self) -> impl Iterator<Item = LengthUnit> + '_ {
+        self.files.iter().filter(|file| file.points_expected() > 0).map(|file| {
+            let [horizontal_m, _, vertical_m] = file.unit_m();
+            LengthUnit { horizontal_m, vertical_m }
+        })
     }
 
     /// The files, in order of their paths.

@@ -86,6 +86,7 @@ pub fn scene() -> (Pages, Totals) {
         points_excluded: 100,
         bounds: Some(([-6.4, -19.2, -19.2], [19.2, 6.4, 115.5])),
         crs: "a made-up place".into(),
+        units: Vec::new(),
     };
     (pages, totals)
 }

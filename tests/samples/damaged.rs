@@ -55,6 +55,8 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("unordered-metadata", "M2", metadata(b"zzzz\0\0\0\0aaaa\0\0\0\0")),
         ("crs-not-utf-8", "M3", metadata(b"CRS \x01\0\0\0\xFF")),
         ("page-of-another-part", "T5", metadata(&[b"SHRD\x28\0\0\0\x01\0\0\0\x02\0\0\0", &[0; 32][..]].concat())),
+        ("unit-of-no-length", "M5", metadata(&[b"UNIT\x10\0\0\0", &[0; 16][..]].concat())),
+        ("input-cut-short", "M6", metadata(&[b"READ\x15\0\0\0", &[1; 21][..]].concat())),
         ("wrong-part", "M4", metadata(&[b"SHRD\x28\0\0\0", &[0; 40][..]].concat())),
     ]
 }

@@ -2,10 +2,11 @@
 
 use crate::common::forge::{Parts, put};
 use crate::common::{Pages, Random, archive, archive_of, key, page, plan, scene, two_pixels};
-use slicewalk::archive::{PageEncoder, Shard, Totals};
+use slicewalk::archive::{ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::frame::Frame;
 use slicewalk::plan::{Classifier, Plan, PlanOptions, Up};
 use slicewalk::slice::{Page, Span};
+use slicewalk::unit::{LengthUnit, US_SURVEY_FOOT_M};
 use std::collections::BTreeMap;
 
 /// Names and bytes.
@@ -25,6 +26,9 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("tolerance", archive_of(&tolerant(), &(simple(floor()), totals()), None)),
         ("options", archive_of(&options(), &(floor(), totals()), None)),
         ("part", archive_of(&plan(), &(stairs(), totals()), Some(part()))),
+        ("part-with-inputs", part_with_inputs()),
+        ("units", archive(&in_units(vec![LengthUnit { horizontal_m: US_SURVEY_FOOT_M, vertical_m: 1.0 }]))),
+        ("units-mixed", archive(&in_units(LengthUnit::distinct([0.3048, 1.0, 20.1168].map(LengthUnit::of))))),
         ("unknown-metadata", unknown_metadata()),
         ("newer-minor-version", newer()),
     ]
@@ -171,6 +175,23 @@ fn options() -> Plan {
 /// All columns from that of page (0, 0).
 fn part() -> Shard {
     Shard { index: 3, count: 3, first: 3 << 62, last: u64::MAX, job: 0x0123_4567_89AB_CDEF_0011_2233_4455_6677 }
+}
+
+/// A part that shares two of its inputs with others.
+fn part_with_inputs() -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("part.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    writer.set_shard(part());
+    let read = |input, name: &str| InputRead { input, hash: u128::from(input) << 100 | 0xABC, name: name.into() };
+    writer.set_read(vec![read(0, "west.laz"), read(7, "Größe.las")]);
+    writer.finish(Totals::default()).unwrap();
+    std::fs::read(target).unwrap()
+}
+
+fn in_units(units: Vec<LengthUnit>) -> (Pages, Totals) {
+    let (pages, totals) = two_pixels();
+    (pages, Totals { units, ..totals })
 }
 
 fn unknown_metadata() -> Vec<u8> {

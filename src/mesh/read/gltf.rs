@@ -6,6 +6,7 @@
 //! and morph targets stay at rest. Source: "glTF 2.0 Specification", Khronos Group, chapters 3.5 to 3.7.
 
 use super::blocks::Blocks;
+use super::text::BYTE_ORDER_MARK;
 use super::{MeshOptions, Triangle, Triangles};
 use crate::{Error, Result};
 use base64::Engine;
@@ -86,7 +87,7 @@ pub(super) struct Reader {
 impl Reader {
     pub(super) fn open(path: &Path, options: &MeshOptions) -> Result<Self> {
         let (json, binary) = read_structure(path, options.memory_bytes.max(LEAST_JSON_BYTES))?;
-        let root = Root::from_slice(&json).map_err(|e| {
+        let root = Root::from_slice(json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&json)).map_err(|e| {
             Error::input(path, "structure", format!("{}; expected glTF 2.0", e.to_string().replace('\n', " ")))
         })?;
         drop(json);

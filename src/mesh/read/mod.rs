@@ -11,7 +11,9 @@ mod vertices;
 
 use super::Triangle;
 use crate::input::Units;
+use crate::input::scenes::Scene;
 use crate::plan::Up;
+use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Result};
 use std::path::{Path, PathBuf};
 
@@ -108,6 +110,14 @@ impl MeshSet {
         self.files.is_empty()
     }
 
+    /// Unit of the files, if there are any.
+    pub fn length_unit(&self) -> Option<LengthUnit> {
+        (!self.is_empty()).then_some(match self.options.units {
+            Units::Auto => LengthUnit::METRE,
+            Units::Factor(factor) => LengthUnit::of(factor),
+        })
+    }
+
     /// Length of all files (bytes): for progress only.
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(|file| file.2).fold(0, u64::saturating_add)
@@ -115,25 +125,26 @@ impl MeshSet {
 
     /// All triangles, from the first.
     pub fn feed(&self) -> MeshFeed<'_> {
-        MeshFeed { set: self, next: 0, open: None, of_file: MeshCounts::default(), total: MeshCounts::default() }
+        MeshFeed {
+            set: self,
+            next: 0,
+            open: None,
+            of_file: MeshCounts::default(),
+            total: MeshCounts::default(),
+            bounds: Vec::new(),
+        }
     }
 
     /// Bounds of all usable triangles (m), which are read for this; `None` if there are none.
-    pub fn bounds(&self, monitor: &dyn Monitor) -> Result<Option<([f64; 3], [f64; 3])>> {
-        let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    pub fn bounds(&self, monitor: &dyn Monitor) -> Result<Option<Bounds>> {
         let (mut feed, mut batch) = (self.feed(), Vec::new());
         while feed.next(&mut batch, &crate::NoMonitor)? {
             if monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
-            for corner in batch.iter().filter(|triangle| usable(triangle)).flatten() {
-                for axis in 0..3 {
-                    min[axis] = min[axis].min(corner[axis]);
-                    max[axis] = max[axis].max(corner[axis]);
-                }
-            }
         }
-        Ok((min[0] <= max[0]).then_some((min, max)))
+        let all = feed.bounds.iter().fold(NO_BOUNDS, |all, file| grown(grown(all, file.0), file.1));
+        Ok((all.0[0] <= all.1[0]).then_some(all))
     }
 
     fn reader(&self, number: usize) -> Result<Box<dyn Triangles>> {
@@ -161,6 +172,17 @@ impl MeshSet {
     }
 }
 
+/// Least and greatest corner (m).
+type Bounds = ([f64; 3], [f64; 3]);
+
+/// Bounds of nothing.
+const NO_BOUNDS: Bounds = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+
+/// `bounds` around `corner` too.
+fn grown((min, max): Bounds, corner: [f64; 3]) -> Bounds {
+    ([0, 1, 2].map(|axis| min[axis].min(corner[axis])), [0, 1, 2].map(|axis| max[axis].max(corner[axis])))
+}
+
 /// Whether a triangle has an area and lies where triangles are kept.
 fn usable(triangle: &Triangle) -> bool {
     let near = triangle.as_flattened().iter().all(|v| v.abs() <= FARTHEST_M);
@@ -175,9 +197,11 @@ pub struct MeshFeed<'a> {
     open: Option<Box<dyn Triangles>>,
     of_file: MeshCounts,
     total: MeshCounts,
+    /// Of the usable triangles of each file so far.
+    bounds: Vec<Bounds>,
 }
 
-impl MeshFeed<'_> {
+impl<'a> MeshFeed<'a> {
     /// Replaces `batch` by the next usable triangles (m, z up), maybe none; false after the last.
     ///
     /// At the end of each file a warning tells how many triangles were left out; a file without any usable one is an
@@ -202,6 +226,8 @@ impl MeshFeed<'_> {
         let read = batch.len();
         batch.iter_mut().for_each(|triangle| self.set.place(self.next, triangle));
         batch.retain(usable);
+        self.bounds.resize(self.next + 1, NO_BOUNDS);
+        self.bounds[self.next] = batch.as_flattened().iter().fold(self.bounds[self.next], |all, &c| grown(all, c));
         self.of_file += MeshCounts { read: read as u64, left_out: (read - batch.len()) as u64 };
         if !more {
             let MeshCounts { read, left_out } = std::mem::take(&mut self.of_file);
@@ -225,6 +251,12 @@ impl MeshFeed<'_> {
             self.next += 1;
         }
         Ok(true)
+    }
+
+    /// Files with the bounds of their usable triangles so far.
+    pub(crate) fn scenes(&self) -> impl Iterator<Item = Scene<'a>> {
+        let files = self.set.files.iter().zip(&self.bounds);
+        files.map(|(file, &(min, max))| Scene { path: &file.0, min, max })
     }
 
     /// Triangles of the files that came to their end.

@@ -3,7 +3,7 @@
 //! Source: "StereoLithography Interface Specification", 3D Systems, 1989. Many binary files begin with "solid" as the
 //! text form does; so a file whose length is that of its count is binary, and so is one whose first bytes are no text.
 
-use super::text::{Lines, shown};
+use super::text::{BYTE_ORDER_MARK, Lines, shown};
 use super::{Triangle, Triangles};
 use crate::{Error, Result};
 use std::fs::File;
@@ -30,8 +30,9 @@ impl Reader {
         Read::by_ref(&mut reader).take(HEAD_BYTES).read_to_end(&mut head).map_err(io("read the header"))?;
         let count = head.last_chunk().filter(|_| head.len() as u64 == HEAD_BYTES).map(|b| u32::from_le_bytes(*b));
         let expected = count.map(|count| HEAD_BYTES + u64::from(count) * TRIANGLE_BYTES as u64);
-        let is_text = head.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace());
-        if head.trim_ascii_start().starts_with(b"solid") && is_text && expected != Some(bytes) {
+        let start = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&head);
+        let is_text = start.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace());
+        if start.trim_ascii_start().starts_with(b"solid") && is_text && expected != Some(bytes) {
             reader.rewind().map_err(io("read the header"))?;
             return Ok(Self::Text { lines: Lines::new(reader, path, false), corners: Vec::new(), open: false });
         }

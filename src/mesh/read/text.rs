@@ -8,6 +8,9 @@ use std::path::{Path, PathBuf};
 /// Longest line (bytes).
 const MOST_BYTES: u64 = 1 << 20;
 
+/// What some editors put before text in UTF-8.
+pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
+
 /// Reads a file line by line; knows which line it is at.
 pub(super) struct Lines {
     reader: BufReader<File>,
@@ -48,6 +51,9 @@ impl Lines {
             }
             if read == 0 {
                 return Ok(!self.line.is_empty());
+            }
+            if self.number == 1 && self.line.starts_with(BYTE_ORDER_MARK) {
+                self.line.drain(..BYTE_ORDER_MARK.len());
             }
             while self.line.last().is_some_and(|byte| matches!(byte, b'\n' | b'\r')) {
                 self.line.pop();

@@ -38,8 +38,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let header = extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &NoMonitor)
         .map_err(|error| crate::broken(&arguments.archive, &error))?;
     if arguments.json {
-        let crs = archive.crs().map_err(|error| crate::broken(&arguments.archive, &error))?;
-        return Ok(format!("{:#}\n", slicewalk::info::header_info(&header, &crs)));
+        let about = archive.crs().and_then(|crs| Ok((crs, archive.units()?)));
+        let (crs, units) = about.map_err(|error| crate::broken(&arguments.archive, &error))?;
+        return Ok(format!("{:#}\n", slicewalk::info::header_info(&header, &crs, &units)));
     }
     let (voxels, bytes) = (header.voxels.occupied, header.file_len);
     Ok(format!("{}: {voxels} voxels, {bytes} bytes\n", arguments.output.display()))

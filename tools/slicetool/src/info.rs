@@ -15,10 +15,15 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     if let serde_json::Value::Object(facts) = facts {
         for (key, value) in facts {
             let value = match value {
+                _ if key == "unit" => {
+                    let units = archive.units().map_err(|error| crate::broken(path, &error))?;
+                    format!("{}; the archive is in metres", slicewalk::info::units_in_words(&units))
+                }
                 serde_json::Value::String(text) => text,
                 other => other.to_string(),
             };
-            writeln!(text, "{key:16} {value}")?;
+            let key = if key == "crs" { "crs of the source" } else { &key };
+            writeln!(text, "{key:17} {value}")?;
         }
     }
     Ok(text)

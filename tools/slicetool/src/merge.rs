@@ -32,7 +32,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let merged = merge(shards, output, *force, &NoMonitor)?;
     let copies: Vec<String> = merged.copies.iter().map(|path| path.display().to_string()).collect();
     if *json {
-        let mut facts = slicewalk::info::header_info(&merged.header, &merged.crs);
+        let mut facts = slicewalk::info::header_info(&merged.header, &merged.crs, &merged.units);
         facts["written"] = merged.written.into();
         facts["shards"] = (shards.len() - copies.len()).into();
         facts["copies_left_out"] = copies.into();
