@@ -63,7 +63,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
         }
         let start = Instant::now();
-        let objects: Vec<Object<'_>> = bodies.iter().map(|body| Object::new(&model, body.pose)).collect();
+        let placed = bodies.iter().map(|body| Object::new(&model, body.pose));
+        let objects = placed.collect::<slicewalk::Result<Vec<_>>>()?;
         let mut touched = Vec::new();
         for (a, b) in (0..count).flat_map(|a| (0..a).map(move |b| (a, b))) {
             let ((p, r), (q, s)) = (objects[a].ball(), objects[b].ball());

@@ -158,7 +158,7 @@ fn no_question_about_objects_allocates() {
                 let turn = nalgebra::Vector3::new(0.3, -0.2, shape.min().x);
                 let objects = [0.0, 0.1].map(|shift| {
                     let moved = (shape.max() - shape.min()) * shift;
-                    Object::new(&model, nalgebra::Isometry3::new(moved, turn * shift))
+                    Object::new(&model, nalgebra::Isometry3::new(moved, turn * shift)).expect("finite")
                 });
                 black_box(touches(&objects[0], &objects[1]));
                 black_box(touches_box(&objects[1], shape));

@@ -22,6 +22,10 @@ const BUNNY_POSES: usize = 10_000;
 /// Nearer to touching than this nobody is asked to tell.
 const SLACK: f64 = 1e-10;
 
+fn put<'a>(model: &'a Model, pose: Isometry3<f64>) -> Object<'a> {
+    Object::new(model, pose).unwrap()
+}
+
 /// The boxes of a model in the world.
 fn boxes(model: &Model, pose: &Isometry3<f64>) -> Vec<Oriented> {
     model.boxes().map(|(min, max)| Oriented::new(pose, min, max)).collect()
@@ -42,7 +46,7 @@ fn two_bunnies_touch_exactly_where_their_pixels_do() {
     let (mut hits, mut unclear) = (0, 0);
     for _ in 0..BUNNY_POSES {
         let poses = [(); 2].map(|()| pose(&mut random, 0.16));
-        let [a, b] = poses.map(|pose| Object::new(&model, pose));
+        let [a, b] = poses.map(|pose| put(&model, pose));
         let gap = least_gap(&boxes(&model, &poses[0]), &boxes(&model, &poses[1]));
         if gap.abs() < SLACK {
             unclear += 1;
@@ -68,7 +72,7 @@ fn touching_triangles_are_never_missed_and_phantoms_are_within_a_voxel_of_each()
     let (mut hits, mut clear) = (0, 0);
     for _ in 0..POSES / 10 {
         let poses = [(); 2].map(|()| pose(&mut random, 4.0));
-        let [a, b] = poses.map(|pose| Object::new(&model, pose));
+        let [a, b] = poses.map(|pose| put(&model, pose));
         let placed = poses.map(|pose| bodies::placed(&triangles, &pose));
         let gap = gap_of_triangles(&placed[0], &placed[1]);
         if gap < -SLACK {
@@ -90,7 +94,7 @@ fn pawns_and_spheres_touch_an_object_exactly_where_its_pixels_do() {
     let mut hits = [0; 2];
     for _ in 0..POSES {
         let place = pose(&mut random, 1.0);
-        let object = Object::new(&model, place);
+        let object = put(&model, place);
         let own = boxes(&model, &place);
         let feet = Point3::from([0; 3].map(|_| random.between(-2.5, 2.5)));
         let size = Vector3::new(random.between(0.0, 0.6), random.between(0.0, 0.6), random.between(0.0, 1.8));
@@ -137,7 +141,7 @@ fn objects_in_a_scene_touch_exactly_where_its_pixels_do_and_missing_pages_are_to
     for _ in 0..poses {
         let mut place = pose(&mut random, 3.0);
         place.translation.vector.z = random.between(-0.5, 6.0);
-        let object = Object::new(&model, place);
+        let object = put(&model, place);
         let gap = least_gap(&boxes(&model, &place), &around);
         if gap.abs() < SLACK {
             continue;
@@ -145,7 +149,7 @@ fn objects_in_a_scene_touch_exactly_where_its_pixels_do_and_missing_pages_are_to
         let expected = if gap < 0.0 { Overlap::Hit } else { Overlap::Clear };
         assert_eq!(touches_scene(&object, &store), expected, "{place:?}: {gap}");
         // The scene as an object of its own says the same.
-        assert_eq!(touches(&object, &Object::new(&scene, Isometry3::identity())), gap < 0.0, "{place:?}: {gap}");
+        assert_eq!(touches(&object, &put(&scene, Isometry3::identity())), gap < 0.0, "{place:?}: {gap}");
         hits += usize::from(gap < 0.0);
     }
     assert!(hits > poses / 10 && hits < poses * 9 / 10, "{hits} of {poses}: the test shows little");
@@ -159,8 +163,8 @@ fn closed_meshes_may_be_solid() {
     let [hollow, solid] = [false, true].map(|solid| Model::from_triangles(frame, &knot, solid).unwrap());
     let pebble = Model::from_triangles(Frame::new(0.002, 0.006).unwrap(), &small(0.04), false).unwrap();
     // The middle of the tube, far from its surface, and the hole of the ring.
-    let at = |x: f64| Object::new(&pebble, Isometry3::translation(x, 0.0, 0.0));
-    let [hollow, solid] = [&hollow, &solid].map(|model| Object::new(model, Isometry3::identity()));
+    let at = |x: f64| put(&pebble, Isometry3::translation(x, 0.0, 0.0));
+    let [hollow, solid] = [&hollow, &solid].map(|model| put(model, Isometry3::identity()));
     assert!(touches(&solid, &at(1.0)) && !touches(&hollow, &at(1.0)), "inside the tube");
     assert!(!touches(&solid, &at(0.0)) && !touches(&solid, &at(2.0)), "outside of it");
     assert!(touches(&hollow, &at(1.4)) && touches(&solid, &at(1.4)), "on its surface");
@@ -180,12 +184,135 @@ fn closed_meshes_may_be_solid() {
     }
 }
 
+/// The faces of a box, outwards.
+fn cuboid(min: [f64; 3], max: [f64; 3]) -> Vec<Triangle> {
+    let corner = |bits: usize| [0, 1, 2].map(|axis| if bits >> axis & 1 == 1 { max[axis] } else { min[axis] });
+    let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let halves = faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]);
+    halves.map(|corners| corners.map(corner)).collect()
+}
+
+fn turned_inside_out(triangles: Vec<Triangle>) -> Vec<Triangle> {
+    triangles.into_iter().map(|[a, b, c]| [a, c, b]).collect()
+}
+
+#[test]
+fn what_bodies_enclose_together_is_solid_and_a_cavity_is_not() {
+    let frame = Frame::new(0.1, 0.3).unwrap();
+    let outer = || cuboid([0.02, 0.03, 0.01], [2.04, 2.05, 2.06]);
+    let (shifted, inner) =
+        (cuboid([1.03, 1.01, 1.02], [3.04, 3.02, 3.05]), cuboid([0.52, 0.51, 0.53], [1.54, 1.52, 1.55]));
+    let cases = [
+        ("one", vec![outer()], true),
+        ("one given twice", vec![outer(), outer()], true),
+        ("one whose faces look inwards", vec![turned_inside_out(outer())], true),
+        ("two that overlap", vec![outer(), shifted.clone()], true),
+        ("two that overlap, both inwards", vec![turned_inside_out(outer()), turned_inside_out(shifted)], true),
+        ("one inside the other", vec![outer(), inner.clone()], true),
+        ("one with a cavity", vec![outer(), turned_inside_out(inner)], false),
+    ];
+    for (what, bodies, is_full) in cases {
+        let model = Model::from_triangles(frame, &bodies.concat(), true).unwrap();
+        let object = put(&model, Isometry3::identity());
+        let touched = |at: [f64; 3]| touches_sphere(&object, &Sphere::new(at.into(), 0.02).unwrap());
+        // Inside of the first body alone, and where another lies in it as well.
+        assert!(touched([0.25, 0.25, 0.25]), "{what}");
+        assert_eq!(touched([1.25, 1.25, 1.25]), is_full, "{what}");
+        assert!(!touched([2.55, 0.55, 0.55]) && !touched([0.8, 0.8, 2.9]), "{what}: outside");
+    }
+}
+
+#[test]
+fn a_model_built_far_from_its_origin_misses_no_contact() {
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    let mut random = Random(35);
+    let block = |at: [f64; 3]| Model::from_triangles(frame, &cuboid(at, at.map(|v| v + 0.95)), false).unwrap();
+    let far = [1e6, -2e6, 3e5];
+    let (there, here) = (block(far.map(|v| v + 0.01)), block([0.01; 3]));
+    // Both hold whole pixels: one metre along x and y.
+    let wide = |model: &Model| {
+        let low = model.boxes().map(|(min, _)| min.x).fold(f64::INFINITY, f64::min);
+        (low, model.boxes().map(|(_, max)| max.x).fold(f64::NEG_INFINITY, f64::max))
+    };
+    let (from, to) = (wide(&there).0, wide(&here).1);
+    assert!((wide(&here).1 - wide(&here).0 - 1.0).abs() < 1e-9);
+    for _ in 0..POSES {
+        let place = pose(&mut random, 3.0);
+        // Moved back, beside the other, along x.
+        let beside = |gap: f64| Isometry3::translation(to + gap - from, -far[1], -far[2]);
+        let near = put(&here, place);
+        for (gap, expected) in [(0.0, true), (1e-6, false), (-1e-6, true)] {
+            let moved = put(&there, place * beside(gap));
+            assert_eq!(touches(&moved, &near), expected, "{place:?} {gap}");
+            assert_eq!(touches(&near, &moved), expected, "{place:?} {gap}");
+        }
+    }
+}
+
+#[test]
+fn boxes_with_infinite_sides_are_those_with_sides_far_out() {
+    let model = Model::from_triangles(Frame::new(0.05, 0.15).unwrap(), &knot(18, 5), false).unwrap();
+    let mut random = Random(36);
+    let mut hits = 0;
+    for n in 0..POSES {
+        let object = put(&model, pose(&mut random, 1.0));
+        let corner = [0; 3].map(|_| random.between(-2.0, 2.0));
+        let side = |bit: usize, far: f64, near: f64| if (n % 64) >> bit & 1 == 1 { far } else { near };
+        let shape = |far: f64| {
+            let min = [0, 1, 2].map(|axis| side(axis, -far, corner[axis]));
+            let max = [0, 1, 2].map(|axis| side(axis + 3, far, corner[axis] + 0.1));
+            touches_box(&object, &Aabb::new(min.into(), max.into()).unwrap())
+        };
+        let expected = shape(10.0);
+        for far in [1e6, 1e12, 1e300, f64::MAX, f64::INFINITY] {
+            assert_eq!(shape(far), expected, "{corner:?} {n} {far}");
+        }
+        hits += usize::from(expected);
+    }
+    assert!(hits > POSES / 10 && hits < POSES * 9 / 10, "{hits} of {POSES}: the test shows little");
+}
+
+#[test]
+fn what_is_no_pose_and_no_triangle_is_refused() {
+    let frame = Frame::new(0.05, 0.15).unwrap();
+    let block = Model::from_triangles(frame, &grid(3), false).unwrap();
+    let turned = |turn: nalgebra::Quaternion<f64>| {
+        Isometry3::from_parts(Default::default(), nalgebra::UnitQuaternion::new_unchecked(turn))
+    };
+    let nan = f64::NAN;
+    for bad in [
+        Isometry3::translation(nan, 0.0, 0.0),
+        Isometry3::translation(0.0, f64::INFINITY, 0.0),
+        Isometry3::translation(0.0, 0.0, -1e101),
+        Isometry3::rotation(Vector3::new(nan, 0.0, 0.0)),
+        turned(nalgebra::Quaternion::new(0.0, 0.0, 0.0, 0.0)),
+        turned(nalgebra::Quaternion::new(1.0, 0.1, 0.0, 0.0)),
+    ] {
+        let error = Object::new(&block, bad).unwrap_err().to_string();
+        assert!(error.contains("pose"), "{bad:?}: {error}");
+    }
+    // Drift of many turns is no fault.
+    assert!(Object::new(&block, turned(nalgebra::Quaternion::new(1.0 + 1e-9, 0.0, 0.0, 0.0))).is_ok());
+    for bad in [nan, f64::INFINITY, f64::NEG_INFINITY] {
+        let mut triangles = grid(3);
+        triangles[1][2][0] = bad;
+        for solid in [false, true] {
+            let error = Model::from_triangles(frame, &triangles, solid).unwrap_err().to_string();
+            assert!(error.contains("triangle 1 of 2") && error.contains("finite"), "{error}");
+        }
+    }
+    // Each of these could be held, all together cannot: that is found before any of them is taken to the grid.
+    let many: Vec<Triangle> = (0..200).flat_map(|_| grid(50)).collect();
+    let error = Model::from_triangles(frame, &many, false).unwrap_err().to_string();
+    assert!(error.contains("pixels of all triangles") && error.contains("200000000"), "{error}");
+}
+
 #[test]
 fn models_without_matter_touch_nothing_and_models_beyond_the_grid_are_refused() {
     let frame = Frame::new(0.05, 0.15).unwrap();
     let empty = Model::from_triangles(frame, &[[[0.0; 3]; 3]], true).unwrap();
     let block = Model::from_triangles(frame, &grid(3), false).unwrap();
-    let [empty, block] = [&empty, &block].map(|model| Object::new(model, Isometry3::identity()));
+    let [empty, block] = [&empty, &block].map(|model| put(model, Isometry3::identity()));
     assert!(!touches(&empty, &block) && !touches(&block, &empty) && touches(&block, &block));
     let everything = Aabb::new(Point3::from([-1e9; 3]), Point3::from([1e9; 3])).unwrap();
     assert!(!touches_box(&empty, &everything) && touches_box(&block, &everything));

@@ -2,6 +2,10 @@
 
 #[path = "oracle/brute.rs"]
 mod brute;
+#[path = "oracle/edges.rs"]
+mod edges;
+#[path = "oracle/partial.rs"]
+mod partial;
 #[path = "oracle/scene.rs"]
 mod scene;
 
@@ -154,58 +158,6 @@ fn a_ray_along_an_axis_through_a_point_hits() {
             let Answer::Known(Some(hit)) = cast(&store, &ray) else { panic!("{ray:?} passes through {point}") };
             let beyond = (ray.at(hit.distance) - point).dot(&way);
             assert!(beyond <= SLACK, "{ray:?} passes through {point}, and hits {beyond} m beyond: {hit:?}");
-        }
-    }
-}
-
-#[test]
-fn pages_not_in_memory_are_never_taken_for_empty() {
-    for (scene, mut random) in Scene::all() {
-        let full = scene.store();
-        let around = scene.pages[0].0;
-        let some: Vec<_> = scene.pages.iter().map(|page| page.0).filter(|_| random.chance(40)).collect();
-        let part = scene.part(&some);
-        for _ in 0..50 {
-            let shape = scene.random_box(&mut random);
-            let sphere = Sphere::new(shape.min(), (shape.max() - shape.min()).norm() / 3.0).unwrap();
-            let boxes = (overlaps(&part, &shape), overlaps(&full, &shape));
-            let spheres = (overlaps(&part, &sphere), overlaps(&full, &sphere));
-            for (partial, whole) in [boxes, spheres] {
-                match partial {
-                    Overlap::NotLoaded(missing) => {
-                        assert!(missing.count() > 0 && missing.keys().iter().all(|key| !some.contains(key)));
-                    }
-                    known => assert_eq!(known, whole),
-                }
-            }
-            let from = shape.max().z;
-            let way = scene.random_point(&mut random) - shape.min();
-            let ray = Ray::new(shape.min(), way + Vector3::new(0.0, 0.0, 1e-3), f64::INFINITY).unwrap();
-            let infinite = f64::INFINITY;
-            settle(&scene, &some, &full, around, |store| probe(store, &shape));
-            settle(&scene, &some, &full, around, |store| floor_under(store, &shape, from, infinite));
-            settle(&scene, &some, &full, around, |store| ceiling_above(store, &shape, from, infinite));
-            settle(&scene, &some, &full, around, |store| cast(store, &ray));
-        }
-    }
-}
-
-/// What a query says to be missing is enough: loading it again and again leads to the answer.
-fn settle<T: PartialEq + std::fmt::Debug>(
-    scene: &Scene,
-    loaded: &[PageKey],
-    full: &Store,
-    around: PageKey,
-    query: impl Fn(&Store) -> Answer<T>,
-) {
-    let mut store = scene.part(loaded);
-    loop {
-        match query(&store) {
-            Answer::NotLoaded(missing) => {
-                let report = store.load_missing(missing.keys(), around).unwrap();
-                assert!(report.loaded == missing.keys().len(), "{missing:?} {report:?}");
-            }
-            known => return assert_eq!(known, query(full)),
         }
     }
 }

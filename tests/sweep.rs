@@ -3,6 +3,8 @@
 #[path = "oracle/brute.rs"]
 #[allow(dead_code)]
 mod brute;
+#[path = "sweep/infinite.rs"]
+mod infinite;
 #[path = "oracle/scene.rs"]
 #[allow(dead_code)]
 mod scene;

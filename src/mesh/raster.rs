@@ -43,6 +43,8 @@ pub struct GridTriangle {
     max: [f64; 3],
     slack: [f64; 3],
     steep: bool,
+    /// Whether the sorted corners run round the other way than those given.
+    turned: bool,
 }
 
 /// The corners in a fixed order, so that neither winding nor first corner shows in what is computed from them.
@@ -50,6 +52,13 @@ fn sorted(triangle: &Triangle) -> Triangle {
     let mut sorted = triangle.map(|corner| corner.map(|v| v + 0.0));
     sorted.sort_unstable_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     sorted
+}
+
+/// Whether an odd number of swaps of two corners makes `sorted` of `triangle`, whose corners differ.
+fn is_odd(triangle: &Triangle, sorted: &Triangle) -> bool {
+    let place = |corner: usize| triangle.iter().position(|other| *other == sorted[corner]).unwrap_or(0);
+    let places = [place(0), place(1), place(2)];
+    !matches!(places, [0, 1, 2] | [1, 2, 0] | [2, 0, 1])
 }
 
 fn normal_of([a, b, c]: &Triangle) -> [f64; 3] {
@@ -92,7 +101,8 @@ impl Raster {
         };
         let (min, max) = (fold(f64::min), fold(f64::max));
         let slack = [0, 1, 2].map(|axis| SLACK * min[axis].abs().max(max[axis].abs()));
-        Some(GridTriangle { corners, min, max, slack, steep: across > self.steep_squared * up })
+        let steep = across > self.steep_squared * up;
+        Some(GridTriangle { corners, min, max, slack, steep, turned: is_odd(triangle, &sorted) })
     }
 }
 
@@ -109,25 +119,31 @@ impl GridTriangle {
         ends.into_iter().all(|((&low, &high), unit)| near(low, unit) && near(high, unit))
     }
 
-    /// Calls `give` with each pixel whose upright middle line crosses the triangle, and the height there (quanta).
+    /// Calls `give` with each pixel whose upright middle line crosses the triangle, the height there (quanta), and by how
+    /// much the winding number of places on the line changes from below the triangle to above it: 1 or -1.
     ///
     /// Where an edge lies is computed alike for all triangles that share it, and pixels are taken half open, so a line
-    /// through an edge crosses one or both or neither of its triangles as if it passed beside it: it crosses a closed mesh
-    /// an even number of times.
-    pub fn for_each_crossing(&self, mut give: impl FnMut((i64, i64), f64)) {
+    /// through an edge crosses one or both or neither of its triangles as if it passed beside it: the changes along a
+    /// line through a closed mesh add up to zero.
+    pub fn for_each_crossing(&self, mut give: impl FnMut((i64, i64), f64, i32)) {
         let [a, b, c] = self.corners;
-        let edges = [(a, b), (b, c), (a, c)];
+        // In the order of corners, so that neighbours compute the same; the last runs against the way round.
+        let edges = [(a, b, false), (b, c, false), (a, c, true)];
         let (p, q) = ([0, 1, 2].map(|k| b[k] - a[k]), [0, 1, 2].map(|k| c[k] - a[k]));
         let area = p[0] * q[1] - p[1] * q[0];
         for j in self.rows().0..=self.rows().1 {
             let y = j as f64 + 0.5;
-            // Places where the edges cross the line of middles. Corners are sorted, so that neighbours compute the same.
-            let crossed = edges.map(|(a, b)| {
-                ((a[1] <= y) != (b[1] <= y)).then(|| a[0] + (b[0] - a[0]) * ((y - a[1]) / (b[1] - a[1])))
-            });
-            let mut places = crossed.into_iter().flatten();
-            let (Some(one), Some(other)) = (places.next(), places.next()) else { continue };
-            let (left, right) = (one.min(other), one.max(other));
+            // Where one edge crosses the line of middles upwards in y, and where another does downwards.
+            let (mut up, mut down) = (None, None);
+            for (a, b, against) in edges {
+                if (a[1] <= y) != (b[1] <= y) {
+                    let place = a[0] + (b[0] - a[0]) * ((y - a[1]) / (b[1] - a[1]));
+                    *(if (a[1] <= y) != against { &mut up } else { &mut down }) = Some(place);
+                }
+            }
+            let (Some(up), Some(down)) = (up, down) else { continue };
+            let (left, right) = (up.min(down), up.max(down));
+            let change = if (up > down) != self.turned { -1 } else { 1 };
             // Middles from `left` on and before `right`.
             for i in floor_index(left - 0.5)..=floor_index(right + 0.5) {
                 let x = i as f64 + 0.5;
@@ -136,10 +152,22 @@ impl GridTriangle {
                     let height = a[2] + (u * p[2] + v * q[2]) / area;
                     // Only an upright triangle has none, and then any of its heights will do.
                     let height = if height.is_finite() { height } else { a[2] };
-                    give((i, j), height.clamp(self.min[2], self.max[2]));
+                    give((i, j), height.clamp(self.min[2], self.max[2]), change);
                 }
             }
         }
+    }
+
+    /// Area of its shadow on the grid (pixels), and the greater of its extents in x and y (pixels).
+    pub fn shadow(&self) -> (f64, f64) {
+        let [a, b, c] = self.corners;
+        let area = ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])).abs() / 2.0;
+        (area, (self.max[0] - self.min[0]).max(self.max[1] - self.min[1]))
+    }
+
+    /// Lowest and highest pixel, pixel and quantum of its corners.
+    pub fn bounds(&self) -> ([i64; 3], [i64; 3]) {
+        (self.min.map(floor_index), self.max.map(|v| -floor_index(-v)))
     }
 
     /// First and last row of pixels that it touches.

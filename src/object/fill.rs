@@ -10,8 +10,9 @@ type Pixel = (i64, i64);
 pub(super) struct Columns {
     /// Heights of surfaces (quanta).
     surfaces: Vec<(Pixel, (i64, i64))>,
-    /// Heights at which the line through the middle of a pixel crosses a surface (quanta).
-    crossings: Vec<(Pixel, f64)>,
+    /// Heights at which the line through the middle of a pixel crosses a surface (quanta), and how that changes the
+    /// winding number.
+    crossings: Vec<(Pixel, f64, i32)>,
 }
 
 impl Columns {
@@ -19,8 +20,8 @@ impl Columns {
         self.surfaces.push((pixel, heights));
     }
 
-    pub(super) fn cross(&mut self, pixel: Pixel, height: f64) {
-        self.crossings.push((pixel, height));
+    pub(super) fn cross(&mut self, pixel: Pixel, height: f64, change: i32) {
+        self.crossings.push((pixel, height, change));
     }
 
     /// Fails when there are too many surfaces for a triangle of about `pixels` more. From time to time unites what
@@ -39,15 +40,19 @@ impl Columns {
     }
 }
 
-/// The spans, united where they share a height; between the first and second crossing of a pixel, the third and fourth
-/// and so on there is matter.
+/// The spans, united where they share a height. There is matter between two crossings of a pixel where the winding number
+/// is not zero: inside of one body, or of several at once, whichever way round their faces run.
 pub(super) fn fill(columns: Columns) -> Vec<(Pixel, (i64, i64))> {
     let Columns { mut surfaces, mut crossings } = columns;
     crossings.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     for column in crossings.chunk_by(|a, b| a.0 == b.0) {
-        let (pairs, _) = column.as_chunks::<2>();
-        let inside = |pair: &[(Pixel, f64); 2]| (pair[0].1.floor() as i64, pair[1].1.ceil() as i64);
-        surfaces.extend(pairs.iter().map(|pair| (pair[0].0, inside(pair))));
+        let mut winding = 0;
+        for (&(pixel, low, change), &(_, high, _)) in column.iter().zip(&column[1..]) {
+            winding += change;
+            if winding != 0 {
+                surfaces.push((pixel, (low.floor() as i64, high.ceil() as i64)));
+            }
+        }
     }
     unite(&mut surfaces);
     surfaces

@@ -9,7 +9,8 @@
 //! The matter of a model is that of queries: a span of pixel `(i, j)` fills the closed box of the pixel's square and all
 //! heights from its bottom to its top. An object carries these boxes, turned and moved by its pose. Two objects touch if
 //! a box of one and a box of the other share a point; this is decided for oriented boxes by the 15 separating axes
-//! (Gottschalk, Lin and Manocha, "OBBTree", 1996), and grows by `2⁻⁴⁵` of the coordinates for rounding, towards "hit".
+//! (Gottschalk, Lin and Manocha, "OBBTree", 1996), and grows by `2⁻⁴⁵` of the coordinates for rounding, towards "hit":
+//! those of the places, and those of the models themselves, for a model may be built far from its origin and moved back.
 //! So of two surfaces that touch none is missed (G1), whatever their poses; and objects that touch have surfaces within
 //! the diagonals of a voxel of each, where no more than a pixel of `t × t × σ` lies between a box and its surface.
 //!
@@ -18,7 +19,7 @@
 //! A binary tree of boxes over each model's spans, cut at the median; two trees are descended together, larger box
 //! first. A scene is its own summary: the boxes of the object's tree are asked of its pages, blocks and spans by
 //! [`overlaps`](crate::query::overlaps), and the few that remain are held against single spans. Nothing is allocated,
-//! locked or waited for.
+//! locked or waited for. The cost grows with what lies near the other: boxes apart end the search at once.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
@@ -28,8 +29,8 @@
 //!
 //! let store = |path: &str| Store::resident(&Archive::open(path)?, &slicewalk::NoMonitor);
 //! let (scene, cart) = (store("hall.slices")?, Model::from_pages(&store("cart.slices")?)?);
-//! let here = Object::new(&cart, nalgebra::Isometry3::translation(3.0, 2.0, 0.1));
-//! let there = Object::new(&cart, nalgebra::Isometry3::rotation(nalgebra::Vector3::z() * 0.5));
+//! let here = Object::new(&cart, nalgebra::Isometry3::translation(3.0, 2.0, 0.1))?;
+//! let there = Object::new(&cart, nalgebra::Isometry3::rotation(nalgebra::Vector3::z() * 0.5))?;
 //! let free = !touches(&here, &there) && touches_scene(&here, &scene) == Overlap::Clear;
 //! # Ok::<(), slicewalk::Error>(())
 //! ```
@@ -43,8 +44,9 @@ mod tree;
 pub use model::Model;
 pub use scene::touches_scene;
 
-use crate::query::{Aabb, Sphere};
-use nalgebra::{Isometry3, Point3, Vector3};
+use crate::query::{Aabb, Sphere, all_within_reach};
+use crate::{Error, Result};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use oriented::{LocalBox, Relative};
 use tree::{Tree, deepest};
 
@@ -54,12 +56,28 @@ pub struct Object<'a> {
     model: &'a Model,
     /// From the coordinates of the model's tree, which are about its middle, to the world.
     pose: Isometry3<f64>,
+    /// Sum of the coordinates that the pose and the model's boxes come from (m): their rounding errors scale with it.
+    coordinates_m: f64,
 }
 
 impl<'a> Object<'a> {
-    /// `model` moved from its own coordinates by `pose`.
-    pub fn new(model: &'a Model, pose: Isometry3<f64>) -> Self {
-        Self { model, pose: pose * nalgebra::Translation3::from(model.middle().coords) }
+    /// `model` moved from its own coordinates by `pose` (m).
+    ///
+    /// Fails if a number of the pose is NaN, a translation lies beyond ±10¹⁰⁰ m, or the rotation's quaternion is not of
+    /// length 1 (to 10⁻⁶; what is left of that is taken out).
+    pub fn new(model: &'a Model, pose: Isometry3<f64>) -> Result<Self> {
+        let length = pose.rotation.quaternion().norm();
+        let is_turn = (length - 1.0).abs() <= 1e-6;
+        if !is_turn || !all_within_reach(&pose.translation.vector) {
+            let reason = format!("no object can be moved by {:?} m", pose.translation.vector.as_slice());
+            return Err(Error::parameter("pose", format!("{reason} and turned by a quaternion of length {length}")));
+        }
+        let rotation = UnitQuaternion::new_normalize(pose.rotation.into_inner());
+        let middle = model.middle();
+        let placed = Isometry3::from_parts(pose.translation, rotation) * Translation3::from(middle.coords);
+        let places = [pose.translation.vector, middle.coords, placed.translation.vector];
+        let coordinates_m = places.iter().map(Vector3::amax).sum::<f64>() + model.radius();
+        Ok(Self { model, pose: placed, coordinates_m })
     }
 
     /// The model.
@@ -79,9 +97,11 @@ impl<'a> Object<'a> {
 
 /// Whether two objects touch; see the [module text](self) for what that means. Ends at the first contact.
 ///
-/// Cost: some ten nanoseconds for objects apart, microseconds for a close miss of two models of 50,000 spans.
+/// Cost: a hundred nanoseconds for objects apart. A close miss costs what lies near: for two bunnies of 30,000 to 400,000
+/// spans 0.1 to 0.3 ms in the median of poses and 3 ms at most; at worst, for surfaces oblique to their grids that run
+/// parallel within two voxels of each other, some microseconds for each of their spans.
 pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
-    let relative = Relative::new(&a.pose, &b.pose, a.model.radius() + b.model.radius());
+    let relative = Relative::new(&a.pose, &b.pose, a.coordinates_m + b.coordinates_m);
     let (left, right) = (a.tree(), b.tree());
     let mut open = Pairs::default();
     if !left.is_empty() && !right.is_empty() {
@@ -95,7 +115,8 @@ pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
         // The larger is cut, and the half nearer to the other comes first: it may end the search.
         let halves = match (one.children(m), other.children(n)) {
             (None, None) => {
-                let pairs = left.items(one).flat_map(|p| right.items(other).map(move |q| (p, q)));
+                let near = left.items(one).filter(|p| !relative.separates_by_faces(p, &other.bounds()));
+                let pairs = near.flat_map(|p| right.items(other).map(move |q| (p, q)));
                 if pairs.into_iter().any(|(p, q)| relative.meets(&p, &q)) {
                     return true;
                 }
@@ -116,9 +137,16 @@ pub fn touches(a: &Object<'_>, b: &Object<'_>) -> bool {
 
 /// Whether an object touches a box that stands upright in the world, for example a pawn.
 pub fn touches_box(object: &Object<'_>, shape: &Aabb) -> bool {
-    let half = (shape.max() - shape.min()) / 2.0;
-    let middle = Isometry3::translation(shape.min().x + half.x, shape.min().y + half.y, shape.min().z + half.z);
-    let relative = Relative::new(&object.pose, &middle, object.model.radius() + half.norm());
+    // Only what the object can reach counts; that is finite.
+    let (center, radius) = object.ball();
+    let reach = Vector3::repeat(radius + 4.0 * oriented::SLACK * object.coordinates_m);
+    let (low, high) = (shape.min().sup(&(center - reach)), shape.max().inf(&(center + reach)));
+    if (0..3).any(|axis| low[axis] > high[axis]) {
+        return false;
+    }
+    let half = (high - low) / 2.0;
+    let middle = Isometry3::translation(low.x + half.x, low.y + half.y, low.z + half.z);
+    let relative = Relative::new(&object.pose, &middle, 2.0 * object.coordinates_m + half.norm());
     let shape = LocalBox { middle: [0.0; 3], half: half.into() };
     object.tree().any(|bounds| !relative.separates_by_faces(bounds, &shape), |item| relative.meets(item, &shape))
 }
@@ -126,7 +154,8 @@ pub fn touches_box(object: &Object<'_>, shape: &Aabb) -> bool {
 /// Whether an object touches a sphere.
 pub fn touches_sphere(object: &Object<'_>, sphere: &Sphere) -> bool {
     let center = object.pose.inverse_transform_point(&sphere.center());
-    let reach = sphere.radius() + oriented::SLACK * (center.coords.amax() + object.pose.translation.vector.amax());
+    let coordinates_m = object.coordinates_m + center.coords.amax() + sphere.center().coords.amax();
+    let reach = sphere.radius() + oriented::SLACK * coordinates_m;
     let near = |bounds: &LocalBox| {
         let beyond = |axis: usize| ((center[axis] - bounds.middle[axis]).abs() - bounds.half[axis]).max(0.0);
         Vector3::new(beyond(0), beyond(1), beyond(2)).norm_squared() <= reach * reach

@@ -4,7 +4,7 @@ use super::fill::{Columns, fill};
 use super::tree::{Item, MOST_ITEMS, MOST_REACH, Tree};
 use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
 use crate::mesh::Triangle;
-use crate::mesh::raster::{Raster, extent_of};
+use crate::mesh::raster::Raster;
 use crate::store::{PageSet, PageSlot};
 use crate::{Error, Result};
 use nalgebra::Point3;
@@ -49,41 +49,32 @@ impl Model {
     }
 
     /// A model of these triangles (m), exactly as conversion takes them to the grid, without the joining of spans across
-    /// gaps; `solid` fills the inside of a closed mesh (a hole lets matter out along its pixels only). Triangles without
-    /// area are left out.
+    /// gaps. Triangles without area are left out.
     ///
-    /// Fails if a coordinate lies beyond the grid, or there are more spans than a model can hold.
+    /// `solid` fills the inside of closed meshes: what their faces wind around, as often as they do, so that bodies may
+    /// overlap or occur twice. A hole lets matter out along its pixels only.
+    ///
+    /// Fails if a coordinate is no finite number or lies beyond the grid, or if there are more spans, or pixels of all
+    /// triangles together, than a model can hold; the latter is looked at first.
     pub fn from_triangles(frame: Frame, triangles: &[Triangle], solid: bool) -> Result<Self> {
         let raster = Raster::new(frame, 90.0);
+        look_at_all(&raster, triangles)?;
         let mut columns = Columns::default();
-        for triangle in triangles {
-            let Some(placed) = raster.place(triangle) else { continue };
-            if !placed.is_on_grid() {
-                return Err(Error::Limit {
-                    what: "pixels and slices of a model's coordinates (give larger ones)".into(),
-                    value: "more".into(),
-                    max: crate::frame::MAX_INDEX.to_string(),
-                });
-            }
-            let (area, longest) = extent_of(triangle);
-            columns.make_room((area / frame.pixel_m() + longest) / frame.pixel_m())?;
+        for placed in triangles.iter().filter_map(|triangle| raster.place(triangle)) {
+            let (area, extent) = placed.shadow();
+            columns.make_room(area + extent)?;
             let (first, last) = placed.rows();
             (first..=last).for_each(|j| placed.for_each_pixel(j, |i, low, high| columns.add((i, j), (low, high))));
             if solid {
-                placed.for_each_crossing(|pixel, height| columns.cross(pixel, height));
+                placed.for_each_crossing(|pixel, height, change| columns.cross(pixel, height, change));
             }
         }
         Self::new(frame, fill(columns))
     }
 
     fn new(frame: Frame, spans: Vec<Span>) -> Result<Self> {
-        let too_large = |what: &str, value: String, max: String| Error::Limit {
-            what: format!("{what} of a model (give a larger pixel)"),
-            value,
-            max,
-        };
         if spans.len() > MOST_ITEMS {
-            return Err(too_large("spans", spans.len().to_string(), MOST_ITEMS.to_string()));
+            return Err(too_large("spans", spans.len(), MOST_ITEMS));
         }
         let ends = |span: &Span| [(span.0.0, span.0.0 + 1), (span.0.1, span.0.1 + 1), span.1];
         let bounds = [0, 1, 2].map(|axis| {
@@ -91,9 +82,7 @@ impl Model {
             (low, spans.iter().map(|span| ends(span)[axis].1).max().unwrap_or(0))
         });
         let origin = bounds.map(|(low, high)| low + (high - low) / 2);
-        if let Some((low, high)) = bounds.into_iter().find(|(low, high)| high - low > MOST_REACH) {
-            return Err(too_large("pixels or quanta along an axis", (high - low).to_string(), MOST_REACH.to_string()));
-        }
+        check_reach(&bounds)?;
         let unit = [frame.pixel_m(), frame.pixel_m(), frame.quantum_m()];
         // Bounded by the check above.
         let local = |value: i64, axis: usize| (value - origin[axis]) as i32;
@@ -147,4 +136,45 @@ impl Model {
     pub(super) fn tree(&self) -> &Tree {
         &self.tree
     }
+}
+
+fn too_large(what: &str, value: impl ToString, max: impl ToString) -> Error {
+    let what = format!("{what} of a model (give a larger pixel)");
+    Error::Limit { what, value: value.to_string(), max: max.to_string() }
+}
+
+/// Fails if a model between these ends of each axis (pixels, pixels, quanta) is too long.
+fn check_reach(bounds: &[(i64, i64); 3]) -> Result<()> {
+    match bounds.iter().find(|(low, high)| high - low > MOST_REACH) {
+        Some((low, high)) => Err(too_large("pixels or quanta along an axis", high - low, MOST_REACH)),
+        None => Ok(()),
+    }
+}
+
+/// Fails if no model can be made of these triangles, before any work is done on them.
+fn look_at_all(raster: &Raster, triangles: &[Triangle]) -> Result<()> {
+    let mut bounds = [(i64::MAX, i64::MIN); 3];
+    let mut pixels = 0.0;
+    for (number, triangle) in triangles.iter().enumerate() {
+        if !triangle.as_flattened().iter().all(|v| v.is_finite()) {
+            let corners =
+                format!("triangle {number} of {} (expected finite corners, found {triangle:?})", triangles.len());
+            return Err(Error::parameter("model", corners));
+        }
+        let Some(placed) = raster.place(triangle) else { continue };
+        if !placed.is_on_grid() {
+            return Err(Error::Limit {
+                what: "pixels and slices of a model's coordinates (give larger ones)".into(),
+                value: "more".into(),
+                max: crate::frame::MAX_INDEX.to_string(),
+            });
+        }
+        let (low, high) = placed.bounds();
+        bounds = [0, 1, 2].map(|axis| (bounds[axis].0.min(low[axis]), bounds[axis].1.max(high[axis])));
+        pixels += placed.shadow().0;
+    }
+    if pixels > MOST_ITEMS as f64 {
+        return Err(too_large("pixels of all triangles", format!("{pixels:.0}"), MOST_ITEMS));
+    }
+    if bounds[0].0 <= bounds[0].1 { check_reach(&bounds) } else { Ok(()) }
 }

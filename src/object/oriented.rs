@@ -23,14 +23,13 @@ pub(super) struct Relative {
 }
 
 impl Relative {
-    /// Of objects in these places, whose boxes reach no further from their middles than `reach_m` together.
-    pub(super) fn new(first: &Isometry3<f64>, second: &Isometry3<f64>, reach_m: f64) -> Self {
+    /// Of objects in these places; `coordinates_m` is the sum of the coordinates that places and boxes come from (m).
+    pub(super) fn new(first: &Isometry3<f64>, second: &Isometry3<f64>, coordinates_m: f64) -> Self {
         let turn = (first.rotation.inverse() * second.rotation).to_rotation_matrix();
         let between = second.translation.vector - first.translation.vector;
         let shift = first.rotation.inverse() * between;
         let rows = |f: fn(f64) -> f64| [0, 1, 2].map(|row| [0, 1, 2].map(|column| f(turn[(row, column)])));
-        let far = first.translation.vector.amax() + second.translation.vector.amax() + reach_m;
-        Self { turn: rows(|v| v), abs: rows(f64::abs), shift: shift.into(), slack: SLACK * far }
+        Self { turn: rows(|v| v), abs: rows(f64::abs), shift: shift.into(), slack: SLACK * coordinates_m }
     }
 
     /// From the middle of `a` to the middle of `b`, along the axes of the first object.

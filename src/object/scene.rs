@@ -1,39 +1,52 @@
 //! An object against a scene: a set of pages, of which some may not be in memory.
 
 use super::Object;
-use super::oriented::{LocalBox, Relative};
-use crate::frame::{Frame, PAGE_QUANTA, TILE_PIXELS};
-use crate::query::{Aabb, Overlap, overlaps};
-use crate::store::Missing;
-use crate::store::{PageSet, PageSlot};
+use super::oriented::{LocalBox, Relative, SLACK};
+use crate::frame::{Frame, PageKey, TILE_PIXELS};
+use crate::query::{Aabb, Area, Cell, Overlap, Visit, descend, overlaps};
+use crate::store::{Missing, PageSet, join, note};
 use nalgebra::{Isometry3, Point3};
 
 /// Whether an object touches the matter of a scene; see the [module text](super) for what that means.
 ///
-/// Where pages are missing under a part of the object that touches nothing else, the answer is "not loaded".
+/// Where pages are missing under a part of the object that touches nothing else, the answer is "not loaded": it may name
+/// pages under the upright boxes around parts of the object that the parts themselves do not touch.
+///
+/// Cost: an [`overlaps`] for each box of the object's tree with matter near, and a look at the spans under each of the
+/// object's spans with matter near. An object that stands free costs one [`overlaps`].
 pub fn touches_scene<S: PageSet>(object: &Object<'_>, scene: &S) -> Overlap {
-    let Some(upright) = Upright::new(object) else { return Overlap::Clear };
-    let mut missing: Option<Missing> = None;
-    let mut hit = false;
+    let upright = Upright::new(object, scene.frame());
+    let mut search = Search::new(object, scene.frame());
+    let mut under = None;
     object.tree().descend(
         |bounds| match overlaps(scene, &upright.around(bounds)) {
             Overlap::Hit => true,
             Overlap::Clear => false,
             Overlap::NotLoaded(pages) => {
-                missing.get_or_insert(pages);
+                join(&mut under, &pages);
                 false
             }
         },
         |item| {
-            hit = touches_spans(object, item, &upright.around(item), scene);
-            hit
+            search.item = *item;
+            descend(scene, &Area::around(scene.frame(), &upright.around(item)), &mut search);
+            search.hit
         },
     );
+    let mut missing = search.missing;
+    if let Some(under) = under {
+        join(&mut missing, &under);
+    }
     match missing {
-        _ if hit => Overlap::Hit,
+        _ if search.hit => Overlap::Hit,
         Some(missing) => Overlap::NotLoaded(missing),
         None => Overlap::Clear,
     }
+}
+
+/// Sum of the coordinates of an object and of the cells of a scene that are held against it (m).
+fn coordinates_m(object: &Object<'_>, frame: &Frame) -> f64 {
+    2.0 * object.coordinates_m + TILE_PIXELS as f64 * (frame.pixel_m() + frame.slice_m())
 }
 
 /// Makes upright boxes around the boxes of an object.
@@ -44,14 +57,11 @@ struct Upright {
 }
 
 impl Upright {
-    /// `None` if the object is somewhere that is no place.
-    fn new(object: &Object<'_>) -> Option<Self> {
-        let finite =
-            object.pose.translation.vector.iter().chain(object.pose.rotation.coords.iter()).all(|v| v.is_finite());
+    fn new(object: &Object<'_>, frame: &Frame) -> Self {
         let turn = object.pose.rotation.to_rotation_matrix();
         // More than that of the comparison at the end, which may then decide alone.
-        let slack = 4.0 * super::oriented::SLACK * (object.pose.translation.vector.amax() + object.model.radius());
-        finite.then(|| Self { relative: object.pose, abs: turn.matrix().abs(), slack })
+        let slack = 4.0 * SLACK * coordinates_m(object, frame);
+        Self { relative: object.pose, abs: turn.matrix().abs(), slack }
     }
 
     fn around(&self, b: &LocalBox) -> Aabb {
@@ -61,40 +71,43 @@ impl Upright {
     }
 }
 
-/// Whether a box of the object touches a span of the scene under the upright box around it.
-fn touches_spans<S: PageSet>(object: &Object<'_>, item: &LocalBox, around: &Aabb, scene: &S) -> bool {
-    let frame = scene.frame();
-    let range = |axis: usize| (frame.pixel_of(around.min()[axis]), frame.pixel_of(around.max()[axis]));
-    let (x, y) = (range(0), range(1));
-    let (low, high) = (frame.quantum_ceil(around.min().z), frame.quantum_floor(around.max().z));
-    let tiles = |(first, last): (i64, i64)| first.div_euclid(TILE_PIXELS)..=last.div_euclid(TILE_PIXELS);
-    tiles(y).flat_map(|ty| tiles(x).map(move |tx| (tx, ty))).any(|(tx, ty)| {
-        let (Ok(tile_x), Ok(tile_y)) = (i32::try_from(tx), i32::try_from(ty)) else { return false };
-        scene.column(tile_x, tile_y).iter().any(|slot| {
-            let base = i64::from(slot.layer()) * PAGE_QUANTA;
-            let Some(page) = slot.page().filter(|_| base <= high && base + PAGE_QUANTA >= low) else { return false };
-            let within = |(first, last): (i64, i64), tile: i64| {
-                let start = tile * TILE_PIXELS;
-                ((first - start).max(0) as u32, (last - start).min(TILE_PIXELS - 1) as u32)
-            };
-            let (px, py) = (within(x, tx), within(y, ty));
-            (py.0..=py.1).flat_map(|v| (px.0..=px.1).map(move |u| (u, v))).any(|(u, v)| {
-                page.column(u, v).iter().any(|span| {
-                    let (bottom, top) = (base + i64::from(span.bottom()), base + i64::from(span.top()));
-                    let pixel = (tx * TILE_PIXELS + i64::from(u), ty * TILE_PIXELS + i64::from(v));
-                    bottom <= high && top >= low && meets_span(object, item, frame, pixel, (bottom, top))
-                })
-            })
-        })
-    })
+/// Holds a box of the object against cells of the scene.
+struct Search<'a> {
+    frame: &'a Frame,
+    /// The world, seen from the object.
+    relative: Relative,
+    item: LocalBox,
+    hit: bool,
+    missing: Option<Missing>,
 }
 
-fn meets_span(object: &Object<'_>, item: &LocalBox, frame: &Frame, pixel: (i64, i64), heights: (i64, i64)) -> bool {
-    let t = frame.pixel_m();
-    let (bottom, top) = (frame.bottom_height(heights.0), frame.top_height(heights.1));
-    let place =
-        Isometry3::translation((pixel.0 as f64 + 0.5) * t, (pixel.1 as f64 + 0.5) * t, bottom + (top - bottom) / 2.0);
-    let half = [t / 2.0, t / 2.0, (top - bottom) / 2.0];
-    let relative = Relative::new(&object.pose, &place, object.model.radius() + half.iter().sum::<f64>());
-    relative.meets(item, &LocalBox { middle: [0.0; 3], half })
+impl<'a> Search<'a> {
+    fn new(object: &Object<'_>, frame: &'a Frame) -> Self {
+        let relative = Relative::new(&object.pose, &Isometry3::identity(), coordinates_m(object, frame));
+        let item = LocalBox { middle: [0.0; 3], half: [0.0; 3] };
+        Self { frame, relative, item, hit: false, missing: None }
+    }
+
+    /// A cell in the world.
+    fn place(&self, cell: &Cell) -> LocalBox {
+        let t = self.frame.pixel_m();
+        let (bottom, top) = (self.frame.bottom_height(cell.lo[2] as i64), self.frame.top_height(cell.hi[2] as i64));
+        let (low, high) = ([cell.lo[0] * t, cell.lo[1] * t, bottom], [cell.hi[0] * t, cell.hi[1] * t, top]);
+        let half = [0, 1, 2].map(|axis| (high[axis] - low[axis]) / 2.0);
+        LocalBox { middle: [0, 1, 2].map(|axis| low[axis] + half[axis]), half }
+    }
+}
+
+impl Visit for Search<'_> {
+    fn enter(&mut self, cell: &Cell) -> bool {
+        !self.hit && !self.relative.separates_by_faces(&self.item, &self.place(cell))
+    }
+
+    fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
+        self.hit = self.hit || self.relative.meets(&self.item, &self.place(cell));
+    }
+
+    fn missing(&mut self, key: PageKey) {
+        note(&mut self.missing, key);
+    }
 }

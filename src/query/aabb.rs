@@ -14,11 +14,12 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box from `min` to `max`, both inclusive (m). Infinite sides are allowed; a NaN, or a minimum above its
-    /// maximum, is refused.
+    /// The box from `min` to `max`, both inclusive (m). A minimum of -∞ and a maximum of ∞ are allowed, and every query
+    /// answers them exactly. A NaN, a minimum above its maximum, and a box that lies at infinity are refused.
     pub fn new(min: Point3<f64>, max: Point3<f64>) -> Result<Self> {
         // Written so that NaN fails.
-        if (0..3).all(|axis| min[axis] <= max[axis]) {
+        let spans = |axis: usize| min[axis] <= max[axis] && min[axis] < f64::INFINITY && max[axis] > f64::NEG_INFINITY;
+        if (0..3).all(spans) {
             Ok(Self { min, max })
         } else {
             Err(Error::parameter("box", format!("no box lies between {min} and {max}")))

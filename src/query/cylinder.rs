@@ -1,8 +1,8 @@
 //! Upright cylinders.
 
-use super::disc::{Disc, makes_a_disc};
+use super::disc::Disc;
 use super::grid::sealed::{OnGrid, OnPixels};
-use super::grid::{Heights, Rect};
+use super::grid::{Heights, Rect, all_within_reach};
 use crate::frame::Frame;
 use crate::{Error, Result};
 use nalgebra::Point3;
@@ -17,12 +17,12 @@ pub struct Cylinder {
 
 impl Cylinder {
     /// The cylinder of `radius` [m, >= 0] that stands on `feet` (the middle of its bottom face) and is `height` tall
-    /// [m, >= 0]. NaN and infinite values are refused.
+    /// [m, >= 0]. NaN and values beyond ±10¹⁰⁰ m are refused.
     pub fn new(feet: Point3<f64>, radius: f64, height: f64) -> Result<Self> {
-        if makes_a_disc(feet.coords.as_slice(), radius) && height.is_finite() && height >= 0.0 {
+        if all_within_reach(feet.iter().chain([&radius, &height])) && radius >= 0.0 && height >= 0.0 {
             Ok(Self { feet, radius, height })
         } else {
-            let reason = format!("no cylinder at {feet} has radius {radius} and height {height}");
+            let reason = format!("no cylinder at {feet} has radius {radius} and height {height} (all within ±1e100 m)");
             Err(Error::parameter("cylinder", reason))
         }
     }

@@ -49,10 +49,11 @@ impl Disc {
         Rect { i0, i1, j0, j1 }
     }
 
-    /// Pixels that hold a coordinate of `center - half ..= center + half`.
+    /// Pixels whose closed squares hold a coordinate of `center - half ..= center + half`.
     #[inline]
     fn pixels(&self, center: f64, half: f64) -> (i64, i64) {
-        (self.frame.pixel_of(lower(center - half)), self.frame.pixel_of(upper(center + half)))
+        // The pixel below an edge, too. No margin says so at 0.
+        (-self.frame.pixel_of(-lower(center - half)) - 1, self.frame.pixel_of(upper(center + half)))
     }
 
     /// Distance from `center` to the pixels `first..first + count`: not above the true one (m).
@@ -102,11 +103,6 @@ impl Disc {
             mask | ((2u64 << x1) - (1u64 << x0)) << (8 * row)
         })
     }
-}
-
-/// Whether `values` are finite and `radius` is finite and not negative.
-pub(super) fn makes_a_disc(values: &[f64], radius: f64) -> bool {
-    values.iter().all(|v| v.is_finite()) && radius.is_finite() && radius >= 0.0
 }
 
 #[cfg(test)]

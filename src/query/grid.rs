@@ -7,6 +7,14 @@ pub trait Shape: sealed::OnGrid {}
 
 impl<T: sealed::OnGrid> Shape for T {}
 
+/// Greatest magnitude of the numbers of round shapes, rays and poses (m): their squares are finite.
+pub(crate) const FARTHEST_M: f64 = 1e100;
+
+/// Whether no value is NaN or farther from zero than [`FARTHEST_M`].
+pub(crate) fn all_within_reach<'a>(values: impl IntoIterator<Item = &'a f64>) -> bool {
+    values.into_iter().all(|v| v.abs() <= FARTHEST_M)
+}
+
 /// Pixels `i0..=i1` × `j0..=j1`, within ±2⁵⁰ as [`Frame`] gives them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rect {

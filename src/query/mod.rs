@@ -48,9 +48,11 @@ pub use ceiling::ceiling_above;
 pub use cylinder::Cylinder;
 pub use floor::floor_under;
 pub use grid::Shape;
+pub(crate) use grid::all_within_reach;
 pub use probe::{Probe, probe, probe_batch};
 pub use ray::{Ray, RayHit, cast};
 pub use sphere::Sphere;
+pub(crate) use sweep::{Area, Cell, Visit, descend};
 pub use sweep::{
     Solid, SweepHit, clearance, clearance_batch, depenetrate, depenetrate_batch, mean_floor_under, sweep, sweep_batch,
     top_under,

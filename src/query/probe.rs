@@ -6,7 +6,7 @@ use super::columns::{Touch, for_each_column};
 use super::floor::FloorSearch;
 use super::grid::Shape;
 use super::grid::sealed::OnPixels;
-use crate::store::PageSet;
+use crate::store::{PageSet, join};
 use std::ops::ControlFlow;
 
 /// What a shape touches, and the floor under it.
@@ -43,10 +43,7 @@ pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
     let (hit, obstacle) = (touch.found & MATTER != 0, touch.found & OBSTACLE != 0);
     let mut missing = floor.missing;
     if let (Some(more), false) = (untouched, obstacle) {
-        match &mut missing {
-            Some(missing) => more.keys().iter().for_each(|key| missing.push(*key)),
-            None => missing = Some(more),
-        }
+        join(&mut missing, &more);
     }
     Answer::new(Probe { hit, obstacle, floor_z: floor.floor_z(set.frame()) }, missing)
 }

@@ -9,7 +9,7 @@ use super::answer::Answer;
 use super::blocks::{local, local_heights, slices_between, touches_union};
 use super::columns::{floor_of, layers};
 use super::disc::SLACK;
-use super::grid::{Heights, Rect};
+use super::grid::{Heights, Rect, all_within_reach};
 use crate::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS, floor_index};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, PageSet, PageSlot};
@@ -31,12 +31,12 @@ pub struct Ray {
 }
 
 impl Ray {
-    /// The ray from `origin` (m) along `direction` (of any length but zero) for `max` metres [m, >= 0, may be
-    /// infinite].
+    /// The ray from `origin` (m, within ±10¹⁰⁰) along `direction` (finite, of any length but zero) for `max` metres
+    /// [m, >= 0, may be infinite].
     pub fn new(origin: Point3<f64>, direction: Vector3<f64>, max: f64) -> Result<Self> {
         let scale = direction.amax();
-        let finite = origin.iter().all(|v| v.is_finite()) && direction.iter().all(|v| v.is_finite());
-        if !finite || scale == 0.0 || max.is_nan() || max < 0.0 {
+        let fits = all_within_reach(&origin.coords) && direction.iter().all(|v| v.is_finite());
+        if !fits || scale == 0.0 || max.is_nan() || max < 0.0 {
             let reason = format!("no ray begins at {origin}, points along {direction} and is {max} m long");
             return Err(Error::parameter("ray", reason.replace('\n', " ")));
         }
@@ -117,9 +117,10 @@ pub fn cast<S: PageSet>(set: &S, ray: &Ray) -> Answer<Option<RayHit>> {
         let _ = line.cells(6 + 6, regions, t0, t1, |rx, ry, t0, t1| {
             search.go_on(t0)?;
             if set.has_region(rx as i32, ry as i32) {
-                line.cells(6, tiles.part(rx << 6, ry << 6, 64), t0, t1, |tx, ty, t0, t1| {
+                // An end here is none of the region on the other side of an edge.
+                let _ = line.cells(6, tiles.part(rx << 6, ry << 6, 64), t0, t1, |tx, ty, t0, t1| {
                     search.tile(set.column(tx as i32, ty as i32), tx as i32, ty as i32, t0, t1)
-                })?;
+                });
             }
             ControlFlow::Continue(())
         });
@@ -196,9 +197,10 @@ impl Line {
         // Cells along `axis` between the positions at `t0` and `t1`: first, last in the ray's order, and the step.
         let run = |axis: usize, t0: f64, t1: f64| {
             let ((p0, e0), (p1, e1)) = (self.at(axis, t0), self.at(axis, t1));
-            let cell = |p: f64| floor_index(p) >> shift;
-            let first = cell((p0 - e0).min(p1 - e1)).max(bounds[axis].0);
-            let last = cell((p0 + e0).max(p1 + e1)).min(bounds[axis].1);
+            // Cells are closed: a position on an edge lies in the cell below it, too. No margin says so at 0.
+            let first = (-floor_index(-(p0 - e0).min(p1 - e1)) - 1) >> shift;
+            let last = floor_index((p0 + e0).max(p1 + e1)) >> shift;
+            let (first, last) = (first.max(bounds[axis].0), last.min(bounds[axis].1));
             let backward = self.speed[axis] < 0.0;
             (first, last, backward)
         };

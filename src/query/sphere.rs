@@ -1,8 +1,8 @@
 //! Spheres.
 
-use super::disc::{Disc, lower, makes_a_disc, upper};
+use super::disc::{Disc, lower, upper};
 use super::grid::sealed::{OnGrid, OnPixels};
-use super::grid::{Heights, Rect};
+use super::grid::{Heights, Rect, all_within_reach};
 use crate::frame::Frame;
 use crate::{Error, Result};
 use nalgebra::Point3;
@@ -15,12 +15,12 @@ pub struct Sphere {
 }
 
 impl Sphere {
-    /// The ball of `radius` [m, >= 0] around `center`. NaN and infinite values are refused.
+    /// The ball of `radius` [m, >= 0] around `center`. NaN and values beyond ±10¹⁰⁰ m are refused.
     pub fn new(center: Point3<f64>, radius: f64) -> Result<Self> {
-        if makes_a_disc(center.coords.as_slice(), radius) {
+        if all_within_reach(center.iter().chain([&radius])) && radius >= 0.0 {
             Ok(Self { center, radius })
         } else {
-            Err(Error::parameter("sphere", format!("no sphere at {center} has radius {radius}")))
+            Err(Error::parameter("sphere", format!("no sphere at {center} has radius {radius} (all within ±1e100 m)")))
         }
     }
 

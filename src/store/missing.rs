@@ -57,3 +57,9 @@ pub(crate) fn note(missing: &mut Option<Missing>, key: PageKey) {
         None => *missing = Some(Missing::one(key)),
     }
 }
+
+/// Adds the pages that `more` names to those missing so far.
+#[cold]
+pub(crate) fn join(missing: &mut Option<Missing>, more: &Missing) {
+    more.keys().iter().for_each(|key| note(missing, *key));
+}

@@ -1,16 +1,18 @@
 //! The way down to the spans that a moving or growing shape may meet: tile columns, pages, blocks, spans. What is worth
 //! a look is decided by a visitor that is asked about boxes, from large to small.
 
-use crate::frame::{PageKey, SLICE_QUANTA, TILE_PIXELS};
+use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
+use crate::query::Aabb;
 use crate::query::blocks::{for_each_bit, local, slices_between, slices_of};
 use crate::query::columns::{floor_of, layers};
+use crate::query::grid::sealed::{OnGrid, OnPixels};
 use crate::query::grid::{Heights, Rect};
 use crate::slice::{Page, Span};
 use crate::store::{PageSet, PageSlot};
 
 /// A closed box in grid units: pixels, pixels, quanta.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Cell {
+pub(crate) struct Cell {
     pub lo: [f64; 3],
     pub hi: [f64; 3],
 }
@@ -24,7 +26,7 @@ impl Cell {
 }
 
 /// What is asked on the way down.
-pub(super) trait Visit {
+pub(crate) trait Visit {
     /// Whether matter anywhere in `cell` can matter. If it can in a part of the cell, it can in the cell.
     fn enter(&mut self, cell: &Cell) -> bool;
 
@@ -50,7 +52,7 @@ pub(super) trait Visit {
 
 /// Where to look, and in which order.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Area {
+pub(crate) struct Area {
     pub rect: Rect,
     /// Matter counts if its top is at least `low` and its bottom at most `high` [quanta].
     pub low: i64,
@@ -61,9 +63,18 @@ pub(super) struct Area {
     pub backward: [bool; 3],
 }
 
+impl Area {
+    /// What a box that stands still may touch.
+    pub fn around(frame: &Frame, shape: &Aabb) -> Self {
+        let shape = shape.on_grid(frame);
+        let Heights { low, high } = shape.heights();
+        Self { rect: shape.rect(), low, high, major: 0, backward: [false; 3] }
+    }
+}
+
 /// Shows `visit` the matter of `set` in `area`.
 #[inline]
-pub(super) fn descend<S: PageSet, V: Visit>(set: &S, area: &Area, visit: &mut V) {
+pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &Area, visit: &mut V) {
     let Some(bounds) = set.bounds() else { return };
     let tiles = |first: i64, last: i64, axis: usize| {
         ((first >> 6).max(i64::from(bounds.min[axis])), (last >> 6).min(i64::from(bounds.max[axis])))

@@ -9,18 +9,19 @@ mod near;
 mod solid;
 mod step;
 
+pub(crate) use descent::{Area, Cell, Visit, descend};
 pub use near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
 pub use solid::Solid;
 pub use step::{mean_floor_under, top_under};
 
 use super::answer::Answer;
-
 use crate::frame::{Frame, PageKey, floor_index};
-use crate::store::PageSet;
-use crate::store::{Missing, note};
-use descent::{Cell, Visit, descend};
+use crate::store::{Missing, PageSet, note};
 use nalgebra::Vector3;
-use solid::{Contact, Moving};
+use solid::{Contact, Moving, Resting};
+
+/// Farther than all matter is from all (m), and the square of its pixels is finite.
+const LONGEST_M: f64 = 1e30;
 
 /// The first matter that a moving shape meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,10 +86,14 @@ impl SweepHit {
 #[inline]
 pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> Answer<Option<SweepHit>> {
     let frame = set.frame();
-    let moving = Moving::new(frame, shape.resting(frame), motion);
-    if !moving.v.iter().all(|v| v.is_finite()) {
-        return Answer::Known(Some(stopped(frame, &moving)));
+    let rest = shape.resting(frame);
+    if !motion.iter().all(|v| v.is_finite()) {
+        return Answer::Known(Some(stopped(frame, &rest)));
     }
+    // What is left of a longer way leads past no matter.
+    let share = if motion.amax() > LONGEST_M { LONGEST_M / motion.amax() } else { 1.0 };
+    let motion = motion * share;
+    let moving = Moving::new(frame, rest, motion);
     let area = moving.area();
     let mut search = Search { moving, best: Best::NONE, missing: None };
     descend(set, &area, &mut search);
@@ -97,7 +102,7 @@ pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> 
         search.missing = None;
         descend(set, &area, &mut search);
     }
-    let hit = (search.best.at < f64::INFINITY).then(|| search.best.hit(frame, motion));
+    let hit = (search.best.at < f64::INFINITY).then(|| search.best.hit(frame, motion, share));
     Answer::new(hit, search.missing)
 }
 
@@ -116,8 +121,8 @@ pub fn sweep_batch<S: PageSet, H: Solid>(
     }
 }
 
-fn stopped(frame: &Frame, moving: &Moving) -> SweepHit {
-    let (x, y, z) = (moving.rest.lo[0], moving.rest.lo[1], moving.rest.lo[2]);
+fn stopped(frame: &Frame, rest: &Resting) -> SweepHit {
+    let [x, y, z] = rest.lo;
     let z = z / frame.quanta(1.0);
     SweepHit {
         fraction: 0.0,
@@ -155,10 +160,11 @@ impl Best {
         order.then_with(|| self.bottom.total_cmp(&other.bottom)).is_lt()
     }
 
-    fn hit(&self, frame: &Frame, motion: Vector3<f64>) -> SweepHit {
+    /// Of a motion that is this `share` of the one asked for.
+    fn hit(&self, frame: &Frame, motion: Vector3<f64>, share: f64) -> SweepHit {
         let fraction = self.at.max(0.0);
         SweepHit {
-            fraction,
+            fraction: fraction * share,
             distance: fraction * motion.norm(),
             normal: Vector3::from(self.normal),
             obstacle: self.obstacle,

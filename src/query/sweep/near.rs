@@ -179,7 +179,7 @@ fn push<S: PageSet>(set: &S, rest: Resting, axis: usize, sign: f64, max: f64) ->
             return Answer::Known(Some(gone * unit));
         }
         gone += search.most;
-        if gone * unit > max {
+        if gone * unit > max || gone == f64::INFINITY {
             return Answer::Known(None);
         }
     }
@@ -203,15 +203,16 @@ impl WayOut {
         let axis = self.axis;
         let chord = |radius: f64, squares: f64| (radius * radius - squares).max(0.0).sqrt();
         let square = |v: f64| v * v;
-        let half = match form {
-            Form::Cylinder { radius } if axis < 2 => chord(radius, square(gap(1 - axis, 1.0))),
+        let round = |half: f64| (middle(axis) - half, middle(axis) + half);
+        let (low, high) = match form {
+            Form::Cylinder { radius } if axis < 2 => round(chord(radius, square(gap(1 - axis, 1.0)))),
             Form::Sphere { radius, scale } if axis < 2 => {
-                chord(radius, square(gap(1 - axis, 1.0)) + square(gap(2, scale)))
+                round(chord(radius, square(gap(1 - axis, 1.0)) + square(gap(2, scale))))
             }
-            Form::Sphere { radius, scale } => chord(radius, square(gap(0, 1.0)) + square(gap(1, 1.0))) / scale,
-            _ => (hi[axis] - lo[axis]) * 0.5,
+            Form::Sphere { radius, scale } => round(chord(radius, square(gap(0, 1.0)) + square(gap(1, 1.0))) / scale),
+            _ => (lo[axis], hi[axis]),
         };
-        if self.sign > 0.0 { cell.hi[axis] - (middle(axis) - half) } else { middle(axis) + half - cell.lo[axis] }
+        if self.sign > 0.0 { cell.hi[axis] - low } else { high - cell.lo[axis] }
     }
 }
 

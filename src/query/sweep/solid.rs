@@ -51,10 +51,15 @@ fn grid(frame: &Frame, p: Point3<f64>) -> [f64; 3] {
     [frame.pixels(p.x), frame.pixels(p.y), frame.quanta(p.z)]
 }
 
+/// Beyond all pixels and quanta of pages: what lies farther out is as good as infinite.
+const BEYOND: f64 = (1u64 << 46) as f64;
+
 impl sealed::OnSolid for Aabb {
     #[inline]
     fn resting(&self, frame: &Frame) -> Resting {
-        Resting { lo: grid(frame, self.min()), hi: grid(frame, self.max()), form: Form::Box }
+        let lo = grid(frame, self.min()).map(|v| if v < -BEYOND { f64::NEG_INFINITY } else { v });
+        let hi = grid(frame, self.max()).map(|v| if v > BEYOND { f64::INFINITY } else { v });
+        Resting { lo, hi, form: Form::Box }
     }
 }
 
@@ -126,7 +131,10 @@ impl Moving {
     #[inline]
     pub fn new(frame: &Frame, rest: Resting, motion: Vector3<f64>) -> Self {
         let v = [frame.pixels(motion.x), frame.pixels(motion.y), frame.quanta(motion.z)];
-        let slack = std::array::from_fn(|a| (rest.lo[a].abs().max(rest.hi[a].abs()) + v[a].abs()) * SLACK);
+        // Infinite sides have no rounding errors, and of a way only the part before a contact has.
+        let error = |side: f64| if side.is_finite() { side.abs() } else { 0.0 };
+        let slack =
+            std::array::from_fn(|a| (error(rest.lo[a]).max(error(rest.hi[a])) + v[a].abs().min(BEYOND)) * SLACK);
         Self { rest, v, inverse: v.map(|v| 1.0 / v), slack }
     }
 

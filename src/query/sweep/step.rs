@@ -1,10 +1,9 @@
 //! Tops under a footprint: how high a step is, and the floor as the thesis takes it.
 
-use crate::query::answer::Answer;
-
 use super::descent::{Area, Cell, Visit, descend};
-use super::solid::{Moving, Solid};
+use super::solid::{Form, Moving, Solid};
 use crate::frame::PageKey;
+use crate::query::answer::Answer;
 use crate::store::PageSet;
 use crate::store::{Missing, note};
 use nalgebra::Vector3;
@@ -45,8 +44,12 @@ fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Op
         return None;
     }
     let frame = set.frame();
+    // The footprint, at any height.
     let mut rest = shape.resting(frame);
-    (rest.lo[2], rest.hi[2]) = (frame.quanta(from - depth), frame.quanta(from));
+    (rest.lo[2], rest.hi[2]) = (f64::NEG_INFINITY, f64::INFINITY);
+    if let Form::Sphere { radius, .. } = rest.form {
+        rest.form = Form::Cylinder { radius };
+    }
     let moving = Moving::new(frame, rest, Vector3::zeros());
     let area = Area { low: frame.quantum_ceil(from - depth), high: frame.quantum_floor(from), ..moving.area() };
     (area.low <= area.high).then_some((area, moving))
@@ -54,10 +57,7 @@ fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Op
 
 /// Whether the footprint meets a cell.
 fn over(moving: &Moving, cell: &Cell) -> bool {
-    // As if the cell were as high as the window is, and a little more: then only x and y decide.
-    let mut upright = *cell;
-    (upright.lo[2], upright.hi[2]) = (moving.rest.lo[2] - 1.0, moving.rest.hi[2] + 1.0);
-    moving.contact(&upright, f64::INFINITY).is_some()
+    moving.contact(cell, f64::INFINITY).is_some()
 }
 
 struct Highest {

@@ -61,8 +61,10 @@ pub fn measure(quick: bool) -> Result<Vec<(&'static str, String)>> {
         let start = Instant::now();
         let model = Model::from_triangles(Frame::new(t, 3.0 * t)?, &bunny, false)?;
         let prepared = start.elapsed().as_secs_f64() * 1e3;
-        let objects: Vec<[Object<'_>; 2]> =
-            poses.iter().map(|pair| pair.map(|pose| Object::new(&model, pose))).collect();
+        let mut objects = Vec::with_capacity(poses.len());
+        for [a, b] in &poses {
+            objects.push([Object::new(&model, *a)?, Object::new(&model, *b)?]);
+        }
         // The best of some rounds for each pose: other work on the machine only adds.
         let mut single = vec![f64::INFINITY; objects.len()];
         for _ in 0..ROUNDS {
