@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Compares the second reader (reader.py, written from the specification alone) with ours: on the samples, and on archives
-# converted just now. Needs Python 3.10 or newer and, once, its package index for `zstandard`.
+# spec/check.sh [FOLDER]: compares the second reader (reader.py, written from the specification alone) with ours: on the
+# samples, and on archives converted just now, by the programs that lie built in FOLDER, or are built. Needs Python 3.10 or
+# newer and, once, its package index for `zstandard`.
 set -euo pipefail
 export PYTHONDONTWRITEBYTECODE=1
 cd "$(dirname "$0")/.."
@@ -19,9 +20,11 @@ fi
 
 fresh=$(mktemp -d)
 trap 'rm -rf "$fresh"' EXIT
-cargo build --release --quiet --bin sliceconv -p slicewalk
-cargo build --release --quiet -p scangen
-cargo build --quiet --example content
+programs=${1:-}
+if [ -z "$programs" ]; then
+    programs=$target/debug
+    cargo build --quiet --bins --example content -p slicewalk -p scangen
+fi
 
 compare() {
     "$venv/bin/python" spec/reader.py "$1" --twin "$2"
@@ -31,10 +34,10 @@ compare() {
 scan() {
     local name=$1 options=$2
     shift 2
-    "$target/release/scangen" "$@" -o "$fresh/$name.las"
+    "$programs/scangen" "$@" -o "$fresh/$name.las"
     # shellcheck disable=SC2086 # several options
-    "$target/release/sliceconv" "$fresh/$name.las" -o "$fresh/$name.slices" --quiet $options
-    "$target/debug/examples/content" "$fresh/$name.slices" >"$fresh/$name.json"
+    "$programs/sliceconv" "$fresh/$name.las" -o "$fresh/$name.slices" --quiet $options
+    "$programs/examples/content" "$fresh/$name.slices" >"$fresh/$name.json"
     compare "$fresh/$name.slices" "$fresh/$name.json"
 }
 

@@ -4,6 +4,9 @@
 //! missing. Damaged files are made here, out of a few lines of bytes.
 #![cfg(feature = "convert")]
 
+#[path = "common/data.rs"]
+mod data;
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -78,20 +81,6 @@ fn refusal(path: &Path) -> String {
     text
 }
 
-/// The folder of real data, or `None` (said on standard output) where it is missing.
-fn data() -> Option<PathBuf> {
-    let shared = match std::env::var_os("SLICEWALK_SHARED") {
-        Some(shared) => PathBuf::from(shared),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-    };
-    let data = shared.join("data");
-    if !data.is_dir() {
-        println!("skipped: {} does not exist; SLICEWALK_SHARED names another place", data.display());
-        return None;
-    }
-    Some(data)
-}
-
 // ---- real files -----------------------------------------------------------------------------------------------------
 
 /// Points read and of these withheld, and a word that the warnings hold.
@@ -164,7 +153,7 @@ const LASPY: &[(&str, [u64; 3])] = &include!("input/laspy_sums.in");
 
 #[test]
 fn every_real_file_gives_its_points_or_one_clear_line() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::folder() else { return };
     for &(name, points, withheld, warning) in READABLE {
         let found = read_one(&data.join(name)).unwrap_or_else(|e| panic!("{e}"));
         let expected = UnitCounts { read: points, withheld, ..UnitCounts::default() };
@@ -184,7 +173,7 @@ fn every_real_file_gives_its_points_or_one_clear_line() {
 
 #[test]
 fn coordinates_are_the_very_bits_that_laspy_gives() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::folder() else { return };
     let options = InputOptions { units: Units::Factor(1.0), ..InputOptions::default() };
     for &(name, sums) in LASPY {
         assert_eq!(read(&[data.join(name)], options).unwrap().sums(), sums, "{name}");
@@ -202,7 +191,7 @@ fn coordinates_are_the_very_bits_that_laspy_gives() {
 
 #[test]
 fn units_follow_the_reference_system_of_each_file() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::folder() else { return };
     let us_foot = 1200.0 / 3937.0;
     let cases = [
         ("odd/1.2-with-color.copc.laz", [1.0, 1.0, us_foot], "COMPD_CS[\"NAD83 / Oregon LCC (m) + NAVD88"),
@@ -226,7 +215,7 @@ fn units_follow_the_reference_system_of_each_file() {
 
 #[test]
 fn z_up_and_y_up_twins_agree() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::folder() else { return };
     let turned = InputOptions { up: Up::Y, ..InputOptions::default() };
     let y_up = read(&[data.join("indoor_two_storey_yup.laz")], turned).unwrap();
     let z_up = read_one(&data.join("indoor_two_storey_zup.laz")).unwrap();
@@ -240,7 +229,7 @@ fn z_up_and_y_up_twins_agree() {
 
 #[test]
 fn spacings_are_near_those_in_the_data_table() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::folder() else { return };
     // Medians over distinct points (scipy's k-d tree); the table's own are the same where no point occurs twice.
     let table = [
         ("indoor_two_storey_zup.laz", 0.0141),

@@ -213,7 +213,7 @@ fn the_true_slope_makes_obstacles_whatever_the_classifier_and_scanned_points_do_
 }
 
 fn real_meshes() -> Vec<(PathBuf, Up, f64)> {
-    let Some(data) = data() else { return Vec::new() };
+    let Some(data) = data::folder() else { return Vec::new() };
     [("sibenik", Up::Y, 0.1), ("sponza_dabrovic", Up::Y, 0.1), ("nav_test", Up::Y, 0.25), ("delft_street", Up::Z, 0.5)]
         .map(|(name, up, t)| (data.join(format!("meshes/{name}.obj")), up, t))
         .into_iter()

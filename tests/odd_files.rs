@@ -1,7 +1,8 @@
 //! Every scan at hand, and odd and damaged ones, through the program: a sound archive or one clear line, in bounded time
 //! and memory, and never a panic.
 //!
-//! Needs the scans in `../shared/data`; without them the tests say so, and only the damage made here is tried.
+//! Needs a folder of scans, which `SLICEWALK_DATA` names; without it the tests say so, and only the damage made here is
+//! tried.
 #![cfg(feature = "cli")]
 
 #[path = "common/scans.rs"]
@@ -74,7 +75,7 @@ fn scans_in(folder: &Path) -> Vec<PathBuf> {
 
 #[test]
 fn every_odd_file_gives_an_archive_or_one_clear_line() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::folder() else { return };
     let folder = tempfile::tempdir().unwrap();
     let mut done = [0, 0];
     for scan in scans_in(&data.join("odd")) {
@@ -88,7 +89,7 @@ fn every_odd_file_gives_an_archive_or_one_clear_line() {
 
 #[test]
 fn every_scan_gives_a_sound_archive() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::folder() else { return };
     let folder = tempfile::tempdir().unwrap();
     for scan in scans_in(&data) {
         assert!(tried(folder.path(), &scan, &["--pixel", "auto"]), "{}", scan.display());

@@ -1,7 +1,10 @@
 //! Every real scan converts, verifies, and answers random boxes without a miss (G1) or a phantom (G2), against brute
 //! force over its points, which are read here without any code of this crate.
 //!
-//! Needs the scans in `../shared/data`; without them the tests say so and do nothing.
+//! Needs a folder of scans, which `SLICEWALK_DATA` names; without it the tests say so and do nothing.
+
+#[path = "common/data.rs"]
+mod data;
 
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
@@ -10,16 +13,6 @@ use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
 use slicewalk::{Monitor, NoMonitor};
 use std::path::{Path, PathBuf};
-
-fn shared_data() -> Option<PathBuf> {
-    let shared = std::env::var_os("SLICEWALK_SHARED").map(PathBuf::from);
-    let path = shared.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared")).join("data");
-    if !path.is_dir() {
-        eprintln!("skipped: {} does not exist; SLICEWALK_SHARED names another place", path.display());
-        return None;
-    }
-    Some(path)
-}
 
 struct Quiet;
 impl Monitor for Quiet {}
@@ -95,7 +88,7 @@ impl Truth {
 }
 
 fn check(name: &str, pixel: f64, metres_per_unit: f64) {
-    let Some(data) = shared_data() else { return };
+    let Some(data) = data::folder() else { return };
     let path = data.join(name);
     let dir = tempfile::tempdir().unwrap();
     let output = dir.path().join("scan.slices");

@@ -103,7 +103,7 @@ fn parts_of_meshes_beside_a_scan_merge_to_the_bytes_of_one_run() {
 
 #[test]
 fn parts_of_a_real_scan_merge_to_the_bytes_of_one_run() {
-    let Some(data) = data() else { return };
+    let Some(data) = data::folder() else { return };
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let input = data.join("delft_city_block_ahn3.laz");

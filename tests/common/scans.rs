@@ -1,11 +1,14 @@
 //! Small scans on disk, and the program that converts them.
 #![allow(dead_code, reason = "each test file uses a part")]
 
+#[path = "data.rs"]
+pub mod data;
+
 use scangen::{Chunks, WriteSpec, write_las};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
 /// Numbers from 0 to 1 that look random and are the same everywhere (an LCG after Knuth).
@@ -109,20 +112,6 @@ pub fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> = entries.map(|name| name.to_string_lossy().into_owned()).collect();
     names.sort();
     names
-}
-
-/// The folder of real data, or `None` (said on standard error) where it is missing.
-pub fn data() -> Option<PathBuf> {
-    let shared = match std::env::var_os("SLICEWALK_SHARED") {
-        Some(shared) => PathBuf::from(shared),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-    };
-    let data = shared.join("data");
-    if !data.is_dir() {
-        eprintln!("skipped: {} does not exist; SLICEWALK_SHARED names another place", data.display());
-        return None;
-    }
-    Some(data)
 }
 
 /// `path` as an argument.

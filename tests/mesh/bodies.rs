@@ -1,9 +1,11 @@
 //! Bodies for object tests, and the plain ways to compare them: no code of the library is used.
 #![allow(dead_code, reason = "each test file uses a part")]
 
+#[path = "../common/data.rs"]
+mod data;
+
 use super::files::{Triangle, read};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use std::path::Path;
 
 /// Numbers that look random and are the same everywhere (an LCG after Knuth).
 pub struct Random(pub u64);
@@ -24,13 +26,7 @@ pub fn pose(random: &mut Random, reach: f64) -> Isometry3<f64> {
 
 /// The Stanford bunny about its middle; `None` (said on standard error) where it is missing.
 pub fn bunny() -> Option<Vec<Triangle>> {
-    let shared = std::env::var_os("SLICEWALK_SHARED");
-    let shared = shared.map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), Into::into);
-    let path = shared.join("data/meshes/bunny_stanford.ply");
-    if !path.exists() {
-        eprintln!("skipped: {} does not exist; SLICEWALK_SHARED names another place", path.display());
-        return None;
-    }
+    let path = data::file("meshes/bunny_stanford.ply")?;
     let middle = [-0.017, 0.11, -0.002];
     Some(read(&path).into_iter().map(|t| t.map(|p| [0, 1, 2].map(|k| p[k] - middle[k]))).collect())
 }

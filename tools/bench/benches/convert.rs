@@ -41,7 +41,7 @@ fn main() {
     let laz = laz.unwrap_or_else(|| generate(&dir.path().join("house.laz"), laz_points));
     compare("LAZ", &laz, PIXEL_M, runs, threads, |path, _| decode_laz(path));
     for name in if smoke { &[][..] } else { &SCANS } {
-        let Some(scan) = bench::shared::file(name) else { continue };
+        let Some(scan) = bench::data::file(name) else { continue };
         let pixel_m = chosen_pixel(&scan);
         compare(&format!("{name} at {pixel_m:.3} m"), &scan, pixel_m, runs, threads, |path, _| decode_laz(path));
     }

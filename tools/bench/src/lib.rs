@@ -1,19 +1,25 @@
 //! Scenes and workloads that the benchmarks share, and the stability report.
 
 pub mod building;
+#[cfg(feature = "peers")]
 pub mod chart;
 pub mod counts;
+#[path = "../../../tests/common/data.rs"]
+pub mod data;
+#[cfg(feature = "peers")]
 mod heap;
 pub mod measured;
 pub mod pawns;
+#[cfg(feature = "peers")]
 pub mod peers;
 pub mod random;
 pub mod reading;
+#[cfg(feature = "peers")]
 pub mod scale;
-pub mod shared;
 pub mod size;
 pub mod soak;
 pub mod stability;
+#[cfg(feature = "peers")]
 pub mod thesis;
 pub mod voxels;
 pub mod walks;

@@ -33,11 +33,6 @@ enum Command {
     Thesis(Common),
     /// The charts and pages of what `chart` and `scale` measured, again, without measuring
     Draw(Draw),
-    /// Instructions of the hot paths beside the committed ones; needs Valgrind
-    Counts(bench::counts::Counts),
-    /// The hot paths, called for callgrind
-    #[command(hide = true)]
-    Counted(bench::counts::paths::Calls),
     /// Conversion against the size of its input, queries against the size of the scene, and a scene of great extent
     Scale(bench::scale::Scale),
     /// One conversion, measured in a process of its own
@@ -111,8 +106,6 @@ fn run(command: Command) -> bench::stability::Result<()> {
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
         Command::Draw(draw) => bench::chart::draw::run(&draw.out),
-        Command::Counts(counts) => counts.run(),
-        Command::Counted(calls) => calls.run(),
         Command::Scale(scale) => scale.run(),
         Command::Measured(conversion) => conversion.run(),
     }

@@ -1,5 +1,8 @@
 //! `slicetool walk` as a user calls it: its files, its summary, its exit codes; and the route through a real building.
 
+#[path = "../../../tests/common/data.rs"]
+mod data;
+
 use scangen::sample::{Mode, Order};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
@@ -200,19 +203,9 @@ fn what_cannot_be_meant_is_refused() {
     assert_eq!(std::fs::read(&archive).unwrap(), before);
 }
 
-/// The folder of shared scans: `SLICEWALK_SHARED`, or beside the checkout.
-fn shared() -> PathBuf {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
-    std::env::var_os("SLICEWALK_SHARED").map_or_else(beside, PathBuf::from)
-}
-
 #[test]
 fn the_documented_route_leads_through_the_real_building_and_back() {
-    let scan = shared().join("data/indoor_two_storey_zup.laz");
-    if !scan.is_file() {
-        eprintln!("skipped: {} is missing", scan.display());
-        return;
-    }
+    let Some(scan) = data::file("indoor_two_storey_zup.laz") else { return };
     let dir = tempfile::tempdir().unwrap();
     let archive = to_archive(scan, dir.path());
     let route = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/route-indoor.csv");

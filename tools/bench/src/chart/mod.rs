@@ -8,6 +8,7 @@ mod clouds;
 mod doors;
 pub mod draw;
 mod images;
+pub(crate) mod lines;
 mod method;
 mod octomap;
 mod ours;

@@ -1,14 +1,9 @@
-//! The table of measurements: a file that grows cell by cell, so that a run that was stopped goes on where it was.
+//! The record of measurements: tables that grow cell by cell, so that a run that was stopped goes on where it was.
 
+use super::lines::{self, Measured, PhantomShare, Value};
 use crate::stability::Result;
 use std::collections::HashSet;
-use std::fmt::Write as _;
-use std::fs::OpenOptions;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
-
-const HEAD: &str = "scene,method,settings,pixel_cm,metric,value,low,high,n\n";
-const PHANTOMS_HEAD: &str = "scene,method,pixel_cm,gap_cm,share,n\n";
 
 /// A figure, with the least and greatest of its repeats.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,63 +49,43 @@ pub struct Cell {
 }
 
 impl Cell {
-    fn text(&self) -> String {
-        let Self { scene, method, settings, pixel_cm, .. } = self;
-        let head = format!("{scene},{method},{},{pixel_cm}", quoted(settings));
+    /// A line per figure; one without a figure if it was skipped.
+    fn measured(&self) -> Vec<Measured> {
+        let line = |figure| Measured {
+            scene: self.scene.clone(),
+            method: self.method.clone(),
+            settings: self.settings.clone(),
+            pixel_cm: self.pixel_cm,
+            figure,
+        };
         if self.figures.is_empty() {
-            return format!("{head},skipped,,,,0\n");
+            return vec![line(None)];
         }
-        self.figures.iter().fold(String::new(), |mut text, figure| {
-            let Figure { metric, value, low, high, n } = figure;
-            let _ = writeln!(text, "{head},{metric},{},{},{},{n}", short(*value), short(*low), short(*high));
-            text
-        })
+        let figure = |figure: &Figure| {
+            let &Figure { metric, value, low, high, n } = figure;
+            line(Some((metric.to_owned(), Value { value, low, high }, n)))
+        };
+        self.figures.iter().map(figure).collect()
     }
 
-    fn phantoms(&self) -> String {
-        self.phantoms.iter().fold(String::new(), |mut text, phantom| {
-            let Phantom { gap_cm, share, n } = phantom;
-            let (gap_cm, share) = (short(*gap_cm), short(*share));
-            let _ = writeln!(text, "{},{},{},{gap_cm},{share},{n}", self.scene, self.method, self.pixel_cm);
-            text
-        })
+    fn phantoms(&self) -> Vec<PhantomShare> {
+        let line = |&Phantom { gap_cm, share, n }: &Phantom| PhantomShare {
+            scene: self.scene.clone(),
+            method: self.method.clone(),
+            pixel_cm: self.pixel_cm,
+            gap_cm,
+            share,
+            n,
+        };
+        self.phantoms.iter().map(line).collect()
     }
-}
-
-/// Six significant digits; measurements have no more.
-fn short(value: f64) -> String {
-    if value == 0.0 || !value.is_finite() {
-        return value.abs().to_string();
-    }
-    let decimals = (5 - value.abs().log10().floor() as i32).clamp(0, 12) as usize;
-    let text = format!("{value:.decimals$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-}
-
-fn quoted(text: &str) -> String {
-    let text = text.replace('\n', " ");
-    if text.contains([',', '"']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text }
-}
-
-/// The fields of a line.
-fn fields(line: &str) -> Vec<String> {
-    let mut fields = vec![String::new()];
-    let mut inside = false;
-    for c in line.chars() {
-        match c {
-            '"' => inside = !inside,
-            ',' if !inside => fields.push(String::new()),
-            c => fields.last_mut().expect("begins with one").push(c),
-        }
-    }
-    fields
 }
 
 /// The files.
 pub struct Record {
     measured: PathBuf,
     phantoms: PathBuf,
-    done: HashSet<(String, String, String)>,
+    done: HashSet<(String, String, u32)>,
 }
 
 impl Record {
@@ -118,38 +93,27 @@ impl Record {
     pub fn open(folder: &Path, fresh: bool) -> Result<Self> {
         std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
         let (measured, phantoms) = (folder.join("measured.csv"), folder.join("phantoms.csv"));
-        for (path, head) in [(&measured, HEAD), (&phantoms, PHANTOMS_HEAD)] {
-            if fresh || !path.exists() {
-                std::fs::write(path, head).map_err(|e| format!("{}: {e}", path.display()))?;
-            }
+        if fresh || !measured.exists() {
+            lines::write::<Measured>(&measured, &[])?;
         }
-        let text = std::fs::read_to_string(&measured).map_err(|e| format!("{}: {e}", measured.display()))?;
-        if !text.starts_with(HEAD) {
-            return Err(
-                format!("{}: expected the columns {}; --fresh begins anew", measured.display(), HEAD.trim()).into()
-            );
+        if fresh || !phantoms.exists() {
+            lines::write::<PhantomShare>(&phantoms, &[])?;
         }
-        let key = |line: &str| match &fields(line)[..] {
-            [scene, method, _, pixel, ..] => Some((scene.clone(), method.clone(), pixel.clone())),
-            _ => None,
-        };
-        let done = text.lines().skip(1).filter_map(key).collect();
+        let known = lines::read::<Measured>(&measured).map_err(|e| format!("{e}; --fresh begins anew"))?;
+        let done = known.into_iter().map(|line| (line.scene, line.method, line.pixel_cm)).collect();
         Ok(Self { measured, phantoms, done })
     }
 
     /// Whether a cell is there already.
     pub fn has(&self, scene: &str, method: &str, pixel_cm: u32) -> bool {
-        self.done.contains(&(scene.to_owned(), method.to_owned(), pixel_cm.to_string()))
+        self.done.contains(&(scene.to_owned(), method.to_owned(), pixel_cm))
     }
 
     /// Adds a cell.
     pub fn add(&mut self, cell: &Cell) -> Result<()> {
-        for (path, text) in [(&self.phantoms, cell.phantoms()), (&self.measured, cell.text())] {
-            let file = OpenOptions::new().append(true).open(path);
-            let written = file.and_then(|mut file| file.write_all(text.as_bytes()));
-            written.map_err(|e| format!("{}: {e}", path.display()))?;
-        }
-        self.done.insert((cell.scene.clone(), cell.method.clone(), cell.pixel_cm.to_string()));
+        lines::append(&self.phantoms, &cell.phantoms())?;
+        lines::append(&self.measured, &cell.measured())?;
+        self.done.insert((cell.scene.clone(), cell.method.clone(), cell.pixel_cm));
         Ok(())
     }
 }
@@ -161,30 +125,24 @@ mod tests {
     #[test]
     fn a_record_knows_its_cells_when_it_is_opened_again() -> Result<()> {
         let folder = tempfile::tempdir()?;
-        let settings = "cubes, \"exact\"".to_owned();
-        let figures = Figure::median("build_s", vec![3.0, 1.0, 2.5], 3).into_iter().collect();
-        let cell = |method: &str| Cell {
+        let cell = |method: &str, figures: Vec<Figure>| Cell {
             scene: "house".into(),
             method: method.into(),
-            settings: settings.clone(),
+            settings: "cubes".into(),
             pixel_cm: 8,
             figures,
-            phantoms: vec![],
+            phantoms: vec![Phantom { gap_cm: 1.0, share: 0.5, n: 2 }],
         };
-        let cell = cell("capt");
-        Record::open(folder.path(), false)?.add(&cell)?;
+        let mut record = Record::open(folder.path(), false)?;
+        record.add(&cell("capt", Figure::median("build_s", vec![3.0, 1.0, 2.5], 3).into_iter().collect()))?;
+        record.add(&cell("octomap", vec![]))?;
         let again = Record::open(folder.path(), false)?;
-        assert!(again.has("house", "capt", 8) && !again.has("house", "capt", 16));
-        let text = std::fs::read_to_string(folder.path().join("measured.csv"))?;
-        let line = text.lines().nth(1).ok_or("no line")?;
-        assert_eq!(line, "house,capt,\"cubes, \"\"exact\"\"\",8,build_s,2.5,1,3,3");
-        assert_eq!(fields(line)[4], "build_s");
+        assert!(again.has("house", "capt", 8) && again.has("house", "octomap", 8) && !again.has("house", "capt", 16));
+        let lines = lines::read::<Measured>(&folder.path().join("measured.csv"))?;
+        assert_eq!(lines[0].figure, Some(("build_s".into(), Value { value: 2.5, low: 1.0, high: 3.0 }, 3)));
+        assert_eq!(lines[1].figure, None);
+        assert_eq!(lines::read::<PhantomShare>(&folder.path().join("phantoms.csv"))?.len(), 2);
         assert!(!Record::open(folder.path(), true)?.has("house", "capt", 8));
         Ok(())
-    }
-
-    #[test]
-    fn numbers_keep_six_digits() {
-        assert_eq!([0.0, 123456789.0, 0.000123456789, 2.5].map(short), ["0", "123456789", "0.000123457", "2.5"]);
     }
 }

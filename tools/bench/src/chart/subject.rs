@@ -1,8 +1,8 @@
 //! What is asked about: the points of a scene, the file that holds them, and what is known of its true surfaces.
 
+use crate::data;
 use crate::peers::oracle::Oracle;
 use crate::peers::spheres::Tree;
-use crate::shared;
 use crate::stability::Result;
 use crate::thesis::models::{read_scan, triangles};
 use nalgebra::{Point3, Vector3};
@@ -65,7 +65,7 @@ pub struct Subject {
 impl Subject {
     /// The scene of this name, of about `count` points if it is generated or thinned; `None` where its file is missing.
     pub fn named(name: &str, count: Option<usize>) -> Result<Option<Self>> {
-        let scan = |file: &str, units| shared::file(file).map(|path| Self::scan(name, &path, units, count)).transpose();
+        let scan = |file: &str, units| data::file(file).map(|path| Self::scan(name, &path, units, count)).transpose();
         Ok(Some(match name {
             "house" | "church" | "street" | "terrain" => {
                 let params = match name {
@@ -80,12 +80,12 @@ impl Subject {
             "room" => return scan("pump_room.laz", Units::Factor(1.0)),
             "delft" => return scan("delft_city_block_ahn3.laz", Units::Factor(1.0)),
             "autzen" => {
-                let Some(path) = shared::file("autzen_stadium.laz") else { return Ok(None) };
+                let Some(path) = data::file("autzen_stadium.laz") else { return Ok(None) };
                 let all = middle(read_scan(&path, Units::Factor(0.3048))?, AUTZEN_HALF_M);
                 Self::written(name, thinned(all, count))?
             }
             "sibenik" => {
-                let Some(path) = shared::file("meshes/sibenik.obj") else { return Ok(None) };
+                let Some(path) = data::file("meshes/sibenik.obj") else { return Ok(None) };
                 Self::mesh(name, path, count.unwrap_or(400_000))?
             }
             _ => return Err(format!("{name}: no such scene; there are {}", NAMES.join(", ")).into()),

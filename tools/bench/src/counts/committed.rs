@@ -7,7 +7,7 @@ use std::path::Path;
 
 const HEAD: &str = "\
 # Instructions of the hot paths, per operation, as callgrind counts them in a release build.
-# `cargo run --release -p bench -- counts` compares with these; `--write` renews them.
+# `.ci/counts` compares with these; `.ci/counts --write` renews them.
 [instructions]
 ";
 

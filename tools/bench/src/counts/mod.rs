@@ -99,7 +99,7 @@ impl Counts {
         if beyond.is_empty() {
             return Ok(());
         }
-        let out = "make it cheaper, or say why it must cost more and renew the counts by `bench counts --write`";
+        let out = "make it cheaper, or say why it must cost more and renew the counts by `.ci/counts --write`";
         Err(Error::from(format!("{} (at most {LIMIT} times is allowed): {out}", beyond.join("; "))))
     }
 

@@ -1,7 +1,7 @@
 //! Ours beside its peers: the same questions about the same real scan, in one run on one machine, with the wrong answers
 //! beside the times. Brute force over the points says which answers are wrong.
 //!
-//! `bench peers` writes `peers.md`. Needs the shared scans.
+//! `bench peers` writes `peers.md`. Needs a real scan.
 
 pub(crate) mod character;
 pub(crate) mod measure;
@@ -157,7 +157,7 @@ impl World<'_> {
 /// Writes `peers.md` into `out`; quick: one pixel size.
 pub fn run(out: &Path, quick: bool) -> Result<()> {
     let Some(scan) = scene::scan() else {
-        println!("skipped: the shared scans are missing");
+        println!("skipped: it needs a real scan");
         return Ok(());
     };
     let points = scene::points(&scan)?;

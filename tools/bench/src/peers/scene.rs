@@ -21,7 +21,7 @@ const LIFT: f64 = 0.03;
 
 /// The scan, if it is there.
 pub fn scan() -> Option<PathBuf> {
-    crate::shared::file("indoor_two_storey_zup.laz")
+    crate::data::file("indoor_two_storey_zup.laz")
 }
 
 pub fn points(scan: &Path) -> Result<Vec<Point3<f64>>> {

@@ -83,7 +83,7 @@ fn cases(work: &Path, quick: bool) -> Result<Vec<Case>> {
     let path = work.join("town.laz");
     Town::new(if quick { 1 } else { 10 }).write(&path, DENSITY)?;
     let mut cases = vec![Case { name: "generated town", path, pixels: &[0.1], unit: "m" }];
-    let autzen = crate::shared::file("autzen_stadium.laz");
+    let autzen = crate::data::file("autzen_stadium.laz");
     cases.extend(autzen.map(|path| Case { name: "autzen", path, pixels: &[3.6, 1.1], unit: "feet" }));
     Ok(cases)
 }

@@ -10,8 +10,9 @@ mod queries;
 mod sizes;
 mod town;
 
+use crate::chart::lines::{self, Scaled, Value};
 use crate::stability::Result;
-use crate::stability::table::{Table, number};
+use crate::stability::table::number;
 use std::path::PathBuf;
 
 /// The words at the top of the page.
@@ -55,21 +56,16 @@ enum Part {
 /// What all parts find: numbers for charts, and sections of the page.
 #[derive(Debug)]
 struct Found {
-    numbers: Table,
+    numbers: Vec<Scaled>,
     page: String,
 }
 
 impl Found {
     /// Adds the median of `values`, with the least and the greatest.
     fn add(&mut self, what: &str, size: u64, metric: &str, values: &[f64]) {
-        let (middle, low, high) = spread(values);
-        let decimals = match middle.abs() {
-            ..1e2 => 4,
-            ..1e5 => 1,
-            _ => 0,
-        };
-        let cells = [middle, low, high].map(|value| number(value, decimals));
-        self.numbers.row([what.to_owned(), size.to_string(), metric.to_owned()].into_iter().chain(cells));
+        let (value, low, high) = spread(values);
+        let value = Value { value, low, high };
+        self.numbers.push(Scaled { what: what.to_owned(), size, metric: metric.to_owned(), value });
     }
 
     /// Adds a section, and prints it.
@@ -96,8 +92,7 @@ impl Scale {
         let chart = out.join("chart");
         std::fs::create_dir_all(&chart)?;
         let work = tempfile::tempdir_in(&self.work)?;
-        let numbers = Table::new(["what", "size", "metric", "value", "low", "high"]);
-        let mut found = Found { numbers, page: String::new() };
+        let mut found = Found { numbers: Vec::new(), page: String::new() };
         found.section(&format!("{HEAD}\n{}\n", machine()));
         if self.has(Part::Conversion) {
             let sizes = match (&self.points[..], self.quick) {
@@ -117,7 +112,7 @@ impl Scale {
         if self.has(Part::Converter) {
             converter::measure(&mut found, work.path(), self.copc_converter.as_deref(), self.quick)?;
         }
-        std::fs::write(chart.join("scale.csv"), found.numbers.csv())?;
+        lines::write(&chart.join("scale.csv"), &found.numbers)?;
         std::fs::write(out.join("scale.md"), found.page)?;
         Ok(())
     }

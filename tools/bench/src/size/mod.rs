@@ -165,7 +165,7 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
 fn cases(folder: &Path, quick: bool) -> Result<Vec<Case>> {
     let mut cases = Vec::new();
     for (name, spacing_m, unit) in &SCANS[..if quick { 2 } else { SCANS.len() }] {
-        let Some(file) = crate::shared::file(&format!("{name}.laz")) else { continue };
+        let Some(file) = crate::data::file(&format!("{name}.laz")) else { continue };
         // Two digits, as `--pixel auto` rounds.
         let pixel_m = format!("{:.1e}", 4.0 * spacing_m).parse()?;
         let units = if *unit == 1.0 { Units::Auto } else { Units::Factor(*unit) };

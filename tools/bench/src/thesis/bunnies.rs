@@ -2,7 +2,7 @@
 
 use super::models::triangles;
 use crate::Random;
-use crate::shared;
+use crate::data;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
@@ -23,7 +23,7 @@ const ROUNDS: usize = 3;
 
 /// The table by name.
 pub fn measure(quick: bool) -> Result<Vec<(&'static str, String)>> {
-    let Some(path) = shared::file("meshes/bunny_stanford.ply") else {
+    let Some(path) = data::file("meshes/bunny_stanford.ply") else {
         return Ok(vec![("bunnies", "The bunny was not there.".into())]);
     };
     let mut bunny = triangles(&path, true)?;

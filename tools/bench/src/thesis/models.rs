@@ -1,7 +1,7 @@
 //! The models of the comparison: those of the thesis where they are to be had, else of its kind.
 
 use crate::Random;
-use crate::shared;
+use crate::data;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
 use scangen::write::write_triangles_obj;
@@ -120,11 +120,11 @@ pub fn all(folder: &Path, quick: bool) -> Result<Vec<Model>> {
         ("Delft street", "streets and houses, not in the thesis", "meshes/delft_street.obj", false, None),
     ];
     for (name, about, file, y_up, thesis) in real.into_iter().take(if quick { 1 } else { 4 }) {
-        if let Some(path) = shared::file(file) {
+        if let Some(path) = data::file(file) {
             add(name, about, path, y_up, thesis, None)?;
         }
     }
-    if let Some(scan) = shared::file("indoor_two_storey_zup.laz") {
+    if let Some(scan) = data::file("indoor_two_storey_zup.laz") {
         let points = read_scan(&scan, Units::Auto)?;
         for (name, about, count, thesis) in [
             ("scan, 271,731 points", "two storeys, thinned at random to the thesis' number", 271_731, ROOM),

@@ -12,12 +12,12 @@ mod machine;
 mod model;
 mod page;
 mod plots;
-mod read;
 mod style;
 mod svg;
 mod tables;
 mod verdict;
 
+use super::lines::{self, Line};
 use crate::stability::Result;
 use std::path::Path;
 
@@ -36,10 +36,9 @@ struct Drawn {
 /// Draws all that was measured into `folder`; scans nothing but `folder/chart`.
 pub fn run(folder: &Path) -> Result<()> {
     let charts = folder.join("chart");
-    let cells = read::measured(&charts.join("measured.csv"))?;
-    let phantoms = read::optional(&charts.join("phantoms.csv"), read::phantoms)?;
-    let scale = read::optional(&charts.join("scale.csv"), read::scale)?;
-    let scenes = model::scenes(cells);
+    let scenes = model::scenes(lines::read(&charts.join("measured.csv"))?);
+    let phantoms = optional(&charts.join("phantoms.csv"))?;
+    let scale = optional(&charts.join("scale.csv"))?;
     let mut drawn = Vec::new();
     for scene in &scenes {
         for (what, figure) in plots::of_scene(scene, &phantoms) {
@@ -55,6 +54,11 @@ pub fn run(folder: &Path) -> Result<()> {
     let machine = machine::measured_on(&charts)?;
     write(&folder.join("chart.md"), &page::page(&scenes, &drawn, &machine)?)?;
     write(&folder.join("chart.html"), &html::page(&drawn, &machine)?)
+}
+
+/// A table that may be missing: no lines then.
+fn optional<T: Line>(path: &Path) -> Result<Vec<T>> {
+    if path.exists() { lines::read(path) } else { Ok(Vec::new()) }
 }
 
 fn draw(figure: &figure::Figure, group: String, what: String) -> Result<Drawn> {

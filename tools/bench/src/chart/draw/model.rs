@@ -1,7 +1,7 @@
 //! What was measured, by scene, method and pixel size.
 
-use super::read::{Cell, Value};
 use super::style;
+use crate::chart::lines::{Measured, Value};
 use std::collections::BTreeMap;
 
 /// Names of our methods begin so.
@@ -136,14 +136,14 @@ impl Scene {
 }
 
 /// The scenes in the order of the lines; a later line of the same cell holds.
-pub fn scenes(cells: Vec<Cell>) -> Vec<Scene> {
+pub fn scenes(lines: Vec<Measured>) -> Vec<Scene> {
     let mut scenes: Vec<Scene> = Vec::new();
-    for cell in cells {
-        let at = scenes.iter().position(|scene| scene.name == cell.scene).unwrap_or_else(|| {
-            scenes.push(Scene { name: cell.scene.clone(), area_m2: None, series: vec![], skipped: vec![] });
+    for line in lines {
+        let at = scenes.iter().position(|scene| scene.name == line.scene).unwrap_or_else(|| {
+            scenes.push(Scene { name: line.scene.clone(), area_m2: None, series: vec![], skipped: vec![] });
             scenes.len() - 1
         });
-        add(&mut scenes[at], cell);
+        add(&mut scenes[at], line);
     }
     for scene in &mut scenes {
         scene.series.sort_by_key(|series| style::rank(&series.method));
@@ -154,9 +154,10 @@ pub fn scenes(cells: Vec<Cell>) -> Vec<Scene> {
     scenes
 }
 
-fn add(scene: &mut Scene, cell: Cell) {
-    let Cell { method, settings, pixel_cm, metric, value, .. } = cell;
-    let Some(value) = value else {
+fn add(scene: &mut Scene, line: Measured) {
+    let Measured { method, settings, figure, .. } = line;
+    let pixel_cm = f64::from(line.pixel_cm);
+    let Some((metric, value, _)) = figure else {
         scene.skipped.push(Skipped { method, pixel_cm, reason: settings });
         return;
     };

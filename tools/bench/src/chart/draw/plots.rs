@@ -4,8 +4,8 @@ use super::axis::{Axis, figures, short};
 use super::figure::{Dot, Figure, Spread, Track};
 use super::front;
 use super::model::{COSTS, Cost, Scene, Series, Setting};
-use super::read::{Phantom, Scaled};
 use super::style;
+use crate::chart::lines::{PhantomShare, Scaled};
 
 /// Group of the charts over size.
 pub const SCALE: &str = "scale";
@@ -40,7 +40,7 @@ const PHANTOMS: Wrong = Wrong {
 };
 
 /// The charts of a scene, each with what it shows.
-pub fn of_scene(scene: &Scene, phantoms: &[Phantom]) -> Vec<(String, Figure)> {
+pub fn of_scene(scene: &Scene, phantoms: &[PhantomShare]) -> Vec<(String, Figure)> {
     let errors = COSTS.iter().map(|cost| (ERROR, cost)).chain([(PHANTOMS, &COSTS[0])]);
     let named = |(wrong, cost): (Wrong, &Cost)| {
         Some((format!("{} against {}", wrong.what, cost.what), against(scene, wrong, cost)?))
@@ -112,9 +112,9 @@ fn share(setting: &Setting, metric: &str, word: &str) -> String {
 }
 
 /// Share of boxes answered "hit" over the gap to the nearest point, at [`SHOWN_CM`] or the nearest size there is.
-fn phantoms_of(scene: &Scene, phantoms: &[Phantom]) -> Option<Figure> {
+fn phantoms_of(scene: &Scene, phantoms: &[PhantomShare]) -> Option<Figure> {
     let of_scene = || phantoms.iter().filter(|line| line.scene == scene.name);
-    let from_shown = |line: &&Phantom| (line.pixel_cm / SHOWN_CM).log2().abs();
+    let from_shown = |line: &&PhantomShare| (f64::from(line.pixel_cm) / SHOWN_CM).log2().abs();
     let pixel_cm = of_scene().min_by(|a, b| from_shown(a).total_cmp(&from_shown(b)))?.pixel_cm;
     let shown = || of_scene().filter(|line| line.pixel_cm == pixel_cm);
     let mut methods: Vec<&str> = shown().map(|line| line.method.as_str()).collect();
@@ -126,7 +126,7 @@ fn phantoms_of(scene: &Scene, phantoms: &[Phantom]) -> Option<Figure> {
         Track { name: method.into(), style: style::style(method), dots }
     };
     let (low, high) = shown().fold((0f64, 0f64), |ends, line| (ends.0.min(line.gap_cm), ends.1.max(line.gap_cm)));
-    let t = short(pixel_cm);
+    let t = short(f64::from(pixel_cm));
     Some(Figure {
         name: file(&scene.name, "phantoms"),
         title: format!("{}: boxes answered \"hit\" over the gap to the nearest point, t = {t} cm", scene.name),
@@ -138,7 +138,7 @@ fn phantoms_of(scene: &Scene, phantoms: &[Phantom]) -> Option<Figure> {
     })
 }
 
-fn phantom_dot(line: &Phantom) -> Dot {
+fn phantom_dot(line: &PhantomShare) -> Dot {
     let says = format!("{}, gap {} cm: {} % hit", line.method, short(line.gap_cm), figures(line.share * 100.0));
     Dot { at: (line.gap_cm, line.share), spread: Spread::None, label: String::new(), hollow: false, says }
 }
@@ -190,9 +190,9 @@ fn over_size(over: &Over, lines: &[Scaled]) -> Option<Figure> {
     let track = |((metric, name), style): (&(&str, &str), style::Style)| {
         let of_it = lines.iter().filter(|line| line.what == over.of && line.metric == *metric);
         let dot = |line: &Scaled| {
-            let says = format!("{name}: {} at {}", figures(line.value.value), figures(line.size));
+            let says = format!("{name}: {} at {}", figures(line.value.value), figures(line.size as f64));
             let spread = Spread::Y(line.value.low, line.value.high);
-            Dot { at: (line.size, line.value.value), spread, label: String::new(), hollow: false, says }
+            Dot { at: (line.size as f64, line.value.value), spread, label: String::new(), hollow: false, says }
         };
         let mut dots: Vec<Dot> = of_it.map(dot).collect();
         dots.sort_by(|a, b| a.at.0.total_cmp(&b.at.0));

@@ -142,19 +142,19 @@ fn beaten_in(scene: &str, all: &[(f64, Stand)]) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{model, read};
+    use super::super::model;
     use super::*;
+    use crate::chart::lines::{Measured, Value};
 
-    fn scene(lines: &[(&str, f64, f64, f64, f64)]) -> Vec<Scene> {
+    fn scene(lines: &[(&str, u32, f64, f64, f64)]) -> Vec<Scene> {
         let cells = lines.iter().flat_map(|(method, pixel_cm, ns, error, missed)| {
             [("walk_mean_ns", ns), ("out_p99_cm", error), ("in_p99_cm", &0.0), ("missed", missed)].map(
-                |(metric, value)| read::Cell {
+                |(metric, value)| Measured {
                     scene: "house".into(),
                     method: (*method).into(),
                     settings: String::new(),
                     pixel_cm: *pixel_cm,
-                    metric: metric.into(),
-                    value: Some(read::Value { value: *value, low: *value, high: *value }),
+                    figure: Some((metric.into(), Value { value: *value, low: *value, high: *value }, 1)),
                 },
             )
         });
@@ -164,11 +164,11 @@ mod tests {
     #[test]
     fn a_peer_that_is_faster_and_nearer_is_named_and_one_that_misses_is_not() {
         let mut lines = vec![
-            ("slicewalk plane", 1.0, 60.0, 1.0, 0.0),
-            ("slicewalk plane", 4.0, 70.0, 4.0, 0.0),
-            ("slicewalk span", 8.0, 90.0, 8.0, 0.0),
-            ("capt", 4.0, 80.0, 5.0, 0.0),
-            ("kiddo spheres", 4.0, 10.0, 0.5, 0.01),
+            ("slicewalk plane", 1, 60.0, 1.0, 0.0),
+            ("slicewalk plane", 4, 70.0, 4.0, 0.0),
+            ("slicewalk span", 8, 90.0, 8.0, 0.0),
+            ("capt", 4, 80.0, 5.0, 0.0),
+            ("kiddo spheres", 4, 10.0, 0.5, 0.01),
         ];
         let found = stands(&scene(&lines)[0], &COSTS[0]);
         let expected = [
