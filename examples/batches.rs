@@ -12,15 +12,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [path, feet] = &arguments[..] else { return Err("usage: batches ARCHIVE.slices FEET_Z".into()) };
     let feet: f64 = feet.parse()?;
     let archive = Archive::open(path)?;
-    let bounds = archive.header().bounds.ok_or("the archive is empty")?;
+    let (min, max) = archive.header().bounds.ok_or("the archive is empty")?;
     let store = Store::resident(&archive, &NoMonitor)?;
 
     let size = Vector3::new(0.5, 0.5, 1.8);
     let step = 0.25;
-    let places = |axis: usize| ((bounds.max[axis] - bounds.min[axis]) / step).ceil() as usize;
+    let places = |axis: usize| ((max[axis] - min[axis]) / step).ceil() as usize;
     let mut boxes = Vec::new();
     for (x, y) in (0..places(0)).flat_map(|x| (0..places(1)).map(move |y| (x, y))) {
-        let at = Point3::new(bounds.min[0] + x as f64 * step, bounds.min[1] + y as f64 * step, feet);
+        let at = Point3::new(min[0] + x as f64 * step, min[1] + y as f64 * step, feet);
         boxes.push(Aabb::standing(at, size)?);
     }
     let mut answers = vec![Overlap::Clear; boxes.len()];

@@ -12,7 +12,7 @@ use slicewalk::input::Units;
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
 use slicewalk::{Monitor, NoMonitor};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 struct Quiet;
 impl Monitor for Quiet {}
