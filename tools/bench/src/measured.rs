@@ -62,14 +62,14 @@ impl Conversion {
     pub fn run(&self) -> Result<()> {
         let mut options = ConvertOptions::new(vec![self.input.clone()], self.output.clone());
         options.pixel = PixelSize::Metres(self.pixel);
-        options.up = if self.y_up { Up::Y } else { Up::Z };
+        options.plan.up = if self.y_up { Up::Y } else { Up::Z };
         options.overwrite = true;
         options.memory_bytes = self.memory.unwrap_or(options.memory_bytes);
         if let Some(step) = self.step {
             options.mesh = MeshMode::Sampled { step_m: Some(step) };
         }
         if self.thesis_rule {
-            options.classifier = Classifier::Thesis;
+            options.plan.classifier = Classifier::Thesis;
         }
         let start = Instant::now();
         let report = convert(&options, &NoMonitor)?;
