@@ -72,6 +72,26 @@ pub enum Error {
         /// Why it is refused and what is allowed.
         reason: String,
     },
+    /// A file must not be written under this name; what is there stays.
+    #[error("{path}: {reason}", path = path.display())]
+    Output {
+        /// The name as it was given.
+        path: PathBuf,
+        /// Why not, and the way out.
+        reason: String,
+    },
+    /// A file is complete under its name, but its folder could not be synced: after a power failure the folder may be as
+    /// it was before.
+    #[error(
+        "{path}: complete under this name, but its folder could not be synced: {source}; a power failure may undo that",
+        path = path.display()
+    )]
+    NotDurable {
+        /// The complete file.
+        path: PathBuf,
+        /// The operating system's own reason.
+        source: io::Error,
+    },
     /// The user or the calling program asked to stop; nothing was published.
     #[error("interrupted: nothing was written, temporary files are removed")]
     Interrupted,
@@ -86,6 +106,11 @@ impl Error {
     /// An [`Error::Input`] for `path`.
     pub fn input(path: impl AsRef<Path>, at: impl Into<String>, reason: impl Into<String>) -> Self {
         Self::Input { path: path.as_ref().to_path_buf(), at: at.into(), reason: reason.into() }
+    }
+
+    /// An [`Error::Output`] for `path`.
+    pub fn output(path: impl AsRef<Path>, reason: impl Into<String>) -> Self {
+        Self::Output { path: path.as_ref().to_path_buf(), reason: reason.into() }
     }
 
     /// An [`Error::Format`]; `rule` is the id in the specification.

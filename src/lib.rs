@@ -95,7 +95,7 @@ println!("{} voxels", report.header.voxels.occupied);
 //! | convert scans and meshes, whole or in parts | [`convert`](mod@convert), [`input`], [`mesh`], [`plan`] |
 //! | read, check, merge, recover and cut archives | [`archive`], [`stats`] |
 //! | bring bytes from elsewhere | [`bytes`] |
-//! | keep pages in memory | [`store`], [`slice`] |
+//! | keep pages in memory | [`store`], [`slice`](mod@slice) |
 //! | ask | [`query`], [`object`] |
 //! | walk | [`walk`] |
 //! | the grid, errors, progress | [`frame`], [`error`], [`monitor`] |
@@ -125,6 +125,8 @@ pub mod slice;
 
 pub mod codec;
 
+pub mod output;
+
 pub mod archive;
 
 pub mod stats;
@@ -147,8 +149,8 @@ pub mod object;
 pub mod walk;
 
 pub use error::{Error, Result};
-pub use nalgebra;
 pub use monitor::{Monitor, NoMonitor};
+pub use nalgebra;
 
 /// Compiles the examples of the pages.
 #[cfg(all(doctest, feature = "convert"))]

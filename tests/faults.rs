@@ -2,10 +2,14 @@
 //! stays whole and nothing is left behind.
 #![cfg(all(feature = "cli", unix))]
 
+#[path = "common/full.rs"]
+mod full;
+
 #[path = "common/scans.rs"]
 mod scans;
 
-use scans::{Random, command, converts, names, points, text, verifies, write};
+use full::{SmallDisk, with_little_space};
+use scans::{Random, command, converts, names, points, verifies, write};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
@@ -121,56 +125,25 @@ fn interrupted_it_says_so_and_leaves_nothing() {
     assert!(interrupted > 0, "no run was interrupted");
 }
 
-/// The program in a shell that lets no file grow beyond so many blocks of 512 bytes, as a full disk would.
-fn with_little_space(place: &Place, blocks: u64, arguments: &[&str]) -> (ExitStatus, Vec<u8>) {
-    let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
-    let out = Command::new("sh")
-        .arg("-c")
-        .arg(script)
-        .arg(env!("CARGO_BIN_EXE_sliceconv"))
-        .args(arguments)
-        .current_dir(place.path())
-        .output()
-        .unwrap();
-    (out.status, out.stderr)
-}
-
 #[test]
 fn without_space_for_the_archive_or_the_temporary_data_the_old_archive_stays() {
     let place = Place::new(5_500_000);
     let arguments = ["scan.las", "-o", "a.slices", "--pixel", "0.02", "--force", "--quiet", "--temp-dir", "temp"];
-    let (status, stderr) = with_little_space(&place, 200, &[&arguments[..], &["--memory", "1GiB"]].concat());
-    let said = failed(status, &stderr);
+    let sliceconv = |blocks, more: &[&str]| {
+        let arguments = [&arguments[..], more].concat();
+        with_little_space(env!("CARGO_BIN_EXE_sliceconv"), place.path(), blocks, &arguments)
+    };
+    let out = sliceconv(200, &["--memory", "1GiB"]);
+    let said = failed(out.status, &out.stderr);
     assert!(said.contains(".a.slices.slicewalk-") && said.contains("cannot write"), "{said}");
     place.is_old();
     place.is_clean();
     // 64 MiB hold 32 MiB of runs; the temporary file meets the limit first.
-    let (status, stderr) = with_little_space(&place, 20_000, &[&arguments[..], &["--memory", "64MiB"]].concat());
-    let said = failed(status, &stderr);
+    let out = sliceconv(20_000, &["--memory", "64MiB"]);
+    let said = failed(out.status, &out.stderr);
     assert!(said.contains("temp") && said.contains("--temp-dir"), "{said}");
     place.is_old();
     place.is_clean();
-}
-
-/// A small file system of its own, where the system lets us make one.
-struct SmallDisk(PathBuf);
-
-impl SmallDisk {
-    fn mount(at: &Path, size: &str) -> Option<Self> {
-        fs::create_dir_all(at).unwrap();
-        let mount = ["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs", text(at)];
-        let mounted = Command::new("mount").args(mount).stderr(Stdio::null()).status().is_ok_and(|s| s.success());
-        if !mounted {
-            eprintln!("skipped: no file system can be mounted here");
-        }
-        mounted.then(|| Self(at.to_path_buf()))
-    }
-}
-
-impl Drop for SmallDisk {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg(&self.0).status();
-    }
 }
 
 #[test]

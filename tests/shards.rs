@@ -195,10 +195,15 @@ fn any_order_and_copies_merge_and_what_is_there_already_is_left_alone() {
     assert!(fs::read(&output).unwrap() == bytes);
     let again = merge(&parts, &output, false, &NoMonitor).unwrap();
     assert!(!again.written && again.header == merged.header);
-    fs::write(&output, "something else").unwrap();
+    fs::copy(&parts[0], &output).unwrap();
     refused(&parts, &output, &["merged.slices", "--force"]);
     assert!(merge(&parts, &output, true, &NoMonitor).unwrap().written);
     assert!(fs::read(&output).unwrap() == bytes);
+    fs::write(&output, "something else").unwrap();
+    refused(&parts, &output, &["merged.slices", "not a slice archive"]);
+    assert!(merge(&parts, &output, true, &NoMonitor).is_err());
+    assert!(merge(&parts, &parts[0], true, &NoMonitor).unwrap_err().to_string().contains("this command reads"));
+    merges_to(&parts, &whole);
 }
 
 #[test]

@@ -5,6 +5,7 @@ use super::page::{EncodedPage, PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::writer::{ArchiveWriter, Totals};
 use crate::frame::{Frame, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
+use crate::output::{Existing, Protected};
 use crate::slice::{Page, PageBuilder, Span};
 use crate::{Error, Monitor, Result};
 use std::path::Path;
@@ -84,7 +85,9 @@ pub fn extract(
     let (frame, header) = (archive.frame(), archive.header());
     let region = Region::around(frame, bounds);
     monitor.stage("extract", header.pages.total(), "pages");
-    let mut writer = ArchiveWriter::create(output, archive.plan(), overwrite)?;
+    let mut protected = Protected::default();
+    protected.add_source(archive.source());
+    let mut writer = ArchiveWriter::begin(output, archive.plan(), Existing::replaced_if(overwrite), protected)?;
     let (mut decoder, mut encoder, mut builder) =
         (PageDecoder::new(), PageEncoder::new(*frame), PageBuilder::default());
     for entry in archive.entries() {

@@ -5,12 +5,11 @@
 use super::FORMAT_VERSION;
 use crate::codec::{Reader, Violation};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
+pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
 use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use xxhash_rust::xxh3::xxh3_128;
 
-/// First bytes of an archive.
-pub(super) const MAGIC: [u8; 8] = *b"\x89SLIC\r\n\x1a";
 /// Last bytes of an archive.
 pub(super) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
 /// Greatest length of a head, and the length of one whose size was not known in advance (bytes).

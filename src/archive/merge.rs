@@ -9,8 +9,9 @@ use super::metadata::Metadata;
 use super::page::{EncodedPage, PageDecoder};
 use super::reader::Archive;
 use super::shard::{InputRead, Shard};
-use super::writer::{ArchiveWriter, Existing, Totals};
+use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::{ByteSource, FileSource};
+use crate::output::Existing;
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Result};
 use std::collections::{BTreeMap, HashMap};
@@ -89,7 +90,7 @@ fn named(path: &Path, error: Error) -> Error {
 
 /// Joins the archives `shards`, given in any order, into `output`: byte for byte what one run over the whole input
 /// writes. All parts of one job must be there; what is missing, foreign or damaged is refused by name. Where `output`
-/// has the right bytes already it is left alone; other content is replaced only if `overwrite` says so.
+/// has the right bytes already it is left alone; another archive is replaced only if `overwrite` says so, a part never.
 ///
 /// Cost: every page is read and decoded once. Nothing appears under the name before all of it is right.
 pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn Monitor) -> Result<Merged> {
@@ -100,7 +101,7 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     };
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
-    let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing)?;
+    let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing, shards.iter().collect())?;
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), ..Totals::default() };
     for part in &parts {
         copy(part, &mut writer, monitor)?;

@@ -15,8 +15,6 @@ mod metadata;
 
 mod shard;
 
-mod publish;
-
 mod dedup;
 
 mod spill;

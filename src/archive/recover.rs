@@ -14,6 +14,7 @@ use super::reader::Archive;
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::{ByteSource, FileSource};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
+use crate::output::Existing;
 use crate::plan::Plan;
 use crate::slice::Page;
 use crate::{Error, Monitor, Result};
@@ -78,7 +79,8 @@ pub fn recover(
         }
     };
     monitor.stage("recover", source.len(), "bytes");
-    let mut writer = ArchiveWriter::create(output, &plan, overwrite)?;
+    let existing = Existing::replaced_if(overwrite);
+    let mut writer = ArchiveWriter::begin(output, &plan, existing, [path].into_iter().collect())?;
     let start = old.as_ref().map_or(0, |archive| archive.header().pages_offset());
     let mut walk = Walk::new(&source, start);
     let mut told = Told::new(old.as_ref());

@@ -4,10 +4,10 @@
 //! for any number of pages; disk: 40 bytes a page beyond the first 32,768.
 
 use super::directory::{Extent, PageEntry, Place};
-use super::publish::PartFile;
 use crate::Result;
 use crate::codec::{Reader, span_bits, span_from_bits};
 use crate::frame::PageKey;
+use crate::output::Temporary;
 use crate::slice::PageSize;
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ const RECORD: usize = 40;
 #[derive(Debug)]
 pub(super) struct Entries {
     target: PathBuf,
-    file: Option<PartFile>,
+    file: Option<Temporary>,
     /// How many entries the file holds.
     spilled: u64,
     tail: Vec<PageEntry>,
@@ -41,7 +41,7 @@ impl Entries {
         if self.tail.len() == KEPT {
             let file = match &mut self.file {
                 Some(file) => file,
-                none => none.insert(PartFile::create(&self.target)?),
+                none => none.insert(Temporary::beside(&self.target)?),
             };
             let records: Vec<u8> = self.tail.iter().flat_map(record).collect();
             file.write_at(self.spilled * RECORD as u64, &records)?;

@@ -6,16 +6,15 @@ use super::directory::{Extent, PageEntry, Place, encode_leaf, key_in_grid};
 use super::head::{self, Bounds, Header, Leaf, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
 use super::metadata::Metadata;
 use super::page::EncodedPage;
-use super::publish::{PartFile, remove_leftovers};
 use super::shard::{InputRead, Shard};
 use super::spill::Entries;
-use crate::bytes::{ByteSource, FileSource};
 use crate::codec::Packer;
 use crate::frame::PageKey;
+use crate::output::{Existing, Kind, Output, Protected};
 use crate::plan::Plan;
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Bytes collected before they are written. An archive whose pages all fit gets a head of exact length, so this is a
 /// constant of the bytes and must never follow a memory budget.
@@ -46,9 +45,7 @@ pub struct Totals {
 /// directory leaf). Disk: the archive, and 40 bytes a page while it is written. Dropping the writer removes its files.
 #[derive(Debug)]
 pub struct ArchiveWriter {
-    target: PathBuf,
-    existing: Existing,
-    part: PartFile,
+    output: Output,
     plan: Plan,
     /// Bytes not yet written to the file.
     buffer: Vec<u8>,
@@ -64,30 +61,22 @@ pub struct ArchiveWriter {
     read: Vec<InputRead>,
 }
 
-/// What becomes of an archive that already has the target's name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Existing {
-    /// It stays, and writing is refused.
-    Refuse,
-    /// It is replaced.
-    Replace,
-    /// It stays if the new archive has the same bytes; else as for [`Refuse`](Self::Refuse).
-    KeepSame,
-}
-
 impl ArchiveWriter {
-    /// Starts an archive of `plan` that will replace `target`, or be new if `overwrite` is off. Temporary files that
-    /// dead writers of the same target left are removed.
+    /// Starts an archive of `plan` that will be called `target`, and replace an older archive if `overwrite` says so (see
+    /// [`output`](crate::output)).
     pub fn create(target: &Path, plan: &Plan, overwrite: bool) -> Result<Self> {
-        Self::begin(target, plan, if overwrite { Existing::Replace } else { Existing::Refuse })
+        Self::begin(target, plan, Existing::replaced_if(overwrite), Protected::default())
     }
 
-    /// As [`create`](Self::create).
-    pub(super) fn begin(target: &Path, plan: &Plan, existing: Existing) -> Result<Self> {
+    /// As [`create`](Self::create), and replaces nothing that is protected.
+    pub(super) fn begin(target: &Path, plan: &Plan, existing: Existing, protected: Protected) -> Result<Self> {
         plan.options.check()?;
-        // What is there can only be compared at the end.
-        check_target(target, existing != Existing::Refuse)?;
-        remove_leftovers(target)?;
+        Self::on(Output::create(target, Kind::Archive(existing), protected)?, plan)
+    }
+
+    /// Starts an archive of `plan` that will be `output`.
+    pub(crate) fn on(output: Output, plan: &Plan) -> Result<Self> {
+        plan.options.check()?;
         let counts = Header {
             version: FORMAT_VERSION,
             features_required: 0,
@@ -109,14 +98,12 @@ impl ArchiveWriter {
             leaf_entries: MIN_LEAF_ENTRIES,
         };
         Ok(Self {
-            target: target.to_path_buf(),
-            existing,
-            part: PartFile::create(target)?,
+            entries: Entries::new(output.beside()),
+            output,
             plan: plan.clone(),
             buffer: Vec::new(),
             flushed: 0,
             base: MAX_HEAD as u64,
-            entries: Entries::new(target),
             window: Window::default(),
             last: None,
             counts,
@@ -202,7 +189,7 @@ impl ArchiveWriter {
                 buf.copy_from_slice(&self.buffer[start as usize..start as usize + buf.len()]);
                 Ok(())
             }
-            None => self.part.read_at(self.base + extent.offset, buf),
+            None => self.output.read_at(self.base + extent.offset, buf),
         }
     }
 
@@ -217,46 +204,23 @@ impl ArchiveWriter {
 
     fn flush(&mut self) -> Result<()> {
         if !self.buffer.is_empty() {
-            self.part.write_at(self.base + self.flushed, &self.buffer)?;
+            self.output.write_at(self.base + self.flushed, &self.buffer)?;
             self.flushed += self.buffer.len() as u64;
             self.buffer.clear();
         }
         Ok(())
     }
 
-    /// Writes directory, metadata, footer and head, brings all to disk and gives the archive its name. On any error
-    /// nothing appears and what was there stays.
+    /// Writes directory, metadata, footer and head, and publishes the archive under its name. On any error but
+    /// [`Error::NotDurable`] nothing appears there, and what was there stays.
     pub fn finish(self, totals: Totals) -> Result<Header> {
         Ok(self.finish_or_keep(totals)?.0)
     }
 
-    /// As [`finish`](Self::finish), and whether the archive was given its name (see [`Existing::KeepSame`]).
+    /// As [`finish`](Self::finish), and whether the archive was written (see [`Existing::KeepSame`]).
     pub(super) fn finish_or_keep(mut self, totals: Totals) -> Result<(Header, bool)> {
         let header = self.complete(totals)?;
-        if self.existing == Existing::KeepSame && self.is_already_there(header.file_len)? {
-            return Ok((header, false));
-        }
-        check_target(&self.target, self.existing == Existing::Replace)?;
-        self.part.publish(&self.target)?;
-        Ok((header, true))
-    }
-
-    /// Whether the target has the bytes of the archive, which are `len`.
-    fn is_already_there(&self, len: u64) -> Result<bool> {
-        let Ok(there) = FileSource::open(&self.target) else { return Ok(false) };
-        if there.len() != len {
-            return Ok(false);
-        }
-        let (mut old, mut new) = (vec![0; BUFFER], vec![0; BUFFER]);
-        for at in (0..len).step_by(BUFFER) {
-            let count = (len - at).min(BUFFER as u64) as usize;
-            there.read_at(at, &mut old[..count])?;
-            self.part.read_at(at, &mut new[..count])?;
-            if old[..count] != new[..count] {
-                return Ok(false);
-            }
-        }
-        Ok(true)
+        Ok((header, self.output.publish()?))
     }
 
     fn complete(&mut self, totals: Totals) -> Result<Header> {
@@ -288,7 +252,7 @@ impl ArchiveWriter {
 
         self.append(&head::encode_footer(header.file_len, &head))?;
         self.flush()?;
-        self.part.write_at(0, &head)?;
+        self.output.write_at(0, &head)?;
         Ok(header)
     }
 
@@ -326,16 +290,4 @@ fn leaf_entries(total: u64) -> u32 {
         entries *= 2;
     }
     entries
-}
-
-fn check_target(target: &Path, overwrite: bool) -> Result<()> {
-    match std::fs::metadata(target) {
-        Ok(existing) if !existing.is_file() => {
-            Err(Error::parameter(target.display().to_string(), "exists and is no regular file; choose another name"))
-        }
-        Ok(_) if !overwrite => {
-            Err(Error::parameter(target.display().to_string(), "exists already; --force replaces it"))
-        }
-        _ => Ok(()),
-    }
 }

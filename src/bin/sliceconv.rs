@@ -8,6 +8,7 @@ use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
 use slicewalk::convert::{Job, ShardOptions};
 use slicewalk::input::Units;
 use slicewalk::mesh::MeshMode;
+use slicewalk::output::{Existing, Kind, Output};
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::size::parse_size;
 use slicewalk::{Error, Monitor};
@@ -86,7 +87,7 @@ struct Arguments {
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
     mesh: Surfaces,
-    /// Replace an existing archive
+    /// Replace an existing slice archive (or plan); nothing else is ever replaced
     #[arg(long)]
     force: bool,
     /// No progress and no warnings
@@ -274,8 +275,10 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     };
     options.overwrite = arguments.force;
     if let Some(path) = &arguments.write_plan {
+        let kind = Kind::Plan(Existing::replaced_if(arguments.force));
+        let output = Output::create(path, kind, arguments.inputs.iter().collect())?;
         let job = Job::new(&options, monitor)?;
-        plan_file::write(&job, path, arguments.force)?;
+        plan_file::write_to(&job, output)?;
         return Ok(Done::Plan(Box::new(job)));
     }
     let job = arguments.plan.as_deref().map(plan_file::read).transpose()?;

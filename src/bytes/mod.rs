@@ -3,12 +3,13 @@
 //! In: an offset and a length. Out: bytes, or an error. Memory: none of its own. Everything above asks here, so a test
 //! that counts, delays, cuts or damages reads needs to know nothing else.
 
-#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "conversion writes; walking only reads"))]
+mod file_id;
 mod positioned;
 #[cfg(feature = "remote")]
 mod remote;
 pub mod testing;
 
+pub use file_id::FileId;
 pub(crate) use positioned::*;
 #[cfg(feature = "remote")]
 pub use remote::{RemoteOptions, RemoteSource};
@@ -30,6 +31,11 @@ pub trait ByteSource: Send + Sync {
 
     /// Fills `buf` with the bytes from `offset` on. Fewer bytes than that are an error.
     fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()>;
+
+    /// The file that the bytes come from, if it is one: no output may replace it.
+    fn file_id(&self) -> Option<FileId> {
+        None
+    }
 }
 
 impl<S: ByteSource + ?Sized> ByteSource for std::sync::Arc<S> {
@@ -39,6 +45,10 @@ impl<S: ByteSource + ?Sized> ByteSource for std::sync::Arc<S> {
 
     fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
         (**self).read_at(offset, buf)
+    }
+
+    fn file_id(&self) -> Option<FileId> {
+        (**self).file_id()
     }
 }
 
@@ -67,6 +77,10 @@ impl ByteSource for FileSource {
     fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
         read_exact_at(&self.file, offset, buf).map_err(|source| read_error(&self.path, offset, buf.len(), source))
     }
+
+    fn file_id(&self) -> Option<FileId> {
+        FileId::of(&self.file)
+    }
 }
 
 /// A file mapped into memory: the fastest source while nobody changes the file.
@@ -78,6 +92,7 @@ impl ByteSource for FileSource {
 pub struct MapSource {
     map: memmap2::Mmap,
     path: PathBuf,
+    id: Option<FileId>,
 }
 
 impl MapSource {
@@ -90,7 +105,7 @@ impl MapSource {
         // forbids changing the file while the map lives.
         let map = unsafe { memmap2::Mmap::map(&file) };
         let map = map.map_err(|source| Error::io(path, "map into memory", source))?;
-        Ok(Self { map, path: path.to_path_buf() })
+        Ok(Self { map, path: path.to_path_buf(), id: FileId::of(&file) })
     }
 }
 
@@ -101,6 +116,10 @@ impl ByteSource for MapSource {
 
     fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
         copy_from(&self.map, offset, buf).map_err(|source| read_error(&self.path, offset, buf.len(), source))
+    }
+
+    fn file_id(&self) -> Option<FileId> {
+        self.id
     }
 }
 

@@ -28,8 +28,9 @@ use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Shard, Totals};
 use crate::frame::Frame;
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, estimate_spacing};
-use crate::input::{InputOptions, InputSet, UnitCounts};
+use crate::input::{InputOptions, InputSet, ScanFile, UnitCounts};
 use crate::mesh::{MeshCounts, MeshOptions, MeshSet};
+use crate::output::{Existing, Kind, Output};
 use crate::plan::Plan;
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
@@ -38,6 +39,7 @@ use columns::write_columns;
 use meshes::read_meshes;
 use part::Part;
 use points::read_points;
+use std::path::{Path, PathBuf};
 
 /// Least memory budget (bytes).
 pub const MIN_MEMORY_BYTES: u64 = 64 << 20;
@@ -79,6 +81,12 @@ pub struct Report {
 pub(crate) struct Inputs {
     pub scans: InputSet,
     pub meshes: MeshSet,
+}
+
+impl Inputs {
+    fn paths(&self) -> impl Iterator<Item = &Path> {
+        self.scans.files().iter().map(ScanFile::path).chain(self.scans.meshes().iter().map(PathBuf::as_path))
+    }
 }
 
 /// Opens the inputs of a conversion.
@@ -135,6 +143,9 @@ pub(crate) fn plan(
 pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
     let threads = options.threads.max(1);
     let inputs = open_inputs(options, monitor)?;
+    // Begun first, so that a file that must not be replaced is found before the work and not after it.
+    let kind = Kind::Archive(Existing::replaced_if(options.overwrite));
+    let output = Output::create(&options.output, kind, inputs.paths().collect())?;
     let (plan, spacing) = plan(options, &inputs, monitor)?;
     let Inputs { scans: set, meshes } = inputs;
     let units = LengthUnit::distinct(set.length_units().chain(meshes.length_unit()));
@@ -143,8 +154,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         return Err(Error::Limit { what, value: units.len().to_string(), max: MAX_UNITS.to_string() });
     }
     let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options)).transpose()?;
-    // Made first, so that an archive that must not be replaced is found before the work and not after it.
-    let mut writer = ArchiveWriter::create(&options.output, &plan, options.overwrite)?;
+    let mut writer = ArchiveWriter::on(output, &plan)?;
     if let Some(part) = &part {
         writer.set_shard(part.shard);
     }

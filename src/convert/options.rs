@@ -39,7 +39,7 @@ pub struct ConvertOptions {
     pub units: Units,
     /// How meshes become voxels.
     pub mesh: MeshMode,
-    /// Whether an existing archive may be replaced.
+    /// Whether an existing slice archive may be replaced; another file never is.
     pub overwrite: bool,
     /// The part to convert; `None` for the whole.
     pub shard: Option<ShardOptions>,

@@ -4,6 +4,7 @@ use crate::convert::{InputFacts, Job};
 use crate::frame::Frame;
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
+use crate::output::{Existing, Kind, Output, PLAN_KEY, Protected};
 use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use serde_json::{Value, json};
@@ -19,7 +20,7 @@ pub fn to_json(job: &Job) -> Value {
     let plan = &job.plan;
     let inputs: Vec<Value> = job.inputs.iter().map(input_to_json).collect();
     json!({
-        "slicewalk_plan": VERSION,
+        (PLAN_KEY): VERSION,
         "pixel_size": plan.frame.pixel_m(),
         "slice_height": plan.frame.slice_m(),
         "max_slope": plan.options.max_slope_deg,
@@ -54,22 +55,15 @@ fn input_to_json(input: &InputFacts) -> Value {
     })
 }
 
-/// Writes `job` to `path`, all of it or nothing.
+/// Writes `job` to `path`, all of it or nothing; an older plan is replaced if `overwrite` says so.
 pub fn write(job: &Job, path: &Path, overwrite: bool) -> Result<()> {
-    let text = format!("{:#}\n", to_json(job));
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let failed = |action: &str, error: std::io::Error| Error::io(path, action, error);
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|e| failed("create a file beside it", e))?;
-    std::io::Write::write_all(&mut file, text.as_bytes()).map_err(|e| failed("write", e))?;
-    file.as_file().sync_all().map_err(|e| failed("bring to disk", e))?;
-    let persisted = if overwrite { file.persist(path) } else { file.persist_noclobber(path) };
-    match persisted {
-        Err(error) if error.error.kind() == std::io::ErrorKind::AlreadyExists => {
-            Err(Error::parameter(path.display().to_string(), "exists already; --force replaces it"))
-        }
-        Err(error) => Err(failed("give the plan its name", error.error)),
-        Ok(_) => Ok(()),
-    }
+    write_to(job, Output::create(path, Kind::Plan(Existing::replaced_if(overwrite)), Protected::default())?)
+}
+
+/// Writes `job` to an output that was begun before the job was made, so that what must not be replaced was refused then.
+pub fn write_to(job: &Job, mut output: Output) -> Result<()> {
+    output.write_at(0, format!("{:#}\n", to_json(job)).as_bytes())?;
+    output.publish().map(drop)
 }
 
 /// The job in the plan file at `path`.
@@ -120,7 +114,7 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 fn from_json(value: &Value) -> Result<Job, Wrong> {
-    field(value, "slicewalk_plan", "version 1 of a plan", |v| v.as_u64().filter(|&version| version == VERSION))?;
+    field(value, PLAN_KEY, "version 1 of a plan", |v| v.as_u64().filter(|&version| version == VERSION))?;
     let frame = Frame::new(
         field(value, "pixel_size", "a length in metres", number)?,
         field(value, "slice_height", "a length in metres", number)?,

@@ -10,7 +10,8 @@ use slicewalk::walk::{Config, Route, State, Walker};
 use slicewalk::{Monitor, NoMonitor};
 use std::collections::HashMap;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 const PIXEL_M: f64 = 0.05;
@@ -58,6 +59,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let dir = &arguments.output;
     std::fs::create_dir_all(dir).map_err(|e| Failure::Text(format!("{}: cannot create: {e}", dir.display())))?;
     let (scan, output) = (dir.join("house.laz"), dir.join("house.slices"));
+    if scan.exists() && !is_generated(&scan)? {
+        let reason = "exists and was not written by the demonstration, so it is not replaced; choose another folder";
+        return Err(Failure::Text(format!("{}: {reason}", scan.display())));
+    }
     let mut table = Table::default();
 
     eprintln!("generating a scan of a three-storey house");
@@ -120,11 +125,18 @@ pub fn run(arguments: &Arguments) -> Outcome {
         let slice = frame.slice_of(height);
         if header.slices.is_some_and(|(lowest, highest)| (lowest..=highest).contains(&slice)) {
             let path = dir.join(format!("slice-{name}.png"));
-            show::draw(&archive, slice, &path)?;
+            show::draw(&archive, &output, slice, &path)?;
             table.row("picture", format!("{} (z = {height} m)", path.display()));
         }
     }
     Ok(table.text)
+}
+
+/// Whether the scan names its generator, `scangen`, as the software that made it (bytes 58 to 89 of the LAS header).
+fn is_generated(scan: &Path) -> Result<bool, Failure> {
+    let mut header = Vec::new();
+    std::fs::File::open(scan)?.take(90).read_to_end(&mut header)?;
+    Ok(header.get(58..).is_some_and(|software| software.starts_with(b"scangen")))
 }
 
 #[derive(Default)]

@@ -3,14 +3,27 @@
 use crate::{Failure, Outcome};
 use slicewalk::archive::Archive;
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
-use std::fs::File;
-use std::io::{BufWriter, Seek, SeekFrom, Write};
+use slicewalk::output::Output;
+use std::io::{self, BufWriter, IntoInnerError, Seek, SeekFrom, Write};
+use std::mem::ManuallyDrop;
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// LAS class of floor (the standard's "ground") and of obstacles (its "unclassified").
 const CLASSES: [u8; 2] = [2, 1];
 /// Room for the point count in a PLY header, so that it can be filled in at the end.
 const COUNT_DIGITS: usize = 20;
+/// LAS 1.2 counts points with 32 bits.
+const MOST_LAS_POINTS: u64 = u32::MAX as u64;
+/// Coarsest step of LAS coordinates where the extent allows it (m).
+const COARSEST_STEP_M: f64 = 1e-4;
+/// Steps of LAS coordinates that an extent may have: 32 bits, less what rounding the offset takes.
+const MOST_STEPS: f64 = 4e9;
+/// Steps by which offsets are rounded: whole metres at the usual step.
+const ROUND_STEPS: f64 = 1e4;
+
+/// Slice in its page, top of the matter (quanta), and whether any of it is an obstacle.
+type Voxel = (u32, u8, bool);
 
 /// A voxel as a point: pixel centre, top of the matter in the voxel, colour as in `show`.
 struct VoxelPoint {
@@ -21,25 +34,19 @@ struct VoxelPoint {
 
 /// Exports the archive at `path` in the format that the ending of `output` names.
 pub fn run(path: &Path, output: &Path) -> Outcome {
-    let archive = crate::open(path)?;
-    crate::keep_apart(path, output)?;
     let ending = output.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
-    let count = match ending.as_str() {
-        "ply" => ply(&archive, path, output),
-        "las" | "laz" => las(&archive, path, output),
+    let write = match ending.as_str() {
+        "ply" => ply,
+        "las" => |archive: &Archive, path: &Path, to: Output| las(archive, path, to, false),
+        "laz" => |archive: &Archive, path: &Path, to: Output| las(archive, path, to, true),
         _ => {
             let text = format!("{}: unknown format; name the file .ply, .las or .laz", output.display());
             return Err(Failure::Text(text));
         }
     };
-    match count {
-        Ok(count) => Ok(format!("{}: {count} points\n", output.display())),
-        Err(failure) => {
-            // Half an export is worse than none.
-            let _ = std::fs::remove_file(output);
-            Err(failure)
-        }
-    }
+    let archive = crate::open(path)?;
+    let count = write(&archive, path, crate::output(output, &archive, &[])?)?;
+    Ok(format!("{}: {count} points\n", output.display()))
 }
 
 fn each_voxel(
@@ -56,30 +63,37 @@ fn each_voxel(
             let centre = |tile: i32, pixel: u32| {
                 (f64::from(tile) * TILE_PIXELS as f64 + f64::from(pixel) + 0.5) * frame.pixel_m()
             };
+            let (x, y) = (centre(entry.key.tx, px), centre(entry.key.ty, py));
+            let mut give_voxel = |(slice, top, obstacle): Voxel| {
+                let floor = frame.bottom_of_slice(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(slice));
+                give(&VoxelPoint {
+                    position: [x, y, floor + f64::from(top) * frame.quantum_m()],
+                    colour: [top, 255, if obstacle { 255 } else { 26 }],
+                    obstacle,
+                })
+            };
+            // Spans ascend, and two may meet in one voxel, which is one point all the same.
+            let mut voxel: Option<Voxel> = None;
             for span in spans {
                 let (first, last) = span.slices();
                 for slice in first..=last {
                     let Some((_, top)) = span.within_slice(slice) else { continue };
-                    let floor = frame.bottom_of_slice(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(slice));
-                    give(&VoxelPoint {
-                        position: [
-                            centre(entry.key.tx, px),
-                            centre(entry.key.ty, py),
-                            floor + f64::from(top) * frame.quantum_m(),
-                        ],
-                        colour: [top, 255, if span.is_obstacle() { 255 } else { 26 }],
-                        obstacle: span.is_obstacle(),
-                    })?;
+                    let below = voxel.take();
+                    let same = below.filter(|below| below.0 == slice);
+                    if same.is_none() {
+                        below.map_or(Ok(()), &mut give_voxel)?;
+                    }
+                    voxel = Some((slice, top, span.is_obstacle() || same.is_some_and(|same| same.2)));
                 }
             }
+            voxel.map_or(Ok(()), give_voxel)?;
         }
     }
     Ok(())
 }
 
-fn ply(archive: &Archive, path: &Path, output: &Path) -> Result<u64, Failure> {
-    let failed = |action: &str, e: std::io::Error| Failure::Text(format!("{}: cannot {action}: {e}", output.display()));
-    let mut file = BufWriter::new(File::create(output).map_err(|e| failed("create", e))?);
+fn ply(archive: &Archive, path: &Path, output: Output) -> Result<u64, Failure> {
+    let mut file = BufWriter::new(output);
     let head = "ply\nformat binary_little_endian 1.0\nelement vertex ";
     write!(
         file,
@@ -91,48 +105,122 @@ fn ply(archive: &Archive, path: &Path, output: &Path) -> Result<u64, Failure> {
     each_voxel(archive, path, |point| {
         count += 1;
         for value in point.position {
-            file.write_all(&value.to_le_bytes()).map_err(|e| failed("write", e))?;
+            file.write_all(&value.to_le_bytes())?;
         }
-        file.write_all(&point.colour).map_err(|e| failed("write", e))
+        Ok(file.write_all(&point.colour)?)
     })?;
-    file.seek(SeekFrom::Start(head.len() as u64)).map_err(|e| failed("seek", e))?;
+    file.seek(SeekFrom::Start(head.len() as u64))?;
     write!(file, "{count:<COUNT_DIGITS$}")?;
-    file.flush().map_err(|e| failed("write", e))?;
+    file.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
     Ok(count)
 }
 
-fn las(archive: &Archive, path: &Path, output: &Path) -> Result<u64, Failure> {
+fn las(archive: &Archive, path: &Path, output: Output, compressed: bool) -> Result<u64, Failure> {
     let mut builder = las::Builder::from((1, 2));
     builder.point_format = las::point::Format::new(2)?;
-    let (min, max) = archive.header().bounds.unwrap_or_default();
-    for (axis, transform) in
-        [&mut builder.transforms.x, &mut builder.transforms.y, &mut builder.transforms.z].into_iter().enumerate()
-    {
-        transform.offset = ((min[axis] + max[axis]) / 2.0).round();
-        // Fine enough for any quantum, coarse enough for 32 bits.
-        transform.scale = (((max[axis] - min[axis]) / 2e9).max(1e-12)).log10().ceil().max(-4.0);
-        transform.scale = 10f64.powf(transform.scale);
-    }
-    let failed = |e: las::Error| Failure::Text(format!("{}: cannot write: {e}", output.display()));
-    let mut writer = las::Writer::from_path(output, builder.into_header()?).map_err(failed)?;
+    builder.point_format.is_compressed = compressed;
+    let [x, y, z] = transforms(archive, path)?;
+    builder.transforms = las::Vector { x, y, z };
+    let output = Arc::new(Mutex::new(output));
+    let file = BufWriter::new(Lent(Arc::downgrade(&output)));
+    // A writer that is dropped after a failure panics, so one that failed is never dropped; it owns no file.
+    let mut writer = ManuallyDrop::new(las::Writer::new(file, builder.into_header()?)?);
     let mut count = 0u64;
     each_voxel(archive, path, |point| {
         count += 1;
+        if count > MOST_LAS_POINTS {
+            let reason = format!("more than {MOST_LAS_POINTS} voxels, the most points of LAS 1.2");
+            return Err(Failure::Text(format!("{}: {reason}; export .ply, or extract a region first", path.display())));
+        }
         let [x, y, z] = point.position;
         let [red, green, blue] = point.colour.map(|value| u16::from(value) * 257);
-        writer
-            .write_point(las::Point {
-                x,
-                y,
-                z,
-                color: Some(las::Color { red, green, blue }),
-                classification: las::point::Classification::new(CLASSES[usize::from(point.obstacle)])?,
-                return_number: 1,
-                number_of_returns: 1,
-                ..Default::default()
-            })
-            .map_err(failed)
+        Ok(writer.write_point(las::Point {
+            x,
+            y,
+            z,
+            color: Some(las::Color { red, green, blue }),
+            classification: las::point::Classification::new(CLASSES[usize::from(point.obstacle)])?,
+            return_number: 1,
+            number_of_returns: 1,
+            ..Default::default()
+        })?)
     })?;
-    writer.close().map_err(failed)?;
+    writer.close()?;
+    // Closed: the buffer of its file is all that is left to write.
+    let file = ManuallyDrop::into_inner(writer).into_inner()?;
+    file.into_inner().map_err(IntoInnerError::into_error)?;
+    let output = Arc::into_inner(output).expect("the output was only lent");
+    output.into_inner().unwrap_or_else(PoisonError::into_inner).publish()?;
     Ok(count)
+}
+
+/// An output lent to las's writer, which wants to own what it writes to.
+struct Lent(Weak<Mutex<Output>>);
+
+impl Lent {
+    fn with<T>(&self, act: impl FnOnce(&mut Output) -> io::Result<T>) -> io::Result<T> {
+        let output = self.0.upgrade().ok_or(io::ErrorKind::NotConnected)?;
+        act(&mut output.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Write for Lent {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.with(|output| output.write(bytes))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.with(Output::flush)
+    }
+}
+
+impl Seek for Lent {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.with(|output| output.seek(to))
+    }
+}
+
+/// Steps and offsets of LAS coordinates for all pages of the archive at `path`, whatever its head says of its bounds.
+fn transforms(archive: &Archive, path: &Path) -> Result<[las::Transform; 3], Failure> {
+    let frame = archive.frame();
+    let mut range = [(i64::MAX, i64::MIN); 3];
+    for entry in archive.entries() {
+        let entry = entry.map_err(|error| crate::broken(path, &error))?;
+        let tile = |at: i32| (i64::from(at) * TILE_PIXELS, (i64::from(at) + 1) * TILE_PIXELS);
+        let (low, high) = entry.slice_range();
+        for (range, (low, high)) in range.iter_mut().zip([tile(entry.key.tx), tile(entry.key.ty), (low, high + 1)]) {
+            *range = (range.0.min(low), range.1.max(high));
+        }
+    }
+    let mut transforms = [las::Transform { scale: COARSEST_STEP_M, offset: 0.0 }; 3];
+    for (axis, transform) in transforms.iter_mut().enumerate() {
+        if range[axis].0 > range[axis].1 {
+            continue;
+        }
+        let (ends, finest): ([f64; 2], f64) = match axis {
+            2 => ([range[2].0, range[2].1].map(|slice| frame.bottom_of_slice(slice)), frame.quantum_m()),
+            _ => ([range[axis].0, range[axis].1].map(|pixel| frame.edge_of_pixel(pixel)), frame.pixel_m()),
+        };
+        *transform = transform_of(ends, finest).ok_or_else(|| {
+            Failure::Text(format!(
+                "{}: its pages reach over {:.0} m along {}, too far for the 32 bits of LAS coordinates in steps of {finest} \
+                 m; export .ply, or extract a region first",
+                path.display(),
+                ends[1] - ends[0],
+                ["x", "y", "z"][axis]
+            ))
+        })?;
+    }
+    Ok(transforms)
+}
+
+/// Step and offset that hold coordinates between two ends (m) so that what is `finest` apart stays apart; `None` if 32
+/// bits do not hold them. The step is a power of ten: fine enough, or as fine as the ends allow.
+fn transform_of([least, greatest]: [f64; 2], finest: f64) -> Option<las::Transform> {
+    let wanted = (finest / 2.0).min(COARSEST_STEP_M).log10().floor();
+    let reached = ((greatest - least) / MOST_STEPS).log10().ceil();
+    let scale: f64 = format!("1e{}", wanted.max(reached)).parse().ok()?;
+    let round = ROUND_STEPS * scale;
+    let offset = ((least + greatest) / 2.0 / round).round() * round;
+    (scale <= finest).then_some(las::Transform { scale, offset })
 }

@@ -15,7 +15,7 @@ pub struct Arguments {
     /// Least and greatest corner of the region in metres; inf and -inf for no limit
     #[arg(long, allow_hyphen_values = true, value_name = "XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX", value_parser = bounds)]
     bounds: Bounds,
-    /// Replace an existing archive
+    /// Replace an existing slice archive
     #[arg(long)]
     force: bool,
     /// Print what the new archive says of itself as JSON
@@ -34,7 +34,6 @@ fn bounds(text: &str) -> Result<Bounds, String> {
 /// Cuts the region out.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
-    crate::keep_apart(&arguments.archive, &arguments.output)?;
     let header = extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &NoMonitor)
         .map_err(|error| crate::broken(&arguments.archive, &error))?;
     if arguments.json {

@@ -16,6 +16,7 @@ mod walk;
 
 use clap::{Parser, Subcommand};
 use slicewalk::archive::Archive;
+use slicewalk::output::{Kind, Output, Protected};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -114,14 +115,11 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
     }
 }
 
-/// Refuses to write `output` over the archive that is being read.
-pub fn keep_apart(archive: &Path, output: &Path) -> Result<(), Failure> {
-    match (archive.canonicalize(), output.canonicalize()) {
-        (Ok(archive), Ok(same)) if archive == same => {
-            Err(Failure::Text(format!("{}: is the archive itself; choose another output", output.display())))
-        }
-        _ => Ok(()),
-    }
+/// Begins a picture, table or export at `path`, of `archive` and of the files `also` that the command reads.
+pub fn output(path: &Path, archive: &Archive, also: &[&Path]) -> Result<Output, Failure> {
+    let mut protected: Protected = also.iter().collect();
+    protected.add_source(archive.source());
+    Ok(Output::create(path, Kind::Result, protected)?)
 }
 
 /// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.

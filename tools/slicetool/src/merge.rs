@@ -15,7 +15,7 @@ pub struct Arguments {
     /// Archive to write; one that has the right bytes already is left alone
     #[arg(short, long, value_name = "OUT.slices")]
     output: PathBuf,
-    /// Replace an existing archive that holds something else
+    /// Replace an existing slice archive that holds something else
     #[arg(long)]
     force: bool,
     /// Print what was done as JSON
@@ -26,9 +26,6 @@ pub struct Arguments {
 /// Joins the parts; refuses missing, foreign and damaged ones by name.
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { shards, output, force, json } = arguments;
-    for shard in shards {
-        crate::keep_apart(shard, output)?;
-    }
     let merged = merge(shards, output, *force, &NoMonitor)?;
     let copies: Vec<String> = merged.copies.iter().map(|path| path.display().to_string()).collect();
     if *json {

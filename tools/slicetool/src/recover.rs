@@ -19,7 +19,7 @@ pub struct Arguments {
     /// Grid and options, needed if the head is damaged (see `sliceconv --write-plan`)
     #[arg(long, value_name = "PLAN.json")]
     plan: Option<PathBuf>,
-    /// Replace an existing archive
+    /// Replace an existing slice archive
     #[arg(long)]
     force: bool,
     /// Print what was found as JSON
@@ -30,7 +30,6 @@ pub struct Arguments {
 /// Writes what is sound; that something is lost is told, and no failure as long as there is something to write.
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { archive, output, plan, force, json } = arguments;
-    crate::keep_apart(archive, output)?;
     let plan = plan.as_deref().map(plan_file::read).transpose()?.map(|job| job.plan);
     let recovered = recover(archive, plan.as_ref(), output, *force, &NoMonitor)?;
     if *json {

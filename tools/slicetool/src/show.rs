@@ -3,7 +3,6 @@
 use crate::{Failure, Outcome};
 use slicewalk::archive::{Archive, PageEntry};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
-use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -29,7 +28,6 @@ pub struct Arguments {
 /// Draws the slice that `arguments` name.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
-    crate::keep_apart(&arguments.archive, &arguments.output)?;
     let Some((lowest, highest)) = archive.header().slices else {
         return Err(Failure::Text(format!("{}: holds no points, so there is no slice", arguments.archive.display())));
     };
@@ -48,39 +46,34 @@ pub fn run(arguments: &Arguments) -> Outcome {
             frame.bottom_of_slice(highest + 1)
         )));
     };
-    draw(&archive, slice, &arguments.output).map_err(|failure| {
-        // Half a picture is worse than none.
-        let _ = std::fs::remove_file(&arguments.output);
-        match failure {
-            Failure::Text(text) if text.starts_with("rule ") => {
-                Failure::Text(format!("{}: {text}", arguments.archive.display()))
-            }
-            other => other,
-        }
-    })?;
+    draw(&archive, &arguments.archive, slice, &arguments.output)?;
     Ok(String::new())
 }
 
-/// Draws slice `slice` (absolute) as a PNG at `path`: one pixel per pixel of the archive, north up, over the bounds of
-/// all points. Memory: one row of tiles.
-pub fn draw(archive: &Archive, slice: i64, path: &Path) -> Result<(), Failure> {
+/// Draws slice `slice` (absolute) of `archive`, which lies at `path`, as a PNG `to`: one pixel per pixel of the archive,
+/// north up, over the bounds of all points. Memory: one row of tiles.
+pub fn draw(archive: &Archive, path: &Path, slice: i64, to: &Path) -> Result<(), Failure> {
+    let broken = |error| crate::broken(path, &error);
     let frame = archive.frame();
     let Some((min, max)) = archive.header().bounds else {
-        return Err(Failure::Text("the archive holds no points".into()));
+        return Err(Failure::Text(format!("{}: holds no points, so there is no slice", path.display())));
     };
     let (left, right) = (frame.pixel_of(min[0]), frame.pixel_of(max[0]));
     let (low, high) = (frame.pixel_of(min[1]), frame.pixel_of(max[1]));
     let (width, height) = (right - left + 1, high - low + 1);
     if width > MAX_EDGE_PIXELS || height > MAX_EDGE_PIXELS {
         return Err(Failure::Text(format!(
-            "the slice is {width} × {height} pixels, beyond the {MAX_EDGE_PIXELS} that a picture may have"
+            "{}: the slice is {width} × {height} pixels, beyond the {MAX_EDGE_PIXELS} that a picture may have; extract a \
+             region first",
+            path.display()
         )));
     }
+    let mut output = crate::output(to, archive, &[])?;
     let layer = slice.div_euclid(PAGE_SLICES) as i32;
     let in_page = slice.rem_euclid(PAGE_SLICES) as u32;
     let mut entries: Vec<PageEntry> = Vec::new();
     for entry in archive.entries() {
-        let entry = entry?;
+        let entry = entry.map_err(broken)?;
         if entry.key.layer == layer && entry.slices >> in_page & 1 == 1 {
             entries.push(entry);
         }
@@ -88,8 +81,8 @@ pub fn draw(archive: &Archive, slice: i64, path: &Path) -> Result<(), Failure> {
     // North up: the highest row of tiles first.
     entries.sort_unstable_by_key(|entry| (std::cmp::Reverse(entry.key.ty), entry.key.tx));
 
-    let file = File::create(path).map_err(|e| Failure::Text(format!("{}: cannot create: {e}", path.display())))?;
-    let mut encoder = png::Encoder::new(BufWriter::new(file), width as u32, height as u32);
+    let mut file = BufWriter::new(&mut output);
+    let mut encoder = png::Encoder::new(&mut file, width as u32, height as u32);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     let mut writer = encoder.write_header()?;
@@ -102,7 +95,7 @@ pub fn draw(archive: &Archive, slice: i64, path: &Path) -> Result<(), Failure> {
         let (row, others) = rest.split_at(count);
         rest = others;
         for entry in row {
-            let page = archive.page(entry)?;
+            let page = archive.page(entry).map_err(broken)?;
             for (px, py, spans) in page.columns() {
                 let part = spans.iter().find_map(|span| Some((span.within_slice(in_page)?, span.is_obstacle())));
                 let x = i64::from(entry.key.tx) * TILE_PIXELS + i64::from(px) - left;
@@ -120,5 +113,9 @@ pub fn draw(archive: &Archive, slice: i64, path: &Path) -> Result<(), Failure> {
         }
     }
     stream.finish()?;
-    Ok(writer.finish()?)
+    writer.finish()?;
+    file.flush()?;
+    drop(file);
+    output.publish()?;
+    Ok(())
 }

@@ -1,6 +1,6 @@
 //! `slicetool walk`: a pawn follows waypoints; its path as CSV, what it cost as JSON.
 
-use crate::{Failure, Outcome, keep_apart};
+use crate::{Failure, Outcome};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
 use slicewalk::size::parse_size;
@@ -116,8 +116,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     };
     let mut walker = Walker::new(config, arguments.start)?;
     let mut route = Route::new(waypoints(&arguments.waypoints)?)?;
-    keep_apart(&arguments.archive, &arguments.output)?;
     let stream = stream(arguments)?;
+    let mut output = crate::output(&arguments.output, stream.archive(), &[&arguments.waypoints])?;
     let frame_s = 1.0 / arguments.hz;
     let most = (arguments.max_seconds * arguments.hz).ceil().max(1.0) as u64;
     let mut path = String::from("t,x,y,z,state,frame_us,missing\n");
@@ -150,8 +150,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
         // Nothing that the pawn needed: that would have ended the walk.
         crate::say(&format!("warning: page {}: {}", failed.key, failed.error));
     }
-    std::fs::write(&arguments.output, path)
-        .map_err(|e| Failure::Text(format!("{}: cannot write: {e}", arguments.output.display())))?;
+    output.write_at(0, path.as_bytes())?;
+    output.publish()?;
     let (frames, feet) = (times.len(), walker.feet());
     times.sort_by(f64::total_cmp);
     let at = |share: f64| times[((frames - 1) as f64 * share).round() as usize];

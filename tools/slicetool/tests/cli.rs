@@ -227,7 +227,7 @@ fn show_draws_the_thesis_colours_and_counts_slices_from_the_lowest() {
     }
     assert!(refuses(at, &["show", "a.slices", "--slice", "0", "-o", "no/such.png"]).contains("no/such.png"));
     let said = refuses(at, &["show", "a.slices", "--slice", "0", "-o", "./a.slices"]);
-    assert!(said.contains("is the archive itself"), "{said}");
+    assert!(said.contains("this command reads"), "{said}");
     done(at, &["verify", "a.slices"]);
 }
 
@@ -349,12 +349,18 @@ fn merge_joins_parts_and_names_what_does_not_belong() {
     assert!(again["written"] == false && again["shards"] == 3 && again["points_read"] == points().len(), "{again}");
     assert!(done(at, &merge(&["2.slices"])).contains("2.slices: a copy of another part, left out"));
     fs::write(at.join("m.slices"), "mine").unwrap();
+    for more in [&[][..], &["--force"]] {
+        assert!(refuses(at, &merge(more)).contains("not a slice archive"));
+        assert_eq!(fs::read(at.join("m.slices")).unwrap(), b"mine");
+    }
+    fs::copy(at.join("1.slices"), at.join("m.slices")).unwrap();
     assert!(refuses(at, &merge(&[])).contains("--force"));
-    assert_eq!(fs::read(at.join("m.slices")).unwrap(), b"mine");
+    assert_eq!(fs::read(at.join("m.slices")).unwrap(), fs::read(at.join("1.slices")).unwrap());
     done(at, &merge(&["--force"]));
     assert!(refuses(at, &["merge", "1.slices", "3.slices", "-o", "n.slices"]).contains("missing of 3: 2"));
     assert!(refuses(at, &["merge", "1.slices", "a.slices", "-o", "n.slices"]).contains("a.slices"));
-    assert!(refuses(at, &["merge", "1.slices", "-o", "1.slices"]).contains("is the archive itself"));
+    let onto_itself = ["merge", &parts[2], &parts[0], &parts[1], "-o", "1.slices", "--force"];
+    assert!(refuses(at, &onto_itself).contains("this command reads"));
     assert!(refuses(at, &["merge", "none.slices", "-o", "n.slices"]).contains("none.slices"));
     assert!(!at.join("n.slices").exists());
 }
@@ -414,7 +420,7 @@ fn extract_cuts_a_region_that_answers_as_the_whole_does() {
     done(at, &["extract", "a.slices", "-o", "all.slices", "--bounds=-inf,-inf,-inf,inf,inf,inf"]);
     assert!(fs::read(at.join("all.slices")).unwrap() == fs::read(at.join("a.slices")).unwrap());
     assert!(refuses(at, &["extract", "a.slices", "-o", "all.slices", region]).contains("--force"));
-    assert!(refuses(at, &["extract", "a.slices", "-o", "a.slices", region]).contains("is the archive itself"));
+    assert!(refuses(at, &["extract", "a.slices", "-o", "a.slices", region, "--force"]).contains("this command reads"));
     for wrong in ["1,2,3", "1,2,3,4,5,x", "5,0,0,1,1,1", "nan,0,0,1,1,1"] {
         let wrong = format!("--bounds={wrong}");
         assert_eq!(slicetool(at, &["extract", "a.slices", "-o", "y.slices", &wrong]).status.code(), Some(2));

@@ -1,0 +1,45 @@
+//! Which file it is, whatever it is called.
+
+use std::path::Path;
+
+/// Identity of a file among all that the machine sees: device and inode, on Windows volume and index.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct FileId {
+    volume: u64,
+    index: u64,
+}
+
+impl FileId {
+    /// The file at `path`, links followed; `None` if there is none, or the system cannot tell.
+    pub fn at(path: &Path) -> Option<Self> {
+        // Asked by name: opening a pipe would wait.
+        #[cfg(unix)]
+        return Some(Self::of_metadata(&std::fs::metadata(path).ok()?));
+        #[cfg(windows)]
+        return Self::of_handle(winapi_util::Handle::from_path_any(path).ok()?);
+        #[cfg(not(any(unix, windows)))]
+        return None;
+    }
+
+    /// The file that is open as `file`.
+    pub fn of(file: &std::fs::File) -> Option<Self> {
+        #[cfg(unix)]
+        return Some(Self::of_metadata(&file.metadata().ok()?));
+        #[cfg(windows)]
+        return Self::of_handle(file);
+        #[cfg(not(any(unix, windows)))]
+        return None;
+    }
+
+    #[cfg(unix)]
+    fn of_metadata(about: &std::fs::Metadata) -> Self {
+        use std::os::unix::fs::MetadataExt;
+        Self { volume: about.dev(), index: about.ino() }
+    }
+
+    #[cfg(windows)]
+    fn of_handle(handle: impl winapi_util::AsHandleRef) -> Option<Self> {
+        let about = winapi_util::file::information(handle).ok()?;
+        Some(Self { volume: about.volume_serial_number(), index: about.file_index() })
+    }
+}

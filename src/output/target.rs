@@ -1,0 +1,256 @@
+//! What has the target's name, and whether an output may replace it.
+
+use super::disk::{self, Folder};
+use super::temporary::split;
+use crate::bytes::{ByteSource, FileId};
+use crate::{Error, Result};
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+/// First bytes of every slice archive (chapter 3).
+pub(crate) const ARCHIVE_MAGIC: [u8; 8] = *b"\x89SLIC\r\n\x1a";
+/// Key by which a plan file is known.
+pub(crate) const PLAN_KEY: &str = "slicewalk_plan";
+/// Within so many bytes of its beginning.
+const PLAN_START: u64 = 4096;
+/// Longest chain of symbolic links.
+const MOST_LINKS: usize = 40;
+
+/// What an output is, which decides what it may replace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A slice archive. It replaces slice archives and empty files alone.
+    Archive(Existing),
+    /// A plan. It replaces plans and empty files alone.
+    Plan(Existing),
+    /// A picture, a table or an export. It replaces any regular file that can be written to, but archives and plans.
+    Result,
+}
+
+/// What becomes of a file that has the name already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Existing {
+    /// It stays, and writing is refused.
+    Refuse,
+    /// It is replaced.
+    Replace,
+    /// It stays if it has the very bytes of the output; else as for [`Refuse`](Self::Refuse).
+    KeepSame,
+}
+
+impl Existing {
+    /// Whether the user allows to replace (`--force`).
+    pub fn replaced_if(allowed: bool) -> Self {
+        if allowed { Self::Replace } else { Self::Refuse }
+    }
+}
+
+impl Kind {
+    pub(super) fn existing(self) -> Existing {
+        match self {
+            Self::Archive(existing) | Self::Plan(existing) => existing,
+            Self::Result => Existing::Replace,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Archive(_) => "a slice archive",
+            Self::Plan(_) => "a plan",
+            Self::Result => "a picture, table or export",
+        }
+    }
+
+    /// Whether the output may take the place of `content`.
+    fn replaces(self, content: Content) -> bool {
+        match self {
+            Self::Archive(_) => matches!(content, Content::Archive | Content::Nothing),
+            Self::Plan(_) => matches!(content, Content::Plan | Content::Nothing),
+            Self::Result => matches!(content, Content::Other | Content::Nothing),
+        }
+    }
+}
+
+/// Files that no output replaces, because the command reads them.
+#[derive(Debug, Clone, Default)]
+pub struct Protected(Vec<FileId>);
+
+impl Protected {
+    /// Protects the file at `path`; nothing if there is none.
+    pub fn add(&mut self, path: impl AsRef<Path>) {
+        self.0.extend(FileId::at(path.as_ref()));
+    }
+
+    /// Protects the file that `source` reads, if it reads one.
+    pub fn add_source(&mut self, source: &dyn ByteSource) {
+        self.0.extend(source.file_id());
+    }
+
+    fn holds(&self, path: &Path) -> bool {
+        !self.0.is_empty() && FileId::at(path).is_some_and(|id| self.0.contains(&id))
+    }
+}
+
+impl<P: AsRef<Path>> FromIterator<P> for Protected {
+    fn from_iter<I: IntoIterator<Item = P>>(paths: I) -> Self {
+        let mut protected = Self::default();
+        paths.into_iter().for_each(|path| protected.add(path));
+        protected
+    }
+}
+
+/// Where an output goes.
+#[derive(Debug)]
+pub(super) enum Place {
+    /// A regular file, links followed: its path, its folder, and whether it was there.
+    File { path: PathBuf, folder: Folder, existed: bool },
+    /// A pipe, a terminal or a device.
+    Stream(File),
+}
+
+impl Place {
+    /// Follows the links of `name`, and refuses what may not be replaced.
+    pub fn find(name: &Path, kind: Kind, protected: &Protected) -> Result<Self> {
+        let (path, is_descriptor) = follow(name)?;
+        let about = disk::metadata(&path);
+        let stream = about.as_ref().is_ok_and(|about| about.as_ref().is_some_and(is_stream));
+        if is_descriptor || stream {
+            if kind != Kind::Result {
+                let reason = format!("is no regular file, as {} has to be; choose another name", kind.name());
+                return Err(Error::output(name, reason));
+            }
+            // What a shell opened is not replaced, but it is written to.
+            let regular = about.is_ok_and(|about| about.is_some_and(|about| about.is_file()));
+            if regular && protected.holds(&path) {
+                return Err(is_read(name));
+            }
+            let stream = disk::open_stream(&path).map_err(|error| Error::io(name, "open", error))?;
+            return Ok(Self::Stream(stream));
+        }
+        let existed = judge(name, &path, kind, protected)? == Judged::Replaceable;
+        let (folder, _) = split(&path)?;
+        let folder = Folder::open(folder).map_err(|error| Error::io(name, "open its folder", error))?;
+        Ok(Self::File { path, folder, existed })
+    }
+}
+
+/// Where the symbolic links of `name` lead, and whether that is something that the process has open (`/dev/stdout`).
+fn follow(name: &Path) -> Result<(PathBuf, bool)> {
+    let mut path = name.to_path_buf();
+    for _ in 0..MOST_LINKS {
+        if is_descriptor(&path) {
+            return Ok((path, true));
+        }
+        match std::fs::read_link(&path) {
+            Ok(to) => path = path.parent().unwrap_or(Path::new("")).join(to),
+            // No link: what it is else, if anything, shows when it is used.
+            Err(_) => return Ok((path, false)),
+        }
+    }
+    Err(Error::output(name, "is a link that leads to itself; choose another name"))
+}
+
+/// Whether `path` names a descriptor: `/dev/fd/1`, `/proc/self/fd/1`.
+fn is_descriptor(path: &Path) -> bool {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    folder == Path::new("/dev/fd") || folder.starts_with("/proc") && folder.ends_with("fd")
+}
+
+/// Pipes, terminals, sockets and devices but disks.
+#[cfg(unix)]
+fn is_stream(about: &std::fs::Metadata) -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    let kind = about.file_type();
+    kind.is_fifo() || kind.is_char_device() || kind.is_socket()
+}
+
+#[cfg(not(unix))]
+fn is_stream(about: &std::fs::Metadata) -> bool {
+    !about.is_file() && !about.is_dir()
+}
+
+/// What [`judge`] found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Judged {
+    /// Nothing has the name.
+    Free,
+    /// What has it may be replaced, or compared.
+    Replaceable,
+}
+
+/// Refuses what an output of `kind` must not replace. `name` is what the user calls `path`.
+pub(super) fn judge(name: &Path, path: &Path, kind: Kind, protected: &Protected) -> Result<Judged> {
+    let refuse = |reason: String| Err(Error::output(name, reason));
+    let about = match disk::metadata(path) {
+        Ok(Some(about)) => about,
+        Ok(None) => return Ok(Judged::Free),
+        Err(error) => return Err(Error::io(name, "examine the existing file", error)),
+    };
+    if about.is_dir() {
+        return refuse("is a folder; choose another name".into());
+    }
+    if !about.is_file() {
+        return refuse("is no regular file; choose another name".into());
+    }
+    if protected.holds(path) {
+        return Err(is_read(name));
+    }
+    let content = Content::of(path).map_err(|error| Error::io(name, "examine the existing file", error))?;
+    if !kind.replaces(content) {
+        return refuse(match (kind, content.name()) {
+            (Kind::Result, Some(content)) => {
+                format!("is {content}, which {} never replaces; choose another name", kind.name())
+            }
+            _ => format!("exists and is not {}, so it is not replaced; choose another name", kind.name()),
+        });
+    }
+    match kind {
+        Kind::Archive(Existing::Refuse) | Kind::Plan(Existing::Refuse) => {
+            refuse("exists already; --force replaces it".into())
+        }
+        Kind::Result if about.permissions().readonly() => {
+            refuse("exists and is read-only; make it writable, or choose another name".into())
+        }
+        _ => Ok(Judged::Replaceable),
+    }
+}
+
+fn is_read(name: &Path) -> Error {
+    Error::output(name, "is a file that this command reads, maybe under another name; choose another output")
+}
+
+/// What a file holds, by its beginning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Content {
+    Nothing,
+    Archive,
+    Plan,
+    Other,
+}
+
+impl Content {
+    fn of(path: &Path) -> io::Result<Self> {
+        let mut start = Vec::new();
+        disk::open(path)?.take(PLAN_START).read_to_end(&mut start)?;
+        let is_plan = || {
+            let text = String::from_utf8_lossy(&start);
+            text.trim_start_matches('\u{feff}').trim_start().starts_with('{')
+                && text.contains(&format!("\"{PLAN_KEY}\""))
+        };
+        Ok(match &start[..] {
+            [] => Self::Nothing,
+            start if start.starts_with(&ARCHIVE_MAGIC) => Self::Archive,
+            _ if is_plan() => Self::Plan,
+            _ => Self::Other,
+        })
+    }
+
+    fn name(self) -> Option<&'static str> {
+        match self {
+            Self::Archive => Some("a slice archive"),
+            Self::Plan => Some("a plan"),
+            Self::Nothing | Self::Other => None,
+        }
+    }
+}

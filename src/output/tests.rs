@@ -1,0 +1,352 @@
+use super::disk::{Call, faults};
+use super::*;
+use std::cell::Cell;
+use std::fs;
+use std::rc::Rc;
+use tempfile::TempDir;
+
+const ARCHIVE: Kind = Kind::Archive(Existing::Refuse);
+const ARCHIVE_OVER: Kind = Kind::Archive(Existing::Replace);
+const MERGED: Kind = Kind::Archive(Existing::KeepSame);
+const PLAN: Kind = Kind::Plan(Existing::Refuse);
+const PLAN_OVER: Kind = Kind::Plan(Existing::Replace);
+
+fn archive(content: &str) -> Vec<u8> {
+    [&ARCHIVE_MAGIC[..], content.as_bytes()].concat()
+}
+
+fn plan(content: &str) -> Vec<u8> {
+    format!("{{\n  \"{PLAN_KEY}\": 1, \"{content}\": 2}}").into_bytes()
+}
+
+/// Something of the sort that an output of `kind` may replace.
+fn sort(kind: Kind, content: &str) -> Vec<u8> {
+    match kind {
+        Kind::Archive(_) => archive(content),
+        Kind::Plan(_) => plan(content),
+        Kind::Result => content.into(),
+    }
+}
+
+fn publish(target: &Path, kind: Kind, bytes: &[u8]) -> Result<bool> {
+    publish_beside(target, kind, bytes, Protected::default())
+}
+
+fn publish_beside(target: &Path, kind: Kind, bytes: &[u8], protected: Protected) -> Result<bool> {
+    let mut output = Output::create(target, kind, protected)?;
+    output.write_at(0, bytes)?;
+    output.publish()
+}
+
+/// A folder, and a target in it that holds `old`.
+fn place(old: Option<&[u8]>) -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("target.x");
+    if let Some(old) = old {
+        fs::write(&target, old).unwrap();
+    }
+    (folder, target)
+}
+
+fn names(folder: &TempDir) -> Vec<String> {
+    let names = fs::read_dir(folder.path()).unwrap();
+    let mut names: Vec<_> = names.map(|name| name.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
+    for (kind, old) in [(ARCHIVE, false), (ARCHIVE_OVER, true), (ARCHIVE_OVER, false), (PLAN_OVER, true)]
+        .into_iter()
+        .chain([(MERGED, false), (Kind::Result, true), (Kind::Result, false)])
+    {
+        let old = old.then(|| sort(kind, "old"));
+        let new = sort(kind, "new");
+        let (mut refused, mut not_durable) = (0, 0);
+        for fails in 0.. {
+            let (folder, target) = place(old.as_deref());
+            let (number, met) = (Cell::new(0), Rc::new(Cell::new(None)));
+            let failed = met.clone();
+            let hook = move |call| {
+                if number.replace(number.get() + 1) != fails {
+                    return Ok(());
+                }
+                failed.set(Some(call));
+                Err(io::Error::other("made to fail"))
+            };
+            let done = faults::with(hook, || publish(&target, kind, &new));
+            let there = fs::read(&target).ok();
+            let call = met.get();
+            match &done {
+                Ok(_) => assert_eq!(there.as_ref(), Some(&new), "{kind:?}, {call:?}"),
+                Err(Error::NotDurable { .. }) => {
+                    assert_eq!((there.as_ref(), call), (Some(&new), Some(Call::SyncFolder)), "{kind:?}");
+                    not_durable += 1;
+                }
+                Err(error) => {
+                    assert_eq!(there, old, "{kind:?}, {call:?}");
+                    assert!(error.to_string().contains("made to fail"), "{kind:?}, {call:?}: {error}");
+                    refused += 1;
+                }
+            }
+            assert!(names(&folder).iter().all(|name| name == "target.x"), "{kind:?}, {call:?}: {:?}", names(&folder));
+            if call.is_none() {
+                break;
+            }
+        }
+        assert!(refused >= 6 && not_durable == 1, "{kind:?}: {refused} {not_durable}");
+    }
+}
+
+#[test]
+fn signals_that_interrupt_every_call_change_nothing() {
+    for kind in [ARCHIVE, ARCHIVE_OVER, Kind::Result] {
+        let old = (kind != ARCHIVE).then(|| sort(kind, "old"));
+        let (folder, target) = place(old.as_deref());
+        fs::write(folder.path().join(".target.x.slicewalk-0123456789abcdef.part"), "of a killed run").unwrap();
+        let mut number = 0;
+        let hook = move |_| {
+            number += 1;
+            if number % 3 > 0 { Err(ErrorKind::Interrupted.into()) } else { Ok(()) }
+        };
+        assert!(faults::with(hook, || publish(&target, kind, &sort(kind, "new"))).unwrap());
+        assert_eq!(fs::read(&target).unwrap(), sort(kind, "new"));
+        assert_eq!(names(&folder), ["target.x"]);
+    }
+}
+
+/// A hook that writes `bytes` to `target` when `at` is called first.
+fn appears(at: Call, target: &Path, bytes: Vec<u8>) -> impl FnMut(Call) -> io::Result<()> + 'static {
+    let mut what = Some((target.to_path_buf(), bytes));
+    move |call| match what.take_if(|_| call == at) {
+        Some((target, bytes)) => fs::write(target, bytes),
+        None => Ok(()),
+    }
+}
+
+#[test]
+fn what_appears_while_the_output_is_synced_stays_and_the_output_is_kept() {
+    for kind in [ARCHIVE, MERGED, PLAN] {
+        for at in [Call::Sync, Call::RenameNew] {
+            let (folder, target) = place(None);
+            let (there, new) = (sort(kind, "appeared"), sort(kind, "new"));
+            let hook = appears(at, &target, there.clone());
+            let said = faults::with(hook, || publish(&target, kind, &new)).unwrap_err().to_string();
+            assert!(said.contains("another file got this name"), "{said}");
+            assert_eq!(fs::read(&target).unwrap(), there);
+            let names = names(&folder);
+            let kept = names.iter().find(|name| name.starts_with("target.slicewalk-") && name.ends_with(".x")).unwrap();
+            assert!(names.len() == 2 && said.contains(kept), "{said}");
+            assert_eq!(fs::read(folder.path().join(kept)).unwrap(), new);
+        }
+    }
+}
+
+#[test]
+fn what_appears_before_the_rename_is_judged_too() {
+    for at in [Call::Sync, Call::RenameNew] {
+        for (kind, appeared, is_replaced) in [
+            (Kind::Result, b"a picture".to_vec(), true),
+            (Kind::Result, archive("precious"), false),
+            (ARCHIVE_OVER, archive("old"), true),
+            (ARCHIVE_OVER, b"a scan".to_vec(), false),
+        ] {
+            let (folder, target) = place(None);
+            let new = sort(kind, "new");
+            let hook = appears(at, &target, appeared.clone());
+            let done = faults::with(hook, || publish(&target, kind, &new));
+            assert_eq!(done.is_ok(), is_replaced, "{kind:?}, {at:?}");
+            assert_eq!(fs::read(&target).unwrap(), if is_replaced { new } else { appeared });
+            assert_eq!(names(&folder), ["target.x"]);
+        }
+    }
+}
+
+#[test]
+fn each_kind_replaces_its_own_sort_only() {
+    let contents = [archive("a"), plan("a"), b"a picture or a scan".to_vec(), Vec::new()];
+    for (kind, replaces) in [
+        (ARCHIVE, [false; 4]),
+        (ARCHIVE_OVER, [true, false, false, true]),
+        (MERGED, [false; 4]),
+        (PLAN, [false; 4]),
+        (PLAN_OVER, [false, true, false, true]),
+        (Kind::Result, [false, false, true, true]),
+    ] {
+        for (content, replaced) in contents.iter().zip(replaces) {
+            let (folder, target) = place(Some(content));
+            let new = sort(kind, "new");
+            let done = publish(&target, kind, &new);
+            assert_eq!(done.is_ok(), replaced, "{kind:?}: {done:?}");
+            assert_eq!(&fs::read(&target).unwrap(), if replaced { &new } else { content });
+            assert_eq!(names(&folder), ["target.x"]);
+            // Where --force helps, it is named, and only there.
+            let helps = matches!(kind, Kind::Archive(_) if content.starts_with(&ARCHIVE_MAGIC) || content.is_empty())
+                || matches!(kind, Kind::Plan(_) if content.starts_with(b"{") || content.is_empty());
+            let said = done.map_or_else(|error| error.to_string(), |_| String::new());
+            assert!(replaced || said.contains("--force") == helps, "{kind:?}: {said}");
+        }
+    }
+    // The very bytes count as written, and the file is left alone.
+    let (_folder, target) = place(Some(&archive("same")));
+    let before = crate::bytes::FileId::at(&target);
+    assert!(!publish(&target, MERGED, &archive("same")).unwrap());
+    assert_eq!(crate::bytes::FileId::at(&target), before);
+}
+
+#[test]
+fn a_failed_write_is_never_published() {
+    let (folder, target) = place(Some(b"old"));
+    let mut output = Output::create(&target, Kind::Result, Protected::default()).unwrap();
+    let hook = |call| if call == Call::Write { Err(io::Error::other("disk is full")) } else { Ok(()) };
+    assert!(faults::with(hook, || output.write_all(b"new")).unwrap_err().to_string().contains("disk is full"));
+    output.write_all(b"more").unwrap();
+    assert!(output.publish().is_err());
+    assert_eq!((fs::read(&target).unwrap(), names(&folder)), (b"old".to_vec(), vec!["target.x".to_owned()]));
+}
+
+#[test]
+fn bytes_go_where_writes_and_seeks_say() {
+    let (_folder, target) = place(None);
+    let mut output = Output::create(&target, Kind::Result, Protected::default()).unwrap();
+    output.write_all(b"hello world").unwrap();
+    assert_eq!(output.seek(SeekFrom::Start(1)).unwrap(), 1);
+    output.write_all(b"a").unwrap();
+    assert_eq!(output.seek(SeekFrom::End(-1)).unwrap(), 10);
+    output.write_all(b"ms").unwrap();
+    assert_eq!(output.seek(SeekFrom::Current(-2)).unwrap(), 10);
+    assert!(output.seek(SeekFrom::Current(-11)).is_err());
+    output.publish().unwrap();
+    assert_eq!(fs::read(&target).unwrap(), b"hallo worlms");
+}
+
+#[test]
+fn what_is_no_file_or_has_no_folder_is_refused() {
+    let (folder, target) = place(None);
+    for name in [folder.path().to_path_buf(), folder.path().join(".."), folder.path().join("no/such"), target.join("x")]
+    {
+        fs::write(&target, "").unwrap();
+        for kind in [ARCHIVE_OVER, Kind::Result] {
+            let said = publish(&name, kind, b"new").unwrap_err().to_string();
+            assert!(said.contains(folder.path().to_str().unwrap()) && said.lines().count() == 1, "{said}");
+        }
+    }
+    assert_eq!(names(&folder), ["target.x"]);
+}
+
+#[cfg(unix)]
+mod on_unix {
+    use super::*;
+    use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt, symlink};
+
+    #[test]
+    fn links_stay_and_what_they_name_is_replaced_or_made() {
+        for kind in [ARCHIVE_OVER, Kind::Result] {
+            let (folder, target) = place(Some(&sort(kind, "old")));
+            fs::create_dir(folder.path().join("sub")).unwrap();
+            let (link, far, nothing) =
+                (folder.path().join("link"), folder.path().join("sub/far"), folder.path().join("sub/nothing"));
+            symlink("target.x", &link).unwrap();
+            symlink("../link", &far).unwrap();
+            symlink("made", &nothing).unwrap();
+            publish(&far, kind, &sort(kind, "new")).unwrap();
+            publish(&nothing, kind, &sort(kind, "new")).unwrap();
+            assert_eq!(fs::read(&target).unwrap(), sort(kind, "new"));
+            assert_eq!(fs::read(folder.path().join("sub/made")).unwrap(), sort(kind, "new"));
+            for link in [&link, &far, &nothing] {
+                assert!(fs::symlink_metadata(link).unwrap().is_symlink());
+            }
+            let round = folder.path().join("round");
+            symlink("round", &round).unwrap();
+            assert!(publish(&round, kind, b"new").unwrap_err().to_string().contains("leads to itself"));
+            assert_eq!(names(&folder), ["link", "round", "sub", "target.x"]);
+        }
+        // Without leave to replace, a link to an archive is an archive.
+        let (folder, target) = place(Some(&archive("old")));
+        let link = folder.path().join("link");
+        symlink(&target, &link).unwrap();
+        assert!(publish(&link, ARCHIVE, &archive("new")).unwrap_err().to_string().contains("--force"));
+    }
+
+    #[test]
+    fn what_is_read_is_not_replaced_under_any_name() {
+        for kind in [ARCHIVE_OVER, MERGED, Kind::Result] {
+            let (folder, target) = place(Some(&sort(kind, "read")));
+            let (hard, soft) = (folder.path().join("hard"), folder.path().join("soft"));
+            fs::hard_link(&target, &hard).unwrap();
+            symlink(&target, &soft).unwrap();
+            let odd = folder.path().join("./target.x");
+            for (read, name) in
+                [(&target, &target), (&target, &hard), (&hard, &target), (&target, &soft), (&soft, &odd)]
+            {
+                let protected = [read].into_iter().collect();
+                let said = publish_beside(name, kind, b"new", protected).unwrap_err().to_string();
+                assert!(said.contains("this command reads"), "{said}");
+            }
+            // A name that becomes one of a file that is read while the output is written.
+            let late = folder.path().join("late");
+            let (from, to) = (target.clone(), late.clone());
+            let mut links = Some(());
+            let hook = move |call| match links.take_if(|_| call == Call::Sync) {
+                Some(()) => fs::hard_link(&from, &to),
+                None => Ok(()),
+            };
+            let done = faults::with(hook, || publish_beside(&late, kind, b"new", [&target].into_iter().collect()));
+            assert!(done.is_err());
+            assert_eq!(fs::read(&target).unwrap(), sort(kind, "read"));
+            assert_eq!(fs::read(&late).unwrap(), sort(kind, "read"));
+        }
+    }
+
+    #[test]
+    fn devices_are_written_to_and_stay() {
+        let (folder, _) = place(None);
+        let null = folder.path().join("null");
+        symlink("/dev/null", &null).unwrap();
+        assert!(publish(&null, Kind::Result, b"new").unwrap());
+        for kind in [ARCHIVE_OVER, PLAN_OVER] {
+            assert!(publish(&null, kind, b"new").unwrap_err().to_string().contains("no regular file"));
+        }
+        assert!(fs::metadata(&null).unwrap().file_type().is_char_device());
+        if Path::new("/dev/full").exists() {
+            let full = folder.path().join("full");
+            symlink("/dev/full", &full).unwrap();
+            assert!(publish(&full, Kind::Result, b"new").unwrap_err().to_string().contains("full: cannot write"));
+            assert!(fs::metadata(&full).unwrap().file_type().is_char_device());
+        }
+        assert!(names(&folder).iter().all(|name| name == "null" || name == "full"));
+    }
+
+    #[test]
+    fn a_pipe_under_the_name_of_a_leftover_holds_nobody_up() {
+        let (folder, target) = place(None);
+        let pipe = folder.path().join(".target.x.slicewalk-0123456789abcdef.part");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        if !made.is_ok_and(|status| status.success()) {
+            eprintln!("skipped: no pipe can be made here");
+            return;
+        }
+        publish(&target, ARCHIVE, b"new").unwrap();
+        assert!(pipe.exists() && target.exists());
+    }
+
+    #[test]
+    fn a_new_file_has_the_permissions_of_any_and_another_no_more_than_what_it_replaces() {
+        let mode = |path: &Path| fs::metadata(path).unwrap().mode() & 0o777;
+        for kind in [ARCHIVE_OVER, PLAN_OVER, Kind::Result] {
+            let (folder, target) = place(None);
+            let plain = folder.path().join("plain");
+            fs::write(&plain, "").unwrap();
+            publish(&target, kind, &sort(kind, "new")).unwrap();
+            assert_eq!(mode(&target), mode(&plain));
+            fs::set_permissions(&target, fs::Permissions::from_mode(0o600)).unwrap();
+            publish(&target, kind, &sort(kind, "newer")).unwrap();
+            assert_eq!(mode(&target), 0o600);
+        }
+        let (_folder, target) = place(Some(b"old"));
+        fs::set_permissions(&target, fs::Permissions::from_mode(0o444)).unwrap();
+        assert!(publish(&target, Kind::Result, b"new").unwrap_err().to_string().contains("read-only"));
+        assert_eq!(fs::read(&target).unwrap(), b"old");
+    }
+}
