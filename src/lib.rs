@@ -98,6 +98,7 @@ println!("{} voxels", report.header.voxels.occupied);
 //! | keep pages in memory | [`store`], [`slice`](mod@slice) |
 //! | ask | [`query`], [`object`] |
 //! | walk | [`walk`] |
+//! | find out where one can walk, and the way | [`reach`] |
 //! | the grid, errors, progress | [`frame`], [`error`], [`monitor`] |
 //!
 //! Without default features the crate only reads: no conversion, and nothing that a browser does not have.
@@ -147,6 +148,8 @@ pub mod query;
 pub mod object;
 
 pub mod walk;
+
+pub mod reach;
 
 pub use error::{Error, Result};
 pub use monitor::{Monitor, NoMonitor};

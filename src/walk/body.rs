@@ -69,7 +69,7 @@ impl Body {
         }
     }
 
-    pub(super) fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         let half = self.half();
         let fits = |v: f64| v > 0.0 && v.is_finite();
         if fits(half.x) && fits(half.y) && fits(self.height()) {

@@ -5,10 +5,13 @@ mod demo;
 mod diff;
 mod export;
 mod extract;
+mod ground;
 mod info;
 mod merge;
 mod query;
+mod reach;
 mod recover;
+mod route;
 mod show;
 mod stats;
 mod verify;
@@ -96,6 +99,10 @@ enum Command {
     Query(query::Arguments),
     /// Walk a pawn along waypoints and write its path
     Walk(walk::Arguments),
+    /// Find out where a pawn can walk, how narrow it gets, and where it leaks
+    Reach(reach::Arguments),
+    /// Find the shortest way of a pawn between two places
+    Route(route::Arguments),
     /// Generate a scan, convert it, verify, query against brute force, draw slices
     Demo(demo::Arguments),
 }
@@ -140,6 +147,8 @@ fn main() -> ExitCode {
         Command::Extract(arguments) => extract::run(&arguments),
         Command::Query(arguments) => query::run(&arguments),
         Command::Walk(arguments) => walk::run(&arguments),
+        Command::Reach(arguments) => reach::run(&arguments),
+        Command::Route(arguments) => route::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
     };
     let (text, code) = match outcome {

@@ -20,7 +20,7 @@ pub struct Arguments {
     /// Where the feet stand first (m); if in the air, the pawn falls
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     start: Point3<f64>,
-    /// Places to reach one after the other: columns x,y (a header is optional)
+    /// Places to reach one after the other: columns x,y or x,y,z (a header is optional)
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
@@ -73,11 +73,13 @@ fn numbers<const N: usize>(text: &str, separator: char) -> Option<[f64; N]> {
     values?.try_into().ok()
 }
 
-fn point(text: &str) -> Result<Point3<f64>, String> {
+/// Three numbers apart by commas.
+pub fn point(text: &str) -> Result<Point3<f64>, String> {
     numbers::<3>(text, ',').map(Point3::from).ok_or_else(|| "expected three numbers X,Y,Z".into())
 }
 
-fn body(text: &str) -> Result<Body, String> {
+/// A shape of a pawn.
+pub fn body(text: &str) -> Result<Body, String> {
     let wrong = || "expected box:0.5x0.5x1.8 or cylinder:0.25x1.8 (m, above 0)".to_owned();
     let positive = |values: &[f64]| values.iter().all(|v| *v > 0.0);
     match text.split_once(':').ok_or_else(wrong)? {

@@ -1,0 +1,205 @@
+//! Standing places, tile by tile, and the steps between neighbours.
+
+use super::intervals::{Interval, Lists, NONE};
+use super::pawn::{Grid, Pawn};
+use super::{Needs, answer};
+use crate::Result;
+use crate::query::Answer;
+use crate::store::PageSet;
+use nalgebra::Point3;
+use std::collections::HashMap;
+use std::ops::ControlFlow;
+
+/// Edge of a tile (pixels).
+const TILE: usize = 64;
+/// [`Interval`]s without floor near their top.
+pub(super) const NO_FLOOR: u16 = u16::MAX;
+
+/// What an interval's top is good for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Kind {
+    /// No floor: too steep, or the top of something.
+    Refused,
+    /// Floor under the footprint, none under its middle.
+    Bridge,
+    /// A standing place.
+    Standing,
+}
+
+/// An interval that blocks the pawn over one pixel.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Block {
+    pub bottom: i32,
+    pub top: i32,
+    /// How far floor lies below the top, or [`NO_FLOOR`] (quanta).
+    pub below: u16,
+    pub kind: Kind,
+}
+
+/// All blocks of one tile.
+#[derive(Debug)]
+pub(super) struct Tile {
+    pub at: [i32; 2],
+    pub starts: Box<[u32]>,
+    pub blocks: Box<[Block]>,
+}
+
+impl Tile {
+    pub fn column(&self, [i, j]: [i32; 2]) -> &[Block] {
+        let cell = (((j & 63) << 6) | (i & 63)) as usize;
+        &self.blocks[self.starts[cell] as usize..self.starts[cell + 1] as usize]
+    }
+}
+
+/// Where a step to a neighbouring pixel ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Step {
+    /// On the block with this number in the pixel's column.
+    To(usize),
+    /// Matter in the way, or no room for the head.
+    Blocked,
+    /// On what is no floor.
+    Refused,
+    /// Deeper than the pawn drops.
+    Open,
+}
+
+/// A standing place of a [`Ground`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Spot {
+    pub(super) pixel: [i32; 2],
+    /// Number in the pixel's column.
+    pub(super) place: usize,
+    pub(super) top: i32,
+}
+
+/// The standing places of one pawn in a set of pages, for the tiles that were asked for so far.
+///
+/// Many regions and routes share it. Memory: see the [module text](super).
+#[derive(Debug)]
+pub struct Ground {
+    pub(super) grid: Grid,
+    pub(super) tiles: Vec<Tile>,
+    numbers: HashMap<[i32; 2], usize>,
+}
+
+impl Ground {
+    /// The ground of `set` for `pawn`; no tile is computed yet. Fails for a pawn that is none, and for a set of pages larger than
+    /// 2²⁴ tiles or 2¹⁶ layers.
+    pub fn new<S: PageSet>(set: &S, pawn: Pawn) -> Result<Self> {
+        Ok(Self { grid: Grid::new(set, pawn)?, tiles: Vec::new(), numbers: HashMap::new() })
+    }
+
+    /// The pawn.
+    pub fn pawn(&self) -> &Pawn {
+        &self.grid.pawn
+    }
+
+    /// Bytes of memory that the tiles computed so far take.
+    pub fn memory_bytes(&self) -> usize {
+        let tile = |tile: &Tile| size_of_val::<[u32]>(&tile.starts) + size_of_val::<[Block]>(&tile.blocks);
+        self.tiles.iter().map(|own| tile(own) + 2 * size_of::<Tile>()).sum()
+    }
+
+    /// The standing place under `at` (m); `None` if the pawn cannot stand there. That is the place below which matter begins,
+    /// as far down as that may be, or as far above as the pawn climbs.
+    pub fn spot<S: PageSet>(&mut self, set: &S, at: Point3<f64>) -> Answer<Option<Spot>> {
+        answer(self.find(set, at))
+    }
+
+    fn find<S: PageSet>(&mut self, set: &S, at: Point3<f64>) -> Needs<Option<Spot>> {
+        let Some(pixel) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(None) };
+        let level = self.grid.level(at.z);
+        let tile = self.tile(set, pixel)?;
+        let column = self.tiles[tile].column(pixel);
+        let place = column.partition_point(|block| block.top <= level.saturating_add(self.grid.up)).checked_sub(1);
+        let fits = |place: &usize| {
+            column[*place].kind == Kind::Standing && column.get(place + 1).is_none_or(|next| next.bottom >= level)
+        };
+        ControlFlow::Continue(place.filter(fits).map(|place| Spot { pixel, place, top: column[place].top }))
+    }
+
+    /// Number of the tile with `pixel`, which lies in the set; computes it if need be.
+    pub(super) fn tile<S: PageSet>(&mut self, set: &S, pixel: [i32; 2]) -> Needs<usize> {
+        let at = pixel.map(|pixel| pixel >> 6);
+        if let Some(&number) = self.numbers.get(&at) {
+            return ControlFlow::Continue(number);
+        }
+        let tile = compute(set, &self.grid, at)?;
+        self.numbers.insert(at, self.tiles.len());
+        self.tiles.push(tile);
+        ControlFlow::Continue(self.tiles.len() - 1)
+    }
+
+    /// Where the pawn gets from block `place` of `column` in the neighbouring pixel along an axis, with blocks `next`.
+    pub(super) fn step(&self, column: &[Block], place: usize, next: &[Block], axis: usize) -> Step {
+        let (grid, from) = (&self.grid, column[place]);
+        // Climbing counts from the floor, so that no ledge is climbed in parts.
+        let rise = if from.below == NO_FLOOR { grid.near } else { grid.up - i32::from(from.below) };
+        let limit = from.top + rise.max(0);
+        let (below, above) = next.split_at(next.partition_point(|block| block.top <= limit));
+        let to = below.last();
+        let level = to.map_or(from.top, |block| block.top.max(from.top));
+        // Without anything to stand on the body goes on at its own height.
+        let fits = |above: Option<&Block>, level: i32| above.is_none_or(|block| block.bottom - level >= grid.height);
+        let drops = to.is_none_or(|block| from.top - block.top > grid.drop);
+        let is_step = to.is_some_and(|block| from.top - block.top <= grid.up.min(grid.drop));
+        let is_free = if grid.lets_go[axis] && is_step {
+            true
+        } else {
+            fits(above.first(), level) && fits(column.get(place + 1), level)
+        };
+        match to {
+            _ if !is_free => Step::Blocked,
+            _ if drops => Step::Open,
+            Some(block) if block.kind == Kind::Refused => Step::Refused,
+            _ => Step::To(below.len() - 1),
+        }
+    }
+}
+
+/// The blocks of the tile `at`, or the pages that it takes.
+fn compute<S: PageSet>(set: &S, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
+    let ahead = grid.ahead;
+    let margin = grid.half.map(|half| half + ahead);
+    let corner = [0, 1].map(|axis| at[axis] * TILE as i32 - margin[axis]);
+    let size = margin.map(|margin| TILE + 2 * margin as usize);
+    let matter = Lists::read(set, grid, corner, size)?;
+    let under = matter.under(&grid.rects, grid.half, grid.height);
+    let foot = matter.under(&[[grid.foot; 2]], margin, grid.height);
+    let (mut starts, mut blocks) = (Vec::with_capacity(TILE * TILE + 1), Vec::new());
+    starts.push(0);
+    for y in 0..TILE {
+        for x in 0..TILE {
+            for interval in under.at(x + ahead as usize, y + ahead as usize) {
+                blocks.push(judge(grid, interval, &under, [x, y], foot.at(x, y)));
+            }
+            starts.push(blocks.len() as u32);
+        }
+    }
+    ControlFlow::Continue(Tile { at, starts: starts.into(), blocks: blocks.into() })
+}
+
+/// Distance from the top down to floor, if that is near.
+fn floor_below(grid: &Grid, interval: &Interval) -> Option<u16> {
+    let near = interval.floor != NONE && interval.top - interval.floor <= grid.near;
+    near.then(|| (interval.top - interval.floor) as u16)
+}
+
+fn judge(grid: &Grid, interval: &Interval, under: &Lists, [x, y]: [usize; 2], foot: &[Interval]) -> Block {
+    let below = floor_below(grid, interval);
+    let is_beside_floor = || {
+        let ahead = 2 * grid.ahead as usize;
+        let level = |other: &Interval| (other.top - interval.top).abs() <= grid.near;
+        let beside =
+            |x: usize, y: usize| under.at(x, y).iter().any(|other| level(other) && floor_below(grid, other).is_some());
+        (y..=y + ahead).any(|y| (x..=x + ahead).any(|x| beside(x, y)))
+    };
+    let under_foot = foot.partition_point(|matter| matter.top <= interval.top).checked_sub(1);
+    let kind = match under_foot {
+        _ if below.is_none() && !is_beside_floor() => Kind::Refused,
+        Some(matter) if interval.top - foot[matter].top <= grid.up => Kind::Standing,
+        _ => Kind::Bridge,
+    };
+    Block { bottom: interval.bottom, top: interval.top, below: below.unwrap_or(NO_FLOOR), kind }
+}

@@ -1,0 +1,187 @@
+//! Matter per pixel as sorted intervals, and their union over footprints.
+//!
+//! Gaps in which the body does not fit are closed as soon as they show: a union only makes gaps smaller, so nothing is lost, and
+//! lists stay as short as the scene has storeys. Unions over windows double their length at each pass, for the union of a thing
+//! with itself changes nothing (van Herk's windows without the inverse).
+
+use super::pawn::Grid;
+use crate::frame::{PAGE_QUANTA, PageKey};
+use crate::store::{Missing, PageSet, PageSlot, note};
+use std::ops::ControlFlow;
+
+/// Matter from `bottom` to `top` (quanta); `floor` is the highest top of a floor span in it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interval {
+    pub bottom: i32,
+    pub top: i32,
+    pub floor: i32,
+}
+
+/// Of an interval without floor.
+pub const NONE: i32 = i32::MIN;
+
+/// A list for each pixel of a rectangle, row by row.
+#[derive(Debug, Clone)]
+pub struct Lists {
+    width: usize,
+    height: usize,
+    starts: Vec<u32>,
+    items: Vec<Interval>,
+}
+
+impl Lists {
+    fn with_room(width: usize, height: usize, items: usize) -> Self {
+        let mut starts = Vec::with_capacity(width * height + 1);
+        starts.push(0);
+        Self { width, height, starts, items: Vec::with_capacity(items) }
+    }
+
+    pub fn at(&self, x: usize, y: usize) -> &[Interval] {
+        let cell = y * self.width + x;
+        &self.items[self.starts[cell] as usize..self.starts[cell + 1] as usize]
+    }
+
+    fn end_cell(&mut self) {
+        self.starts.push(self.items.len() as u32);
+    }
+
+    /// The spans of the pixels from `corner` on (pixels from the first tile's), gaps too low for the body closed; or the pages that it
+    /// takes.
+    pub fn read<S: PageSet>(
+        set: &S,
+        grid: &Grid,
+        corner: [i32; 2],
+        [width, height]: [usize; 2],
+    ) -> ControlFlow<Missing, Self> {
+        let last = [corner[0] + width as i32 - 1, corner[1] + height as i32 - 1];
+        let columns = Columns::under(set, grid, corner, last)?;
+        let mut lists = Self::with_room(width, height, 2 * width * height);
+        for j in corner[1]..=last[1] {
+            for i in corner[0]..=last[0] {
+                let own = lists.items.len();
+                for slot in columns.at(i, j) {
+                    let Some(page) = slot.page() else { continue };
+                    let base = (i64::from(slot.layer()) - i64::from(grid.origin[2])) * PAGE_QUANTA;
+                    for span in page.column((i & 63) as u32, (j & 63) as u32) {
+                        let [bottom, top] = [span.bottom(), span.top()].map(|quanta| base as i32 + quanta as i32);
+                        let floor = if span.is_obstacle() { NONE } else { top };
+                        push(&mut lists.items, own, Interval { bottom, top, floor }, grid.height);
+                    }
+                }
+                lists.end_cell();
+            }
+        }
+        ControlFlow::Continue(lists)
+    }
+
+    /// The union over `length` neighbouring cells along an axis, from each cell on.
+    fn windows(&self, length: usize, axis: usize, least: i32) -> Self {
+        let (mut lists, mut have) = (self.clone(), 1);
+        while have < length {
+            let step = have.min(length - have);
+            let (dx, dy) = if axis == 0 { (step, 0) } else { (0, step) };
+            let (width, height) = (lists.width - dx, lists.height - dy);
+            let mut wider = Self::with_room(width, height, lists.items.len());
+            for y in 0..height {
+                for x in 0..width {
+                    join(lists.at(x, y), lists.at(x + dx, y + dy), least, &mut wider.items);
+                    wider.end_cell();
+                }
+            }
+            lists = wider;
+            have += step;
+        }
+        lists
+    }
+
+    /// The union over a footprint of `rects` about each pixel, without the outermost `half` pixels of the lists.
+    pub fn under(&self, rects: &[[i32; 2]], half: [i32; 2], least: i32) -> Self {
+        let [half_x, half_y] = half.map(|half| half as usize);
+        let (width, height) = (self.width - 2 * half_x, self.height - 2 * half_y);
+        let mut union: Option<Self> = None;
+        for &[x, y] in rects {
+            let (kx, ky) = (x as usize, y as usize);
+            let rect = self.windows(2 * kx + 1, 0, least).windows(2 * ky + 1, 1, least);
+            let mut sum = Self::with_room(width, height, rect.items.len());
+            for y in 0..height {
+                for x in 0..width {
+                    let own = rect.at(x + half_x - kx, y + half_y - ky);
+                    match &union {
+                        Some(before) => join(before.at(x, y), own, least, &mut sum.items),
+                        None => sum.items.extend_from_slice(own),
+                    }
+                    sum.end_cell();
+                }
+            }
+            union = Some(sum);
+        }
+        union.unwrap_or_else(|| Self::with_room(0, 0, 0))
+    }
+}
+
+/// The tile columns under a rectangle of pixels.
+struct Columns<'a, T> {
+    first: [i32; 2],
+    width: i32,
+    slots: Vec<&'a [T]>,
+}
+
+impl<'a, T: PageSlot> Columns<'a, T> {
+    fn under<S: PageSet<Slot = T>>(
+        set: &'a S,
+        grid: &Grid,
+        first: [i32; 2],
+        last: [i32; 2],
+    ) -> ControlFlow<Missing, Self> {
+        let (first, last) = (first.map(|pixel| pixel >> 6), last.map(|pixel| pixel >> 6));
+        let mut missing: Option<Missing> = None;
+        let mut slots = Vec::new();
+        for (y, x) in (first[1]..=last[1]).flat_map(|y| (first[0]..=last[0]).map(move |x| (y, x))) {
+            let column = match (grid.origin[0].checked_add(x), grid.origin[1].checked_add(y)) {
+                (Some(tx), Some(ty)) => {
+                    let column = set.column(tx, ty);
+                    for slot in column.iter().filter(|slot| slot.page().is_none()) {
+                        note(&mut missing, PageKey { tx, ty, layer: slot.layer() });
+                    }
+                    column
+                }
+                _ => &[],
+            };
+            slots.push(column);
+        }
+        match missing {
+            Some(missing) => ControlFlow::Break(missing),
+            None => ControlFlow::Continue(Self { first, width: last[0] - first[0] + 1, slots }),
+        }
+    }
+
+    fn at(&self, i: i32, j: i32) -> &'a [T] {
+        self.slots[(((j >> 6) - self.first[1]) * self.width + (i >> 6) - self.first[0]) as usize]
+    }
+}
+
+/// Adds an interval that begins no lower than those from `own` on.
+fn push(items: &mut Vec<Interval>, own: usize, next: Interval, least: i32) {
+    match items[own..].last_mut() {
+        Some(last) if next.bottom - last.top < least => {
+            last.top = last.top.max(next.top);
+            last.floor = last.floor.max(next.floor);
+        }
+        _ => items.push(next),
+    }
+}
+
+/// The union of two lists; gaps below `least` are closed.
+fn join(a: &[Interval], b: &[Interval], least: i32, to: &mut Vec<Interval>) {
+    let own = to.len();
+    let (mut a, mut b) = (a.iter().peekable(), b.iter().peekable());
+    loop {
+        let next = match (a.peek(), b.peek()) {
+            (Some(left), Some(right)) if left.bottom <= right.bottom => a.next(),
+            (_, Some(_)) => b.next(),
+            _ => a.next(),
+        };
+        let Some(next) = next else { return };
+        push(to, own, *next, least);
+    }
+}

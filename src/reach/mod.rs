@@ -1,0 +1,65 @@
+//! Where a pawn can walk: standing places, what can be reached on foot, the way, and every leak.
+//!
+//! In: a [`PageSet`](crate::store::PageSet) and a [`Pawn`]. Out: [`Ground`], the standing places of tile after tile;
+//! [`Region`], those that can be reached from one of them, with area, clearance, [passages](Region::passages) and
+//! [leaks](Leak); and routes ([`Search`]). Nothing is precomputed: each pawn gets its own places from the spans.
+//!
+//! ```text
+//! spans → Ground (intervals that block the pawn, per pixel) → Region (flood, clearance) ┬→ storeys, passages, leaks
+//!                                                                                        └→ Search → Route
+//! ```
+//!
+//! # What counts as standing
+//!
+//! A place is the centre of a pixel and the height of the matter that the feet rest on. The spans of all pixels that the
+//! footprint touches are joined, and gaps lower than the body closed: the top of each joined interval is a place where the
+//! whole body fits. Such a place
+//!
+//! - has **floor** if a floor span ends at most 5 cm below the feet inside the footprint, or if a place with floor at the same
+//!   height (± 5 cm) lies within 25 cm: the edge of a step is an obstacle, its tread comes behind;
+//! - is **standing** if it has floor and matter lies under the middle of the feet (within a pixel), no deeper than the climb
+//!   height;
+//! - is a **bridge** if it has floor but the middle of the feet hangs over a gap: a [walker](crate::walk) passes, so the
+//!   region connects over it, but it counts for neither area nor the list of places.
+//!
+//! From a place the pawn steps to the neighbouring pixels: up to its climb height above the floor that it stands on, with room
+//! for its head on both sides, and down at most [`Pawn::max_drop`]. These are the rules of [`walk`](crate::walk); all arithmetic on places is
+//! on integers, so the answer does not depend on the order in which pages arrive.
+//!
+//! # Memory
+//!
+//! [`Ground`] holds 16 KiB for each tile (64 × 64 pixels) that the search touches and 12 bytes for each place in it;
+//! [`Region`] holds 33 bytes for each place that it reaches; [`Search`] another 12. Pages are needed only while their tile is
+//! computed.
+
+mod distance;
+mod ground;
+mod intervals;
+mod leaks;
+mod passages;
+mod pawn;
+mod region;
+mod route;
+mod storeys;
+
+pub use ground::{Ground, Spot};
+pub use leaks::{Leak, LeakKind};
+pub use passages::Passage;
+pub use pawn::Pawn;
+pub use region::{Flood, Place, Region};
+pub use route::{Refusal, Route, Search};
+pub use storeys::{Storey, Storeys};
+
+use crate::query::Answer;
+use crate::store::Missing;
+use std::ops::ControlFlow;
+
+/// A value, or the pages without which it is not known.
+type Needs<T> = ControlFlow<Missing, T>;
+
+fn answer<T>(needs: Needs<T>) -> Answer<T> {
+    match needs {
+        ControlFlow::Continue(value) => Answer::Known(value),
+        ControlFlow::Break(missing) => Answer::NotLoaded(missing),
+    }
+}

@@ -1,0 +1,210 @@
+//! A pawn on a grid: its sizes as numbers of pixels and quanta.
+
+use crate::frame::{Frame, PAGE_QUANTA};
+use crate::store::PageSet;
+use crate::walk::{Body, FLOOR_NEAR_M};
+use crate::{Error, Result};
+
+/// How far beyond the footprint a floor makes a step out of an edge (m): as far as a walker looks ahead.
+const AHEAD_M: f64 = 0.25;
+/// Lengths that differ by less are equal (pixels): rounding errors of `length / pixel`.
+const EQUAL: f64 = 1e-6;
+/// Greatest extent of a set of pages (tiles, layers): pixels and quanta fit 31 bits.
+const MOST_TILES: i64 = 1 << 24;
+const MOST_LAYERS: i64 = 1 << 16;
+/// Largest footprint (pixels to a side of the middle).
+const MOST_PIXELS: f64 = 512.0;
+
+/// Who walks. All lengths in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pawn {
+    /// Its shape.
+    pub body: Body,
+    /// Highest step that it climbs (m, >= 0, less than its height).
+    pub climb: f64,
+    /// Deepest drop that it takes (m, >= 0).
+    pub max_drop: f64,
+}
+
+impl Pawn {
+    /// A pawn that climbs 0.35 m and steps down as far: wherever it gets it can come back from.
+    pub fn new(body: Body) -> Self {
+        Self { body, climb: 0.35, max_drop: 0.35 }
+    }
+
+    fn check(&self) -> Result<()> {
+        self.body.check()?;
+        if !(0.0..self.body.height()).contains(&self.climb) {
+            let reason = format!("{} m is not allowed; expected 0 to less than the pawn's height", self.climb);
+            return Err(Error::parameter("climb height", reason));
+        }
+        if !(self.max_drop >= 0.0 && self.max_drop.is_finite()) {
+            let reason = format!("{} m is not allowed; expected 0 or more", self.max_drop);
+            return Err(Error::parameter("deepest drop", reason));
+        }
+        Ok(())
+    }
+}
+
+/// A pawn on the grid of a set of pages. Pixels count from the first tile of the set, heights from its lowest layer.
+#[derive(Debug, Clone)]
+pub(super) struct Grid {
+    pub frame: Frame,
+    pub pawn: Pawn,
+    /// First tile and lowest layer of the set, and the number of tiles along x and y.
+    pub origin: [i32; 3],
+    pub tiles: [i32; 2],
+    /// The footprint as a union of rectangles about the middle pixel: pixels to either side along x and y.
+    pub rects: Vec<[i32; 2]>,
+    /// Of all of them the widest.
+    pub half: [i32; 2],
+    /// Along x and y, whether a body has left the pixels behind it when it meets a step: then it needs room for its head above the
+    /// step on the pixels of the step's side alone.
+    pub lets_go: [bool; 2],
+    /// Pixels to either side of the middle of the feet in which matter must lie.
+    pub foot: i32,
+    /// Pixels within which a floor makes a step out of an edge.
+    pub ahead: i32,
+    /// Height of the body, step up, step down, and how near floor must be (quanta).
+    pub height: i32,
+    pub up: i32,
+    pub drop: i32,
+    pub near: i32,
+}
+
+impl Grid {
+    pub fn new<S: PageSet>(set: &S, pawn: Pawn) -> Result<Self> {
+        pawn.check()?;
+        let frame = *set.frame();
+        let (min, max) = set.bounds().map_or(([0; 3], [0; 3]), |bounds| (bounds.min, bounds.max));
+        let extent = [0, 1, 2].map(|axis| i64::from(max[axis]) - i64::from(min[axis]) + 1);
+        for (extent, most) in extent.iter().zip([MOST_TILES, MOST_TILES, MOST_LAYERS]) {
+            if *extent > most {
+                return Err(Error::Limit {
+                    what: "extent of the scan in pages (extract a region first)".into(),
+                    value: extent.to_string(),
+                    max: most.to_string(),
+                });
+            }
+        }
+        let half = pawn.body.half() / frame.pixel_m();
+        if half.max() > MOST_PIXELS {
+            let reason =
+                format!("it is {:.0} pixels wide; at most {:.0} are allowed", 2.0 * half.max(), 2.0 * MOST_PIXELS);
+            return Err(Error::parameter("pawn", reason));
+        }
+        let rects = match pawn.body {
+            Body::Box { .. } => vec![[beside(half.x), beside(half.y)]],
+            Body::Cylinder { .. } => disc(half.x),
+        };
+        let lets_go = [lets_go(half.x), lets_go(half.y)];
+        let widest = |axis: usize| rects.iter().map(|rect| rect[axis]).max().unwrap_or(0);
+        let half = [widest(0), widest(1)];
+        // Far below what overflows, far above any building.
+        let quanta = |metres: f64| (frame.quanta(metres) + EQUAL).min(f64::from(1 << 29)).floor() as i32;
+        Ok(Self {
+            frame,
+            pawn,
+            origin: min,
+            tiles: [extent[0] as i32, extent[1] as i32],
+            half,
+            lets_go,
+            foot: i32::from(half[0].min(half[1]) >= 3),
+            ahead: ((AHEAD_M / frame.pixel_m()) as i32).clamp(1, MOST_PIXELS as i32),
+            rects,
+            // Rounded up, so that a body that fits has room for rounding errors.
+            height: quanta(pawn.body.height()) + 1,
+            // Floors are stored to a quantum, so a step of just the climb height may seem to be one higher.
+            up: quanta(pawn.climb) + 1,
+            drop: quanta(pawn.max_drop) + 1,
+            near: quanta(FLOOR_NEAR_M).clamp(1, i32::from(super::ground::NO_FLOOR) - 1),
+        })
+    }
+
+    /// Pixel of a place (pixels from the first tile's); `None` outside the set.
+    pub fn pixel(&self, x: f64, y: f64) -> Option<[i32; 2]> {
+        let mut pixel = [0; 2];
+        for (axis, value) in [x, y].into_iter().enumerate() {
+            let at = self.frame.pixel_of(value) - 64 * i64::from(self.origin[axis]);
+            if !value.is_finite() || !(0..64 * i64::from(self.tiles[axis])).contains(&at) {
+                return None;
+            }
+            pixel[axis] = at as i32;
+        }
+        Some(pixel)
+    }
+
+    /// Height in quanta, rounded down.
+    pub fn level(&self, z: f64) -> i32 {
+        let level = self.frame.quantum_floor(z) - i64::from(self.origin[2]) * PAGE_QUANTA;
+        level.clamp(i64::from(i32::MIN / 2), i64::from(i32::MAX / 2)) as i32
+    }
+
+    /// World coordinate of the middle of a pixel along an axis (m).
+    pub fn middle(&self, pixel: i32, axis: usize) -> f64 {
+        ((64 * i64::from(self.origin[axis]) + i64::from(pixel)) as f64 + 0.5) * self.frame.pixel_m()
+    }
+
+    /// World height of a top (m).
+    pub fn z(&self, top: i32) -> f64 {
+        self.frame.top_height(i64::from(self.origin[2]) * PAGE_QUANTA + i64::from(top))
+    }
+
+    pub fn is_inside(&self, [i, j]: [i32; 2]) -> bool {
+        i >= 0 && j >= 0 && i >> 6 < self.tiles[0] && j >> 6 < self.tiles[1]
+    }
+}
+
+/// Whether a body has left the pixels behind it when its front meets the next pixel.
+///
+/// In the middle of a pixel it enters `2 · beside + 1` pixels. Its front meets the next one up to half a pixel later, and it
+/// is as long as `2 · half` pixels: if that is no more than `2 · beside`, the last pixel lies behind it by then.
+fn lets_go(half: f64) -> bool {
+    2.0 * half - EQUAL <= f64::from(2 * beside(half))
+}
+
+/// Pixels beside the middle one whose inside an interval of half the length `half` (pixels) enters: walkers may touch matter.
+fn beside(half: f64) -> i32 {
+    ((half - 0.5 - EQUAL).ceil() as i32).max(0)
+}
+
+/// The pixels whose inside a disc about the middle of a pixel enters.
+fn disc(radius: f64) -> Vec<[i32; 2]> {
+    let mut rects: Vec<[i32; 2]> = Vec::new();
+    for row in 0..=beside(radius) {
+        let gap = (f64::from(row) - 0.5).max(0.0);
+        let width = beside((radius * radius - gap * gap).max(0.0).sqrt());
+        match rects.last_mut() {
+            Some(last) if last[0] == width => last[1] = row,
+            _ => rects.push([width, row]),
+        }
+    }
+    rects
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn footprints_hold_the_pixels_that_a_shape_enters() {
+        assert_eq!(beside(5.0), 5);
+        assert_eq!(beside(5.5), 5, "it touches the next pixel");
+        assert_eq!(beside(5.51), 6);
+        assert_eq!(beside(0.3), 0);
+        for radius in [0.2, 0.5, 3.0, 5.0, 12.5] {
+            let rects = disc(radius);
+            for (dx, dy) in (-20i32..=20).flat_map(|dx| (-20i32..=20).map(move |dy| (dx, dy))) {
+                let gap = |d: i32| (f64::from(d.abs()) - 0.5).max(0.0);
+                let enters = (dx, dy) == (0, 0) || gap(dx).hypot(gap(dy)) < radius - 1e-5;
+                let held = rects.iter().any(|rect| dx.abs() <= rect[0] && dy.abs() <= rect[1]);
+                assert_eq!(held, enters, "{radius}: ({dx}, {dy})");
+            }
+        }
+    }
+
+    #[test]
+    fn a_body_of_whole_pixels_lets_go_behind_when_it_meets_a_step() {
+        assert!(lets_go(5.0) && lets_go(4.8) && !lets_go(5.2) && !lets_go(5.5) && !lets_go(12.5));
+    }
+}

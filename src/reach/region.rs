@@ -1,0 +1,403 @@
+//! What can be reached on foot from one place.
+
+use super::distance::nearest_ends;
+use super::ground::{Ground, Kind, Spot, Step};
+use super::pawn::{Grid, Pawn};
+use super::{Needs, answer};
+use crate::frame::PageKey;
+use crate::query::Answer;
+use crate::store::PageSet;
+use crate::{Error, Monitor, Result};
+use nalgebra::{Point2, Point3};
+use std::ops::ControlFlow;
+
+/// Of a link that leads nowhere.
+pub(super) const NO_PLACE: u32 = u32::MAX;
+/// The neighbours of a pixel, in the order of a place's links.
+pub(super) const WAYS: [[i32; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
+/// Steps between two looks at the monitor.
+const BETWEEN_LOOKS: usize = 1 << 14;
+
+/// A flood over neighbouring places, which can wait for pages.
+///
+/// ```
+/// use nalgebra::Point3;
+/// use slicewalk::NoMonitor;
+/// use slicewalk::frame::{Frame, PageKey};
+/// use slicewalk::query::Answer;
+/// use slicewalk::reach::{Flood, Ground, Pawn};
+/// use slicewalk::slice::{PageBuilder, Span};
+/// use slicewalk::store::Store;
+/// use slicewalk::walk::Body;
+///
+/// let mut builder = PageBuilder::default();
+/// for (px, py) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+///     assert!(builder.set_column(px, py, &[Span::new(0, 10, false).unwrap()])); // a floor of 3.2 × 3.2 m
+/// }
+/// let key = PageKey { tx: 0, ty: 0, layer: 0 };
+/// let store = Store::from_pages(Frame::new(0.05, 0.15)?, [(key, builder.build())]);
+///
+/// let mut ground = Ground::new(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }))?;
+/// let Answer::Known(Some(start)) = ground.spot(&store, Point3::new(1.0, 1.0, 0.1)) else { panic!("it is all floor") };
+/// let mut flood = Flood::from(start);
+/// assert_eq!(flood.grow(&mut ground, &store, &NoMonitor)?, Answer::Known(()));
+/// let region = flood.region(&ground);
+/// assert!((region.area_m2() - 3.2 * 3.2).abs() < 1e-9);
+/// # Ok::<(), slicewalk::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Flood {
+    /// By number of a tile a bit for each of its blocks.
+    reached: Vec<Vec<u64>>,
+    /// Places reached whose neighbours have not been looked at.
+    open: Vec<([i32; 2], usize)>,
+    /// Of these, those outside of the ellipse.
+    parked: Vec<([i32; 2], usize)>,
+    /// Two places and the length of the ways between them within which the flood stays (m).
+    ellipse: Option<([Point2<f64>; 2], f64)>,
+}
+
+impl Flood {
+    /// A flood from a standing place.
+    pub fn from(start: Spot) -> Self {
+        Self { reached: Vec::new(), open: vec![(start.pixel, start.place)], parked: Vec::new(), ellipse: None }
+    }
+
+    /// A flood from all standing places of the set at once: what routes between any two of them need. Load what is missing, and
+    /// call again.
+    pub fn everywhere<S: PageSet>(ground: &mut Ground, set: &S) -> Answer<Self> {
+        answer(Self::all(ground, set))
+    }
+
+    fn all<S: PageSet>(ground: &mut Ground, set: &S) -> Needs<Self> {
+        let mut open = Vec::new();
+        for number in 0..set.column_count() {
+            let (tx, ty, _) = set.column_at(number);
+            let corner = [64 * (tx - ground.grid.origin[0]), 64 * (ty - ground.grid.origin[1])];
+            let tile = ground.tile(set, corner)?;
+            for cell in 0..64 * 64 {
+                let pixel = [corner[0] + (cell & 63), corner[1] + (cell >> 6)];
+                let blocks = ground.tiles[tile].column(pixel).iter().enumerate();
+                open.extend(blocks.filter(|block| block.1.kind == Kind::Standing).map(|block| (pixel, block.0)));
+            }
+        }
+        ControlFlow::Continue(Self { reached: Vec::new(), open, parked: Vec::new(), ellipse: None })
+    }
+
+    /// Stays where ways from one of `ends` to the other are no longer than `length` (m), to the width of a tile. A greater
+    /// length later goes on from there.
+    pub fn within(&mut self, ends: [Point2<f64>; 2], length: f64) {
+        self.ellipse = Some((ends, length));
+        self.open.append(&mut self.parked);
+    }
+
+    /// Whether there is nothing left outside of the ellipse.
+    pub fn is_whole(&self) -> bool {
+        self.parked.is_empty() && self.open.is_empty()
+    }
+
+    /// Goes on until all is reached, or pages are missing: load them and call again.
+    pub fn grow<S: PageSet>(&mut self, ground: &mut Ground, set: &S, monitor: &dyn Monitor) -> Result<Answer<()>> {
+        let mut steps = 0;
+        while let Some(place) = self.open.pop() {
+            steps += 1;
+            if usize::is_multiple_of(steps, BETWEEN_LOOKS) {
+                if monitor.cancelled() {
+                    return Err(Error::Interrupted);
+                }
+                monitor.advance(BETWEEN_LOOKS as u64);
+            }
+            if let ControlFlow::Break(missing) = self.spread(ground, set, place) {
+                self.open.push(place);
+                return Ok(Answer::NotLoaded(missing));
+            }
+        }
+        Ok(Answer::Known(()))
+    }
+
+    fn spread<S: PageSet>(&mut self, ground: &mut Ground, set: &S, (pixel, place): ([i32; 2], usize)) -> Needs<()> {
+        if !self.is_near(&ground.grid, pixel) {
+            self.parked.push((pixel, place));
+            return ControlFlow::Continue(());
+        }
+        let tile = ground.tile(set, pixel)?;
+        self.mark(ground, tile, pixel, place);
+        for (number, way) in WAYS.into_iter().enumerate() {
+            let to = [pixel[0] + way[0], pixel[1] + way[1]];
+            if !ground.grid.is_inside(to) {
+                continue;
+            }
+            let other = ground.tile(set, to)?;
+            let (column, next) = (ground.tiles[tile].column(pixel), ground.tiles[other].column(to));
+            if let Step::To(reached) = ground.step(column, place, next, number & 1)
+                && self.mark(ground, other, to, reached)
+            {
+                self.open.push((to, reached));
+            }
+        }
+        ControlFlow::Continue(())
+    }
+
+    fn is_near(&self, grid: &Grid, pixel: [i32; 2]) -> bool {
+        let Some((ends, length)) = self.ellipse else { return true };
+        let corner = pixel.map(|pixel| pixel & !63);
+        let gap = |end: &Point2<f64>| {
+            let along = |axis: usize| {
+                let (low, high) = (grid.middle(corner[axis], axis), grid.middle(corner[axis] + 63, axis));
+                (low - end[axis]).max(end[axis] - high).max(0.0)
+            };
+            along(0).hypot(along(1))
+        };
+        gap(&ends[0]) + gap(&ends[1]) <= length
+    }
+
+    /// Whether the place was not reached before.
+    fn mark(&mut self, ground: &Ground, tile: usize, pixel: [i32; 2], place: usize) -> bool {
+        if self.reached.len() <= tile {
+            self.reached.resize_with(ground.tiles.len(), Vec::new);
+        }
+        let own = &ground.tiles[tile];
+        let bits = &mut self.reached[tile];
+        if bits.is_empty() {
+            bits.resize(own.blocks.len().div_ceil(64), 0);
+        }
+        let at = own.starts[(((pixel[1] & 63) << 6) | (pixel[0] & 63)) as usize] as usize + place;
+        let is_new = bits[at >> 6] >> (at & 63) & 1 == 0;
+        bits[at >> 6] |= 1 << (at & 63);
+        is_new
+    }
+
+    /// Bytes of memory that the flood takes now.
+    pub fn memory_bytes(&self) -> usize {
+        let bits: usize = self.reached.iter().map(|bits| bits.capacity() * 8 + size_of::<Vec<u64>>()).sum();
+        bits + (self.open.capacity() + self.parked.capacity()) * size_of::<([i32; 2], usize)>()
+    }
+
+    /// All that has been reached, as a graph.
+    pub fn region(&self, ground: &Ground) -> Region {
+        let mut order: Vec<usize> = (0..self.reached.len()).filter(|tile| !self.reached[*tile].is_empty()).collect();
+        order.sort_unstable_by_key(|tile| [ground.tiles[*tile].at[1], ground.tiles[*tile].at[0]]);
+        let mut region = Region {
+            grid: ground.grid.clone(),
+            pixels: Vec::new(),
+            tops: Vec::new(),
+            standing: Vec::new(),
+            links: Vec::new(),
+            clearances: Vec::new(),
+            lowest_headroom: None,
+            highest_step: None,
+        };
+        // Per tile the number of each block's place.
+        let mut numbers: Vec<Vec<u32>> = vec![Vec::new(); self.reached.len()];
+        for &tile in &order {
+            let (own, bits) = (&ground.tiles[tile], &self.reached[tile]);
+            numbers[tile] = vec![NO_PLACE; own.blocks.len()];
+            for cell in 0..64 * 64 {
+                let pixel = [own.at[0] * 64 + (cell & 63), own.at[1] * 64 + (cell >> 6)];
+                let first = own.starts[cell as usize] as usize;
+                for (place, block) in own.column(pixel).iter().enumerate() {
+                    let at = first + place;
+                    if bits[at >> 6] >> (at & 63) & 1 == 1 {
+                        numbers[tile][at] = region.pixels.len() as u32;
+                        region.pixels.push(pixel);
+                        region.tops.push(block.top);
+                        region.standing.push(block.kind == Kind::Standing);
+                    }
+                }
+            }
+        }
+        let tile_of = |pixel: [i32; 2]| {
+            let at = pixel.map(|pixel| pixel >> 6);
+            order.binary_search_by_key(&[at[1], at[0]], |tile| [ground.tiles[*tile].at[1], ground.tiles[*tile].at[0]])
+        };
+        for &tile in &order {
+            let own = &ground.tiles[tile];
+            for cell in 0..64 * 64 {
+                let pixel = [own.at[0] * 64 + (cell & 63), own.at[1] * 64 + (cell >> 6)];
+                let first = own.starts[cell as usize] as usize;
+                let column = own.column(pixel);
+                for place in (0..column.len()).filter(|place| numbers[tile][first + place] != NO_PLACE) {
+                    let own = numbers[tile][first + place];
+                    if let Some(next) = column.get(place + 1).filter(|_| region.standing[own as usize]) {
+                        let room = next.bottom - column[place].top;
+                        if region.lowest_headroom.is_none_or(|lowest| (room, own) < lowest) {
+                            region.lowest_headroom = Some((room, own));
+                        }
+                    }
+                    let links = [0, 1, 2, 3].map(|number| {
+                        let way = WAYS[number];
+                        let to = [pixel[0] + way[0], pixel[1] + way[1]];
+                        let other = if (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6) {
+                            tile
+                        } else {
+                            match tile_of(to) {
+                                Ok(at) => order[at],
+                                Err(_) => return NO_PLACE,
+                            }
+                        };
+                        let next = ground.tiles[other].column(to);
+                        match ground.step(column, place, next, number & 1) {
+                            Step::To(reached) => {
+                                let cell = (((to[1] & 63) << 6) | (to[0] & 63)) as usize;
+                                numbers[other][ground.tiles[other].starts[cell] as usize + reached]
+                            }
+                            _ => NO_PLACE,
+                        }
+                    });
+                    for link in links.iter().filter(|link| **link != NO_PLACE) {
+                        let rise = region.tops[*link as usize] - column[place].top;
+                        if rise > 0 && region.highest_step.is_none_or(|(highest, _)| rise > highest) {
+                            region.highest_step = Some((rise, own));
+                        }
+                    }
+                    region.links.push(links);
+                }
+            }
+        }
+        region.measure();
+        region
+    }
+}
+
+/// A place of a [`Region`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Where the feet stand: the middle of a pixel, on the highest matter under the footprint (m).
+    pub feet: Point3<f64>,
+    /// Distance from the middle of the feet to the nearest thing that the pawn cannot walk over, within a pixel: a wall, a ledge,
+    /// the end of the scan (m).
+    pub clearance: f64,
+}
+
+/// All places that can be reached from one of them, with the steps between them.
+///
+/// Places are numbered by tile (y, then x), pixel and height, so equal scenes give equal regions.
+#[derive(Debug, Clone)]
+pub struct Region {
+    pub(super) grid: Grid,
+    pub(super) pixels: Vec<[i32; 2]>,
+    pub(super) tops: Vec<i32>,
+    /// Whether it is a standing place, not a bridge.
+    pub(super) standing: Vec<bool>,
+    pub(super) links: Vec<[u32; 4]>,
+    pub(super) clearances: Vec<f32>,
+    lowest_headroom: Option<(i32, u32)>,
+    highest_step: Option<(i32, u32)>,
+}
+
+impl Region {
+    fn measure(&mut self) {
+        let beyond = self.body_pixels();
+        let pixel = self.grid.frame.pixel_m();
+        let clearance = |end: [i16; 2]| {
+            let pixels = f64::from(end[0]).hypot(f64::from(end[1])) - 0.5 + beyond;
+            (pixels * pixel) as f32
+        };
+        self.clearances = nearest_ends(&self.links).into_iter().map(clearance).collect();
+    }
+
+    /// How far the body reaches beyond the middle pixel (pixels).
+    pub(super) fn body_pixels(&self) -> f64 {
+        f64::from(self.grid.half[0].min(self.grid.half[1]))
+    }
+
+    /// The pawn.
+    pub fn pawn(&self) -> &Pawn {
+        &self.grid.pawn
+    }
+
+    /// Number of places, bridges included.
+    pub fn len(&self) -> usize {
+        self.pixels.len()
+    }
+
+    /// Whether there is no place.
+    pub fn is_empty(&self) -> bool {
+        self.pixels.is_empty()
+    }
+
+    /// All standing places, in order.
+    pub fn places(&self) -> impl Iterator<Item = Place> + '_ {
+        (0..self.len() as u32).filter(|place| self.standing[*place as usize]).map(|place| self.place(place))
+    }
+
+    pub(super) fn place(&self, number: u32) -> Place {
+        Place { feet: self.feet(number), clearance: f64::from(self.clearances[number as usize]) }
+    }
+
+    pub(super) fn feet(&self, number: u32) -> Point3<f64> {
+        let [i, j] = self.pixels[number as usize];
+        Point3::new(self.grid.middle(i, 0), self.grid.middle(j, 1), self.grid.z(self.tops[number as usize]))
+    }
+
+    /// Area of all standing places: a pixel each (m²). Where one lies above the other both count.
+    pub fn area_m2(&self) -> f64 {
+        self.area_of(self.standing.iter().filter(|standing| **standing).count())
+    }
+
+    pub(super) fn area_of(&self, places: usize) -> f64 {
+        places as f64 * self.grid.frame.pixel_m().powi(2)
+    }
+
+    /// The standing place with the least room above it, and that room (m); `None` if there is sky above all.
+    pub fn lowest_headroom(&self) -> Option<(Place, f64)> {
+        self.lowest_headroom.map(|(room, place)| (self.place(place), f64::from(room) * self.grid.frame.quantum_m()))
+    }
+
+    /// The highest step up between two neighbouring places, and its height (m).
+    pub fn highest_step(&self) -> Option<(Place, f64)> {
+        self.highest_step.map(|(rise, place)| (self.place(place), f64::from(rise) * self.grid.frame.quantum_m()))
+    }
+
+    /// The number of a place; `None` if it is not reached.
+    pub(super) fn number(&self, spot: &Spot) -> Option<u32> {
+        // As places are numbered.
+        let key = |[i, j]: [i32; 2], top: i32| (j >> 6, i >> 6, j & 63, i & 63, top);
+        let (mut low, mut high) = (0, self.len());
+        while low < high {
+            let middle = low.midpoint(high);
+            if key(self.pixels[middle], self.tops[middle]) < key(spot.pixel, spot.top) {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        (low < self.len() && (self.pixels[low], self.tops[low]) == (spot.pixel, spot.top)).then_some(low as u32)
+    }
+
+    /// Whether a place has been reached.
+    pub fn holds(&self, spot: &Spot) -> bool {
+        self.number(spot).is_some()
+    }
+
+    /// Bytes of memory that the region takes.
+    pub fn memory_bytes(&self) -> usize {
+        self.len()
+            * (size_of::<[i32; 2]>() + size_of::<i32>() + size_of::<bool>() + size_of::<[u32; 4]>() + size_of::<f32>())
+    }
+
+    /// Tiles that hold a place, as keys of the pages in their lowest layer.
+    pub fn tiles(&self) -> Vec<PageKey> {
+        let mut tiles: Vec<PageKey> = Vec::new();
+        for pixel in &self.pixels {
+            let at = [0, 1].map(|axis| (pixel[axis] >> 6) + self.grid.origin[axis]);
+            if tiles.last().is_none_or(|last| [last.tx, last.ty] != at) {
+                tiles.push(PageKey { tx: at[0], ty: at[1], layer: self.grid.origin[2] });
+            }
+        }
+        tiles
+    }
+}
+
+/// Of `items` the one whose pixel is nearest to the mean of all; of several the first along y, then x.
+pub(super) fn middle<T: Copy>(items: &[T], pixel: impl Fn(&T) -> [i32; 2]) -> Option<T> {
+    let count = items.len() as i64;
+    let sum = |axis: usize| items.iter().map(|item| i64::from(pixel(item)[axis])).sum::<i64>();
+    let sum = [sum(0), sum(1)];
+    let far = |item: &&T| {
+        let own = pixel(item);
+        let gap = [0, 1].map(|axis| i128::from(i64::from(own[axis]) * count - sum[axis]));
+        (gap[0] * gap[0] + gap[1] * gap[1], own[1], own[0])
+    };
+    items.iter().min_by_key(far).copied()
+}

@@ -1,0 +1,85 @@
+//! What `reach` and `route` share: who walks, and the pages that it takes.
+
+use crate::Failure;
+use slicewalk::query::Answer;
+use slicewalk::reach::Pawn;
+use slicewalk::size::parse_size;
+use slicewalk::store::{Prefetch, Stream, StreamOptions, View};
+use slicewalk::walk::Body;
+use std::path::{Path, PathBuf};
+
+/// Who walks.
+#[derive(clap::Args)]
+pub struct Walks {
+    /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
+    #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8", value_parser = crate::walk::body)]
+    pawn: Body,
+    /// Highest step it climbs (m)
+    #[arg(long, default_value_t = 0.35, value_name = "METRES")]
+    climb: f64,
+    /// Deepest drop it takes (m) [default: the climb height, so that every way can be walked back]
+    #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
+    max_drop: Option<f64>,
+    /// Memory for pages
+    #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]
+    cache: u64,
+}
+
+impl Walks {
+    /// The pawn as the library knows it.
+    pub fn pawn(&self) -> Pawn {
+        Pawn { climb: self.climb, max_drop: self.max_drop.unwrap_or(self.climb), ..Pawn::new(self.pawn) }
+    }
+}
+
+/// Loads pages as they are asked for.
+pub struct Loader {
+    stream: Stream,
+    archive: PathBuf,
+}
+
+impl Loader {
+    /// Opens the archive.
+    pub fn open(archive: &Path, walks: &Walks) -> Result<Self, Failure> {
+        let budget = usize::try_from(walks.cache).unwrap_or(usize::MAX);
+        let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
+        let stream = Stream::open(crate::open(archive)?, options).map_err(|error| crate::broken(archive, &error))?;
+        Ok(Self { stream, archive: archive.to_path_buf() })
+    }
+
+    /// The pages in memory now.
+    pub fn view(&self) -> View {
+        self.stream.view()
+    }
+
+    /// The archive.
+    pub fn archive(&self) -> &slicewalk::archive::Archive {
+        self.stream.archive()
+    }
+
+    /// Path of the archive.
+    pub fn path(&self) -> &Path {
+        &self.archive
+    }
+
+    /// Asks until all pages are there that the answer takes.
+    pub fn known<T>(&self, mut ask: impl FnMut(&View) -> slicewalk::Result<Answer<T>>) -> Result<T, Failure> {
+        let broken = |error| crate::broken(&self.archive, &error);
+        loop {
+            let missing = match ask(&self.stream.view()).map_err(broken)? {
+                Answer::Known(known) => return Ok(known),
+                Answer::NotLoaded(missing) => missing,
+            };
+            if self.stream.load_missing(&missing).map_err(broken)?.loaded == 0 {
+                let text = "the pages around one place do not fit in memory; give more --cache";
+                return Err(Failure::Text(text.into()));
+            }
+        }
+    }
+
+    /// Most bytes that pages took, and the table of pages.
+    pub fn memory_bytes(&self) -> usize {
+        let counters = self.stream.counters();
+        counters.peak_bytes + counters.table_bytes
+    }
+}

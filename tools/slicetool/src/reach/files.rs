@@ -1,0 +1,61 @@
+//! The files of `slicetool reach`, by their endings.
+
+use super::{Reach, geojson, map};
+use crate::Failure;
+use crate::ground::Loader;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+/// Where a file is written to.
+pub type Out = BufWriter<File>;
+
+type Writer = fn(&Reach, &Loader, &mut Out) -> Result<(), Failure>;
+
+/// Who writes the format that the ending of `output` names.
+pub fn writer(output: &Path) -> Result<Writer, Failure> {
+    let ending = output.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+    match ending.as_str() {
+        "png" => Ok(map::write),
+        "csv" => Ok(csv),
+        "ply" => Ok(ply),
+        "geojson" => Ok(geojson::write),
+        _ => {
+            let text = format!("{}: unknown format; name the file .png, .csv, .ply or .geojson", output.display());
+            Err(Failure::Text(text))
+        }
+    }
+}
+
+/// Writes a file; it appears whole, or not at all.
+pub fn save(output: &Path, write: impl FnOnce(&mut Out) -> Result<(), Failure>) -> Result<(), Failure> {
+    let failed =
+        |what: &str, error: std::io::Error| Failure::Text(format!("{}: cannot {what}: {error}", output.display()));
+    let mut out = BufWriter::new(File::create(output).map_err(|error| failed("create", error))?);
+    let written = write(&mut out).and_then(|()| out.flush().map_err(|error| failed("write", error)));
+    written.inspect_err(|_| {
+        // Half a file is worse than none.
+        let _ = std::fs::remove_file(output);
+    })
+}
+
+fn csv(reach: &Reach, _: &Loader, out: &mut Out) -> Result<(), Failure> {
+    writeln!(out, "x,y,z,clearance")?;
+    for place in reach.region.places() {
+        let feet = place.feet;
+        writeln!(out, "{:.4},{:.4},{:.4},{:.3}", feet.x, feet.y, feet.z, place.clearance)?;
+    }
+    Ok(())
+}
+
+fn ply(reach: &Reach, _: &Loader, out: &mut Out) -> Result<(), Failure> {
+    writeln!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}", reach.region.places().count())?;
+    writeln!(out, "property double x\nproperty double y\nproperty double z\nproperty float clearance\nend_header")?;
+    for place in reach.region.places() {
+        for value in place.feet.iter() {
+            out.write_all(&value.to_le_bytes())?;
+        }
+        out.write_all(&(place.clearance as f32).to_le_bytes())?;
+    }
+    Ok(())
+}

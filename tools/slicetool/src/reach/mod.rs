@@ -1,0 +1,112 @@
+//! `slicetool reach`: where a pawn can walk from a place, how narrow it gets, and where it leaks.
+
+mod files;
+mod geojson;
+mod map;
+
+use crate::ground::{Loader, Walks};
+use crate::{Failure, Outcome, keep_apart};
+use slicewalk::NoMonitor;
+use slicewalk::reach::{Flood, Ground, Leak, Passage, Region, Storeys};
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Where from, who, and what to write.
+#[derive(clap::Args)]
+pub struct Arguments {
+    archive: PathBuf,
+    /// Where the feet stand (m): the place below, with nothing between
+    #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
+    from: nalgebra::Point3<f64>,
+    #[command(flatten)]
+    walks: Walks,
+    /// File to write: a map (.png), x,y,z,clearance of each standing place (.csv, .ply), or areas and leaks (.geojson)
+    #[arg(short, long, value_name = "OUT")]
+    output: Option<PathBuf>,
+    /// Print a summary as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// All that has been found out.
+struct Reach {
+    region: Region,
+    storeys: Storeys,
+    passages: Vec<Passage>,
+    leaks: Vec<Leak>,
+}
+
+/// Finds all that can be reached; a file appears whole, or not at all.
+pub fn run(arguments: &Arguments) -> Outcome {
+    let started = Instant::now();
+    let write = arguments.output.as_deref().map(files::writer).transpose()?;
+    if let Some(output) = &arguments.output {
+        keep_apart(&arguments.archive, output)?;
+    }
+    let loader = Loader::open(&arguments.archive, &arguments.walks)?;
+    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn())?;
+    let Some(start) = loader.known(|view| Ok(ground.spot(view, arguments.from)))? else {
+        let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
+        return Err(Failure::Text(format!(
+            "--from {x},{y},{z}: the pawn cannot stand there (expected floor below it and room for its whole body); choose \
+             another place, or a smaller --pawn"
+        )));
+    };
+    let mut flood = Flood::from(start);
+    loader.known(|view| flood.grow(&mut ground, view, &NoMonitor))?;
+    let region = flood.region(&ground);
+    let leaks = loader.known(|view| Ok(region.leaks(&mut ground, view)))?;
+    let own = ground.memory_bytes() + flood.memory_bytes() + region.memory_bytes();
+    let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, region };
+    if let (Some(write), Some(output)) = (write, &arguments.output) {
+        files::save(output, |out| write(&reach, &loader, out))?;
+    }
+    let seconds = started.elapsed().as_secs_f64();
+    let memory = own + loader.memory_bytes();
+    Ok(if arguments.json { json(&reach, memory, seconds)? } else { text(&reach, memory, seconds)? })
+}
+
+fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
+    let at = |at: nalgebra::Point3<f64>, name: &str, value: f64| serde_json::json!({ "x": at.x, "y": at.y, "z": at.z, name: value });
+    let region = &reach.region;
+    let summary = serde_json::json!({
+        "area_m2": region.area_m2(),
+        "storeys": reach.storeys.all.iter().map(|storey| serde_json::json!({ "z": storey.z, "area_m2": storey.area_m2 })).collect::<Vec<_>>(),
+        "passages": reach.passages.iter().map(|passage| at(passage.at, "width", passage.width)).collect::<Vec<_>>(),
+        "leaks": reach.leaks.iter().map(|leak| serde_json::json!({
+            "x": leak.at.x, "y": leak.at.y, "z": leak.at.z,
+            "width": leak.width, "drop": leak.drop, "kind": leak.kind.name(),
+        })).collect::<Vec<_>>(),
+        "lowest_headroom": region.lowest_headroom().map(|(place, room)| at(place.feet, "height", room)),
+        "highest_step": region.highest_step().map(|(place, rise)| at(place.feet, "height", rise)),
+        "places": region.places().count(),
+        "memory_bytes": memory_bytes,
+        "seconds": seconds,
+    });
+    Ok(format!("{summary:#}\n"))
+}
+
+fn text(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
+    let mut text = format!("area {:.2} m²\n", reach.region.area_m2());
+    for storey in &reach.storeys.all {
+        writeln!(text, "storey at z = {:.2} m: {:.2} m²", storey.z, storey.area_m2)?;
+    }
+    if let Some((place, room)) = reach.region.lowest_headroom() {
+        let at = place.feet;
+        writeln!(text, "lowest headroom {room:.2} m at {:.2},{:.2},{:.2}", at.x, at.y, at.z)?;
+    }
+    if let Some((place, rise)) = reach.region.highest_step() {
+        let at = place.feet;
+        writeln!(text, "highest step {rise:.2} m at {:.2},{:.2},{:.2}", at.x, at.y, at.z)?;
+    }
+    for Passage { at, width } in &reach.passages {
+        writeln!(text, "passage {width:.2} m wide at {:.2},{:.2},{:.2}", at.x, at.y, at.z)?;
+    }
+    for Leak { at, width, drop, kind } in &reach.leaks {
+        let depth = drop.map_or("nothing scanned below".into(), |drop| format!("drop {drop:.2} m"));
+        writeln!(text, "{} {width:.2} m wide at {:.2},{:.2},{:.2}: {depth}", kind.name(), at.x, at.y, at.z)?;
+    }
+    writeln!(text, "{:.1} MiB, {seconds:.2} s", memory_bytes as f64 / f64::from(1 << 20))?;
+    Ok(text)
+}

@@ -1,0 +1,187 @@
+//! `slicetool reach` and `slicetool route` as a user calls them: files, summaries, exit codes.
+
+use scangen::sample::{Mode, Order};
+use scangen::{Params, SampleSpec, Scene, WriteSpec, write_las, write_samples};
+use slicewalk::NoMonitor;
+use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn slicetool(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_slicetool")).current_dir(folder).args(arguments).output().unwrap()
+}
+
+fn done(folder: &Path, arguments: &[&str]) -> String {
+    let out = slicetool(folder, arguments);
+    assert!(out.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&out.stderr));
+    String::from_utf8(out.stdout).unwrap()
+}
+
+fn json(text: &str) -> serde_json::Value {
+    serde_json::from_str(text).unwrap_or_else(|error| panic!("{error}: {text}"))
+}
+
+fn to_archive(scan: PathBuf, folder: &Path) {
+    let mut options = ConvertOptions::new(vec![scan], folder.join("a.slices"));
+    options.pixel = PixelSize::Metres(0.05);
+    options.threads = 1;
+    convert(&options, &NoMonitor).unwrap();
+}
+
+/// A floor of 8 × 4 m at z = 1 within walls 2.5 m high, with a hole of 1 × 1 m about (6, 2) and a wall with a door 0.9 m
+/// wide at x = 4.
+fn room() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |n: i32| f64::from(n) * 0.025 + 0.0125;
+    let inside = |x: f64, y: f64| (5.5..6.5).contains(&x) && (1.5..2.5).contains(&y);
+    let floor = (0..320).flat_map(|i| (0..160).map(move |j| [at(i), at(j), 1.0]));
+    let floor = floor.filter(|[x, y, _]| !inside(*x, *y));
+    let height = || (0..100).map(|k| 1.0 + f64::from(k) * 0.025);
+    let ends = (0..160).flat_map(|j| [0.01, 7.99].map(|x| (x, at(j))));
+    let sides = (0..320).flat_map(|i| [0.01, 3.99].map(|y| (at(i), y)));
+    let door = (0..160).map(|j| (4.01, at(j))).filter(|(_, y)| !(1.55..2.45).contains(y));
+    let walls = ends.chain(sides).chain(door).flat_map(|(x, y)| height().map(move |z| [x, y, z]));
+    let scan = folder.path().join("scan.las");
+    write_las(&scan, floor.chain(walls), &WriteSpec::for_path(&scan)).unwrap();
+    to_archive(scan, folder.path());
+    folder
+}
+
+#[test]
+fn reach_reports_area_passages_and_leaks() {
+    let folder = room();
+    let at = folder.path();
+    let found = json(&done(at, &["reach", "a.slices", "--from", "1,1,1.1", "--json"]));
+    let number = |value: &serde_json::Value| value.as_f64().unwrap_or_else(|| panic!("{value}: {found}"));
+    let area = number(&found["area_m2"]);
+    assert!((20.0..26.0).contains(&area), "{area}");
+    let storeys = found["storeys"].as_array().unwrap();
+    assert_eq!(storeys.len(), 1);
+    assert!((number(&storeys[0]["z"]) - 1.0).abs() < 0.01 && (number(&storeys[0]["area_m2"]) - area).abs() < 1e-9);
+    let leaks = found["leaks"].as_array().unwrap();
+    assert_eq!(leaks.len(), 1, "{found}");
+    let leak = &leaks[0];
+    assert!((number(&leak["x"]) - 6.0).abs() < 0.06 && (number(&leak["y"]) - 2.0).abs() < 0.06, "{leak}");
+    assert!((number(&leak["z"]) - 1.0).abs() < 0.01 && (number(&leak["width"]) - 1.0).abs() < 0.11, "{leak}");
+    assert_eq!((&leak["kind"], leak["drop"].is_null()), (&"hole".into(), true));
+    let passages = found["passages"].as_array().unwrap();
+    let door = passages.iter().find(|passage| (number(&passage["x"]) - 4.0).abs() < 0.11);
+    assert!(door.is_some_and(|door| (number(&door["width"]) - 0.9).abs() < 0.11), "{found}");
+    assert!(number(&found["memory_bytes"]) > 0.0 && number(&found["seconds"]) >= 0.0);
+    // Who is wider than the door stays, and sees no hole.
+    let wide = ["reach", "a.slices", "--from", "1,1,1.1", "--json", "--pawn", "cylinder:0.5x1.8"];
+    let found = json(&done(at, &wide));
+    assert!(found["leaks"].as_array().unwrap().is_empty() && found["area_m2"].as_f64().unwrap() < 10.0, "{found}");
+    let text = done(at, &["reach", "a.slices", "--from", "1,1,1.1"]);
+    assert!(text.contains("hole") && text.lines().any(|line| line.starts_with("area ")), "{text}");
+}
+
+#[test]
+fn reach_writes_maps_tables_points_and_polygons() {
+    let folder = room();
+    let at = folder.path();
+    let places = |out: &str| {
+        let found = json(&done(at, &["reach", "a.slices", "--from", "1,1,1.1", "-o", out, "--json"]));
+        (
+            found["places"].as_u64().unwrap() as usize,
+            fs::read(at.join(out)).unwrap(),
+            found["area_m2"].as_f64().unwrap(),
+        )
+    };
+    let (count, csv, area) = places("out.csv");
+    let csv = String::from_utf8(csv).unwrap();
+    let mut lines = csv.lines();
+    assert_eq!(lines.next(), Some("x,y,z,clearance"));
+    let rows: Vec<Vec<f64>> = lines.map(|line| line.split(',').map(|v| v.parse().unwrap()).collect()).collect();
+    assert_eq!(rows.len(), count);
+    assert!((area - count as f64 * 0.0025).abs() < 1e-6);
+    assert!(rows.iter().all(|row| (row[2] - 1.0).abs() < 0.01 && row[3] > 0.2 && row[3] < 2.5));
+    let (_, ply, _) = places("out.ply");
+    let header = ply.windows(11).position(|bytes| bytes == b"end_header\n").unwrap() + 11;
+    assert!(String::from_utf8_lossy(&ply[..header]).contains(&format!("element vertex {count}\n")));
+    assert_eq!(ply.len() - header, count * 28);
+    let x = f64::from_le_bytes(ply[header..header + 8].try_into().unwrap());
+    assert!((x - rows[0][0]).abs() < 1e-3);
+    let (_, png, _) = places("out.png");
+    let image = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
+    assert!(image.info().width > 300 && image.info().height > 150);
+    let (_, text, _) = places("out.geojson");
+    let collection = json(std::str::from_utf8(&text).unwrap());
+    assert_eq!(collection["type"], "FeatureCollection");
+    let features = collection["features"].as_array().unwrap();
+    let what = |name: &str| features.iter().filter(|feature| feature["properties"]["what"] == name).count();
+    assert_eq!((what("storey"), what("leak")), (1, 1));
+    let rings = features[0]["geometry"]["coordinates"][0].as_array().unwrap();
+    let area_of = |ring: &serde_json::Value| {
+        let corners: Vec<[f64; 2]> =
+            ring.as_array().unwrap().iter().map(|at| [0, 1].map(|n| at[n].as_f64().unwrap())).collect();
+        corners.windows(2).map(|pair| (pair[0][0] * pair[1][1] - pair[1][0] * pair[0][1]) / 2.0).sum::<f64>()
+    };
+    assert!((rings.iter().map(area_of).sum::<f64>() - area).abs() < 1e-6, "outer ring less its holes");
+}
+
+#[test]
+fn a_route_is_written_as_waypoints_and_walked() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = Scene::named("stairs", &Params::new().with("risers", 6.0)).unwrap();
+    let scan = at.join("stairs.las");
+    let spec = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(3600.0) };
+    write_samples(&scan, scene.samples(5, &spec).unwrap(), &WriteSpec::for_path(&scan)).unwrap();
+    to_archive(scan, at);
+    let base = ["route", "a.slices", "--from", "-1,0.3,0.1", "--to", "2.4,-0.3,1.1"];
+    let found = json(&done(at, &[&base[..], &["-o", "route.csv", "--json"]].concat()));
+    assert_eq!((&found["found"], found["reason"].is_null()), (&true.into(), true));
+    let length = found["length_m"].as_f64().unwrap();
+    assert!((3.45..3.8).contains(&length) && found["seconds"].is_number(), "{found}");
+    let csv = fs::read_to_string(at.join("route.csv")).unwrap();
+    assert!(csv.starts_with("x,y,z\n") && csv.lines().count() >= 3, "{csv}");
+    assert_eq!(done(at, &base), csv, "without an output the way is the result");
+    let walked = done(
+        at,
+        &["walk", "a.slices", "--start", "-1,0.3,0.1", "--waypoints", "route.csv", "-o", "path.csv", "--json"],
+    );
+    assert_eq!(json(&walked)["state"], "arrived");
+    // Too high a step: no way, and that is an answer.
+    let refused = json(&done(at, &[&base[..], &["--climb", "0.1", "--json"]].concat()));
+    assert_eq!((&refused["found"], &refused["reason"]), (&false.into(), &"not_connected".into()));
+    assert!(refused["length_m"].is_null());
+    let refused = json(&done(at, &["route", "a.slices", "--from", "-1,9,0", "--to", "2.4,0,1", "--json"]));
+    assert_eq!(refused["reason"], "not_standing_from");
+    // In the first riser, too near to the wall of the next step for the body.
+    let refused = json(&done(at, &["route", "a.slices", "--from", "-1,0,0", "--to", "2.4,0,-3", "--json"]));
+    assert_eq!(refused["reason"], "not_standing_to");
+}
+
+#[test]
+fn what_cannot_be_meant_is_refused() {
+    let folder = room();
+    let at = folder.path();
+    for wrong in [
+        &["reach", "a.slices"][..],
+        &["reach", "a.slices", "--from", "1,2"],
+        &["reach", "a.slices", "--from", "1,2,1", "--pawn", "cone:1x1"],
+        &["route", "a.slices", "--from", "1,2,1"],
+    ] {
+        assert_eq!(slicetool(at, wrong).status.code(), Some(2), "{wrong:?}");
+    }
+    let before = fs::read(at.join("a.slices")).unwrap();
+    for (wrong, said) in [
+        (&["reach", "a.slices", "--from", "50,50,1"][..], "cannot stand"),
+        (&["reach", "a.slices", "--from", "6,2,1"], "cannot stand"),
+        (&["reach", "a.slices", "--from", "1,1,1", "-o", "out.bmp"], ".geojson"),
+        (&["reach", "a.slices", "--from", "1,1,1", "--climb", "2"], "climb"),
+        (&["reach", "a.slices", "--from", "1,1,1", "--max-drop", "-1"], "drop"),
+        (&["reach", "a.slices", "--from", "1,1,1", "-o", "none/out.csv"], "out.csv"),
+        (&["reach", "none.slices", "--from", "1,1,1"], "none.slices"),
+        (&["route", "a.slices", "--from", "1,1,1", "--to", "2,1,1", "-o", "a.slices"], "a.slices"),
+        (&["reach", "a.slices", "--from", "1,1,1", "--cache", "1KiB"], "--cache"),
+    ] {
+        let out = slicetool(at, wrong);
+        let text = String::from_utf8(out.stderr).unwrap();
+        assert_eq!(out.status.code(), Some(1), "{wrong:?}: {text}");
+        assert!(text.contains(said) && text.lines().count() == 1 && out.stdout.is_empty(), "{wrong:?}: {text}");
+    }
+    assert_eq!(fs::read(at.join("a.slices")).unwrap(), before);
+}
