@@ -147,8 +147,8 @@ pub mod object;
 pub mod walk;
 
 pub use error::{Error, Result};
-pub use nalgebra;
 pub use monitor::{Monitor, NoMonitor};
+pub use nalgebra;
 
 /// Compiles the examples of the pages.
 #[cfg(all(doctest, feature = "convert"))]
