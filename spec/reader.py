@@ -10,14 +10,15 @@ A broken rule is one line on standard error and exit code 1. Needs the package `
 
 import argparse
 import json
+import math
 import struct
 import sys
 from bisect import bisect_left
 from collections import deque
 
 from encoding import U64, Bytes, column_of, crc32c, tile_of, unpack_frame
-from head import Head
-from page import SIDE, Page, Refused, check_span, need, size_of, slices_of
+from head import INDEX, Head
+from page import SIDE, SLICE, TOP, Page, Refused, check_span, need, size_of, slices_of
 
 END_MAGIC = b"\x89CILS\r\n\x1a"
 PAGE_MAGIC = b"\x89PAG"
@@ -234,6 +235,54 @@ def read_entries(head, directory):
     return entries
 
 
+def box_of(columns):
+    """Least and greatest pixel x, pixel y and height of a page's matter."""
+    pixels = [at for at, spans in enumerate(columns) if spans]
+    xs, ys = [at % SIDE for at in pixels], [at // SIDE for at in pixels]
+    bottoms, tops = [columns[at][0][0] for at in pixels], [columns[at][-1][1] for at in pixels]
+    return (min(xs), min(ys), min(bottoms)), (max(xs), max(ys), max(tops))
+
+
+class Matter:
+    """The least box around all matter: pixels, and quanta along z."""
+
+    def __init__(self):
+        self.low, self.high = [math.inf] * 3, [-math.inf] * 3
+
+    def add(self, entry, box):
+        corner = SIDE * entry.tx, SIDE * entry.ty, TOP * entry.layer
+        low, high = ([a + b for a, b in zip(corner, place)] for place in box)
+        self.low, self.high = list(map(min, self.low, low)), list(map(max, self.high, high))
+
+
+def on_grid(metres, per_metre, direction):
+    """Pixels or quanta; what lies far beyond the grid is cut."""
+    return direction(max(min(metres * per_metre, 2.0**50), -(2.0**50)))
+
+
+def check_bounds(head, part, matter):
+    need(head.bounds or not head.pages, "T6", "matter without bounds")
+    if not head.bounds:
+        return
+    units = 1 / head.pixel_size, 1 / head.pixel_size, 255 / head.slice_height
+    moved = min(255, math.floor(head.tolerance / (head.slice_height / 255)))
+    tight = head.min_points == 1 and not head.drop_isolated and not part
+    for axis, unit in enumerate(units):
+        low = on_grid(head.bounds["min"][axis], unit, math.floor)
+        high = on_grid(head.bounds["max"][axis], unit, math.ceil if axis == 2 else math.floor)
+        text = f"bounds from {head.bounds['min'][axis]} to {head.bounds['max'][axis]} along axis {axis}"
+        end = INDEX * SLICE if axis == 2 else INDEX
+        need(-end <= low and high <= end, "T6", f"{text}, beyond the grid")
+        if not head.pages:
+            continue
+        slack = moved if axis == 2 else 0
+        least, greatest = matter.low[axis], matter.high[axis]
+        need(low <= least + slack and greatest - slack <= high, "T6", f"{text}, of matter from {least} to {greatest}")
+        margin = TOP if axis == 2 else SIDE
+        near = least - margin <= low and high <= greatest + margin
+        need(near or not tight, "T6", f"{text}, far from matter from {least} to {greatest}")
+
+
 def check_entries(head, entries, part):
     kinds = [sum(entry.kind == kind for entry in entries) for kind in Entry.KINDS]
     need(kinds == [head.pages_stored, head.pages_shared, head.pages_uniform], "T1", f"pages {kinds}")
@@ -260,6 +309,7 @@ def read_archive(data):
     crs, part, units = read_metadata(metadata, head.metadata_crc)
     entries = read_entries(head, directory)
     occupied = obstacle = 0
+    matter = Matter()
     decoded, contents = {}, []
     for entry in entries:
         item = {
@@ -269,27 +319,27 @@ def read_archive(data):
         }
         if entry.span:
             item["span"] = list(entry.span)
-            columns = [[entry.span]] * SIDE * SIDE
+            bottom, top, kind = entry.span
+            voxels = SIDE * SIDE * entry.mask.bit_count()
+            counts, box = (voxels, voxels * kind), ((0, 0, bottom), (SIDE - 1, SIDE - 1, top))
         else:
             stored = pages[entry.offset : entry.offset + entry.length]
             # Shared pages are compared with their entry by rule D10; their leader and key are checked here.
             if entry.kind == "stored" or entry.offset not in decoded:
                 page = read_page(entry, stored, head.slice_height)
-                decoded[entry.offset] = [
-                    [(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns
-                ]
-            columns = decoded[entry.offset]
+                columns = [[(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns]
+                pixels = [[at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(columns) if spans]
+                decoded[entry.offset] = pixels, voxels_of(columns), box_of(columns)
+            item["pixels"], counts, box = decoded[entry.offset]
             item |= {"offset": ends[0] + entry.offset, "length": entry.length}
             item |= {"blocks": entry.blocks, "words": entry.words}
-            item["pixels"] = [
-                [at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(columns) if spans
-            ]
-        counts = voxels_of(columns)
         occupied, obstacle = occupied + counts[0], obstacle + counts[1]
+        matter.add(entry, box)
         contents.append(item)
     check_entries(head, entries, part)
     right = (occupied, obstacle) == (head.voxels_occupied, head.voxels_obstacle)
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles")
+    check_bounds(head, part, matter)
     return {"info": show(head, crs, part, units), "pages": contents}
 
 
@@ -373,6 +423,9 @@ def main():
     except Refused as refused:
         broken, content = refused, {"rule": refused.rule}
     if twin is not None:
+        if "some_pages" in twin and not broken:
+            pages = content.pop("pages")
+            content["some_pages"] = {number: pages[int(number)] for number in twin["some_pages"]}
         differs = difference(content, twin)
         if differs:
             sys.exit(f"{options.archive}: {differs} {broken or ''}")

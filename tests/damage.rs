@@ -239,6 +239,32 @@ fn totals_that_are_not_those_of_the_pages_are_found() {
 }
 
 #[test]
+fn bounds_that_do_not_fit_the_matter_are_found() {
+    let parts = Parts::of(&archive(&scene()));
+    let with = |at: usize, value: f64| rules(&parts.build(|head| put(head, at, value.to_bits(), 8)));
+    // Faces that cut the matter, that end far outside it, and that are nowhere; then faces a little further out.
+    for (at, inside, far, near) in [
+        (160, -6.25, -13.0, -12.7),
+        (168, -19.0, -26.0, -25.5),
+        (176, 0.0, -20.0, -19.5),
+        (184, 18.6, 25.3, 25.1),
+        (192, 6.2, 12.9, 12.7),
+        (200, 96.0, 140.0, 115.0),
+    ] {
+        let nowhere = 1e300f64.copysign(far);
+        for value in [inside, far, nowhere] {
+            assert_eq!(with(at, value), ["T6"], "{value} at {at}");
+        }
+        assert_eq!(with(at, near), [""; 0], "{near} at {at}");
+    }
+    let none = parts.build(|head| {
+        head[160..208].fill(0);
+        head[324] = 0;
+    });
+    assert_eq!(rules(&none), ["T6"]);
+}
+
+#[test]
 fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
     let parts = Parts::of(&archive(&two_pixels()));
     let body = parts.pages[24..].to_vec();
@@ -282,7 +308,7 @@ fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
     let page = builder.build();
     let mut body = Vec::new();
     Encoder::new(Frame::new(1e5, 3e5).unwrap()).encode(&page, &mut body);
-    let steps = Parts::of(&archive(&([(common::key(0, 0, 0), page)].into(), two_pixels().1)));
+    let steps = Parts::of(&archive(&([(common::key(0, 0, 0), page)].into(), Totals::default())));
     assert_eq!(rules(&steps.build(|_| ())), [""; 0]);
     assert_eq!(rules(&steps.with_page(&body).build(|_| ())), ["P10"]);
     let leader = |at: usize, value: u64| {

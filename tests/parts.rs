@@ -2,12 +2,14 @@
 
 mod common;
 
+use common::forge::{Parts, put};
 use common::{Pages, Random, key, page, plan, read_all, render, scene};
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
     Archive, ArchiveWriter, Bounds, PageEncoder, Place, Recovered, Shard, Totals, extract, merge, recover,
 };
+use slicewalk::frame::Frame;
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
 use slicewalk::slice::{Page, Span};
 use slicewalk::store::Store;
@@ -33,15 +35,15 @@ fn pages() -> impl Strategy<Value = Pages> {
     contents.prop_map(|all| all.into_iter().map(|((tx, ty, layer), n)| (key(tx, ty, layer), content(n))).collect())
 }
 
-fn totals(points: u64, x: f64) -> Totals {
-    let bounds = (points > 0).then_some(([x, -100.0, -50.0], [x + 1.0, 100.0, 50.0]));
+/// With the bounds of the matter.
+fn totals(points: u64) -> Totals {
     let read = points + 3;
     Totals {
         points_read: read,
         points_kept: points,
         points_withheld: 1,
         points_excluded: 2,
-        bounds,
+        bounds: None,
         crs: "here".into(),
         units: vec![slicewalk::unit::LengthUnit::of(0.3048)],
     }
@@ -86,19 +88,16 @@ proptest! {
             let last = firsts.get(index + 1).map_or(u64::MAX, |next| next - 1);
             let shard = Shard { index: index as u32 + 1, count: count as u32, first: firsts[index], last, job: 7 };
             let name = path(&format!("{index}.slices"));
-            write(&name, &pages, totals(index as u64, index as f64), Some(shard));
+            write(&name, &pages, totals(index as u64), Some(shard));
             name
         }).collect();
         for part in &parts {
             verified(part);
         }
         let points = (0..count as u64).sum();
-        let mut whole = totals(points, 1.0);
+        let mut whole = totals(points);
         (whole.points_read, whole.points_withheld, whole.points_excluded) =
             (points + 3 * count as u64, count as u64, 2 * count as u64);
-        if let Some((_, max)) = &mut whole.bounds {
-            max[0] = count as f64;
-        }
         write(&path("whole.slices"), &pages, whole, None);
         let mut order = parts.clone();
         order.rotate_left(at % count);
@@ -112,7 +111,7 @@ proptest! {
         cuts: bool
     ) {
         let folder = tempfile::tempdir().unwrap();
-        write(&folder.path().join("a.slices"), &pages, totals(9, 0.0), None);
+        write(&folder.path().join("a.slices"), &pages, totals(9), None);
         let good = fs::read(folder.path().join("a.slices")).unwrap();
         let mut bad = good.clone();
         for (at, value) in flips {
@@ -223,6 +222,191 @@ fn without_a_head_the_plan_must_be_given_and_bounds_come_from_the_pages() {
     assert!(error.to_string().contains("no sound page"), "{error}");
 }
 
+/// Recovers `bytes` and says what came of it; what is written keeps every rule.
+fn recovered(folder: &Path, bytes: &[u8]) -> (Recovered, Pages) {
+    let (from, to) = (folder.join("from.slices"), folder.join("to.slices"));
+    fs::write(&from, bytes).unwrap();
+    let recovered = recover(&from, Some(&plan()), &to, true, &NoMonitor).unwrap();
+    (recovered, read_all(&verified(&to)).unwrap())
+}
+
+/// The scene with a page changed and its checksum put right.
+fn with_page(at: usize, change: impl FnOnce(&mut [u8])) -> Vec<u8> {
+    let mut bytes = common::archive(&scene());
+    let whole = Archive::from_bytes(bytes.clone()).unwrap();
+    let stored = whole.leaf(0).unwrap().into_iter().filter(|entry| matches!(entry.place, Place::Stored(_)));
+    let extent = stored.map(|entry| entry.extent().unwrap()).nth(at).unwrap();
+    let page = &mut bytes[extent.offset as usize..extent.offset as usize + extent.len as usize];
+    change(page);
+    let crc = crc32c::crc32c_append(crc32c::crc32c(&page[..20]), &page[24..]);
+    put(page, 20, crc.into(), 4);
+    bytes
+}
+
+#[test]
+fn a_page_with_a_wrong_key_costs_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = Archive::from_bytes(common::archive(&scene())).unwrap();
+    let entries = whole.leaf(0).unwrap();
+    let stored: Vec<_> = entries.iter().filter(|entry| matches!(entry.place, Place::Stored(_))).collect();
+    let keys: Vec<_> = stored.iter().map(|entry| entry.key).collect();
+    for (at, tx) in (0..keys.len()).flat_map(|at| [(at, -(1 << 29)), (at, 1 << 29)]) {
+        let bytes = with_page(at, |page| put(page, 4, tx as u64, 4));
+        let (found, pages) = recovered(folder.path(), &bytes);
+        // Those that share its bytes are lost with it.
+        let alike = entries.iter().filter(|entry| entry.content() == stored[at].content()).count();
+        assert_eq!((found.lost.unwrap().stored, pages.len()), (1, entries.len() - alike));
+        assert!(!found.is_complete());
+        // Without a head only the order tells which page is in a wrong place.
+        let mut headless = bytes;
+        headless[100] ^= 1;
+        let (found, pages) = recovered(folder.path(), &headless);
+        let (mut in_order, moved) = (keys.clone(), key(tx, keys[at].ty, keys[at].layer));
+        in_order[at] = moved;
+        let lost = usize::from(!in_order.is_sorted());
+        assert_eq!(pages.len(), keys.len() - lost, "page {at} moved to {moved}");
+        assert!(found.lost.is_none() && !found.is_complete());
+    }
+}
+
+#[test]
+fn pages_in_metadata_are_no_matter() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut parts = Parts::of(&common::archive(&scene()));
+    let other = Parts::of(&common::archive(&(Pages::from([(key(900, 900, 0), content(3))]), totals(1))));
+    let record = [b"zzzz", &(other.pages.len() as u32).to_le_bytes()[..], &other.pages].concat();
+    parts.metadata.extend(record);
+    let good = parts.build(|_| ());
+    let (found, pages) = recovered(folder.path(), &good);
+    assert!(found.is_complete() && found.identical && pages == scene().0);
+    // Neither head nor directory tell where pages end, but what follows them is a leaf.
+    let mut headless = good.clone();
+    headless[100] ^= 1;
+    let stored: Pages =
+        scene().0.into_iter().filter(|(key, _)| ![(0, 1), (1, 0)].contains(&(key.tx, key.layer))).collect();
+    assert_eq!(recovered(folder.path(), &headless).1, stored);
+    let mut leafless = good.clone();
+    let leaf = Archive::from_bytes(good).unwrap().header().directory_offset() as usize;
+    leafless[leaf + 20] ^= 1;
+    let (found, pages) = recovered(folder.path(), &leafless);
+    assert!(pages == stored && !found.is_complete() && found.leaves == Some((0, 1)));
+}
+
+#[test]
+fn pages_that_are_not_where_their_leaf_has_them_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut parts = Parts::of(&common::archive(&scene()));
+    parts.pages.insert(0, 0x89);
+    let (found, pages) = recovered(folder.path(), &parts.build(|_| ()));
+    assert_eq!((found.leaves, found.lost.unwrap().stored), (Some((1, 1)), 0));
+    assert_eq!(pages.len() as u64, found.found.total());
+    assert!(found.found.stored == 5 && found.found.uniform == 1);
+}
+
+#[test]
+fn what_breaks_a_rule_is_mended_or_dropped_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let parts = Parts::of(&common::archive(&scene()));
+    let shard = |index: u32, first: u64, last: u64| {
+        let numbers = [&index.to_le_bytes()[..], &3u32.to_le_bytes(), &first.to_le_bytes(), &last.to_le_bytes()];
+        let metadata = [b"SHRD\x28\0\0\0", &numbers.concat()[..], &[7; 16]].concat();
+        Parts { metadata, ..parts.clone() }.build(|_| ())
+    };
+    let (found, _) = recovered(folder.path(), &shard(2, 1, u64::MAX - 1));
+    assert!(found.identical, "{found:?}");
+    let (found, pages) = recovered(folder.path(), &shard(1, 0, 9));
+    assert!(!found.is_complete() && pages == scene().0);
+    assert!(found.dropped[0].contains("part 1 of 3") && found.lost.unwrap().total() == 0, "{found:?}");
+    let bounds = parts.build(|head| put(head, 184, 0, 8));
+    let (found, _) = recovered(folder.path(), &bounds);
+    assert!(found.is_complete() && !found.identical && found.mended == ["bounds in the head (rule T6)"], "{found:?}");
+    let totals = parts.build(|head| put(head, 256, 0, 8));
+    let (found, _) = recovered(folder.path(), &totals);
+    assert!(found.is_complete() && found.mended == ["counts in the head (rules T1 to T4)"], "{found:?}");
+    let newer = parts.build(|head| put(head, 10, 7, 2));
+    let (found, _) = recovered(folder.path(), &newer);
+    assert!(!found.is_complete() && found.dropped == ["what format 1.7 adds to the head"], "{found:?}");
+    // Heights in centimetres, coded in quanta: the content is sound, its encoding is not the one.
+    let columns = (0..64).map(|px| ((px, 0), vec![Span::new(51 * px, 51 * px + 1, false).unwrap()]));
+    let steps = page(columns);
+    let parts = Parts::of(&common::archive(&(Pages::from([(key(0, 0, 0), steps.clone())]), Totals::default())));
+    let mut body = Vec::new();
+    slicewalk::codec::Encoder::new(Frame::new(1e5, 3e5).unwrap()).encode(&steps, &mut body);
+    let (found, pages) = recovered(folder.path(), &parts.with_page(&body).build(|_| ()));
+    assert_eq!(pages, Pages::from([(key(0, 0, 0), steps)]));
+    assert!(found.is_complete() && found.mended == ["encoding of 1 page (rule P10)"], "{found:?}");
+}
+
+#[test]
+fn unknown_metadata_is_copied_or_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let mut parts = Parts::of(&common::archive(&scene()));
+    parts.metadata = [b"AAAA\x03\0\0\0abc", &parts.metadata[..], b"zzzz\0\0\0\0"].concat();
+    let good = parts.build(|_| ());
+    assert!(recovered(folder.path(), &good).0.identical);
+    let mut bad = good.clone();
+    bad[parts.head.len() + 30] ^= 1;
+    let (found, _) = recovered(folder.path(), &bad);
+    assert!(!found.is_complete() && found.dropped.is_empty());
+    let metadata = |path: &Path| Parts::of(&fs::read(path).unwrap()).metadata;
+    assert_eq!(metadata(&path("to.slices")), parts.metadata);
+    let whole = Archive::from_bytes(good).unwrap();
+    let region = ([-1.0; 3], [1.0; 3]);
+    let extracted = extract(&whole, &region, &path("e.slices"), false, &NoMonitor).unwrap();
+    assert_eq!(extracted.dropped, ["metadata AAAA", "metadata zzzz"]);
+    assert_eq!(verified(&path("e.slices")).crs().unwrap(), "a made-up place");
+    // Of parts, what all say alike is what the whole says.
+    let middle = key(0, 0, 0).column();
+    let names: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
+        .map(|(index, first, last)| {
+            let name = path(&format!("{index}.slices"));
+            write(&name, &scene().0, totals(1), Some(Shard { index, count: 2, first, last, job: 7 }));
+            let mut parts = Parts::of(&fs::read(&name).unwrap());
+            parts.metadata = [b"AAAA\x03\0\0\0abc", &parts.metadata[..], b"zzzz\x01\0\0\0", &[index as u8]].concat();
+            fs::write(&name, parts.build(|_| ())).unwrap();
+            name
+        })
+        .to_vec();
+    let merged = merge(&names, &path("m.slices"), false, &NoMonitor).unwrap();
+    assert_eq!(merged.dropped, ["metadata zzzz, which is not the same in all parts"]);
+    assert!(metadata(&path("m.slices")).starts_with(b"AAAA\x03\0\0\0abcCRS "));
+    verified(&path("m.slices"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn what_is_recovered_of_forged_bytes_keeps_every_rule(
+        part in 0usize..4, changes in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..6), of_scene: bool
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        let good = if of_scene { common::archive(&scene()) } else { only_part(&scene()) };
+        let mut parts = Parts::of(&good);
+        let mut head = parts.head.clone();
+        let bytes = [&mut head, &mut parts.pages, &mut parts.leaf, &mut parts.metadata];
+        let changed = bytes.into_iter().nth(part).unwrap();
+        for (at, value) in changes {
+            let at = at.index(changed.len());
+            changed[at] = value;
+        }
+        let forged = parts.build(|good| if part == 0 { *good = head });
+        let (from, to) = (folder.path().join("from.slices"), folder.path().join("to.slices"));
+        fs::write(&from, &forged).unwrap();
+        let given = plan();
+        let known = Archive::from_bytes(forged).map_or(given, |archive| archive.plan().clone());
+        if recover(&from, Some(&known), &to, true, &NoMonitor).is_ok() {
+            verified(&to);
+        }
+    }
+}
+
+/// The scene as the only part of a conversion.
+fn only_part(made: &(Pages, Totals)) -> Vec<u8> {
+    common::archive_of(&plan(), made, Some(Shard { index: 1, count: 1, first: 0, last: u64::MAX, job: 9 }))
+}
+
 #[test]
 fn answers_inside_an_extracted_region_are_those_of_the_whole() {
     let folder = tempfile::tempdir().unwrap();
@@ -250,7 +434,7 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
             (bounds.0[axis], bounds.1[axis]) = (a.min(b), a.max(b));
         }
         let target = folder.path().join(format!("{number}.slices"));
-        let header = extract(&whole, &bounds, &target, false, &NoMonitor).unwrap();
+        let header = extract(&whole, &bounds, &target, false, &NoMonitor).unwrap().header;
         let part = verified(&target);
         assert_eq!(part.header(), &header);
         assert_eq!(part.crs().unwrap(), whole.crs().unwrap());
@@ -298,7 +482,7 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
     extract(&whole, &everything, &target, false, &NoMonitor).unwrap();
     assert!(fs::read(&target).unwrap() == good, "all of it, byte for byte");
     let nothing: Bounds = ([500.0; 3], [501.0; 3]);
-    let header = extract(&whole, &nothing, &target, true, &NoMonitor).unwrap();
+    let header = extract(&whole, &nothing, &target, true, &NoMonitor).unwrap().header;
     assert!(header.pages.total() == 0 && header.bounds.is_none());
     assert!(extract(&whole, &([1.0; 3], [0.0; 3]), &target, true, &NoMonitor).is_err());
     assert!(render(&verified(&target)).contains("points read 5000"));

@@ -35,13 +35,23 @@ fn text(twin: &Value) -> String {
     format!("{{\"info\": {},\n\"pages\": [\n{}\n]}}\n", twin["info"], pages.join(",\n"))
 }
 
+/// Of a content with very many pages only some, by their numbers.
+fn short(mut content: Value) -> Value {
+    let Some(pages) = content["pages"].as_array().filter(|pages| pages.len() > 1000) else { return content };
+    let some = [0, 1, 2, 4095, 4096, pages.len() - 1];
+    let some: serde_json::Map<_, _> = some.into_iter().map(|at| (at.to_string(), pages[at].clone())).collect();
+    content["some_pages"] = some.into();
+    content.as_object_mut().unwrap().remove("pages");
+    content
+}
+
 #[test]
 fn every_sample_holds_what_its_twin_says() {
     let write = std::env::var("SLICEWALK_SAMPLES").as_deref() == Ok("write");
     let mut listed = BTreeSet::from([".gitignore".to_string()]);
     let mut sum = 0;
     for (name, bytes, rule) in all() {
-        let twin = content_or_rule(bytes.clone());
+        let twin = short(content_or_rule(bytes.clone()));
         if let Some(rule) = rule {
             assert_eq!(twin, json!({ "rule": rule }), "{name}");
         }
@@ -54,7 +64,7 @@ fn every_sample_holds_what_its_twin_says() {
         let expected: Value = serde_json::from_slice(&std::fs::read(folder().join(&json)).unwrap()).unwrap();
         assert!(stored.len() < 20_000, "{name} is large: {} bytes", stored.len());
         sum += stored.len();
-        assert!(content_or_rule(stored) == expected, "{name} does not hold what its twin says");
+        assert!(short(content_or_rule(stored)) == expected, "{name} does not hold what its twin says");
         assert!(twin == expected, "{name} as it is made today does not hold what its twin says");
         listed.extend([archive, json]);
     }
@@ -67,7 +77,9 @@ fn every_sample_holds_what_its_twin_says() {
 fn every_changed_byte_of_a_good_sample_is_found() {
     for (name, good) in samples::good::all() {
         let pages = read_all(&Archive::from_bytes(good.clone()).unwrap()).unwrap();
-        for at in 0..good.len() {
+        // Of very many pages it would take long.
+        let step = if pages.len() > 1000 { 293 } else { 1 };
+        for at in (0..good.len()).step_by(step) {
             let mut bytes = good.clone();
             bytes[at] ^= 1 << (at % 8);
             let Ok(archive) = Archive::from_bytes(bytes) else { continue };

@@ -2,7 +2,7 @@
 //!
 //! In: bytes that the caller fetched. Out: entries of pages, metadata. No reads, and no state.
 
-use super::directory::{PageEntry, Place, decode_leaf, max_raw_len};
+use super::directory::{LeafEntries, LeafPlace, PageEntry, max_raw_len};
 use super::head::{Header, Leaf};
 use super::metadata::Metadata;
 use crate::Result;
@@ -60,12 +60,25 @@ impl Catalog {
     /// Entries of leaf `index`, ascending, from `stored`, the bytes of its range. Breaks of rules D1 to D11 are errors.
     /// Memory besides the result: at most 47 bytes an entry.
     pub fn decode_leaf(&self, index: usize, stored: &[u8]) -> Result<Vec<PageEntry>> {
-        let entries = self.check_and_decode(index, stored);
-        entries.map_err(|violation| violation.at(format!("directory leaf {index}"), self.leaf_range(index).start))
+        self.open_leaf(index, stored)?.collect()
     }
 
-    fn check_and_decode(&self, index: usize, stored: &[u8]) -> Result<Vec<PageEntry>, Violation> {
+    /// As [`decode_leaf`](Self::decode_leaf), entry by entry. A rule may turn out to be broken after some of them.
+    pub(super) fn open_leaf(&self, index: usize, stored: &[u8]) -> Result<LeafEntries> {
         let leaf = &self.leaves[index];
+        let place = LeafPlace {
+            index,
+            offset: self.leaf_range(index).start,
+            entries: leaf.entries,
+            first: leaf.first,
+            end: self.leaves.get(index + 1).map(|next| next.first),
+            pages: self.header.pages_offset()..self.header.directory_offset(),
+        };
+        let unpacked = self.unpack_leaf(leaf, stored).map_err(|violation| place.broken(violation));
+        LeafEntries::new(unpacked?, place)
+    }
+
+    fn unpack_leaf(&self, leaf: &Leaf, stored: &[u8]) -> Result<Vec<u8>, Violation> {
         let crc = crc32c::crc32c(stored);
         if crc != leaf.crc {
             return Err(Violation::new("D1", format!("checksum {:08x}", leaf.crc), format!("{crc:08x}")));
@@ -75,26 +88,11 @@ impl Catalog {
             return Err(Violation::new("D2", expected, leaf.raw_len));
         }
         let mut unpacker = Unpacker::new();
-        let raw = unpacker.unpack(stored, leaf.raw_len as usize, "D2")?;
-        if raw.len() != leaf.raw_len as usize {
-            return Err(Violation::new("D2", format!("{} bytes in the frame", leaf.raw_len), raw.len()));
+        let len = unpacker.unpack(stored, leaf.raw_len as usize, "D2")?.len();
+        if len != leaf.raw_len as usize {
+            return Err(Violation::new("D2", format!("{} bytes in the frame", leaf.raw_len), len));
         }
-        let mut entries = decode_leaf(raw, leaf.entries, leaf.first, self.header.bytes.pages)?;
-        if let (Some(next), Some(last)) = (self.leaves.get(index + 1), entries.last())
-            && last.key >= next.first
-        {
-            return Err(Violation::new(
-                "D4",
-                format!("keys below {}, where the next leaf begins", next.first),
-                last.key,
-            ));
-        }
-        for entry in &mut entries {
-            if let Place::Stored(extent) | Place::Shared(extent) = &mut entry.place {
-                extent.offset += self.header.pages_offset();
-            }
-        }
-        Ok(entries)
+        Ok(unpacker.into_content())
     }
 
     /// Where the metadata block lies: at most 1 MiB (rule H9).

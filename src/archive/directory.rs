@@ -6,9 +6,11 @@
 use crate::codec::{Reader, Violation, put_varint, span_bits, span_from_bits, unzigzag, zigzag};
 use crate::frame::{MAX_INDEX, PAGE_SLICES, PageKey};
 use crate::slice::{PageSize, Span};
+use crate::{Error, Result};
+use std::ops::Range;
 
 /// A stretch of bytes of the archive with its checksum.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Extent {
     /// First byte [bytes from the start of the archive].
     pub offset: u64,
@@ -19,7 +21,7 @@ pub struct Extent {
 }
 
 /// Where the content of a page is found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Place {
     /// In bytes of its own.
     Stored(Extent),
@@ -42,7 +44,25 @@ pub struct PageEntry {
     pub place: Place,
 }
 
+/// What the directory says of the content of a page: entries of equal content hold equal pages.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Content {
+    /// Shared bytes count as stored ones.
+    place: Place,
+    slices: u64,
+    size: PageSize,
+}
+
 impl PageEntry {
+    /// What the page holds, whichever page it is.
+    pub fn content(&self) -> Content {
+        let place = match self.place {
+            Place::Shared(extent) => Place::Stored(extent),
+            place => place,
+        };
+        Content { place, slices: self.slices, size: self.size }
+    }
+
     /// Bytes to read for the content; `None` for a uniform page, which needs no read.
     pub fn extent(&self) -> Option<Extent> {
         match self.place {
@@ -71,9 +91,6 @@ const UNIFORM: u8 = 2;
 /// Least and greatest bytes of an entry before compression.
 const MIN_ENTRY: usize = 1 + 1 + 1 + 4;
 const MAX_ENTRY: usize = 10 + 5 + 1 + 8 + 5 + 10 + 4 + 1 + 3;
-
-/// Stands in for an extent until its entry is filled in.
-const NOWHERE: Extent = Extent { offset: 0, len: 0, crc: 0 };
 
 /// Greatest layer and tile index in magnitude (toward −∞ one more).
 const MAX_TILE: i32 = (MAX_INDEX / PAGE_SLICES) as i32;
@@ -130,120 +147,267 @@ pub(super) fn encode_leaf(entries: &[PageEntry], base: &mut u64, out: &mut Vec<u
     }
 }
 
-/// The `count` entries of a leaf, the first of which has the key `first`; offsets count from the start of the pages
-/// section, which is `pages_len` bytes long. Breaks of rules D3 to D8 and D11 are errors.
-pub(super) fn decode_leaf(raw: &[u8], count: u32, first: PageKey, pages_len: u64) -> Result<Vec<PageEntry>, Violation> {
-    let count = count as usize;
-    if raw.len() < count.saturating_mul(MIN_ENTRY) || raw.len() as u64 > max_raw_len(count as u32) {
-        return Err(Violation::new("D3", format!("a leaf of {count} entries"), format!("{} bytes", raw.len())));
+/// The entries of a leaf one after the other, straight from its columns: a leaf takes no more memory than its bytes.
+///
+/// Every entry is checked by rules D3 to D8 and D11 when it comes; after a broken rule there are no more.
+#[derive(Debug)]
+pub(super) struct LeafEntries {
+    raw: Vec<u8>,
+    leaf: LeafPlace,
+    cursor: Cursor,
+}
+
+impl LeafEntries {
+    /// Of the leaf with the bytes `raw` and the place `leaf`.
+    pub fn new(raw: Vec<u8>, leaf: LeafPlace) -> Result<Self> {
+        match Cursor::new(&raw, &leaf) {
+            Ok(cursor) => Ok(Self { raw, leaf, cursor }),
+            Err(violation) => Err(leaf.broken(violation)),
+        }
     }
-    let mut reader = Reader::new(raw, "D3");
-    let mut next = reader.varint()?;
-    let keys = decode_keys(&mut reader, count, first)?;
-    let kinds = reader.take(count)?;
-    if let Some(kind) = kinds.iter().find(|&&kind| kind > UNIFORM) {
-        return Err(Violation::new("D5", "kind 0, 1 or 2", kind));
+
+    /// Where in the archive the stored pages of the leaf lie, if all its entries are sound (bytes).
+    pub fn check(&self) -> Result<Range<u64>> {
+        let mut cursor = self.cursor.clone();
+        while cursor.next(&self.raw, &self.leaf).map_err(|violation| self.leaf.broken(violation))?.is_some() {}
+        let start = self.leaf.pages.start;
+        Ok(start + self.cursor.next..start + cursor.next)
     }
-    let paged = kinds.iter().filter(|&&kind| kind != UNIFORM).count();
-    let masks = reader.take(8 * paged)?;
-    // Lengths and back distances follow each other, so a second reader runs ahead to the distances.
-    let mut lens = Vec::with_capacity(paged);
-    for _ in 0..paged {
-        let len = reader.varint()?;
+}
+
+impl Iterator for LeafEntries {
+    type Item = Result<PageEntry>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let entry = self.cursor.next(&self.raw, &self.leaf);
+        entry.map_err(|violation| self.leaf.broken(violation)).transpose()
+    }
+}
+
+/// What the rest of an archive says of a leaf.
+#[derive(Debug, Clone)]
+pub(super) struct LeafPlace {
+    /// Number of the leaf, and where it lies in the archive (bytes).
+    pub index: usize,
+    pub offset: u64,
+    pub entries: u32,
+    /// Key of the first entry.
+    pub first: PageKey,
+    /// Key of the next leaf's first entry.
+    pub end: Option<PageKey>,
+    /// The pages section in the archive (bytes).
+    pub pages: Range<u64>,
+}
+
+impl LeafPlace {
+    /// The error for a rule that the leaf breaks.
+    pub fn broken(&self, violation: Violation) -> Error {
+        violation.at(format!("directory leaf {}", self.index), self.offset)
+    }
+}
+
+/// A place in each column of a leaf.
+#[derive(Debug, Clone)]
+struct Cursor {
+    /// Where the next stored page lies, from the start of the pages section.
+    next: u64,
+    /// Entries given, and those with bytes among them.
+    given: usize,
+    given_paged: usize,
+    /// Entries with bytes.
+    paged: usize,
+    last: Option<(u64, PageKey)>,
+    columns: Column,
+    layers: Column,
+    kinds: usize,
+    masks: usize,
+    lengths: Column,
+    distances: Column,
+    checksums: usize,
+    blocks: usize,
+    words: Column,
+    spans: usize,
+}
+
+/// The rest of a column of varints.
+#[derive(Debug, Clone, Copy)]
+struct Column {
+    at: usize,
+    end: usize,
+}
+
+impl Column {
+    /// The column of `count` varints that begins at `at`, and ends in `raw` before `end`.
+    fn of(raw: &[u8], at: usize, end: usize, count: usize) -> Result<Self, Violation> {
+        let rest = raw.get(at..end).unwrap_or(&[]);
+        let mut left = count;
+        let mut last = |byte: &u8| {
+            left -= usize::from(*byte < 0x80);
+            left == 0
+        };
+        match if count == 0 { Some(0) } else { rest.iter().position(&mut last).map(|last| last + 1) } {
+            Some(len) => Ok(Self { at, end: at + len }),
+            None => Err(Violation::new("D3", format!("a column of {count} varints"), format!("{left} less"))),
+        }
+    }
+
+    fn varint(&mut self, raw: &[u8]) -> Result<u64, Violation> {
+        let mut reader = Reader::new(&raw[self.at..self.end], "D3");
+        let value = reader.varint()?;
+        self.at = self.end - reader.len();
+        Ok(value)
+    }
+}
+
+/// The 32-bit number at `at`.
+fn word(raw: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes([raw[at], raw[at + 1], raw[at + 2], raw[at + 3]])
+}
+
+impl Cursor {
+    fn new(raw: &[u8], leaf: &LeafPlace) -> Result<Self, Violation> {
+        let (count, len) = (leaf.entries as usize, raw.len());
+        let short = || Violation::new("D3", format!("a leaf of {count} entries"), format!("{len} bytes"));
+        if len < count.saturating_mul(MIN_ENTRY) || len as u64 > max_raw_len(leaf.entries) {
+            return Err(short());
+        }
+        let mut reader = Reader::new(raw, "D3");
+        let next = reader.varint()?;
+        let columns = Column::of(raw, len - reader.len(), len, count)?;
+        let layers = Column::of(raw, columns.end, len, count)?;
+        let kinds = layers.end;
+        let all = raw.get(kinds..kinds + count).ok_or_else(short)?;
+        if let Some(kind) = all.iter().find(|&&kind| kind > UNIFORM) {
+            return Err(Violation::new("D5", "kind 0, 1 or 2", kind));
+        }
+        let of_kind = |wanted: u8| all.iter().filter(|&&kind| kind == wanted).count();
+        let (shared, uniform) = (of_kind(SHARED), of_kind(UNIFORM));
+        let paged = count - uniform;
+        let masks = kinds + count;
+        // The spans end the leaf, so what is between them and the masks is found from both sides.
+        let spans = len.checked_sub(4 * uniform).filter(|&spans| spans >= masks + 8 * paged).ok_or_else(short)?;
+        let lengths = Column::of(raw, masks + 8 * paged, spans, paged)?;
+        let distances = Column::of(raw, lengths.end, spans, shared)?;
+        let (checksums, blocks) = (distances.end, distances.end + 4 * paged);
+        let words = Column { at: blocks + paged, end: spans };
+        if words.at > words.end {
+            return Err(short());
+        }
+        let (given, given_paged, last) = (0, 0, None);
+        Ok(Self {
+            next,
+            given,
+            given_paged,
+            paged,
+            last,
+            columns,
+            layers,
+            kinds,
+            masks,
+            lengths,
+            distances,
+            checksums,
+            blocks,
+            words,
+            spans,
+        })
+    }
+
+    fn next(&mut self, raw: &[u8], leaf: &LeafPlace) -> Result<Option<PageEntry>, Violation> {
+        if self.given == leaf.entries as usize {
+            return match self.words.end - self.words.at {
+                0 => Ok(None),
+                more => Err(Violation::new("D3", "no byte beyond the last column", format!("{more} more"))),
+            };
+        }
+        let entry = self.entry(raw, leaf);
+        self.given = if entry.is_ok() { self.given + 1 } else { leaf.entries as usize };
+        entry.map(Some)
+    }
+
+    fn entry(&mut self, raw: &[u8], leaf: &LeafPlace) -> Result<PageEntry, Violation> {
+        let key = self.key(raw, leaf)?;
+        let kind = raw[self.kinds + self.given];
+        if kind == UNIFORM {
+            let bits = word(raw, self.spans + 4 * (self.given - self.given_paged));
+            let span = span_from_bits(bits);
+            let span = span.ok_or_else(|| Violation::new("D8", "a span inside the page", format!("{bits:08x}")))?;
+            return Ok(PageEntry {
+                key,
+                slices: span.slice_mask(),
+                size: PageSize::UNIFORM,
+                place: Place::Uniform(span),
+            });
+        }
+        let at = self.given_paged;
+        self.given_paged += 1;
+        let len = self.lengths.varint(raw)?;
         let longest = super::page::MAX_STORED_PAGE as u64;
         if len <= super::page::LEADER as u64 || len > longest {
-            return Err(Violation::new("D6", format!("a page of at most {longest} bytes"), len));
+            let expected = format!("a page of {} to {longest} bytes", super::page::LEADER + 1);
+            return Err(Violation::new("D6", expected, len));
         }
-        lens.push(len as u32);
-    }
-    let mut entries = Vec::with_capacity(count);
-    let mut at = 0;
-    for (&key, &kind) in keys.iter().zip(kinds) {
-        if kind == UNIFORM {
-            // Filled in below; the mask of no slice marks the gap.
-            entries.push(PageEntry { key, slices: 0, size: PageSize::UNIFORM, place: Place::Shared(NOWHERE) });
-            continue;
-        }
-        let len = lens[at];
-        let mask = (0..8).rev().fold(0u64, |mask, byte| mask << 8 | masks[byte * paged + at] as u64);
+        let mask =
+            (0..8).rev().fold(0u64, |mask, byte| mask << 8 | u64::from(raw[self.masks + byte * self.paged + at]));
         if mask == 0 {
             return Err(Violation::new("D7", "a slice with matter", format!("none in page {key}")));
         }
         let offset = match kind {
-            STORED => next,
+            STORED => self.next,
             _ => {
-                let back = reader.varint()?;
-                let offset = next.checked_sub(back).filter(|_| back >= len as u64);
+                let back = self.distances.varint(raw)?;
+                let offset = self.next.checked_sub(back).filter(|_| back >= len);
                 offset
                     .ok_or_else(|| Violation::new("D6", "shared bytes that end before here", format!("{back} back")))?
             }
         };
-        let end = offset.checked_add(len as u64).filter(|&end| end <= pages_len);
-        let Some(end) = end else {
+        let pages_len = leaf.pages.end - leaf.pages.start;
+        let Some(end) = offset.checked_add(len).filter(|&end| end <= pages_len) else {
             let found = format!("{len} bytes at {offset} for page {key}");
             return Err(Violation::new("D6", format!("pages within {pages_len} bytes"), found));
         };
-        let extent = Extent { offset, len, crc: 0 };
+        let (blocks, more) = (u32::from(raw[self.blocks + at]) + 1, self.words.varint(raw)?);
+        let words = u32::try_from(more.saturating_add(blocks.into())).ok();
+        let size = words.and_then(|words| PageSize::new(blocks, words)).ok_or_else(|| {
+            let expected = format!("1 to 64 blocks with up to {} words", PageSize::MAX_WORDS);
+            Violation::new("D11", expected, format!("{blocks} blocks and {more} words more in page {key}"))
+        })?;
+        let crc = word(raw, self.checksums + 4 * at);
+        let extent = Extent { offset: leaf.pages.start + offset, len: len as u32, crc };
         let place = if kind == STORED { Place::Stored(extent) } else { Place::Shared(extent) };
         if kind == STORED {
-            next = end;
+            self.next = end;
         }
-        entries.push(PageEntry { key, slices: mask, size: PageSize::UNIFORM, place });
-        at += 1;
+        Ok(PageEntry { key, slices: mask, size, place })
     }
-    for entry in entries.iter_mut().filter(|entry| entry.slices != 0) {
-        if let Place::Stored(extent) | Place::Shared(extent) = &mut entry.place {
-            extent.crc = reader.u32()?;
-        }
-    }
-    let blocks = reader.take(paged)?;
-    for (entry, &blocks) in entries.iter_mut().filter(|entry| entry.slices != 0).zip(blocks) {
-        let (blocks, more) = (blocks as u32 + 1, reader.varint()?);
-        let words = u32::try_from(more.saturating_add(blocks as u64)).ok();
-        entry.size = words.and_then(|words| PageSize::new(blocks, words)).ok_or_else(|| {
-            let expected = format!("1 to 64 blocks with up to {} words", PageSize::MAX_WORDS);
-            Violation::new("D11", expected, format!("{blocks} blocks and {more} words more in page {}", entry.key))
-        })?;
-    }
-    for entry in entries.iter_mut().filter(|entry| entry.slices == 0) {
-        let bits = reader.u32()?;
-        let span = span_from_bits(bits);
-        let span = span.ok_or_else(|| Violation::new("D8", "a span inside the page", format!("{bits:08x}")))?;
-        entry.slices = span.slice_mask();
-        entry.place = Place::Uniform(span);
-    }
-    reader.finish()?;
-    Ok(entries)
-}
 
-fn decode_keys(reader: &mut Reader<'_>, count: usize, first: PageKey) -> Result<Vec<PageKey>, Violation> {
-    let wrong = |found: String| Violation::new("D4", "keys in ascending order, the first as the root says", found);
-    let mut columns = Vec::with_capacity(count);
-    let mut column = first.column();
-    for at in 0..count {
-        let delta = reader.varint()?;
-        let sum = column.checked_add(delta).filter(|_| at > 0 || delta == 0);
-        column = sum.ok_or_else(|| wrong(format!("a step of {delta} after column {column}")))?;
-        columns.push(column);
-    }
-    let mut keys: Vec<PageKey> = Vec::with_capacity(count);
-    let mut layer = first.layer as i64;
-    for (at, column) in columns.into_iter().enumerate() {
-        let delta = unzigzag(reader.varint()?);
-        let sum = layer.checked_add(delta).filter(|_| at > 0 || delta == 0);
-        layer = sum.ok_or_else(|| wrong(format!("a step of {delta} after layer {layer}")))?;
-        let inside = -MAX_TILE as i64 - 1..=MAX_TILE as i64;
-        if !inside.contains(&layer) {
-            return Err(wrong(format!("layer {layer}")));
+    fn key(&mut self, raw: &[u8], leaf: &LeafPlace) -> Result<PageKey, Violation> {
+        let wrong = |found: String| Violation::new("D4", "keys in ascending order, the first as the root says", found);
+        let (across, up) = (self.columns.varint(raw)?, unzigzag(self.layers.varint(raw)?));
+        let Some((column, last)) = self.last else {
+            let first = leaf.first;
+            if across != 0 || up != 0 || !key_in_grid(first) {
+                return Err(wrong(format!("a leaf that begins {across} columns and {up} layers after {first}")));
+            }
+            return self.below_end(leaf, first.column(), first);
+        };
+        let next = column.checked_add(across).ok_or_else(|| wrong(format!("{across} columns after {last}")))?;
+        let layer = i64::from(last.layer).checked_add(up).and_then(|layer| i32::try_from(layer).ok());
+        let layer = layer.ok_or_else(|| wrong(format!("{up} layers after {last}")))?;
+        let key = if across == 0 { PageKey { layer, ..last } } else { PageKey::from_column(next, layer) };
+        if !key_in_grid(key) || across == 0 && up <= 0 {
+            return Err(wrong(format!("page {key} after {last}")));
         }
-        let key = PageKey::from_column(column, layer as i32);
-        let tiles_inside = [key.tx, key.ty].iter().all(|&tile| inside.contains(&(tile as i64)));
-        if !tiles_inside || keys.last().is_some_and(|&last| last >= key) {
-            return Err(wrong(format!("page {key}")));
-        }
-        keys.push(key);
+        self.below_end(leaf, next, key)
     }
-    Ok(keys)
+
+    fn below_end(&mut self, leaf: &LeafPlace, column: u64, key: PageKey) -> Result<PageKey, Violation> {
+        if let Some(end) = leaf.end.filter(|&end| key >= end) {
+            return Err(Violation::new("D4", format!("keys below {end}, where the next leaf begins"), key));
+        }
+        self.last = Some((column, key));
+        Ok(key)
+    }
 }
 
 /// Whether the grid has a page of this key.
@@ -290,6 +454,16 @@ pub(super) mod tests {
         })
     }
 
+    fn place(entries: u32, first: PageKey, pages_len: u64) -> LeafPlace {
+        LeafPlace { index: 3, offset: 9, entries, first, end: None, pages: 0..pages_len }
+    }
+
+    fn decode_leaf(raw: &[u8], entries: u32, first: PageKey, pages_len: u64) -> Result<Vec<PageEntry>> {
+        let entries = LeafEntries::new(raw.to_vec(), place(entries, first, pages_len))?;
+        entries.check()?;
+        entries.collect()
+    }
+
     fn encoded(entries: &[PageEntry]) -> Vec<u8> {
         let stored = entries.iter().find(|entry| matches!(entry.place, Place::Stored(_)));
         let mut base = stored.and_then(PageEntry::extent).map_or(0, |extent| extent.offset);
@@ -310,7 +484,10 @@ pub(super) mod tests {
         });
         encode_leaf(&entries, &mut base, &mut raw);
         assert_eq!(base, 5000);
-        assert_eq!(decode_leaf(&raw, 2, entries[0].key, 5000), Ok(entries.to_vec()));
+        assert_eq!(decode_leaf(&raw, 2, entries[0].key, 5000).unwrap(), entries);
+        let place = LeafPlace { end: Some(entries[1].key), ..place(2, entries[0].key, 5000) };
+        let before_the_next = LeafEntries::new(raw, place).unwrap().check();
+        assert!(before_the_next.unwrap_err().to_string().contains("rule D4: directory leaf 3 at byte 9"));
     }
 
     proptest! {
@@ -319,7 +496,7 @@ pub(super) mod tests {
             let raw = encoded(&entries);
             prop_assert!(raw.len() as u64 <= max_raw_len(entries.len() as u32));
             let again = decode_leaf(&raw, entries.len() as u32, entries[0].key, u64::MAX);
-            prop_assert_eq!(again, Ok(entries));
+            prop_assert_eq!(again.unwrap(), entries);
         }
 
         #[test]

@@ -1,6 +1,8 @@
 //! Cutting a region out of an archive: an archive of its own whose answers inside the region are those of the whole.
 
+use super::copy::{Copier, beyond_this_version};
 use super::head::{Bounds, Header};
+use super::metadata::{Metadata, tag_name};
 use super::page::{EncodedPage, PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::writer::{ArchiveWriter, Totals};
@@ -9,6 +11,15 @@ use crate::output::{Existing, Protected};
 use crate::slice::{Page, PageBuilder, Span};
 use crate::{Error, Monitor, Result};
 use std::path::Path;
+
+/// What an extraction made.
+#[derive(Debug, Clone)]
+pub struct Extracted {
+    /// Head of the new archive.
+    pub header: Header,
+    /// What the archive holds beside matter, points and reference system, and the extract does not, in words.
+    pub dropped: Vec<String>,
+}
 
 /// Whole pixels and slices, first and last.
 struct Region {
@@ -31,16 +42,28 @@ impl Region {
         Self { i: pixels(0), j: pixels(1), slices: (frame.slice_of(min[2]) - 1, frame.slice_of(max[2]) + 1) }
     }
 
-    /// The part of `page` in the region, built in `builder`; `None` if it is all of the page.
-    fn cut(&self, key: PageKey, page: &Page, builder: &mut PageBuilder) -> Option<Page> {
+    /// The part of page `key` that lies in the region; `None` if there is none.
+    fn part_of(&self, key: PageKey) -> Option<PagePart> {
         let parts = [(self.i, key.tx), (self.j, key.ty), (self.slices, key.layer)];
-        let [Some(px), Some(py), Some(slices)] = parts.map(|(range, at)| within(range, i64::from(at) * TILE_PIXELS))
-        else {
-            return Some(PageBuilder::default().build());
-        };
-        if [px, py, slices] == [(0, 63); 3] {
-            return None;
-        }
+        let [px, py, slices] = parts.map(|(range, at)| within(range, i64::from(at) * TILE_PIXELS));
+        Some(PagePart { px: px?, py: py?, slices: slices? })
+    }
+}
+
+/// A box of pixels and slices of one page, first and last.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+struct PagePart {
+    px: (u32, u32),
+    py: (u32, u32),
+    slices: (u32, u32),
+}
+
+impl PagePart {
+    const WHOLE: Self = Self { px: (0, 63), py: (0, 63), slices: (0, 63) };
+
+    /// What `page` has here, built in `builder`.
+    fn cut(&self, page: &Page, builder: &mut PageBuilder) -> Page {
+        let Self { px, py, slices } = *self;
         let (low, high) = (slices.0 * SLICE_QUANTA as u32, (slices.1 + 1) * SLICE_QUANTA as u32);
         builder.clear();
         let mut column: Vec<Span> = Vec::new();
@@ -59,7 +82,7 @@ impl Region {
                 debug_assert!(canonical, "parts of spans that are apart are apart");
             }
         }
-        Some(builder.build())
+        builder.build()
     }
 }
 
@@ -69,14 +92,15 @@ const _: () = assert!(PAGE_SLICES == TILE_PIXELS, "pages are cut alike along all
 ///
 /// Whole pixels and slices are kept, and one more on every side, so that any query that stays within `bounds` is
 /// answered as by the whole; spans are cut at slices. Point counts stay those of the conversion; the bounds are cut.
-/// Cost: the directory, and the pages that meet the region.
+/// Metadata of unknown tags are left out: they may tell of what was cut away. Cost: the directory, and the pages that
+/// meet the region.
 pub fn extract(
     archive: &Archive,
     bounds: &Bounds,
     output: &Path,
     overwrite: bool,
     monitor: &dyn Monitor,
-) -> Result<Header> {
+) -> Result<Extracted> {
     let (min, max) = bounds;
     // Written so that NaN fails.
     if !(0..3).all(|axis| min[axis] <= max[axis]) {
@@ -85,38 +109,35 @@ pub fn extract(
     let (frame, header) = (archive.frame(), archive.header());
     let region = Region::around(frame, bounds);
     monitor.stage("extract", header.pages.total(), "pages");
+    let Metadata { crs, shard, units, unknown, .. } = archive.metadata()?;
     let mut protected = Protected::default();
     protected.add_source(archive.source());
     let mut writer = ArchiveWriter::begin(output, archive.plan(), Existing::replaced_if(overwrite), protected)?;
     let (mut decoder, mut encoder, mut builder) =
         (PageDecoder::new(), PageEncoder::new(*frame), PageBuilder::default());
+    let mut copier = Copier::new();
     for entry in archive.entries() {
         if monitor.cancelled() {
             return Err(Error::Interrupted);
         }
-        let (entry, key) = entry.map(|entry| (entry, entry.key))?;
+        let entry = entry?;
         monitor.advance(1);
-        let meets = |range, at: i32| within(range, i64::from(at) * TILE_PIXELS).is_some();
-        if !(meets(region.i, key.tx) && meets(region.j, key.ty) && meets(region.slices, key.layer)) {
-            continue;
-        }
-        let page = archive.page_with(&entry, &mut decoder)?;
-        match region.cut(key, &page, &mut builder) {
-            None => writer.put(key, EncodedPage::copied(key, &decoder.bytes, &page))?,
-            Some(part) if part.slices() == 0 => {}
-            Some(part) => writer.put(key, encoder.encode(key, &part))?,
-        }
+        let Some(part) = region.part_of(entry.key) else { continue };
+        copier.put(&mut writer, entry.key, (entry.content(), part), || {
+            let page = archive.page_with(&entry, &mut decoder)?;
+            if part == PagePart::WHOLE {
+                return Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page)));
+            }
+            let part = part.cut(&page, &mut builder);
+            Ok((part.slices() != 0).then(|| encoder.encode(entry.key, &part)))
+        })?;
     }
-    let metadata = archive.metadata()?;
-    writer.finish(Totals {
-        points_read: header.points_read,
-        points_kept: header.points_kept,
-        points_withheld: header.points_withheld,
-        points_excluded: header.points_excluded,
-        bounds: header.bounds.and_then(|whole| region.bounds(frame, &whole)),
-        crs: metadata.crs,
-        units: metadata.units,
-    })
+    let bounds = writer.fit(header.bounds.and_then(|whole| region.bounds(frame, &whole)));
+    let mut dropped: Vec<_> = unknown.keys().map(|tag| format!("metadata {}", tag_name(tag))).collect();
+    dropped.extend(shard.map(|shard| format!("that it is {shard}")));
+    dropped.extend(beyond_this_version(header));
+    let header = writer.finish(Totals { bounds, crs, units, ..Totals::of_points(header) })?;
+    Ok(Extracted { header, dropped })
 }
 
 impl Region {

@@ -4,8 +4,10 @@
 //! other; sharing, directory and head are made anew, since they look across parts. Every page is decoded and checked on
 //! its way. Memory: that of one writer and one page.
 
-use super::head::{Bounds, Header, Tiles, Voxels};
-use super::metadata::Metadata;
+use super::copy::{Copier, beyond_this_version, refuse_repeats};
+use super::head::{Bounds, Header, Voxels};
+use super::matter::Matter;
+use super::metadata::{Metadata, Tag, Unknown, tag_name};
 use super::page::{EncodedPage, PageDecoder};
 use super::reader::Archive;
 use super::shard::{InputRead, Shard};
@@ -30,6 +32,8 @@ pub struct Merged {
     pub written: bool,
     /// Copies of parts that are among the others, and were left out.
     pub copies: Vec<PathBuf>,
+    /// What the parts hold beside points and reference system and the whole could not keep, in words.
+    pub dropped: Vec<String>,
 }
 
 /// One part. It is closed while others are worked on: there may be more parts than a program may hold open.
@@ -40,6 +44,7 @@ struct Part<'a> {
     crs: String,
     units: Vec<LengthUnit>,
     read: Vec<InputRead>,
+    unknown: Unknown,
 }
 
 impl<'a> Part<'a> {
@@ -55,8 +60,8 @@ impl<'a> Part<'a> {
                           sliceconv --shard writes";
             return Err(Error::input(path, "metadata", reason));
         };
-        let Metadata { crs, units, read, .. } = metadata;
-        Ok(Self { path, header: archive.header().clone(), shard, crs, units, read })
+        let Metadata { crs, units, read, unknown, .. } = metadata;
+        Ok(Self { path, header: archive.header().clone(), shard, crs, units, read, unknown })
     }
 
     /// The archive once more.
@@ -100,6 +105,7 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
         return Err(Error::parameter("SHARD", "no part was given; name the archives that sliceconv --shard wrote"));
     };
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
+    parts.iter().try_for_each(|part| refuse_repeats(&part.header))?;
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
     let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing, shards.iter().collect())?;
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), ..Totals::default() };
@@ -107,9 +113,26 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
         copy(part, &mut writer, monitor)?;
         add(&mut totals, part)?;
     }
+    let (unknown, dropped) = common_records(&parts);
+    writer.set_unknown(unknown);
     let (header, written) = writer.finish_or_keep(totals)?;
     let (crs, units) = (first.crs.clone(), first.units.clone());
-    Ok(Merged { header, crs, units, written, copies })
+    Ok(Merged { header, crs, units, written, copies, dropped })
+}
+
+/// Metadata of unknown tags that say the same in all parts, and what does not.
+fn common_records(parts: &[Part<'_>]) -> (Unknown, Vec<String>) {
+    let all: BTreeMap<&Tag, &Vec<u8>> = parts.iter().flat_map(|part| &part.unknown).collect();
+    let (mut common, mut dropped) = (Unknown::new(), Vec::new());
+    for (tag, content) in all {
+        if parts.iter().all(|part| part.unknown.get(tag) == Some(content)) {
+            common.insert(*tag, content.clone());
+        } else {
+            dropped.push(format!("metadata {}, which is not the same in all parts", tag_name(tag)));
+        }
+    }
+    dropped.extend(parts.iter().find_map(|part| beyond_this_version(&part.header)));
+    (common, dropped)
 }
 
 /// The parts from first to last, and the names of copies; refuses what does not make one whole.
@@ -218,8 +241,8 @@ fn same_bytes(a: &Part<'_>, b: &Part<'_>) -> Result<bool> {
 /// Puts all pages of `part` into `writer`.
 fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
     let archive = part.reopen()?;
-    let mut decoder = PageDecoder::new();
-    let (mut tiles, mut voxels, mut pages) = (Tiles::default(), Voxels::default(), 0);
+    let (mut decoder, mut copier) = (PageDecoder::new(), Copier::new());
+    let (mut tiles, mut voxels, mut pages, mut matter) = (0, Voxels::default(), 0, Matter::default());
     for entry in archive.entries() {
         if monitor.cancelled() {
             return Err(Error::Interrupted);
@@ -228,18 +251,26 @@ fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> R
         if !part.shard.columns().contains(&entry.key.column()) {
             return part.refuse(format!("page {} lies outside its columns (rule T5); convert it again", entry.key));
         }
-        let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
-        let copied = EncodedPage::copied(entry.key, &decoder.bytes, &page);
-        tiles.occupied += u64::from(copied.slices.count_ones());
-        voxels.occupied += copied.voxels.0;
-        voxels.obstacle += copied.voxels.1;
+        let placed = copier.put(writer, entry.key, entry.content(), || {
+            let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
+            Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page)))
+        })?;
+        if let Some(placed) = placed {
+            tiles += u64::from(placed.slices.count_ones());
+            voxels.occupied += placed.voxels.0;
+            voxels.obstacle += placed.voxels.1;
+            matter.add(entry.key, &placed.bounds);
+        }
         pages += 1;
-        writer.put(entry.key, copied)?;
         monitor.advance(1);
     }
     let header = &part.header;
-    if (pages, tiles.occupied, voxels) != (header.pages.total(), header.tiles.occupied, header.voxels) {
+    if (pages, tiles, voxels) != (header.pages.total(), header.tiles.occupied, header.voxels) {
         return part.refuse("its totals are not those of its pages (rules T1 to T3); convert it again".into());
+    }
+    if let Err(broken) = matter.check(&header.plan, true, header.bounds.as_ref()) {
+        let (expected, found) = (broken.expected, broken.found);
+        return part.refuse(format!("rule T6: expected {expected}, found {found}; convert it again"));
     }
     Ok(())
 }

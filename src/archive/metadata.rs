@@ -1,22 +1,29 @@
-//! Metadata: tagged records of any kind; unknown ones are skipped (chapter 7).
+//! Metadata: tagged records of any kind (chapter 7). Those of unknown tags are kept as they are.
 
 use super::head::{MAX_METADATA, hex};
 use super::shard::{InputRead, Shard};
 use crate::codec::{Reader, Violation};
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
+use std::collections::BTreeMap;
+
+/// Name of a record; records ascend by it.
+pub(super) type Tag = [u8; 4];
 
 /// Tag of the coordinate reference system, as the input states it.
-const CRS: [u8; 4] = *b"CRS ";
+const CRS: Tag = *b"CRS ";
 
 /// Tag of what a part read of inputs that other parts read too.
-const READ: [u8; 4] = *b"READ";
+const READ: Tag = *b"READ";
 
 /// Tag of the part of a conversion that the archive holds.
-const SHARD: [u8; 4] = *b"SHRD";
+const SHARD: Tag = *b"SHRD";
+
+/// Records of tags that this version does not know.
+pub(super) type Unknown = BTreeMap<Tag, Vec<u8>>;
 
 /// Tag of the units that were applied to the inputs.
-const UNIT: [u8; 4] = *b"UNIT";
+const UNIT: Tag = *b"UNIT";
 /// Bytes of one unit.
 const UNIT_LEN: usize = 16;
 /// Most units of inputs that one archive can state.
@@ -33,29 +40,32 @@ pub(super) struct Metadata {
     pub read: Vec<InputRead>,
     /// Units of the inputs, ascending and each once; none if unknown.
     pub units: Vec<LengthUnit>,
+    pub unknown: Unknown,
+}
+
+/// A tag for people: its characters, others escaped.
+pub(super) fn tag_name(tag: &Tag) -> String {
+    tag.escape_ascii().to_string()
 }
 
 impl Metadata {
     /// The metadata block, at most 1 MiB; what is not known makes no record.
     pub fn encode(&self) -> Result<Vec<u8>> {
+        let read = (!self.read.is_empty()).then(|| InputRead::encode(&self.read));
+        let shard = self.shard.as_ref().map(Shard::encode);
+        let units = self.units.iter().flat_map(|unit| [unit.horizontal_m, unit.vertical_m]);
+        let units: Vec<u8> = units.flat_map(f64::to_le_bytes).collect();
+        let mut records: BTreeMap<Tag, &[u8]> =
+            self.unknown.iter().map(|(tag, content)| (*tag, &content[..])).collect();
+        records.extend((!self.crs.is_empty()).then_some((CRS, self.crs.as_bytes())));
+        records.extend(read.as_ref().map(|read| (READ, &read[..])));
+        records.extend(shard.as_ref().map(|shard| (SHARD, &shard[..])));
+        records.extend((!units.is_empty()).then_some((UNIT, &units[..])));
         let mut out = Vec::new();
-        let mut put = |tag: [u8; 4], content: &[u8]| {
+        for (tag, content) in records {
             out.extend(tag);
             out.extend((content.len() as u32).to_le_bytes());
             out.extend(content);
-        };
-        if !self.crs.is_empty() {
-            put(CRS, self.crs.as_bytes());
-        }
-        if !self.read.is_empty() {
-            put(READ, &InputRead::encode(&self.read));
-        }
-        if let Some(shard) = &self.shard {
-            put(SHARD, &shard.encode());
-        }
-        if !self.units.is_empty() {
-            let numbers = self.units.iter().flat_map(|unit| [unit.horizontal_m, unit.vertical_m]);
-            put(UNIT, &numbers.flat_map(f64::to_le_bytes).collect::<Vec<_>>());
         }
         if out.len() as u64 > MAX_METADATA {
             let [value, max] = [out.len() as u64, MAX_METADATA].map(|len| format!("{len} bytes"));
@@ -71,11 +81,11 @@ impl Metadata {
             return Err(Violation::new("M1", format!("checksum {crc:08x}"), format!("{found:08x}")));
         }
         let mut rest = bytes;
-        let mut last: Option<[u8; 4]> = None;
+        let mut last: Option<Tag> = None;
         let mut metadata = Self::default();
         while !rest.is_empty() {
             let mut reader = Reader::new(rest, "M2");
-            let tag: [u8; 4] = reader.array()?;
+            let tag: Tag = reader.array()?;
             let len = reader.u32()? as usize;
             let content = reader.take(len)?;
             if last.is_some_and(|last| last >= tag) {
@@ -92,7 +102,9 @@ impl Metadata {
                 READ => metadata.read = InputRead::decode(content)?,
                 SHARD => metadata.shard = Some(Shard::decode(content)?),
                 UNIT => metadata.units = decode_units(content)?,
-                _ => {}
+                _ => {
+                    metadata.unknown.insert(tag, content.to_vec());
+                }
             }
             last = Some(tag);
             rest = &rest[8 + len..];
@@ -127,13 +139,14 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn skips_unknown_records_and_refuses_disorder() {
+    fn keeps_unknown_records_and_refuses_disorder() {
         let record = |tag: &[u8; 4], content: &[u8]| [tag, &(content.len() as u32).to_le_bytes()[..], content].concat();
         let read = |bytes: &[u8]| Metadata::decode(bytes, crc32c::crc32c(bytes)).map_err(|violation| violation.rule);
         let (crs, other) = (record(b"CRS ", b"EPSG:28992"), record(b"zzzz", &[0xFF; 3]));
-        let known = Metadata { crs: "EPSG:28992".into(), ..Metadata::default() };
-        assert_eq!(read(&[&crs[..], &other].concat()), Ok(known));
-        assert_eq!(read(&other), Ok(Metadata::default()));
+        let unknown = Unknown::from([(*b"zzzz", vec![0xFF; 3])]);
+        let both = Metadata { crs: "EPSG:28992".into(), unknown: unknown.clone(), ..Metadata::default() };
+        assert_eq!(read(&[&crs[..], &other].concat()), Ok(both));
+        assert_eq!(read(&other), Ok(Metadata { unknown, ..Metadata::default() }));
         assert_eq!(read(&[&other[..], &crs].concat()), Err("M2"));
         assert_eq!(read(&[&crs[..], &crs].concat()), Err("M2"));
         assert_eq!(read(&crs[..crs.len() - 1]), Err("M2"));
@@ -159,8 +172,10 @@ mod tests {
         fn records_round_trip(
             crs in ".{0,40}", part in proptest::option::of((0u32..5, any::<u128>())),
             units in proptest::collection::vec((1e-9f64..1e9, 1e-9f64..1e9), 0..4),
-            inputs in proptest::collection::btree_map(any::<u32>(), (any::<u128>(), ".{0,300}"), 0..4)
+            inputs in proptest::collection::btree_map(any::<u32>(), (any::<u128>(), ".{0,300}"), 0..4),
+            mut unknown in proptest::collection::btree_map(any::<Tag>(), proptest::collection::vec(any::<u8>(), 0..9), 0..4)
         ) {
+            unknown.retain(|tag, _| ![CRS, READ, SHARD, UNIT].contains(tag));
             let shard = part.map(|(index, job)| {
                 let first = u64::from(index) << 60;
                 let last = if index == 4 { u64::MAX } else { first + (1 << 60) - 1 };
@@ -168,7 +183,7 @@ mod tests {
             });
             let units = units.into_iter().map(|(horizontal_m, vertical_m)| LengthUnit { horizontal_m, vertical_m });
             let read = inputs.into_iter().map(|(input, (hash, name))| InputRead { input, hash, name }).collect();
-            let metadata = Metadata { crs, shard, read, units: LengthUnit::distinct(units) };
+            let metadata = Metadata { crs, shard, read, unknown, units: LengthUnit::distinct(units) };
             let bytes = metadata.encode().unwrap();
             let mut found = Metadata::decode(&bytes, crc32c::crc32c(&bytes)).unwrap();
             for (found, given) in found.read.iter_mut().zip(&metadata.read) {

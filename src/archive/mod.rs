@@ -13,6 +13,8 @@ mod page;
 
 mod metadata;
 
+mod matter;
+
 mod shard;
 
 mod dedup;
@@ -31,13 +33,17 @@ mod verify;
 
 mod merge;
 
+mod copy;
+
 mod extract;
+
+mod salvage;
 
 mod recover;
 
 pub use catalog::Catalog;
-pub use directory::{Extent, PageEntry, Place};
-pub use extract::extract;
+pub use directory::{Content, Extent, PageEntry, Place};
+pub use extract::{Extracted, extract};
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub use merge::{Merged, merge};
 pub use metadata::MAX_UNITS;

@@ -5,7 +5,7 @@ use super::head::hex;
 use crate::Result;
 use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
-use crate::slice::{Page, PageBuilder, PageSize, Span};
+use crate::slice::{Page, PageBounds, PageBuilder, PageSize, Span};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// First bytes of a page.
@@ -27,6 +27,8 @@ pub struct EncodedPage {
     /// Slices of the page with matter.
     pub slices: u64,
     pub(super) size: PageSize,
+    /// `None` without matter.
+    pub(super) bounds: Option<PageBounds>,
     /// Number of voxels with matter, and how many of them hold obstacle.
     pub voxels: (u64, u64),
 }
@@ -44,14 +46,26 @@ impl EncodedPage {
     /// A page of one archive, to be put into another under `key`: `bytes` are those of its extent, `page` what they
     /// hold. The body stays as it is; of a shared page the leader names another key and is made anew.
     pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page) -> Self {
-        let (slices, size, voxels) = (page.slices(), page.size(), page.voxel_counts());
         let Some(body) = bytes.get(LEADER..).filter(|body| !body.is_empty()) else {
-            return Self { bytes: Vec::new(), uniform: uniform_span(page), hash: 0, key, slices, size, voxels };
+            return Self { uniform: uniform_span(page), ..Self::without_bytes(key, page) };
         };
         let mut bytes = leader(key);
         bytes.extend_from_slice(body);
         seal(&mut bytes);
-        Self { hash: xxh3_64(body), bytes, uniform: None, key, slices, size, voxels }
+        Self { hash: xxh3_64(body), bytes, ..Self::without_bytes(key, page) }
+    }
+
+    fn without_bytes(key: PageKey, page: &Page) -> Self {
+        Self {
+            bytes: Vec::new(),
+            uniform: None,
+            hash: 0,
+            key,
+            slices: page.slices(),
+            size: page.size(),
+            bounds: page.bounds(),
+            voxels: page.voxel_counts(),
+        }
     }
 
     /// The bytes that decide whether two pages are equal.
@@ -60,13 +74,19 @@ impl EncodedPage {
     }
 }
 
-fn leader_crc(bytes: &[u8]) -> u32 {
+/// Checksum that a leader states.
+pub(super) fn leader_crc(bytes: &[u8]) -> u32 {
     u32::from_le_bytes([bytes[20], bytes[21], bytes[22], bytes[23]])
+}
+
+/// Checksum of what a page's own covers of its leader.
+pub(super) fn covered_crc(leader: &[u8]) -> u32 {
+    crc32c::crc32c(&leader[..20])
 }
 
 /// Checksum of a page: its leader up to the checksum, then its body.
 fn page_crc(bytes: &[u8]) -> u32 {
-    crc32c::crc32c_append(crc32c::crc32c(&bytes[..20]), &bytes[LEADER..])
+    crc32c::crc32c_append(covered_crc(bytes), &bytes[LEADER..])
 }
 
 /// A leader without length and checksum.
@@ -89,31 +109,40 @@ fn seal(bytes: &mut [u8]) {
 
 /// Encodes pages; one per thread. Equal pages give equal bytes, whatever was encoded before.
 #[derive(Debug)]
-pub struct PageEncoder(Encoder);
+pub struct PageEncoder {
+    encoder: Encoder,
+    body: Vec<u8>,
+}
 
 impl PageEncoder {
     /// An encoder for pages of an archive with this grid, with its own scratch memory (about 2 MiB once used).
     pub fn new(frame: Frame) -> Self {
-        Self(Encoder::new(frame))
+        Self { encoder: Encoder::new(frame), body: Vec::new() }
     }
 
     /// See [`Encoder::simplify`].
     pub fn simplify(&mut self, page: &Page, tolerance: u32) -> Page {
-        self.0.simplify(page, tolerance)
+        self.encoder.simplify(page, tolerance)
+    }
+
+    /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds (rule P10).
+    pub(super) fn gives(&mut self, page: &Page, bytes: &[u8]) -> bool {
+        self.body.clear();
+        self.encoder.encode(page, &mut self.body);
+        self.body == bytes[LEADER..]
     }
 
     /// Encodes `page` under `key`.
     pub fn encode(&mut self, key: PageKey, page: &Page) -> EncodedPage {
-        let (slices, size, voxels) = (page.slices(), page.size(), page.voxel_counts());
-        let uniform = uniform_span(page);
-        if uniform.is_some() || page.span_count() == 0 {
-            return EncodedPage { bytes: Vec::new(), uniform, hash: 0, key, slices, size, voxels };
+        let encoded = EncodedPage { uniform: uniform_span(page), ..EncodedPage::without_bytes(key, page) };
+        if encoded.uniform.is_some() || encoded.bounds.is_none() {
+            return encoded;
         }
         let mut bytes = leader(key);
-        self.0.encode(page, &mut bytes);
+        self.encoder.encode(page, &mut bytes);
         seal(&mut bytes);
         bytes.shrink_to_fit();
-        EncodedPage { hash: xxh3_64(&bytes[LEADER..]), bytes, uniform, key, slices, size, voxels }
+        EncodedPage { hash: xxh3_64(&bytes[LEADER..]), bytes, ..encoded }
     }
 }
 
@@ -171,16 +200,11 @@ impl PageDecoder {
         Ok(page)
     }
 
-    /// The page that begins at the start of `bytes`, without a directory entry that tells of it: its key, its length
-    /// with the leader and what it holds; `None` where no sound page begins.
-    pub(super) fn salvage(&mut self, bytes: &[u8]) -> Option<(PageKey, usize, Page)> {
-        let len = stated_len(bytes)?;
-        let bytes = bytes.get(..len)?;
-        let leader = Leader::of(bytes);
-        if page_crc(bytes) != leader.crc || !key_in_grid(leader.key) {
-            return None;
-        }
-        Some((leader.key, len, self.decoder.decode(&bytes[LEADER..]).ok()?))
+    /// The page that `bytes` are by their own word, without a directory entry that tells of it: its key and what it
+    /// holds; `None` if they are no sound page.
+    pub(super) fn salvage(&mut self, bytes: &[u8]) -> Option<(PageKey, Page)> {
+        let key = own_key(bytes).filter(|&key| key_in_grid(key))?;
+        Some((key, self.decoder.decode(&bytes[LEADER..]).ok()?))
     }
 
     fn uniform(&mut self, span: Span) -> Page {
@@ -200,6 +224,12 @@ pub(super) fn stated_len(bytes: &[u8]) -> Option<usize> {
     }
     let len = (Leader::of(bytes).body_len as usize).checked_add(LEADER)?;
     (len > LEADER && len <= MAX_STORED_PAGE).then_some(len)
+}
+
+/// The key of the page that `bytes` are by their own word; `None` if its length or checksum is wrong.
+pub(super) fn own_key(bytes: &[u8]) -> Option<PageKey> {
+    let right = stated_len(bytes)? == bytes.len() && page_crc(bytes) == leader_crc(bytes);
+    right.then(|| Leader::of(bytes).key)
 }
 
 /// The fields of a leader.

@@ -1,7 +1,7 @@
 //! Reading an archive: head and footer at once, directory leaves and pages on demand (chapter 10).
 
 use super::catalog::Catalog;
-use super::directory::PageEntry;
+use super::directory::{LeafEntries, PageEntry};
 use super::head::Header;
 use super::metadata::Metadata;
 use super::opening::{Opened, Opening};
@@ -23,7 +23,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub struct Archive {
     source: Box<dyn ByteSource>,
     catalog: Catalog,
-    found: Mutex<Option<(usize, Arc<[PageEntry]>)>>,
+    found: Mutex<Option<(usize, Arc<Vec<PageEntry>>)>>,
 }
 
 impl Archive {
@@ -125,17 +125,23 @@ impl Archive {
 
     /// Entries of leaf `index`, ascending. One read of about 10 bytes an entry.
     pub fn leaf(&self, index: usize) -> Result<Vec<PageEntry>> {
-        self.catalog.decode_leaf(index, &read(&*self.source, self.catalog.leaf_range(index))?)
+        self.open_leaf(index)?.collect()
+    }
+
+    /// As [`leaf`](Self::leaf), entry by entry. A rule may turn out to be broken after some of them.
+    pub(super) fn open_leaf(&self, index: usize) -> Result<LeafEntries> {
+        self.catalog.open_leaf(index, &read(&*self.source, self.catalog.leaf_range(index))?)
     }
 
     /// All entries in ascending order, leaf by leaf. A leaf that cannot be read is one error, and the next follows.
     pub fn entries(&self) -> impl Iterator<Item = Result<PageEntry>> + '_ {
         (0..self.leaf_count()).flat_map(|index| {
-            let (entries, error) = match self.leaf(index) {
-                Ok(entries) => (entries, None),
-                Err(error) => (Vec::new(), Some(error)),
+            let leaf = self.open_leaf(index).and_then(|entries| entries.check().map(|_| entries));
+            let (entries, error) = match leaf {
+                Ok(entries) => (Some(entries), None),
+                Err(error) => (None, Some(error)),
             };
-            entries.into_iter().map(Ok).chain(error.map(Err))
+            entries.into_iter().flatten().chain(error.map(Err))
         })
     }
 
@@ -151,9 +157,10 @@ impl Archive {
             let bytes = read(&*self.source, start..catalog.leaf_range(end - 1).end)?;
             for leaf in first..end {
                 let range = catalog.leaf_range(leaf);
-                all.extend(
-                    catalog.decode_leaf(leaf, &bytes[(range.start - start) as usize..(range.end - start) as usize])?,
-                );
+                let stored = &bytes[(range.start - start) as usize..(range.end - start) as usize];
+                for entry in catalog.open_leaf(leaf, stored)? {
+                    all.push(entry?);
+                }
             }
             first = end;
         }
@@ -168,7 +175,7 @@ impl Archive {
         let entries = match held {
             Some(entries) => entries,
             None => {
-                let entries: Arc<[PageEntry]> = self.leaf(index)?.into();
+                let entries = Arc::new(self.leaf(index)?);
                 *lock() = Some((index, entries.clone()));
                 entries
             }

@@ -1,28 +1,29 @@
 //! Making an archive again from what is left of a damaged one (chapter 9).
 //!
-//! Pages name themselves in their leaders, so a walk over the file finds every sound one, whatever became of directory
-//! and footer. Uniform and shared pages are only told of by the directory: they come back as far as its leaves are
-//! sound. The head gives the plan and where the leaves lie; without it, the plan must come from elsewhere.
-//! Memory: 3 MiB of the file, one leaf, and one writer.
+//! Sound leaves of a sound head tell of every page that they had; a leaf that is lost leaves a gap in the pages section,
+//! in which pages are found by their leaders. So do pages that are not where their leaf has them. Uniform and shared
+//! pages are only told of by leaves: those of a lost leaf are lost. Without a head the plan must come from elsewhere, and
+//! pages are looked for in the whole file. Memory: 9 MiB of the file, 40 bytes for each page of a gap, one leaf and
+//! one writer.
 
 use super::catalog::Catalog;
-use super::directory::{PageEntry, Place};
-use super::head::{self, Bounds, Header, MAX_HEAD, Pages};
+use super::copy::{Copier, beyond_this_version, refuse_repeats};
+use super::directory::{Content, Extent, PageEntry, Place};
+use super::head::{self, Header, MAX_HEAD, Pages};
 use super::metadata::Metadata;
-use super::page::{self, EncodedPage, PageDecoder};
+use super::page::{EncodedPage, PageDecoder, PageEncoder, own_key};
 use super::reader::Archive;
+use super::salvage::{Found, find_pages};
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::{ByteSource, FileSource};
-use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
+use crate::frame::PageKey;
 use crate::output::Existing;
 use crate::plan::Plan;
 use crate::slice::Page;
 use crate::{Error, Monitor, Result};
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::Path;
-
-/// Bytes of the file read at once; at least a page fits.
-const CHUNK: usize = 8 << 20;
-const _: () = assert!(page::MAX_STORED_PAGE < CHUNK);
 
 /// What a recovery found.
 #[derive(Debug, Clone)]
@@ -39,20 +40,26 @@ pub struct Recovered {
     pub lost: Option<Pages>,
     /// Whether reference system and other metadata are lost or unknown.
     pub metadata_lost: bool,
+    /// What was sound and could not be kept, in words.
+    pub dropped: Vec<String>,
+    /// What broke a rule and keeps it in the new archive, in words.
+    pub mended: Vec<String>,
+    /// Whether the new archive has the very bytes that the damaged one had when it was whole.
+    pub identical: bool,
 }
 
 impl Recovered {
     /// Whether the new archive is known to hold all that the damaged one held when it was whole.
     pub fn is_complete(&self) -> bool {
-        self.lost.is_some_and(|lost| lost.total() == 0) && !self.metadata_lost
+        self.lost.is_some_and(|lost| lost.total() == 0) && !self.metadata_lost && self.dropped.is_empty()
     }
 }
 
 /// Writes to `output` an archive of every page of the archive at `path` that is still sound. `plan` is that of the
 /// archive; it is needed only where the head is damaged, and refused if a sound head says otherwise.
 ///
-/// If nothing is lost the new archive has the bytes of the old one as it once was. Otherwise the point counts of its
-/// head are those of the conversion, or 0 if that head is lost. Cost: one pass over the file, all pages decoded.
+/// Whatever the damage, the new archive keeps every rule. Its point counts are those of the conversion, or 0 if the head
+/// that told them is lost. Cost: one pass over the file, all pages decoded and encoded again.
 pub fn recover(
     path: &Path,
     plan: Option<&Plan>,
@@ -78,75 +85,34 @@ pub fn recover(
             return Err(Error::input(path, "head", reason));
         }
     };
+    old.as_ref().map_or(Ok(()), |archive| refuse_repeats(archive.header()))?;
     monitor.stage("recover", source.len(), "bytes");
-    let existing = Existing::replaced_if(overwrite);
-    let mut writer = ArchiveWriter::begin(output, &plan, existing, [path].into_iter().collect())?;
-    let start = old.as_ref().map_or(0, |archive| archive.header().pages_offset());
-    let mut walk = Walk::new(&source, start);
-    let mut told = Told::new(old.as_ref());
-    let (mut found, mut matter) = (Pages::default(), Matter::default());
-    let (mut from_walk, mut from_leaf) = (walk.next()?, told.next());
-    while from_walk.is_some() || from_leaf.is_some() {
-        if monitor.cancelled() {
-            return Err(Error::Interrupted);
+    let mut rescue = Rescue {
+        source: &source,
+        monitor,
+        writer: ArchiveWriter::begin(output, &plan, Existing::replaced_if(overwrite), [path].into_iter().collect())?,
+        copier: Copier::new(),
+        decoder: PageDecoder::new(),
+        encoder: PageEncoder::new(plan.frame),
+        found: Pages::default(),
+        columns: None,
+        encoded_anew: 0,
+        entries_wrong: 0,
+    };
+    let leaves = match &old {
+        Some(archive) => Some((rescue.by_directory(archive)?, archive.leaf_count())),
+        None => {
+            rescue.gap(0..source.len(), |_| true, true)?;
+            None
         }
-        let next_key = |page: &Option<Found>| page.as_ref().map(|page| page.key);
-        let (walked, leaf) = (next_key(&from_walk), next_key(&from_leaf));
-        let takes_walked = walked.is_some_and(|walked| leaf.is_none_or(|leaf| walked <= leaf));
-        let page = if takes_walked { from_walk.take() } else { from_leaf.take() };
-        if takes_walked {
-            // A directory that tells of the same page as shared or uniform is wrong about it.
-            if walked == leaf {
-                from_leaf = told.next();
-            }
-            from_walk = walk.next()?;
-            monitor.advance(walk.passed());
-        } else {
-            from_leaf = told.next();
-        }
-        let Some(page) = page else { continue };
-        matter.add(page.key, &page.page);
-        match page.kind {
-            Kind::Stored => found.stored += 1,
-            Kind::Shared => found.shared += 1,
-            Kind::Uniform => found.uniform += 1,
-        }
-        writer.put(page.key, EncodedPage::copied(page.key, &page.bytes, &page.page))?;
-    }
-    if found.total() == 0 && old.as_ref().is_none_or(|archive| archive.header().pages.total() > 0) {
+    };
+    let stated = old.as_ref().map(|archive| archive.header().pages);
+    if rescue.found.total() == 0 && stated.is_none_or(|stated| stated.total() > 0) {
         return Err(Error::input(path, "pages", "no sound page is left in it; convert the scan again"));
     }
-    let lost = old.as_ref().map(|archive| {
-        let stated = archive.header().pages;
-        Pages {
-            stored: stated.stored.saturating_sub(found.stored),
-            shared: stated.shared.saturating_sub(found.shared),
-            uniform: stated.uniform.saturating_sub(found.uniform),
-        }
-    });
-    let metadata = old.as_ref().and_then(|archive| archive.metadata().ok());
-    let metadata_lost = metadata.is_none();
-    let Metadata { crs, shard, read, units } = metadata.unwrap_or_default();
-    // With a page less it is no part that merges to the whole.
-    if let Some(shard) = shard.filter(|_| lost.is_some_and(|lost| lost.total() == 0)) {
-        writer.set_shard(shard);
-        writer.set_read(read);
-    }
-    let totals = match old.as_ref().map(Archive::header) {
-        Some(header) => Totals {
-            points_read: header.points_read,
-            points_kept: header.points_kept,
-            points_withheld: header.points_withheld,
-            points_excluded: header.points_excluded,
-            bounds: header.bounds,
-            crs,
-            units,
-        },
-        None => Totals { bounds: matter.bounds(&plan), crs, units, ..Totals::default() },
-    };
-    let leaves = old.as_ref().map(|archive| (told.sound, archive.leaf_count()));
-    let header = writer.finish(totals)?;
-    Ok(Recovered { header, head: old.is_some(), leaves, found, lost, metadata_lost })
+    let mut recovered = rescue.finish(old.as_ref(), leaves)?;
+    recovered.identical = recovered.is_complete() && same_head(&source, output, &recovered.header)?;
+    Ok(recovered)
 }
 
 /// Head and leaves, if all of the head is there and right; the rest of the file may be cut.
@@ -159,159 +125,226 @@ fn sound_head(source: &FileSource) -> Option<Catalog> {
     (header.bytes.head <= there as u64).then(|| Catalog::new(header, leaves))
 }
 
-enum Kind {
-    Stored,
-    Shared,
-    Uniform,
+/// Whether the archive at `output`, whose head is `header`, has the head that `source` begins with. By the checksums in it
+/// the rest is then the same as well.
+fn same_head(source: &FileSource, output: &Path, header: &Header) -> Result<bool> {
+    let mut heads = [vec![0; header.bytes.head as usize], vec![0; header.bytes.head as usize]];
+    if source.len() < header.bytes.head {
+        return Ok(false);
+    }
+    source.read_at(0, &mut heads[0])?;
+    FileSource::open(output)?.read_at(0, &mut heads[1])?;
+    Ok(heads[0] == heads[1])
 }
 
-/// A sound page: its bytes (none of a uniform one) and what they hold.
-struct Found {
-    key: PageKey,
-    kind: Kind,
-    bytes: Vec<u8>,
-    page: Page,
-}
-
-/// Finds the pages that a file holds, by their leaders.
-struct Walk<'a> {
+/// A recovery under way.
+struct Rescue<'a> {
     source: &'a FileSource,
-    /// Bytes at hand, and where in the file they begin.
-    window: Vec<u8>,
-    start: u64,
-    /// Where in the window the search goes on.
-    at: usize,
-    /// Where in the file the last report of progress was.
-    reported: u64,
-    last: Option<PageKey>,
+    monitor: &'a dyn Monitor,
+    writer: ArchiveWriter,
+    copier: Copier<Content>,
     decoder: PageDecoder,
+    encoder: PageEncoder,
+    found: Pages,
+    /// First and last column with a page.
+    columns: Option<(u64, u64)>,
+    /// Pages that were not in the one encoding of their content.
+    encoded_anew: u64,
+    /// Pages of which the directory said something else than they hold.
+    entries_wrong: u64,
 }
 
-impl<'a> Walk<'a> {
-    fn new(source: &'a FileSource, start: u64) -> Self {
-        let start = start.min(source.len());
-        Self { source, window: Vec::new(), start, at: 0, reported: 0, last: None, decoder: PageDecoder::new() }
-    }
-
-    /// Bytes passed since the last call.
-    fn passed(&mut self) -> u64 {
-        let at = self.start + self.at as u64;
-        at - std::mem::replace(&mut self.reported, at)
-    }
-
-    /// The next sound page. Keys ascend in an archive, so a page that goes back is none.
-    fn next(&mut self) -> Result<Option<Found>> {
-        loop {
-            let rest = &self.window[self.at..];
-            let Some(begin) = rest.windows(page::MAGIC.len()).position(|bytes| *bytes == page::MAGIC) else {
-                // The last bytes may be the first ones of a leader.
-                let kept = rest.len().min(page::MAGIC.len() - 1);
-                if !self.refill(self.window.len() - kept)? {
-                    return Ok(None);
+impl Rescue<'_> {
+    /// Takes what the sound leaves list, and what is found in the gaps that the others leave; how many are sound.
+    fn by_directory(&mut self, archive: &Archive) -> Result<usize> {
+        let header = archive.header();
+        let place = |index| archive.open_leaf(index).ok().and_then(|entries| entries.check().ok());
+        let places: Vec<Option<Range<u64>>> = (0..archive.leaf_count()).map(place).collect();
+        // If neither leaves nor metadata are where the head has them, nothing may be: bytes were lost or added.
+        let in_place = places.iter().any(Option::is_some) || archive.metadata().is_ok();
+        let mut from = header.pages_offset();
+        let mut index = 0;
+        while index < places.len() {
+            let sound = (index..places.len()).find(|&index| places[index].is_some());
+            if sound != Some(index) {
+                let first = archive.leaf_first(index);
+                let end = sound.map(|sound| archive.leaf_first(sound));
+                let to = match sound.and_then(|sound| places[sound].as_ref()) {
+                    Some(place) => place.start,
+                    None if in_place => header.directory_offset(),
+                    None => self.source.len(),
+                };
+                let inside = |key| first <= key && end.is_none_or(|end| key < end);
+                self.gap(from..to, inside, !in_place)?;
+            }
+            let Some(sound) = sound else { break };
+            let place = places[sound].clone().unwrap_or(from..from);
+            let next = places[sound + 1..].iter().flatten().next().map_or(header.directory_offset(), |next| next.start);
+            let displaced = self.displaced(archive, sound, place.start..next)?;
+            for entry in archive.open_leaf(sound)? {
+                let entry = entry?;
+                match displaced.get(&entry.key) {
+                    Some(found) => self.found(found)?,
+                    None => self.listed(archive, &entry)?,
                 }
-                continue;
-            };
-            self.at += begin;
-            let rest = &self.window[self.at..];
-            let needed = page::stated_len(rest).unwrap_or(page::LEADER + 1);
-            if rest.len() < needed && self.refill(self.at)? {
-                continue;
             }
-            let rest = &self.window[self.at..];
-            if let Some((key, len, page)) = self.decoder.salvage(rest)
-                && self.last.is_none_or(|last| last < key)
-            {
-                let bytes = rest[..len].to_vec();
-                self.at += len;
-                self.last = Some(key);
-                return Ok(Some(Found { key, kind: Kind::Stored, bytes, page }));
-            }
-            self.at += 1;
+            from = place.end;
+            index = sound + 1;
         }
+        Ok(places.iter().flatten().count())
     }
 
-    /// Forgets the window before `keep` and reads on behind it; whether there was more.
-    fn refill(&mut self, keep: usize) -> Result<bool> {
-        self.window.drain(..keep);
-        self.start += keep as u64;
-        self.at = 0;
-        let have = self.window.len();
-        let left = self.source.len() - (self.start + have as u64);
-        let more = left.min((CHUNK - have) as u64) as usize;
-        self.window.resize(have + more, 0);
-        self.source.read_at(self.start + have as u64, &mut self.window[have..])?;
-        Ok(more > 0)
-    }
-}
-
-/// Shared and uniform pages, as the sound leaves of a directory tell of them.
-struct Told<'a> {
-    archive: Option<&'a Archive>,
-    leaf: usize,
-    entries: std::vec::IntoIter<PageEntry>,
-    sound: usize,
-    decoder: PageDecoder,
-}
-
-impl<'a> Told<'a> {
-    fn new(archive: Option<&'a Archive>) -> Self {
-        Self { archive, leaf: 0, entries: Vec::new().into_iter(), sound: 0, decoder: PageDecoder::new() }
-    }
-
-    fn next(&mut self) -> Option<Found> {
-        let archive = self.archive?;
-        loop {
-            let Some(entry) = self.entries.next() else {
-                if self.leaf == archive.leaf_count() {
-                    return None;
-                }
-                if let Ok(entries) = archive.leaf(self.leaf) {
-                    self.entries = entries.into_iter();
-                    self.sound += 1;
-                }
-                self.leaf += 1;
-                continue;
-            };
-            let kind = match entry.place {
-                Place::Stored(_) => continue,
-                Place::Shared(_) => Kind::Shared,
-                Place::Uniform(_) => Kind::Uniform,
-            };
-            if let Ok(page) = archive.page_with(&entry, &mut self.decoder) {
-                return Some(Found { key: entry.key, kind, bytes: self.decoder.bytes.clone(), page });
+    /// The stored pages of a leaf that are not where it has them, but between neighbours that are, within `range`.
+    fn displaced(&self, archive: &Archive, leaf: usize, range: Range<u64>) -> Result<BTreeMap<PageKey, Found>> {
+        let (mut displaced, mut missed, mut from) = (BTreeMap::new(), BTreeSet::new(), range.start);
+        let mut find = |missed: &mut BTreeSet<PageKey>, range| -> Result<()> {
+            if !missed.is_empty() {
+                let found = find_pages(self.source, range, |key| missed.contains(&key), false, self.monitor)?;
+                displaced.extend(found.into_iter().map(|found| (found.key, found)));
+                missed.clear();
+            }
+            Ok(())
+        };
+        let mut bytes = Vec::new();
+        for entry in archive.open_leaf(leaf)? {
+            let entry = entry?;
+            let Place::Stored(extent) = entry.place else { continue };
+            bytes.resize(extent.len as usize, 0);
+            let read = self.source.read_at(extent.offset, &mut bytes);
+            if read.is_ok() && own_key(&bytes) == Some(entry.key) {
+                find(&mut missed, from..extent.offset)?;
+                from = extent.offset + u64::from(extent.len);
+            } else {
+                missed.insert(entry.key);
             }
         }
+        find(&mut missed, from..range.end)?;
+        Ok(displaced)
     }
-}
 
-/// Least and greatest pixel and height of pages, for the bounds of an archive whose head is lost.
-#[derive(Default)]
-struct Matter {
-    range: Option<([i64; 3], [i64; 3])>,
-}
+    /// Takes the pages that are found in the bytes `range`.
+    fn gap(&mut self, range: Range<u64>, keys: impl Fn(PageKey) -> bool, to_the_leaf: bool) -> Result<()> {
+        let found = find_pages(self.source, range, keys, to_the_leaf, self.monitor)?;
+        found.iter().try_for_each(|found| self.found(found))
+    }
 
-impl Matter {
-    fn add(&mut self, key: PageKey, page: &Page) {
-        let (x, y, floor) =
-            (i64::from(key.tx) * TILE_PIXELS, i64::from(key.ty) * TILE_PIXELS, i64::from(key.layer) * PAGE_QUANTA);
-        for (px, py, spans) in page.columns() {
-            let (Some(lowest), Some(highest)) = (spans.first(), spans.last()) else { continue };
-            let (i, j) = (x + i64::from(px), y + i64::from(py));
-            let low = [i, j, floor + i64::from(lowest.bottom())];
-            let high = [i, j, floor + i64::from(highest.top())];
-            let (min, max) = self.range.get_or_insert((low, high));
-            for axis in 0..3 {
-                min[axis] = min[axis].min(low[axis]);
-                max[axis] = max[axis].max(high[axis]);
+    /// Takes a page that was found by its leader.
+    fn found(&mut self, found: &Found) -> Result<()> {
+        let mut bytes = vec![0; found.len];
+        self.source.read_at(found.offset, &mut bytes)?;
+        let Some((key, page)) = self.decoder.salvage(&bytes) else { return Ok(()) };
+        let page = in_the_one_encoding(&mut self.encoder, &mut self.encoded_anew, key, &bytes, &page);
+        self.writer.put(key, page)?;
+        self.found.stored += 1;
+        self.count(key, found.len as u64)
+    }
+
+    /// Takes the page of an entry, if it is sound. A page with bytes of its own counts by its leader: what the entry says
+    /// of its content may be wrong.
+    fn listed(&mut self, archive: &Archive, entry: &PageEntry) -> Result<()> {
+        let Self { writer, copier, decoder, encoder, encoded_anew, entries_wrong, .. } = self;
+        let placed = copier.put(writer, entry.key, entry.content(), || {
+            let page = match entry.place {
+                Place::Stored(extent) => own_page(archive, extent, decoder).filter(|(key, _)| *key == entry.key),
+                _ => archive.page_with(entry, decoder).ok().map(|page| (entry.key, page)),
+            };
+            let Some((key, page)) = page else { return Ok(None) };
+            *entries_wrong += u64::from((page.slices(), page.size()) != (entry.slices, entry.size));
+            Ok(Some(in_the_one_encoding(encoder, encoded_anew, key, &decoder.bytes, &page)))
+        })?;
+        if placed.is_none() {
+            return Ok(());
+        }
+        let (count, len) = match entry.place {
+            Place::Stored(extent) => (&mut self.found.stored, extent.len),
+            Place::Shared(_) => (&mut self.found.shared, 0),
+            Place::Uniform(_) => (&mut self.found.uniform, 0),
+        };
+        *count += 1;
+        self.count(entry.key, len.into())
+    }
+
+    fn count(&mut self, key: PageKey, bytes: u64) -> Result<()> {
+        let (first, _) = self.columns.unwrap_or((key.column(), 0));
+        self.columns = Some((first, key.column()));
+        self.monitor.advance(bytes);
+        if self.monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
+    }
+
+    /// Gives the new archive what the rest of the `old` one still tells.
+    fn finish(mut self, old: Option<&Archive>, leaves: Option<(usize, usize)>) -> Result<Recovered> {
+        let (mut dropped, mut mended) = (Vec::new(), Vec::new());
+        let header = old.map(Archive::header);
+        let lost = header.map(|Header { pages, .. }| Pages {
+            stored: pages.stored.saturating_sub(self.found.stored),
+            shared: pages.shared.saturating_sub(self.found.shared),
+            uniform: pages.uniform.saturating_sub(self.found.uniform),
+        });
+        let all_found = lost.is_some_and(|lost| lost.total() == 0);
+        let metadata = old.and_then(|archive| archive.metadata().ok());
+        let metadata_lost = metadata.is_none();
+        let Metadata { crs, shard, read, units, unknown } = metadata.unwrap_or_default();
+        if let Some(shard) = shard {
+            let inside = |(first, last)| shard.columns().contains(&first) && shard.columns().contains(&last);
+            if all_found && self.columns.is_none_or(inside) {
+                self.writer.set_shard(shard);
+                self.writer.set_read(read);
+            } else {
+                let why = if all_found { "it has pages of other parts" } else { "pages of it are lost" };
+                dropped.push(format!("that it is {shard} ({why})"));
             }
         }
+        self.writer.set_unknown(unknown);
+        dropped.extend(header.and_then(beyond_this_version));
+        let totals = match header {
+            Some(header) => Totals { bounds: self.writer.fit(header.bounds), crs, units, ..Totals::of_points(header) },
+            None => Totals { crs, units, ..Totals::default() },
+        };
+        let new = self.writer.finish(totals)?;
+        let mut say = |broken: bool, what: String| mended.extend(broken.then_some(what));
+        let pages = |count| if count == 1 { "1 page".to_owned() } else { format!("{count} pages") };
+        say(self.encoded_anew > 0, format!("encoding of {} (rule P10)", pages(self.encoded_anew)));
+        say(self.entries_wrong > 0, format!("directory entries of {} (rules P9, P11)", pages(self.entries_wrong)));
+        if let Some(header) = header.filter(|_| all_found) {
+            let counts = |header: &Header| (header.pages.total(), header.tiles.occupied, header.voxels, header.slices);
+            say(counts(header) != counts(&new), "counts in the head (rules T1 to T4)".into());
+            say(header.bounds != new.bounds, "bounds in the head (rule T6)".into());
+        }
+        Ok(Recovered {
+            header: new,
+            head: old.is_some(),
+            leaves,
+            found: self.found,
+            lost,
+            metadata_lost,
+            dropped,
+            mended,
+            identical: false,
+        })
     }
+}
 
-    fn bounds(&self, plan: &Plan) -> Option<Bounds> {
-        let frame = &plan.frame;
-        let (min, max) = self.range?;
-        let corner = |at: [i64; 3], z: f64| [frame.edge_of_pixel(at[0]), frame.edge_of_pixel(at[1]), z];
-        let least = corner(min, frame.bottom_height(min[2]));
-        Some((least, corner([max[0] + 1, max[1] + 1, 0], frame.top_height(max[2]))))
+/// The page at `extent` by its own word; its bytes are then those of `decoder`.
+fn own_page(archive: &Archive, extent: Extent, decoder: &mut PageDecoder) -> Option<(PageKey, Page)> {
+    let mut bytes = std::mem::take(&mut decoder.bytes);
+    bytes.resize(extent.len as usize, 0);
+    let read = archive.source().read_at(extent.offset, &mut bytes);
+    let page = read.ok().and_then(|()| decoder.salvage(&bytes));
+    decoder.bytes = bytes;
+    page
+}
+
+/// The page for the new archive, of which the old one has `bytes`; counts pages that have to be encoded again.
+fn in_the_one_encoding(
+    encoder: &mut PageEncoder,
+    anew: &mut u64,
+    key: PageKey,
+    bytes: &[u8],
+    page: &Page,
+) -> EncodedPage {
+    if bytes.is_empty() || encoder.gives(page, bytes) {
+        return EncodedPage::copied(key, bytes, page);
     }
+    *anew += 1;
+    encoder.encode(key, page)
 }

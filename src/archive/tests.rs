@@ -24,9 +24,8 @@ fn plan() -> Plan {
 }
 
 fn totals() -> Totals {
-    let bounds = Some(([-1.0, -2.0, -3.0], [1.0, 2.0, 3.5]));
     let (crs, units) = ("EPSG:28992".into(), Vec::new());
-    Totals { points_read: 9, points_kept: 5, points_withheld: 1, points_excluded: 2, bounds, crs, units }
+    Totals { points_read: 9, points_kept: 5, points_withheld: 1, points_excluded: 2, bounds: None, crs, units }
 }
 
 fn write(target: &Path, pages: &BTreeMap<PageKey, Page>) -> Result<Header> {
@@ -190,6 +189,27 @@ fn keys_must_ascend_and_pages_hold_matter() {
     let contradiction = Totals { points_kept: 2, points_read: 1, ..Totals::default() };
     assert!(writer.finish(contradiction).is_err());
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left behind");
+}
+
+#[test]
+fn bounds_are_those_of_the_matter_or_fit_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let key = PageKey { tx: -3, ty: 4, layer: 1 };
+    let write = |name: &str, bounds| {
+        let mut writer = ArchiveWriter::create(&folder.path().join(name), &plan(), false).unwrap();
+        writer.put(key, PageEncoder::new(plan().frame).encode(key, &floor(100))).unwrap();
+        writer.finish(Totals { bounds, ..totals() })
+    };
+    let (min, max) = write("a.slices", None).unwrap().bounds.unwrap();
+    let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+    let quanta = |n: f64| 9.6 + n * 0.15 / 255.0;
+    assert!(near(min, [-9.6, 12.8, quanta(100.0)]) && near(max, [-6.4, 16.0, quanta(113.0)]), "{min:?} {max:?}");
+    sound(&Archive::open(folder.path().join("a.slices")).unwrap());
+    let inside = ([min[0] + 0.04, min[1], min[2]], [max[0] - 0.04, max[1], max[2]]);
+    write("b.slices", Some(inside)).unwrap();
+    let outside = ([min[0] + 0.06, min[1], min[2]], max);
+    let error = write("c.slices", Some(outside)).unwrap_err().to_string();
+    assert!(error.contains("bounds") && !folder.path().join("c.slices").exists(), "{error}");
 }
 
 #[test]

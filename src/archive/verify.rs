@@ -1,18 +1,19 @@
 //! Verifying an archive: every byte is read and every rule checked; findings are listed and work goes on (chapter 8).
 //!
 //! Opening has checked head and footer, and that the sections fill the file without gap. What is left: the leaves
-//! cover every page once and in order, every page is sound and canonical, and the totals of the head are true.
+//! cover every page once and in order, every page is sound and canonical, and the totals and bounds of the head are true.
 //! Memory: one leaf, 1 MiB of pages, and the places of the last 65,536 stored pages (about 2 MiB).
 
 use super::dedup::WINDOW;
 use super::directory::{Extent, PageEntry, Place};
 use super::head::{Pages, Tiles, Voxels};
-use super::page::PageDecoder;
+use super::matter::Matter;
+use super::page::{PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::shard::Shard;
-use crate::codec::{Encoder, Violation};
+use crate::codec::Violation;
 use crate::monitor::Monitor;
-use crate::slice::PageSize;
+use crate::slice::{Page, PageSize};
 use crate::{Error, Result};
 use std::collections::VecDeque;
 
@@ -69,14 +70,14 @@ impl Archive {
             findings,
             summary: VerifySummary { bytes: header.bytes.head + super::head::FOOTER as u64, ..Default::default() },
             decoder: PageDecoder::new(),
-            encoder: Encoder::new(*self.frame()),
-            body: Vec::new(),
+            encoder: PageEncoder::new(*self.frame()),
             chunk: (0, Vec::new()),
             shared: Vec::new(),
             next: Some(header.pages_offset()),
             lost_leaf: false,
             stored: VecDeque::new(),
             shard: None,
+            matter: Matter::default(),
         };
         pass.metadata();
         for index in 0..self.leaf_count() {
@@ -108,8 +109,7 @@ struct Pass<'a> {
     findings: &'a mut dyn FnMut(Finding),
     summary: VerifySummary,
     decoder: PageDecoder,
-    encoder: Encoder,
-    body: Vec<u8>,
+    encoder: PageEncoder,
     /// Bytes read ahead, and where they begin.
     chunk: (u64, Vec<u8>),
     /// Bytes of a shared page, which lie far behind the chunk.
@@ -122,6 +122,8 @@ struct Pass<'a> {
     stored: VecDeque<(Extent, u64, PageSize)>,
     /// The part of a conversion that the archive says it holds.
     shard: Option<Shard>,
+    /// Where the matter of sound pages lies.
+    matter: Matter,
 }
 
 impl Pass<'_> {
@@ -164,9 +166,13 @@ impl Pass<'_> {
             self.violation(Violation::new("T5", expected, format!("{:016x}", entry.key.column())), &part, at);
         }
         match self.content(entry) {
-            Ok((occupied, obstacle)) => {
+            Ok(page) => {
+                let (occupied, obstacle) = page.voxel_counts();
                 self.summary.voxels.occupied += occupied;
                 self.summary.voxels.obstacle += obstacle;
+                if let Some(bounds) = page.bounds() {
+                    self.matter.add(entry.key, &bounds);
+                }
             }
             Err(error) => self.report(error, &part, at),
         }
@@ -214,10 +220,10 @@ impl Pass<'_> {
         }
     }
 
-    /// Decodes the page and encodes it again; its voxels.
-    fn content(&mut self, entry: &PageEntry) -> Result<(u64, u64)> {
+    /// The page, decoded and encoded again.
+    fn content(&mut self, entry: &PageEntry) -> Result<Page> {
         let Some(extent) = entry.extent() else {
-            return Ok(self.decoder.decode(entry, &[])?.voxel_counts());
+            return self.decoder.decode(entry, &[]);
         };
         let bytes = match entry.place {
             Place::Shared(_) => {
@@ -231,16 +237,14 @@ impl Pass<'_> {
             }
         };
         let page = self.decoder.decode(entry, bytes)?;
-        self.body.clear();
-        self.encoder.encode(&page, &mut self.body);
-        if self.body != bytes[super::page::LEADER..] {
+        if !self.encoder.gives(&page, bytes) {
             let part = format!("page {}", entry.key);
             return Err(Violation::new("P10", "the one encoding of its content", "another").at(part, extent.offset));
         }
         if matches!(entry.place, Place::Stored(_)) {
             self.summary.bytes += extent.len as u64;
         }
-        Ok(page.voxel_counts())
+        Ok(page)
     }
 
     /// Makes the chunk hold `extent` and returns where in the chunk it begins.
@@ -265,8 +269,8 @@ impl Pass<'_> {
         Ok((extent.offset - self.chunk.0) as usize)
     }
 
-    /// Rules D9 and T1 to T4: the pages end where the directory begins, and the head counts what is there. Says
-    /// nothing about totals where damage makes them wrong anyway.
+    /// Rules D9, T1 to T4 and T6: the pages end where the directory begins, and the head counts and bounds what is
+    /// there. Says nothing about totals where damage makes them wrong anyway.
     fn totals(&mut self) {
         let header = self.archive.header();
         let directory = header.directory_offset();
@@ -279,14 +283,18 @@ impl Pass<'_> {
         }
         self.summary.bytes += header.bytes.directory;
         let found = self.summary;
-        let mut compare = |rule, expected: String, found: String| {
-            if expected != found {
-                self.violation(Violation::new(rule, found, expected), "head", 0);
+        let mut compare = |rule, stated: String, counted: String| {
+            if stated != counted {
+                self.violation(Violation::new(rule, counted, stated), "head", 0);
             }
         };
         compare("T1", format!("{:?}", header.pages), format!("{:?}", found.pages));
         compare("T2", format!("{:?}", header.tiles), format!("{:?}", found.tiles));
         compare("T3", format!("{:?}", header.voxels), format!("{:?}", found.voxels));
         compare("T4", format!("slices {:?}", header.slices), format!("slices {:?}", found.slices));
+        let bounds = self.matter.check(&header.plan, self.shard.is_some(), header.bounds.as_ref());
+        if let Err(violation) = bounds {
+            self.violation(violation, "head", 0);
+        }
     }
 }

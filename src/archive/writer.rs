@@ -4,14 +4,16 @@ use super::FORMAT_VERSION;
 use super::dedup::Window;
 use super::directory::{Extent, PageEntry, Place, encode_leaf, key_in_grid};
 use super::head::{self, Bounds, Header, Leaf, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
-use super::metadata::Metadata;
+use super::matter::Matter;
+use super::metadata::{Metadata, Unknown};
 use super::page::EncodedPage;
 use super::shard::{InputRead, Shard};
 use super::spill::Entries;
-use crate::codec::Packer;
+use crate::codec::{Packer, Violation};
 use crate::frame::PageKey;
 use crate::output::{Existing, Kind, Output, Protected};
 use crate::plan::Plan;
+use crate::slice::{PageBounds, PageSize};
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::path::Path;
@@ -31,12 +33,21 @@ pub struct Totals {
     pub points_withheld: u64,
     /// Points of excluded classes.
     pub points_excluded: u64,
-    /// Least and greatest coordinates of the kept points (m).
+    /// Least and greatest coordinates of the kept points (m); `None` stands for those of the matter. Writing fails
+    /// where they do not fit the matter (rule T6).
     pub bounds: Option<Bounds>,
     /// Coordinate reference system as the input states it, at most 1 MiB; empty if unknown.
     pub crs: String,
     /// Units in which the inputs came, ascending and each once, at most 256; none if unknown.
     pub units: Vec<LengthUnit>,
+}
+
+impl Totals {
+    /// The point counts of another archive.
+    pub(super) fn of_points(header: &Header) -> Self {
+        let &Header { points_read, points_kept, points_withheld, points_excluded, .. } = header;
+        Self { points_read, points_kept, points_withheld, points_excluded, ..Self::default() }
+    }
 }
 
 /// Writes an archive that appears complete under its name, or not at all.
@@ -57,8 +68,21 @@ pub struct ArchiveWriter {
     window: Window,
     last: Option<PageKey>,
     counts: Header,
+    matter: Matter,
     shard: Option<Shard>,
     read: Vec<InputRead>,
+    unknown: Unknown,
+}
+
+/// A page that was put: what its entry says, and what it takes to find its bytes again.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Placed {
+    place: Place,
+    pub slices: u64,
+    size: PageSize,
+    pub bounds: PageBounds,
+    pub voxels: (u64, u64),
+    hash: u64,
 }
 
 impl ArchiveWriter {
@@ -107,8 +131,10 @@ impl ArchiveWriter {
             window: Window::default(),
             last: None,
             counts,
+            matter: Matter::default(),
             shard: None,
             read: Vec::new(),
+            unknown: Unknown::new(),
         })
     }
 
@@ -127,37 +153,98 @@ impl ArchiveWriter {
         self.read = read;
     }
 
+    /// Gives the archive metadata of tags that this version does not know.
+    pub(super) fn set_unknown(&mut self, unknown: Unknown) {
+        self.unknown = unknown;
+    }
+
+    /// `bounds` with those faces moved to the matter of the pages so far that do not fit it.
+    pub(super) fn fit(&self, bounds: Option<Bounds>) -> Option<Bounds> {
+        self.matter.fit(&self.plan, self.shard.is_some(), bounds)
+    }
+
     /// Adds a page. Keys must ascend, and the page must hold matter and be encoded under this key.
     pub fn put(&mut self, key: PageKey, page: EncodedPage) -> Result<()> {
-        if self.last.is_some_and(|last| last >= key) || page.key != key || !key_in_grid(key) {
-            let last = self.last.map_or("nothing".into(), |last| last.to_string());
-            let reason = format!("put after {last}, encoded as {}; keys ascend, within ±2^30", page.key);
-            return Err(Error::parameter(format!("page {key}"), reason));
+        self.put_placed(key, &page).map(drop)
+    }
+
+    /// As [`put`](Self::put); what it takes to put the same content again.
+    pub(super) fn put_placed(&mut self, key: PageKey, page: &EncodedPage) -> Result<Placed> {
+        self.check_key(key)?;
+        if page.key != key {
+            return Err(Error::parameter(format!("page {key}"), format!("it is encoded as {}", page.key)));
         }
-        if page.slices == 0 {
+        let Some(bounds) = &page.bounds else {
             return Err(Error::parameter(format!("page {key}"), "has no matter; leave it out"));
+        };
+        let placed = Placed {
+            place: match page.uniform {
+                Some(span) => Place::Uniform(span),
+                None => self.place(page)?,
+            },
+            slices: page.slices,
+            size: page.size,
+            bounds: *bounds,
+            voxels: page.voxels,
+            hash: page.hash,
+        };
+        self.push(key, &placed)?;
+        Ok(placed)
+    }
+
+    /// Puts the content of `like`, which was put before, under `key` as well; `false` if it must be put with its bytes.
+    pub(super) fn put_again(&mut self, key: PageKey, like: &Placed) -> Result<bool> {
+        let place = match like.place {
+            Place::Uniform(span) => Place::Uniform(span),
+            Place::Stored(extent) | Place::Shared(extent) => {
+                if self.window.candidate(like.hash, extent.len) != Some(extent) {
+                    return Ok(false);
+                }
+                Place::Shared(extent)
+            }
+        };
+        self.check_key(key)?;
+        self.push(key, &Placed { place, ..*like })?;
+        Ok(true)
+    }
+
+    fn check_key(&self, key: PageKey) -> Result<()> {
+        if self.last.is_some_and(|last| last >= key) || !key_in_grid(key) {
+            let last = self.last.map_or("nothing".into(), |last| last.to_string());
+            let reason = format!("put after {last}; keys ascend, within ±2^30");
+            return Err(Error::parameter(format!("page {key}"), reason));
         }
         if self.entries.len() == MAX_LEAVES as u64 * MAX_LEAF_ENTRIES as u64 {
             let what = "pages in one archive (use larger pixels, or several archives)".into();
             return Err(Error::Limit { what, value: "more".into(), max: self.entries.len().to_string() });
         }
-        let tiles = page.slices.count_ones() as u64;
-        let place = match page.uniform {
-            Some(span) => {
-                self.counts.pages.uniform += 1;
-                Place::Uniform(span)
-            }
-            None => {
-                self.counts.tiles.stored += tiles;
-                self.place(&page, tiles)?
-            }
-        };
-        let entry = PageEntry { key, slices: page.slices, size: page.size, place };
+        Ok(())
+    }
+
+    /// Adds an entry whose bytes have their place, and counts it.
+    fn push(&mut self, key: PageKey, placed: &Placed) -> Result<()> {
+        let &Placed { place, slices, size, bounds, voxels, .. } = placed;
+        let entry = PageEntry { key, slices, size, place };
         self.entries.push(entry)?;
         self.last = Some(key);
-        self.counts.tiles.occupied += tiles;
-        self.counts.voxels.occupied += page.voxels.0;
-        self.counts.voxels.obstacle += page.voxels.1;
+        self.matter.add(key, &bounds);
+        let tiles = u64::from(slices.count_ones());
+        let Header { pages, tiles: count, voxels: sum, .. } = &mut self.counts;
+        match place {
+            Place::Stored(_) => {
+                pages.stored += 1;
+                count.stored += tiles;
+                count.unique += tiles;
+            }
+            Place::Shared(_) => {
+                pages.shared += 1;
+                count.stored += tiles;
+            }
+            Place::Uniform(_) => pages.uniform += 1,
+        }
+        count.occupied += tiles;
+        sum.occupied += voxels.0;
+        sum.obstacle += voxels.1;
         let (low, high) = entry.slice_range();
         let (first, last) = self.counts.slices.unwrap_or((low, high));
         self.counts.slices = Some((first.min(low), last.max(high)));
@@ -165,21 +252,18 @@ impl ArchiveWriter {
     }
 
     /// Finds equal bytes or appends those of `page`.
-    fn place(&mut self, page: &EncodedPage, tiles: u64) -> Result<Place> {
+    fn place(&mut self, page: &EncodedPage) -> Result<Place> {
         let len = page.bytes.len() as u32;
         if let Some(extent) = self.window.candidate(page.hash, len) {
             let mut same = vec![0; len as usize];
             self.read_back(extent, &mut same)?;
             if same[super::page::LEADER..] == *page.body() {
-                self.counts.pages.shared += 1;
                 return Ok(Place::Shared(extent));
             }
         }
         let extent = Extent { offset: self.flushed + self.buffer.len() as u64, len, crc: page.crc() };
         self.append(&page.bytes)?;
         self.window.insert(page.hash, extent);
-        self.counts.pages.stored += 1;
-        self.counts.tiles.unique += tiles;
         Ok(Place::Stored(extent))
     }
 
@@ -232,8 +316,8 @@ impl ArchiveWriter {
         }
         let pages = self.flushed + self.buffer.len() as u64;
         let leaves = self.append_leaves(leaf_entries)?;
-        let read = std::mem::take(&mut self.read);
-        let metadata = Metadata { crs: totals.crs, shard: self.shard, read, units: totals.units }.encode()?;
+        let (read, unknown) = (std::mem::take(&mut self.read), std::mem::take(&mut self.unknown));
+        let metadata = Metadata { crs: totals.crs, shard: self.shard, read, units: totals.units, unknown }.encode()?;
         self.append(&metadata)?;
 
         let directory = leaves.iter().map(|leaf| leaf.stored_len as u64).sum();
@@ -243,7 +327,7 @@ impl ArchiveWriter {
         header.points_kept = totals.points_kept;
         header.points_withheld = totals.points_withheld;
         header.points_excluded = totals.points_excluded;
-        header.bounds = totals.bounds;
+        header.bounds = self.bounds(totals.bounds)?;
         header.metadata_crc = crc32c::crc32c(&metadata);
         header.leaf_entries = leaf_entries;
         let head = head::encode(&header, &leaves);
@@ -254,6 +338,18 @@ impl ArchiveWriter {
         self.flush()?;
         self.output.write_at(0, &head)?;
         Ok(header)
+    }
+
+    /// Those of the matter, or `given` ones that fit it.
+    fn bounds(&self, given: Option<Bounds>) -> Result<Option<Bounds>> {
+        if given.is_none() {
+            return Ok(self.matter.bounds(&self.plan.frame));
+        }
+        let checked = self.matter.check(&self.plan, self.shard.is_some(), given.as_ref());
+        checked.map_err(|Violation { expected, found, .. }| {
+            Error::parameter("bounds of the archive", format!("expected {expected}, found {found}"))
+        })?;
+        Ok(given)
     }
 
     fn append_leaves(&mut self, leaf_entries: u32) -> Result<Vec<Leaf>> {

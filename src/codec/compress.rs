@@ -81,6 +81,13 @@ impl Unpacker {
     }
 }
 
+impl Unpacker {
+    /// What was unpacked last, kept without a copy.
+    pub fn into_content(self) -> Vec<u8> {
+        self.raw
+    }
+}
+
 impl Default for Unpacker {
     fn default() -> Self {
         Self::new()

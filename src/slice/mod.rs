@@ -10,5 +10,5 @@
 mod page;
 mod span;
 
-pub use page::{BLOCK_PIXELS, BlockView, Page, PageBuilder, PageSize};
+pub use page::{BLOCK_PIXELS, BlockView, Page, PageBounds, PageBuilder, PageSize};
 pub use span::Span;

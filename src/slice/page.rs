@@ -188,6 +188,26 @@ impl Page {
         counts
     }
 
+    /// The least box around all matter; `None` for a page without matter. Cost: one pass over the blocks.
+    pub fn bounds(&self) -> Option<PageBounds> {
+        let (mut x, mut y, mut bottom, mut top) = (0u64, 0u64, u32::MAX, 0);
+        for number in 0..BLOCKS as u32 {
+            let block = self.block_at(number);
+            for (row, pixels) in (0..).zip(block.pixels().to_le_bytes()) {
+                x |= u64::from(pixels) << (8 * (number & 7));
+                y |= u64::from(pixels != 0) << (8 * (number >> 3) + row);
+            }
+            for union in block.unions() {
+                (bottom, top) = (bottom.min(union.bottom()), top.max(union.top()));
+            }
+        }
+        let ends = |pixels: u64| (pixels.trailing_zeros(), 63 - pixels.leading_zeros());
+        (x != 0).then(|| {
+            let (x, y) = (ends(x), ends(y));
+            PageBounds { min: [x.0, y.0, bottom], max: [x.1, y.1, top] }
+        })
+    }
+
     /// Bytes of memory that the page holds.
     pub fn weight_bytes(&self) -> usize {
         self.size().weight_bytes(self.slices)
@@ -199,8 +219,25 @@ impl Page {
     }
 }
 
-/// What the weight of a page follows from, together with its mask of slices: small enough for a directory entry.
+/// The least box around the matter of a page, both ends inclusive.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub struct PageBounds {
+    /// Least pixel x and y [0..64] and lowest bottom (quanta above the page's floor).
+    pub min: [u32; 3],
+    /// Greatest pixel x and y [0..64] and highest top (quanta above the page's floor).
+    pub max: [u32; 3],
+}
+
+impl PageBounds {
+    /// Of a page whose pixels all hold the one `span`.
+    pub fn of_uniform(span: Span) -> Self {
+        let last = TILE_PIXELS as u32 - 1;
+        Self { min: [0, 0, span.bottom()], max: [last, last, span.top()] }
+    }
+}
+
+/// What the weight of a page follows from, together with its mask of slices: small enough for a directory entry.
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
 pub struct PageSize(u32);
 
 impl PageSize {
@@ -404,6 +441,14 @@ mod tests {
                     prop_assert_eq!(page.column(px, py), expected);
                 }
             }
+            let spans = || columns.iter().flat_map(|(&at, spans)| spans.iter().map(move |span| (at, span)));
+            let bounds = spans().next().map(|_| PageBounds {
+                min: [spans().map(|(at, _)| at.0).min(), spans().map(|(at, _)| at.1).min(), spans().map(|(_, s)| s.bottom()).min()]
+                    .map(Option::unwrap),
+                max: [spans().map(|(at, _)| at.0).max(), spans().map(|(at, _)| at.1).max(), spans().map(|(_, s)| s.top()).max()]
+                    .map(Option::unwrap),
+            });
+            prop_assert_eq!(page.bounds(), bounds);
             for (bx, by) in (0..64).map(|n| (n % 8, n / 8)) {
                 let spans = (0..64).flat_map(|bit| page.block(bx, by).column(bit));
                 let slices = spans.fold(0, |mask, span| mask | span.slice_mask());

@@ -1,10 +1,11 @@
 //! Damaged and forged samples. Forged ones have right checksums and break the one rule that says so.
 
 use crate::common::forge::{Parts, put};
-use crate::common::{archive, key, page, plan, scene, two_pixels};
-use slicewalk::archive::Archive;
+use crate::common::{archive, archive_of, key, page, plan, scene, two_pixels};
+use slicewalk::archive::{Archive, Totals};
 use slicewalk::codec::Encoder;
 use slicewalk::frame::Frame;
+use slicewalk::plan::{Plan, PlanOptions};
 use slicewalk::slice::Span;
 
 /// Names, broken rules and bytes.
@@ -20,6 +21,10 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
     };
     let many = Parts::of(&archive(&scene()));
     let total = |at: usize, value: u64| many.build(|head| put(head, at, value, 8));
+    let bound = |at: usize, value: f64| parts.build(|head| put(head, at, value.to_bits(), 8));
+    // Where voxels were dropped, bounds may reach far beyond the matter, but not beyond the grid.
+    let options = PlanOptions { min_points: 2, ..plan().options };
+    let dropping = Parts::of(&archive_of(&Plan { options, ..plan() }, &two_pixels(), None));
     let metadata = |metadata: &[u8]| Parts { metadata: metadata.to_vec(), ..parts.clone() }.build(|_| ());
     vec![
         ("cut-in-head", "H2", good[..300].to_vec()),
@@ -45,6 +50,22 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("wrong-tiles", "T2", total(240, 1)),
         ("wrong-voxels", "T3", total(256, 0)),
         ("wrong-slices", "T4", total(216, 0)),
+        (
+            "no-bounds",
+            "T6",
+            parts.build(|head| {
+                head[160..208].fill(0);
+                head[324] = 0;
+            }),
+        ),
+        ("narrow-bounds", "T6", bound(184, 0.09)),
+        ("low-bounds", "T6", bound(200, 0.0164)),
+        ("wide-bounds", "T6", bound(184, 6.7)),
+        ("high-bounds", "T6", bound(200, 19.3)),
+        ("bounds-beyond-the-grid", "T6", dropping.build(|head| put(head, 192, 1e300f64.to_bits(), 8))),
+        ("infinite-bounds", "H8", bound(200, f64::INFINITY)),
+        ("bounds-of-minus-zero", "H8", bound(160, -0.0)),
+        ("points-beyond-counting", "H8", parts.build(|head| put(head, 144, u64::MAX, 8))),
         ("shares-no-page", "D10", shares_no_page(&many)),
         ("no-slices", "D7", with_leaf(&parts, 4, 0)),
         ("wrong-slices-of-page", "P9", with_leaf(&parts, 4, 2)),
@@ -89,7 +110,7 @@ fn shares_no_page(many: &Parts) -> Vec<u8> {
 fn other_encoding() -> Vec<u8> {
     let columns = (0..64).map(|px| ((px, 0), vec![Span::new(51 * px, 51 * px + 1, false).unwrap()]));
     let page = page(columns);
-    let parts = Parts::of(&archive(&([(key(0, 0, 0), page.clone())].into(), two_pixels().1)));
+    let parts = Parts::of(&archive(&([(key(0, 0, 0), page.clone())].into(), Totals::default())));
     let mut body = Vec::new();
     // An encoder of another grid finds no steps.
     Encoder::new(Frame::new(1e5, 3e5).unwrap()).encode(&page, &mut body);

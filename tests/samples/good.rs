@@ -2,7 +2,7 @@
 
 use crate::common::forge::{Parts, put};
 use crate::common::{Pages, Random, archive, archive_of, key, page, plan, scene, two_pixels};
-use slicewalk::archive::{ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
+use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::frame::Frame;
 use slicewalk::plan::{Classifier, Plan, PlanOptions, Up};
 use slicewalk::slice::{Page, Span};
@@ -23,12 +23,13 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("shared-and-uniform", archive(&scene())),
         ("centimetres", archive_of(&in_centimetres, &(slope, totals()), None)),
         ("centimetres-cut", archive_of(&in_feet, &(pillars, totals()), None)),
-        ("tolerance", archive_of(&tolerant(), &(simple(floor()), totals()), None)),
-        ("options", archive_of(&options(), &(floor(), totals()), None)),
-        ("part", archive_of(&plan(), &(stairs(), totals()), Some(part()))),
+        ("tolerance", archive_of(&tolerant(), &(simple(floor()), totals_within(floor())), None)),
+        ("options", archive_of(&options(), &(floor(), totals_beyond()), None)),
+        ("part", archive_of(&plan(), &(stairs(), totals_beyond()), Some(part()))),
         ("part-with-inputs", part_with_inputs()),
         ("units", archive(&in_units(vec![LengthUnit { horizontal_m: US_SURVEY_FOOT_M, vertical_m: 1.0 }]))),
         ("units-mixed", archive(&in_units(LengthUnit::distinct([0.3048, 1.0, 20.1168].map(LengthUnit::of))))),
+        ("leaves", archive(&(leaves(), totals()))),
         ("unknown-metadata", unknown_metadata()),
         ("newer-minor-version", newer()),
     ]
@@ -38,9 +39,20 @@ fn span(bottom: u32, top: u32, obstacle: bool) -> Span {
     Span::new(bottom, top, obstacle).unwrap()
 }
 
+/// With the bounds of the matter.
 fn totals() -> Totals {
-    let bounds = Some(([-6.4, -6.4, -19.2], [12.8, 6.4, 38.4]));
-    Totals { points_read: 1_234_567, points_kept: 1_200_000, bounds, ..Totals::default() }
+    Totals { points_read: 1_234_567, points_kept: 1_200_000, ..Totals::default() }
+}
+
+/// With bounds of points far outside of the matter, as where voxels were dropped, or of other parts.
+fn totals_beyond() -> Totals {
+    Totals { bounds: Some(([-1000.0, -1000.0, -70.0], [2000.0, 1000.0, 75.5])), ..totals() }
+}
+
+/// With the bounds of points whose heights were moved outwards later.
+fn totals_within(pages: Pages) -> Totals {
+    let exact = Archive::from_bytes(archive(&(pages, totals()))).unwrap();
+    Totals { bounds: exact.header().bounds, ..totals() }
 }
 
 /// A rough floor over the four pages around the origin, up to their last rows and columns.
@@ -156,6 +168,16 @@ fn simple(pages: Pages) -> Pages {
 fn tolerant() -> Plan {
     let plan = plan();
     Plan { options: PlanOptions { tolerance_m: 0.02, ..plan.options }, ..plan }
+}
+
+/// More pages than a leaf holds: most of one span, some with bytes, some that share those of a leaf before.
+fn leaves() -> Pages {
+    let content = |n: u32| match n % 40 {
+        7 => page([((n % 64, n / 64), vec![span(n, n + 9, false)])]),
+        21 => page([((3, 4), vec![span(40, 50, true)])]),
+        _ => page((0..4096).map(|at| ((at % 64, at / 64), vec![span(n % 5, 300, n.is_multiple_of(3))]))),
+    };
+    (0..4099u32).map(|n| (key(n as i32 % 70 - 35, 2, n as i32 / 70), content(n))).collect()
 }
 
 /// No option as by default, and sizes that are no round numbers.

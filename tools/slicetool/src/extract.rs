@@ -2,7 +2,8 @@
 
 use crate::Outcome;
 use slicewalk::NoMonitor;
-use slicewalk::archive::{Bounds, extract};
+use slicewalk::archive::{Bounds, Extracted, extract};
+use std::fmt::Write;
 use std::path::PathBuf;
 
 /// What to cut out.
@@ -34,13 +35,21 @@ fn bounds(text: &str) -> Result<Bounds, String> {
 /// Cuts the region out.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
-    let header = extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &NoMonitor)
-        .map_err(|error| crate::broken(&arguments.archive, &error))?;
+    let Extracted { header, dropped } =
+        extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &NoMonitor)
+            .map_err(|error| crate::broken(&arguments.archive, &error))?;
     if arguments.json {
         let about = archive.crs().and_then(|crs| Ok((crs, archive.units()?)));
         let (crs, units) = about.map_err(|error| crate::broken(&arguments.archive, &error))?;
-        return Ok(format!("{:#}\n", slicewalk::info::header_info(&header, &crs, &units)));
+        let mut facts = slicewalk::info::header_info(&header, &crs, &units);
+        facts["dropped"] = dropped.into();
+        return Ok(format!("{facts:#}\n"));
     }
     let (voxels, bytes) = (header.voxels.occupied, header.file_len);
-    Ok(format!("{}: {voxels} voxels, {bytes} bytes\n", arguments.output.display()))
+    let mut text = String::new();
+    for what in dropped {
+        writeln!(text, "dropped: {what}")?;
+    }
+    writeln!(text, "{}: {voxels} voxels, {bytes} bytes", arguments.output.display())?;
+    Ok(text)
 }

@@ -33,11 +33,15 @@ pub fn run(arguments: &Arguments) -> Outcome {
         facts["written"] = merged.written.into();
         facts["shards"] = (shards.len() - copies.len()).into();
         facts["copies_left_out"] = copies.into();
+        facts["dropped"] = merged.dropped.into();
         return Ok(format!("{facts:#}\n"));
     }
     let mut text = String::new();
     for copy in &copies {
         writeln!(text, "{copy}: a copy of another part, left out")?;
+    }
+    for what in &merged.dropped {
+        writeln!(text, "dropped: {what}")?;
     }
     let state = if merged.written { "written" } else { "was there already" };
     let parts = shards.len() - copies.len();

@@ -40,6 +40,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "leaves": recovered.leaves.map(|(sound, all)| json!({ "sound": sound, "all": all })),
             "metadata": !recovered.metadata_lost,
             "pages": { "recovered": pages(recovered.found), "lost": recovered.lost.map(pages) },
+            "dropped": recovered.dropped,
+            "mended": recovered.mended,
+            "identical": recovered.identical,
             "bytes": recovered.header.file_len,
         });
         return Ok(format!("{facts:#}\n"));
@@ -64,7 +67,16 @@ fn report(recovered: &Recovered, output: &std::path::Path) -> Outcome {
     if recovered.metadata_lost {
         writeln!(text, "metadata lost: the reference system is not known any more")?;
     }
-    let state = if recovered.is_complete() { "complete, with the bytes that it once had" } else { "with losses" };
+    for (word, list) in [("dropped", &recovered.dropped), ("mended", &recovered.mended)] {
+        for what in list {
+            writeln!(text, "{word}: {what}")?;
+        }
+    }
+    let state = match (recovered.is_complete(), recovered.identical) {
+        (true, true) => "complete, with the bytes that it once had",
+        (true, false) => "complete",
+        _ => "with losses",
+    };
     writeln!(text, "{}: {state}", output.display())?;
     Ok(text)
 }

@@ -1,0 +1,294 @@
+//! Finding pages by their leaders, where no sound leaf tells of them (chapter 9).
+//!
+//! A page counts if its checksum is right and its content sound, wherever it lies; the bytes of a page with a right
+//! checksum are searched no further. Of all pages found the longest run with ascending keys is taken: a page with a
+//! wrong key costs itself and no other.
+//!
+//! A leader may be forged in every byte, and claim 6 MiB each time. The checksum of any stretch therefore follows from
+//! the checksums of what lies before its ends: a search takes time linear in the bytes, and memory of 9 MiB and 40
+//! bytes a page.
+
+use super::page::{self, MAX_STORED_PAGE, PageDecoder};
+use crate::bytes::ByteSource;
+use crate::frame::PageKey;
+use crate::{Error, Monitor, Result};
+use std::ops::Range;
+
+/// Bytes of the file held at once.
+const CHUNK: usize = 8 << 20;
+const _: () = assert!(MAX_STORED_PAGE < CHUNK);
+/// Most bytes of work for a byte searched: two stretches to sum a leader, and the window once for what it moves on by.
+const WORK_A_BYTE: u64 = (2 * Sums::STEP / page::MAGIC.len() + 2 * CHUNK / (CHUNK - MAX_STORED_PAGE) + 1) as u64;
+/// Bytes read at once where more cannot be read.
+const SECTOR: usize = 4096;
+/// First bytes of a zstd frame, and so of a directory leaf.
+const FRAME: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
+
+/// Where a sound page lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Found {
+    pub key: PageKey,
+    pub offset: u64,
+    pub len: usize,
+}
+
+/// Sound pages in the bytes `range` of `source` with keys in `keys`: their longest ascending run, in the order in which
+/// they lie. With `to_the_leaf` the search ends where a page is followed by a directory leaf.
+pub(super) fn find_pages(
+    source: &dyn ByteSource,
+    range: Range<u64>,
+    keys: impl Fn(PageKey) -> bool,
+    to_the_leaf: bool,
+    monitor: &dyn Monitor,
+) -> Result<Vec<Found>> {
+    let start = range.start;
+    let mut window = Window::new(source, range);
+    let mut decoder = PageDecoder::new();
+    let mut found = Vec::new();
+    while let Some(offset) = window.find_leader() {
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        let Some(len) = window.page_len() else {
+            window.pass(1);
+            continue;
+        };
+        let bytes = &window.bytes[window.at..window.at + len];
+        if let Some((key, _)) = decoder.salvage(bytes)
+            && keys(key)
+        {
+            found.push(Found { key, offset, len });
+        }
+        window.pass(len);
+        if to_the_leaf && window.starts_with(&FRAME) {
+            break;
+        }
+    }
+    // However leaders are forged: one takes at least its magic, and the window moves on by what pages leave of it.
+    debug_assert!(window.work <= WORK_A_BYTE * (window.start + window.at as u64 - start) + 2 * CHUNK as u64);
+    Ok(longest_ascending(&found))
+}
+
+/// The longest run of pages, not necessarily neighbours, whose keys ascend (Fredman 1975).
+fn longest_ascending(found: &[Found]) -> Vec<Found> {
+    // Of the runs of each length the one with the least last key, by that page; and before each page the one before it.
+    let (mut ends, mut before): (Vec<usize>, Vec<usize>) = (Vec::new(), Vec::with_capacity(found.len()));
+    for (at, page) in found.iter().enumerate() {
+        let len = ends.partition_point(|&end| found[end].key < page.key);
+        before.push(if len > 0 { ends[len - 1] } else { at });
+        match ends.get_mut(len) {
+            Some(end) => *end = at,
+            None => ends.push(at),
+        }
+    }
+    let mut run = Vec::with_capacity(ends.len());
+    let mut at = ends.last().copied();
+    while let Some(page) = at {
+        run.push(found[page]);
+        at = Some(before[page]).filter(|&before| before != page);
+    }
+    run.reverse();
+    run
+}
+
+/// A part of the file that moves on.
+struct Window<'a> {
+    source: &'a dyn ByteSource,
+    /// The end of the search in the file.
+    end: u64,
+    bytes: Vec<u8>,
+    /// Where in the file the bytes begin, and where in them the search is.
+    start: u64,
+    at: usize,
+    sums: Sums,
+    /// Bytes summed, moved or read so far.
+    work: u64,
+}
+
+impl<'a> Window<'a> {
+    fn new(source: &'a dyn ByteSource, range: Range<u64>) -> Self {
+        let end = range.end.min(source.len());
+        let start = range.start.min(end);
+        Self { source, end, bytes: Vec::new(), start, at: 0, sums: Sums::default(), work: 0 }
+    }
+
+    fn pass(&mut self, bytes: usize) {
+        self.at += bytes;
+    }
+
+    /// Moves to the next leader and returns where in the file it lies.
+    fn find_leader(&mut self) -> Option<u64> {
+        loop {
+            let rest = &self.bytes[self.at..];
+            if let Some(begin) = rest.windows(page::MAGIC.len()).position(|bytes| *bytes == page::MAGIC) {
+                self.at += begin;
+                return Some(self.start + self.at as u64);
+            }
+            // The last bytes may be the first ones of a leader.
+            self.at = self.bytes.len() - rest.len().min(page::MAGIC.len() - 1);
+            if !self.refill() {
+                return None;
+            }
+        }
+    }
+
+    /// The length of the page that begins here, if its checksum is right.
+    fn page_len(&mut self) -> Option<usize> {
+        if !self.reaches(page::LEADER + 1) {
+            return None;
+        }
+        let len = page::stated_len(&self.bytes[self.at..]).filter(|&len| self.reaches(len))?;
+        let (leader, body) = (&self.bytes[self.at..self.at + page::LEADER], self.at + page::LEADER..self.at + len);
+        self.work += 2 * Sums::STEP as u64;
+        let sum = self.sums.appended(page::covered_crc(leader), &self.bytes, body);
+        (sum == page::leader_crc(leader)).then_some(len)
+    }
+
+    fn starts_with(&mut self, bytes: &[u8]) -> bool {
+        self.reaches(bytes.len()) && self.bytes[self.at..].starts_with(bytes)
+    }
+
+    /// Whether there are `len` bytes from here on; reads them if so.
+    fn reaches(&mut self, len: usize) -> bool {
+        if self.bytes.len() - self.at >= len {
+            return true;
+        }
+        self.start + (self.at + len) as u64 <= self.end && self.refill()
+    }
+
+    /// Forgets what lies before the place of the search and reads on behind it; whether there was more.
+    fn refill(&mut self) -> bool {
+        self.bytes.drain(..self.at);
+        self.start += self.at as u64;
+        self.at = 0;
+        let have = self.bytes.len();
+        let left = self.end - (self.start + have as u64);
+        let more = left.min((CHUNK - have) as u64) as usize;
+        self.bytes.resize(have + more, 0);
+        let (from, new) = (self.start + have as u64, &mut self.bytes[have..]);
+        if self.source.read_at(from, new).is_err() {
+            // A disk that fails in places: what cannot be read holds no page.
+            for (at, sector) in (from..).step_by(SECTOR).zip(new.chunks_mut(SECTOR)) {
+                if self.source.read_at(at, sector).is_err() {
+                    sector.fill(0);
+                }
+            }
+        }
+        self.sums = Sums::of(&self.bytes);
+        self.work += 2 * self.bytes.len() as u64;
+        more > 0
+    }
+}
+
+/// Checksums of the bytes before every multiple of [`Sums::STEP`], from which those of any stretch follow.
+#[derive(Default)]
+struct Sums {
+    before: Vec<u32>,
+}
+
+impl Sums {
+    const STEP: usize = 256;
+
+    fn of(bytes: &[u8]) -> Self {
+        let mut sum = 0;
+        let sums = bytes.chunks(Self::STEP).map(|step| {
+            let before = sum;
+            sum = crc32c::crc32c_append(sum, step);
+            before
+        });
+        Self { before: sums.collect() }
+    }
+
+    /// The checksum of what has the checksum `sum`, followed by the bytes `range` of those that these sums are of.
+    fn appended(&self, sum: u32, bytes: &[u8], range: Range<usize>) -> u32 {
+        let before = |end: usize| {
+            let step = (end / Self::STEP).min(self.before.len().saturating_sub(1));
+            let known = self.before.get(step).copied().unwrap_or(0);
+            crc32c::crc32c_append(known, &bytes[step * Self::STEP..end])
+        };
+        shifted(sum ^ before(range.start), range.len()) ^ before(range.end)
+    }
+}
+
+/// `x⁸` to the power of 2ⁿ, modulo the polynomial.
+const POWERS: [u32; 24] = {
+    let mut powers = [1 << 23; 24];
+    let mut n = 1;
+    while n < powers.len() {
+        powers[n] = multiplied(powers[n - 1], powers[n - 1]);
+        n += 1;
+    }
+    powers
+};
+const _: () = assert!(CHUNK < 1 << POWERS.len());
+
+/// The product of two polynomials modulo that of CRC32C; as in checksums, the highest bit is the constant term.
+const fn multiplied(a: u32, mut b: u32) -> u32 {
+    let (mut product, mut bit) = (0, 32);
+    while bit > 0 {
+        bit -= 1;
+        if a >> bit & 1 == 1 {
+            product ^= b;
+        }
+        b = if b & 1 == 1 { b >> 1 ^ 0x82F6_3B78 } else { b >> 1 };
+    }
+    product
+}
+
+/// What `sum` becomes by `len` bytes, less what these bytes add themselves.
+fn shifted(sum: u32, len: usize) -> u32 {
+    let powers = POWERS.iter().enumerate().filter(|(bit, _)| len >> bit & 1 == 1);
+    powers.fold(sum, |sum, (_, power)| multiplied(*power, sum))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoMonitor;
+    use crate::bytes::MemorySource;
+    use proptest::prelude::*;
+
+    fn find(bytes: Vec<u8>) -> Vec<Found> {
+        let range = 0..bytes.len() as u64;
+        find_pages(&MemorySource::new(bytes), range, |_| true, false, &NoMonitor).unwrap()
+    }
+
+    /// What a search may take is stated, and checked, where it ends.
+    #[test]
+    fn forged_leaders_take_work_linear_in_their_bytes() {
+        for (period, claim) in [(24, MAX_STORED_PAGE - page::LEADER), (24, 3 << 20), (20, 1 << 20), (4, 0)] {
+            let mut leader = vec![0; period];
+            leader[..4].copy_from_slice(&page::MAGIC);
+            if period > 4 {
+                leader[16..20].copy_from_slice(&(claim as u32).to_le_bytes());
+            }
+            assert_eq!(find(leader.repeat((12 << 20) / period)), []);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn checksums_of_stretches_follow_from_those_of_beginnings(
+            bytes in proptest::collection::vec(any::<u8>(), 0..9000), ends in any::<[prop::sample::Index; 2]>(), sum: u32
+        ) {
+            let [a, b] = ends.map(|end| end.index(bytes.len() + 1));
+            let range = a.min(b)..a.max(b);
+            let expected = crc32c::crc32c_append(sum, &bytes[range.clone()]);
+            prop_assert_eq!(Sums::of(&bytes).appended(sum, &bytes, range), expected);
+        }
+
+        #[test]
+        fn no_ascending_run_is_longer(keys in proptest::collection::vec(0i32..9, 0..10)) {
+            let page = |(at, &layer): (usize, &i32)| Found { key: PageKey { tx: 0, ty: 0, layer }, offset: at as u64, len: 0 };
+            let found: Vec<_> = keys.iter().enumerate().map(page).collect();
+            let run = longest_ascending(&found);
+            prop_assert!(run.is_sorted_by(|a, b| a.key < b.key && a.offset < b.offset));
+            prop_assert!(run.iter().all(|page| found.contains(page)));
+            let longest = (0u32..1 << found.len()).filter(|chosen| {
+                let chosen: Vec<_> = found.iter().enumerate().filter(|(at, _)| chosen >> at & 1 == 1).map(|(_, page)| page.key).collect();
+                chosen.is_sorted_by(|a, b| a < b)
+            });
+            prop_assert_eq!(Some(run.len() as u32), longest.map(u32::count_ones).max());
+        }
+    }
+}
