@@ -1,7 +1,7 @@
 //! `slicetool route`: the shortest way of a pawn between two places.
 
 use crate::ground::{Loader, Walks};
-use crate::{Failure, Outcome, keep_apart};
+use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::reach::{Flood, Ground, Refusal, Route, Search, Spot};
@@ -32,18 +32,17 @@ pub struct Arguments {
 /// Finds the way; without an output and --json it is the result.
 pub fn run(arguments: &Arguments) -> Outcome {
     let started = Instant::now();
-    if let Some(output) = &arguments.output {
-        keep_apart(&arguments.archive, output)?;
-    }
-    let found = find(arguments)?;
+    let loader = Loader::open(&arguments.archive, &arguments.walks)?;
+    let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
+    let found = find(arguments, &loader)?;
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
     for point in found.iter().flat_map(|route| &route.points) {
         writeln!(rows, "{:.4},{:.4},{:.4}", point.x, point.y, point.z)?;
     }
-    if let Some(output) = &arguments.output {
-        std::fs::write(output, &rows)
-            .map_err(|error| Failure::Text(format!("{}: cannot write: {error}", output.display())))?;
+    if let Some(mut output) = output {
+        output.write_at(0, rows.as_bytes())?;
+        output.publish()?;
     }
     if arguments.json {
         let summary = serde_json::json!({
@@ -61,8 +60,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     Ok(if arguments.output.is_some() { String::new() } else { rows })
 }
 
-fn find(arguments: &Arguments) -> Result<Result<Route, Refusal>, Failure> {
-    let loader = Loader::open(&arguments.archive, &arguments.walks)?;
+fn find(arguments: &Arguments, loader: &Loader) -> Result<Result<Route, Refusal>, Failure> {
     let mut ground = Ground::new(&loader.view(), arguments.walks.pawn())?;
     let mut spot =
         |at: Point3<f64>| -> Result<Option<Spot>, Failure> { loader.known(|view| Ok(ground.spot(view, at))) };

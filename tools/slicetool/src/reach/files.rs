@@ -3,12 +3,12 @@
 use super::{Reach, geojson, map};
 use crate::Failure;
 use crate::ground::Loader;
-use std::fs::File;
+use slicewalk::output::Output;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
 /// Where a file is written to.
-pub type Out = BufWriter<File>;
+pub type Out = BufWriter<Output>;
 
 type Writer = fn(&Reach, &Loader, &mut Out) -> Result<(), Failure>;
 
@@ -25,18 +25,6 @@ pub fn writer(output: &Path) -> Result<Writer, Failure> {
             Err(Failure::Text(text))
         }
     }
-}
-
-/// Writes a file; it appears whole, or not at all.
-pub fn save(output: &Path, write: impl FnOnce(&mut Out) -> Result<(), Failure>) -> Result<(), Failure> {
-    let failed =
-        |what: &str, error: std::io::Error| Failure::Text(format!("{}: cannot {what}: {error}", output.display()));
-    let mut out = BufWriter::new(File::create(output).map_err(|error| failed("create", error))?);
-    let written = write(&mut out).and_then(|()| out.flush().map_err(|error| failed("write", error)));
-    written.inspect_err(|_| {
-        // Half a file is worse than none.
-        let _ = std::fs::remove_file(output);
-    })
 }
 
 fn csv(reach: &Reach, _: &Loader, out: &mut Out) -> Result<(), Failure> {

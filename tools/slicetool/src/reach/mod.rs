@@ -5,10 +5,11 @@ mod geojson;
 mod map;
 
 use crate::ground::{Loader, Walks};
-use crate::{Failure, Outcome, keep_apart};
+use crate::{Failure, Outcome};
 use slicewalk::NoMonitor;
 use slicewalk::reach::{Flood, Ground, Leak, Passage, Region, Storeys};
 use std::fmt::Write;
+use std::io::{BufWriter, IntoInnerError};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -41,10 +42,8 @@ struct Reach {
 pub fn run(arguments: &Arguments) -> Outcome {
     let started = Instant::now();
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
-    if let Some(output) = &arguments.output {
-        keep_apart(&arguments.archive, output)?;
-    }
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
+    let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
     let mut ground = Ground::new(&loader.view(), arguments.walks.pawn())?;
     let Some(start) = loader.known(|view| Ok(ground.spot(view, arguments.from)))? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
@@ -59,8 +58,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let leaks = loader.known(|view| Ok(region.leaks(&mut ground, view)))?;
     let own = ground.memory_bytes() + flood.memory_bytes() + region.memory_bytes();
     let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, region };
-    if let (Some(write), Some(output)) = (write, &arguments.output) {
-        files::save(output, |out| write(&reach, &loader, out))?;
+    if let (Some(write), Some(output)) = (write, output) {
+        let mut out = BufWriter::new(output);
+        write(&reach, &loader, &mut out)?;
+        out.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
     }
     let seconds = started.elapsed().as_secs_f64();
     let memory = own + loader.memory_bytes();
