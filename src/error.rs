@@ -67,8 +67,8 @@ pub enum Error {
     /// A parameter makes no sense.
     #[error("{what}: {reason}")]
     Parameter {
-        /// Name of the parameter as the user knows it.
-        what: String,
+        /// The parameter.
+        what: Parameter,
         /// Why it is refused and what is allowed.
         reason: String,
     },
@@ -95,6 +95,64 @@ pub enum Error {
     /// The user or the calling program asked to stop; nothing was published.
     #[error("interrupted: nothing was written, temporary files are removed")]
     Interrupted,
+}
+
+/// What an [`Error::Parameter`] is about. A program that has an option of its own for it names that option instead.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Parameter {
+    /// The edge of a pixel.
+    PixelSize,
+    /// The pixel size that was to follow from the input.
+    AutomaticPixelSize,
+    /// The height of a slice.
+    SliceHeight,
+    /// The steepest slope that can be stood on.
+    MaxSlope,
+    /// How far heights may be coarsened.
+    Tolerance,
+    /// The least number of points in a voxel.
+    MinPoints,
+    /// The memory budget of a conversion.
+    Memory,
+    /// The unit of the input.
+    Units,
+    /// Which part of a conversion is asked for.
+    Shard,
+    /// The plan of a conversion or of a recovery.
+    Plan,
+    /// The region to cut out of an archive.
+    Bounds,
+    /// A parameter of a pawn or of its walk, by name: its speed, its climb height.
+    Pawn(&'static str),
+    /// Anything else, by name.
+    Other(String),
+}
+
+impl std::fmt::Display for Parameter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::PixelSize => "pixel size",
+            Self::AutomaticPixelSize => "automatic pixel size",
+            Self::SliceHeight => "slice height",
+            Self::MaxSlope => "maximum slope",
+            Self::Tolerance => "tolerance",
+            Self::MinPoints => "least points of a voxel",
+            Self::Memory => "memory budget",
+            Self::Units => "unit of the input",
+            Self::Shard => "shard",
+            Self::Plan => "plan",
+            Self::Bounds => "bounds",
+            Self::Pawn(name) => name,
+            Self::Other(name) => name,
+        })
+    }
+}
+
+impl<T: Into<String>> From<T> for Parameter {
+    fn from(name: T) -> Self {
+        Self::Other(name.into())
+    }
 }
 
 impl Error {
@@ -125,7 +183,7 @@ impl Error {
     }
 
     /// An [`Error::Parameter`].
-    pub fn parameter(what: impl Into<String>, reason: impl Into<String>) -> Self {
+    pub fn parameter(what: impl Into<Parameter>, reason: impl Into<String>) -> Self {
         Self::Parameter { what: what.into(), reason: reason.into() }
     }
 }

@@ -8,7 +8,7 @@
 //! monotone: `a ≤ b` in the world implies `pixel_of(a) ≤ pixel_of(b)`. Guarantee G1 (no missed point) rests on that
 //! alone and so holds at any coordinate, whatever the rounding error.
 
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 
 /// Edge of a tile and of a page in pixels; one row of a tile is one `u64`.
 pub const TILE_PIXELS: i64 = 64;
@@ -20,6 +20,9 @@ pub const SLICE_QUANTA: i64 = 255;
 pub const PAGE_QUANTA: i64 = PAGE_SLICES * SLICE_QUANTA;
 /// Greatest pixel or slice index in magnitude, so that tile and layer indices fit `i32`.
 pub const MAX_INDEX: i64 = (1 << 36) - 1;
+
+/// Greatest pixel size and slice height (m).
+pub const MAX_CELL_M: f64 = 1e6;
 
 /// Pixel size `t` and slice height `σ` of one archive, with the conversions between world and grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,8 +36,8 @@ pub struct Frame {
 impl Frame {
     /// A grid of pixels of `pixel_m` [m, 1e-6..=1e6] and slices of `slice_m` [m, 1e-6..=1e6].
     pub fn new(pixel_m: f64, slice_m: f64) -> Result<Self> {
-        for (what, value) in [("pixel size", pixel_m), ("slice height", slice_m)] {
-            if !(1e-6..=1e6).contains(&value) {
+        for (what, value) in [(Parameter::PixelSize, pixel_m), (Parameter::SliceHeight, slice_m)] {
+            if !(1e-6..=MAX_CELL_M).contains(&value) {
                 return Err(Error::parameter(what, format!("{value} m lies outside 0.000001 to 1000000 m")));
             }
         }

@@ -151,7 +151,7 @@ pub mod walk;
 
 pub mod reach;
 
-pub use error::{Error, Result};
+pub use error::{Error, Parameter, Result};
 pub use monitor::{Monitor, NoMonitor};
 pub use nalgebra;
 

@@ -1,7 +1,7 @@
 //! The plan of an archive: grid and options that decide its content. Archives of one plan can be compared and merged.
 
 use crate::frame::{Frame, SLICE_QUANTA};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use bitvec::array::BitArray;
 use bitvec::order::Lsb0;
 use xxhash_rust::xxh3::xxh3_128;
@@ -190,14 +190,14 @@ impl PlanOptions {
     pub fn check(&self) -> Result<()> {
         if !(0.0..=90.0).contains(&self.max_slope_deg) {
             let reason = format!("{} is no angle between 0 and 90 degrees", self.max_slope_deg);
-            return Err(Error::parameter("--max-slope", reason));
+            return Err(Error::parameter(Parameter::MaxSlope, reason));
         }
         if !(0.0..=1e6).contains(&self.tolerance_m) {
             let reason = format!("{} is no length between 0 and 1000000 m", self.tolerance_m);
-            return Err(Error::parameter("--tolerance", reason));
+            return Err(Error::parameter(Parameter::Tolerance, reason));
         }
         if self.min_points == 0 {
-            return Err(Error::parameter("--min-points", "0 is too few; 1 keeps every point"));
+            return Err(Error::parameter(Parameter::MinPoints, "0 is too few; 1 keeps every point"));
         }
         Ok(())
     }

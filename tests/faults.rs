@@ -60,10 +60,15 @@ impl Place {
     }
 }
 
-/// The program did not succeed, did not panic, and said one line, which is returned.
+/// The program failed, did not panic, and said one line, which is returned.
 fn failed(status: ExitStatus, stderr: &[u8]) -> String {
+    ended(status, stderr, 1)
+}
+
+/// As [`failed`], with this exit code.
+fn ended(status: ExitStatus, stderr: &[u8], code: i32) -> String {
     let said = String::from_utf8_lossy(stderr).into_owned();
-    assert_eq!(status.code(), Some(1), "{said}");
+    assert_eq!(status.code(), Some(code), "{said}");
     assert_eq!(said.lines().count(), 1, "{said}");
     assert!(said.starts_with("sliceconv: ") && !said.contains("panicked"), "{said}");
     said
@@ -102,7 +107,7 @@ fn killed_at_any_instant_the_old_archive_stays_and_the_next_run_cleans_up() {
 fn interrupted_it_says_so_and_leaves_nothing() {
     let place = Place::new(1_000_000);
     let mut interrupted = 0;
-    for (number, signal) in ["INT", "TERM", "INT", "INT"].into_iter().enumerate() {
+    for (number, (signal, code)) in [("INT", 130), ("TERM", 143), ("INT", 130), ("HUP", 129)].into_iter().enumerate() {
         fs::write(place.archive(), &place.old).unwrap();
         let child = place.overwrite().spawn().unwrap();
         // Not before it listens: the temporary file beside the target shows that it is at work.
@@ -116,7 +121,7 @@ fn interrupted_it_says_so_and_leaves_nothing() {
         place.is_clean();
         // One that was done before the signal came has done its work.
         if !out.status.success() {
-            assert!(failed(out.status, &out.stderr).contains("interrupted"));
+            assert!(ended(out.status, &out.stderr, code).contains("interrupted"));
             assert!(out.stdout.is_empty());
             place.is_old();
             interrupted += 1;

@@ -9,7 +9,7 @@ use super::writer::{ArchiveWriter, Totals};
 use crate::frame::{Frame, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::output::{Existing, Protected};
 use crate::slice::{Page, PageBuilder, Span};
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::path::Path;
 
 /// What an extraction made.
@@ -104,7 +104,7 @@ pub fn extract(
     let (min, max) = bounds;
     // Written so that NaN fails.
     if !(0..3).all(|axis| min[axis] <= max[axis]) {
-        return Err(Error::parameter("--bounds", format!("no region lies between {min:?} and {max:?}")));
+        return Err(Error::parameter(Parameter::Bounds, format!("no region lies between {min:?} and {max:?}")));
     }
     let (frame, header) = (archive.frame(), archive.header());
     let region = Region::around(frame, bounds);

@@ -15,7 +15,7 @@ use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::{ByteSource, FileSource};
 use crate::output::Existing;
 use crate::unit::LengthUnit;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
@@ -102,7 +102,7 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     let parts = shards.iter().map(|path| Part::open(path)).collect::<Result<Vec<_>>>()?;
     let (parts, copies) = in_order(parts)?;
     let Some(first) = parts.first() else {
-        return Err(Error::parameter("SHARD", "no part was given; name the archives that sliceconv --shard wrote"));
+        return Err(Error::parameter(Parameter::Shard, "no part was given; name the archives of all parts"));
     };
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     parts.iter().try_for_each(|part| refuse_repeats(&part.header))?;

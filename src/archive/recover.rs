@@ -20,7 +20,7 @@ use crate::frame::PageKey;
 use crate::output::Existing;
 use crate::plan::Plan;
 use crate::slice::Page;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::Path;
@@ -76,7 +76,7 @@ pub fn recover(
     let plan = match (old.as_ref().map(Archive::plan), plan) {
         (Some(told), Some(given)) if told != given => {
             let reason = format!("is not the plan of {}, whose head is sound; leave it out", path.display());
-            return Err(Error::parameter("--plan", reason));
+            return Err(Error::parameter(Parameter::Plan, reason));
         }
         (Some(plan), _) | (None, Some(plan)) => plan.clone(),
         (None, None) => {

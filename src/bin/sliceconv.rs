@@ -3,6 +3,7 @@
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+use signal_hook::{consts, flag};
 use slicewalk::convert::plan_file;
 use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
 use slicewalk::convert::{Job, ShardOptions};
@@ -11,12 +12,12 @@ use slicewalk::mesh::MeshMode;
 use slicewalk::output::{Existing, Kind, Output};
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::size::parse_size;
-use slicewalk::{Error, Monitor};
+use slicewalk::{Error, Monitor, Parameter};
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 /// Converts scans (LAS, LAZ) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
@@ -156,7 +157,8 @@ fn part(text: &str) -> Result<(u32, u32), String> {
 /// Shows progress on a terminal and prints warnings on standard error.
 struct Terminal {
     quiet: bool,
-    cancelled: &'static AtomicBool,
+    /// The signal that asked to stop, 0 if none did.
+    signal: Arc<AtomicUsize>,
     bar: Mutex<ProgressBar>,
 }
 
@@ -191,7 +193,7 @@ impl Monitor for Terminal {
     }
 
     fn cancelled(&self) -> bool {
-        self.cancelled.load(Ordering::Relaxed)
+        self.signal.load(Ordering::Relaxed) != 0
     }
 }
 
@@ -208,15 +210,9 @@ fn main() -> ExitCode {
         Err(error) => error.exit(),
     };
     slicewalk::input::quiet_decoder_panics();
-    static CANCELLED: AtomicBool = AtomicBool::new(false);
-    let terminal = Terminal { quiet: arguments.quiet, cancelled: &CANCELLED, bar: Mutex::new(ProgressBar::hidden()) };
-    let handler = ctrlc::set_handler(|| {
-        // The second signal means: at once. Temporary data vanishes with the process or is cleaned by the next run.
-        if CANCELLED.swap(true, Ordering::Relaxed) {
-            std::process::exit(1);
-        }
-    });
-    if let Err(error) = handler {
+    let signal = Arc::new(AtomicUsize::new(0));
+    let terminal = Terminal { quiet: arguments.quiet, signal: signal.clone(), bar: Mutex::new(ProgressBar::hidden()) };
+    if let Err(error) = listen(&signal) {
         terminal.warn(&format!("cannot listen for Ctrl-C: {error}"));
     }
     let started = Instant::now();
@@ -231,15 +227,75 @@ fn main() -> ExitCode {
             print_plan(&arguments, &job);
             ExitCode::SUCCESS
         }
-        Err(error) => {
-            say(&format!("sliceconv: {error}"));
-            // An option that can be seen to be wrong without any input is wrong usage.
-            match error {
-                Error::Parameter { what, .. } if what.starts_with("--") && what != "--pixel auto" => ExitCode::from(2),
-                _ => ExitCode::FAILURE,
-            }
+        Err(failed) => {
+            let (line, code) = failure(&failed, signal.load(Ordering::Relaxed));
+            say(&format!("sliceconv: {line}"));
+            code
         }
     }
+}
+
+/// Notes the signals that ask to stop. A second one ends the process at once: temporary data vanish with it or are
+/// removed by the next run.
+fn listen(signal: &Arc<AtomicUsize>) -> std::io::Result<()> {
+    let again = Arc::new(AtomicBool::new(false));
+    let asking = [
+        consts::SIGINT,
+        consts::SIGTERM,
+        #[cfg(unix)]
+        consts::SIGHUP,
+    ];
+    for number in asking {
+        flag::register_conditional_shutdown(number, 128 + number, again.clone())?;
+        flag::register(number, again.clone())?;
+        flag::register_usize(number, signal.clone(), number as usize)?;
+    }
+    Ok(())
+}
+
+/// Why nothing was done.
+enum Failure {
+    /// The options contradict each other; one line.
+    Usage(String),
+    Failed(Error),
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+/// The line and the exit code that a failure ends with.
+fn failure(failure: &Failure, signal: usize) -> (String, ExitCode) {
+    let error = match failure {
+        Failure::Usage(line) => return (line.clone(), ExitCode::from(2)),
+        Failure::Failed(error) => error,
+    };
+    match error {
+        // As the shell reports a program that a signal ended.
+        Error::Interrupted => (error.to_string(), ExitCode::from(128 + u8::try_from(signal).unwrap_or(2))),
+        Error::Parameter { what, reason } => match option_of(what) {
+            Some(option) => (format!("{option}: {reason}"), ExitCode::from(2)),
+            None => (error.to_string(), ExitCode::FAILURE),
+        },
+        _ => (error.to_string(), ExitCode::FAILURE),
+    }
+}
+
+/// The option whose value is wrong whatever the input holds.
+fn option_of(parameter: &Parameter) -> Option<&'static str> {
+    Some(match parameter {
+        Parameter::PixelSize => "--pixel",
+        Parameter::SliceHeight => "--slice",
+        Parameter::MaxSlope => "--max-slope",
+        Parameter::Tolerance => "--tolerance",
+        Parameter::MinPoints => "--min-points",
+        Parameter::Memory => "--memory",
+        Parameter::Units => "--units",
+        Parameter::Shard => "--shard",
+        _ => return None,
+    })
 }
 
 /// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.
@@ -247,7 +303,7 @@ fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Result<Done, Error> {
+fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Result<Done, Failure> {
     let mut options = ConvertOptions::new(arguments.inputs.clone(), arguments.output.clone().unwrap_or_default());
     options.pixel = arguments.pixel;
     options.slice_m = arguments.slice;
@@ -292,7 +348,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
 }
 
 /// Refuses options on the command line that say otherwise than the plan, whose options are `planned`.
-fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &ConvertOptions) -> Result<(), Error> {
+fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &ConvertOptions) -> Result<(), Failure> {
     let options = [
         ("pixel", "--pixel", wanted.pixel == planned.pixel),
         ("slice", "--slice", wanted.slice_m == planned.slice_m),
@@ -308,7 +364,8 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
     ];
     for (id, name, same) in options {
         if !same && given.value_source(id) == Some(ValueSource::CommandLine) {
-            return Err(Error::parameter(name, "contradicts the plan; leave it out, or write another plan"));
+            let line = format!("{name}: contradicts the plan; leave it out, or write another plan");
+            return Err(Failure::Usage(line));
         }
     }
     Ok(())

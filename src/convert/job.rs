@@ -18,7 +18,7 @@ use crate::input::scenes::{Scene, far_apart};
 use crate::input::{InputSet, ScanFile, Units};
 use crate::mesh::MeshMode;
 use crate::plan::Plan;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -97,7 +97,7 @@ impl Job {
     pub fn shard(&self, index: u32, count: u32) -> Result<Shard> {
         if !(1..=MAX_SHARDS).contains(&count) || !(1..=count).contains(&index) {
             return Err(Error::parameter(
-                "--shard",
+                Parameter::Shard,
                 format!("{index}/{count} is none of 1/1 to {MAX_SHARDS}/{MAX_SHARDS}"),
             ));
         }

@@ -25,7 +25,7 @@ pub use job::Job;
 pub use options::{ConvertOptions, PixelSize, ShardOptions};
 
 use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Shard, Totals};
-use crate::frame::Frame;
+use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, estimate_spacing};
 use crate::input::{InputOptions, InputSet, ScanFile, UnitCounts};
@@ -34,7 +34,7 @@ use crate::output::{Existing, Kind, Output};
 use crate::plan::Plan;
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
-use crate::{Error, Monitor, NoMonitor, Result};
+use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use columns::write_columns;
 use meshes::read_meshes;
 use part::Part;
@@ -93,7 +93,7 @@ impl Inputs {
 pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Inputs> {
     if options.memory_bytes < MIN_MEMORY_BYTES {
         let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", options.memory_bytes);
-        return Err(Error::parameter("--memory", reason));
+        return Err(Error::parameter(Parameter::Memory, reason));
     }
     options.plan.check()?;
     let input_options = InputOptions {
@@ -130,7 +130,7 @@ pub(crate) fn plan(
         }
     };
     let plan = Plan {
-        frame: Frame::new(pixel_m, options.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12)))?,
+        frame: Frame::new(pixel_m, options.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M)))?,
         options: options.plan.clone(),
     };
     Ok((plan, spacing))
@@ -220,7 +220,10 @@ fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
     if longer > 0.0 {
         Ok(round_to_digits(longer / AUTO_PIXELS, 2))
     } else {
-        Err(Error::parameter("--pixel auto", "the meshes have no extent in x and y; give the pixel size in metres"))
+        Err(Error::parameter(
+            Parameter::AutomaticPixelSize,
+            "the meshes have no extent in x and y; give the pixel size in metres",
+        ))
     }
 }
 

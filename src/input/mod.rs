@@ -36,7 +36,7 @@ use self::scenes::Scene;
 use self::source::Source;
 use crate::plan::{ClassSet, Up};
 use crate::unit::LengthUnit;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 
 pub use self::laz::quiet_decoder_panics;
 
@@ -379,7 +379,7 @@ impl InputSet {
         if let Units::Factor(factor) = options.units
             && !(1e-9..=1e9).contains(&factor)
         {
-            return Err(Error::parameter("--units", format!("{factor} is no number of metres per unit")));
+            return Err(Error::parameter(Parameter::Units, format!("{factor} is no number of metres per unit")));
         }
         let (meshes, paths): (Vec<_>, Vec<_>) =
             expand::expand(inputs, monitor)?.into_iter().partition(|path| expand::is_mesh(path));

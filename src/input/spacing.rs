@@ -14,7 +14,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 
 use super::{Decoder, InputSet, PointBatch, Unit};
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 
 /// Points per metre of the finest grid of indices: a power of two, so that the product is exact.
 const FINEST_PER_M: f64 = 64.0;
@@ -83,7 +83,10 @@ pub fn estimate_spacing(set: &InputSet, threads: usize, monitor: &dyn Monitor) -
     outcomes.into_iter().collect::<Result<()>>()?;
     let levels = shared.levels.map(|l| l.into_inner().unwrap_or_else(|e| e.into_inner()));
     choose(levels, points.into_inner() as u64).ok_or_else(|| {
-        Error::parameter("--pixel auto", "the scans hold fewer than two points apart; give the pixel size in metres")
+        Error::parameter(
+            Parameter::AutomaticPixelSize,
+            "the scans hold fewer than two points apart; give the pixel size in metres",
+        )
     })
 }
 

@@ -3,7 +3,7 @@
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::store::PageSet;
 use crate::walk::{Body, FLOOR_NEAR_M};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 
 /// How far beyond the footprint a floor makes a step out of an edge (m): as far as a walker looks ahead.
 const AHEAD_M: f64 = 0.25;
@@ -36,11 +36,11 @@ impl Pawn {
         self.body.check()?;
         if !(0.0..self.body.height()).contains(&self.climb) {
             let reason = format!("{} m is not allowed; expected 0 to less than the pawn's height", self.climb);
-            return Err(Error::parameter("climb height", reason));
+            return Err(Error::parameter(Parameter::Pawn("climb height"), reason));
         }
         if !(self.max_drop >= 0.0 && self.max_drop.is_finite()) {
             let reason = format!("{} m is not allowed; expected 0 or more", self.max_drop);
-            return Err(Error::parameter("deepest drop", reason));
+            return Err(Error::parameter(Parameter::Pawn("deepest drop"), reason));
         }
         Ok(())
     }

@@ -26,7 +26,7 @@ use crate::frame::Frame;
 use crate::query::Answer;
 use crate::store::Missing;
 use crate::store::{Motion as Outlook, PageSet};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use std::ops::ControlFlow;
 
@@ -81,7 +81,7 @@ impl Config {
             if fits && value.is_finite() {
                 Ok(())
             } else {
-                Err(Error::parameter(what, format!("{value} is not allowed")))
+                Err(Error::parameter(Parameter::Pawn(what), format!("{value} is not allowed")))
             }
         };
         finite("speed", self.speed, self.speed >= 0.0)?;
