@@ -275,6 +275,10 @@ fn failure(failure: &Failure, signal: usize) -> (String, ExitCode) {
     match error {
         // As the shell reports a program that a signal ended.
         Error::Interrupted => (error.to_string(), ExitCode::from(128 + u8::try_from(signal).unwrap_or(2))),
+        // The input is at fault, not the option.
+        Error::Parameter { what: Parameter::AutomaticPixelSize, reason } => {
+            (format!("--pixel auto: {reason}"), ExitCode::FAILURE)
+        }
         Error::Parameter { what, reason } => match option_of(what) {
             Some(option) => (format!("{option}: {reason}"), ExitCode::from(2)),
             None => (error.to_string(), ExitCode::FAILURE),
