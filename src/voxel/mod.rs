@@ -5,6 +5,7 @@
 //! them by tile column within the memory budget, on disk where they do not fit, and [`fold`] makes the voxels of a
 //! column. Out: voxels with exact integer bottom, top, count and moments, in archive order.
 
+pub(crate) mod bands;
 pub(crate) mod fold;
 pub(crate) mod judge;
 pub(crate) mod record;
