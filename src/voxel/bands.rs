@@ -109,7 +109,7 @@ mod tests {
     #[test]
     fn heights_in_a_band_rise_from_its_floor_to_its_top() {
         let frame = Frame::new(0.05, 0.01).unwrap();
-        let bands = Bands::new(&Plan { frame, options: PlanOptions::default() });
+        let bands = Bands::new(&Plan::new(frame));
         let mut last = None;
         for step in 0..3000 {
             let z = 0.0001 * f64::from(step);

@@ -542,7 +542,7 @@ impl PieceFolder {
 mod tests {
     use super::*;
     use crate::frame::Frame;
-    use crate::plan::{Plan, PlanOptions};
+    use crate::plan::Plan;
     use crate::voxel::record::{Recorder, surface_voxels};
     use proptest::prelude::*;
 
@@ -577,10 +577,7 @@ mod tests {
                 });
             }
             let (mut at_once, mut piecemeal) = (Patch::default(), Patch::default());
-            let thin = Plan {
-                frame: Frame::new(0.5, 1.5 / f64::from(slices)).unwrap(),
-                options: PlanOptions::default(),
-            };
+            let thin = Plan::new(Frame::new(0.5, 1.5 / f64::from(slices)).unwrap());
             let bands = Bands::new(&thin);
             assert_eq!(bands.slices(), slices);
             let (mut made, mut added) = (Sums::new(bands), Sums::default());
