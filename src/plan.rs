@@ -13,12 +13,14 @@ pub(crate) const PLAN_BYTES: usize = 72;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Classifier {
-    /// Vertical runs of matter longer than the slope limit allows are obstacles.
+    /// Vertical runs of matter in a pixel longer than the slope limit allows are obstacles. No slope up to the limit is
+    /// one, but for its noise; how much steeper it must be depends on its heading and on the density of points.
     Span,
     /// The thesis' rule (algorithm 3.3) made independent of the order of points: two points of a voxel that differ
-    /// by more than a third of the slice height make it an obstacle.
+    /// by more than a third of the slice height make it an obstacle. It promises no angle.
     Thesis,
-    /// Slope of a plane fitted to the points of 3 × 3 pixels.
+    /// Slope of a plane fitted to the points of 3 × 3 pixels. Where a pixel edge holds two points or more, the verdict flips
+    /// at the slope limit ± 3°, for limits up to 60°, at any heading and slice height. Walls are obstacles.
     Plane,
 }
 

@@ -26,8 +26,8 @@ fn order_files_formats_duplicates_scales_and_offsets_do_not_show() {
     let at = |name: &str| folder.path().join(name);
     let mut all = points(60_000);
     write(&at("a.las"), &all);
-    for rule in ["plane", "span", "thesis"] {
-        let options = [&FINE[..], &["--classifier", rule]].concat();
+    for (rule, slice) in [("plane", "0.3"), ("plane", "0.01"), ("span", "0.3"), ("thesis", "0.3")] {
+        let options = [&FINE[..], &["--classifier", rule, "--slice", slice]].concat();
         let expected = archive(folder.path(), &[at("a.las")], &options);
         let same = |inputs: &[&str], what: &str| {
             let inputs: Vec<PathBuf> = inputs.iter().map(|name| at(name)).collect();

@@ -61,6 +61,7 @@ fn parts_of_scenes_with_ramps_and_walls_merge_to_the_bytes_of_one_run() {
         (&["house.laz"][..], &["--pixel", "0.05", "--exclude-class", "7,18"][..]),
         (&["ramps.las", "house.laz", "more.laz"], &["--pixel", "0.1", "--drop-isolated", "--min-points", "2"]),
         (&["ramps.las"], &["--pixel", "0.04", "--classifier", "thesis", "--tolerance", "0.01"]),
+        (&["ramps.las"], &["--pixel", "0.1", "--slice", "0.02"]),
         (&["house.laz", "ramps.las"], &["--pixel", "auto", "--classifier", "span"]),
         (&["house.laz"], &["--pixel", "0.03", "--slice", "0.1", "--up", "y", "--units", "ft"]),
     ] {

@@ -101,11 +101,11 @@ struct Arguments {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Rule {
-    /// Vertical extent of connected matter in a pixel
+    /// Vertical extent of connected matter in a pixel: no slope up to the limit is an obstacle, but some steeper ones are floor
     Span,
-    /// Vertical extent within one voxel, as in the thesis
+    /// Vertical extent within one voxel, as in the thesis: depends on the slice height and keeps no angle
     Thesis,
-    /// Slope of a plane fitted to 3 × 3 pixels
+    /// Slope of a plane fitted to 3 × 3 pixels: keeps the limit within 3°
     Plane,
 }
 

@@ -175,16 +175,17 @@ struct ColumnWorker<'a> {
 
 impl<'a> ColumnWorker<'a> {
     fn new(plan: &Plan, max_records: u64, dense: &'a Dense, monitor: &'a dyn Monitor) -> Self {
+        let judge = Judge::new(plan);
         Self {
             dense,
             monitor,
-            judge: Judge::new(plan),
+            judge,
             min_points: plan.options.min_points,
             drop_isolated: plan.options.drop_isolated,
             max_records,
             patch: Patch::default(),
-            sums: Sums::default(),
-            folder: PieceFolder::default(),
+            sums: Sums::new(judge.bands()),
+            folder: PieceFolder::new(judge.bands()),
             verdicts: Vec::new(),
             columns: ColumnPages::default(),
             tolerance: plan.tolerance_quanta(),
@@ -248,9 +249,9 @@ impl<'a> ColumnWorker<'a> {
             } else {
                 let dense = self.dense;
                 let _alone = dense.one_at_a_time.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-                (self.patch, self.sums) = Default::default();
+                (self.patch, self.sums) = (Patch::default(), Sums::new(self.judge.bands()));
                 let folded = self.fold_piecemeal(merge, job, area, dense.max_voxels)?;
-                (self.patch, self.sums) = Default::default();
+                (self.patch, self.sums) = (Patch::default(), Sums::new(self.judge.bands()));
                 dropped += folded.ok_or_else(|| Error::Limit {
                     what: "occupied slices of one pixel and its neighbours (give more --memory, or a larger --slice)"
                         .into(),

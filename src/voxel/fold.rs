@@ -4,17 +4,19 @@
 //! bit, so the order of points, files and threads cannot show in what comes out (guarantee G4), and voxels of parts of
 //! a scan add up to the voxels of the whole.
 
+use super::bands::Bands;
 use super::record::{
     HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, SurfacePart, bottom_quantum, top_quantum,
 };
 use crate::frame::SLICE_QUANTA;
+use std::ops::Range;
 
 /// Parts of a slice in [`Voxel::bins`].
 pub const BINS: i64 = 16;
 const BIN_STEPS: u32 = (SLICE_STEPS / BINS) as u32;
 
-/// Sums over the points of one voxel, exact: place `u`, `v` in its pixel [1/128 pixel] and height `w` in its slice
-/// [steps, see [`Record::height`]]. Ten numbers determine the least-squares plane and its residual.
+/// Sums over the points of one voxel, exact: place `u`, `v` in its pixel [1/128 pixel] and height `w` in its band
+/// [1/8160 band]. Ten numbers determine the least-squares plane and its residual.
 ///
 /// No sum overflows below 10⁹ points in a 3 × 3 × 3 neighbourhood (24,480² · 10⁹ < 2⁶³).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -49,17 +51,17 @@ impl Moments {
 
     /// Adds the point of a record; surfaces do not count.
     #[inline]
-    fn add_record(&mut self, record: Record) {
+    fn add_record(&mut self, record: Record, bands: Bands) {
         if record.surface().is_none() {
             let (u, v) = record.place();
-            self.add(i64::from(u), i64::from(v), i64::from(record.height()));
+            self.add(i64::from(u), i64::from(v), bands.height(record));
         }
     }
 
-    /// Adds the points of a voxel that lies `pixels_x`, `pixels_y` and `slices` away from the origin of these sums.
+    /// Adds the points of a voxel that lies `pixels_x`, `pixels_y` and `bands` away from the origin of these sums.
     #[inline]
-    pub fn add_shifted(&mut self, of: &Self, pixels_x: i64, pixels_y: i64, slices: i64) {
-        let (a, b, c) = (pixels_x * SUBPIXELS, pixels_y * SUBPIXELS, slices * SLICE_STEPS);
+    pub fn add_shifted(&mut self, of: &Self, pixels_x: i64, pixels_y: i64, bands: i64) {
+        let (a, b, c) = (pixels_x * SUBPIXELS, pixels_y * SUBPIXELS, bands * SLICE_STEPS);
         self.n += of.n;
         self.u += of.u + of.n * a;
         self.v += of.v + of.n * b;
@@ -122,6 +124,13 @@ impl Voxel {
         let (first, last) = (bin(part.bottom), bin(part.top.saturating_sub(1).max(part.bottom)));
         self.bins |= (u16::MAX >> (BINS - 1 - (last - first))) << first;
         self.kinds |= if part.steep { Self::STEEP } else { Self::FLAT };
+    }
+
+    /// Lowest and highest matter (quanta above the floor of slice `floor`).
+    #[inline]
+    pub fn quanta_above(&self, floor: i64) -> (i64, i64) {
+        let below = (i64::from(self.slice) - floor) * SLICE_QUANTA;
+        (below + i64::from(self.bottom), below + i64::from(self.top))
     }
 
     /// Whether a surface steeper than the limit is among its matter.
@@ -267,7 +276,7 @@ impl ByPixel {
         }
     }
 
-    fn range(&self, pixel: usize) -> std::ops::Range<usize> {
+    fn range(&self, pixel: usize) -> Range<usize> {
         self.starts[pixel] as usize..self.starts[pixel + 1] as usize
     }
 
@@ -287,6 +296,7 @@ const NO_SUM: u32 = u32::MAX;
 /// records are gone.
 #[derive(Debug, Default)]
 pub struct Sums {
+    bands: Bands,
     records: ByPixel,
     /// Whether the records of a pixel are in order of slices.
     in_order: Vec<bool>,
@@ -296,6 +306,11 @@ pub struct Sums {
 }
 
 impl Sums {
+    /// No sums yet; heights will be those above the floors of `bands`.
+    pub fn new(bands: Bands) -> Self {
+        Self { bands, ..Self::default() }
+    }
+
     /// The sums over the points of voxel `number` of `patch`, which lies in `pixel`.
     pub fn of(&mut self, patch: &Patch, pixel: usize, number: usize) -> &Moments {
         if self.places[number] == NO_SUM {
@@ -314,7 +329,7 @@ impl Sums {
             own[first..]
                 .iter()
                 .take_while(|record| record.slice() == slice)
-                .for_each(|&record| sums.add_record(record));
+                .for_each(|&record| sums.add_record(record, self.bands));
             self.places[number] = self.kept.len() as u32;
             self.kept.push(sums);
         }
@@ -362,7 +377,7 @@ impl Patch {
 
     /// Numbers of the voxels of a patch pixel.
     #[inline]
-    pub fn range(&self, patch_pixel: usize) -> std::ops::Range<usize> {
+    pub fn range(&self, patch_pixel: usize) -> Range<usize> {
         self.starts[patch_pixel] as usize..self.starts[patch_pixel + 1] as usize
     }
 
@@ -397,17 +412,17 @@ impl Patch {
         dropped
     }
 
-    /// Numbers of the voxels of a patch pixel in the slices `slice − 1 ..= slice + 1`.
+    /// Numbers of the voxels of a patch pixel in these slices.
     #[inline]
-    pub fn around(&self, patch_pixel: usize, slice: u32) -> std::ops::Range<usize> {
+    pub fn between(&self, patch_pixel: usize, slices: Range<u32>) -> Range<usize> {
         let range = self.range(patch_pixel);
         let voxels = &self.voxels[range.clone()];
         let first = if voxels.len() < 16 {
-            voxels.iter().take_while(|voxel| voxel.slice + 1 < slice).count()
+            voxels.iter().take_while(|voxel| voxel.slice < slices.start).count()
         } else {
-            voxels.partition_point(|voxel| voxel.slice + 1 < slice)
+            voxels.partition_point(|voxel| voxel.slice < slices.start)
         };
-        let count = voxels[first..].iter().take_while(|voxel| voxel.slice <= slice + 1).count();
+        let count = voxels[first..].iter().take_while(|voxel| voxel.slice < slices.end).count();
         range.start + first..range.start + first + count
     }
 
@@ -418,7 +433,9 @@ impl Patch {
         for pixel in self.occupied().filter(|&pixel| area.holds(pixel)) {
             for number in self.range(pixel) {
                 let slice = self.voxels[number].slice;
-                let around: usize = neighbourhood(pixel).map(|(other, ..)| self.around(other, slice).len()).sum();
+                let slices = slice.saturating_sub(1)..slice + 2;
+                let around: usize =
+                    neighbourhood(pixel).map(|(other, ..)| self.between(other, slices.clone()).len()).sum();
                 kept[number] = around > 1;
             }
         }
@@ -476,11 +493,17 @@ pub type Folded = Vec<(usize, Voxel, Moments)>;
 /// Folds records into voxels piece by piece, where they are too many to be kept.
 #[derive(Debug, Default)]
 pub struct PieceFolder {
+    bands: Bands,
     records: ByPixel,
     folder: Folder,
 }
 
 impl PieceFolder {
+    /// A folder for sums of heights above the floors of `bands`.
+    pub fn new(bands: Bands) -> Self {
+        Self { bands, ..Self::default() }
+    }
+
     /// Folds `records` into voxels folded before.
     pub fn fold_into(&mut self, folded: &mut Folded, records: &[Record]) {
         let before = std::mem::take(folded);
@@ -497,7 +520,7 @@ impl PieceFolder {
                 if voxels[number].0.slice != record.slice() {
                     number = voxels.partition_point(|(voxel, _)| voxel.slice < record.slice());
                 }
-                own_sums[number].add_record(record);
+                own_sums[number].add_record(record, self.bands);
             }
             for (&(mut voxel, _), mut sums) in voxels.iter().zip(own_sums.iter().copied()) {
                 let key = (pixel, voxel.slice);
@@ -519,6 +542,7 @@ impl PieceFolder {
 mod tests {
     use super::*;
     use crate::frame::Frame;
+    use crate::plan::Plan;
     use crate::voxel::record::{Recorder, surface_voxels};
     use proptest::prelude::*;
 
@@ -540,7 +564,7 @@ mod tests {
         fn folding_in_pieces_and_in_any_order_is_folding_at_once(
             points in proptest::collection::vec((-1.0f64..33.0, -1.0f64..33.0, -4.0f64..4.0), 1..6000),
             surfaces in proptest::collection::vec((0i64..64, 0i64..64, -600i64..600, 0i64..300, any::<bool>()), 0..500),
-            piece in 1usize..500, min_points in 1u32..3
+            piece in 1usize..500, min_points in 1u32..3, slices in 1u32..7
         ) {
             let mut records = records(&points);
             let points_kept_at_most = records.len() as i64;
@@ -553,10 +577,13 @@ mod tests {
                 });
             }
             let (mut at_once, mut piecemeal) = (Patch::default(), Patch::default());
-            let (mut made, mut added) = (Sums::default(), Sums::default());
+            let thin = Plan::new(Frame::new(0.5, 1.5 / f64::from(slices)).unwrap());
+            let bands = Bands::new(&thin);
+            assert_eq!(bands.slices(), slices);
+            let (mut made, mut added) = (Sums::new(bands), Sums::default());
             let dropped = at_once.fold(&records, min_points, Area::TILE, &mut made);
             records.reverse();
-            let (mut folded, mut folder) = (Folded::new(), PieceFolder::default());
+            let (mut folded, mut folder) = (Folded::new(), PieceFolder::new(bands));
             records.chunks(piece).for_each(|piece| folder.fold_into(&mut folded, piece));
             prop_assert_eq!(piecemeal.set_folded(&folded, min_points, Area::TILE, &mut added), dropped);
             prop_assert_eq!(&at_once.voxels, &piecemeal.voxels);

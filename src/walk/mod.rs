@@ -59,6 +59,9 @@ pub struct Config {
     pub tick_s: f64,
     /// How it answers matter in its way.
     pub response: Response,
+    /// It stops before ledges deeper than this, and before the edge of the scan (m, >= 0); `None`: it walks over them, and
+    /// falls, as it does with the responses of the thesis.
+    pub max_drop: Option<f64>,
 }
 
 impl Config {
@@ -72,6 +75,7 @@ impl Config {
             terminal: 50.0,
             tick_s: 1.0 / 240.0,
             response: Response::Slide,
+            max_drop: None,
         }
     }
 
@@ -88,6 +92,8 @@ impl Config {
         finite("climb height", self.climb, self.climb >= 0.0 && self.climb < self.body.height())?;
         finite("gravity", self.gravity, self.gravity >= 0.0)?;
         finite("terminal speed", self.terminal, self.terminal > 0.0)?;
+        let max_drop = self.max_drop.unwrap_or(0.0);
+        finite("deepest drop", max_drop, max_drop >= 0.0)?;
         finite("tick", self.tick_s, self.tick_s > 0.0)
     }
 }
@@ -147,6 +153,10 @@ pub enum Stop {
     Corner,
     /// It was inside matter and has been pushed out, or could not be.
     Inside,
+    /// A drop deeper than it takes ([`Config::max_drop`]).
+    Ledge,
+    /// Nothing was scanned below ([`Config::max_drop`]).
+    Void,
 }
 
 /// Where a pawn wants to go.
@@ -415,12 +425,51 @@ impl Walker {
 
     /// One tick; if it needs pages that are not in memory, nothing has changed.
     fn tick<S: PageSet>(&mut self, set: &S, way: Vector2<f64>) -> Needs<Option<Stop>> {
+        let (mut motion, mut stop) = self.respond(set, way)?;
+        if let Some(max_drop) = self.config.max_drop
+            && self.config.response == Response::Slide
+            && way != Vector2::zeros()
+            && let Some(drop) = self.drop_at(set, &motion, max_drop)?
+        {
+            // As if it had not wanted to go: what stands still stays, what falls falls straight.
+            motion = self.respond(set, Vector2::zeros())?.0;
+            stop = Some(drop);
+        }
+        self.motion = motion;
+        ControlFlow::Continue(stop)
+    }
+
+    fn respond<S: PageSet>(&self, set: &S, way: Vector2<f64>) -> Needs<(Motion, Option<Stop>)> {
         let mut motion = self.motion;
         let stop = match self.config.response {
             Response::Slide => slide::tick(&self.config, set, &mut motion, way)?,
             Response::Thesis | Response::ThesisMean => thesis::tick(&self.config, set, &mut motion, way)?,
         };
-        self.motion = motion;
-        ControlFlow::Continue(stop)
+        ControlFlow::Continue((motion, stop))
+    }
+
+    /// Why the pawn must not get to `after`, if what is below lies more than `max_drop` under what it stands on, or stood on
+    /// before it fell.
+    fn drop_at<S: PageSet>(&self, set: &S, after: &Motion, max_drop: f64) -> Needs<Option<Stop>> {
+        let before = &self.motion;
+        let from = if before.ground == Ground::Air { before.floor_z } else { before.feet.z };
+        // Floors are stored to a quantum.
+        let lowest = from - max_drop - set.frame().quantum_m() - slide::LEVEL_M;
+        if after.ground != Ground::Air {
+            return ControlFlow::Continue((after.feet.z < lowest).then_some(Stop::Ledge));
+        }
+        let body = &self.config.body;
+        let down = Vector3::new(0.0, 0.0, (lowest - after.feet.z).min(0.0));
+        if known(body.sweep(set, after.feet, down))?.is_some() {
+            return ControlFlow::Continue(None);
+        }
+        // Down to the lowest matter that the set can hold.
+        let bottom = set.bounds().map_or(0.0, |bounds| {
+            let slice = i64::from(bounds.min[2]) * crate::frame::PAGE_SLICES;
+            set.frame().bottom_of_slice(slice)
+        });
+        let depth = (after.feet.z - bottom).max(0.0) + set.frame().slice_m();
+        let below = known(body.top(set, after.feet, after.feet.z, depth))?;
+        ControlFlow::Continue(Some(if below.is_some() { Stop::Ledge } else { Stop::Void }))
     }
 }

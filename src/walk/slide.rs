@@ -28,7 +28,7 @@ const NARROWINGS: usize = 3;
 /// Ways shorter than this are none (m).
 const NOTHING_M: f64 = 1e-9;
 /// Heights closer than this are equal: rounding errors at 10⁷ m (m).
-const LEVEL_M: f64 = 1e-7;
+pub(super) const LEVEL_M: f64 = 1e-7;
 
 /// One tick: `way` across, then down.
 pub(super) fn tick<S: PageSet>(

@@ -32,6 +32,9 @@ pub struct Arguments {
     /// Highest step it climbs (m)
     #[arg(long, default_value_t = 0.35, value_name = "METRES")]
     climb: f64,
+    /// Stop before ledges deeper than this, and before the edge of the scan (m); else it falls, as with --response thesis
+    #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
+    max_drop: Option<f64>,
     /// Frames per second
     #[arg(long, default_value_t = 60.0, value_name = "HZ", value_parser = rate)]
     hz: f64,
@@ -110,6 +113,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let config = Config {
         speed: arguments.speed,
         climb: arguments.climb,
+        max_drop: arguments.max_drop,
         response: match arguments.response {
             Rule::Slide => Response::Slide,
             Rule::Thesis => Response::Thesis,

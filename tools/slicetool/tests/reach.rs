@@ -155,6 +155,22 @@ fn a_route_is_written_as_waypoints_and_walked() {
 }
 
 #[test]
+fn a_walk_with_max_drop_stops_before_a_hole() {
+    let folder = room();
+    let at = folder.path();
+    fs::write(at.join("w.csv"), "x,y,z\n7.5,2,1\n").unwrap();
+    let walk = |more: &[&str]| {
+        let base = ["walk", "a.slices", "--start", "4.6,2,1.05", "--waypoints", "w.csv", "-o", "path.csv", "--json"];
+        let found = json(&done(at, &[&base[..], &["--max-seconds", "10"], more].concat()));
+        (found["state"].as_str().unwrap().to_owned(), found["end"][2].as_f64().unwrap())
+    };
+    let (state, z) = walk(&["--max-drop", "0.5"]);
+    assert!(state == "blocked" && (z - 1.0).abs() < 0.01, "{state} at {z} m");
+    let (state, z) = walk(&[]);
+    assert!(state == "falling" && z < 0.0, "{state} at {z} m");
+}
+
+#[test]
 fn what_cannot_be_meant_is_refused() {
     let folder = room();
     let at = folder.path();

@@ -1,0 +1,159 @@
+//! Floors and obstacles: the verdict per voxel.
+//!
+//! In: the voxels of a tile column with a halo of one pixel. Out: for each voxel whether it is an obstacle. Every rule
+//! compares exact integers, so verdicts depend neither on the order of points nor on where tiles and slices end.
+//!
+//! *Lengths in pixels.* A slope shows over about a pixel, and points lie no closer to each other than the scan has them.
+//! Two of the three rules therefore measure in pixels, never in slices: where slices are thinner than three pixels they look at
+//! several together, a [band](super::bands::Bands). Thin slices make heights finer, and the places of verdicts, but leave the
+//! verdicts as they are.
+//!
+//! *Pieces and runs.* The matter of a pixel is known in sixteenths of a slice; a piece is a stretch of them without a
+//! void. Pieces are connected to a run when the void between them is at most a pixel's width, or when a neighbouring
+//! pixel has matter well inside it and the pixel opposite has not the same void: so walls of few points are runs, while
+//! the top and the underside of a floor slab, with nothing between, are not, even beside a wall. A plane of slope θ
+//! extends at most `√2·t·tan θ` within a pixel, whatever its heading; a run that extends further is steeper.
+//!
+//! The rules and their promises:
+//!
+//! - [`Classifier::Plane`]: runs clearly steeper than the limit are obstacles; any other voxel is judged by the
+//!   least-squares plane through the points of the connected voxels in 3 × 3 pixels. Where the points do not determine a
+//!   plane, or do not lie on one (stair edges, kerbs), the extents decide. On planes of two or more points per pixel edge
+//!   the verdict flips at the limit ± 3°, at every heading, place of the grid and slice height, for limits up to 60°.
+//!   Walls are obstacles from about one point per pixel on.
+//! - [`Classifier::Span`]: a run higher than `√2·t·tan(limit)` is an obstacle. A plane up to the limit is never one,
+//!   except for its noise; a steeper one is found from a slope on that depends on its heading and on the density of
+//!   points. It depends on the slice height no more than the plane rule does.
+//! - [`Classifier::Thesis`]: a voxel whose points differ by more than a third of the slice height (thesis, algorithm
+//!   3.3, with all points of the voxel in place of the last one, which removes its dependence on their order). It is kept for
+//!   comparison, as the thesis has it: no angle is promised, and the slice height decides.
+//!
+//! Surfaces of meshes have a true slope, whatever the classifier: a voxel with a surface steeper than the limit is an
+//! obstacle, one with other surfaces and no points is floor. Towards points, surfaces count as matter in the runs.
+
+mod pieces;
+mod surface;
+#[cfg(test)]
+mod tests;
+
+use super::bands::Bands;
+use super::fold::{Area, Patch, Sums, Voxel};
+use crate::frame::SLICE_QUANTA;
+use crate::plan::{Classifier, Plan};
+use pieces::Runs;
+use surface::{Around, Surfaces, Verdict};
+
+/// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
+/// not make it an obstacle, and the fit is exact enough to tell.
+const CLEARLY_STEEPER_DEG: f64 = 10.0;
+/// A neighbour belongs to the same surface if a plane this much steeper than the limit could connect the two.
+const CONNECTED_STEEPER_DEG: f64 = 15.0;
+/// No angle beyond this is used as a bound: its tangent would connect everything.
+const STEEPEST_BOUND_DEG: f64 = 80.0;
+
+/// Judges voxels by one of the rules.
+#[derive(Debug, Clone, Copy)]
+pub struct Judge {
+    classifier: Classifier,
+    bands: Bands,
+    runs: Runs,
+    surfaces: Surfaces,
+    /// Extents of runs (quanta).
+    steep_run: f64,
+    clearly_steep_run: f64,
+}
+
+impl Judge {
+    /// A judge for archives of `plan`.
+    pub fn new(plan: &Plan) -> Self {
+        let (frame, limit) = (&plan.frame, plan.options.max_slope_deg);
+        let bands = Bands::new(plan);
+        let tangent = |deg: f64| if deg >= 90.0 { f64::INFINITY } else { deg.to_radians().tan() };
+        let bound = |more: f64| (limit + more).min(STEEPEST_BOUND_DEG.max(limit));
+        let quanta_per_pixel = frame.pixel_m() / frame.quantum_m();
+        let run = |deg: f64| std::f64::consts::SQRT_2 * tangent(deg) * quanta_per_pixel;
+        let reach = tangent(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG));
+        Self {
+            classifier: plan.options.classifier,
+            bands,
+            runs: Runs::new(frame, bands, run(limit)),
+            surfaces: Surfaces::new(frame, bands, tangent(limit), reach),
+            steep_run: run(limit),
+            clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
+        }
+    }
+
+    /// The slices that are judged together; [`Sums`] for this judge are made with them.
+    pub fn bands(&self) -> Bands {
+        self.bands
+    }
+
+    /// Sets `verdicts` to one verdict per voxel of `patch`: true for an obstacle. Only those of pixels in `area` are
+    /// meant to be used; the halo's are computed from less.
+    pub fn judge(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Vec<bool>) {
+        verdicts.clear();
+        verdicts.resize(patch.voxels().len(), false);
+        if patch.voxels().iter().any(Voxel::has_points) {
+            self.judge_points(patch, sums, area, verdicts);
+        }
+        for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
+            *verdict = voxel.is_steep() || voxel.has_points() && *verdict;
+        }
+    }
+
+    /// Verdicts on voxels with points; those on others mean nothing.
+    fn judge_points(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut [bool]) {
+        let greatest_extent = match self.classifier {
+            Classifier::Thesis => {
+                for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
+                    *verdict = i64::from(voxel.top - voxel.bottom) > SLICE_QUANTA / 3;
+                }
+                return;
+            }
+            Classifier::Span => self.steep_run,
+            Classifier::Plane => self.clearly_steep_run,
+        };
+        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+            self.runs.mark(patch, pixel, greatest_extent, verdicts);
+        }
+        if self.classifier == Classifier::Plane {
+            self.judge_surfaces(patch, sums, area, verdicts);
+        }
+    }
+
+    /// Verdicts on voxels that are in no clearly steep run.
+    fn judge_surfaces(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut [bool]) {
+        // What stays out of the fits is decided by each pixel alone, so that it does not depend on which neighbours of
+        // the halo are at hand.
+        let mut steep_alone = vec![false; verdicts.len()];
+        for pixel in patch.occupied() {
+            self.runs.mark_alone(patch, pixel, self.clearly_steep_run, &mut steep_alone);
+        }
+        let (mut around, mut extents) = (Around::default(), Vec::new());
+        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+            around.enter(patch, pixel);
+            extents.clear();
+            let range = patch.range(pixel);
+            let mut rest = range.clone();
+            while let Some(first) = rest.next() {
+                if verdicts[first] || !patch.voxels()[first].has_points() {
+                    continue;
+                }
+                let centre = self.surfaces.centre(patch, first..range.end, verdicts);
+                rest.start = centre.numbers.end;
+                match self.surfaces.verdict(patch, sums, &steep_alone, &mut around, &centre) {
+                    Verdict::Floor => {}
+                    Verdict::Obstacle => verdicts[centre.numbers].fill(true),
+                    Verdict::ByRun => {
+                        if extents.is_empty() {
+                            self.runs.extents(patch, pixel, &mut extents);
+                        }
+                        for number in centre.numbers {
+                            verdicts[number] = extents[number - range.start] as f64 > self.steep_run;
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
