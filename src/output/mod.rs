@@ -5,7 +5,7 @@
 //!   what was there as it was, and no temporary file; a killed run leaves one, which the next output of that name removes.
 //! - *[`Kind`] says what may be replaced.* It is judged when the output is created, before any work, and once more
 //!   directly before the rename. An output that may replace nothing is renamed by a call that fails if something has
-//!   appeared under the name; then the complete file is kept under a name of its own, which the error states.
+//!   appeared under the name. An archive or plan that cannot get its name is kept under another, which the error states.
 //! - *[`Protected`] files are never replaced*, under whatever name: they are known by device and inode (volume and index
 //!   on Windows), so hard links and symbolic links are seen through.
 //! - *Symbolic links stay.* The file that a link names is replaced, or made.
@@ -35,6 +35,8 @@ use target::{Judged, Place};
 
 /// Bytes compared or copied at once.
 const CHUNK: usize = 1 << 20;
+/// How often an output that may replace files looks what has its name.
+const LOOKS: usize = 3;
 
 /// A file in the making, which gets its name by [`publish`](Self::publish). Dropped without that, it leaves nothing.
 ///
@@ -90,13 +92,14 @@ impl Output {
     /// Makes the file durable and renames it to its name. Returns whether it did; not if the target has the same bytes
     /// already ([`Existing::KeepSame`]).
     ///
-    /// Before the rename any error leaves what was there. After it only the folder's sync can fail: then the new file
-    /// stands complete under its name, and the error is [`Error::NotDurable`].
+    /// Before the rename any error leaves what was there. If the rename itself fails, an archive or a plan is kept under
+    /// another name, which the error states. After the rename only the folder's sync can fail: then the new file stands
+    /// complete under its name, and the error is [`Error::NotDurable`].
     pub fn publish(mut self) -> Result<bool> {
         if self.failed {
             return Err(Error::output(&self.name, "not all of it could be written, so it was not published"));
         }
-        let (path, folder, existed) = match &mut self.place {
+        let (path, existed) = match &self.place {
             Place::Stream(stream) => {
                 return match copy(&self.temporary, stream) {
                     // Whoever closes a pipe early has read enough.
@@ -104,7 +107,7 @@ impl Output {
                     _ => Ok(true),
                 };
             }
-            Place::File { path, folder, existed } => (path.clone(), folder, *existed),
+            Place::File { path, existed, .. } => (path.clone(), *existed),
         };
         if self.kind.existing() == Existing::KeepSame {
             if is_there(&self.temporary, &path)? {
@@ -115,40 +118,50 @@ impl Output {
             }
         }
         self.temporary.sync()?;
-        loop {
-            let renamed = match self.kind.existing() {
-                Existing::Refuse | Existing::KeepSame => self.temporary.rename(&path, disk::rename_new),
-                Existing::Replace => match target::judge(&self.name, &path, self.kind, &self.protected)? {
-                    Judged::Replaceable => self.temporary.rename(&path, disk::rename),
-                    // Something that appears meanwhile is judged, too.
-                    Judged::Free => match self.temporary.rename(&path, disk::rename_new) {
-                        Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
-                        renamed => renamed,
-                    },
-                },
-            };
-            match renamed {
-                Ok(()) => break,
-                Err(error) if error.kind() == ErrorKind::AlreadyExists => return Err(self.keep(&path)),
-                Err(error) => {
-                    let action = format!("rename the temporary file to {}", self.name.display());
-                    return Err(Error::io(&path, action, error));
-                }
-            }
+        if let Err(error) = self.rename(&path) {
+            return Err(self.keep(&path, error));
         }
-        let synced = folder.sync();
-        synced.map(|()| true).map_err(|source| Error::NotDurable { path: self.name.clone(), source })
+        match self.place {
+            Place::File { folder, .. } => {
+                folder.sync().map(|()| true).map_err(|source| Error::NotDurable { path: self.name, source })
+            }
+            Place::Stream(_) => Ok(true),
+        }
     }
 
-    /// Something has the name: keeps the complete file under another one, and says so.
-    fn keep(&mut self, path: &Path) -> Error {
+    /// Renames the complete file to `path`, if what is there now may be replaced.
+    fn rename(&mut self, path: &Path) -> Result<()> {
+        let may_replace = self.kind.existing() == Existing::Replace;
+        // What appears between a look and the rename is looked at, too.
+        for _ in 0..if may_replace { LOOKS } else { 1 } {
+            let is_there =
+                may_replace && target::judge(&self.name, path, self.kind, &self.protected)? == Judged::Replaceable;
+            let renamed = match is_there {
+                true => self.temporary.rename(path, disk::rename),
+                false => self.temporary.rename(path, disk::rename_new),
+            };
+            match renamed {
+                Ok(()) => return Ok(()),
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+                Err(error) => return Err(Error::io(&self.name, "rename the temporary file to it", error)),
+            }
+        }
+        Err(Error::output(&self.name, "another file got this name while the new one was written, and stays"))
+    }
+
+    /// The complete file cannot get its name: gives an archive or a plan, which may have taken hours, another one.
+    fn keep(&mut self, path: &Path, error: Error) -> Error {
         let visible = self.temporary.visible_name(path);
-        let fate = match self.temporary.rename(&visible, disk::rename_new) {
-            Ok(()) => format!("the new one is complete as {}; rename it or remove it", visible.display()),
-            Err(error) => format!("the new one was removed, because it could not be renamed either: {error}"),
+        if self.kind == Kind::Result || self.temporary.rename(&visible, disk::rename_new).is_err() {
+            return error;
+        }
+        let why = match error {
+            Error::Output { reason, .. } => reason,
+            Error::Io { action, source, .. } => format!("cannot {action}: {source}"),
+            other => other.to_string(),
         };
-        let reason = format!("another file got this name while the new one was written, and stays; {fate}");
-        Error::output(&self.name, reason)
+        let kept = format!("the new one is complete as {}; rename it or remove it", visible.display());
+        Error::output(&self.name, format!("{why}; {kept}"))
     }
 }
 

@@ -154,7 +154,10 @@ fn shortened(name: &OsStr) -> OsString {
 
 /// Folder and name of a target.
 pub(super) fn split(target: &Path) -> Result<(&Path, &OsStr)> {
-    let name = target.file_name().ok_or_else(|| Error::output(target, "names no file; add a name"))?;
+    let whole = target.as_os_str().as_encoded_bytes();
+    // Not the `a` of `a/` and `a/.`, either.
+    let name = target.file_name().filter(|name| whole.ends_with(name.as_encoded_bytes()));
+    let name = name.ok_or_else(|| Error::output(target, "names no file; add a name"))?;
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     Ok((folder, name))
 }

@@ -66,10 +66,12 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
         let (mut refused, mut not_durable) = (0, 0);
         for fails in 0.. {
             let (folder, target) = place(old.as_deref());
-            let (number, met) = (Cell::new(0), Rc::new(Cell::new(None)));
-            let failed = met.clone();
+            let (mut number, met, synced) = (0, Rc::new(Cell::new(None)), Rc::new(Cell::new(false)));
+            let (failed, passed) = (met.clone(), synced.clone());
             let hook = move |call| {
-                if number.replace(number.get() + 1) != fails {
+                number += 1;
+                if number - 1 != fails {
+                    passed.set(passed.get() || call == Call::Sync);
                     return Ok(());
                 }
                 failed.set(Some(call));
@@ -90,7 +92,16 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
                     refused += 1;
                 }
             }
-            assert!(names(&folder).iter().all(|name| name == "target.x"), "{kind:?}, {call:?}: {:?}", names(&folder));
+            // What may have taken hours and is complete is kept, and nothing else.
+            let names = names(&folder);
+            let kept: Vec<_> = names.iter().filter(|name| *name != "target.x").collect();
+            let is_complete =
+                synced.get() && done.as_ref().is_err_and(|error| !matches!(error, Error::NotDurable { .. }));
+            assert_eq!(kept.len(), usize::from(is_complete && kind != Kind::Result), "{kind:?}, {call:?}: {names:?}");
+            if let ([kept], Err(error)) = (&kept[..], &done) {
+                assert!(kept.starts_with("target.slicewalk-") && error.to_string().contains(*kept), "{kept}: {error}");
+                assert_eq!(fs::read(folder.path().join(kept)).unwrap(), new);
+            }
             if call.is_none() {
                 break;
             }
@@ -157,8 +168,10 @@ fn what_appears_before_the_rename_is_judged_too() {
             let hook = appears(at, &target, appeared.clone());
             let done = faults::with(hook, || publish(&target, kind, &new));
             assert_eq!(done.is_ok(), is_replaced, "{kind:?}, {at:?}");
+            let kept = names(&folder).iter().filter(|name| name.starts_with("target.slicewalk-")).count();
+            assert_eq!(kept, usize::from(!is_replaced && kind != Kind::Result), "{kind:?}, {at:?}");
             assert_eq!(fs::read(&target).unwrap(), if is_replaced { new } else { appeared });
-            assert_eq!(names(&folder), ["target.x"]);
+            assert_eq!(names(&folder).len(), 1 + kept);
         }
     }
 }
@@ -224,11 +237,10 @@ fn bytes_go_where_writes_and_seeks_say() {
 #[test]
 fn what_is_no_file_or_has_no_folder_is_refused() {
     let (folder, target) = place(None);
-    for name in [folder.path().to_path_buf(), folder.path().join(".."), folder.path().join("no/such"), target.join("x")]
-    {
-        fs::write(&target, "").unwrap();
+    fs::write(&target, "").unwrap();
+    for name in ["", "..", "no/such", "no/..", "new/", "new/.", "target.x/x", "target.x/"] {
         for kind in [ARCHIVE_OVER, Kind::Result] {
-            let said = publish(&name, kind, b"new").unwrap_err().to_string();
+            let said = publish(&folder.path().join(name), kind, b"new").unwrap_err().to_string();
             assert!(said.contains(folder.path().to_str().unwrap()) && said.lines().count() == 1, "{said}");
         }
     }
@@ -267,6 +279,21 @@ mod on_unix {
         let link = folder.path().join("link");
         symlink(&target, &link).unwrap();
         assert!(publish(&link, ARCHIVE, &archive("new")).unwrap_err().to_string().contains("--force"));
+    }
+
+    #[test]
+    fn a_link_to_nothing_that_appears_meanwhile_stays() {
+        for kind in [ARCHIVE, ARCHIVE_OVER, Kind::Result] {
+            let (_folder, target) = place(None);
+            let (mut links, link) = (Some(()), target.clone());
+            let hook = move |call| match links.take_if(|_| call == Call::Sync) {
+                Some(()) => symlink("nothing", &link),
+                None => Ok(()),
+            };
+            let said = faults::with(hook, || publish(&target, kind, &sort(kind, "new"))).unwrap_err().to_string();
+            assert!(said.contains("another file got this name"), "{said}");
+            assert!(fs::symlink_metadata(&target).unwrap().is_symlink());
+        }
     }
 
     #[test]
@@ -327,8 +354,14 @@ mod on_unix {
             eprintln!("skipped: no pipe can be made here");
             return;
         }
-        publish(&target, ARCHIVE, b"new").unwrap();
-        assert!(pipe.exists() && target.exists());
+        let (done, is_done) = std::sync::mpsc::channel();
+        std::thread::spawn(move || done.send(publish(&target, ARCHIVE, b"new").unwrap()));
+        assert_eq!(
+            is_done.recv_timeout(std::time::Duration::from_secs(60)),
+            Ok(true),
+            "it waits for the pipe's reader"
+        );
+        assert!(pipe.exists());
     }
 
     #[test]

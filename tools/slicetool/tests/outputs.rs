@@ -1,12 +1,14 @@
 //! What `slicetool` writes never destroys what it should not: what a command reads, archives, an older output.
 
+#[path = "../../../tests/common/forge.rs"]
+mod forge;
 #[path = "../../../tests/common/full.rs"]
 mod full;
 
 use full::{SmallDisk, with_little_space};
 use scangen::{WriteSpec, write_las};
 use slicewalk::NoMonitor;
-use slicewalk::archive::{Archive, ArchiveWriter, Bounds, PageEncoder, Totals};
+use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::plan::Plan;
@@ -258,19 +260,37 @@ fn pipes_and_devices_take_the_whole_output_and_stay() {
     assert_eq!(fs::read_to_string(at.join("w.csv")).unwrap(), "x,y\n3,3\n");
 }
 
-/// An archive `name` of one voxel in each page, whose head states `bounds`.
-fn forge(folder: &Path, name: &str, frame: Frame, keys: &[PageKey], bounds: Bounds) {
+/// An archive `name` of pages at `keys`, all with the same spans in pixel (3, 4).
+fn archive_of(folder: &Path, name: &str, frame: Frame, keys: &[PageKey], spans: &[Span]) {
     let mut writer = ArchiveWriter::create(&folder.join(name), &Plan::new(frame), false).unwrap();
     let mut builder = PageBuilder::default();
-    assert!(builder.set_column(3, 4, &[Span::new(7, 9, false).unwrap()]));
+    assert!(builder.set_column(3, 4, spans));
     let (page, mut encoder) = (builder.build(), PageEncoder::new(frame));
     for &key in keys {
         writer.put(key, encoder.encode(key, &page)).unwrap();
     }
+    let corner = |key: &PageKey, off: f64, quantum: u32| {
+        let place = [(key.tx, 3.0 + off), (key.ty, 4.0 + off)].map(|(tile, pixel)| f64::from(tile) * 64.0 + pixel);
+        let z = f64::from(key.layer) * 64.0 * frame.slice_m() + f64::from(quantum) * frame.quantum_m();
+        [place[0] * frame.pixel_m(), place[1] * frame.pixel_m(), z]
+    };
+    let (first, last) = (&spans[0], &spans[spans.len() - 1]);
+    let bounds = Some((corner(&keys[0], 0.1, first.bottom()), corner(&keys[keys.len() - 1], 0.9, last.top())));
     let count = keys.len() as u64;
-    writer
-        .finish(Totals { points_read: count, points_kept: count, bounds: Some(bounds), ..Totals::default() })
-        .unwrap();
+    writer.finish(Totals { points_read: count, points_kept: count, bounds, ..Totals::default() }).unwrap();
+}
+
+/// Puts other bounds into the head of the archive `name`, with right checksums.
+fn lie_about_bounds(folder: &Path, name: &str, bounds: [f64; 2]) {
+    let path = folder.join(name);
+    let forged = forge::Parts::of(&fs::read(&path).unwrap()).build(|head| {
+        for (corner, value) in bounds.into_iter().enumerate() {
+            for axis in 0..3 {
+                forge::put(head, 160 + 24 * corner + 8 * axis, value.to_bits(), 8);
+            }
+        }
+    });
+    fs::write(path, forged).unwrap();
 }
 
 #[test]
@@ -282,11 +302,12 @@ fn las_coordinates_follow_from_the_pages_and_not_from_the_head() {
     let fine = Frame::new(0.001, 0.003).unwrap();
     let usual = Frame::new(0.1, 0.3).unwrap();
     let near = [key(0, 0, 0), key(1, 0, 0)];
-    let wide = ([-1e300; 3], [1e300; 3]);
-    let narrow = ([0.0; 3], [0.0; 3]);
-    for (name, frame, bounds) in [("wide", usual, wide), ("narrow", usual, narrow), ("fine", fine, wide)] {
+    let span = [Span::new(7, 9, false).unwrap()];
+    let wide = [-1e300, 1e300];
+    for (name, frame, bounds) in [("wide", usual, wide), ("narrow", usual, [0.0; 2]), ("fine", fine, wide)] {
         let archive = format!("{name}.slices");
-        forge(at, &archive, frame, &near, bounds);
+        archive_of(at, &archive, frame, &near, &span);
+        lie_about_bounds(at, &archive, bounds);
         for ending in ["las", "laz"] {
             let output = format!("{name}.{ending}");
             done(at, &["export", &archive, "-o", &output]);
@@ -300,7 +321,8 @@ fn las_coordinates_follow_from_the_pages_and_not_from_the_head() {
             assert_eq!(points.len(), 2);
         }
     }
-    forge(at, "far.slices", usual, &[key(-far, -far, -far), key(far, far, far)], ([0.0; 3], [1.0; 3]));
+    archive_of(at, "far.slices", usual, &[key(-far, -far, -far), key(far, far, far)], &span);
+    lie_about_bounds(at, "far.slices", [0.0, 1.0]);
     for output in ["far.las", "far.laz"] {
         fs::write(at.join(output), "an older output").unwrap();
         let said = refuses(at, &["export", "far.slices", "-o", output]);
@@ -315,15 +337,10 @@ fn a_voxel_is_one_point_even_with_two_spans_in_it() {
     let folder = folder();
     let at = folder.path();
     let frame = Frame::new(0.1, 0.3).unwrap();
-    let mut writer = ArchiveWriter::create(&at.join("two.slices"), &Plan::new(frame), false).unwrap();
-    let mut builder = PageBuilder::default();
     let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
     // Three spans in slices 0 and 1, the middle one in both.
-    assert!(builder.set_column(3, 4, &[span(7, 9, false), span(30, 300, true), span(400, 410, false)]));
-    let key = PageKey { tx: 0, ty: 0, layer: 0 };
-    writer.put(key, PageEncoder::new(frame).encode(key, &builder.build())).unwrap();
-    let bounds = Some(([0.31, 0.41, 0.01], [0.39, 0.49, 0.48]));
-    writer.finish(Totals { points_read: 6, points_kept: 6, bounds, ..Totals::default() }).unwrap();
+    let spans = [span(7, 9, false), span(30, 300, true), span(400, 410, false)];
+    archive_of(at, "two.slices", frame, &[PageKey { tx: 0, ty: 0, layer: 0 }], &spans);
     done(at, &["export", "two.slices", "-o", "two.las"]);
     let points = las::Reader::from_path(at.join("two.las")).unwrap().read_all().unwrap();
     let voxels: Vec<_> =
