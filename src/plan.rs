@@ -59,18 +59,24 @@ impl Up {
 }
 
 /// A set of LAS classes (0 to 255), one bit a class.
+// Of 32 bits, as `bitvec` has no wider words where pointers have 32.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct ClassSet(BitArray<[u64; 4], Lsb0>);
+pub struct ClassSet(BitArray<[u32; 8], Lsb0>);
 
 impl ClassSet {
     /// The set whose class `c` is bit `c % 64` of word `c / 64`: its form in an archive's head.
     pub const fn from_words(words: [u64; 4]) -> Self {
-        Self(BitArray { _ord: std::marker::PhantomData, data: words })
+        let (mut data, mut at) = ([0; 8], 0);
+        while at < 8 {
+            data[at] = (words[at / 2] >> (32 * (at % 2))) as u32;
+            at += 1;
+        }
+        Self(BitArray { _ord: std::marker::PhantomData, data })
     }
 
     /// The words of [`from_words`](Self::from_words).
-    pub const fn words(&self) -> [u64; 4] {
-        self.0.data
+    pub fn words(&self) -> [u64; 4] {
+        std::array::from_fn(|at| u64::from(self.0.data[2 * at]) | u64::from(self.0.data[2 * at + 1]) << 32)
     }
 
     /// Adds a class.

@@ -16,7 +16,7 @@ use slicewalk::bytes::MemorySource;
 use slicewalk::frame::PageKey;
 use slicewalk::object::{Model, Object, touches, touches_box, touches_scene, touches_sphere};
 use slicewalk::query::*;
-use slicewalk::store::{PageSet, Prefetch, Store, Stream, StreamOptions};
+use slicewalk::store::{PageSet, Prefetch, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Crowd, Response, Route, Walker, Wish};
 use std::hint::black_box;
 use std::sync::LazyLock;
@@ -28,38 +28,42 @@ fn no_query_allocates() {
     let mut not_loaded = 0;
     for (scene, mut random) in Scene::all().take(30) {
         let some: Vec<PageKey> = scene.pages.iter().map(|page| page.0).filter(|_| random.chance(40)).collect();
-        for store in [scene.store(), scene.part(&some)] {
-            let boxes: Vec<Aabb> = (0..100).map(|_| scene.random_box(&mut random)).collect();
-            let mut answers = vec![Overlap::Clear; boxes.len()];
-            let mut probes = vec![Answer::Known(Probe::default()); boxes.len()];
-            let count = allocations(|| {
-                overlaps_batch(&store, &boxes, &mut answers);
-                probe_batch(&store, &boxes, &mut probes);
-                for shape in &boxes {
-                    let (corner, size) = (shape.min(), shape.max() - shape.min());
-                    let sphere = Sphere::new(corner, size.norm() / 2.0).expect("finite");
-                    let cylinder = Cylinder::new(corner, size.x, size.z).expect("finite");
-                    black_box(overlaps(&store, &sphere));
-                    black_box(overlaps(&store, &cylinder));
-                    black_box(probe(&store, &sphere));
-                    black_box(floor_under(&store, &cylinder, shape.max().z, f64::INFINITY));
-                    black_box(ceiling_above(&store, &cylinder, shape.min().z, f64::INFINITY));
-                    let way = size + Vector3::new(1e-3, 0.0, 1e-3);
-                    black_box(sweep(&store, shape, way));
-                    black_box(sweep(&store, &cylinder, -way));
-                    black_box(clearance(&store, &cylinder, 0.5));
-                    black_box(depenetrate(&store, shape, 0.5));
-                    black_box(depenetrate(&store, &cylinder, 0.5));
-                    black_box(top_under(&store, &cylinder, shape.max().z, size.z));
-                    black_box(mean_floor_under(&store, shape, shape.max().z, size.z));
-                    black_box(cast(&store, &Ray::new(corner, way, f64::INFINITY).expect("finite")));
-                }
-            });
-            assert_eq!(count, 0);
-            not_loaded += answers.iter().filter(|answer| matches!(answer, Overlap::NotLoaded(_))).count();
-        }
+        assert_eq!(ask_everything(&scene.store(), &scene, &mut random), 0);
+        not_loaded += ask_everything(&scene.part(&some), &scene, &mut random);
     }
     assert!(not_loaded > 0, "some pages were missing");
+}
+
+/// Asks every kind of question about random boxes, allocating nothing; how many need a page that is not there.
+fn ask_everything<S: PageSet>(store: &S, scene: &Scene, random: &mut scene::Random) -> usize {
+    let boxes: Vec<Aabb> = (0..100).map(|_| scene.random_box(random)).collect();
+    let mut answers = vec![Overlap::Clear; boxes.len()];
+    let mut probes = vec![Answer::Known(Probe::default()); boxes.len()];
+    let count = allocations(|| {
+        overlaps_batch(store, &boxes, &mut answers);
+        probe_batch(store, &boxes, &mut probes);
+        for shape in &boxes {
+            let (corner, size) = (shape.min(), shape.max() - shape.min());
+            let sphere = Sphere::new(corner, size.norm() / 2.0).expect("finite");
+            let cylinder = Cylinder::new(corner, size.x, size.z).expect("finite");
+            black_box(overlaps(store, &sphere));
+            black_box(overlaps(store, &cylinder));
+            black_box(probe(store, &sphere));
+            black_box(floor_under(store, &cylinder, shape.max().z, f64::INFINITY));
+            black_box(ceiling_above(store, &cylinder, shape.min().z, f64::INFINITY));
+            let way = size + Vector3::new(1e-3, 0.0, 1e-3);
+            black_box(sweep(store, shape, way));
+            black_box(sweep(store, &cylinder, -way));
+            black_box(clearance(store, &cylinder, 0.5));
+            black_box(depenetrate(store, shape, 0.5));
+            black_box(depenetrate(store, &cylinder, 0.5));
+            black_box(top_under(store, &cylinder, shape.max().z, size.z));
+            black_box(mean_floor_under(store, shape, shape.max().z, size.z));
+            black_box(cast(store, &Ray::new(corner, way, f64::INFINITY).expect("finite")));
+        }
+    });
+    assert_eq!(count, 0);
+    answers.iter().filter(|answer| matches!(answer, Overlap::NotLoaded(_))).count()
 }
 
 static TOWER: LazyLock<Vec<u8>> = LazyLock::new(|| tower::tower(4.0, 12.0, 1));
@@ -94,22 +98,25 @@ fn walk<S: PageSet>(set: &S, walkers: &mut [Walker], route: &mut Route) -> u32 {
 
 #[test]
 fn no_walker_and_no_crowd_allocates() {
-    let all = tower::resident(&TOWER);
-    let archive = tower::open(MemorySource::new(&TOWER[..]));
-    let none = Store::with_budget(Box::new(archive), 0).unwrap();
-    let goals = || Route::new(vec![[0.0, 0.0].into(), [3.0, 2.0].into()]).unwrap();
-    for (store, waits) in [(&all, false), (&none, true)] {
-        let (mut walkers, mut route, mut waited) = (walkers(), goals(), 0);
-        assert_eq!(allocations(|| waited = walk(store, &mut walkers, &mut route)), 0);
-        assert_eq!(waited > 0, waits);
-        let mut crowd = Crowd::new(walkers).unwrap();
-        let mut step = || {
-            for _ in 0..60 {
-                black_box(crowd.step(store, 1.0 / 60.0, |n, _| Wish::Toward([n as f64 - 3.0, 1.0].into())));
-            }
-        };
-        assert_eq!(allocations(&mut step), 0);
-    }
+    let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(1 << 20) };
+    let empty = Stream::open(tower::open(MemorySource::new(&TOWER[..])), options).unwrap();
+    assert_eq!(walkers_and_a_crowd(&tower::resident(&TOWER)), 0);
+    assert!(walkers_and_a_crowd(&empty.view()) > 0, "no page is there");
+}
+
+/// Walks all walkers, alone and as a crowd, allocating nothing; how often one had to wait.
+fn walkers_and_a_crowd<S: PageSet>(store: &S) -> u32 {
+    let mut route = Route::new(vec![[0.0, 0.0].into(), [3.0, 2.0].into()]).unwrap();
+    let (mut walkers, mut waits) = (walkers(), 0);
+    assert_eq!(allocations(|| waits = walk(store, &mut walkers, &mut route)), 0);
+    let mut crowd = Crowd::new(walkers).unwrap();
+    let mut step = || {
+        for _ in 0..60 {
+            black_box(crowd.step(store, 1.0 / 60.0, |n, _| Wish::Toward([n as f64 - 3.0, 1.0].into())));
+        }
+    };
+    assert_eq!(allocations(&mut step), 0);
+    waits
 }
 
 /// While the prefetcher loads and evicts pages on its own thread.

@@ -10,12 +10,15 @@ use counting::allocations;
 use slicewalk::archive::Archive;
 use slicewalk::bytes::{FileSource, MemorySource};
 use slicewalk::query::{Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
-use slicewalk::store::{PageSet, PageSlot, Prefetch, Step, Store, Stream, StreamOptions};
+use slicewalk::store::{PageSet, PageSlot, Prefetch, Step, Stream, StreamOptions};
 use std::hint::black_box;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use tower::{Body, Random, open, resident};
+
+/// More than enough for one place.
+const BUDGET: usize = 8 << 20;
 
 static TOWER: LazyLock<Vec<u8>> = LazyLock::new(|| tower::tower(4.0, 90.0, 7));
 
@@ -62,17 +65,16 @@ fn a_frame_of_queries_allocates_and_frees_nothing_while_pages_come_and_go() {
 
 #[test]
 fn pages_that_a_view_sees_stay_and_count_until_it_is_dropped() {
-    let budget = 1 << 20;
+    let (here, there) = (Body::at(0.9, 0.9, 10.0), Body::at(0.9, 0.9, 70.0));
+    let needed = |body: &Body| stream(BUDGET, Prefetch::Off).load_around(&body.motion()).unwrap().needed_bytes;
+    // Enough for either place, not for both.
+    let budget = needed(&here).max(needed(&there));
     let stream = stream(budget, Prefetch::Manual);
     let mut pawn = stream.pawn();
-    let (here, there) = (Body::at(0.9, 0.9, 10.0), Body::at(0.9, 0.9, 70.0));
-    pawn.hint(&here.motion());
-    finish(&stream);
+    stream.load_around(&here.motion()).unwrap();
     let view = stream.view();
     let seen = overlaps(&view, &here.shape());
     assert!(!matches!(seen, Overlap::NotLoaded(_)));
-    let used = stream.counters().used_bytes;
-    assert!(used > budget * 3 / 4, "the cache is full: {used}");
     pawn.hint(&there.motion());
     while let Step::Loaded(_) = stream.step() {
         assert!(stream.counters().used_bytes <= budget);
@@ -85,7 +87,7 @@ fn pages_that_a_view_sees_stay_and_count_until_it_is_dropped() {
     assert!(!matches!(overlaps(&stream.view(), &there.shape()), Overlap::NotLoaded(_)));
     let counters = stream.counters();
     assert!(counters.peak_bytes <= budget && counters.evicted > 0, "{counters:?}");
-    assert_eq!(counters.used_bytes, counters.resident_bytes, "nothing is lost");
+    assert_eq!(counters.used_bytes, counters.table_bytes + counters.resident_bytes, "nothing is lost");
 }
 
 #[test]
@@ -131,13 +133,18 @@ fn shared_and_uniform_pages_are_held_once() {
     let keys: Vec<_> = pages.keys().copied().collect();
     let weight = floor(100).weight_bytes() + slab().weight_bytes();
     let bytes = common::archive(&(pages, Default::default()));
+    let opened = |budget| {
+        let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
+        Stream::open(Archive::from_bytes(bytes.clone()).unwrap(), options).unwrap()
+    };
     // Only one of each fits.
-    let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(weight + 2000) };
-    let stream = Stream::open(Archive::from_bytes(bytes).unwrap(), options).unwrap();
+    let needed = opened(1 << 20).load(&keys, keys[0]).unwrap().needed_bytes;
+    let stream = opened(needed);
     let report = stream.load(&keys, keys[0]).unwrap();
     assert_eq!((report.loaded, report.already, report.left_out, report.evicted), (40, 0, 0, 0));
     let counters = stream.counters();
     assert_eq!((counters.resident_pages, counters.resident_bytes, counters.reads), (2, weight, 1));
+    assert!(counters.peak_bytes <= needed);
     let view = stream.view();
     assert!(keys.iter().all(|key| view.is_loaded(*key) == Some(true)));
     assert_eq!(view.is_loaded(common::key(99, 0, 0)), None);
@@ -146,16 +153,34 @@ fn shared_and_uniform_pages_are_held_once() {
 }
 
 #[test]
-fn a_budget_too_small_for_a_page_loads_none_and_says_so() {
+fn a_budget_too_small_for_a_page_loads_none_and_says_how_much_is_needed() {
+    let table = stream(1 << 20, Prefetch::Off).counters().table_bytes;
+    let motion = Body::at(0.9, 0.9, 10.0).motion();
     for prefetch in [Prefetch::Off, Prefetch::Manual] {
-        let stream = stream(100, prefetch);
-        let report = stream.load_around(&Body::at(0.9, 0.9, 10.0).motion()).unwrap();
+        // The leaf was decoded in what is left for pages, but these are larger.
+        let stream = stream(table * 195 / 100, prefetch);
+        let report = stream.load_around(&motion).unwrap();
         assert!(report.loaded == 0 && report.left_out > 0);
-        assert_eq!(stream.counters().peak_bytes, 0);
         let mut pawn = stream.pawn();
-        pawn.hint(&Body::at(0.9, 0.9, 10.0).motion());
+        pawn.hint(&motion);
         assert!(matches!((prefetch, stream.step()), (Prefetch::Off, Step::Idle) | (_, Step::NoRoom(false))));
+        assert_eq!(stream.counters().resident_bytes, 0);
+        let enough = self::stream(report.needed_bytes, prefetch);
+        let again = enough.load_around(&motion).unwrap();
+        assert_eq!((again.left_out, again.evicted, again.needed_bytes), (0, 0, report.needed_bytes));
+        assert!(!matches!(overlaps(&enough.view(), &Body::at(0.9, 0.9, 10.0).shape()), Overlap::NotLoaded(_)));
     }
+}
+
+#[test]
+fn a_budget_below_the_table_of_pages_is_refused_before_a_leaf_is_read() {
+    use slicewalk::bytes::testing::SlowSource;
+    let source = std::sync::Arc::new(SlowSource::new(MemorySource::new(&TOWER[..]), Duration::ZERO));
+    let archive = open(source.clone());
+    let (reads, pages) = (source.counts().0, archive.header().pages.total());
+    let error = Stream::open(archive, StreamOptions::new(10_000)).unwrap_err().to_string();
+    assert_eq!(source.counts().0, reads);
+    assert!(error.contains(&format!("10000 bytes are too few: the table of {pages} pages")), "{error}");
 }
 
 #[test]
@@ -165,11 +190,6 @@ fn directories_tell_the_exact_weight_of_every_page() {
         for entry in archive.entries().map(Result::unwrap) {
             assert_eq!(entry.weight_bytes(), archive.page(&entry).unwrap().weight_bytes(), "{entry:?}");
         }
-        // The plain store, which relied on what sources say, keeps its budget with archives too.
-        let mut store = Store::with_budget(Box::new(archive), 300_000).unwrap();
-        let region = store.bounds().unwrap();
-        let report = store.load(&region, common::key(0, 0, 3)).unwrap();
-        assert!(report.loaded > 0 && store.weight_bytes() <= 300_000);
     }
 }
 

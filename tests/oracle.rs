@@ -14,7 +14,7 @@ use proptest::prelude::*;
 use scene::{Columns, Random, Scene, pages_of};
 use slicewalk::frame::PageKey;
 use slicewalk::query::*;
-use slicewalk::store::{Region, Store};
+use slicewalk::store::Store;
 
 /// The stated bound on phantoms of round shapes and rays at 10⁷ m, and room for the tests' own rounding [m].
 const SLACK: f64 = 4e-8;
@@ -201,25 +201,6 @@ fn refuses_shapes_that_are_none() {
     assert!(Ray::new(p(0.0, 0.0, 0.0), Vector3::zeros(), 1.0).is_err());
     assert!(Ray::new(p(0.0, 0.0, 0.0), Vector3::x(), -1.0).is_err());
     assert!(Ray::new(p(0.0, 0.0, 0.0), Vector3::x() * 1e-310, 1.0).is_ok());
-}
-
-#[test]
-fn the_cache_stays_in_its_budget_and_keeps_the_nearest() {
-    let (scene, _) = Scene::all().nth(6).unwrap();
-    let total: usize = scene.pages.iter().map(|page| page.1.weight_bytes()).sum();
-    let mut store = Store::with_budget(scene.source(), total / 2).unwrap();
-    let all = Region { min: [i32::MIN; 3], max: [i32::MAX; 3] };
-    for (around, _) in &scene.pages {
-        let report = store.load(&all, *around).unwrap();
-        assert!(store.weight_bytes() <= store.budget_bytes());
-        assert_eq!(report.loaded + report.already + report.left_out, scene.pages.len());
-        assert!(report.left_out > 0);
-        let own = Region { min: [around.tx, around.ty, around.layer], max: [around.tx, around.ty, around.layer] };
-        assert_eq!(store.load(&own, *around).unwrap().already, 1, "the nearest page is there");
-    }
-    let mut none = Store::with_budget(scene.source(), 0).unwrap();
-    let report = none.load(&all, scene.pages[0].0).unwrap();
-    assert_eq!((report.loaded, report.left_out, none.weight_bytes()), (0, scene.pages.len(), 0));
 }
 
 #[test]

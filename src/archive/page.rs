@@ -170,6 +170,16 @@ impl PageDecoder {
         Self::default()
     }
 
+    /// A decoder of pages of up to this size, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
+    pub fn for_size(size: PageSize) -> Self {
+        Self { decoder: Decoder::for_spans(size.words() as usize), ..Self::default() }
+    }
+
+    /// Bytes of scratch memory of a decoder made [`for_size`](Self::for_size).
+    pub fn scratch_bytes(size: PageSize) -> usize {
+        Decoder::scratch_bytes(size.words() as usize) + PageBuilder::scratch_bytes(0)
+    }
+
     /// The page of `entry` from `bytes`, those of its [`extent`](PageEntry::extent); none are needed for a uniform
     /// page. Errors of the [`Format`](crate::Error::Format) family name the rule that `bytes` break.
     pub fn decode(&mut self, entry: &PageEntry, bytes: &[u8]) -> Result<Page> {

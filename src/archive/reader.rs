@@ -145,28 +145,6 @@ impl Archive {
         })
     }
 
-    /// All entries in ascending order, leaves that lie together in one read of at most 1 MiB (or one leaf). Fails with
-    /// the first leaf that cannot be read.
-    pub(crate) fn all_entries(&self) -> Result<Vec<PageEntry>> {
-        let (catalog, mut all, mut first) = (&self.catalog, Vec::new(), 0);
-        while first < catalog.leaf_count() {
-            let start = catalog.leaf_range(first).start;
-            let rest = first + 1..catalog.leaf_count();
-            let more = rest.take_while(|&leaf| catalog.leaf_range(leaf).end - start <= 1 << 20).count();
-            let end = first + 1 + more;
-            let bytes = read(&*self.source, start..catalog.leaf_range(end - 1).end)?;
-            for leaf in first..end {
-                let range = catalog.leaf_range(leaf);
-                let stored = &bytes[(range.start - start) as usize..(range.end - start) as usize];
-                for entry in catalog.open_leaf(leaf, stored)? {
-                    all.push(entry?);
-                }
-            }
-            first = end;
-        }
-        Ok(all)
-    }
-
     /// The entry of a page; `None` if the archive has no matter there. One read, or none in the leaf of the last call.
     pub fn find(&self, key: PageKey) -> Result<Option<PageEntry>> {
         let Some(index) = self.leaf_of(key) else { return Ok(None) };

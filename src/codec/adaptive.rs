@@ -100,6 +100,20 @@ pub struct Scratch {
     heights: Vec<(u32, End)>,
 }
 
+impl Scratch {
+    /// Bytes that decoding a page of `spans` spans takes, if as many were [reserved](Self::reserve).
+    pub fn decoding_bytes(spans: usize) -> usize {
+        // The lists besides are for encoding, but for that of a column, which grows by doubling.
+        let column = 3 * (MAX_COLUMN as usize + 1) * size_of::<Span>();
+        size_of::<Models>() + (PIXELS + 1) * size_of::<u32>() + 2 * (1 << 14) + spans * size_of::<Coded>() + column
+    }
+
+    /// Makes room for `spans` spans.
+    pub fn reserve(&mut self, spans: usize) {
+        self.spans.reserve_exact(spans);
+    }
+}
+
 impl Default for Scratch {
     fn default() -> Self {
         Self {

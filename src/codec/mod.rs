@@ -110,6 +110,19 @@ pub struct Decoder {
 }
 
 impl Decoder {
+    /// A decoder of pages of up to `spans` spans, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
+    pub fn for_spans(spans: usize) -> Self {
+        let mut decoder = Self::default();
+        decoder.adaptive.reserve(spans);
+        decoder.builder.reserve(spans);
+        decoder
+    }
+
+    /// Bytes of scratch memory of a decoder made [`for_spans`](Self::for_spans).
+    pub fn scratch_bytes(spans: usize) -> usize {
+        adaptive::Scratch::decoding_bytes(spans) + PageBuilder::scratch_bytes(spans)
+    }
+
     /// The page that `body` encodes. Linear in `body` and the page's spans; breaks of rules P5 to P8 are errors.
     pub fn decode(&mut self, body: &[u8]) -> Result<Page, Violation> {
         self.builder.clear();

@@ -290,6 +290,21 @@ impl Default for PageBuilder {
 }
 
 impl PageBuilder {
+    /// Bytes of scratch memory that building a page of `spans` spans takes besides the page, if as many were
+    /// [reserved](Self::reserve).
+    pub fn scratch_bytes(spans: usize) -> usize {
+        // All spans, three lists of a block's, and the page's own list where it outgrows what was expected.
+        let lists = spans + 3 * spans.min(64 * 64) + 2 * spans;
+        size_of::<(u32, u32)>() * (TILE_PIXELS * TILE_PIXELS) as usize
+            + size_of::<Block>() * (BLOCKS + 1)
+            + size_of::<Span>() * lists
+    }
+
+    /// Makes room for `spans` spans.
+    pub fn reserve(&mut self, spans: usize) {
+        self.spans.reserve_exact(spans);
+    }
+
     /// Forgets all spans.
     pub fn clear(&mut self) {
         self.ranges.fill((0, 0));
@@ -338,7 +353,9 @@ impl PageBuilder {
         let mut places = [count as u8; BLOCKS];
         let mut blocks: Vec<Block> = Vec::with_capacity(count + 1);
         let mut spans: Vec<Span> = Vec::with_capacity(self.spans.len() + 2 * count);
-        let (mut own, mut unions, mut scratch) = (Vec::new(), Vec::new(), Vec::new());
+        let in_block = |ranges: &[(u32, u32)]| ranges.iter().map(|range| range.1 as usize).sum();
+        let most: usize = self.ranges.chunks_exact(64).map(in_block).max().unwrap_or(0);
+        let [mut own, mut unions, mut scratch] = [0; 3].map(|_| Vec::with_capacity(most));
         for (number, ranges) in self.ranges.chunks_exact(64).enumerate().filter(|(_, ranges)| occupied(ranges)) {
             places[number] = blocks.len() as u8;
             own.clear();

@@ -103,10 +103,6 @@ impl<T> Columns<T> {
         &self.slots
     }
 
-    pub fn slot_mut(&mut self, at: usize) -> &mut T {
-        &mut self.slots[at]
-    }
-
     /// Bytes of the tables and the slots themselves, without what slots own.
     pub fn weight_bytes(&self) -> usize {
         size_of_val::<[T]>(&self.slots)

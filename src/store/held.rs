@@ -1,7 +1,8 @@
-//! The store: slots of all pages of a scan, with the pages that are in memory.
+//! The store: all pages of a scan, in memory.
 
 use super::columns::{Columns, KeyBounds};
-use super::{PageSet, PageSlot, PageSource};
+use super::{PageSet, PageSlot};
+use crate::archive::{Archive, PageDecoder, PageEntry};
 use crate::frame::{Frame, PageKey};
 use crate::monitor::Monitor;
 use crate::slice::Page;
@@ -10,11 +11,9 @@ use crate::{Error, Result};
 /// Place of one page in a [`Store`].
 #[derive(Debug)]
 pub struct StoreSlot {
-    pub(super) layer: i32,
-    /// Upper bound of the page's weight until it is loaded for the first time, then its weight (bytes).
-    pub(super) weight: u32,
-    pub(super) slices: u64,
-    pub(super) page: Option<Box<Page>>,
+    layer: i32,
+    slices: u64,
+    page: Box<Page>,
 }
 
 impl PageSlot for StoreSlot {
@@ -30,12 +29,12 @@ impl PageSlot for StoreSlot {
 
     #[inline]
     fn page(&self) -> Option<&Page> {
-        self.page.as_deref()
+        Some(&self.page)
     }
 }
 
-/// All pages of a scan, or as many of them as a budget allows. Queries share it (`&Store`) between threads; loading
-/// and evicting pages takes `&mut Store`.
+/// All pages of a scan, in memory. Queries share it (`&Store`) between threads. For scans that are too large there is the
+/// [`Stream`](super::Stream).
 ///
 /// ```
 /// use slicewalk::frame::{Frame, PageKey};
@@ -55,14 +54,9 @@ impl PageSlot for StoreSlot {
 /// # Ok::<(), slicewalk::Error>(())
 /// ```
 pub struct Store {
-    pub(super) frame: Frame,
-    pub(super) columns: Columns<StoreSlot>,
-    pub(super) source: Option<Box<dyn PageSource>>,
-    /// Places in `columns` of the pages in memory, in no order.
-    pub(super) loaded: Vec<(PageKey, u32)>,
-    /// Weight of the pages in memory (bytes).
-    pub(super) weight: usize,
-    pub(super) budget: usize,
+    frame: Frame,
+    columns: Columns<StoreSlot>,
+    weight: usize,
 }
 
 impl Store {
@@ -71,51 +65,32 @@ impl Store {
     /// # Panics
     /// If a key occurs twice.
     pub fn from_pages(frame: Frame, pages: impl IntoIterator<Item = (PageKey, Page)>) -> Self {
-        let mut store = Self::empty(frame, None, usize::MAX);
+        let mut weight = 0;
         let slot = |(key, page): (PageKey, Page)| {
-            let weight = page.weight_bytes();
-            store.weight += weight;
-            let slices = page.slices();
-            let weight = u32::try_from(weight).unwrap_or(u32::MAX);
-            (key, StoreSlot { layer: key.layer, weight, slices, page: Some(Box::new(page)) })
+            weight += page.weight_bytes();
+            (key, StoreSlot { layer: key.layer, slices: page.slices(), page: Box::new(page) })
         };
-        let slots: Vec<_> = pages.into_iter().map(slot).collect();
-        store.columns = Columns::new(slots);
-        store
+        let columns = Columns::new(pages.into_iter().map(slot).collect());
+        Self { frame, columns, weight }
     }
 
-    /// A store that loads every page of `source` now. Fails with the first page that cannot be loaded, and with
+    /// A store of all pages of an archive, read now. Fails with the first page that cannot be loaded, and with
     /// [`Error::Interrupted`] when `monitor` asks to stop.
-    pub fn resident(source: &dyn PageSource, monitor: &dyn Monitor) -> Result<Self> {
-        let infos = source.infos()?;
-        monitor.stage("loading", infos.len() as u64, "pages");
-        let mut pages = Vec::with_capacity(infos.len());
-        for info in infos {
+    pub fn resident(archive: &Archive, monitor: &dyn Monitor) -> Result<Self> {
+        let entries: Vec<PageEntry> = archive.entries().collect::<Result<_>>()?;
+        monitor.stage("loading", entries.len() as u64, "pages");
+        let (mut decoder, mut pages) = (PageDecoder::new(), Vec::with_capacity(entries.len()));
+        for entry in entries {
             if monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
-            pages.push((info.key, source.load(info.key)?));
+            pages.push((entry.key, archive.page_with(&entry, &mut decoder)?));
             monitor.advance(1);
         }
-        Ok(Self::from_pages(*source.frame(), pages))
+        Ok(Self::from_pages(*archive.frame(), pages))
     }
 
-    /// A store that knows every page of `source` and holds none yet, and later at most `budget` bytes of them (see
-    /// [`load`](Self::load)).
-    pub fn with_budget(source: Box<dyn PageSource>, budget: usize) -> Result<Self> {
-        let slots = source.infos()?.into_iter().map(|info| {
-            let weight = u32::try_from(info.weight_bytes).unwrap_or(u32::MAX);
-            (info.key, StoreSlot { layer: info.key.layer, weight, slices: info.slices, page: None })
-        });
-        let columns = Columns::new(slots.collect());
-        Ok(Self { columns, ..Self::empty(*source.frame(), Some(source), budget) })
-    }
-
-    fn empty(frame: Frame, source: Option<Box<dyn PageSource>>, budget: usize) -> Self {
-        Self { frame, columns: Columns::new(Vec::new()), source, loaded: Vec::new(), weight: 0, budget }
-    }
-
-    /// Weight of the pages in memory (bytes); never above the budget.
+    /// Weight of the pages (bytes).
     pub fn weight_bytes(&self) -> usize {
         self.weight
     }
@@ -125,22 +100,15 @@ impl Store {
         self.columns.weight_bytes()
     }
 
-    /// Most bytes that pages in memory may weigh.
-    pub fn budget_bytes(&self) -> usize {
-        self.budget
-    }
-
-    /// Number of pages known, and how many of them are in memory.
-    pub fn page_counts(&self) -> (usize, usize) {
-        let slots = self.columns.slots();
-        (slots.len(), slots.iter().filter(|slot| slot.page.is_some()).count())
+    /// Number of pages.
+    pub fn page_count(&self) -> usize {
+        self.columns.slots().len()
     }
 }
 
 impl std::fmt::Debug for Store {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (known, loaded) = self.page_counts();
-        write!(f, "Store {{ pages: {known}, in memory: {loaded}, bytes: {} of {} }}", self.weight, self.budget)
+        write!(f, "Store {{ pages: {}, bytes: {} }}", self.page_count(), self.weight)
     }
 }
 

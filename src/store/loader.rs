@@ -1,478 +1,539 @@
-//! Loading and evicting pages: what to read next, what has to go for it, and the change of the snapshot.
-//!
-//! The state is locked only between reads: to claim a run of pages with the room that they will take, and to settle what
-//! became of it. Two threads never read the same page, and room is taken before a read, so that the budget
-//! holds at every moment: pages in memory, pages that views still hold, pages being decoded and the bytes just read.
+//! Loading pages ahead of moving bodies: a state machine without a thread, a lock, a clock or a source of bytes.
 
-use super::account::{Account, Room};
-use super::motion::distance;
-use super::publish::{Current, Retired};
-use super::snapshot::{Held, Index, Snapshot, View};
-use super::tally::Tally;
-use crate::archive::{Archive, PageDecoder, Place};
+use super::account::Account;
+use super::cache::{Cache, Claim, Order, Run, Views};
+use super::fetch::{Decode, Decoded, Fetch, FetchId, Made, Next, PageError, Time, Work};
+use super::missing::Missing;
+use super::motion::Motion;
+use super::request::{LoadReport, Request, RequestId};
+use super::snapshot::View;
+use super::start::{Start, StartTurn, short_answer};
+use super::tally::Counters;
+use crate::archive::Catalog;
 use crate::frame::PageKey;
-use crate::slice::Page;
 use crate::{Error, Result};
-use std::collections::{HashMap, HashSet, VecDeque};
-use std::sync::atomic::Ordering::Relaxed;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::Arc;
+use std::time::Duration;
 
-/// Bytes read in vain that a run of pages may hold between two that are wanted.
-const GAP: u64 = 16 << 10;
-/// Pages looked at in each direction for a run.
-const NEIGHBOURS: u32 = 64;
-/// Errors kept until somebody asks.
-const ERRORS: usize = 16;
-/// First pause before a page that could not be read is tried again; doubled each time, up to 2⁶ times.
-const PAUSE: Duration = Duration::from_millis(100);
+/// Looks ahead this many times the latency of a fetch.
+const LATENCIES_AHEAD: u32 = 32;
+/// When to look again whether views were dropped: nobody says so.
+const VIEWS_AGAIN: Duration = Duration::from_millis(1);
+/// Reports kept until the driver polls.
+const REPORTS: usize = 16;
 
-/// A page that could not be loaded. It stays "not loaded" in every view.
-#[derive(Debug)]
-pub struct PageError {
-    /// The page.
-    pub key: PageKey,
-    /// Why: bytes that cannot be read, or a rule of the format that they break.
-    pub error: Error,
+/// How a [`Loader`] works.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoaderOptions {
+    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, those that views still hold,
+    /// bytes on their way, and the scratch memory of decoding them.
+    pub budget_bytes: usize,
+    /// Least time to look ahead. The time is 32 times the latency of a fetch, within these two.
+    pub horizon_min: Duration,
+    /// Greatest time to look ahead.
+    pub horizon_max: Duration,
+    /// Most bytes of one fetch, unless a single page is longer; no more than an eighth of the budget.
+    pub run_bytes: usize,
+    /// Most fetches under way at once.
+    pub fetches: usize,
 }
 
-#[derive(Debug)]
-struct Resident {
-    held: Arc<Held>,
-    /// Pages whose slots hold it: more than one if they share its content.
-    pages: Vec<u32>,
-    /// Whether a body came to touch it.
-    touched: bool,
+impl LoaderOptions {
+    /// Looks one to eight seconds ahead; four fetches at once, each of up to 256 KiB.
+    pub fn new(budget_bytes: usize) -> Self {
+        Self {
+            budget_bytes,
+            horizon_min: Duration::from_secs(1),
+            horizon_max: Duration::from_secs(8),
+            run_bytes: 256 << 10,
+            fetches: 4,
+        }
+    }
 }
 
-#[derive(Debug)]
-struct Failure {
-    tries: u32,
-    again: Instant,
-    /// Damaged bytes stay damaged.
-    lasting: bool,
-}
+/// Names a body that gives hints.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BodyId(u64);
 
-/// Pages asked for, most urgent first, with the time until they are needed (s).
 #[derive(Debug, Default)]
-pub(super) struct Order {
-    pub pages: Vec<(f32, u32)>,
-    pub times: HashMap<u32, f32>,
-    /// How many of `pages` are done with.
-    done: usize,
-    /// Asked for by a caller that waits, not by a hint.
-    pub explicit: bool,
-    pub focus: Vec<PageKey>,
+struct Body {
+    motion: Option<Motion>,
+    missing: Option<Missing>,
 }
 
-impl Order {
-    /// In order of time, then of keys.
-    pub fn new(times: HashMap<u32, f32>, focus: Vec<PageKey>, explicit: bool) -> Self {
-        let mut pages: Vec<_> = times.iter().map(|(&page, &time)| (time, page)).collect();
-        pages.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        Self { pages, times, done: 0, explicit, focus }
-    }
-}
-
-/// A run of pages to read at once.
+/// A run on its way, or being decoded.
 #[derive(Debug)]
-pub(super) struct Run {
-    start: u64,
-    len: usize,
-    /// Contents to decode, and the pages that show them.
-    contents: Vec<(u32, u32)>,
-    room: Room,
+pub(super) struct Flight {
+    run: Run,
+    since: Time,
+    pub request: Option<RequestId>,
+    decoding: bool,
 }
 
-impl Run {
-    pub fn pages(&self) -> usize {
-        self.contents.len()
-    }
-}
-
-/// What to do next about an order.
+/// What [`Loader::turn`] found to do.
 #[derive(Debug)]
-pub(super) enum Claim {
-    Run(Run),
-    /// All that could be done is done; some pages may have failed.
-    Done,
-    /// Some pages are being read by another thread.
+pub(super) enum Turn {
+    Fetch(Fetch),
+    /// Nothing is left to do until there is news, or the time of [`Loader::retry_at`].
+    Idle,
+    /// What is left is on its way.
     Busy,
-    /// The rest finds no room; `true`: until views are dropped.
+    /// What is left finds no room; `true`: until views are dropped.
     NoRoom(bool),
+    /// A request has its outcome.
+    Ended(Result<LoadReport>),
 }
 
-#[derive(Debug)]
-pub(super) struct State {
-    snapshot: Arc<Snapshot>,
-    retired: Retired<Snapshot>,
-    resident: HashMap<u32, Resident>,
-    /// Weight of the resident pages, and of the room of runs being read.
-    weight: usize,
-    reserved: usize,
-    in_flight: HashSet<u32>,
-    failed: HashMap<u32, Failure>,
-    /// What the hints want, and where the bodies are, as of the last plan.
-    times: HashMap<u32, f32>,
-    focus: Vec<PageKey>,
-    /// What may go, first to go last, and by when it is needed; of the last plan.
-    victims: Option<Vec<(f32, u32)>>,
-    errors: VecDeque<PageError>,
-    /// How long a read takes: the longest, slowly forgotten.
-    pub latency: Duration,
+/// Keeps the pages around moving bodies in memory, under a budget of bytes. It opens the archive, decides what to fetch,
+/// most urgent first, and publishes what came as [`View`]s; its owner, the driver, moves the bytes and knows the time.
+///
+/// What it has not: files, threads, locks, a clock. Its methods are of four kinds: **commands** say what is wanted
+/// ([`hint`](Self::hint), [`need`](Self::need), [`forget`](Self::forget), [`request`](Self::request)); **polling** says what to
+/// do ([`poll`](Self::poll), until it says [`Next::Wait`]); **news** says what became of it ([`given`](Self::given),
+/// [`failed`](Self::failed), [`loaded`](Self::loaded)); the others look. Equal calls give equal answers.
+///
+/// A driver that reads from a file on its own thread:
+///
+/// ```
+/// use slicewalk::bytes::ByteSource;
+/// use slicewalk::store::{Loader, Next, Time};
+///
+/// /// Does all that is to be done now; when to come again.
+/// fn drive(loader: &mut Loader, source: &dyn ByteSource, now: impl Fn() -> Time) -> slicewalk::Result<Option<Time>> {
+///     loop {
+///         match loader.poll(now())? {
+///             Next::Fetch(fetch) => {
+///                 let mut bytes = vec![0; (fetch.range.end - fetch.range.start) as usize];
+///                 match source.read_at(fetch.range.start, &mut bytes) {
+///                     Ok(()) => loader.given(fetch.id, bytes, now()).map(|job| loader.loaded(job.run(), now())),
+///                     Err(error) => { loader.failed(fetch.id, error, now()); None }
+///                 };
+///             }
+///             Next::Report(page) => eprintln!("{}: {}", page.key, page.error),
+///             Next::Cancel(_) => {}
+///             Next::Wait(until) => return Ok(until),
+///         }
+///     }
+/// }
+/// ```
+///
+/// In the loop of a game, where an engine fetches and decodes in the background:
+///
+/// ```
+/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Motion, Next, Time, View};
+/// # trait Engine { fn fetch(&mut self, fetch: Fetch); fn cancel(&mut self, id: FetchId); fn decode(&mut self, job: Decode);
+/// #     fn arrived(&mut self) -> Option<(FetchId, Vec<u8>)>; fn decoded(&mut self) -> Option<Decoded>; }
+/// fn frame(loader: &mut Loader, pawn: BodyId, motion: &Motion, engine: &mut impl Engine, now: Time) -> slicewalk::Result<()> {
+///     while let Some((id, bytes)) = engine.arrived() {
+///         loader.given(id, bytes, now).map(|job| engine.decode(job));
+///     }
+///     while let Some(decoded) = engine.decoded() {
+///         loader.loaded(decoded, now);
+///     }
+///     loader.hint(pawn, motion);
+///     loop {
+///         match loader.poll(now)? {
+///             Next::Fetch(fetch) => engine.fetch(fetch),
+///             Next::Cancel(id) => engine.cancel(id),
+///             Next::Report(_) => {}
+///             Next::Wait(_) => return Ok(()), // loader.view() is this frame's
+///         }
+///     }
+/// }
+/// ```
+///
+/// Every [`Decode`] comes back by [`loaded`](Self::loaded): until then its pages count as on their way.
+pub struct Loader {
+    options: LoaderOptions,
+    account: Arc<Account>,
+    pub(super) counters: Counters,
+    catalog: Option<Arc<Catalog>>,
+    /// Until the directory is there.
+    start: Option<Box<Start>>,
+    pub(super) cache: Option<Box<Cache>>,
+    bodies: BTreeMap<BodyId, Body>,
+    /// What the bodies want, and whether they said something else since.
+    hinted: Order,
+    stale: bool,
+    again: Option<Time>,
+    pub(super) requests: BTreeMap<RequestId, Request>,
+    /// Asked for before the directory was there.
+    pub(super) early: Vec<(RequestId, Vec<PageKey>, PageKey)>,
+    pub(super) ended: BTreeMap<RequestId, Result<LoadReport>>,
+    pub(super) flights: BTreeMap<FetchId, Flight>,
+    reports: VecDeque<PageError>,
+    latency: Duration,
+    pub(super) now: Time,
+    names: u64,
 }
 
-/// What the threads of a stream share.
-pub(super) struct Core {
-    pub archive: Archive,
-    pub index: Arc<Index>,
-    pub account: Arc<Account>,
-    pub tally: Tally,
-    current: Current<Snapshot>,
-    state: Mutex<State>,
-    settled: Condvar,
-    longest_run: u64,
-}
+impl Loader {
+    /// Begins with an archive of which nothing is there yet but its length (bytes), if that is known: the loader
+    /// fetches head and directory by itself.
+    pub fn open(file_len: Option<u64>, options: LoaderOptions) -> Self {
+        let account = Account::new(options.budget_bytes);
+        Self::begin(Start::new(file_len), account, options)
+    }
 
-impl Core {
-    pub fn new(archive: Archive, budget: usize, run_bytes: usize) -> Result<Self> {
-        let index = Arc::new(Index::new(*archive.frame(), archive.all_entries()?));
-        let snapshot = Arc::new(Snapshot::empty(&index));
-        let state = State {
-            snapshot: snapshot.clone(),
-            retired: Retired::default(),
-            resident: HashMap::new(),
-            weight: 0,
-            reserved: 0,
-            in_flight: HashSet::new(),
-            failed: HashMap::new(),
-            times: HashMap::new(),
-            focus: Vec::new(),
-            victims: None,
-            errors: VecDeque::new(),
+    /// Begins with an archive that is open; the directory is fetched by itself.
+    ///
+    /// Fails if the table of its pages alone exceeds the budget.
+    pub fn new(catalog: Catalog, options: LoaderOptions) -> Result<Self> {
+        let account = Account::new(options.budget_bytes);
+        Ok(Self::begin(Start::with(catalog, &account)?, account, options))
+    }
+
+    fn begin(start: Start, account: Arc<Account>, options: LoaderOptions) -> Self {
+        Self {
+            options,
+            account,
+            counters: Counters::default(),
+            catalog: start.catalog().cloned(),
+            start: Some(Box::new(start)),
+            cache: None,
+            bodies: BTreeMap::new(),
+            hinted: Order::default(),
+            stale: false,
+            again: None,
+            requests: BTreeMap::new(),
+            early: Vec::new(),
+            ended: BTreeMap::new(),
+            flights: BTreeMap::new(),
+            reports: VecDeque::new(),
             latency: Duration::ZERO,
-        };
-        Ok(Self {
-            archive,
-            index,
-            account: Account::new(budget),
-            tally: Tally::default(),
-            current: Current::new(snapshot),
-            state: Mutex::new(state),
-            settled: Condvar::new(),
-            longest_run: run_bytes.min(budget / 8) as u64,
-        })
-    }
-
-    pub fn view(&self) -> View {
-        View { index: self.index.clone(), snapshot: self.current.get() }
-    }
-
-    pub fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Waits for another thread to settle a run, or a moment.
-    pub fn wait(&self, state: MutexGuard<'_, State>, at_most: Duration) {
-        drop(self.settled.wait_timeout(state, at_most));
-    }
-
-    /// Takes over what the hints want now.
-    pub fn replan(&self, order: &Order) {
-        let mut state = self.state();
-        let mut requested = 0;
-        for (&page, &time) in &order.times {
-            match state.resident.get_mut(&self.index.content(page)) {
-                Some(resident) => resident.touched |= time <= 0.0,
-                None => requested += u64::from(!state.times.contains_key(&page)),
-            }
+            now: Time::ZERO,
+            names: 0,
         }
-        self.tally.requested.fetch_add(requested, Relaxed);
-        state.times.clone_from(&order.times);
-        state.focus.clone_from(&order.focus);
-        state.victims = None;
     }
 
-    /// Claims the most urgent pages of `order` that are not in memory.
-    pub fn claim(&self, state: &mut State, order: &mut Order) -> Claim {
-        let (mut attached, mut busy, mut cursor) = (Vec::new(), false, order.done);
-        let now = Instant::now();
-        let mut claim = None;
-        while let Some(&(time, page)) = order.pages.get(cursor) {
-            cursor += 1;
-            let content = self.index.content(page);
-            if let Some(resident) = state.resident.get_mut(&content) {
-                if !resident.pages.contains(&page) {
-                    resident.pages.push(page);
-                    attached.push((page, Some(resident.held.clone())));
+    /// The head of the archive, once it is there.
+    pub fn catalog(&self) -> Option<&Catalog> {
+        self.catalog.as_deref()
+    }
+
+    /// The pages in memory now; `None` until the directory is there. Answers from a view do not change, and its pages stay in
+    /// memory and in the budget until it is dropped: take one per frame.
+    pub fn view(&self) -> Option<View> {
+        Some(self.cache.as_ref()?.views.view())
+    }
+
+    /// Where other threads get their views from, without waiting; `None` until the directory is there.
+    pub fn views(&self) -> Option<Views> {
+        Some(self.cache.as_ref()?.views.clone())
+    }
+
+    /// What the loader did so far, and what it holds.
+    pub fn counters(&self) -> Counters {
+        let cache = self.cache.as_ref();
+        let (resident_pages, resident_bytes) = cache.map_or((0, 0), |cache| cache.resident());
+        Counters {
+            resident_pages,
+            resident_bytes,
+            used_bytes: self.account.used(),
+            peak_bytes: self.account.peak(),
+            budget_bytes: self.account.budget(),
+            table_bytes: cache.map_or(0, |cache| cache.index().weight_bytes()),
+            ..self.counters
+        }
+    }
+
+    /// A new body, which wants nothing yet.
+    pub fn body(&mut self) -> BodyId {
+        let id = BodyId(self.name());
+        self.bodies.insert(id, Body::default());
+        id
+    }
+
+    /// Says how a body moves now; once a frame. Replaces its last hint, and with it what it needed. A motion that is not
+    /// finite is dropped and counted.
+    pub fn hint(&mut self, body: BodyId, motion: &Motion) {
+        if !motion.is_valid() {
+            self.counters.hints_dropped += 1;
+        } else if let Some(body) = self.bodies.get_mut(&body) {
+            *body = Body { motion: Some(*motion), missing: None };
+            self.stale = true;
+        }
+    }
+
+    /// Asks for pages that a query of this body missed; they come before what hints want.
+    pub fn need(&mut self, body: BodyId, missing: &Missing) {
+        if let Some(body) = self.bodies.get_mut(&body) {
+            body.missing = Some(*missing);
+            self.stale = true;
+        }
+    }
+
+    /// Ends the hints of a body.
+    pub fn forget(&mut self, body: BodyId) {
+        self.stale |= self.bodies.remove(&body).is_some();
+    }
+
+    /// What to do next. To be called until it says [`Next::Wait`], then again after news and commands, or at the time that
+    /// it gives.
+    ///
+    /// Fails while the archive cannot be opened. What could not be read is asked for again after 0.1 s, then 0.2 s and so on
+    /// up to 6.4 s, if the driver goes on polling; an archive that breaks a rule, or whose table of pages exceeds the
+    /// budget, fails for ever.
+    pub fn poll(&mut self, now: Time) -> Result<Next> {
+        let now = self.at(now);
+        if let Some(turn) = self.begin_turn(now)? {
+            return Ok(turn);
+        }
+        if let Some(report) = self.reports.pop_front() {
+            return Ok(Next::Report(report));
+        }
+        if self.stale || self.again.is_some_and(|again| again <= now) {
+            self.replan();
+        }
+        let mut until: Option<Time> = None;
+        let mut wait = |time: Time| until = Some(until.map_or(time, |least| least.min(time)));
+        let mut no_room = false;
+        let requests: Vec<RequestId> = self.requests.keys().copied().collect();
+        let turns = requests.into_iter().map(Some).chain([None]);
+        for request in turns {
+            if self.flights.len() >= self.options.fetches {
+                no_room |= self.is_absent(request, now);
+                continue;
+            }
+            let turn = match request {
+                Some(id) => self.request_turn(id, now),
+                None => self.turn(now),
+            };
+            match turn {
+                Turn::Fetch(fetch) => return Ok(Next::Fetch(fetch)),
+                Turn::Idle | Turn::Busy => {}
+                Turn::NoRoom(views) => {
+                    no_room = true;
+                    if views {
+                        wait(now + VIEWS_AGAIN);
+                    }
                 }
-            } else if state.in_flight.contains(&content) {
-                busy = true;
-            } else if order.explicit || state.may_try(content, now) {
-                claim = Some((time, page));
-                break;
-            }
-            if !busy {
-                order.done = cursor;
+                Turn::Ended(outcome) => {
+                    self.ended.extend(request.map(|id| (id, outcome)));
+                }
             }
         }
-        if !attached.is_empty() {
-            self.publish(state, attached);
+        // Nobody wants these any more, and they are in the way of what somebody wants.
+        if no_room && let Some(id) = self.unwanted() {
+            let flight = self.flights.remove(&id);
+            if let (Some(flight), Some(cache)) = (flight, &mut self.cache) {
+                cache.release(flight.run);
+                self.counters.cancelled += 1;
+                return Ok(Next::Cancel(id));
+            }
         }
+        until = [until, self.again].into_iter().flatten().min();
+        Ok(Next::Wait(until))
+    }
+
+    /// Opens the archive; what to do for that.
+    fn begin_turn(&mut self, now: Time) -> Result<Option<Next>> {
+        let Some(start) = &mut self.start else { return Ok(None) };
+        let turn = start.poll(now, &self.account)?;
+        self.catalog = start.catalog().cloned();
+        match turn {
+            StartTurn::Wait(until) => Ok(Some(Next::Wait(until))),
+            StartTurn::Fetch(range, leaves, room) => {
+                let id = FetchId(self.name());
+                if let Some(start) = &mut self.start {
+                    start.launched(id, range.clone(), leaves, room);
+                }
+                Ok(Some(Next::Fetch(Fetch { id, range, needed_in: Duration::ZERO })))
+            }
+            StartTurn::Ready(index, table) => {
+                let cache = Cache::new(index, table, self.account.clone(), self.options.run_bytes);
+                (self.cache, self.start) = (Some(Box::new(cache)), None);
+                for (id, keys, around) in std::mem::take(&mut self.early) {
+                    self.admit(id, &keys, around);
+                }
+                self.stale = true;
+                Ok(None)
+            }
+        }
+    }
+
+    /// The next step of what the hints want.
+    pub(super) fn turn(&mut self, now: Time) -> Turn {
+        let now = self.at(now);
+        if self.stale || self.again.is_some_and(|again| again <= now) {
+            self.replan();
+        }
+        let Some(cache) = &mut self.cache else { return Turn::Busy };
+        let claim = cache.claim(&mut self.hinted, now, &mut self.counters);
+        self.again = self.hinted.again;
         match claim {
-            Some((time, page)) => self.claim_run(state, order, time, page),
-            None if busy => Claim::Busy,
-            None => Claim::Done,
+            Claim::Run(run) => Turn::Fetch(self.launch(run, None)),
+            Claim::Done => Turn::Idle,
+            Claim::Busy => Turn::Busy,
+            Claim::NoRoom(views) => Turn::NoRoom(views),
         }
     }
 
-    fn claim_run(&self, state: &mut State, order: &Order, time: f32, page: u32) -> Claim {
-        let content = self.index.content(page);
-        let (mut bytes, mut contents) = self.run_around(state, order, content);
-        contents[0].1 = page;
-        let weight = |contents: &[(u32, u32)]| -> usize {
-            contents.iter().map(|&(content, _)| self.index.entry(content).weight_bytes()).sum()
-        };
-        let length = |bytes: &std::ops::Range<u64>| (bytes.end - bytes.start) as usize;
-        let mut room = self.make_room(state, order, time, weight(&contents) + length(&bytes));
-        if room.is_none() && contents.len() > 1 {
-            contents.truncate(1);
-            let extent = self.index.entry(content).extent();
-            bytes = extent.map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len));
-            room = self.make_room(state, order, time, weight(&contents) + length(&bytes));
-        }
-        let Some(room) = room else {
-            self.tally.no_room.fetch_add(1, Relaxed);
-            return Claim::NoRoom(state.retired.len() > 0);
-        };
-        state.reserved += room.bytes();
-        state.in_flight.extend(contents.iter().map(|(content, _)| *content));
-        if !order.explicit {
-            let late = contents.iter().filter(|(_, page)| order.times.get(page).is_some_and(|time| *time <= 0.0));
-            self.tally.late.fetch_add(late.count() as u64, Relaxed);
-        }
-        Claim::Run(Run { start: bytes.start, len: length(&bytes), contents, room })
-    }
-
-    /// The stretch of bytes around `content` with the neighbours that are wanted too, and these.
-    fn run_around(&self, state: &State, order: &Order, content: u32) -> (std::ops::Range<u64>, Vec<(u32, u32)>) {
-        let mut contents = vec![(content, content)];
-        let Some(extent) = self.index.entry(content).extent() else { return (0..0, contents) };
-        let mut bytes = extent.offset..extent.offset + u64::from(extent.len);
-        let now = Instant::now();
-        let mut extend = |page: u32| {
-            let Place::Stored(extent) = self.index.entry(page).place else { return true };
-            let (start, end) = (extent.offset, extent.offset + u64::from(extent.len));
-            let gap = start.saturating_sub(bytes.end).max(bytes.start.saturating_sub(end));
-            let whole = bytes.start.min(start)..bytes.end.max(end);
-            if gap > GAP || whole.end - whole.start > self.longest_run {
-                return false;
+    /// What all hints want, as of now.
+    fn replan(&mut self) {
+        let Some(cache) = &mut self.cache else { return };
+        let horizon =
+            (self.latency * LATENCIES_AHEAD).max(self.options.horizon_min).min(self.options.horizon_max).as_secs_f64();
+        let index = cache.index();
+        let (mut times, mut focus) = (HashMap::new(), Vec::new());
+        for body in self.bodies.values() {
+            if let Some(motion) = &body.motion {
+                motion.wants(index, horizon, &mut times);
+                focus.push(motion.focus(index.frame()));
             }
-            let absent = !state.resident.contains_key(&page) && !state.in_flight.contains(&page);
-            if absent && order.times.contains_key(&page) && state.may_try(page, now) {
-                bytes = whole;
-                contents.push((page, page));
+            let missing = body.missing.iter().flat_map(|missing| missing.keys());
+            times.extend(missing.filter_map(|key| Some((index.find(*key)?, 0.0))));
+        }
+        focus.sort_unstable();
+        focus.dedup();
+        self.hinted = Order::hinted(times, focus);
+        cache.replan(&self.hinted, &mut self.counters);
+        (self.stale, self.again) = (false, None);
+    }
+
+    pub(super) fn launch(&mut self, run: Run, request: Option<RequestId>) -> Fetch {
+        let id = FetchId(self.name());
+        let range = run.bytes.clone();
+        self.counters.reads += 1;
+        self.counters.read_bytes += range.end - range.start;
+        let needed_in = Duration::from_secs_f32(run.needed_in.max(0.0));
+        self.flights.insert(id, Flight { run, since: self.now, request, decoding: false });
+        Fetch { id, range, needed_in }
+    }
+
+    /// Whether a request, or a hint, wants a page that is neither in memory nor on its way.
+    fn is_absent(&self, request: Option<RequestId>, now: Time) -> bool {
+        let order = match request {
+            Some(id) => self.requests.get(&id).map(|request| &request.order),
+            None => Some(&self.hinted),
+        };
+        order.zip(self.cache.as_ref()).is_some_and(|(order, cache)| cache.is_absent(order, now))
+    }
+
+    /// The first fetch on its way of which no page is wanted.
+    fn unwanted(&self) -> Option<FetchId> {
+        let wanted = |flight: &Flight| {
+            let pages = || flight.run.contents.iter().map(|(_, page)| *page);
+            pages().any(|page| self.hinted.wants(page) || self.requests.values().any(|r| r.order.wants(page)))
+        };
+        let flight = self.flights.iter().find(|(_, flight)| !flight.decoding && !wanted(flight));
+        flight.map(|(id, _)| *id)
+    }
+
+    /// Takes the bytes of a fetch; what to decode of them, if anything. Bytes of a fetch that was cancelled, or of none, are
+    /// ignored; fewer or more than were asked for are a failure.
+    ///
+    /// Of the first fetch of an archive of unknown length fewer are welcome: they say how long it is.
+    pub fn given(&mut self, id: FetchId, bytes: Vec<u8>, now: Time) -> Option<Decode> {
+        let now = self.at(now);
+        if let Some(start) = &mut self.start {
+            let work = start.given(id, &bytes, now)?;
+            return Some(Decode { id, bytes, work });
+        }
+        let flight = self.flights.get_mut(&id).filter(|flight| !flight.decoding)?;
+        if bytes.len() as u64 != flight.run.bytes.end - flight.run.bytes.start {
+            let error = short_answer(&flight.run.bytes, bytes.len());
+            self.failed(id, error, now);
+            return None;
+        }
+        flight.decoding = true;
+        self.latency = (now - flight.since).max(self.latency.mul_f64(0.95));
+        let contents = flight.run.contents.iter().map(|(content, _)| *content).collect();
+        let work = Work::Pages(self.cache.as_ref()?.index().clone(), flight.run.bytes.start, contents);
+        Some(Decode { id, bytes, work })
+    }
+
+    /// A fetch failed. Pages fetched together are fetched one by one, others again after 0.1 s, then 0.2 s and so on up to
+    /// 6.4 s, unless the error is lasting: any but [`Error::Io`].
+    pub fn failed(&mut self, id: FetchId, error: Error, now: Time) {
+        let now = self.at(now);
+        if let Some(start) = &mut self.start {
+            return start.failed(id, error, now);
+        }
+        let (Some(flight), Some(cache)) = (self.flights.remove(&id), &mut self.cache) else { return };
+        self.stale = true;
+        match flight.run.contents[..] {
+            [(content, page)] => {
+                cache.release(flight.run);
+                let key = cache.index().key(page);
+                self.fail(content, PageError { key, error });
             }
-            true
-        };
-        let end = (content + 1).saturating_add(NEIGHBOURS).min(self.index.len() as u32);
-        let _ = (content + 1..end).all(&mut extend);
-        let _ = (content.saturating_sub(NEIGHBOURS)..content).rev().all(&mut extend);
-        (bytes, contents)
-    }
-
-    /// Takes room for `bytes`, evicting pages that no body wants, farthest first, and then pages that are needed later
-    /// than `time`, latest first.
-    fn make_room(&self, state: &mut State, order: &Order, time: f32, bytes: usize) -> Option<Room> {
-        state.retired.reclaim();
-        if let Some(room) = self.account.take(bytes) {
-            return Some(room);
-        }
-        let (used, budget) = (self.account.used(), self.account.budget());
-        // What views alone still hold becomes free without any further eviction.
-        let held_by_views = used.saturating_sub(state.weight + state.reserved);
-        let need = (used - held_by_views).saturating_add(bytes).saturating_sub(budget);
-        let mut victims = match state.victims.take() {
-            Some(victims) if !order.explicit => victims,
-            _ => self.victims(state, order),
-        };
-        let (mut gain, mut count) = (0, 0);
-        for &(needed, content) in victims.iter().rev() {
-            // A little more than is needed now, so that the next run need not wait for views to be dropped.
-            let enough = if needed.is_infinite() { need + budget / 16 } else { need };
-            if gain >= enough || needed <= time {
-                break;
-            }
-            count += 1;
-            gain += state.resident.get(&content).map_or(0, |resident| resident.held.room.bytes());
-        }
-        let room = (gain >= need).then(|| {
-            let gone = victims.split_off(victims.len() - count);
-            self.evict(state, gone.into_iter().map(|(_, content)| content));
-            self.account.take(bytes)
-        });
-        if !order.explicit {
-            state.victims = Some(victims);
-        }
-        room.flatten()
-    }
-
-    /// All pages in memory that are not needed now, first to go last.
-    fn victims(&self, state: &State, order: &Order) -> Vec<(f32, u32)> {
-        let mut focus = state.focus.clone();
-        focus.extend(order.focus.iter().filter(|_| order.explicit));
-        let rank = |(&content, resident): (&u32, &Resident)| {
-            let time = |page: &u32| {
-                let hinted = state.times.get(page).copied().unwrap_or(f32::INFINITY);
-                hinted.min(order.times.get(page).copied().unwrap_or(f32::INFINITY))
-            };
-            let time = resident.pages.iter().map(time).fold(f32::INFINITY, f32::min);
-            let apart = resident.pages.iter().map(|page| distance(self.index.key(*page), &focus)).min();
-            (time, apart, content)
-        };
-        let mut ranked: Vec<_> = state.resident.iter().map(rank).filter(|(time, ..)| *time > 0.0).collect();
-        ranked.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
-        ranked.into_iter().map(|(time, _, content)| (time, content)).collect()
-    }
-
-    fn evict(&self, state: &mut State, contents: impl Iterator<Item = u32>) {
-        let mut changes = Vec::new();
-        for resident in contents.filter_map(|content| state.resident.remove(&content)) {
-            state.weight -= resident.held.room.bytes();
-            self.tally.evicted.fetch_add(1, Relaxed);
-            self.tally.wasted.fetch_add(u64::from(!resident.touched), Relaxed);
-            changes.extend(resident.pages.into_iter().map(|page| (page, None)));
-        }
-        if !changes.is_empty() {
-            self.publish(state, changes);
-        }
-    }
-
-    fn publish(&self, state: &mut State, mut changes: Vec<(u32, Option<Arc<Held>>)>) {
-        let next = Arc::new(state.snapshot.with(&self.index, &mut changes));
-        self.current.publish(&next);
-        state.retired.push(std::mem::replace(&mut state.snapshot, next));
-        state.retired.reclaim();
-    }
-
-    /// Reads and decodes a run. Holds no lock.
-    pub fn read(&self, run: &Run, decoder: &mut PageDecoder) -> (Duration, Vec<Result<Page>>) {
-        let start = Instant::now();
-        let mut bytes = vec![0; run.len];
-        let mut whole = self.read_at(run.start, &mut bytes).err();
-        let latency = start.elapsed();
-        let decode = |&(content, _): &(u32, u32)| {
-            let entry = self.index.entry(content);
-            let Some(extent) = entry.extent() else { return decoder.decode(entry, &[]) };
-            let from = (extent.offset - run.start) as usize;
-            let part = &mut bytes[from..from + extent.len as usize];
-            match whole.take() {
-                Some(error) if run.contents.len() == 1 => return Err(error),
-                // Something in the run cannot be read; maybe not this page.
-                Some(error) => {
-                    whole = Some(error);
-                    self.read_at(extent.offset, part)?;
+            _ => {
+                cache.divide(flight.run);
+                for request in self.requests.values_mut() {
+                    request.order.restart();
                 }
-                None => {}
             }
-            decoder.decode(entry, part)
-        };
-        (latency, run.contents.iter().map(decode).collect())
+        }
     }
 
-    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
-        if buf.is_empty() {
-            return Ok(());
-        }
-        self.tally.reads.fetch_add(1, Relaxed);
-        self.tally.read_bytes.fetch_add(buf.len() as u64, Relaxed);
-        self.archive.source().read_at(offset, buf)
-    }
-
-    /// Puts the pages of a run into the next snapshot; what failed is noted. Returns how many pages were loaded.
-    pub fn settle(&self, state: &mut State, run: Run, latency: Duration, pages: Vec<Result<Page>>) -> usize {
-        let Run { len, contents, mut room, .. } = run;
-        if len > 0 {
-            state.latency = latency.max(state.latency.mul_f64(0.95));
-        }
-        state.reserved -= room.bytes();
-        let mut changes = Vec::new();
-        for ((content, page), decoded) in contents.into_iter().zip(pages) {
-            state.in_flight.remove(&content);
-            let decoded = match decoded {
-                Ok(decoded) => decoded,
-                Err(error) => {
-                    self.tally.failed.fetch_add(1, Relaxed);
-                    state.fail(content, PageError { key: self.index.key(page), error });
-                    continue;
+    /// Takes decoded pages into the next view; how many they are.
+    pub fn loaded(&mut self, decoded: Decoded, now: Time) -> usize {
+        self.at(now);
+        match decoded.made {
+            Made::Leaves(entries) => {
+                if let Some(start) = &mut self.start {
+                    start.loaded(decoded.id, entries);
                 }
-            };
-            state.failed.remove(&content);
-            // The weight is the directory's: checked by the decoder (rule P11).
-            let room = room.split(decoded.weight_bytes());
-            state.weight += room.bytes();
-            let held = Arc::new(Held { page: decoded, room });
-            let touched = state.times.get(&page).is_some_and(|time| *time <= 0.0);
-            changes.push((page, Some(held.clone())));
-            state.resident.insert(content, Resident { held, pages: vec![page], touched });
+                0
+            }
+            Made::Pages(pages) => {
+                let (Some(flight), Some(cache)) = (self.flights.remove(&decoded.id), &mut self.cache) else { return 0 };
+                let (loaded, failures) = cache.settle(flight.run, pages, &mut self.counters);
+                for (content, error) in failures {
+                    self.fail(content, error);
+                }
+                loaded
+            }
         }
-        drop(room);
-        let loaded = changes.len();
-        self.tally.loaded.fetch_add(loaded as u64, Relaxed);
-        if loaded > 0 {
-            self.publish(state, changes);
+    }
+
+    /// A page could not be loaded: the request that waits for it ends, or a report is due.
+    fn fail(&mut self, content: u32, error: PageError) {
+        self.counters.failed += 1;
+        let Some(cache) = &mut self.cache else { return };
+        cache.note_failure(content, &error.error, self.now);
+        let page = cache.index().find(error.key);
+        let waits = |request: &Request| page.is_some_and(|page| request.order.wants(page));
+        let request = self.requests.iter().find(|(_, request)| waits(request)).map(|(id, _)| *id);
+        if let Some(id) = request {
+            self.requests.remove(&id);
+            self.ended.insert(id, Err(error.error));
+            return;
         }
-        self.settled.notify_all();
-        loaded
+        if self.reports.len() == REPORTS {
+            self.reports.pop_front();
+        }
+        self.reports.push_back(error);
     }
 
-    /// Errors since the last call.
-    pub fn take_errors(&self) -> Vec<PageError> {
-        self.state().errors.drain(..).collect()
+    /// When pages that could not be read are tried again.
+    pub(super) fn retry_at(&self) -> Option<Time> {
+        self.again
     }
 
-    #[cfg(test)]
-    pub fn hold_a_publication(&self) -> impl Sized + '_ {
-        self.current.hold_a_publication()
+    /// Failures that were not polled yet.
+    pub(super) fn take_reports(&mut self) -> Vec<PageError> {
+        self.reports.drain(..).collect()
     }
 
-    /// Bytes of pages in memory, without those that views alone hold.
-    pub fn resident(&self) -> (usize, usize) {
-        let state = self.state();
-        (state.resident.len(), state.weight)
+    pub(super) fn at(&mut self, now: Time) -> Time {
+        self.now = self.now.max(now);
+        self.now
+    }
+
+    pub(super) fn name(&mut self) -> u64 {
+        self.names += 1;
+        self.names
     }
 }
 
-impl State {
-    fn may_try(&self, content: u32, now: Instant) -> bool {
-        self.failed.get(&content).is_none_or(|failure| !failure.lasting && failure.again <= now)
-    }
-
-    fn fail(&mut self, content: u32, error: PageError) {
-        let tries = self.failed.get(&content).map_or(0, |failure| failure.tries);
-        let again = Instant::now() + PAUSE * (1 << tries.min(6));
-        let lasting = !matches!(error.error, Error::Io { .. });
-        self.failed.insert(content, Failure { tries: tries + 1, again, lasting });
-        if self.errors.len() == ERRORS {
-            self.errors.pop_front();
-        }
-        self.errors.push_back(error);
-    }
-
-    /// When a page that failed may be tried again.
-    pub fn next_try(&self) -> Option<Instant> {
-        let tries = self.failed.values().filter(|failure| !failure.lasting);
-        tries.map(|failure| failure.again).min()
-    }
-
-    /// Whether all pages of `order` are in memory under their own slots.
-    pub fn holds(&self, index: &Index, page: u32) -> bool {
-        self.resident.get(&index.content(page)).is_some_and(|resident| resident.pages.contains(&page))
-    }
-
-    /// The newest error about one of these pages; taken out.
-    pub fn take_error(&mut self, keys: &HashSet<PageKey>) -> Option<Error> {
-        let at = self.errors.iter().rposition(|error| keys.contains(&error.key))?;
-        self.errors.remove(at).map(|error| error.error)
+impl std::fmt::Debug for Loader {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Loader")
+            .field("options", &self.options)
+            .field("counters", &self.counters())
+            .finish_non_exhaustive()
     }
 }

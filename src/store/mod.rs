@@ -1,46 +1,50 @@
 //! Which pages are in memory, and how queries find them.
 //!
-//! In: pages from memory or from a [`PageSource`] (an archive). Out: a [`PageSet`], the only thing that queries know.
-//! Memory: [`Store::from_pages`] holds everything; [`Store::with_budget`] holds pages of at most a given weight, and
-//! 24 bytes for every page that the source has, loaded or not. A [`Stream`] holds pages around moving bodies under a
-//! budget, and loads them ahead on a thread of its own.
+//! In: pages from memory or from an archive. Out: a [`PageSet`], the only thing that queries know. Memory: a [`Store`]
+//! holds all pages; a [`Loader`] holds those around moving bodies under a budget, in which everything counts. A
+//! [`Stream`] is a loader with a thread of its own.
 //!
 //! ```text
-//! archive → Index (all pages, immutable) ┬→ motion (hints → pages by time to need) → loader (claim, read, settle)
-//!                                        └→ View (index + snapshot) ← publish (newest snapshot) ← ┘
+//! hints, requests → Loader: start (head, leaves) → Index (all pages) → motion (pages by time to need) → cache (claim, settle)
+//!        driver: fetches bytes, decodes (Decode → Decoded)                    View (index + newest snapshot) ← publish ┘
 //! ```
 //!
 //! A query takes no lock, does no I/O and allocates nothing (guarantee G8): it walks over slots, and a slot either
 //! holds its page or says in which slices the page has matter.
 
 mod account;
-mod budget;
+mod cache;
 mod columns;
+mod fetch;
 mod held;
 mod loader;
 mod missing;
 mod motion;
 mod publish;
+mod request;
 mod snapshot;
+mod start;
+#[cfg(not(target_family = "wasm"))]
 mod stream;
 mod sync;
 mod tally;
 
-pub use budget::{LoadReport, Region};
+pub use cache::Views;
 pub use columns::KeyBounds;
+pub use fetch::{Decode, Decoded, Fetch, FetchId, Next, PageError, Time};
 pub use held::{Store, StoreSlot};
-pub use loader::PageError;
+pub use loader::{BodyId, Loader, LoaderOptions};
 pub use missing::{MISSING_KEYS, Missing};
 pub(crate) use missing::{join, note};
 pub use motion::Motion;
+pub use request::{LoadReport, RequestId};
 pub use snapshot::{View, ViewSlot};
+#[cfg(not(target_family = "wasm"))]
 pub use stream::{Pawn, Prefetch, Step, Stream, StreamOptions};
 pub use tally::Counters;
 
-use crate::archive::{Archive, PageEntry};
-use crate::frame::{Frame, PageKey};
+use crate::frame::Frame;
 use crate::slice::Page;
-use crate::{Error, Result};
 
 /// A set of pages as queries see it. Pages that it does not name hold no matter.
 ///
@@ -79,46 +83,4 @@ pub trait PageSlot {
 
     /// The page, if it is in memory.
     fn page(&self) -> Option<&Page>;
-}
-
-/// What a [`PageSource`] knows about a page without loading it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PageInfo {
-    /// Name of the page.
-    pub key: PageKey,
-    /// Slices with matter, as a mask. A slice with matter that is missing here makes queries answer "clear" wrongly.
-    pub slices: u64,
-    /// Upper bound of [`Page::weight_bytes`] once loaded (bytes).
-    pub weight_bytes: usize,
-}
-
-/// Where pages come from: an archive, or a test's memory.
-pub trait PageSource: Send + Sync {
-    /// The grid of all pages.
-    fn frame(&self) -> &Frame;
-
-    /// All pages, each once, in any order.
-    fn infos(&self) -> Result<Vec<PageInfo>>;
-
-    /// Loads one page. May block; fails when the bytes cannot be read or are damaged.
-    fn load(&self, key: PageKey) -> Result<Page>;
-}
-
-impl PageSource for Archive {
-    fn frame(&self) -> &Frame {
-        self.frame()
-    }
-
-    fn infos(&self) -> Result<Vec<PageInfo>> {
-        let info =
-            |entry: PageEntry| PageInfo { key: entry.key, slices: entry.slices, weight_bytes: entry.weight_bytes() };
-        self.entries().map(|entry| entry.map(info)).collect()
-    }
-
-    fn load(&self, key: PageKey) -> Result<Page> {
-        match self.find(key)? {
-            Some(entry) => self.page(&entry),
-            None => Err(Error::parameter("page", format!("{key} is not in the archive"))),
-        }
-    }
 }

@@ -66,6 +66,10 @@ pub(super) struct Index {
 }
 
 impl Index {
+    /// Least that a page adds to [`weight_bytes`](Self::weight_bytes).
+    pub const LEAST_PAGE_BYTES: usize =
+        size_of::<PageEntry>() + size_of::<PageKey>() + size_of::<u32>() + size_of::<ViewSlot>();
+
     pub fn new(frame: Frame, entries: Vec<PageEntry>) -> Self {
         let contents = contents(&entries);
         let keys: Box<[PageKey]> = entries.iter().map(|entry| entry.key).collect();

@@ -1,25 +1,21 @@
-//! A stream: the pages of an archive around moving bodies, under a byte budget, loaded before they are needed.
+//! A stream: a [`Loader`] with a thread, a lock, a clock and an archive to read from.
 
-use super::budget::LoadReport;
-use super::loader::{Claim, Core, Order, PageError};
-use super::motion::{Motion, distance};
-use super::snapshot::View;
+use super::cache::Views;
+use super::fetch::{Fetch, Next, PageError, Time};
+use super::loader::{BodyId, Loader, LoaderOptions, Turn};
+use super::missing::Missing;
+use super::motion::Motion;
+use super::request::LoadReport;
+use super::snapshot::{Index, View};
 use super::tally::Counters;
-use crate::archive::{Archive, PageDecoder};
+use crate::archive::Archive;
 use crate::frame::PageKey;
-use crate::store::Missing;
 use crate::{Error, Result};
-use std::collections::{HashMap, HashSet};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{JoinHandle, Thread};
 use std::time::{Duration, Instant};
-
-/// Looks ahead this many times the latency of a read.
-const LATENCIES_AHEAD: u32 = 32;
-/// How long a blocking load waits for views of other threads to be dropped.
-const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Who loads pages before they are needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,7 +31,8 @@ pub enum Prefetch {
 /// How a [`Stream`] works.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamOptions {
-    /// Most bytes of pages in memory at any moment, with those being decoded and those that views still hold.
+    /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, those that views still hold,
+    /// bytes being read, and the scratch memory of decoding them.
     pub budget_bytes: usize,
     /// Who loads pages ahead.
     pub prefetch: Prefetch,
@@ -73,10 +70,12 @@ pub enum Step {
     NoRoom(bool),
 }
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Inbox {
+    body: BodyId,
     motion: Option<Motion>,
     missing: Option<Missing>,
+    changed: bool,
     gone: bool,
 }
 
@@ -109,43 +108,67 @@ struct Inbox {
 /// no I/O and allocate nothing (guarantee G8), and loading never changes an answer, it only turns "not loaded" into one.
 /// Dropping the stream ends its thread: at once, or as soon as the read in progress returns.
 ///
-/// Memory: the budget, the table of pages (about 90 bytes each), and about 1 MiB to decode.
+/// Memory: the budget, in which everything counts. A stream is a [`Loader`] that drives itself; programs with a scheduler, a
+/// browser or a fetch of their own drive one directly.
 pub struct Stream {
     shared: Arc<Shared>,
     worker: Option<JoinHandle<()>>,
 }
 
 struct Shared {
-    core: Core,
+    archive: Archive,
+    views: Views,
+    loader: Mutex<Loader>,
+    /// Told whenever a run was loaded or failed.
+    settled: Condvar,
     options: StreamOptions,
+    origin: Instant,
     pawns: Mutex<Vec<Arc<Mutex<Inbox>>>>,
-    /// Rises with every hint: an order made for a lower number is stale.
+    /// Rises with every hint.
     hints: AtomicU64,
+    hints_dropped: AtomicU64,
     stop: AtomicBool,
-    /// The work of [`Stream::step`].
-    desk: Mutex<Desk>,
+    /// The newest number of `hints` that the loader knows; held by the one who takes a step.
+    desk: Mutex<Option<u64>>,
     /// The newest number of `hints` for which the background thread has nothing left to do.
     rested: Mutex<Option<u64>>,
     rest: Condvar,
 }
 
-#[derive(Default)]
-struct Desk {
-    order: Order,
-    decoder: PageDecoder,
-    made_for: Option<u64>,
-}
-
 impl Stream {
-    /// Opens a stream on an archive; no page is loaded yet. Reads the directory, all of it: one read per MiB.
+    /// Opens a stream on an archive; no page is loaded yet. Reads the directory, all of it: one read per MiB. Fails if the
+    /// table of pages alone exceeds the budget.
     pub fn open(archive: Archive, options: StreamOptions) -> Result<Self> {
-        let core = Core::new(archive, options.budget_bytes, options.run_bytes)?;
+        let loader = LoaderOptions {
+            budget_bytes: options.budget_bytes,
+            horizon_min: options.horizon_min,
+            horizon_max: options.horizon_max,
+            run_bytes: options.run_bytes,
+            // As many as there are threads that drive it.
+            fetches: usize::MAX,
+        };
+        let mut loader = Loader::new(archive.catalog().clone(), loader)?;
+        let origin = Instant::now();
+        while loader.views().is_none() {
+            if let Next::Fetch(fetch) = loader.poll(origin.elapsed())? {
+                let bytes = read(&archive, &fetch)?;
+                if let Some(job) = loader.given(fetch.id, bytes, origin.elapsed()) {
+                    loader.loaded(job.run(), origin.elapsed());
+                }
+            }
+        }
+        let Some(views) = loader.views() else { return Err(Error::parameter("archive", "it has no directory")) };
         let prefetch = options.prefetch;
         let shared = Arc::new(Shared {
-            core,
+            archive,
+            views,
+            loader: Mutex::new(loader),
+            settled: Condvar::new(),
             options,
+            origin,
             pawns: Mutex::default(),
             hints: AtomicU64::new(0),
+            hints_dropped: AtomicU64::new(0),
             stop: AtomicBool::new(false),
             desk: Mutex::default(),
             rested: Mutex::default(),
@@ -166,12 +189,13 @@ impl Stream {
     /// The pages in memory now. Lock-free, allocates nothing; take one per frame, and drop it with the frame.
     #[inline]
     pub fn view(&self) -> View {
-        self.shared.core.view()
+        self.shared.views.view()
     }
 
     /// A place for the hints of one body, as long as it lives.
     pub fn pawn(&self) -> Pawn {
-        let inbox = Arc::new(Mutex::new(Inbox::default()));
+        let body = lock(&self.shared.loader).body();
+        let inbox = Arc::new(Mutex::new(Inbox { body, motion: None, missing: None, changed: false, gone: false }));
         lock(&self.shared.pawns).push(inbox.clone());
         let worker = self.worker.as_ref().map(|worker| worker.thread().clone());
         Pawn { inbox, shared: self.shared.clone(), worker }
@@ -198,18 +222,15 @@ impl Stream {
         if !motion.is_valid() {
             return Err(Error::parameter("motion", "its numbers must be finite and in order"));
         }
-        let index = &self.shared.core.index;
-        let mut times = HashMap::new();
-        motion.wants(index, 0.0, &mut times);
-        let keys: Vec<_> = times.keys().map(|&page| index.key(page)).collect();
-        self.load(&keys, motion.focus(index.frame()))
+        let keys = self.shared.views.keys_around(motion);
+        self.load(&keys, motion.focus(self.shared.index().frame()))
     }
 
     /// Does one piece of the background thread's work on this thread: reads one run of pages. For
     /// [`Prefetch::Manual`]; does nothing otherwise.
     pub fn step(&self) -> Step {
         match self.shared.options.prefetch {
-            Prefetch::Manual => self.shared.step(&mut lock(&self.shared.desk)),
+            Prefetch::Manual => self.shared.step(),
             _ => Step::Idle,
         }
     }
@@ -241,28 +262,20 @@ impl Stream {
 
     /// What the stream did so far.
     pub fn counters(&self) -> Counters {
-        let core = &self.shared.core;
-        let (resident_pages, resident_bytes) = core.resident();
-        Counters {
-            resident_pages,
-            resident_bytes,
-            used_bytes: core.account.used(),
-            peak_bytes: core.account.peak(),
-            budget_bytes: core.account.budget(),
-            table_bytes: core.index.weight_bytes(),
-            ..core.tally.counters()
-        }
+        let counters = lock(&self.shared.loader).counters();
+        let dropped = self.shared.hints_dropped.load(Relaxed);
+        Counters { hints_dropped: counters.hints_dropped + dropped, ..counters }
     }
 
     /// Errors of loading ahead since the last call, the last 16 at most. Their pages stay "not loaded"; those that could
     /// not be read are tried again after 0.1 s, then 0.2 s and so on up to 6.4 s, those that are damaged are not.
     pub fn take_errors(&self) -> Vec<PageError> {
-        self.shared.core.take_errors()
+        lock(&self.shared.loader).take_reports()
     }
 
     /// The archive.
     pub fn archive(&self) -> &Archive {
-        &self.shared.core.archive
+        &self.shared.archive
     }
 }
 
@@ -296,27 +309,26 @@ impl Pawn {
     /// is dropped and counted.
     pub fn hint(&mut self, motion: &Motion) {
         self.put(motion.is_valid(), |inbox| {
-            inbox.motion = Some(*motion);
-            inbox.missing = None;
+            (inbox.motion, inbox.missing, inbox.changed) = (Some(*motion), None, true);
         });
     }
 
     /// Asks for pages that a query missed; they come before all others. Never waits.
     pub fn need(&mut self, missing: &Missing) {
-        self.put(true, |inbox| inbox.missing = Some(*missing));
+        self.put(true, |inbox| (inbox.missing, inbox.changed) = (Some(*missing), true));
     }
 
     /// The pages in memory now: as [`Stream::view`], for a body on a thread of its own.
     #[inline]
     pub fn view(&self) -> View {
-        self.shared.core.view()
+        self.shared.views.view()
     }
 
     fn put(&self, valid: bool, put: impl FnOnce(&mut Inbox)) {
         match self.inbox.try_lock() {
             Ok(mut inbox) if valid => put(&mut inbox),
             _ => {
-                self.shared.core.tally.hints_dropped.fetch_add(1, Relaxed);
+                self.shared.hints_dropped.fetch_add(1, Relaxed);
                 return;
             }
         }
@@ -344,116 +356,114 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// The bytes of a fetch.
+fn read(archive: &Archive, fetch: &Fetch) -> Result<Vec<u8>> {
+    let mut bytes = vec![0; (fetch.range.end - fetch.range.start) as usize];
+    archive.source().read_at(fetch.range.start, &mut bytes)?;
+    Ok(bytes)
+}
+
 impl Shared {
+    fn now(&self) -> Time {
+        self.origin.elapsed()
+    }
+
     /// The background thread.
     fn work(&self) {
-        let mut desk = Desk::default();
         while !self.stop.load(Acquire) {
-            match self.step(&mut desk) {
+            match self.step() {
                 Step::Loaded(_) => {}
                 Step::Idle | Step::NoRoom(false) => {
-                    *lock(&self.rested) = desk.made_for;
+                    *lock(&self.rested) = *lock(&self.desk);
                     self.rest.notify_all();
                     // Whatever happens meanwhile has left its token, and ends this at once.
-                    let next = self.core.state().next_try();
-                    match next {
-                        Some(at) => std::thread::park_timeout(at.saturating_duration_since(Instant::now())),
+                    let again = lock(&self.loader).retry_at();
+                    match again {
+                        Some(at) => std::thread::park_timeout(at.saturating_sub(self.now())),
                         None => std::thread::park(),
                     }
-                    desk.made_for = None;
                 }
                 Step::Busy | Step::NoRoom(true) => std::thread::park_timeout(Duration::from_millis(1)),
             }
         }
     }
 
-    /// Reads one run of the newest order.
-    fn step(&self, desk: &mut Desk) -> Step {
+    /// Reads one run of what the newest hints want.
+    fn step(&self) -> Step {
+        let mut known = lock(&self.desk);
         let newest = self.hints.load(Acquire);
-        if desk.made_for != Some(newest) {
-            desk.order = self.order();
-            self.core.replan(&desk.order);
-            desk.made_for = Some(newest);
+        let mut loader = lock(&self.loader);
+        if *known != Some(newest) {
+            self.collect(&mut loader);
+            *known = Some(newest);
         }
-        let claim = self.core.claim(&mut self.core.state(), &mut desk.order);
-        match claim {
-            Claim::Run(run) => {
-                let (latency, pages) = self.core.read(&run, &mut desk.decoder);
-                Step::Loaded(self.core.settle(&mut self.core.state(), run, latency, pages))
-            }
-            Claim::Done => Step::Idle,
-            Claim::Busy => Step::Busy,
-            Claim::NoRoom(held) => Step::NoRoom(held),
+        let turn = loader.turn(self.now());
+        drop(loader);
+        match turn {
+            Turn::Fetch(fetch) => Step::Loaded(self.carry(fetch)),
+            Turn::Idle | Turn::Ended(_) => Step::Idle,
+            Turn::Busy => Step::Busy,
+            Turn::NoRoom(held) => Step::NoRoom(held),
         }
     }
 
-    /// What all hints want, as of now.
-    fn order(&self) -> Order {
-        let index = &self.core.index;
-        let horizon = (self.core.state().latency * LATENCIES_AHEAD)
-            .max(self.options.horizon_min)
-            .min(self.options.horizon_max)
-            .as_secs_f64();
-        let (mut times, mut focus) = (HashMap::new(), Vec::new());
+    /// Hands what the pawns said since the last time to the loader.
+    fn collect(&self, loader: &mut Loader) {
         lock(&self.pawns).retain(|inbox| {
-            let (motion, missing) = {
-                let inbox = lock(inbox);
-                if inbox.gone {
-                    return false;
+            let mut inbox = lock(inbox);
+            if inbox.gone {
+                loader.forget(inbox.body);
+            } else if std::mem::take(&mut inbox.changed) {
+                if let Some(motion) = &inbox.motion {
+                    loader.hint(inbox.body, motion);
                 }
-                (inbox.motion, inbox.missing)
-            };
-            if let Some(motion) = motion {
-                motion.wants(index, horizon, &mut times);
-                focus.push(motion.focus(index.frame()));
+                if let Some(missing) = &inbox.missing {
+                    loader.need(inbox.body, missing);
+                }
             }
-            let missing = missing.iter().flat_map(|missing| missing.keys());
-            times.extend(missing.filter_map(|key| Some((index.find(*key)?, 0.0))));
-            true
+            !inbox.gone
         });
-        focus.sort_unstable();
-        focus.dedup();
-        Order::new(times, focus, false)
+    }
+
+    /// Reads and decodes, holding no lock; how many pages came.
+    fn carry(&self, fetch: Fetch) -> usize {
+        let answer = read(&self.archive, &fetch);
+        let job = match answer {
+            Ok(bytes) => lock(&self.loader).given(fetch.id, bytes, self.now()),
+            Err(error) => {
+                lock(&self.loader).failed(fetch.id, error, self.now());
+                None
+            }
+        };
+        let decoded = job.map(|job| job.run());
+        let loaded = decoded.map_or(0, |decoded| lock(&self.loader).loaded(decoded, self.now()));
+        self.settled.notify_all();
+        loaded
     }
 
     fn load(&self, keys: &[PageKey], around: PageKey) -> Result<LoadReport> {
-        let (core, index) = (&self.core, &self.core.index);
-        let pages: HashMap<u32, f32> = keys.iter().filter_map(|key| Some((index.find(*key)?, 0.0))).collect();
-        let wanted: HashSet<PageKey> = keys.iter().copied().collect();
-        let mut order = Order::new(pages, vec![around], true);
-        order.pages.sort_by_key(|&(_, page)| (distance(index.key(page), &[around]), page));
-        let absent = |pages: &[(f32, u32)]| {
-            let state = core.state();
-            pages.iter().filter(|(_, page)| !state.holds(index, *page)).count()
-        };
-        let before = core.tally.evicted.load(Relaxed);
-        let asked = absent(&order.pages);
-        let mut report = LoadReport { already: order.pages.len() - asked, ..LoadReport::default() };
-        let mut decoder = PageDecoder::new();
-        let start = Instant::now();
+        let mut loader = lock(&self.loader);
+        let request = loader.request(keys, around);
         loop {
-            let mut state = core.state();
-            match core.claim(&mut state, &mut order) {
-                Claim::Done => break,
-                Claim::Busy => core.wait(state, Duration::from_millis(10)),
-                Claim::NoRoom(true) if start.elapsed() < PATIENCE => core.wait(state, Duration::from_millis(1)),
-                Claim::NoRoom(_) => break,
-                Claim::Run(run) => {
-                    drop(state);
-                    let (latency, pages) = core.read(&run, &mut decoder);
-                    let (run_pages, mut state) = (run.pages(), core.state());
-                    if core.settle(&mut state, run, latency, pages) < run_pages
-                        && let Some(error) = state.take_error(&wanted)
-                    {
-                        return Err(error);
-                    }
+            match loader.request_turn(request, self.now()) {
+                Turn::Ended(outcome) => return outcome,
+                Turn::Fetch(fetch) => {
+                    drop(loader);
+                    self.carry(fetch);
+                    loader = lock(&self.loader);
+                }
+                turn => {
+                    // Another thread reads a page of these, or views hold the room.
+                    let pause = Duration::from_millis(if matches!(turn, Turn::Busy) { 10 } else { 1 });
+                    let waited = self.settled.wait_timeout(loader, pause);
+                    loader = waited.unwrap_or_else(PoisonError::into_inner).0;
                 }
             }
         }
-        report.left_out = absent(&order.pages);
-        report.loaded = asked - report.left_out.min(asked);
-        report.evicted = (core.tally.evicted.load(Relaxed) - before) as usize;
-        Ok(report)
+    }
+
+    fn index(&self) -> &Index {
+        &self.views.index
     }
 }
 
@@ -493,9 +503,9 @@ mod tests {
         stream.load_around(&motion).unwrap();
         let mut walker = Walker::new(Config::default(), [0.0, 0.0, 1.0].into()).unwrap();
         let inbox = pawn.inbox.clone();
-        let (_state, _pawns) = (stream.shared.core.state(), lock(&stream.shared.pawns));
+        let (_loader, _pawns) = (lock(&stream.shared.loader), lock(&stream.shared.pawns));
         let (_inbox, _desk) = (lock(&inbox), lock(&stream.shared.desk));
-        let _cell = stream.shared.core.hold_a_publication();
+        let _cell = stream.shared.views.current.hold_a_publication();
         let (done, finished) = std::sync::mpsc::channel();
         std::thread::scope(|scope| {
             scope.spawn(|| {
@@ -515,6 +525,6 @@ mod tests {
                 std::process::abort();
             }
         });
-        assert_eq!(stream.shared.core.tally.hints_dropped.load(Relaxed), 200, "hints do not wait either");
+        assert_eq!(stream.shared.hints_dropped.load(Relaxed), 200, "hints do not wait either");
     }
 }

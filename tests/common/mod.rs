@@ -5,6 +5,8 @@ pub mod content;
 
 pub mod forge;
 
+pub mod part;
+
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Shard, Totals};
 use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::frame::{Frame, PageKey};

@@ -1,7 +1,7 @@
 //! Half-loaded scenes against whole ones: for every question the answer is that of the whole scene or "not loaded", and what
 //! is said to be missing is enough.
 
-use super::scene::{Random, Scene};
+use super::scene::{Part, Random, Scene};
 use nalgebra::{Isometry3, Point3, Vector3};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::object::{Model, Object, touches_scene};
@@ -12,7 +12,7 @@ use slicewalk::store::Store;
 /// A scene of which some pages are loaded.
 struct Half<'a> {
     scene: &'a Scene,
-    full: Store,
+    full: Part,
     loaded: Vec<PageKey>,
     /// Questions that were not answered at first.
     waited: usize,
@@ -20,7 +20,7 @@ struct Half<'a> {
 
 impl Half<'_> {
     /// Asks again and again, with what was missing loaded, until there is an answer: that of the whole scene.
-    fn ask<T: PartialEq + std::fmt::Debug>(&mut self, what: &str, query: impl Fn(&Store) -> Answer<T>) {
+    fn ask<T: PartialEq + std::fmt::Debug>(&mut self, what: &str, query: impl Fn(&Part) -> Answer<T>) {
         let mut store = self.scene.part(&self.loaded);
         let mut known = self.loaded.clone();
         loop {
@@ -28,8 +28,7 @@ impl Half<'_> {
                 Answer::NotLoaded(missing) => {
                     let keys = missing.keys();
                     assert!(!keys.is_empty() && keys.iter().all(|key| !known.contains(key)), "{what}: {missing:?}");
-                    let report = store.load_missing(keys, keys[0]).unwrap();
-                    assert_eq!(report.loaded, keys.len(), "{what}: {missing:?} {report:?}");
+                    assert_eq!(store.load(keys), keys.len(), "{what}: {missing:?}");
                     self.waited += usize::from(known.len() == self.loaded.len());
                     known.extend_from_slice(keys);
                 }
@@ -38,7 +37,7 @@ impl Half<'_> {
         }
     }
 
-    fn ask_overlap(&mut self, what: &str, query: impl Fn(&Store) -> Overlap) {
+    fn ask_overlap(&mut self, what: &str, query: impl Fn(&Part) -> Overlap) {
         self.ask(what, |store| match query(store) {
             Overlap::NotLoaded(missing) => Answer::NotLoaded(missing),
             known => Answer::Known(known == Overlap::Hit),
@@ -99,7 +98,7 @@ fn no_answer_of_a_half_loaded_scene_contradicts_the_whole_one() {
     for (scene, mut random) in Scene::all() {
         for percent in [0, 40, 80] {
             let loaded = scene.pages.iter().map(|page| page.0).filter(|_| random.chance(percent)).collect();
-            let mut half = Half { scene: &scene, full: scene.store(), loaded, waited: 0 };
+            let mut half = Half { scene: &scene, full: scene.part(&scene.keys()), loaded, waited: 0 };
             for _ in 0..12 {
                 let shape = scene.random_box(&mut random);
                 let size = (shape.max() - shape.min()) / 2.0;
@@ -126,7 +125,7 @@ fn no_object_in_a_half_loaded_scene_is_free_where_it_is_not_in_the_whole_one() {
             [rod(scene.frame), rod(Frame::new(scene.frame.pixel_m() / 3.0, scene.frame.slice_m() / 2.0).unwrap())];
         for percent in [0, 40, 80] {
             let loaded = scene.pages.iter().map(|page| page.0).filter(|_| random.chance(percent)).collect();
-            let mut half = Half { scene: &scene, full: scene.store(), loaded, waited: 0 };
+            let mut half = Half { scene: &scene, full: scene.part(&scene.keys()), loaded, waited: 0 };
             for n in 0..20 {
                 let turn = Vector3::from_fn(|_, _| random.in_range(-3.0, 3.0));
                 // Mostly about a point of the scene, so that the rod's middle lies near matter.

@@ -4,8 +4,12 @@ use nalgebra::{Point3, Vector3};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::query::Aabb;
 use slicewalk::slice::{Page, PageBuilder, Span};
-use slicewalk::store::{PageInfo, PageSource, Store};
+use slicewalk::store::Store;
 use std::collections::BTreeMap;
+
+#[path = "../common/part.rs"]
+mod part;
+pub use part::Part;
 
 /// SplitMix64 (Steele, Lea and Flood 2014).
 pub struct Random(pub u64);
@@ -89,15 +93,16 @@ impl Scene {
         Store::from_pages(self.frame, self.pages.clone())
     }
 
-    pub fn source(&self) -> Box<dyn PageSource> {
-        Box::new(InMemory { frame: self.frame, pages: self.pages.clone() })
+    /// Keys of all pages.
+    pub fn keys(&self) -> Vec<PageKey> {
+        self.pages.iter().map(|page| page.0).collect()
     }
 
-    /// A store that has loaded `keys` of all pages.
-    pub fn part(&self, keys: &[PageKey]) -> Store {
-        let mut store = Store::with_budget(self.source(), usize::MAX).unwrap();
-        store.load_missing(keys, self.pages[0].0).unwrap();
-        store
+    /// A set of all pages, of which those of `keys` are in memory.
+    pub fn part(&self, keys: &[PageKey]) -> Part {
+        let mut part = Part::new(self.frame, self.pages.clone());
+        part.load(keys);
+        part
     }
 
     /// A point of the scene or near it.
@@ -161,28 +166,4 @@ pub fn pages_of(columns: &Columns) -> Vec<(PageKey, Page)> {
         pages.push((PageKey { tx: tx as i32, ty: ty as i32, layer: layer as i32 }, builder.build()));
     }
     pages
-}
-
-struct InMemory {
-    frame: Frame,
-    pages: Vec<(PageKey, Page)>,
-}
-
-impl PageSource for InMemory {
-    fn frame(&self) -> &Frame {
-        &self.frame
-    }
-
-    fn infos(&self) -> slicewalk::Result<Vec<PageInfo>> {
-        let info = |(key, page): &(PageKey, Page)| PageInfo {
-            key: *key,
-            slices: page.slices(),
-            weight_bytes: page.weight_bytes(),
-        };
-        Ok(self.pages.iter().map(info).collect())
-    }
-
-    fn load(&self, key: PageKey) -> slicewalk::Result<Page> {
-        Ok(self.pages.iter().find(|(other, _)| *other == key).expect("a known page").1.clone())
-    }
 }

@@ -1,6 +1,7 @@
 //! Standing places of random worlds beside brute force.
 
 use super::{everywhere, flat, grown, known};
+use crate::common::part::Part;
 use crate::common::{Random, key};
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::reach::{Flood, Ground, Pawn};
@@ -163,12 +164,12 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.2 });
     let (mut ground, region) = everywhere(&whole, pawn);
     let leaks = known(region.leaks(&mut ground, &whole));
-    let mut partly = Store::with_budget(Box::new(Source(store(&world))), 1 << 20).unwrap();
+    let mut partly = nothing_of(&whole);
     let mut ground = Ground::new(&partly, pawn).unwrap();
     let mut waits = 0;
-    let mut load = |partly: &mut Store, missing: slicewalk::store::Missing| {
+    let mut load = |partly: &mut Part, missing: slicewalk::store::Missing| {
         waits += 1;
-        assert!(partly.load_missing(&missing.keys()[..1], missing.keys()[0]).unwrap().loaded == 1);
+        assert_eq!(partly.load(&missing.keys()[..1]), 1);
     };
     let mut flood = loop {
         match Flood::everywhere(&mut ground, &partly) {
@@ -187,29 +188,11 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     assert_eq!(waits, 4, "four pages, one at a time");
 }
 
-/// Pages of a store, one by one.
-struct Source(Store);
-
-impl slicewalk::store::PageSource for Source {
-    fn frame(&self) -> &Frame {
-        self.0.frame()
-    }
-
-    fn infos(&self) -> slicewalk::Result<Vec<slicewalk::store::PageInfo>> {
-        let columns = (0..self.0.column_count()).map(|number| self.0.column_at(number));
-        Ok(columns
-            .flat_map(|(tx, ty, slots)| {
-                slots.iter().map(move |slot| slicewalk::store::PageInfo {
-                    key: key(tx, ty, slot.layer()),
-                    slices: slot.slices(),
-                    weight_bytes: slot.page().unwrap().weight_bytes(),
-                })
-            })
-            .collect())
-    }
-
-    fn load(&self, key: slicewalk::frame::PageKey) -> slicewalk::Result<slicewalk::slice::Page> {
-        let slot = self.0.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
-        Ok(slot.unwrap().page().unwrap().clone())
-    }
+/// All pages of a store, none of them in memory.
+fn nothing_of(store: &Store) -> Part {
+    let columns = (0..store.column_count()).map(|number| store.column_at(number));
+    let pages = columns.flat_map(|(tx, ty, slots)| {
+        slots.iter().map(move |slot| (key(tx, ty, slot.layer()), slot.page().unwrap().clone()))
+    });
+    Part::new(*store.frame(), pages)
 }

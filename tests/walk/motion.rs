@@ -205,20 +205,21 @@ fn what_is_not_in_memory_is_waited_for_and_changes_nothing() {
     let truth = walk(&whole, config(BOX), way.start, &way.waypoints, 60.0, 30.0);
     assert!(truth.arrived());
     let archive = Archive::open(dir.path().join("scene.slices")).unwrap();
-    let mut store = Store::with_budget(Box::new(archive), usize::MAX).unwrap();
+    let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(64 << 20) };
+    let stream = Stream::open(archive, options).unwrap();
     let mut walker = Walker::new(config(BOX), way.start.into()).unwrap();
     let mut way = route(&way.waypoints.clone());
     let (mut waits, mut frame) = (0, 0);
     while walker.state() != State::Arrived {
-        let mut report = walker.follow(&store, 1.0 / 60.0, &mut way);
+        let mut report = walker.follow(&stream.view(), 1.0 / 60.0, &mut way);
         while let Some(missing) = report.missing {
             // It stands still for as long as nobody loads anything.
             let (feet, state) = (walker.feet(), walker.state());
-            let again = walker.follow(&store, report.unspent, &mut way);
+            let again = walker.follow(&stream.view(), report.unspent, &mut way);
             assert!(again.waits() && again.missing_count() > 0 && again.ticks == 0 && again.moved == Vector3::zeros());
             assert_eq!((walker.feet(), walker.state()), (feet, state));
-            store.load_missing(missing.keys(), missing.keys()[0]).unwrap();
-            report = walker.follow(&store, report.unspent, &mut way);
+            stream.load_missing(&missing).unwrap();
+            report = walker.follow(&stream.view(), report.unspent, &mut way);
             waits += 1;
         }
         assert_eq!(walker.feet(), truth.path[frame], "frame {frame}");

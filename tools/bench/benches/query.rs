@@ -87,7 +87,7 @@ fn main() {
         let occupied = voxels.occupied();
         drop(voxels);
         let peer = Peer::new(&frame, &occupied);
-        let (known, _) = store.page_counts();
+        let known = store.page_count();
         println!(
             "t = {t} m: {} voxels in {known} pages, {:.2} B per voxel, table {} B",
             occupied.len(),

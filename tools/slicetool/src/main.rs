@@ -129,6 +129,15 @@ pub fn output(path: &Path, archive: &Archive, also: &[&Path]) -> Result<Output, 
     Ok(Output::create(path, Kind::Result, protected)?)
 }
 
+/// A failure to hold all that `what` needs at once in a cache of `cache` bytes.
+pub fn cache_too_small(what: &str, cache: u64, needed: usize) -> Failure {
+    let needed = needed.div_ceil(1 << 10);
+    Failure::Text(format!(
+        "{what} needs {needed} KiB at once (the cache has {} KiB); give --cache {needed}KiB or more",
+        cache >> 10
+    ))
+}
+
 /// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.
 fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "slicetool: {line}");

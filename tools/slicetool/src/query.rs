@@ -1,11 +1,12 @@
-//! `slicetool query`: boxes or rays from a CSV file, answers as CSV.
+//! `slicetool query`: boxes or rays from a CSV file, answers as CSV, line by line.
 
-use crate::{Failure, Outcome};
-use slicewalk::frame::PageKey;
+use crate::{Failure, Outcome, cache_too_small};
 use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
-use slicewalk::store::Missing;
-use slicewalk::store::Store;
-use std::fmt::Write;
+use slicewalk::size::parse_size;
+use slicewalk::store::{Prefetch, Stream, StreamOptions, View};
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
 const BOX_COLUMNS: [&str; 6] = ["xmin", "ymin", "zmin", "xmax", "ymax", "zmax"];
@@ -22,130 +23,199 @@ pub struct Arguments {
     /// Rays: columns x,y,z,dx,dy,dz,max; adds hit,distance,nx,ny,nz
     #[arg(long, value_name = "R.csv", group = "what")]
     rays: Option<PathBuf>,
-    /// Memory for pages in MiB
-    #[arg(long, value_name = "MIB", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(1..))]
-    cache: u32,
+    /// Memory for pages
+    #[arg(long, default_value = "1GiB", value_name = "SIZE", value_parser = parse_size)]
+    cache: u64,
 }
 
-/// Answers every row; the whole result appears, or none.
+/// Longest line of a table (bytes).
+const LONGEST_LINE: u64 = 1 << 20;
+
+/// Answers row by row; rows before a faulty one are answered.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
-    let mut store = Store::with_budget(Box::new(archive), (arguments.cache as usize) << 20)
-        .map_err(|error| crate::broken(&arguments.archive, &error))?;
+    let cache = usize::try_from(arguments.cache).unwrap_or(usize::MAX);
+    let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(cache) };
+    let stream = Stream::open(archive, options).map_err(|error| crate::broken(&arguments.archive, &error))?;
     match (&arguments.boxes, &arguments.rays) {
-        (Some(path), _) => answer(path, BOX_COLUMNS, ["hit", "obstacle", "floor_z"], |values| {
+        (Some(path), _) => answer(path, BOX_COLUMNS, "hit,obstacle,floor_z", |values, text| {
             let [x0, y0, z0, x1, y1, z1] = values;
             let shape = Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into())?;
-            let found = complete(&mut store, &arguments.archive, |store| probe(store, &shape))?;
-            let floor = found.floor_z.map_or(String::new(), |z| z.to_string());
-            Ok([u8::from(found.hit).to_string(), u8::from(found.obstacle).to_string(), floor])
+            let found = complete(&stream, arguments, |view| probe(view, &shape))?;
+            write!(text, "{},{},", u8::from(found.hit), u8::from(found.obstacle))?;
+            found.floor_z.map_or(Ok(()), |z| write!(text, "{z}"))?;
+            Ok(())
         }),
-        (None, Some(path)) => answer(path, RAY_COLUMNS, ["hit", "distance", "nx", "ny", "nz"], |values| {
+        (None, Some(path)) => answer(path, RAY_COLUMNS, "hit,distance,nx,ny,nz", |values, text| {
             let [x, y, z, dx, dy, dz, max] = values;
             let ray = Ray::new([x, y, z].into(), [dx, dy, dz].into(), max)?;
-            Ok(match complete(&mut store, &arguments.archive, |store| cast(store, &ray))? {
+            match complete(&stream, arguments, |view| cast(view, &ray))? {
                 Some(hit) => {
                     let normal = hit.normal;
-                    ["1".into(), hit.distance.to_string()]
-                        .into_iter()
-                        .chain([normal.x, normal.y, normal.z].map(|value| value.to_string()))
-                        .collect::<Vec<_>>()
-                        .try_into()
-                        .unwrap_or_default()
+                    write!(text, "1,{},{},{},{}", hit.distance, normal.x, normal.y, normal.z)?;
                 }
-                None => ["0".into(), String::new(), String::new(), String::new(), String::new()],
-            })
+                None => text.push_str("0,,,,"),
+            }
+            Ok(())
         }),
         (None, None) => Err(Failure::Text("give --boxes or --rays".into())),
     }
 }
 
-/// Repeats `ask` until nothing is missing, loading what is.
-fn complete<T>(store: &mut Store, archive: &Path, ask: impl Fn(&Store) -> Answer<T>) -> Result<T, Failure> {
+/// Repeats `ask` until nothing is missing, loading what is. All that one question needs stays until it is answered.
+fn complete<T>(stream: &Stream, arguments: &Arguments, ask: impl Fn(&View) -> Answer<T>) -> Result<T, Failure> {
+    let mut needed = Vec::new();
     loop {
-        let missing: Missing = match ask(store) {
+        match ask(&stream.view()) {
             Answer::Known(answer) => return Ok(answer),
-            Answer::NotLoaded(missing) => missing,
-        };
-        let keys = missing.keys();
-        let around = keys.first().copied().unwrap_or(PageKey { tx: 0, ty: 0, layer: 0 });
-        if store.load_missing(keys, around).map_err(|error| crate::broken(archive, &error))?.loaded == 0 {
-            return Err(Failure::Text(
-                "one query needs more pages at once than fit in memory; give more --cache".into(),
-            ));
+            Answer::NotLoaded(missing) => needed.extend_from_slice(missing.keys()),
+        }
+        let report = stream.load(&needed, needed[0]).map_err(|error| crate::broken(&arguments.archive, &error))?;
+        if report.left_out > 0 {
+            return Err(cache_too_small("this question", arguments.cache, report.needed_bytes));
         }
     }
 }
 
 /// Reads rows of the named columns (in any order, among others; without a header, exactly these in this order) and writes
-/// each line as it stands with the answers behind. Empty lines and lines that begin with `#` are passed over.
-fn answer<const IN: usize, const OUT: usize>(
+/// each line as it stands with the answers behind. Empty lines and lines that begin with `#` are passed over. Answers
+/// leave whenever the input pauses.
+fn answer<const IN: usize>(
     path: &Path,
     columns: [&str; IN],
-    answers: [&str; OUT],
-    mut ask: impl FnMut([f64; IN]) -> Result<[String; OUT], Failure>,
+    answers: &str,
+    mut ask: impl FnMut([f64; IN], &mut String) -> Result<(), Failure>,
 ) -> Outcome {
     let failed = |line: usize, reason: String| Failure::Text(format!("{}: line {line}: {reason}", path.display()));
+    let unreadable = |error| Failure::Text(format!("{}: cannot read: {error}", path.display()));
     let expected = columns.join(",");
-    let bytes = std::fs::read(path).map_err(|e| Failure::Text(format!("{}: cannot read: {e}", path.display())))?;
-    let input = String::from_utf8(bytes).map_err(|e| {
-        let line = 1 + e.as_bytes()[..e.utf8_error().valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
-        failed(line, "no UTF-8 text; save the table as UTF-8 (or plain ASCII) CSV".into())
-    })?;
-    // Spreadsheets begin UTF-8 files with a mark that is no part of the first name.
-    let input = input.strip_prefix('\u{feff}').unwrap_or(&input);
+    let mut input = BufReader::new(File::open(path).map_err(unreadable)?);
+    let mut output = BufWriter::new(std::io::stdout().lock());
     let mut places: [usize; IN] = std::array::from_fn(|at| at);
-    let mut fields_expected = None;
-    let mut text = String::new();
-    for (number, line) in (1..).zip(input.lines()) {
+    let (mut fields_expected, mut fields) = (None, Fields::default());
+    let (mut bytes, mut text) = (Vec::new(), String::new());
+    for number in 1.. {
+        text.clear();
+        bytes.clear();
+        if input.buffer().is_empty() && !go_on(output.flush())? {
+            return Ok(String::new());
+        }
+        let read = input.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut bytes).map_err(unreadable)?;
+        if read == 0 {
+            break;
+        }
+        if read as u64 == LONGEST_LINE {
+            return Err(failed(number, format!("it is longer than {LONGEST_LINE} bytes; is this a table?")));
+        }
+        let line = std::str::from_utf8(&bytes)
+            .map_err(|_| failed(number, "no UTF-8 text; save the table as UTF-8 (or plain ASCII) CSV".into()))?;
+        let line = line.strip_suffix('\n').unwrap_or(line);
+        let line = line.strip_suffix('\r').unwrap_or(line);
+        // Spreadsheets begin UTF-8 files with a mark that is no part of the first name.
+        let line = if number == 1 { line.strip_prefix('\u{feff}').unwrap_or(line) } else { line };
         if line.trim().is_empty() || line.starts_with('#') {
             continue;
         }
-        let row = fields(line).ok_or_else(|| failed(number, "a quoted field does not end on its line".into()))?;
-        let is_number = |field: &str| field.parse::<f64>().is_ok();
+        let row = fields.of(line).ok_or_else(|| failed(number, "a quoted field does not end on its line".into()))?;
         if fields_expected.is_none() {
             fields_expected = Some(row.len());
-            if row.iter().any(|field| field == columns[0]) || !row.iter().any(is_number) {
+            let is_number = |at| row.get(at).parse::<f64>().is_ok();
+            if row.find(columns[0]).is_some() || !(0..row.len()).any(is_number) {
                 for (place, column) in places.iter_mut().zip(columns) {
-                    *place = row.iter().position(|field| field == column).ok_or_else(|| {
+                    *place = row.find(column).ok_or_else(|| {
                         failed(number, format!("no column {column}; expected the columns {expected}"))
                     })?;
                 }
-                writeln!(text, "{line},{}", answers.join(","))?;
+                if !go_on(writeln!(output, "{line},{answers}"))? {
+                    return Ok(String::new());
+                }
                 continue;
             }
             if row.len() != IN {
                 let found = row.len();
                 return Err(failed(number, format!("{found} fields and no header; expected the columns {expected}")));
             }
-            writeln!(text, "{expected},{}", answers.join(","))?;
+            if !go_on(writeln!(output, "{expected},{answers}"))? {
+                return Ok(String::new());
+            }
         }
         if let Some(expected) = fields_expected.filter(|&expected| expected != row.len()) {
             return Err(failed(number, format!("{} fields; the first line has {expected}", row.len())));
         }
         let mut values = [0.0; IN];
         for (value, (&place, column)) in values.iter_mut().zip(places.iter().zip(columns)) {
-            let field = row.get(place).unwrap_or_default();
+            let field = row.get(place);
             *value = field.parse().map_err(|_| failed(number, format!("{column} is {field:?}; expected a number")))?;
         }
-        let answers = ask(values).map_err(|failure| match failure {
+        ask(values, &mut text).map_err(|failure| match failure {
             Failure::Text(reason) => failed(number, reason),
             result => result,
         })?;
-        writeln!(text, "{line},{}", answers.join(","))?;
+        if !go_on(writeln!(output, "{line},{text}"))? {
+            return Ok(String::new());
+        }
     }
     match fields_expected {
-        Some(_) => Ok(text),
+        Some(_) => Ok(String::new()),
         None => Err(Failure::Text(format!("{}: it is empty; expected the columns {expected}", path.display()))),
     }
 }
 
-/// The fields of one line without blanks around them; `None` if a quoted one goes on beyond it.
-fn fields(line: &str) -> Option<csv::StringRecord> {
-    if line.bytes().filter(|&byte| byte == b'"').count() % 2 == 1 {
-        return None;
+/// Whether somebody still reads the answers: a closed pipe (`slicetool query … | head`) is the reader's choice.
+fn go_on(written: std::io::Result<()>) -> Result<bool, Failure> {
+    match written {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        Err(error) => Err(Failure::Text(format!("cannot write to standard output: {error}"))),
     }
-    let mut reader = csv::ReaderBuilder::new().has_headers(false).trim(csv::Trim::All).from_reader(line.as_bytes());
-    let mut row = csv::StringRecord::new();
-    reader.read_record(&mut row).ok()?.then_some(row)
+}
+
+/// Splits lines into fields without blanks around them. One reader for all lines: making one takes longer than a query.
+#[derive(Default)]
+struct Fields {
+    reader: csv_core::Reader,
+    text: Vec<u8>,
+    ends: Vec<usize>,
+}
+
+impl Fields {
+    /// The fields of a line; `None` if a quoted one goes on beyond it.
+    fn of(&mut self, line: &str) -> Option<Row<'_>> {
+        self.reader.reset();
+        self.text.resize(line.len() + 1, 0);
+        self.ends.resize(line.len() + 2, 0);
+        let (result, read, text, count) = self.reader.read_record(line.as_bytes(), &mut self.text, &mut self.ends);
+        // Behind the line comes its end, which a quoted field swallows.
+        let ended = match result {
+            csv_core::ReadRecordResult::InputEmpty if read == line.len() => {
+                self.reader.read_record(b"\n", &mut self.text[text..], &mut self.ends[count..])
+            }
+            _ => return None,
+        };
+        let (csv_core::ReadRecordResult::Record, _, more, ends) = ended else { return None };
+        Some(Row { text: std::str::from_utf8(&self.text[..text + more]).ok()?, ends: &self.ends[..count + ends] })
+    }
+}
+
+/// The fields of one line.
+struct Row<'a> {
+    text: &'a str,
+    ends: &'a [usize],
+}
+
+impl Row<'_> {
+    fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// Empty if there is no such field.
+    fn get(&self, at: usize) -> &str {
+        let start = if at == 0 { Some(&0) } else { self.ends.get(at - 1) };
+        let field = start.zip(self.ends.get(at)).and_then(|(start, end)| self.text.get(*start..*end));
+        field.unwrap_or_default().trim()
+    }
+
+    fn find(&self, name: &str) -> Option<usize> {
+        (0..self.len()).find(|&at| self.get(at) == name)
+    }
 }

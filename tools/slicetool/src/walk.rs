@@ -1,6 +1,6 @@
 //! `slicetool walk`: a pawn follows waypoints; its path as CSV, what it cost as JSON.
 
-use crate::{Failure, Outcome};
+use crate::{Failure, Outcome, cache_too_small};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
 use slicewalk::size::parse_size;
@@ -139,7 +139,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         hits += stream.view().count_loaded(&walker.outlook(stream.archive().frame()));
         let before = walker.feet();
         let started = Instant::now();
-        let missing = step(&stream, &mut walker, &mut route, frame_s)?;
+        let missing = step(&stream, &mut walker, &mut route, frame_s, arguments.cache)?;
         let frame_us = started.elapsed().as_secs_f64() * 1e6;
         late += missing;
         times.push(frame_us);
@@ -216,16 +216,21 @@ fn prepare(stream: &Stream, outlook: &Motion, frame: u64, frame_s: f64) -> Resul
     Ok(())
 }
 
-/// One frame; how many pages it needed that were not there. These are loaded on the spot.
-fn step(stream: &Stream, walker: &mut Walker, route: &mut Route, frame_s: f64) -> Result<usize, Failure> {
-    let (mut dt, mut late) = (frame_s, 0);
+/// One frame; how many pages it needed that were not there. These are loaded on the spot, and stay until they were used.
+fn step(stream: &Stream, walker: &mut Walker, route: &mut Route, frame_s: f64, cache: u64) -> Result<usize, Failure> {
+    let (mut dt, mut late, mut needed) = (frame_s, 0, Vec::new());
     loop {
         let report = walker.follow(&stream.view(), dt, route);
-        let Some(needed) = report.missing else { return Ok(late) };
-        late += needed.count();
-        if stream.load_missing(&needed)?.loaded == 0 {
-            // No room for what it needs: it waits in place, and time passes.
-            return Ok(late);
+        let Some(missing) = report.missing else { return Ok(late) };
+        if report.ticks > 0 {
+            needed.clear();
+        }
+        late += missing.count();
+        needed.extend_from_slice(missing.keys());
+        let loaded = stream.load(&needed, needed[0])?;
+        if loaded.left_out > 0 {
+            let around = stream.load_around(&walker.outlook(stream.archive().frame()))?;
+            return Err(cache_too_small("one step", cache, loaded.needed_bytes.max(around.needed_bytes)));
         }
         dt = report.unspent;
     }

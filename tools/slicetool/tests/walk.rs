@@ -140,9 +140,22 @@ fn without_prefetch_there_are_misses_and_the_path_is_the_same() {
     for (a, b) in on.iter().zip(&off) {
         assert_eq!((a.feet, &a.state), (b.feet, &b.state));
     }
-    // Nothing fits: it waits where it is, and never walks on air.
-    let none = walk("on", "1KiB");
-    assert!(none.iter().all(|row| row.missing > 0 && row.feet == [-3.5, 0.0, 0.0]));
+    // A cache too small for the table of pages, or for one step: an error that says how much is enough.
+    let refused = |cache: &str| {
+        let out = dir.path().join("none.csv");
+        let mut arguments = vec!["walk", archive.to_str().unwrap(), "--start", "-3.5,0,0", "--prefetch", "off"];
+        arguments.extend(["--waypoints", file.to_str().unwrap(), "--cache", cache, "-o", out.to_str().unwrap()]);
+        let done = slicetool(&arguments);
+        assert!(done.status.code() == Some(1) && !out.exists(), "{cache}");
+        String::from_utf8(done.stderr).unwrap()
+    };
+    assert!(refused("1KiB").contains("1024 bytes are too few: the table of"), "{}", refused("1KiB"));
+    let said = refused("60KiB");
+    let enough = said.split("give --cache ").nth(1).and_then(|rest| rest.split("KiB").next()).expect(&said);
+    let enough: usize = enough.parse().unwrap();
+    assert!(said.contains("one step needs") && (60..4096).contains(&enough), "{said}");
+    // Steps elsewhere need a little more.
+    assert_eq!(walk("off", &format!("{}KiB", 2 * enough)).last().unwrap().state, "arrived");
 }
 
 #[test]

@@ -64,7 +64,7 @@ fn one(found: &mut Found, work: &Path, town: Town) -> Result<Vec<String>> {
     }
     let mut row = vec![
         number(voxels as f64 / 1e6, 2),
-        store.page_counts().0.to_string(),
+        store.page_count().to_string(),
         number((store.weight_bytes() + store.table_bytes()) as f64 / 1e6, 1),
     ];
     let walk = town.walking_pawns(&store, ASKED, 12);

@@ -1,0 +1,479 @@
+//! The pages in memory: which to read next, which have to go for it, and the change of the snapshot.
+//!
+//! A run of pages is claimed with the room that it will take, and settled when it is there. Room is taken before a read,
+//! so that the budget holds at every moment: the table of pages, pages in memory, pages that views still hold, bytes
+//! on their way, and what decoding takes besides.
+
+use super::account::{Account, Room};
+use super::fetch::{PageError, Time};
+use super::motion::{Motion, distance};
+use super::publish::{Current, Retired};
+use super::snapshot::{Held, Index, Snapshot, View};
+use super::start::pause_after;
+use super::tally::Counters;
+use crate::archive::{PageDecoder, Place};
+use crate::frame::PageKey;
+use crate::slice::Page;
+use crate::{Error, Result};
+use std::collections::{HashMap, HashSet};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Bytes read in vain that a run of pages may hold between two that are wanted.
+const GAP: u64 = 16 << 10;
+/// Pages looked at in each direction for a run.
+const NEIGHBOURS: u32 = 64;
+
+#[derive(Debug)]
+struct Resident {
+    held: Arc<Held>,
+    /// Pages whose slots hold it: more than one if they share its content.
+    pages: Vec<u32>,
+    /// Whether a body came to touch it.
+    touched: bool,
+}
+
+#[derive(Debug)]
+struct Failure {
+    tries: u32,
+    again: Time,
+    /// Damaged bytes stay damaged.
+    lasting: bool,
+}
+
+/// Pages asked for, most urgent first, with the time until they are needed (s).
+#[derive(Debug, Default)]
+pub(super) struct Order {
+    pub pages: Vec<(f32, u32)>,
+    times: HashMap<u32, f32>,
+    /// How many of `pages` are done with, and when those of them that failed may be tried again.
+    done: usize,
+    pub again: Option<Time>,
+    /// Asked for by a caller that waits, not by a hint.
+    explicit: bool,
+    focus: Vec<PageKey>,
+}
+
+impl Order {
+    /// What hints want: in order of time, then of keys.
+    pub fn hinted(times: HashMap<u32, f32>, focus: Vec<PageKey>) -> Self {
+        let mut pages: Vec<_> = times.iter().map(|(&page, &time)| (time, page)).collect();
+        pages.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        Self { pages, times, done: 0, again: None, explicit: false, focus }
+    }
+
+    /// What a caller waits for: nearest to `around` first.
+    pub fn explicit(index: &Index, keys: &[PageKey], around: PageKey) -> Self {
+        let times: HashMap<u32, f32> = keys.iter().filter_map(|key| Some((index.find(*key)?, 0.0))).collect();
+        let mut pages: Vec<_> = times.iter().map(|(&page, &time)| (time, page)).collect();
+        pages.sort_unstable_by_key(|&(_, page)| (distance(index.key(page), &[around]), page));
+        Self { pages, times, done: 0, again: None, explicit: true, focus: vec![around] }
+    }
+
+    /// Looks at all pages again.
+    pub fn restart(&mut self) {
+        (self.done, self.again) = (0, None);
+    }
+
+    pub fn wants(&self, page: u32) -> bool {
+        self.times.contains_key(&page)
+    }
+}
+
+/// A run of pages to read at once.
+#[derive(Debug)]
+pub(super) struct Run {
+    pub bytes: Range<u64>,
+    /// Contents to decode, and the pages that show them.
+    pub contents: Vec<(u32, u32)>,
+    pub needed_in: f32,
+    room: Room,
+}
+
+/// What to do next about an order.
+#[derive(Debug)]
+pub(super) enum Claim {
+    Run(Run),
+    /// All that could be done is done; pages that failed may be tried again later.
+    Done,
+    /// The rest is on its way.
+    Busy,
+    /// The rest finds no room; `true`: until views are dropped.
+    NoRoom(bool),
+}
+
+/// The newest snapshot, for any number of readers on any threads: they never wait.
+#[derive(Clone)]
+pub struct Views {
+    pub(super) index: Arc<Index>,
+    pub(super) current: Arc<Current<Snapshot>>,
+}
+
+impl Views {
+    /// The pages in memory now. Lock-free, allocates nothing.
+    #[inline]
+    pub fn view(&self) -> View {
+        View { index: self.index.clone(), snapshot: self.current.get() }
+    }
+
+    /// Pages that a body touches before it moves; none for a motion that is not valid.
+    pub fn keys_around(&self, motion: &Motion) -> Vec<PageKey> {
+        let mut times = HashMap::new();
+        if motion.is_valid() {
+            motion.wants(&self.index, 0.0, &mut times);
+        }
+        let mut keys: Vec<_> = times.keys().map(|&page| self.index.key(page)).collect();
+        keys.sort_unstable();
+        keys
+    }
+}
+
+impl std::fmt::Debug for Views {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Views").field("pages", &self.index.len()).finish_non_exhaustive()
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Cache {
+    pub views: Views,
+    account: Arc<Account>,
+    _table: Room,
+    snapshot: Arc<Snapshot>,
+    retired: Retired<Snapshot>,
+    resident: HashMap<u32, Resident>,
+    /// Weight of the resident pages, and room of all that is not theirs: the table and runs on their way.
+    weight: usize,
+    reserved: usize,
+    in_flight: HashSet<u32>,
+    failed: HashMap<u32, Failure>,
+    /// Contents of a run that could not be read: to be read one by one, as it may be the fault of a single one.
+    alone: HashSet<u32>,
+    /// What the hints want, and where the bodies are, as of the last plan.
+    times: HashMap<u32, f32>,
+    focus: Vec<PageKey>,
+    /// What may go, first to go last, and by when it is needed; of the last plan.
+    victims: Option<Vec<(f32, u32)>>,
+    longest_run: u64,
+}
+
+impl Cache {
+    pub fn new(index: Index, table: Room, account: Arc<Account>, run_bytes: usize) -> Self {
+        let snapshot = Arc::new(Snapshot::empty(&index));
+        let longest_run = run_bytes.min(account.budget() / 8) as u64;
+        let views = Views { index: Arc::new(index), current: Arc::new(Current::new(snapshot.clone())) };
+        Self {
+            views,
+            account,
+            reserved: table.bytes(),
+            _table: table,
+            snapshot,
+            retired: Retired::default(),
+            resident: HashMap::new(),
+            weight: 0,
+            in_flight: HashSet::new(),
+            failed: HashMap::new(),
+            alone: HashSet::new(),
+            times: HashMap::new(),
+            focus: Vec::new(),
+            victims: None,
+            longest_run,
+        }
+    }
+
+    pub fn index(&self) -> &Arc<Index> {
+        &self.views.index
+    }
+
+    /// Takes over what the hints want now.
+    pub fn replan(&mut self, order: &Order, counters: &mut Counters) {
+        for (&page, &time) in &order.times {
+            match self.resident.get_mut(&self.views.index.content(page)) {
+                Some(resident) => resident.touched |= time <= 0.0,
+                None => counters.requested += u64::from(!self.times.contains_key(&page)),
+            }
+        }
+        self.times.clone_from(&order.times);
+        self.focus.clone_from(&order.focus);
+        self.victims = None;
+    }
+
+    /// Claims the most urgent pages of `order` that are not in memory.
+    pub fn claim(&mut self, order: &mut Order, now: Time, counters: &mut Counters) -> Claim {
+        let (mut attached, mut busy, mut cursor) = (Vec::new(), false, order.done);
+        let mut claim = Claim::Done;
+        while let Some(&(time, page)) = order.pages.get(cursor) {
+            cursor += 1;
+            let content = self.views.index.content(page);
+            if let Some(resident) = self.resident.get_mut(&content) {
+                if !resident.pages.contains(&page) {
+                    resident.pages.push(page);
+                    attached.push((page, Some(resident.held.clone())));
+                }
+            } else if self.in_flight.contains(&content) {
+                busy = true;
+            } else if order.explicit || self.may_try(content, now) {
+                match self.claim_run(order, time, page, now, counters) {
+                    // A uniform page: it is there already.
+                    Claim::Done => continue,
+                    other => claim = other,
+                }
+                break;
+            } else if let Some(failure) = self.failed.get(&content).filter(|failure| !failure.lasting) {
+                order.again = Some(order.again.map_or(failure.again, |least| least.min(failure.again)));
+            }
+            if !busy {
+                order.done = cursor;
+            }
+        }
+        if !attached.is_empty() {
+            self.publish(attached);
+        }
+        match claim {
+            Claim::Done if busy => Claim::Busy,
+            claim => claim,
+        }
+    }
+
+    /// Claims `page`, and what lies around it; [`Claim::Done`] if it needed no bytes.
+    fn claim_run(&mut self, order: &Order, time: f32, page: u32, now: Time, counters: &mut Counters) -> Claim {
+        let content = self.views.index.content(page);
+        let (mut bytes, mut contents) = self.run_around(order, content, now);
+        contents[0].1 = page;
+        let mut room = self.make_room(order, time, self.need(&bytes, &contents), counters);
+        if room.is_none() && contents.len() > 1 {
+            contents.truncate(1);
+            bytes = self.extent(content);
+            room = self.make_room(order, time, self.need(&bytes, &contents), counters);
+        }
+        let Some(room) = room else {
+            counters.no_room += 1;
+            return Claim::NoRoom(self.retired.len() > 0);
+        };
+        self.reserved += room.bytes();
+        self.in_flight.extend(contents.iter().map(|(content, _)| *content));
+        if !order.explicit {
+            let late = contents.iter().filter(|(_, page)| order.times.get(page).is_some_and(|time| *time <= 0.0));
+            counters.late += late.count() as u64;
+        }
+        let run = Run { bytes, contents, needed_in: time, room };
+        if run.bytes.is_empty() {
+            let page = PageDecoder::new().decode(self.views.index.entry(content), &[]);
+            // A uniform page is what the directory says of it: it cannot fail.
+            self.settle(run, vec![page], counters);
+            return Claim::Done;
+        }
+        Claim::Run(run)
+    }
+
+    /// Where the bytes of a page lie; of none if it is uniform.
+    fn extent(&self, content: u32) -> Range<u64> {
+        let extent = self.views.index.entry(content).extent();
+        extent.map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
+    }
+
+    /// Room for a run: its bytes, the pages, and the scratch of decoding them one after the other.
+    fn need(&self, bytes: &Range<u64>, contents: &[(u32, u32)]) -> usize {
+        let entries = || contents.iter().map(|&(content, _)| self.views.index.entry(content));
+        let scratch = entries().map(|entry| PageDecoder::scratch_bytes(entry.size)).max().unwrap_or(0);
+        (bytes.end - bytes.start) as usize + scratch + entries().map(|entry| entry.weight_bytes()).sum::<usize>()
+    }
+
+    /// Bytes of a budget in which all pages of `order` have room at once.
+    pub fn needed_bytes(&self, order: &Order) -> usize {
+        let contents: HashSet<u32> = order.pages.iter().map(|&(_, page)| self.views.index.content(page)).collect();
+        let weight = |content: &u32| self.views.index.entry(*content).weight_bytes();
+        let pages: usize = contents.iter().map(weight).sum();
+        let read = |content: &u32| self.need(&self.extent(*content), &[(*content, *content)]) - weight(content);
+        self._table.bytes() + pages + contents.iter().map(read).max().unwrap_or(0)
+    }
+
+    /// The stretch of bytes around `content` with the neighbours that are wanted too, and these.
+    fn run_around(&self, order: &Order, content: u32, now: Time) -> (Range<u64>, Vec<(u32, u32)>) {
+        let index = &self.views.index;
+        let (mut contents, mut bytes) = (vec![(content, content)], self.extent(content));
+        if bytes.is_empty() || self.alone.contains(&content) {
+            return (bytes, contents);
+        }
+        let mut extend = |page: u32| {
+            let Place::Stored(extent) = index.entry(page).place else { return true };
+            let (start, end) = (extent.offset, extent.offset + u64::from(extent.len));
+            let gap = start.saturating_sub(bytes.end).max(bytes.start.saturating_sub(end));
+            let whole = bytes.start.min(start)..bytes.end.max(end);
+            if gap > GAP || whole.end - whole.start > self.longest_run {
+                return false;
+            }
+            let absent = !self.resident.contains_key(&page) && !self.in_flight.contains(&page);
+            if absent && order.wants(page) && !self.alone.contains(&page) && self.may_try(page, now) {
+                bytes = whole;
+                contents.push((page, page));
+            }
+            true
+        };
+        let end = (content + 1).saturating_add(NEIGHBOURS).min(index.len() as u32);
+        let _ = (content + 1..end).all(&mut extend);
+        let _ = (content.saturating_sub(NEIGHBOURS)..content).rev().all(&mut extend);
+        (bytes, contents)
+    }
+
+    /// Takes room for `bytes`, evicting pages that no body wants, farthest first, and then pages that are needed later
+    /// than `time`, latest first.
+    fn make_room(&mut self, order: &Order, time: f32, bytes: usize, counters: &mut Counters) -> Option<Room> {
+        self.retired.reclaim();
+        if let Some(room) = self.account.take(bytes) {
+            return Some(room);
+        }
+        let (used, budget) = (self.account.used(), self.account.budget());
+        // What views alone still hold becomes free without any further eviction.
+        let held_by_views = used.saturating_sub(self.weight + self.reserved);
+        let need = (used - held_by_views).saturating_add(bytes).saturating_sub(budget);
+        let mut victims = match self.victims.take() {
+            Some(victims) if !order.explicit => victims,
+            _ => self.victims(order),
+        };
+        let (mut gain, mut count) = (0, 0);
+        for &(needed, content) in victims.iter().rev() {
+            // A little more than is needed now, so that the next run need not wait for views to be dropped.
+            let enough = if needed.is_infinite() { need + budget / 16 } else { need };
+            if gain >= enough || needed <= time {
+                break;
+            }
+            count += 1;
+            gain += self.resident.get(&content).map_or(0, |resident| resident.held.room.bytes());
+        }
+        let room = (gain >= need).then(|| {
+            let gone = victims.split_off(victims.len() - count);
+            self.evict(gone.into_iter().map(|(_, content)| content), counters);
+            self.account.take(bytes)
+        });
+        if !order.explicit {
+            self.victims = Some(victims);
+        }
+        room.flatten()
+    }
+
+    /// All pages in memory that are not needed now, first to go last.
+    fn victims(&self, order: &Order) -> Vec<(f32, u32)> {
+        let mut focus = self.focus.clone();
+        focus.extend(order.focus.iter().filter(|_| order.explicit));
+        let rank = |(&content, resident): (&u32, &Resident)| {
+            let time = |page: &u32| {
+                let hinted = self.times.get(page).copied().unwrap_or(f32::INFINITY);
+                hinted.min(order.times.get(page).copied().unwrap_or(f32::INFINITY))
+            };
+            let time = resident.pages.iter().map(time).fold(f32::INFINITY, f32::min);
+            let apart = resident.pages.iter().map(|page| distance(self.views.index.key(*page), &focus)).min();
+            (time, apart, content)
+        };
+        let mut ranked: Vec<_> = self.resident.iter().map(rank).filter(|(time, ..)| *time > 0.0).collect();
+        ranked.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+        ranked.into_iter().map(|(time, _, content)| (time, content)).collect()
+    }
+
+    fn evict(&mut self, contents: impl Iterator<Item = u32>, counters: &mut Counters) {
+        let mut changes = Vec::new();
+        for content in contents {
+            let Some(resident) = self.resident.remove(&content) else { continue };
+            self.weight -= resident.held.room.bytes();
+            counters.evicted += 1;
+            counters.wasted += u64::from(!resident.touched);
+            changes.extend(resident.pages.into_iter().map(|page| (page, None)));
+        }
+        if !changes.is_empty() {
+            self.publish(changes);
+        }
+    }
+
+    fn publish(&mut self, mut changes: Vec<(u32, Option<Arc<Held>>)>) {
+        let next = Arc::new(self.snapshot.with(&self.views.index, &mut changes));
+        self.views.current.publish(&next);
+        self.retired.push(std::mem::replace(&mut self.snapshot, next));
+        self.retired.reclaim();
+    }
+
+    /// Puts the pages of a run into the next snapshot; how many they are, and what became of the others.
+    pub fn settle(
+        &mut self,
+        run: Run,
+        pages: Vec<Result<Page>>,
+        counters: &mut Counters,
+    ) -> (usize, Vec<(u32, PageError)>) {
+        let Run { contents, mut room, .. } = run;
+        self.reserved -= room.bytes();
+        let (mut changes, mut failures) = (Vec::new(), Vec::new());
+        for ((content, page), decoded) in contents.into_iter().zip(pages) {
+            self.in_flight.remove(&content);
+            self.alone.remove(&content);
+            let decoded = match decoded {
+                Ok(decoded) => decoded,
+                Err(error) => {
+                    failures.push((content, PageError { key: self.views.index.key(page), error }));
+                    continue;
+                }
+            };
+            self.failed.remove(&content);
+            // The weight is the directory's: checked by the decoder (rule P11).
+            let room = room.split(decoded.weight_bytes());
+            self.weight += room.bytes();
+            let held = Arc::new(Held { page: decoded, room });
+            let touched = self.times.get(&page).is_some_and(|time| *time <= 0.0);
+            changes.push((page, Some(held.clone())));
+            self.resident.insert(content, Resident { held, pages: vec![page], touched });
+        }
+        drop(room);
+        counters.loaded += changes.len() as u64;
+        let loaded = changes.len();
+        if loaded > 0 {
+            self.publish(changes);
+        }
+        (loaded, failures)
+    }
+
+    /// Gives up a run that was not read, and its room.
+    pub fn release(&mut self, run: Run) {
+        self.reserved -= run.room.bytes();
+        for (content, _) in &run.contents {
+            self.in_flight.remove(content);
+        }
+    }
+
+    /// Gives up a run of several pages that could not be read: they are read one by one.
+    pub fn divide(&mut self, run: Run) {
+        self.alone.extend(run.contents.iter().map(|(content, _)| *content));
+        self.release(run);
+    }
+
+    /// Notes that a page could not be loaded.
+    pub fn note_failure(&mut self, content: u32, error: &Error, now: Time) {
+        let tries = self.failed.get(&content).map_or(0, |failure| failure.tries);
+        let lasting = !matches!(error, Error::Io { .. });
+        self.failed.insert(content, Failure { tries: tries + 1, again: now + pause_after(tries), lasting });
+    }
+
+    fn may_try(&self, content: u32, now: Time) -> bool {
+        self.failed.get(&content).is_none_or(|failure| !failure.lasting && failure.again <= now)
+    }
+
+    /// Whether `order` wants a page that is neither in memory nor on its way, and may be tried now.
+    pub fn is_absent(&self, order: &Order, now: Time) -> bool {
+        let absent = |&(_, page): &(f32, u32)| {
+            let content = self.views.index.content(page);
+            let known = self.resident.contains_key(&content) || self.in_flight.contains(&content);
+            !known && (order.explicit || self.may_try(content, now))
+        };
+        order.pages[order.done..].iter().any(absent)
+    }
+
+    /// How many pages of `order` are not in memory under their own slots.
+    pub fn absent(&self, order: &Order) -> usize {
+        let holds = |page: u32| {
+            self.resident.get(&self.views.index.content(page)).is_some_and(|resident| resident.pages.contains(&page))
+        };
+        order.pages.iter().filter(|(_, page)| !holds(*page)).count()
+    }
+
+    /// Pages in memory, and their bytes, without those that views alone hold.
+    pub fn resident(&self) -> (usize, usize) {
+        (self.resident.len(), self.weight)
+    }
+}

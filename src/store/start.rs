@@ -1,0 +1,247 @@
+//! How a [`Loader`](super::Loader) comes to know an archive: its head and footer, then all leaves of its directory.
+//!
+//! In: fetched bytes. Out: the table of all pages. Memory: reserved in the budget before a leaf is asked for.
+
+use super::account::{Account, Room};
+use super::fetch::{FetchId, Time, Work};
+use super::snapshot::Index;
+use crate::archive::{Catalog, Opened, Opening, PageEntry};
+use crate::{Error, Result};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Most bytes of leaves to fetch at once, unless a single leaf is longer.
+const LONGEST: u64 = 1 << 20;
+/// First pause before what could not be fetched is asked for again; doubled each time, up to 2⁶ times.
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// Pause after `tries` failures.
+pub(super) fn pause_after(tries: u32) -> Duration {
+    PAUSE * (1 << tries.min(6))
+}
+
+/// Bytes that are on their way.
+#[derive(Debug)]
+struct Flight {
+    range: Range<u64>,
+    /// None while head and footer are fetched.
+    leaves: Range<usize>,
+    room: Option<Room>,
+}
+
+#[derive(Debug)]
+pub(super) struct Start {
+    opening: Opening,
+    len_known: bool,
+    catalog: Option<Arc<Catalog>>,
+    /// Room for the table of pages; its size is exact once it is made.
+    table: Option<Room>,
+    /// Leaves not asked for yet, in stretches; those that failed come back.
+    left: Vec<Range<usize>>,
+    entries: BTreeMap<usize, Vec<PageEntry>>,
+    flights: BTreeMap<FetchId, Flight>,
+    tries: u32,
+    again: Option<Time>,
+    /// What the next poll says. Unless it is a failure to read, it is said for ever.
+    error: Option<Error>,
+}
+
+/// What to do next.
+pub(super) enum StartTurn {
+    Fetch(Range<u64>, Range<usize>, Option<Room>),
+    Wait(Option<Time>),
+    /// The table of pages with its room.
+    Ready(Index, Room),
+}
+
+impl Start {
+    pub fn new(file_len: Option<u64>) -> Self {
+        Self {
+            opening: Opening::new(file_len),
+            len_known: file_len.is_some(),
+            catalog: None,
+            table: None,
+            left: Vec::new(),
+            entries: BTreeMap::new(),
+            flights: BTreeMap::new(),
+            tries: 0,
+            again: None,
+            error: None,
+        }
+    }
+
+    /// Begins with an archive that is open already.
+    pub fn with(catalog: Catalog, account: &Arc<Account>) -> Result<Self> {
+        let mut start = Self::new(None);
+        start.plan(catalog, account)?;
+        Ok(start)
+    }
+
+    pub fn catalog(&self) -> Option<&Arc<Catalog>> {
+        self.catalog.as_ref()
+    }
+
+    /// Reserves the table of pages, before anything is read that is sized by their number.
+    fn plan(&mut self, catalog: Catalog, account: &Arc<Account>) -> Result<()> {
+        let pages = catalog.header().pages.total();
+        let least = usize::try_from(pages).unwrap_or(usize::MAX).saturating_mul(Index::LEAST_PAGE_BYTES);
+        self.table = Some(account.take(least).ok_or_else(|| too_small(account, pages, least))?);
+        let (mut first, count) = (0, catalog.leaf_count());
+        let longest = LONGEST.min(account.budget() as u64 / 16);
+        while first < count {
+            let start = catalog.leaf_range(first).start;
+            let more = (first + 1..count).take_while(|&leaf| catalog.leaf_range(leaf).end - start <= longest).count();
+            self.left.push(first..first + 1 + more);
+            first += 1 + more;
+        }
+        self.left.reverse();
+        self.catalog = Some(Arc::new(catalog));
+        Ok(())
+    }
+
+    pub fn poll(&mut self, now: Time, account: &Arc<Account>) -> Result<StartTurn> {
+        if let Some(error) = self.error.take() {
+            if !matches!(error, Error::Io { .. }) {
+                self.error = Some(same_again(&error));
+            }
+            return Err(error);
+        }
+        if let Some(again) = self.again.filter(|again| *again > now) {
+            return Ok(StartTurn::Wait(Some(again)));
+        }
+        let turn = self.advance(account);
+        if let Err(error) = &turn {
+            self.error = Some(same_again(error));
+        }
+        turn
+    }
+
+    fn advance(&mut self, account: &Arc<Account>) -> Result<StartTurn> {
+        let Some(catalog) = self.catalog.clone() else {
+            let wants = match self.opening.next()? {
+                Opened::Ready(catalog) => {
+                    self.plan(*catalog, account)?;
+                    return self.advance(account);
+                }
+                Opened::Wants(wants) => wants,
+            };
+            let on_its_way = |range: &Range<u64>| {
+                self.flights.values().any(|flight| flight.range.start < range.end && range.start < flight.range.end)
+            };
+            let range = wants.into_iter().find(|range| !on_its_way(range));
+            return Ok(range.map_or(StartTurn::Wait(None), |range| StartTurn::Fetch(range, 0..0, None)));
+        };
+        if let Some(leaves) = self.left.pop() {
+            let range = catalog.leaf_range(leaves.start).start..catalog.leaf_range(leaves.end - 1).end;
+            let scratch: usize = leaves.clone().map(|leaf| catalog.leaf_entries(leaf) as usize * LEAF_SCRATCH).sum();
+            let bytes = ((range.end - range.start) as usize).saturating_add(scratch);
+            if let Some(room) = account.take(bytes) {
+                return Ok(StartTurn::Fetch(range, leaves, Some(room)));
+            }
+            if self.flights.is_empty() {
+                return Err(too_small(account, catalog.header().pages.total(), account.used().saturating_add(bytes)));
+            }
+            self.left.push(leaves);
+            return Ok(StartTurn::Wait(None));
+        }
+        if !self.flights.is_empty() {
+            return Ok(StartTurn::Wait(None));
+        }
+        let entries: Vec<PageEntry> = std::mem::take(&mut self.entries).into_values().flatten().collect();
+        let index = Index::new(catalog.header().plan.frame, entries);
+        let (pages, bytes) = (index.len() as u64, index.weight_bytes());
+        self.table = None;
+        let table = account.take(bytes).ok_or_else(|| too_small(account, pages, bytes))?;
+        Ok(StartTurn::Ready(index, table))
+    }
+
+    /// Notes that a fetch which [`poll`](Self::poll) asked for has this name.
+    pub fn launched(&mut self, id: FetchId, range: Range<u64>, leaves: Range<usize>, room: Option<Room>) {
+        self.flights.insert(id, Flight { range, leaves, room });
+    }
+
+    /// Takes the bytes of a fetch; what is to be decoded of them. `None` where it is no fetch of these.
+    pub fn given(&mut self, id: FetchId, bytes: &[u8], now: Time) -> Option<Work> {
+        let flight = self.flights.get(&id)?;
+        let (range, leaves) = (flight.range.clone(), flight.leaves.clone());
+        let short = (bytes.len() as u64) < range.end - range.start;
+        let Some(catalog) = self.catalog.clone().filter(|_| !leaves.is_empty()) else {
+            self.flights.remove(&id);
+            // Only the first answer may be short: it says how long the archive is.
+            if short && (self.len_known || range.start > 0) {
+                self.fail(short_answer(&range, bytes.len()), now);
+            } else {
+                if short {
+                    self.opening.ends_at(bytes.len() as u64);
+                    self.len_known = true;
+                }
+                self.opening.give(range.start, bytes);
+            }
+            return None;
+        };
+        if bytes.len() as u64 != range.end - range.start {
+            self.failed(id, short_answer(&range, bytes.len()), now);
+            return None;
+        }
+        Some(Work::Leaves(catalog, leaves))
+    }
+
+    pub fn failed(&mut self, id: FetchId, error: Error, now: Time) {
+        let Some(flight) = self.flights.remove(&id) else { return };
+        if !flight.leaves.is_empty() {
+            self.left.push(flight.leaves);
+        }
+        self.fail(error, now);
+    }
+
+    fn fail(&mut self, error: Error, now: Time) {
+        self.again = Some(now + pause_after(self.tries));
+        self.tries += 1;
+        self.error = Some(error);
+    }
+
+    /// Takes decoded leaves.
+    pub fn loaded(&mut self, id: FetchId, entries: Result<Vec<PageEntry>>) {
+        let Some(Flight { leaves, room, .. }) = self.flights.remove(&id) else { return };
+        drop(room);
+        match entries {
+            Ok(entries) => {
+                self.entries.insert(leaves.start, entries);
+                (self.tries, self.again) = (0, None);
+            }
+            Err(error) => self.error = Some(error),
+        }
+    }
+}
+
+/// Bytes that decoding takes for each entry of a leaf, at most: before compression, and as columns of numbers.
+const LEAF_SCRATCH: usize = 47 + 8 + size_of::<crate::frame::PageKey>() + 4;
+
+pub(super) fn short_answer(range: &Range<u64>, found: usize) -> Error {
+    let action = format!("read {} bytes at {}, of which {found} came", range.end - range.start, range.start);
+    Error::io("archive", action, std::io::ErrorKind::UnexpectedEof.into())
+}
+
+/// An error that lasts, for whoever polls again: errors cannot be cloned, as `io::Error` cannot.
+fn same_again(error: &Error) -> Error {
+    match error {
+        Error::Format { rule, part, offset, expected, found } => {
+            Error::format(rule, part.clone(), *offset, expected, found)
+        }
+        Error::Unsupported { what, version, way_out } => {
+            Error::Unsupported { what: what.clone(), version, way_out: way_out.clone() }
+        }
+        Error::Parameter { what, reason } => Error::parameter(what.clone(), reason.clone()),
+        other => Error::parameter("archive", other.to_string()),
+    }
+}
+
+fn too_small(account: &Account, pages: u64, least: usize) -> Error {
+    let budget = account.budget();
+    Error::parameter(
+        "cache",
+        format!("{budget} bytes are too few: the table of {pages} pages alone needs {least}; give more memory"),
+    )
+}
