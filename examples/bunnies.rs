@@ -99,7 +99,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 fn read(path: &Path) -> slicewalk::Result<Vec<Triangle>> {
     let options =
-        MeshOptions { units: Units::Factor(1.0), up: Up::Y, memory_bytes: 256 << 20, temp_dir: std::env::temp_dir() };
+        MeshOptions { units: Units::Factor(1.0), up: Up::Y, memory_bytes: 256 << 20, ..MeshOptions::default() };
     let set = MeshSet::open(&[path.to_path_buf()], options, &NoMonitor)?;
     let (mut feed, mut batch, mut all) = (set.feed(), Vec::new(), Vec::new());
     while feed.next(&mut batch, &NoMonitor)? {

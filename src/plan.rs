@@ -49,6 +49,14 @@ pub enum Up {
 }
 
 impl Up {
+    /// A point of the input with z up.
+    pub fn turn(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Z => [x, y, z],
+            Self::Y => [x, -z, y],
+        }
+    }
+
     /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {

@@ -117,16 +117,6 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
 }
 
 #[test]
-fn a_cut_scan_converts_with_a_warning_that_counts_what_is_missing() {
-    let folder = folder();
-    let las = fs::read(folder.path().join("scan.las")).unwrap();
-    fs::write(folder.path().join("cut.las"), &las[..las.len() / 2]).unwrap();
-    let said = converts(folder.path(), &with(&["cut.las"], &[]));
-    assert!(said.contains("warning: cut.las: the header states 3000 points, the file holds 1494 whole ones"), "{said}");
-    verifies(&folder.path().join("a.slices"));
-}
-
-#[test]
 fn bounds_in_the_header_that_are_not_those_of_the_points_give_one_warning() {
     let folder = folder();
     let at = folder.path();

@@ -412,7 +412,7 @@ fn damage_anywhere_is_an_error_of_one_line_or_other_triangles() {
             }
             fs::write(&bad, &bytes).unwrap();
             let (units, temp_dir) = (Units::Factor(1.0), folder.path().to_path_buf());
-            let options = MeshOptions { units, up: Up::Z, memory_bytes: 1 << 20, temp_dir };
+            let options = MeshOptions { units, memory_bytes: 1 << 20, temp_dir, ..MeshOptions::default() };
             let set = MeshSet::open(std::slice::from_ref(&bad), options, &NoMonitor).unwrap();
             let (mut feed, mut batch) = (set.feed(), Vec::new());
             let error = loop {
@@ -438,7 +438,7 @@ fn damage_anywhere_is_an_error_of_one_line_or_other_triangles() {
 fn triangles_without_area_are_left_out_with_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.obj");
-    fs::write(&path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nv inf 0 0\nf 1 2 3\nf 1 2 2\nf 1 2 4\nf 1 2 3\n").unwrap();
+    fs::write(&path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 2 2\nf 1 2 4\nf 1 2 3\n").unwrap();
     let said = converts(folder.path(), &[text(&path), "-o", "a.slices"]);
     assert!(said.contains("2 of 4 triangles left out"), "{said}");
     assert!(said.contains("4 triangles") || said.contains("2 triangles (2 left out)"), "{said}");

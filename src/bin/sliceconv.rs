@@ -88,6 +88,10 @@ struct Arguments {
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
     mesh: Surfaces,
+    /// Convert what can be read of incomplete input (cut or damaged files, files that cannot be read), with warnings, instead
+    /// of refusing it
+    #[arg(long)]
+    allow_incomplete: bool,
     /// Replace an existing slice archive (or plan); nothing else is ever replaced
     #[arg(long)]
     force: bool,
@@ -333,6 +337,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         Surfaces::Exact => MeshMode::Exact,
         Surfaces::Sampled => MeshMode::Sampled { step_m: None },
     };
+    options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
     if let Some(path) = &arguments.write_plan {
         let kind = Kind::Plan(Existing::replaced_if(arguments.force));
@@ -390,6 +395,7 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
     if arguments.json {
         let mut facts = slicewalk::info::header_info(header, &report.crs, &report.units);
         facts["points_not_finite"] = report.points_not_finite.into();
+        facts["complete"] = report.complete.into();
         facts["triangles_read"] = report.triangles.read.into();
         facts["triangles_left_out"] = report.triangles.left_out.into();
         facts["points_made"] = report.points_made.into();

@@ -5,12 +5,14 @@
 
 mod file_id;
 mod positioned;
+mod regular;
 #[cfg(feature = "remote")]
 mod remote;
 pub mod testing;
 
 pub use file_id::FileId;
 pub(crate) use positioned::*;
+pub(crate) use regular::*;
 #[cfg(feature = "remote")]
 pub use remote::{RemoteOptions, RemoteSource};
 
@@ -145,12 +147,8 @@ impl ByteSource for MemorySource {
 }
 
 fn open_file(path: &Path) -> Result<(File, u64)> {
-    let file = File::open(path).map_err(|source| Error::io(path, "open", source))?;
-    let metadata = file.metadata().map_err(|source| Error::io(path, "ask for the length", source))?;
-    if metadata.is_dir() {
-        return Err(Error::io(path, "open", io::ErrorKind::IsADirectory.into()));
-    }
-    Ok((file, metadata.len()))
+    let (file, about) = open_regular(path).map_err(|source| Error::io(path, "open", source))?;
+    Ok((file, about.len()))
 }
 
 fn copy_from(bytes: &[u8], offset: u64, buf: &mut [u8]) -> io::Result<()> {

@@ -9,13 +9,17 @@
 //! needs it. A part reads the files whose stated bounds meet its columns. Bounds may lie; so the owner, which reads its
 //! file whole, fails if a point lies outside of them: no point is lost unnoticed. Meshes are read by every part; their
 //! triangles count in the first, and their bounds in all.
+//!
+//! A file that changes between two parts would be in the whole in two versions. The plan knows files by samples of their
+//! bytes; beyond that each part records a hash of all that it read of files that other parts read too, made while they are
+//! decoded, and the merge compares them.
 
 use super::facts::InputFacts;
 use super::options::{ConvertOptions, PixelSize};
 use super::split::split;
 use crate::archive::{MAX_SHARDS, Shard};
 use crate::input::scenes::{Scene, far_apart};
-use crate::input::{InputSet, ScanFile, Units};
+use crate::input::{ScanFile, Units};
 use crate::mesh::MeshMode;
 use crate::plan::Plan;
 use crate::{Error, Monitor, Parameter, Result};
@@ -44,17 +48,19 @@ impl Job {
         let (plan, spacing) = super::plan(options, &inputs, monitor)?;
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
         far_apart(&scenes).inspect(|text| monitor.warn(text));
-        let job = Self::of(&inputs.scans, plan, options)?;
+        let job = Self::of(InputFacts::of(&inputs.scans, monitor)?, plan, options);
         Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..job })
     }
 
-    pub(super) fn of(set: &InputSet, plan: Plan, options: &ConvertOptions) -> Result<Self> {
-        let scans = set.files().iter().map(InputFacts::of);
-        let inputs = scans.chain(set.meshes().iter().map(|path| InputFacts::of_mesh(path)));
-        let inputs = inputs.collect::<Result<Vec<_>>>()?;
+    pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
         let mut job = Self { plan, units: options.units, mesh: options.mesh, spacing_m: None, inputs };
         job.sort_inputs();
-        Ok(job)
+        job
+    }
+
+    /// Number of the first input of this fingerprint.
+    pub(super) fn number_of(&self, fingerprint: u128) -> usize {
+        self.inputs.partition_point(|input| input.fingerprint < fingerprint)
     }
 
     /// Puts the inputs into the order that does not depend on where they lie.

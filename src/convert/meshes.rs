@@ -6,7 +6,7 @@ use super::{ConvertOptions, build_bytes};
 use crate::convert::Part;
 use crate::input::UnitCounts;
 use crate::input::scenes::Scene;
-use crate::mesh::{MeshCounts, MeshSet};
+use crate::mesh::{MeshCounts, MeshFeed, MeshSet};
 use crate::plan::Plan;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
@@ -23,6 +23,23 @@ pub(super) struct MeshRead<'a> {
     pub points_made: u64,
     /// Files with their bounds.
     pub scenes: Vec<Scene<'a>>,
+    /// Hashes of what was read of each file.
+    pub hashes: Vec<u128>,
+    pub complete: bool,
+}
+
+impl<'a> MeshRead<'a> {
+    /// What `feed` handed out.
+    fn of(feed: &MeshFeed<'a>) -> Self {
+        Self {
+            read: Read::NOTHING,
+            triangles: feed.counts(),
+            points_made: 0,
+            scenes: feed.scenes().collect(),
+            hashes: feed.hashes().collect(),
+            complete: feed.is_complete(),
+        }
+    }
 }
 
 /// First pass: all triangles into runs. One worker at a time reads; all of them take triangles to the grid.
@@ -35,8 +52,7 @@ pub(super) fn read_meshes<'a>(
     monitor: &dyn Monitor,
 ) -> Result<MeshRead<'a>> {
     if set.is_empty() {
-        let (read, triangles) = (Read::NOTHING, MeshCounts::default());
-        return Ok(MeshRead { read, triangles, points_made: 0, scenes: Vec::new() });
+        return Ok(MeshRead::of(&set.feed()));
     }
     monitor.stage("reading meshes", 0, "triangles");
     let feed = Mutex::new(set.feed());
@@ -72,8 +88,8 @@ pub(super) fn read_meshes<'a>(
     };
     let done = on_threads(options.threads.max(1), || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
     let feed = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    let triangles = feed.counts();
-    let mut all = MeshRead { read: Read::NOTHING, triangles, points_made: 0, scenes: feed.scenes().collect() };
+    let mut all = MeshRead::of(&feed);
+    let triangles = all.triangles;
     all.read.counts.read = triangles.read;
     all.read.counts.not_finite = triangles.left_out;
     if part.is_none_or(Part::owns_meshes) {

@@ -68,6 +68,8 @@ pub struct Report {
     pub temp_bytes: u64,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
+    /// Whether all of the input was read: always so, unless incomplete input is allowed.
+    pub complete: bool,
     /// Triangles of meshes; they count as points in the header too.
     pub triangles: MeshCounts,
     /// Points made of them, if they were sampled.
@@ -101,15 +103,21 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
         up: options.plan.up,
         exclude_classes: options.plan.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads.max(1) as u64,
+        allow_incomplete: options.allow_incomplete,
+        // Parts of one job are compared by what they read.
+        hash: options.shard.is_some(),
     };
-    let scans = InputSet::open(&options.inputs, input_options, monitor)?;
+    let mut scans = InputSet::open(&options.inputs, input_options, monitor)?;
     let mesh_options = MeshOptions {
         units: options.units,
         up: options.plan.up,
         memory_bytes: options.memory_bytes / 8,
         temp_dir: options.temp_dir.clone(),
+        allow_incomplete: options.allow_incomplete,
+        hash: options.shard.is_some(),
     };
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
+    scans.set_meshes(meshes.paths());
     Ok(Inputs { scans, meshes })
 }
 
@@ -124,8 +132,8 @@ pub(crate) fn plan(
         PixelSize::Auto if set.files().is_empty() => (pixel_of_extent(meshes, monitor)?, None),
         PixelSize::Auto => {
             let spacing = estimate_spacing(set, options.threads.max(1), monitor)?;
-            // The same losses come up again in the pass that counts; they are told then.
-            set.warn_of_losses(&NoMonitor);
+            // Where losses are allowed, they come up again in the pass that counts, and are told then.
+            set.check_complete(&NoMonitor)?;
             (round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2), Some(spacing))
         }
     };
@@ -153,7 +161,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         let what = "different units of inputs (set one for all with --units)".into();
         return Err(Error::Limit { what, value: units.len().to_string(), max: MAX_UNITS.to_string() });
     }
-    let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options)).transpose()?;
+    let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options, monitor)).transpose()?;
     let mut writer = ArchiveWriter::on(output, &plan)?;
     if let Some(part) = &part {
         writer.set_shard(part.shard);
@@ -162,20 +170,29 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
     check_free_space(options, &set)?;
     let (mut read, of_files) = read_points(&set, &plan, &store, build_bytes(options), threads, part.as_ref(), monitor)?;
-    set.warn_of_losses(monitor);
     // A part that leaves files out cannot say of the whole that nothing in it can be used.
     let whole = part.as_ref().is_none_or(Part::reads_all);
     if whole {
         refuse_unusable(&set, &read.counts)?;
     }
+    set.check_complete(monitor)?;
     let points_not_finite = read.own.left_out.not_finite;
     let mesh_read = read_meshes(&meshes, options, &plan, &store, part.as_ref(), monitor)?;
     read.merge(&mesh_read.read);
+    if let Some(part) = &part {
+        let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
+        let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
+        writer.set_read(part.inputs_read(scans.chain(meshes)));
+    }
+    let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete;
     if whole {
         let scenes: Vec<Scene> = points::scenes(&set, &of_files).chain(mesh_read.scenes).collect();
         far_apart(&scenes).inspect(|text| monitor.warn(text));
     }
     if whole && read.counts.read == 0 {
+        if !complete {
+            return Err(Error::parameter("INPUT", "nothing of it can be read; fetch or write it again"));
+        }
         monitor.warn("the input holds no points: the archive is empty");
     }
     let voxels_dropped = write_columns(&plan, &store, options.memory_bytes, threads, &mut writer, monitor)?;
@@ -197,6 +214,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         spacing,
         temp_bytes: store.temp_bytes(),
         points_not_finite,
+        complete,
         triangles: mesh_read.triangles,
         points_made: mesh_read.points_made,
         voxels_dropped,

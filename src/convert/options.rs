@@ -39,6 +39,8 @@ pub struct ConvertOptions {
     pub units: Units,
     /// How meshes become voxels.
     pub mesh: MeshMode,
+    /// Whether input that can be read in part only is converted so, with warnings, instead of being refused.
+    pub allow_incomplete: bool,
     /// Whether an existing slice archive may be replaced; another file never is.
     pub overwrite: bool,
     /// The part to convert; `None` for the whole.
@@ -59,6 +61,7 @@ impl ConvertOptions {
             temp_dir: std::env::temp_dir(),
             units: Units::Auto,
             mesh: MeshMode::Exact,
+            allow_incomplete: false,
             overwrite: false,
             shard: None,
         }

@@ -1,21 +1,22 @@
 //! One part of a conversion: which files it reads, and which points count in it.
 
-use super::facts::{InputFacts, fingerprint};
+use super::facts::{InputFacts, name_of};
 use super::job::Job;
 use super::options::{ConvertOptions, ShardOptions};
 use super::split::{Cell, tiles};
-use crate::archive::Shard;
+use crate::archive::{InputRead, Shard};
 use crate::frame::{Frame, TILE_PIXELS, morton};
 use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds};
 use crate::plan::Plan;
 use crate::voxel::record::HALO_PIXELS;
-use crate::{Error, Result};
-use std::collections::HashMap;
+use crate::{Error, Monitor, Result};
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
 
 /// A part of a conversion and how it treats each file.
 pub(crate) struct Part {
     pub shard: Shard,
-    /// By number in the set of inputs.
+    /// By number in the set of inputs: scans, then meshes.
     roles: Vec<Role>,
     frame: Frame,
 }
@@ -27,13 +28,25 @@ struct Role {
     reads: bool,
     /// Points that make no voxel count here.
     owns: bool,
+    /// Other parts read it too.
+    shared: bool,
+    /// Its number in the job; of equal files, that of the first.
+    number: u32,
     bounds: Option<StatedBounds>,
 }
 
 impl Part {
     /// The part that `options` ask for, of the inputs `set`, which must be those of its job.
-    pub fn new(shard: &ShardOptions, set: &InputSet, plan: &Plan, options: &ConvertOptions) -> Result<Self> {
-        let here = Job::of(set, plan.clone(), options)?;
+    pub fn new(
+        shard: &ShardOptions,
+        set: &InputSet,
+        plan: &Plan,
+        options: &ConvertOptions,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
+        let facts = InputFacts::of(set, monitor)?;
+        let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();
+        let here = Job::of(facts, plan.clone(), options);
         let job = match &shard.job {
             Some(job) => {
                 job.check_same_inputs(&here)?;
@@ -42,26 +55,42 @@ impl Part {
             None => &here,
         };
         let shard = job.shard(shard.index, shard.count)?;
-        let role = |input: &InputFacts| {
+        // Files of equal fingerprint may differ in the bounds that a person put into the plan.
+        let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
+        job.inputs.iter().for_each(|input| inputs.entry(input.fingerprint).or_default().push(input));
+        let role = |fingerprint: &u128| {
+            let input = inputs.get_mut(fingerprint).and_then(Vec::pop)?;
             let meets = |first, last| match &input.bounds {
                 Some(bounds) => Cell::WHOLE.meets(&tiles(&plan.frame, bounds, HALO_PIXELS), first, last),
                 None => true,
             };
             let reads = meets(shard.first, shard.last);
-            let owns = reads && (shard.first == 0 || !meets(0, shard.first - 1));
-            Role { reads, owns, bounds: input.bounds }
+            let before = shard.first > 0 && meets(0, shard.first - 1);
+            let behind = shard.last < u64::MAX && meets(shard.last + 1, u64::MAX);
+            let number = job.number_of(*fingerprint) as u32;
+            Some(Role { reads, owns: reads && !before, shared: before || behind, number, bounds: input.bounds })
         };
-        // Files of equal fingerprint may differ in the bounds that a person put into the plan.
-        let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
-        job.inputs.iter().for_each(|input| inputs.entry(input.fingerprint).or_default().push(input));
-        let mut roles = Vec::with_capacity(set.files().len());
-        for file in set.files() {
-            let Some(input) = inputs.get_mut(&fingerprint(file.path())?).and_then(Vec::pop) else {
-                return Err(Error::input(file.path(), "content", "it changed while it was opened; start again"));
-            };
-            roles.push(role(input));
+        // All are there: the inputs are those of the job.
+        let roles: Vec<Role> = fingerprints.iter().filter_map(role).collect();
+        let shared = roles.iter().filter(|role| role.reads && role.shared).count();
+        if shared > InputRead::MOST {
+            let what = "inputs that several parts read (join files, or convert fewer at once)".into();
+            return Err(Error::Limit { what, value: shared.to_string(), max: InputRead::MOST.to_string() });
         }
         Ok(Self { shard, roles, frame: plan.frame })
+    }
+
+    /// What the part read of inputs that other parts read too, from the hashes of all its inputs.
+    pub fn inputs_read<'a>(&self, hashes: impl Iterator<Item = (&'a Path, u128)>) -> Vec<InputRead> {
+        let mut read: BTreeMap<u32, InputRead> = BTreeMap::new();
+        for (role, (path, hash)) in self.roles.iter().zip(hashes) {
+            if role.reads && role.shared {
+                let nothing = || InputRead { input: role.number, hash: 0, name: name_of(path) };
+                let sum = &mut read.entry(role.number).or_insert_with(nothing).hash;
+                *sum = sum.wrapping_add(hash);
+            }
+        }
+        read.into_values().collect()
     }
 
     /// Whether the part needs a file.

@@ -1,5 +1,6 @@
 //! Plan files: a job as JSON, so that every machine that converts a part of a scan works to the same plan.
 
+use crate::bytes::open_regular;
 use crate::convert::{InputFacts, Job};
 use crate::frame::Frame;
 use crate::input::{StatedBounds, Units};
@@ -8,10 +9,11 @@ use crate::output::{Existing, Kind, Output, PLAN_KEY, Protected};
 use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use serde_json::{Value, json};
+use std::io::Read;
 use std::path::Path;
 
 /// Version of plan files that is written and read.
-pub const VERSION: u64 = 1;
+pub const VERSION: u64 = 2;
 /// Greatest length of a plan file that is read (bytes): some hundred thousand inputs.
 const MAX_BYTES: u64 = 64 << 20;
 
@@ -68,13 +70,15 @@ pub fn write_to(job: &Job, mut output: Output) -> Result<()> {
 
 /// The job in the plan file at `path`.
 pub fn read(path: &Path) -> Result<Job> {
-    let bytes = std::fs::metadata(path).map_err(|error| Error::io(path, "open", error))?.len();
-    if bytes > MAX_BYTES {
+    let (mut file, about) = open_regular(path).map_err(|error| Error::io(path, "open", error))?;
+    if about.len() > MAX_BYTES {
         let what = format!("bytes of the plan file {}", path.display());
-        return Err(Error::Limit { what, value: bytes.to_string(), max: MAX_BYTES.to_string() });
+        return Err(Error::Limit { what, value: about.len().to_string(), max: MAX_BYTES.to_string() });
     }
-    let text = std::fs::read_to_string(path).map_err(|error| Error::io(path, "read", error))?;
-    let value: Value = serde_json::from_str(&text).map_err(|error| {
+    let mut text = String::new();
+    file.read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
+    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+    let value: Value = serde_json::from_str(text).map_err(|error| {
         Error::input(path, format!("line {}", error.line()), format!("no plan in JSON: {error}; write it again"))
     })?;
     from_json(&value).map_err(|wrong| {
@@ -114,7 +118,7 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 fn from_json(value: &Value) -> Result<Job, Wrong> {
-    field(value, PLAN_KEY, "version 1 of a plan", |v| v.as_u64().filter(|&version| version == VERSION))?;
+    field(value, PLAN_KEY, "version 2 of a plan", |v| v.as_u64().filter(|&version| version == VERSION))?;
     let frame = Frame::new(
         field(value, "pixel_size", "a length in metres", number)?,
         field(value, "slice_height", "a length in metres", number)?,

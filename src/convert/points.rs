@@ -107,13 +107,13 @@ pub(super) fn read_points(
                 if monitor.cancelled() || failed.load(Ordering::Relaxed) {
                     return Err(Error::Interrupted);
                 }
+                if batch.is_empty() {
+                    return Ok(());
+                }
                 monitor.advance(batch.len() as u64);
                 let (mut min, mut max) = (Read::NOTHING.min, Read::NOTHING.max);
                 for (axis, values) in [&batch.x, &batch.y, &batch.z].into_iter().enumerate() {
                     (min[axis], max[axis]) = range(values);
-                }
-                if batch.x.is_empty() {
-                    return Ok(());
                 }
                 if !recorder.reaches(min, max) {
                     return Err(out_of_reach(&plan.frame, min, max));

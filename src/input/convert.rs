@@ -26,6 +26,16 @@ impl Transform {
         (f64::from(raw) * self.scale[axis] + self.offset[axis]) * self.unit[axis]
     }
 
+    /// Where the point of a record lies, before any turn of the axes [m].
+    fn place(&self, record: &[u8]) -> [f64; 3] {
+        std::array::from_fn(|axis| self.axis(axis, raw(record, axis)))
+    }
+
+    /// Where the point of a record lies [m, z up].
+    pub(super) fn point(&self, record: &[u8]) -> [f64; 3] {
+        self.up.turn(self.place(record))
+    }
+
     /// Whether no raw value leads to a coordinate beyond [`FARTHEST_M`].
     fn always_near(&self) -> bool {
         [i32::MIN, i32::MAX].iter().all(|&raw| (0..3).all(|a| self.axis(a, raw).abs() <= FARTHEST_M))
@@ -34,10 +44,7 @@ impl Transform {
     /// A corner given in file units [m, z up]; `None` if not finite.
     pub(super) fn corner(&self, at: [f64; 3]) -> Option<[f64; 3]> {
         let m = [at[0] * self.unit[0], at[1] * self.unit[1], at[2] * self.unit[2]];
-        let turned = match self.up {
-            Up::Z => m,
-            Up::Y => [m[0], -m[2], m[1]],
-        };
+        let turned = self.up.turn(m);
         turned.iter().all(|v| v.is_finite()).then_some(turned)
     }
 }
@@ -59,19 +66,17 @@ const EXCLUDED: u8 = 2;
 pub(super) struct Filter {
     byte_15: [u8; 256],
     byte_16: [u8; 256],
-    /// No raw value can be out of range, so records without flags need no look at their coordinates.
-    always_near: bool,
 }
 
 impl Filter {
-    pub(super) fn new(layout: Layout, exclude: &ClassSet, transform: &Transform) -> Self {
+    pub(super) fn new(layout: Layout, exclude: &ClassSet) -> Self {
         let excluded = |class: usize| if exclude.contains(class as u8) { EXCLUDED } else { 0 };
         let withheld = |byte: usize, bit: u32| if byte >> bit & 1 == 1 { WITHHELD } else { 0 };
         let (byte_15, byte_16) = match layout {
             Layout::Old => (std::array::from_fn(|b| withheld(b, 7) | excluded(b & 31)), [0; 256]),
             Layout::Extended => (std::array::from_fn(|b| withheld(b, 2)), std::array::from_fn(excluded)),
         };
-        Self { byte_15, byte_16, always_near: transform.always_near() }
+        Self { byte_15, byte_16 }
     }
 
     #[inline(always)]
@@ -94,7 +99,8 @@ pub(super) fn convert(
     counts.read += n as u64;
     batch.resize(n);
     let flagged = records.chunks_exact(stride).fold(0, |any, record| any | filter.verdict(record));
-    if flagged == 0 && filter.always_near {
+    // Where no raw value can be out of range, records without flags need no look at their coordinates.
+    if flagged == 0 && transform.always_near() {
         // Known strides let the compiler unroll: the usual lengths of records without extra bytes.
         match stride {
             20 => whole::<20>(records, transform, batch),
@@ -154,7 +160,7 @@ fn sieve(
             *(if verdict & WITHHELD != 0 { &mut counts.withheld } else { &mut counts.excluded }) += 1;
             continue;
         }
-        let point: [f64; 3] = std::array::from_fn(|axis| transform.axis(axis, raw(record, axis)));
+        let point = transform.place(record);
         if !point.iter().all(|v| v.abs() <= FARTHEST_M) {
             counts.not_finite += 1;
             continue;
@@ -179,7 +185,7 @@ mod tests {
 
     fn run(records: &[Vec<u8>], layout: Layout, exclude: ClassSet, transform: Transform) -> (PointBatch, UnitCounts) {
         let (mut batch, mut counts) = (PointBatch::default(), UnitCounts::default());
-        let filter = Filter::new(layout, &exclude, &transform);
+        let filter = Filter::new(layout, &exclude);
         convert(&records.concat(), records[0].len(), &transform, &filter, &mut batch, &mut counts);
         (batch, counts)
     }

@@ -10,6 +10,8 @@
 use super::epsg::{self, FOOT, US_SURVEY_FOOT};
 use super::header::{f64_at, u16_at};
 use super::records::{GEO_DOUBLES, GEO_KEYS, GEO_TEXT, Records, WKT};
+use super::{ScanFile, Those};
+use crate::Monitor;
 
 /// What a file says about its coordinates.
 #[derive(Debug, Default, Clone, PartialEq)]
@@ -137,8 +139,52 @@ fn clean_text(bytes: &[u8]) -> Option<String> {
     (!text.is_empty()).then(|| text.to_string())
 }
 
+/// The reference systems of a set of files, found one file after the other. Texts may be long and many: two are held.
+#[derive(Default)]
+pub(super) struct Systems {
+    /// The one whose text sorts first, and the files that state it.
+    least: Option<(String, Those)>,
+    /// One of the others, and the files that state any of these.
+    other: Option<(String, Those)>,
+}
+
+impl Systems {
+    /// Adds what file `file` states; files come in ascending order.
+    pub(super) fn add(&mut self, file: usize, text: Option<String>) {
+        let Some(text) = text else { return };
+        let mut here = Those::default();
+        here.add(file, true);
+        match &mut self.least {
+            None => self.least = Some((text, here)),
+            Some((least, files)) if *least == text => files.add(file, true),
+            Some(least) => {
+                let (name, files) = if text < least.0 { std::mem::replace(least, (text, here)) } else { (text, here) };
+                match &mut self.other {
+                    Some((_, others)) => others.count += files.count,
+                    none => *none = Some((short_name(&name), files)),
+                }
+            }
+        }
+    }
+
+    /// The text that sorts first; tells `monitor` if there are others.
+    pub(super) fn common(self, files: &[ScanFile], monitor: &dyn Monitor) -> Option<String> {
+        let (text, those) = self.least?;
+        if let Some((name, others)) = &self.other {
+            let named = |those: &Those, name: &str| format!("{} ({name})", those.names(files).unwrap_or_default());
+            monitor.warn(&format!(
+                "{} and {} state different reference systems: coordinates are taken as they are, and the archive names the \
+                 former system; bring the scans into one system first",
+                named(&those, &short_name(&text)),
+                named(others, name)
+            ));
+        }
+        Some(text)
+    }
+}
+
 /// A reference system for messages: the name in its text, or its code.
-pub(super) fn short_name(text: &str) -> String {
+fn short_name(text: &str) -> String {
     let name = text.split('"').nth(1).unwrap_or(text);
     name.chars().take(60).map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
@@ -280,9 +326,9 @@ mod tests {
         directory.extend(entries.iter().flatten());
         let bytes = |words: Vec<u16>| words.iter().flat_map(|w| w.to_le_bytes()).collect::<Vec<u8>>();
         let mut records = Records::default();
-        records.projection.push((GEO_KEYS, bytes(directory)));
-        records.projection.push((GEO_TEXT, text.as_bytes().to_vec()));
-        records.projection.push((GEO_DOUBLES, doubles.iter().flat_map(|d| d.to_le_bytes()).collect()));
+        records.keep(GEO_KEYS, bytes(directory));
+        records.keep(GEO_TEXT, text.as_bytes().to_vec());
+        records.keep(GEO_DOUBLES, doubles.iter().flat_map(|d| d.to_le_bytes()).collect());
         Georeference::read(&records, false)
     }
 

@@ -3,11 +3,13 @@
 //! In: files, directories, glob patterns. Out: files in order of their paths, each file once.
 //! Memory: the list of paths.
 
+use super::losses::Losses;
+use super::{is_of_input, pattern};
+use crate::bytes::{FileId, open_regular};
+use crate::{Error, Monitor, Result};
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-use crate::{Error, Monitor, Result};
 
 /// Expands `inputs` to files.
 ///
@@ -16,57 +18,105 @@ use crate::{Error, Monitor, Result};
 ///   entered, because tiles of one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them.
 /// - A path that does not exist and holds `*`, `?` or `[` is a pattern; files in its matches count if they end in
 ///   `.las` or `.laz`, and meshes if the pattern itself ends as they do: an export beside the scans is no input.
-pub(super) fn expand(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
+///
+/// Where `losses` are given, what cannot be read is noted there and told to `monitor`, as long as anything is left.
+pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
+    let mut left_out = None;
     for input in inputs {
-        match fs::metadata(input) {
-            Ok(about) if about.is_dir() => directory(input, &mut found)?,
-            Ok(_) => found.push(input.clone()),
-            Err(error) => match input.to_str() {
-                Some(pattern) if pattern.contains(['*', '?', '[']) => matches(input, pattern, &mut found)?,
-                _ => return Err(Error::io(input, "open", error)),
-            },
+        match expand_one(input, &mut found, losses, monitor) {
+            Err(error) if losses.is_some() && is_of_input(&error) => {
+                tell(losses, &error, monitor);
+                left_out = Some(error);
+            }
+            done => done?,
         }
     }
     if found.is_empty() {
-        return Err(Error::parameter("INPUT", "no file was given; name scans, meshes, directories or patterns"));
+        let none = || Error::parameter("INPUT", "no file was given; name scans, meshes, directories or patterns");
+        return Err(left_out.unwrap_or_else(none));
     }
     found.sort();
     found.dedup();
-    let mut seen: HashMap<PathBuf, PathBuf> = HashMap::new();
-    let mut once = Vec::with_capacity(found.len());
+    let mut seen: HashMap<FileId, usize> = HashMap::new();
+    let mut once: Vec<PathBuf> = Vec::with_capacity(found.len());
     for path in found {
-        // Where the system cannot resolve a path, opening the file will say why.
-        let real = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
-        match seen.get(&real) {
-            Some(first) => {
-                monitor.warn(&format!("{}: the same file as {}; it is read once", path.display(), first.display()))
+        // Where the system cannot tell, opening the file will say why.
+        let before = FileId::at(&path).and_then(|id| seen.insert(id, once.len()).map(|first| (id, first)));
+        match before {
+            Some((id, first)) => {
+                seen.insert(id, first);
+                let first = once[first].display();
+                monitor.warn(&format!("{}: the same file as {first}; it is read once", path.display()));
             }
-            None => {
-                seen.insert(real, path.clone());
-                once.push(path);
-            }
+            None => once.push(path),
         }
     }
     Ok(once)
+}
+
+/// Says that something is left out.
+fn tell(losses: Option<&Losses>, error: &Error, monitor: &dyn Monitor) {
+    if let Some(losses) = losses {
+        losses.note();
+        monitor.warn(&format!("incomplete: left out: {error}"));
+    }
+}
+
+fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<()> {
+    match fs::metadata(input) {
+        Ok(about) if about.is_dir() => directory(input, found),
+        Ok(_) => {
+            found.push(input.to_path_buf());
+            Ok(())
+        }
+        Err(_) if pattern::is_pattern(input) => {
+            let before = found.len();
+            let mut failed = |error: Error| match losses {
+                Some(_) => {
+                    tell(losses, &error, monitor);
+                    Ok(())
+                }
+                None => Err(error),
+            };
+            pattern::walk(input, monitor, &mut failed, &mut |path| {
+                if is_scan(path) || is_mesh_named(path) && same_ending(path, input) {
+                    found.push(path.to_path_buf());
+                }
+            })?;
+            if found.len() == before {
+                return Err(Error::input(input, "pattern", "it matches no .las or .laz file"));
+            }
+            Ok(())
+        }
+        Err(error) => Err(Error::io(input, "open", error)),
+    }
+}
+
+fn same_ending(path: &Path, other: &Path) -> bool {
+    path.extension().is_some_and(|e| other.extension().is_some_and(|f| e.eq_ignore_ascii_case(f)))
 }
 
 fn is_scan(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("las") || e.eq_ignore_ascii_case("laz"))
 }
 
-/// Whether the name says mesh. (A scan under such a name is told by its signature.)
-pub(super) fn is_mesh(path: &Path) -> bool {
+/// Whether the name says mesh.
+fn is_mesh_named(path: &Path) -> bool {
     const ENDINGS: [&str; 5] = ["obj", "ply", "stl", "gltf", "glb"];
-    let named = path.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending)));
-    named && !has_signature_of_scan(path)
+    path.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
+}
+
+/// Whether a file is a mesh: by its name. (A scan under such a name is told by its signature.)
+pub(super) fn is_mesh(path: &Path) -> bool {
+    is_mesh_named(path) && !has_signature_of_scan(path)
 }
 
 fn has_signature_of_scan(path: &Path) -> bool {
     let mut start = [0; 4];
     // Where it cannot be read, opening it as a mesh will say why.
-    fs::File::open(path)
-        .is_ok_and(|mut file| std::io::Read::read_exact(&mut file, &mut start).is_ok() && &start == b"LASF")
+    open_regular(path)
+        .is_ok_and(|(mut file, _)| std::io::Read::read_exact(&mut file, &mut start).is_ok() && &start == b"LASF")
 }
 
 fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
@@ -86,26 +136,6 @@ fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
     Ok(())
 }
 
-fn matches(input: &Path, pattern: &str, found: &mut Vec<PathBuf>) -> Result<()> {
-    let before = found.len();
-    let paths = glob::glob(pattern).map_err(|e| Error::input(input, "pattern", e.to_string()))?;
-    for path in paths {
-        let path = path.map_err(|e| {
-            let at = e.path().to_path_buf();
-            Error::io(at, "list", e.into())
-        })?;
-        let same_ending =
-            || path.extension().is_some_and(|e| input.extension().is_some_and(|f| e.eq_ignore_ascii_case(f)));
-        if !path.is_dir() && (is_scan(&path) || same_ending() && is_mesh(&path)) {
-            found.push(path);
-        }
-    }
-    if found.len() == before {
-        return Err(Error::input(input, "pattern", "it matches no .las or .laz file"));
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -121,7 +151,7 @@ mod tests {
         }
         let names = |inputs: &[&str]| {
             let inputs: Vec<_> = inputs.iter().map(|i| dir.path().join(i)).collect();
-            expand(&inputs, &NoMonitor).map(|paths| {
+            expand(&inputs, None, &NoMonitor).map(|paths| {
                 paths.iter().map(|p| p.file_name().unwrap().to_str().unwrap().to_string()).collect::<Vec<_>>()
             })
         };
@@ -135,6 +165,6 @@ mod tests {
         assert!(names(&["none.las"]).unwrap_err().to_string().contains("cannot open"));
         fs::create_dir(dir.path().join("empty")).unwrap();
         assert!(names(&["empty"]).unwrap_err().to_string().contains("no .las or .laz file lies in it"));
-        assert!(expand(&[], &NoMonitor).is_err());
+        assert!(expand(&[], None, &NoMonitor).is_err());
     }
 }

@@ -8,6 +8,8 @@ use crate::{Error, Result};
 
 /// Bytes of the oldest header; no version has a shorter one.
 const SHORTEST: u16 = 227;
+/// Length from which on the field of LAS 1.3 (place of the waveforms) is present.
+const WITH_WAVEFORMS: u16 = 235;
 /// Length from which on the fields of LAS 1.4 (64-bit counts, extended records) are present.
 const WITH_LONG_COUNTS: u16 = 375;
 /// Bytes of a record of each point format without extra bytes.
@@ -32,6 +34,8 @@ pub(super) struct Header {
     pub offset: [f64; 3],
     /// Least and greatest corner that the header claims, in file units.
     pub bounds: [[f64; 3]; 2],
+    /// First byte of the waveforms (LAS 1.3 and later); 0 if there are none.
+    pub waveforms_at: u64,
     pub first_extended: u64,
     pub extended: u32,
     /// Soft problems, for the monitor.
@@ -116,6 +120,7 @@ impl Header {
                 [f64_at(&block, 187), f64_at(&block, 203), f64_at(&block, 219)],
                 [f64_at(&block, 179), f64_at(&block, 195), f64_at(&block, 211)],
             ],
+            waveforms_at: if version.1 >= 3 && header_bytes >= WITH_WAVEFORMS { u64_at(&block, 227) } else { 0 },
             first_extended: if long { u64_at(&block, 235) } else { 0 },
             extended: if long { u32_at(&block, 243) } else { 0 },
             notes,

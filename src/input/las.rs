@@ -4,11 +4,12 @@
 //! only an upper bound: files are cut (`1.2-with-color-clipped.las`) and headers lie.
 
 use super::header::Header;
+use super::losses::Findings;
 use super::source::Source;
 use crate::{Error, Result};
 
 /// Points that can be read: as many as stated, if they fit.
-pub(super) fn points(source: &Source, header: &Header, file_bytes: u64, notes: &mut Vec<String>) -> Result<u64> {
+pub(super) fn points(source: &Source, header: &Header, file_bytes: u64, findings: &mut Findings) -> Result<u64> {
     let stated = header.points_stated;
     let extended_at = header.first_extended;
     let end = if header.extended > 0 && extended_at >= header.points_at { extended_at } else { file_bytes };
@@ -21,9 +22,24 @@ pub(super) fn points(source: &Source, header: &Header, file_bytes: u64, notes: &
         return Err(Error::input(source.path(), "header, byte 107", reason));
     }
     if stated > room {
-        notes.push(format!("the header states {stated} points, the file holds {room} whole ones; these are read"));
+        findings.lose(match room {
+            0 => format!("the header states {stated} points, but none can be read: the file is cut"),
+            _ => format!("the header states {stated} points, the file holds {room} whole ones"),
+        })?;
     }
     Ok(stated.min(room))
+}
+
+/// The record that follows the stated `points`, if there is room for one before other parts of the file begin.
+pub(super) fn record_after(source: &Source, header: &Header, file_bytes: u64, points: u64) -> Result<Option<Vec<u8>>> {
+    let len = u64::from(header.record_bytes);
+    let at = header.points_at.saturating_add(points.saturating_mul(len));
+    let others = [header.first_extended, header.waveforms_at].into_iter().filter(|&other| other >= header.points_at);
+    let end = others.fold(file_bytes, u64::min);
+    if points == 0 || end.saturating_sub(at) < len {
+        return Ok(None);
+    }
+    source.bytes_at(at, header.record_bytes.into())
 }
 
 /// Reads `count` records of `record_bytes` from byte `start` on, slab by slab; returns how many were there.

@@ -10,11 +10,13 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use laz::laszip::ChunkTable;
-use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
-use laz::{DecompressionSelection, LazItemType, LazVlr};
+use laz::record::{RecordDecompressor, SequentialPointRecordDecompressor};
+use laz::{LazItemType, LazVlr};
 
 use super::convert::Layout;
 use super::header::{Header, u16_at, u32_at, u64_at};
+use super::layers::{LAYERS, Layers, POINT_BYTES};
+use super::losses::Findings;
 use super::source::{Source, Window};
 use crate::{Error, Result};
 
@@ -26,10 +28,12 @@ pub(super) struct Packing {
     /// The whole file is one sequence without chunks or chunk table (compressor 1).
     whole: bool,
     /// Bytes of an unpacked record, by the items; a few writers state another length in the header.
-    pub record_bytes: usize,
+    record_bytes: usize,
     pub layout: Layout,
     /// Numbers of layer sizes at the head of a layered chunk.
     layers: usize,
+    /// Version of the point's own item.
+    version: u16,
 }
 
 /// Size and points of one chunk.
@@ -45,18 +49,13 @@ pub(super) enum Body {
     /// Chunks one after the other from byte `start` on. If `open`, the number of points of the last is not known and
     /// its entry is the most it can hold.
     Chunks { start: u64, chunks: Vec<Chunk>, open: bool },
-    /// One sequence of points, `len` bytes from `start` on.
-    Stream { start: u64, len: u64, points: u64 },
+    /// One sequence of points, `len` bytes from `start` on; if `exact`, nothing else lies there.
+    Stream { start: u64, len: u64, points: u64, exact: bool },
 }
 
 impl Packing {
     /// Checks the LASzip record `body`; `memory_bytes` bounds what the models of extra bytes may take.
-    pub(super) fn read(
-        source: &Source,
-        body: &[u8],
-        header: &Header,
-        memory_bytes: u64,
-    ) -> Result<(Self, Vec<String>)> {
+    pub(super) fn read(source: &Source, body: &[u8], memory_bytes: u64) -> Result<Self> {
         let bad = |reason: String| Error::input(source.path(), "LASzip record", reason);
         if body.len() < 34 {
             return Err(bad(format!("{} bytes long, expected 34 or more", body.len())));
@@ -91,11 +90,11 @@ impl Packing {
             };
             record_bytes += bytes;
             layers += sizes;
-            if let LazItemType::Byte(n) | LazItemType::Byte14(n) = item.item_type() {
+            if let LazItemType::Byte(n) = item.item_type() {
                 extra += u64::from(n);
             }
         }
-        // Each extra byte has adaptive models of 256 symbols, in four contexts where layered: about 12 KiB.
+        // Each extra byte has adaptive models of 256 symbols: about 3 KiB, and as much again while they grow.
         if extra * (12 << 10) > memory_bytes {
             return Err(Error::Limit {
                 what: format!("{}: models of {extra} extra bytes a point (raise --memory)", source.path().display()),
@@ -103,59 +102,68 @@ impl Packing {
                 max: format!("{} KiB", memory_bytes >> 10),
             });
         }
-        let mut notes = Vec::new();
-        if record_bytes != usize::from(header.record_bytes) {
-            notes.push(format!(
-                "the header states records of {} bytes, the LASzip record {record_bytes}; the latter counts",
-                header.record_bytes
-            ));
-        }
-        let packing = Self { vlr, layered, whole: compressor == 1, record_bytes, layout, layers };
+        let version = vlr.items()[0].version();
+        let packing = Self { vlr, layered, whole: compressor == 1, record_bytes, layout, layers, version };
         packing.decoder_exists(source)?;
-        Ok((packing, notes))
+        Ok(packing)
     }
 
-    /// Whether chunks are stored in layers (formats 6 to 10).
-    pub(super) fn layered(&self) -> bool {
-        self.layered
+    /// Notes where the header states records of another length.
+    pub(super) fn check_record_bytes(&self, header: &Header, findings: &mut Findings) {
+        if self.record_bytes != usize::from(header.record_bytes) {
+            findings.note(format!(
+                "the header states records of {} bytes, the LASzip record {}; the latter counts",
+                header.record_bytes, self.record_bytes
+            ));
+        }
+    }
+
+    /// Bytes of a decoded record: of layered ones, the fields behind the point's own are never decoded.
+    pub(super) fn decoded_bytes(&self) -> usize {
+        if self.layered { POINT_BYTES } else { self.record_bytes }
     }
 
     /// Refuses item versions that have no decoder, before any point is read.
     fn decoder_exists(&self, source: &Source) -> Result<()> {
-        let nothing = Window::new(source, 0, 0);
-        let made = isolate(|| match self.layered {
-            true => LayeredPointRecordDecompressor::new(nothing).set_fields_from(self.vlr.items()),
-            false => SequentialPointRecordDecompressor::new(nothing).set_fields_from(self.vlr.items()),
-        });
-        match made {
-            Ok(Ok(())) => Ok(()),
-            Ok(Err(error)) => Err(Error::Unsupported {
-                what: format!("{}: {error}", source.path().display()),
+        let unsupported = |what: String| {
+            Err(Error::Unsupported {
+                what: format!("{}: {what}", source.path().display()),
                 version: env!("CARGO_PKG_VERSION"),
                 way_out: "decompress the file to LAS with the program that wrote it".into(),
-            }),
+            })
+        };
+        if self.layered {
+            return match Layers::exist(self.version) {
+                true => Ok(()),
+                false => unsupported(format!("LASzip points in layers of version {}", self.version)),
+            };
+        }
+        let nothing = Window::new(source, 0, 0);
+        match isolate(|| SequentialPointRecordDecompressor::new(nothing).set_fields_from(self.vlr.items())) {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(error)) => unsupported(error.to_string()),
             Err(Panicked) => Err(Error::input(source.path(), "LASzip record", "damaged: no decoder can be made of it")),
         }
     }
 
-    /// Finds the chunks. Falls back from a lost or damaged chunk table to the heads of the chunks (formats 6 to 10) or
-    /// to one sequence. `most_chunks` bounds the index.
+    /// Finds the chunks. Falls back from a lost or wrong chunk table to the heads of the chunks (formats 6 to 10) or to one
+    /// sequence. `most_chunks` bounds the index.
     pub(super) fn body(
         &self,
         source: &Source,
         header: &Header,
         file_bytes: u64,
         most_chunks: u64,
-        notes: &mut Vec<String>,
+        findings: &mut Findings,
     ) -> Result<Body> {
         let stated = header.points_stated;
         let data_at = header.points_at;
         let bad = |reason: String| Error::input(source.path(), "LAZ points", reason);
         if data_at >= file_bytes {
             if stated > 0 {
-                notes.push(format!("the header states {stated} points, but the file ends before the first"));
+                findings.lose(format!("the header states {stated} points, but the file ends before the first"))?;
             }
-            return Ok(Body::Stream { start: file_bytes, len: 0, points: 0 });
+            return Ok(Body::Stream { start: file_bytes, len: 0, points: 0, exact: false });
         }
         let unfinished = || {
             bad("the header states 0 points but data follow: the program that wrote this file was interrupted; write or \
@@ -166,41 +174,42 @@ impl Packing {
             let len = file_bytes - data_at;
             return match stated {
                 0 if len >= self.record_bytes as u64 => Err(unfinished()),
-                _ => Ok(Body::Stream { start: data_at, len, points: stated }),
+                _ => Ok(Body::Stream { start: data_at, len, points: stated, exact: false }),
             };
         }
         let start = data_at + 8;
-        let lost = match self.table(source, data_at, file_bytes, most_chunks)? {
-            Ok(chunks) => match self.with_counts(source, start, chunks, stated, notes)? {
-                Some(body) => return Ok(body),
-                None => return Err(unfinished()),
-            },
-            Err(Lost { reason, end }) => {
-                notes.push(format!("{reason}; its points are read without it, those of the last chunk may be lost"));
-                end
+        let Lost { reason, end, exact } = match self.table(source, data_at, file_bytes, most_chunks)? {
+            Ok(chunks) => {
+                return self.with_counts(source, start, chunks, stated, findings)?.ok_or_else(unfinished);
             }
+            Err(lost) => lost,
         };
-        let len = lost.saturating_sub(start);
+        let len = end.saturating_sub(start);
         if self.layered {
-            let chunks = self.walk(source, start, start + len, stated, most_chunks)?;
+            let (chunks, rest) = self.walk(source, start, start + len, (!exact).then_some(stated), most_chunks)?;
             let found: u64 = chunks.iter().map(|c| u64::from(c.points)).sum();
-            if found < stated {
-                notes.push(format!("the header states {stated} points, whole chunks hold {found}"));
+            findings.note(format!("{reason}; its points are found without it"));
+            if found < stated || rest > 0 && (exact || stated == 0) {
+                findings.lose(format!(
+                    "the header states {stated} points, whole chunks hold {found}, and {rest} bytes follow them"
+                ))?;
+            } else if found != stated {
+                findings.note(format!("the header states {stated} points, its chunks hold {found}"));
             }
             return Ok(Body::Chunks { start, chunks, open: false });
         }
         if self.vlr.uses_variable_size_chunks() {
-            let reason = "its chunk table is lost and its chunks vary in length, so none can be found; write or fetch the \
-                          file again";
-            return Err(bad(reason.into()));
+            let what = "and its chunks vary in length, so none can be found; write or fetch the file again";
+            return Err(bad(format!("{reason}, {what}")));
         }
+        findings.note(format!("{reason}; its points are read without it"));
         if stated == 0 && len >= self.record_bytes as u64 {
             return Err(unfinished());
         }
-        Ok(Body::Stream { start, len, points: stated })
+        Ok(Body::Stream { start, len, points: stated, exact })
     }
 
-    /// Reads the chunk table. The inner error says why it cannot be used, and where the points end at the latest.
+    /// Reads the chunk table. The inner error says why it cannot be used, and where the points end.
     fn table(
         &self,
         source: &Source,
@@ -209,36 +218,36 @@ impl Packing {
         most_chunks: u64,
     ) -> Result<std::result::Result<Vec<Chunk>, Lost>> {
         let start = data_at + 8;
-        let lost = |reason: &str, end: u64| Ok(Err(Lost { reason: reason.to_string(), end }));
+        // What a damaged table says of its own place means nothing: points may lie anywhere.
+        let lost = |reason: &str| Ok(Err(Lost { reason: reason.to_string(), end: file_bytes, exact: false }));
         let place = |bytes: Option<Vec<u8>>| bytes.map(|b| u64_at(&b, 0));
         let mut table_at = match place(source.bytes_at(data_at, 8)?) {
             Some(at) => at,
-            None => return lost("the file ends before its first point", file_bytes),
+            None => return lost("the file ends before its first point"),
         };
         if table_at == u64::MAX || table_at <= data_at {
             // Written to a pipe: the place of the table stands at the very end.
             table_at = place(source.bytes_at(file_bytes.saturating_sub(8), 8)?).unwrap_or(0);
             if table_at < start || table_at > file_bytes.saturating_sub(16) {
-                return lost("it has no chunk table", file_bytes);
+                return lost("it has no chunk table");
             }
         }
         if table_at < start || table_at > file_bytes.saturating_sub(8) {
-            let reason = format!("its chunk table should begin at byte {table_at} of {file_bytes}: the file is cut");
-            return lost(&reason, file_bytes);
+            return lost(&format!("its chunk table should begin at byte {table_at} of {file_bytes}: the file is cut"));
         }
-        let Some(head) = source.bytes_at(table_at, 8)? else { return lost("its chunk table is cut", table_at) };
+        let Some(head) = source.bytes_at(table_at, 8)? else { return lost("its chunk table is cut") };
         let (version, count) = (u32_at(&head, 0), u64::from(u32_at(&head, 4)));
         let data_bytes = table_at - start;
         // A chunk holds at least one record as it is, so this bounds what the count may size.
         if version != 0 || count > data_bytes / self.record_bytes as u64 {
-            return lost(&format!("its chunk table (version {version}, {count} chunks) is damaged"), table_at);
+            return lost(&format!("its chunk table (version {version}, {count} chunks) is damaged"));
         }
         check_count(source, count, most_chunks)?;
         let variable = self.vlr.uses_variable_size_chunks();
         let mut window = Window::new(source, table_at, file_bytes - table_at);
         let table = match isolate(|| ChunkTable::read(&mut &mut window, variable)) {
             Ok(Ok(table)) => table,
-            _ => return lost("its chunk table is damaged", table_at),
+            _ => return lost("its chunk table is damaged"),
         };
         let chunks: Vec<Chunk> = table
             .as_ref()
@@ -250,9 +259,9 @@ impl Packing {
             })
             .collect();
         let sum: u64 = chunks.iter().map(|c| u64::from(c.bytes)).sum();
-        if sum > data_bytes {
-            let reason = format!("its chunk table gives {sum} bytes to chunks that have {data_bytes}");
-            return lost(&reason, table_at);
+        if sum != data_bytes {
+            let reason = format!("its chunk table gives {sum} bytes to {count} chunks, which have {data_bytes}");
+            return Ok(Err(Lost { reason, end: table_at, exact: true }));
         }
         Ok(Ok(chunks))
     }
@@ -264,7 +273,7 @@ impl Packing {
         start: u64,
         mut chunks: Vec<Chunk>,
         stated: u64,
-        notes: &mut Vec<String>,
+        findings: &mut Findings,
     ) -> Result<Option<Body>> {
         let mut open = false;
         if !self.vlr.uses_variable_size_chunks() {
@@ -286,21 +295,29 @@ impl Packing {
         }
         let found: u64 = chunks.iter().map(|c| u64::from(c.points)).sum();
         if open {
-            notes.push(format!(
+            findings.note(format!(
                 "the header states {stated} points, but {} chunks cannot hold that many; the last is read to its end",
                 chunks.len()
             ));
         } else if found != stated {
-            notes.push(format!("the header states {stated} points, its chunks hold {found}"));
+            findings.note(format!("the header states {stated} points, its chunks hold {found}"));
         }
         Ok(Some(Body::Chunks { start, chunks, open }))
     }
 
-    /// Finds layered chunks by their heads alone, up to `stated` points (all, if 0) or the end.
-    fn walk(&self, source: &Source, start: u64, end: u64, stated: u64, most_chunks: u64) -> Result<Vec<Chunk>> {
+    /// Finds layered chunks by their heads alone, up to so many points (none: all) or the end; and how many bytes are left
+    /// before the end.
+    fn walk(
+        &self,
+        source: &Source,
+        start: u64,
+        end: u64,
+        stated: Option<u64>,
+        most_chunks: u64,
+    ) -> Result<(Vec<Chunk>, u64)> {
         let (mut at, mut points) = (start, 0);
         let mut chunks = Vec::new();
-        while stated == 0 || points < stated {
+        while stated.is_none_or(|stated| stated == 0 || points < stated) {
             let Some(head) = self.head(source, at, end - at)? else { break };
             if head.points == 0 || head.bytes > end - at || head.bytes > u64::from(u32::MAX) {
                 break;
@@ -310,7 +327,7 @@ impl Packing {
             at += head.bytes;
             points += u64::from(head.points);
         }
-        Ok(chunks)
+        Ok((chunks, end - at))
     }
 
     /// Head of the layered chunk at `at`: one plain record, the number of points, the sizes of the layers.
@@ -328,10 +345,11 @@ impl Packing {
     }
 }
 
-/// Why a chunk table cannot be used, and where the points end at the latest.
+/// Why a chunk table cannot be used, and where the points end: there (`exact`), or there at the latest.
 struct Lost {
     reason: String,
     end: u64,
+    exact: bool,
 }
 
 /// Head of a layered chunk.
@@ -351,6 +369,9 @@ fn check_count(source: &Source, count: u64, most: u64) -> Result<()> {
         max: most.to_string(),
     })
 }
+
+/// Most bytes that the arithmetic coder writes for no symbol.
+const EMPTY_CODE_BYTES: u64 = 4;
 
 /// One run of the decoder over a chunk or stream.
 pub(super) struct Run<'a> {
@@ -377,11 +398,42 @@ impl Run<'_> {
         slab: &mut [u8],
         sink: &mut dyn FnMut(&[u8]) -> Result<()>,
     ) -> Result<(u64, u64)> {
-        let window = Window::new(self.source, self.start, self.len);
-        if !self.packing.layered {
-            let chunk_points = if stream && !self.packing.whole { u64::from(self.packing.vlr.chunk_size()) } else { 0 };
-            return self.run(SequentialPointRecordDecompressor::new(window), chunk_points, slab, sink);
+        if self.packing.layered {
+            return self.decode_layers(slab, sink);
         }
+        if self.points == 1 && !stream {
+            return self.decode_one(slab, sink);
+        }
+        let chunk_points = if stream && !self.packing.whole { u64::from(self.packing.vlr.chunk_size()) } else { 0 };
+        let mut decoder = SequentialPointRecordDecompressor::new(Window::new(self.source, self.start, self.len));
+        let items = self.packing.vlr.items();
+        let mut in_chunk = None;
+        let done = self.fill(slab, sink, |record| {
+            if in_chunk.is_none_or(|points| chunk_points > 0 && points == chunk_points) {
+                decoder.reset();
+                decoder.set_fields_from(items).map_err(std::io::Error::other)?;
+                in_chunk = Some(0);
+            }
+            decoder.decompress_next(record)?;
+            in_chunk = in_chunk.map(|points| points + 1);
+            Ok(())
+        })?;
+        Ok((done, self.len.saturating_sub(decoder.get().position())))
+    }
+
+    /// The only point of a chunk lies there as it is; what the coder wrote behind it takes a few bytes.
+    fn decode_one(&self, slab: &mut [u8], sink: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<(u64, u64)> {
+        let len = self.packing.record_bytes;
+        let there = self.len >= len as u64 && self.source.read_at(&mut slab[..len], self.start)? == len;
+        match (there, self.open) {
+            (true, _) => sink(&slab[..len])?,
+            (false, true) => return Ok((0, 0)),
+            (false, false) => return Err(self.damaged(0, "its data end early")),
+        }
+        Ok((1, (self.len - len as u64).saturating_sub(EMPTY_CODE_BYTES)))
+    }
+
+    fn decode_layers(&self, slab: &mut [u8], sink: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<(u64, u64)> {
         let Some(head) = self.packing.head(self.source, self.start, self.len)? else {
             return Err(self.damaged(0, "it is too short for its head"));
         };
@@ -399,36 +451,39 @@ impl Run<'_> {
                 max: self.memory_bytes.to_string(),
             });
         }
-        self.run(LayeredPointRecordDecompressor::new(window), 0, slab, sink)
+        if head.points == 1 {
+            // It lies there as it is, and to begin a chunk is the dearest part of decoding.
+            let done = self.source.read_at(&mut slab[..POINT_BYTES], self.start)? / POINT_BYTES;
+            sink(&slab[..done * POINT_BYTES])?;
+            return Ok((done as u64, self.len - head.bytes));
+        }
+        let mut window = Window::new(self.source, self.start, self.len);
+        let mut layers = Layers::new(self.packing.version);
+        let (others, sizes) = (self.packing.record_bytes - POINT_BYTES, 4 * (self.packing.layers - LAYERS));
+        let mut first = true;
+        let done = self.fill(slab, sink, |record| match std::mem::take(&mut first) {
+            true => layers.begin(&mut window, record, others, sizes, self.classes),
+            false => layers.next::<Window>(record),
+        })?;
+        Ok((done, self.len - head.bytes))
     }
 
-    fn run<'w, D: RecordDecompressor<Window<'w>>>(
+    /// Fills `slab` with records, one by `next` after the other, and hands them to `sink`; returns their number.
+    fn fill(
         &self,
-        mut decoder: D,
-        chunk_points: u64,
         slab: &mut [u8],
         sink: &mut dyn FnMut(&[u8]) -> Result<()>,
-    ) -> Result<(u64, u64)> {
-        let selection = DecompressionSelection::base().decompress_z().decompress_flags();
-        let selection = if self.classes { selection.decompress_classification() } else { selection };
-        let record_bytes = self.packing.record_bytes;
-        let items = self.packing.vlr.items();
-        let mut fresh = true;
-        let (mut done, mut in_chunk) = (0, 0);
+        mut next: impl FnMut(&mut [u8]) -> std::io::Result<()>,
+    ) -> Result<u64> {
+        let record_bytes = self.packing.decoded_bytes();
+        let mut done = 0;
         while done < self.points {
             let want = (slab.len() / record_bytes).min(usize::try_from(self.points - done).unwrap_or(usize::MAX));
             let mut filled = 0;
             let outcome = isolate(|| -> std::io::Result<()> {
                 for record in slab.chunks_exact_mut(record_bytes).take(want) {
-                    if fresh || (chunk_points > 0 && in_chunk == chunk_points) {
-                        decoder.reset();
-                        decoder.set_fields_from(items).map_err(std::io::Error::other)?;
-                        decoder.set_selection(selection);
-                        (fresh, in_chunk) = (false, 0);
-                    }
-                    decoder.decompress_next(record)?;
+                    next(record)?;
                     filled += 1;
-                    in_chunk += 1;
                 }
                 Ok(())
             });
@@ -446,13 +501,13 @@ impl Run<'_> {
                 Err(Panicked) => return Err(self.damaged(done, "the decoder cannot follow its data")),
             }
         }
-        let left = self.len.saturating_sub(decoder.get().position());
-        Ok((done, left))
+        Ok(done)
     }
 
     fn damaged(&self, done: u64, what: &str) -> Error {
         let reason = format!(
-            "damaged: {what}, after {done} of {} points; fetch or write the file again, or leave it out",
+            "damaged: {what}, after {done} of {} points; fetch or write the file again, or convert the rest with \
+             --allow-incomplete",
             self.points
         );
         Error::input(self.source.path(), self.name.clone(), reason)

@@ -1,15 +1,17 @@
 //! Variable length records, before the points and (LAS 1.4) after them: those few that matter here.
 //!
 //! In: a checked header. Out: the LASzip record and the records that describe the reference system.
-//! Memory: at most [`KEPT_BYTES`] per kept record; the others are stepped over. Stated counts (there are files with
+//! Memory: one record of each kind, each within its limit; the others are stepped over. Stated counts (there are files with
 //! 1,069,128,089) never size anything: stepping ends where the points or the file begin to end.
 
 use super::header::{Header, u16_at, u64_at};
 use super::source::Source;
 use crate::Result;
 
-/// Longest kept record (bytes); a longer one is passed over with a note.
-const KEPT_BYTES: u64 = 1 << 20;
+/// Longest kept text of a reference system (bytes), as an archive can hold it; a longer one is passed over with a note.
+const MOST_TEXT: u64 = 1 << 20;
+/// Longest kept record of GeoTIFF, and longest LASzip record (bytes).
+const MOST_KEYS: u64 = 1 << 16;
 /// Most records looked at, before and after the points each.
 const MOST_RECORDS: u32 = 1 << 16;
 
@@ -27,8 +29,8 @@ const LASZIP: u16 = 22204;
 #[derive(Debug, Default)]
 pub(super) struct Records {
     pub laszip: Option<Vec<u8>>,
-    /// Records of user `LASF_Projection`: id and content, in file order.
-    pub projection: Vec<(u16, Vec<u8>)>,
+    /// The first record of user `LASF_Projection` of each id that is not empty: id and content.
+    projection: Vec<(u16, Vec<u8>)>,
     /// Soft problems, for the monitor.
     pub notes: Vec<String>,
 }
@@ -72,22 +74,28 @@ impl Records {
         let id = u16_at(&head, 18);
         let projection = user == b"LASF_Projection" && [WKT, GEO_KEYS, GEO_DOUBLES, GEO_TEXT].contains(&id);
         let laszip = user == b"laszip encoded" && id == LASZIP;
-        if projection || laszip {
-            if length > KEPT_BYTES {
+        let wanted = laszip || projection && length > 0 && self.projection(id).is_none();
+        if wanted {
+            if length > if id == WKT { MOST_TEXT } else { MOST_KEYS } {
                 self.notes.push(format!("record {id} at byte {at} is {length} bytes long; it is passed over"));
             } else if let Some(body) = source.bytes_at(body_at, length as usize)? {
                 if laszip {
                     self.laszip = Some(body);
                 } else {
-                    self.projection.push((id, body));
+                    self.keep(id, body);
                 }
             }
         }
         Ok(Some(next))
     }
 
+    /// Keeps a record of the projection.
+    pub(super) fn keep(&mut self, id: u16, body: Vec<u8>) {
+        self.projection.push((id, body));
+    }
+
     /// The first record `id` of the projection that is not empty.
     pub(super) fn projection(&self, id: u16) -> Option<&[u8]> {
-        self.projection.iter().find(|(i, body)| *i == id && !body.is_empty()).map(|(_, body)| body.as_slice())
+        self.projection.iter().find(|(i, _)| *i == id).map(|(_, body)| body.as_slice())
     }
 }

@@ -3,12 +3,14 @@
 //! In: a path. Out: bytes at offsets. Nothing here moves a shared file position, so several threads may read one file.
 //! Memory: one [`Window`] holds at most [`WINDOW_BYTES`].
 
+use std::cell::Cell;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use crate::bytes::read_up_to;
+use crate::bytes::{Stamp, open_regular, read_up_to};
 use crate::{Error, Result};
+use xxhash_rust::xxh3::xxh3_128_with_seed;
 
 /// Read-ahead of a [`Window`] (bytes).
 const WINDOW_BYTES: usize = 64 << 10;
@@ -18,27 +20,51 @@ const WINDOW_BYTES: usize = 64 << 10;
 pub(super) struct Source {
     file: File,
     path: PathBuf,
+    stamp: Stamp,
+    /// Sum of the hashes of what was read, if that is wanted.
+    hash: Cell<Option<u128>>,
 }
 
 impl Source {
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        Ok(Self { file, path: path.to_path_buf() })
+        let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
+        let stamp = Stamp::of(&file, &about);
+        Ok(Self { file, path: path.to_path_buf(), stamp, hash: Cell::new(None) })
+    }
+
+    /// Whether what is read is to be hashed.
+    pub(super) fn hashes(&self, wanted: bool) {
+        self.hash.set(wanted.then_some(0));
+    }
+
+    /// Hash of all that was read since the last call: of bytes and places, in whatever order.
+    pub(super) fn take_hash(&self) -> u128 {
+        let hash = self.hash.get();
+        self.hashes(hash.is_some());
+        hash.unwrap_or(0)
     }
 
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Length of the file now (bytes).
-    pub(super) fn len(&self) -> Result<u64> {
-        Ok(self.file.metadata().map_err(|e| Error::io(&self.path, "read the length", e))?.len())
+    /// State of the file when it was opened.
+    pub(super) fn stamp(&self) -> Stamp {
+        self.stamp
     }
 
     /// Fills `out` from `offset` on; returns fewer bytes only where the file ends.
     pub(super) fn read_at(&self, out: &mut [u8], offset: u64) -> Result<usize> {
-        read_up_to(&self.file, offset, out)
-            .map_err(|e| Error::io(&self.path, format!("read {} bytes at byte {offset}", out.len()), e))
+        let len = out.len();
+        self.fill(out, offset).map_err(|e| Error::io(&self.path, format!("read {len} bytes at byte {offset}"), e))
+    }
+
+    fn fill(&self, out: &mut [u8], offset: u64) -> io::Result<usize> {
+        let read = read_up_to(&self.file, offset, out)?;
+        if let Some(hash) = self.hash.get() {
+            self.hash.set(Some(hash.wrapping_add(xxh3_128_with_seed(&out[..read], offset))));
+        }
+        Ok(read)
     }
 
     /// The `len` bytes at `offset`, or `None` where the file ends before. `len` must be bounded by the caller.
@@ -77,7 +103,7 @@ impl<'a> Window<'a> {
         self.next = 0;
         let want = self.len.saturating_sub(self.held_at).min(WINDOW_BYTES as u64) as usize;
         self.held.resize(want, 0);
-        let got = read_up_to(&self.source.file, self.start + self.held_at, &mut self.held)?;
+        let got = self.source.fill(&mut self.held, self.start + self.held_at)?;
         self.held.truncate(got);
         Ok(())
     }

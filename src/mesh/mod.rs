@@ -7,8 +7,8 @@
 //!
 //! [`raster`] takes triangles to the grid exactly, [`sample`] as points, the thesis' way (algorithm 3.2).
 //!
-//! The readers of OBJ, PLY and STL are our own and thin, because the crates for these formats hold whole files in
-//! memory; glTF's structure is read by the crate `gltf-json`, its buffers piece by piece.
+//! The readers are our own and thin, because the crates for these formats hold whole files in memory, or their structure in
+//! a hundred times the bytes of the text.
 
 pub mod raster;
 pub mod sample;

@@ -1,85 +1,84 @@
-//! Random access to a file in small pieces, through a cache of fixed size.
+//! Random access to files in small pieces, through a cache of fixed size.
 
-use crate::{Error, Result};
 use std::fs::File;
-use std::io::{ErrorKind, Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 
 const BLOCK_BYTES: usize = 4096;
 /// Blocks held; faces of real meshes use corners near those of the faces before.
-const BLOCKS: usize = 256;
+const BLOCKS: u64 = 256;
 
-/// A file whose blocks are kept where they were read last: block `n` in place `n % 256`.
+/// Blocks of any number of files, kept where they were read last: each block has one place.
 pub(super) struct Blocks {
-    file: File,
-    path: PathBuf,
     held: Vec<Block>,
 }
 
 #[derive(Clone)]
 struct Block {
-    number: u64,
+    /// File and number in it; no file of that number means that nothing is held.
+    name: (u32, u64),
     bytes: Vec<u8>,
 }
 
+const NO_FILE: u32 = u32::MAX;
+
 impl Blocks {
-    /// A cache for `file`, which is called `path` in errors.
-    pub(super) fn new(file: File, path: &Path) -> Self {
-        let empty = Block { number: u64::MAX, bytes: Vec::new() };
-        Self { file, path: path.to_path_buf(), held: vec![empty; BLOCKS] }
+    /// An empty cache.
+    pub(super) fn new() -> Self {
+        Self { held: vec![Block { name: (NO_FILE, 0), bytes: Vec::new() }; BLOCKS as usize] }
     }
 
-    pub(super) fn file_mut(&mut self) -> &mut File {
-        &mut self.file
-    }
-
-    /// Forgets what is held: the file has changed.
+    /// Forgets what is held: the files have changed.
     pub(super) fn forget(&mut self) {
-        self.held.iter_mut().for_each(|block| block.number = u64::MAX);
+        self.held.iter_mut().for_each(|block| block.name.0 = NO_FILE);
     }
 
-    /// Fills `out` from `offset` on.
-    pub(super) fn read(&mut self, mut offset: u64, mut out: &mut [u8]) -> Result<()> {
-        let Self { file, path, held } = self;
+    /// Fills `out` with the bytes of `file` from `offset` on, loading blocks by their number with `load`; false where the
+    /// file ends before.
+    pub(super) fn read(
+        &mut self,
+        file: u32,
+        mut offset: u64,
+        mut out: &mut [u8],
+        mut load: impl FnMut(u64, &mut Vec<u8>) -> io::Result<()>,
+    ) -> io::Result<bool> {
         while !out.is_empty() {
             let (number, skip) = (offset / BLOCK_BYTES as u64, (offset % BLOCK_BYTES as u64) as usize);
-            let block = &mut held[(number % BLOCKS as u64) as usize];
-            if block.number != number {
-                block.load(file, number).map_err(|e| Error::io(&*path, format!("read at byte {offset}"), e))?;
+            let place = number.wrapping_add(u64::from(file).wrapping_mul(37)) % BLOCKS;
+            let block = &mut self.held[place as usize];
+            if block.name != (file, number) {
+                // Until it is filled it is no block.
+                block.name.0 = NO_FILE;
+                load(number, &mut block.bytes)?;
+                block.name = (file, number);
             }
             let bytes = block.bytes.get(skip..).unwrap_or(&[]);
             if bytes.is_empty() {
-                let reason = "the file ends before it; fetch or write it again";
-                return Err(Error::input(path, format!("byte {offset}"), reason));
+                return Ok(false);
             }
             let count = bytes.len().min(out.len());
             out[..count].copy_from_slice(&bytes[..count]);
             out = &mut out[count..];
             offset += count as u64;
         }
-        Ok(())
+        Ok(true)
     }
 }
 
-impl Block {
-    fn load(&mut self, file: &mut File, number: u64) -> std::io::Result<()> {
-        // Until it is filled it is no block.
-        self.number = u64::MAX;
-        self.bytes.resize(BLOCK_BYTES, 0);
-        file.seek(SeekFrom::Start(number * BLOCK_BYTES as u64))?;
-        let mut filled = 0;
-        while filled < BLOCK_BYTES {
-            match file.read(&mut self.bytes[filled..]) {
-                Ok(0) => break,
-                Ok(count) => filled += count,
-                Err(e) if e.kind() == ErrorKind::Interrupted => {}
-                Err(e) => return Err(e),
-            }
+/// Reads block `number` of `file`, as much of it as there is.
+pub(super) fn fill_block(file: &mut File, number: u64, bytes: &mut Vec<u8>) -> io::Result<()> {
+    bytes.resize(BLOCK_BYTES, 0);
+    file.seek(SeekFrom::Start(number.saturating_mul(BLOCK_BYTES as u64)))?;
+    let mut filled = 0;
+    while filled < BLOCK_BYTES {
+        match file.read(&mut bytes[filled..]) {
+            Ok(0) => break,
+            Ok(count) => filled += count,
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
         }
-        self.bytes.truncate(filled);
-        self.number = number;
-        Ok(())
     }
+    bytes.truncate(filled);
+    Ok(())
 }
 
 #[cfg(test)]
@@ -88,19 +87,29 @@ mod tests {
     use std::io::Write;
 
     #[test]
-    fn pieces_across_blocks_and_far_apart_are_those_of_the_file() {
-        let all: Vec<u8> = (0..3_000_000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        let mut file = tempfile::tempfile().unwrap();
-        file.write_all(&all).unwrap();
-        let mut blocks = Blocks::new(file, Path::new("test"));
-        for n in 0..2000usize {
-            let (at, count) = (n * 7_919_777 % 2_990_000, n % 9000);
+    fn pieces_across_blocks_and_far_apart_are_those_of_the_files() {
+        let all = |salt: u32| -> Vec<u8> {
+            (0..1_000_000u32).map(|i| (i.wrapping_mul(2_654_435_761).wrapping_add(salt << 24) >> 24) as u8).collect()
+        };
+        let all = [all(0), all(77)];
+        let mut files = [0, 1].map(|n: usize| {
+            let mut file = tempfile::tempfile().unwrap();
+            file.write_all(&all[n]).unwrap();
+            file
+        });
+        let mut blocks = Blocks::new();
+        let mut read = |file: usize, at: u64, out: &mut [u8]| {
+            let load = |number, bytes: &mut Vec<u8>| fill_block(&mut files[file], number, bytes);
+            blocks.read(file as u32, at, out, load)
+        };
+        for n in 0..4000usize {
+            let (at, count) = (n * 7_919_777 % 990_000, n % 9000);
             let mut out = vec![0; count];
-            blocks.read(at as u64, &mut out).unwrap();
-            assert!(out == all[at..at + count], "{count} bytes at {at}");
+            assert!(read(n % 2, at as u64, &mut out).unwrap());
+            assert!(out == all[n % 2][at..at + count], "{count} bytes at {at}");
         }
-        for at in [2_999_990, 3_000_000, 1 << 40, u64::MAX - 20] {
-            assert!(blocks.read(at, &mut [0; 12]).is_err(), "{at}");
+        for at in [999_990, 1_000_000, 1 << 40] {
+            assert!(!read(0, at, &mut [0; 12]).unwrap(), "{at}");
         }
     }
 }

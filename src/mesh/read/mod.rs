@@ -1,6 +1,7 @@
 //! Mesh files to triangles in metres, z up.
 
 mod blocks;
+mod feed;
 mod gltf;
 mod obj;
 mod ply;
@@ -8,14 +9,19 @@ mod polygon;
 mod stl;
 mod text;
 mod vertices;
+mod watch;
 
+use self::watch::{Digest, Watch};
 use super::Triangle;
-use crate::input::Units;
-use crate::input::scenes::Scene;
+use crate::bytes::{Stamp, open_regular};
+use crate::input::{Units, is_of_input};
 use crate::plan::Up;
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Result};
 use std::path::{Path, PathBuf};
+
+use self::feed::Bounds;
+pub use self::feed::MeshFeed;
 
 /// Greatest coordinate that is kept, in magnitude (m); as for scans.
 const FARTHEST_M: f64 = 1e12;
@@ -31,6 +37,23 @@ pub struct MeshOptions {
     pub memory_bytes: u64,
     /// Folder for the corners that do not fit.
     pub temp_dir: PathBuf,
+    /// Whether files with broken faces are read as far as possible, with warnings, instead of being refused.
+    pub allow_incomplete: bool,
+    /// Whether all that is read is hashed, so that two runs can tell whether they read the same.
+    pub hash: bool,
+}
+
+impl Default for MeshOptions {
+    fn default() -> Self {
+        Self {
+            units: Units::Auto,
+            up: Up::Z,
+            memory_bytes: 64 << 20,
+            temp_dir: std::env::temp_dir(),
+            allow_incomplete: false,
+            hash: false,
+        }
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,9 +76,12 @@ fn kind_of(path: &Path) -> Option<Kind> {
 
 /// Triangles of one file, in file coordinates.
 trait Triangles: Send {
-    /// Appends some triangles, at most as many as one face or a few hundred make; false when there are no more.
-    fn read(&mut self, out: &mut Vec<Triangle>) -> Result<bool>;
+    /// Appends some triangles, at most a few thousand; false when there are no more.
+    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool>;
 }
+
+/// Triangles after which a batch is full; one face may add as many again.
+const BATCH_TRIANGLES: usize = 1 << 12;
 
 /// Numbers of triangles.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -76,22 +102,42 @@ impl std::ops::AddAssign for MeshCounts {
 /// Mesh files that were found to exist.
 #[derive(Debug)]
 pub struct MeshSet {
-    files: Vec<(PathBuf, Kind, u64)>,
+    files: Vec<MeshFile>,
     options: MeshOptions,
+    complete: bool,
+}
+
+#[derive(Debug)]
+struct MeshFile {
+    path: PathBuf,
+    kind: Kind,
+    stamp: Stamp,
 }
 
 impl MeshSet {
-    /// The meshes at `paths`, all of them with names of meshes. Warns once where no unit is known.
+    /// The meshes at `paths`, all of them with names of meshes. Warns once where no unit is known, and where incomplete input
+    /// is allowed, of files that cannot be opened.
     pub fn open(paths: &[PathBuf], options: MeshOptions, monitor: &dyn Monitor) -> Result<Self> {
         let mut files = Vec::with_capacity(paths.len());
+        let mut left_out = None;
         for path in paths {
-            let about = std::fs::metadata(path).map_err(|e| Error::io(path, "open", e))?;
-            let kind = kind_of(path).ok_or_else(|| {
-                Error::input(path, "name", "no mesh of a known format; expected .obj, .ply, .stl, .gltf or .glb")
-            })?;
-            files.push((path.clone(), kind, about.len()));
+            if monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            match MeshFile::open(path) {
+                Ok(file) => files.push(file),
+                Err(error) if options.allow_incomplete && is_of_input(&error) => {
+                    monitor.warn(&format!("incomplete: left out: {error}"));
+                    left_out = Some(error);
+                }
+                Err(error) => return Err(error),
+            }
         }
-        let mut unknown = files.iter().filter(|file| options.units == Units::Auto && file.1 != Kind::Gltf);
+        let complete = left_out.is_none();
+        if let Some(error) = left_out.filter(|_| files.is_empty()) {
+            return Err(error);
+        }
+        let mut unknown = files.iter().filter(|file| options.units == Units::Auto && file.kind != Kind::Gltf);
         if let Some(first) = unknown.next() {
             let others = match unknown.count() {
                 0 => String::new(),
@@ -99,10 +145,15 @@ impl MeshSet {
             };
             monitor.warn(&format!(
                 "{}{others}: meshes of this format state no unit; metres are assumed, --units sets another",
-                first.0.display()
+                first.path.display()
             ));
         }
-        Ok(Self { files, options })
+        Ok(Self { files, options, complete })
+    }
+
+    /// Where the files are.
+    pub(crate) fn paths(&self) -> impl Iterator<Item = &Path> {
+        self.files.iter().map(|file| file.path.as_path())
     }
 
     /// Whether there are none.
@@ -120,41 +171,35 @@ impl MeshSet {
 
     /// Length of all files (bytes): for progress only.
     pub fn bytes(&self) -> u64 {
-        self.files.iter().map(|file| file.2).fold(0, u64::saturating_add)
+        self.files.iter().map(|file| file.stamp.len()).fold(0, u64::saturating_add)
+    }
+
+    /// Whether no file had to be left out.
+    pub fn is_complete(&self) -> bool {
+        self.complete
     }
 
     /// All triangles, from the first.
     pub fn feed(&self) -> MeshFeed<'_> {
-        MeshFeed {
-            set: self,
-            next: 0,
-            open: None,
-            of_file: MeshCounts::default(),
-            total: MeshCounts::default(),
-            bounds: Vec::new(),
-        }
+        MeshFeed::new(self)
     }
 
-    /// Bounds of all usable triangles (m), which are read for this; `None` if there are none.
+    /// Bounds of all usable triangles (m), which are read for this; `None` if there are none. Warnings come when the
+    /// triangles themselves are read.
     pub fn bounds(&self, monitor: &dyn Monitor) -> Result<Option<Bounds>> {
         let (mut feed, mut batch) = (self.feed(), Vec::new());
-        while feed.next(&mut batch, &crate::NoMonitor)? {
-            if monitor.cancelled() {
-                return Err(Error::Interrupted);
-            }
-        }
-        let all = feed.bounds.iter().fold(NO_BOUNDS, |all, file| grown(grown(all, file.0), file.1));
-        Ok((all.0[0] <= all.1[0]).then_some(all))
+        while feed.next(&mut batch, &Silent(monitor))? {}
+        Ok(feed.bounds())
     }
 
-    fn reader(&self, number: usize) -> Result<Box<dyn Triangles>> {
-        let (path, kind, _) = &self.files[number];
+    fn reader(&self, number: usize, digest: &Digest, watch: &mut Watch) -> Result<Box<dyn Triangles>> {
+        let MeshFile { path, kind, .. } = &self.files[number];
         let options = &self.options;
         Ok(match kind {
-            Kind::Obj => Box::new(obj::Reader::open(path, options)?),
-            Kind::Ply => Box::new(ply::Reader::open(path, options)?),
-            Kind::Stl => Box::new(stl::Reader::open(path)?),
-            Kind::Gltf => Box::new(gltf::Reader::open(path, options)?),
+            Kind::Obj => Box::new(obj::Reader::open(path, options, digest, watch)?),
+            Kind::Ply => Box::new(ply::Reader::open(path, options, digest, watch)?),
+            Kind::Stl => Box::new(stl::Reader::open(path, digest, watch)?),
+            Kind::Gltf => Box::new(gltf::Reader::open(path, options, digest, watch)?),
         })
     }
 
@@ -164,7 +209,7 @@ impl MeshSet {
             Units::Auto => 1.0,
             Units::Factor(factor) => factor,
         };
-        let turned = self.options.up == Up::Y || self.files[number].1 == Kind::Gltf;
+        let turned = self.options.up == Up::Y || self.files[number].kind == Kind::Gltf;
         for corner in triangle {
             let [x, y, z] = corner.map(|v| v * factor);
             *corner = if turned { [x, -z, y] } else { [x, y, z] };
@@ -172,95 +217,31 @@ impl MeshSet {
     }
 }
 
-/// Least and greatest corner (m).
-type Bounds = ([f64; 3], [f64; 3]);
+impl MeshFile {
+    fn open(path: &Path) -> Result<Self> {
+        let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
+        let kind = kind_of(path).ok_or_else(|| {
+            Error::input(path, "name", "no mesh of a known format; expected .obj, .ply, .stl, .gltf or .glb")
+        })?;
+        Ok(Self { path: path.to_path_buf(), kind, stamp: Stamp::of(&file, &about) })
+    }
+}
 
-/// Bounds of nothing.
-const NO_BOUNDS: Bounds = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+/// Passes on the wish to stop, and nothing that is said.
+struct Silent<'a>(&'a dyn Monitor);
 
-/// `bounds` around `corner` too.
-fn grown((min, max): Bounds, corner: [f64; 3]) -> Bounds {
-    ([0, 1, 2].map(|axis| min[axis].min(corner[axis])), [0, 1, 2].map(|axis| max[axis].max(corner[axis])))
+impl Monitor for Silent<'_> {
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
+}
+
+/// Whether a corner is not finite or too far away to be kept.
+fn is_far(triangle: &Triangle) -> bool {
+    !triangle.as_flattened().iter().all(|v| v.abs() <= FARTHEST_M)
 }
 
 /// Whether a triangle has an area and lies where triangles are kept.
 fn usable(triangle: &Triangle) -> bool {
-    let near = triangle.as_flattened().iter().all(|v| v.abs() <= FARTHEST_M);
-    near && super::raster::has_area(triangle)
-}
-
-/// Hands out the triangles of a set, file after file.
-pub struct MeshFeed<'a> {
-    set: &'a MeshSet,
-    /// Number of the file at hand.
-    next: usize,
-    open: Option<Box<dyn Triangles>>,
-    of_file: MeshCounts,
-    total: MeshCounts,
-    /// Of the usable triangles of each file so far.
-    bounds: Vec<Bounds>,
-}
-
-impl<'a> MeshFeed<'a> {
-    /// Replaces `batch` by the next usable triangles (m, z up), maybe none; false after the last.
-    ///
-    /// At the end of each file a warning tells how many triangles were left out; a file without any usable one is an
-    /// error: an empty archive in place of a good one helps nobody.
-    pub fn next(&mut self, batch: &mut Vec<Triangle>, monitor: &dyn Monitor) -> Result<bool> {
-        batch.clear();
-        let more = self.read(batch, monitor);
-        if more.is_err() {
-            // What follows an error means nothing; other workers find the end.
-            self.next = self.set.files.len();
-        }
-        more
-    }
-
-    fn read(&mut self, batch: &mut Vec<Triangle>, monitor: &dyn Monitor) -> Result<bool> {
-        let Some((path, ..)) = self.set.files.get(self.next) else { return Ok(false) };
-        let reader = match &mut self.open {
-            Some(reader) => reader,
-            closed => closed.insert(self.set.reader(self.next)?),
-        };
-        let more = reader.read(batch)?;
-        let read = batch.len();
-        batch.iter_mut().for_each(|triangle| self.set.place(self.next, triangle));
-        batch.retain(usable);
-        self.bounds.resize(self.next + 1, NO_BOUNDS);
-        self.bounds[self.next] = batch.as_flattened().iter().fold(self.bounds[self.next], |all, &c| grown(all, c));
-        self.of_file += MeshCounts { read: read as u64, left_out: (read - batch.len()) as u64 };
-        if !more {
-            let MeshCounts { read, left_out } = std::mem::take(&mut self.of_file);
-            if read == left_out {
-                let reason = if read == 0 {
-                    "it holds no triangles; a cloud of points must come as LAS or LAZ".into()
-                } else {
-                    format!("none of its {read} triangles has an area and finite corners within 1e12 m; write it again")
-                };
-                return Err(Error::input(path, "triangles", reason));
-            }
-            if left_out > 0 {
-                monitor.warn(&format!(
-                    "{}: {left_out} of {read} triangles left out: they have no area, or a corner is not finite or beyond \
-                     1e12 m",
-                    path.display()
-                ));
-            }
-            self.total += MeshCounts { read, left_out };
-            self.open = None;
-            self.next += 1;
-        }
-        Ok(true)
-    }
-
-    /// Files with the bounds of their usable triangles so far.
-    pub(crate) fn scenes(&self) -> impl Iterator<Item = Scene<'a>> {
-        let files = self.set.files.iter().zip(&self.bounds);
-        files.map(|(file, &(min, max))| Scene { path: &file.0, min, max })
-    }
-
-    /// Triangles of the files that came to their end.
-    pub fn counts(&self) -> MeshCounts {
-        self.total
-    }
+    !is_far(triangle) && super::raster::has_area(triangle)
 }

@@ -6,7 +6,8 @@
 use super::polygon::Polygon;
 use super::text::{Lines, shown};
 use super::vertices::Vertices;
-use super::{MeshOptions, Triangle, Triangles};
+use super::watch::{Digest, Watch};
+use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
 use crate::Result;
 use std::path::Path;
 
@@ -22,20 +23,21 @@ pub(super) struct Reader {
 }
 
 impl Reader {
-    pub(super) fn open(path: &Path, options: &MeshOptions) -> Result<Self> {
-        let mut lines = Lines::open(path, true)?;
+    pub(super) fn open(path: &Path, options: &MeshOptions, digest: &Digest, watch: &mut Watch) -> Result<Self> {
+        let mut lines = Lines::open(path, true, digest)?;
         let mut vertices = Vertices::new(options);
         while lines.next()? {
+            watch.step()?;
             let mut words = lines.words();
             if words.next() == Some(b"v") {
                 vertices.push(lines.corner(&mut words)?)?;
             }
         }
         vertices.flush()?;
-        Ok(Self { lines: Lines::open(path, true)?, vertices, before: 0, polygon: Polygon::default() })
+        Ok(Self { lines: Lines::open(path, true, digest)?, vertices, before: 0, polygon: Polygon::default() })
     }
 
-    fn face(&mut self, out: &mut Vec<Triangle>) -> Result<()> {
+    fn face(&mut self, out: &mut Vec<Triangle>, watch: &Watch) -> Result<()> {
         self.polygon.clear();
         for word in self.lines.words().skip(1).take_while(|word| !word.starts_with(b"#")) {
             let index = word.split(|&byte| byte == b'/').next().unwrap_or(word);
@@ -56,21 +58,26 @@ impl Reader {
             let missing = || self.lines.error(format!("there is no corner {}: the file has {all}", shown(index)));
             self.polygon.push(corner.ok_or_else(missing)?);
         }
-        self.polygon.triangles(out).map_err(|reason| self.lines.error(reason))
+        let cut = self.polygon.triangles(out, &|| watch.go_on())?;
+        cut.map_err(|reason| self.lines.error(reason))
     }
 }
 
 impl Triangles for Reader {
-    fn read(&mut self, out: &mut Vec<Triangle>) -> Result<bool> {
+    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
         for _ in 0..LINES {
+            if out.len() >= BATCH_TRIANGLES {
+                break;
+            }
             if !self.lines.next()? {
                 return Ok(false);
             }
+            watch.step()?;
             let kind = self.lines.words().next();
             match kind {
                 Some(b"v") => self.before += 1,
                 // "fo" is the old name.
-                Some(b"f" | b"fo") => self.face(out)?,
+                Some(b"f" | b"fo") => self.face(out, watch).or_else(|error| watch.lose(1, error))?,
                 _ => {}
             }
         }

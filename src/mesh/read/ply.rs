@@ -6,9 +6,9 @@
 use super::polygon::Polygon;
 use super::text::{Lines, shown};
 use super::vertices::Vertices;
-use super::{MeshOptions, Triangle, Triangles};
+use super::watch::{Digest, Source, Watch};
+use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
 use crate::{Error, Result};
-use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
@@ -64,9 +64,16 @@ struct Property {
     number: Number,
 }
 
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Vertex,
+    Face,
+    Other,
+}
+
 #[derive(Debug, Clone)]
 struct Element {
-    name: Vec<u8>,
+    kind: Kind,
     count: u64,
     properties: Vec<Property>,
 }
@@ -74,7 +81,7 @@ struct Element {
 /// The numbers of the body, one after the other.
 enum Body {
     Text(Lines),
-    Binary { reader: BufReader<File>, path: PathBuf, big: bool, at: u64 },
+    Binary { reader: BufReader<Source>, path: PathBuf, big: bool, at: u64 },
 }
 
 impl Body {
@@ -97,14 +104,10 @@ impl Body {
         Err(lines.error("the file ends before the elements that its header states: it is cut; fetch it again"))
     }
 
-    /// The number with index `word` of the line, or the next of a binary body.
-    fn number(&mut self, number: Number, word: &mut usize) -> Result<f64> {
+    /// The next number, which a binary body holds in the form `number`.
+    fn number(&mut self, number: Number) -> Result<f64> {
         match self {
-            Self::Text(lines) => {
-                let value = lines.number(lines.words().nth(*word))?;
-                *word += 1;
-                Ok(value)
-            }
+            Self::Text(lines) => lines.next_number(),
             Self::Binary { reader, path, big, at } => {
                 let mut value = [0; 8];
                 let bytes = match number {
@@ -143,17 +146,16 @@ impl Body {
     /// Reads one element; gives each number with its role.
     fn element(&mut self, properties: &[Property], mut give: impl FnMut(Role, f64)) -> Result<()> {
         self.begin()?;
-        let mut word = 0;
         for property in properties {
             let count = match property.list {
                 None => 1.0,
-                Some(count) => self.number(count, &mut word)?,
+                Some(count) => self.number(count)?,
             };
             if !(0.0..=MOST_IN_LIST).contains(&count) {
                 return Err(self.error(format!("a list of {count} numbers; expected 0 to {MOST_IN_LIST}")));
             }
             for _ in 0..count as u32 {
-                give(property.role, self.number(property.number, &mut word)?);
+                give(property.role, self.number(property.number)?);
             }
         }
         Ok(())
@@ -170,17 +172,18 @@ pub(super) struct Reader {
 }
 
 impl Reader {
-    pub(super) fn open(path: &Path, options: &MeshOptions) -> Result<Self> {
-        let (mut body, elements) = open_body(path)?;
+    pub(super) fn open(path: &Path, options: &MeshOptions, digest: &Digest, watch: &mut Watch) -> Result<Self> {
+        let (mut body, elements) = open_body(path, digest)?;
         let mut vertices = Vertices::new(options);
         let mut faces = None;
         for element in elements {
             let axes: Vec<Role> = element.properties.iter().map(|property| property.role).collect();
-            if element.name == b"vertex" {
+            if element.kind == Kind::Vertex {
                 if !(0..3).all(|axis| axes.contains(&Role::Axis(axis))) {
                     return Err(Error::input(path, "header", "the element \"vertex\" has no properties x, y and z"));
                 }
                 for _ in 0..element.count {
+                    watch.step()?;
                     let mut vertex = [f64::NAN; 3];
                     body.element(&element.properties, |role, value| {
                         if let Role::Axis(axis) = role {
@@ -189,7 +192,7 @@ impl Reader {
                     })?;
                     vertices.push(vertex)?;
                 }
-            } else if element.name == b"face" {
+            } else if element.kind == Kind::Face {
                 if !axes.contains(&Role::Corners) {
                     return Err(Error::input(path, "header", "the element \"face\" has no list \"vertex_indices\""));
                 }
@@ -197,6 +200,7 @@ impl Reader {
                 break;
             } else {
                 for _ in 0..element.count {
+                    watch.step()?;
                     body.element(&element.properties, |_, _| ())?;
                 }
             }
@@ -207,28 +211,49 @@ impl Reader {
     }
 }
 
-impl Triangles for Reader {
-    fn read(&mut self, out: &mut Vec<Triangle>) -> Result<bool> {
-        for _ in 0..FACES.min(self.faces_left) {
-            let Self { body, vertices, properties, corners, polygon, .. } = self;
-            corners.clear();
-            body.element(properties, |role, value| {
-                if role == Role::Corners {
-                    corners.push(value);
-                }
-            })?;
-            polygon.clear();
-            for &index in &*corners {
-                // A whole number below 2⁵³, or no corner has it.
-                let number = (index >= 0.0 && index.fract() == 0.0).then_some(index as u64);
-                let corner = match number {
-                    Some(number) => vertices.get(number)?,
-                    None => None,
-                };
-                let all = vertices.len();
-                polygon.push(corner.ok_or_else(|| body.error(format!("there is no corner {index}: it has {all}")))?);
+impl Reader {
+    /// The corners of the next face, and its triangles; the inner error leaves the place of the next face known.
+    fn face(&mut self, out: &mut Vec<Triangle>, watch: &Watch) -> Result<Result<()>> {
+        let Self { body, vertices, properties, corners, polygon, .. } = self;
+        corners.clear();
+        body.element(properties, |role, value| {
+            if role == Role::Corners {
+                corners.push(value);
             }
-            polygon.triangles(out).map_err(|reason| body.error(reason))?;
+        })?;
+        polygon.clear();
+        for &index in &*corners {
+            // A whole number below 2⁵³, or no corner has it.
+            let number = (index >= 0.0 && index.fract() == 0.0).then_some(index as u64);
+            let corner = match number {
+                Some(number) => vertices.get(number)?,
+                None => None,
+            };
+            let Some(corner) = corner else {
+                let all = vertices.len();
+                return Ok(Err(body.error(format!("there is no corner {index}: it has {all}"))));
+            };
+            polygon.push(corner);
+        }
+        let cut = polygon.triangles(out, &|| watch.go_on())?;
+        Ok(cut.map_err(|reason| body.error(reason)))
+    }
+}
+
+impl Triangles for Reader {
+    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
+        for _ in 0..FACES.min(self.faces_left) {
+            if out.len() >= BATCH_TRIANGLES {
+                break;
+            }
+            watch.step()?;
+            match self.face(out, watch) {
+                Ok(face) => face.or_else(|error| watch.lose(1, error))?,
+                Err(error) => {
+                    watch.lose(self.faces_left, error)?;
+                    return Ok(false);
+                }
+            }
             self.faces_left -= 1;
         }
         Ok(self.faces_left > 0)
@@ -236,8 +261,8 @@ impl Triangles for Reader {
 }
 
 /// Reads the header.
-fn open_body(path: &Path) -> Result<(Body, Vec<Element>)> {
-    let mut lines = Lines::open(path, false)?;
+fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
+    let mut lines = Lines::open(path, false, digest)?;
     if !lines.next()? || lines.words().next() != Some(b"ply") {
         return Err(lines.error("expected \"ply\": this is no PLY file"));
     }
@@ -249,20 +274,23 @@ fn open_body(path: &Path) -> Result<(Body, Vec<Element>)> {
         }
         let words: Vec<&[u8]> = lines.words().take(8).collect();
         match words[..] {
-            [b"format", name, b"1.0"] => format = name.to_vec(),
+            [b"format", name, b"1.0"] => format = name[..name.len().min(40)].to_vec(),
             [b"element", name, count] => {
                 let parsed = std::str::from_utf8(count).ok().and_then(|text| text.parse().ok());
                 let unclear = || lines.error(format!("expected a number of elements, found {}", shown(count)));
-                let element =
-                    Element { name: name.to_vec(), count: parsed.ok_or_else(unclear)?, properties: Vec::new() };
-                elements.push(element);
+                let kind = match name {
+                    b"vertex" => Kind::Vertex,
+                    b"face" => Kind::Face,
+                    _ => Kind::Other,
+                };
+                elements.push(Element { kind, count: parsed.ok_or_else(unclear)?, properties: Vec::new() });
             }
             [b"property", ref property @ ..] => {
                 let unknown = || {
                     lines.error(format!("a property that PLY does not know: {}", shown(property.concat().as_slice())))
                 };
                 let element = elements.last_mut().ok_or_else(|| lines.error("a property before any element"))?;
-                element.properties.push(parse_property(property, element.name == b"face").ok_or_else(unknown)?);
+                element.properties.push(parse_property(property, element.kind == Kind::Face).ok_or_else(unknown)?);
             }
             [b"end_header"] => break,
             [] | [b"comment" | b"obj_info", ..] => {}
@@ -272,16 +300,15 @@ fn open_body(path: &Path) -> Result<(Body, Vec<Element>)> {
             return Err(lines.error(format!("more than {MOST_PARTS} elements or properties")));
         }
     }
-    let faces = elements.iter().position(|element| element.name == b"face");
-    let corners = elements.iter().position(|element| element.name == b"vertex");
+    let faces = elements.iter().position(|element| element.kind == Kind::Face);
+    let corners = elements.iter().position(|element| element.kind == Kind::Vertex);
     if let (Some(faces), Some(corners)) = (faces, corners)
         && faces < corners
     {
         return Err(Error::input(path, "header", "faces come before their corners; write the file with corners first"));
     }
-    let empty = elements.iter().find(|element| element.properties.is_empty() && element.count > 0);
-    if let Some(empty) = empty {
-        return Err(Error::input(path, "header", format!("the element {} has no properties", shown(&empty.name))));
+    if let Some(empty) = elements.iter().position(|element| element.properties.is_empty() && element.count > 0) {
+        return Err(Error::input(path, "header", format!("element {} has no properties", empty + 1)));
     }
     let body = match &format[..] {
         b"ascii" => Body::Text(lines),

@@ -1,5 +1,6 @@
 //! Polygons to triangles.
 
+use crate::Result;
 use crate::mesh::Triangle;
 
 /// Most corners of a polygon: cutting ears takes the square of their number.
@@ -9,7 +10,23 @@ const MOST_CORNERS: usize = 4096;
 #[derive(Debug, Default)]
 pub(super) struct Polygon {
     corners: Vec<[f64; 3]>,
-    left: Vec<u32>,
+    /// Neighbours of each corner that is left.
+    before: Vec<u32>,
+    after: Vec<u32>,
+    verdicts: Vec<Verdict>,
+}
+
+/// What is known of the triangle at a corner.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Verdict {
+    /// Nothing.
+    New,
+    /// It turns the wrong way, or has no area.
+    Reflex,
+    /// It holds this corner, and none with a lower number.
+    Holds(u32),
+    /// The corner was cut off.
+    Gone,
 }
 
 impl Polygon {
@@ -24,66 +41,132 @@ impl Polygon {
         }
     }
 
-    /// Appends the triangles of the polygon, concave or not: ears are cut off in the plane in which it is largest. Fails
-    /// with a reason if there are too few or too many corners.
-    pub(super) fn triangles(&mut self, out: &mut Vec<Triangle>) -> Result<(), String> {
-        let corners = &self.corners;
-        match corners.len() {
-            0..=2 => return Err(format!("a face has {} corners; expected at least 3", corners.len())),
+    /// Appends the triangles of the polygon, concave or not: ears are cut off in the plane in which it is largest. The inner
+    /// error says that there are too few or too many corners; that of `go_on`, which is asked now and then, ends the work.
+    ///
+    /// Cost: at most three looks at each pair of corners. A corner once found in a triangle keeps that from being an ear until
+    /// it is cut off itself, and the search for another goes on behind it.
+    pub(super) fn triangles(
+        &mut self,
+        out: &mut Vec<Triangle>,
+        go_on: &dyn Fn() -> Result<()>,
+    ) -> Result<Result<(), String>> {
+        let Self { corners, before, after, verdicts } = self;
+        let count = corners.len();
+        match count {
+            0..=2 => return Ok(Err(format!("a face has {count} corners; expected at least 3"))),
             3 => {
                 out.push([corners[0], corners[1], corners[2]]);
-                return Ok(());
+                return Ok(Ok(()));
             }
-            count if count > MOST_CORNERS => return Err(format!("a face has more than {MOST_CORNERS} corners")),
+            _ if count > MOST_CORNERS => return Ok(Err(format!("a face has more than {MOST_CORNERS} corners"))),
             _ => {}
         }
-        let normal = self.normal();
-        let axis = (0..3).fold(0, |best, axis| if normal[axis].abs() > normal[best].abs() { axis } else { best });
-        let flip = if normal[axis] < 0.0 { -1.0 } else { 1.0 };
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let flat = |n: u32| (self.corners[n as usize][u], self.corners[n as usize][v]);
-        // Twice the area of a triangle in that plane, above 0 if it turns as the polygon does.
-        let area = |a: u32, b: u32, c: u32| {
-            let (a, b, c) = (flat(a), flat(b), flat(c));
-            flip * ((b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0))
-        };
-        let left = &mut self.left;
-        left.clear();
-        left.extend(0..self.corners.len() as u32);
-        while left.len() > 3 {
-            let count = left.len();
-            let around = |at: usize| (left[(at + count - 1) % count], left[at], left[(at + 1) % count]);
-            let is_ear = |&at: &usize| {
-                let (a, b, c) = around(at);
-                let holds = |p: u32| {
-                    let apart = [a, b, c].iter().all(|&corner| flat(corner) != flat(p));
-                    apart && area(a, b, p) >= 0.0 && area(b, c, p) >= 0.0 && area(c, a, p) >= 0.0
-                };
-                area(a, b, c) > 0.0 && !left.iter().any(|&p| holds(p))
-            };
-            // A polygon that crosses itself may have no ear; then any corner is cut off.
+        let plane = Plane::of(corners);
+        let last = count as u32 - 1;
+        before.clear();
+        before.extend((0..=last).map(|n| n.checked_sub(1).unwrap_or(last)));
+        after.clear();
+        after.extend((0..=last).map(|n| if n == last { 0 } else { n + 1 }));
+        verdicts.clear();
+        verdicts.resize(count, Verdict::New);
+        let mut first = 0u32;
+        for _ in 3..count {
+            go_on()?;
             // From the second corner on, so that a convex polygon becomes the usual fan around its first.
-            let at = (1..count).chain([0]).find(is_ear).unwrap_or(1);
-            let (a, b, c) = around(at);
-            out.push([a, b, c].map(|n| self.corners[n as usize]));
-            left.remove(at);
-        }
-        out.push([0, 1, 2].map(|n| self.corners[left[n] as usize]));
-        Ok(())
-    }
-
-    /// Newell's normal.
-    fn normal(&self) -> [f64; 3] {
-        let mut normal = [0.0; 3];
-        let next = self.corners.iter().cycle().skip(1);
-        for (a, b) in self.corners.iter().zip(next) {
-            for (axis, sum) in normal.iter_mut().enumerate() {
-                let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-                *sum += (a[u] - b[u]) * (a[v] + b[v]);
+            let (mut at, second) = (after[first as usize], after[first as usize]);
+            let ear = loop {
+                if is_ear(corners, &plane, (before[at as usize], at, after[at as usize]), verdicts) {
+                    break at;
+                }
+                // A polygon that crosses itself may have no ear; then any corner is cut off.
+                if at == first {
+                    break second;
+                }
+                at = after[at as usize];
+            };
+            let (a, c) = (before[ear as usize], after[ear as usize]);
+            out.push([a, ear, c].map(|n| corners[n as usize]));
+            (after[a as usize], before[c as usize]) = (c, a);
+            verdicts[ear as usize] = Verdict::Gone;
+            (verdicts[a as usize], verdicts[c as usize]) = (Verdict::New, Verdict::New);
+            if ear == first {
+                first = c;
             }
         }
-        normal
+        let second = after[first as usize];
+        out.push([first, second, after[second as usize]].map(|n| corners[n as usize]));
+        Ok(Ok(()))
     }
+}
+
+/// Whether the triangle at a corner and its neighbours lies inside and holds no other corner.
+fn is_ear(corners: &[[f64; 3]], plane: &Plane, (a, b, c): (u32, u32, u32), verdicts: &mut [Verdict]) -> bool {
+    let from = match verdicts[b as usize] {
+        Verdict::Reflex | Verdict::Gone => return false,
+        Verdict::Holds(one) if verdicts[one as usize] != Verdict::Gone => return false,
+        Verdict::Holds(one) => one + 1,
+        Verdict::New => 0,
+    };
+    let at = |n: u32| plane.flat(&corners[n as usize]);
+    let (a, flat_b, c) = (at(a), at(b), at(c));
+    let area = plane.area(a, flat_b, c);
+    if area <= 0.0 || area.is_nan() {
+        verdicts[b as usize] = Verdict::Reflex;
+        return false;
+    }
+    let holds = |p: (f64, f64)| {
+        [a, flat_b, c].iter().all(|&corner| corner != p)
+            && plane.area(a, flat_b, p) >= 0.0
+            && plane.area(flat_b, c, p) >= 0.0
+            && plane.area(c, a, p) >= 0.0
+    };
+    let left = (from..corners.len() as u32).filter(|&n| verdicts[n as usize] != Verdict::Gone);
+    match left.map(|n| (n, at(n))).find(|&(_, p)| holds(p)) {
+        Some((one, _)) => {
+            verdicts[b as usize] = Verdict::Holds(one);
+            false
+        }
+        None => true,
+    }
+}
+
+/// The plane of two axes in which a polygon is largest.
+struct Plane {
+    axes: (usize, usize),
+    /// −1 where the polygon turns the other way round.
+    flip: f64,
+}
+
+impl Plane {
+    fn of(corners: &[[f64; 3]]) -> Self {
+        let normal = normal(corners);
+        let axis = (0..3).fold(0, |best, axis| if normal[axis].abs() > normal[best].abs() { axis } else { best });
+        let flip = if normal[axis] < 0.0 { -1.0 } else { 1.0 };
+        Self { axes: ((axis + 1) % 3, (axis + 2) % 3), flip }
+    }
+
+    fn flat(&self, corner: &[f64; 3]) -> (f64, f64) {
+        (corner[self.axes.0], corner[self.axes.1])
+    }
+
+    /// Twice the area of a triangle, above 0 if it turns as the polygon does.
+    fn area(&self, a: (f64, f64), b: (f64, f64), c: (f64, f64)) -> f64 {
+        self.flip * ((b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0))
+    }
+}
+
+/// Newell's normal.
+fn normal(corners: &[[f64; 3]]) -> [f64; 3] {
+    let mut normal = [0.0; 3];
+    let next = corners.iter().cycle().skip(1);
+    for (a, b) in corners.iter().zip(next) {
+        for (axis, sum) in normal.iter_mut().enumerate() {
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            *sum += (a[u] - b[u]) * (a[v] + b[v]);
+        }
+    }
+    normal
 }
 
 #[cfg(test)]
@@ -94,8 +177,73 @@ mod tests {
         let mut polygon = Polygon::default();
         corners.iter().for_each(|&corner| polygon.push(corner));
         let mut out = Vec::new();
-        polygon.triangles(&mut out).unwrap();
+        polygon.triangles(&mut out, &|| Ok(())).unwrap().unwrap();
         out
+    }
+
+    /// The same by looking at every corner for every ear.
+    fn cut_plainly(corners: &[[f64; 3]]) -> Vec<Triangle> {
+        let (plane, mut left, mut out) = (Plane::of(corners), corners.to_vec(), Vec::new());
+        while left.len() > 3 {
+            let count = left.len();
+            let around = |at: usize| [left[(at + count - 1) % count], left[at], left[(at + 1) % count]];
+            let is_ear = |&at: &usize| {
+                let [a, b, c] = around(at).map(|corner| plane.flat(&corner));
+                let holds = |p: (f64, f64)| {
+                    [a, b, c].iter().all(|&corner| corner != p)
+                        && [(a, b), (b, c), (c, a)].iter().all(|&(u, v)| plane.area(u, v, p) >= 0.0)
+                };
+                plane.area(a, b, c) > 0.0 && !left.iter().any(|p| holds(plane.flat(p)))
+            };
+            let at = (1..count).chain([0]).find(is_ear).unwrap_or(1);
+            out.push(around(at));
+            left.remove(at);
+        }
+        out.push([left[0], left[1], left[2]]);
+        out
+    }
+
+    #[test]
+    fn ears_are_those_of_a_plain_search_also_of_outlines_that_cross_and_repeat() {
+        let mut state = 7u64;
+        let mut below = |limit: u64| {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 33) % limit
+        };
+        for round in 0..3000 {
+            let count = 4 + below(if round % 10 == 0 { 60 } else { 9 });
+            let star = round % 3 == 0;
+            let corners: Vec<[f64; 3]> = (0..count)
+                .map(|n| {
+                    let turn = n as f64 / count as f64 * std::f64::consts::TAU;
+                    let radius = 1.0 + below(9) as f64;
+                    match star {
+                        true => [turn.cos() * radius, turn.sin() * radius, below(2) as f64],
+                        false => [0; 3].map(|_| below(5) as f64),
+                    }
+                })
+                .collect();
+            assert_eq!(cut(&corners), cut_plainly(&corners), "{corners:?}");
+        }
+    }
+
+    #[test]
+    fn the_work_for_a_great_face_is_bounded_and_can_be_stopped() {
+        // A comb: most triangles hold a corner, and most corners are cut off late.
+        let corners: Vec<[f64; 3]> =
+            (0..4096).map(|n| [f64::from(n), if n % 2 == 0 { 0.0 } else { f64::from(n % 7) + 1.0 }, 0.0]).collect();
+        let mut polygon = Polygon::default();
+        corners.iter().for_each(|&corner| polygon.push(corner));
+        let (mut out, asked) = (Vec::new(), std::cell::Cell::new(0));
+        let stop_late = || {
+            asked.set(asked.get() + 1);
+            if asked.get() == 1000 { Err(crate::Error::Interrupted) } else { Ok(()) }
+        };
+        assert!(matches!(polygon.triangles(&mut out, &stop_late), Err(crate::Error::Interrupted)));
+        assert_eq!(out.len(), 999);
+        out.clear();
+        polygon.triangles(&mut out, &|| Ok(())).unwrap().unwrap();
+        assert_eq!(out.len(), 4094);
     }
 
     fn area(t: &Triangle) -> f64 {
@@ -136,9 +284,10 @@ mod tests {
         let mut out = Vec::new();
         let mut polygon = Polygon::default();
         polygon.push([0.0; 3]);
-        assert!(polygon.triangles(&mut out).unwrap_err().contains("1 corners"));
+        let mut wrong = |polygon: &mut Polygon| polygon.triangles(&mut out, &|| Ok(())).unwrap().unwrap_err();
+        assert!(wrong(&mut polygon).contains("1 corners"));
         (0..10_000).for_each(|n| polygon.push([f64::from(n), 0.0, 0.0]));
-        assert!(polygon.triangles(&mut out).unwrap_err().contains("more than 4096"));
+        assert!(wrong(&mut polygon).contains("more than 4096"));
         assert_eq!(cut(&[[0.0; 3], [1.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]).len(), 2);
         assert_eq!(cut(&[[f64::NAN; 3]; 7]).len(), 5);
     }

@@ -4,9 +4,9 @@
 //! text form does; so a file whose length is that of its count is binary, and so is one whose first bytes are no text.
 
 use super::text::{BYTE_ORDER_MARK, Lines, shown};
+use super::watch::{Digest, Source, Watch};
 use super::{Triangle, Triangles};
 use crate::{Error, Result};
-use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
 
@@ -16,15 +16,15 @@ const TRIANGLE_BYTES: usize = 50;
 const BATCH: u64 = 512;
 
 pub(super) enum Reader {
-    Binary { reader: BufReader<File>, path: PathBuf, left: u64, all: u64 },
+    Binary { reader: BufReader<Source>, path: PathBuf, left: u64, all: u64 },
     Text { lines: Lines, corners: Vec<[f64; 3]>, open: bool },
 }
 
 impl Reader {
-    pub(super) fn open(path: &Path) -> Result<Self> {
+    pub(super) fn open(path: &Path, digest: &Digest, watch: &mut Watch) -> Result<Self> {
         let io = |action| move |e| Error::io(path, action, e);
-        let file = File::open(path).map_err(io("open"))?;
-        let bytes = file.metadata().map_err(io("read the length"))?.len();
+        let file = Source::open(path, digest)?;
+        let bytes = file.len();
         let mut reader = BufReader::with_capacity(1 << 18, file);
         let mut head = Vec::with_capacity(HEAD_BYTES as usize);
         Read::by_ref(&mut reader).take(HEAD_BYTES).read_to_end(&mut head).map_err(io("read the header"))?;
@@ -46,7 +46,9 @@ impl Reader {
                     "it states {count} triangles of 50 bytes, which the file's {bytes} bytes do not hold: it is cut or \
                      damaged; fetch or write it again"
                 );
-                Err(Error::input(path, "header, byte 80", reason))
+                let all = (bytes - HEAD_BYTES) / TRIANGLE_BYTES as u64;
+                watch.lose(u64::from(count) - all, Error::input(path, "header, byte 80", reason))?;
+                Ok(Self::Binary { reader, path: path.to_path_buf(), left: all, all })
             }
             _ => Err(Error::input(path, "header", format!("expected at least 84 bytes or \"solid\", found {bytes}"))),
         }
@@ -54,7 +56,8 @@ impl Reader {
 }
 
 impl Triangles for Reader {
-    fn read(&mut self, out: &mut Vec<Triangle>) -> Result<bool> {
+    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
+        watch.go_on()?;
         match self {
             Self::Binary { reader, path, left, all } => {
                 for _ in 0..BATCH.min(*left) {
@@ -73,20 +76,23 @@ impl Triangles for Reader {
             Self::Text { lines, corners, open } => {
                 for _ in 0..BATCH {
                     if !lines.next()? {
-                        return match open {
-                            false => Ok(false),
-                            true => Err(lines.error("the file ends before \"endsolid\": it is cut; fetch it again")),
-                        };
+                        if *open {
+                            watch
+                                .lose(1, lines.error("the file ends before \"endsolid\": it is cut; fetch it again"))?;
+                        }
+                        return Ok(false);
                     }
                     let mut words = lines.words();
                     match words.next() {
                         Some(b"vertex") => corners.push(lines.corner(&mut words)?),
                         Some(b"endloop") => {
-                            let [a, b, c] = corners[..] else {
-                                let found = corners.len();
-                                return Err(lines.error(format!("a loop has {found} corners; expected 3")));
-                            };
-                            out.push([a, b, c]);
+                            match corners[..] {
+                                [a, b, c] => out.push([a, b, c]),
+                                _ => {
+                                    let found = corners.len();
+                                    watch.lose(1, lines.error(format!("a loop has {found} corners; expected 3")))?;
+                                }
+                            }
                             corners.clear();
                         }
                         Some(b"solid") => *open = true,
@@ -97,7 +103,8 @@ impl Triangles for Reader {
                         }
                     }
                     if corners.len() > 3 {
-                        return Err(lines.error("a loop has more than 3 corners"));
+                        watch.lose(1, lines.error("a loop has more than 3 corners"))?;
+                        corners.clear();
                     }
                 }
                 Ok(true)

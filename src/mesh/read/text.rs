@@ -1,7 +1,7 @@
 //! Lines and words of text formats, of bounded length.
 
+use super::watch::{Digest, Source};
 use crate::{Error, Result};
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -13,32 +13,34 @@ pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 
 /// Reads a file line by line; knows which line it is at.
 pub(super) struct Lines {
-    reader: BufReader<File>,
+    reader: BufReader<Source>,
     path: PathBuf,
     number: u64,
     line: Vec<u8>,
+    /// Where in the line the next word is looked for.
+    at: usize,
     /// Whether a line that ends in a backslash goes on in the next.
     continued: bool,
 }
 
 impl Lines {
-    pub(super) fn open(path: &Path, continued: bool) -> Result<Self> {
-        let file = File::open(path).map_err(|e| Error::io(path, "open", e))?;
-        Ok(Self::new(BufReader::with_capacity(1 << 18, file), path, continued))
+    pub(super) fn open(path: &Path, continued: bool, digest: &Digest) -> Result<Self> {
+        Ok(Self::new(BufReader::with_capacity(1 << 18, Source::open(path, digest)?), path, continued))
     }
 
-    pub(super) fn new(reader: BufReader<File>, path: &Path, continued: bool) -> Self {
-        Self { reader, path: path.to_path_buf(), number: 0, line: Vec::new(), continued }
+    pub(super) fn new(reader: BufReader<Source>, path: &Path, continued: bool) -> Self {
+        Self { reader, path: path.to_path_buf(), number: 0, line: Vec::new(), at: 0, continued }
     }
 
     /// The reader, behind the last line read.
-    pub(super) fn into_reader(self) -> BufReader<File> {
+    pub(super) fn into_reader(self) -> BufReader<Source> {
         self.reader
     }
 
     /// Goes to the next line; false at the end of the file. What follows a `#` is for the caller to skip.
     pub(super) fn next(&mut self) -> Result<bool> {
         self.line.clear();
+        self.at = 0;
         loop {
             self.number += 1;
             let left = MOST_BYTES.saturating_sub(self.line.len() as u64);
@@ -68,6 +70,21 @@ impl Lines {
     /// The words of the line.
     pub(super) fn words(&self) -> impl Iterator<Item = &[u8]> {
         self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
+    }
+
+    /// Moves to the next word of the line, and to the line's end behind the last.
+    fn next_word(&mut self) -> Option<std::ops::Range<usize>> {
+        let rest = self.line.get(self.at..)?;
+        let begin = self.at + rest.iter().position(|byte| !byte.is_ascii_whitespace())?;
+        let len = self.line[begin..].iter().position(u8::is_ascii_whitespace);
+        self.at = len.map_or(self.line.len(), |len| begin + len);
+        Some(begin..self.at)
+    }
+
+    /// The next word of the line as a number. Each word is looked at once, however long the line.
+    pub(super) fn next_number(&mut self) -> Result<f64> {
+        let word = self.next_word();
+        self.number(word.map(|word| &self.line[word]))
     }
 
     /// An error at this line.

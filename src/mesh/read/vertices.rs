@@ -1,9 +1,10 @@
 //! Corners of a mesh by number: in memory as far as they fit, the rest in an unnamed temporary file.
 
 use super::MeshOptions;
-use super::blocks::Blocks;
+use super::blocks::{Blocks, fill_block};
 use crate::{Error, Result};
-use std::io::{Seek, SeekFrom, Write};
+use std::fs::File;
+use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::PathBuf;
 
 const VERTEX_BYTES: usize = 24;
@@ -15,7 +16,7 @@ pub(super) struct Vertices {
     most_in_memory: usize,
     temp_dir: PathBuf,
     /// The corners beyond those in memory, and what of them is not yet in the file.
-    file: Option<Blocks>,
+    file: Option<(File, Blocks)>,
     buffer: Vec<u8>,
     count: u64,
 }
@@ -50,15 +51,14 @@ impl Vertices {
         }
         let dir = &self.temp_dir;
         let refused = |action| move |e| Error::io(dir, action, e);
-        let blocks = match &mut self.file {
-            Some(blocks) => blocks,
+        let (file, blocks) = match &mut self.file {
+            Some(file) => file,
             none => {
                 let action = "create a temporary file (choose a folder with --temp-dir)";
-                none.insert(Blocks::new(tempfile::tempfile_in(dir).map_err(refused(action))?, dir))
+                none.insert((tempfile::tempfile_in(dir).map_err(refused(action))?, Blocks::new()))
             }
         };
         blocks.forget();
-        let file = blocks.file_mut();
         file.seek(SeekFrom::End(0))
             .and_then(|_| file.write_all(&self.buffer))
             .map_err(refused("write temporary data (choose a folder with space by --temp-dir)"))?;
@@ -74,9 +74,14 @@ impl Vertices {
         if let Some(&vertex) = usize::try_from(number).ok().and_then(|number| self.memory.get(number)) {
             return Ok(Some(vertex));
         }
-        let Some(blocks) = &mut self.file else { return Ok(None) };
+        let Some((file, blocks)) = &mut self.file else { return Ok(None) };
         let mut bytes = [0; VERTEX_BYTES];
-        blocks.read((number - self.memory.len() as u64) * VERTEX_BYTES as u64, &mut bytes)?;
+        let at = (number - self.memory.len() as u64) * VERTEX_BYTES as u64;
+        match blocks.read(0, at, &mut bytes, |number, block| fill_block(file, number, block)) {
+            Ok(true) => {}
+            Ok(false) => return Err(Error::io(&self.temp_dir, "read temporary data", ErrorKind::UnexpectedEof.into())),
+            Err(e) => return Err(Error::io(&self.temp_dir, "read temporary data", e)),
+        }
         let (values, _) = bytes.as_chunks::<8>();
         Ok(Some([0, 1, 2].map(|axis| f64::from_ne_bytes(values[axis]))))
     }
@@ -85,14 +90,12 @@ impl Vertices {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::input::Units;
-    use crate::plan::Up;
 
     #[test]
     fn corners_come_back_from_memory_and_from_the_file() {
         for memory_bytes in [0, 72 * 100, 1 << 20] {
             let temp_dir = std::env::temp_dir();
-            let mut vertices = Vertices::new(&MeshOptions { units: Units::Auto, up: Up::Z, memory_bytes, temp_dir });
+            let mut vertices = Vertices::new(&MeshOptions { memory_bytes, temp_dir, ..MeshOptions::default() });
             let vertex = |n: u64| [n as f64, -(n as f64), 0.5 / (n + 1) as f64];
             (0..10_000).for_each(|n| vertices.push(vertex(n)).unwrap());
             vertices.flush().unwrap();

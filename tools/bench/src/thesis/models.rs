@@ -82,7 +82,7 @@ pub fn triangles(path: &Path, y_up: bool) -> Result<Vec<Triangle>> {
         units: Units::Factor(1.0),
         up: if y_up { Up::Y } else { Up::Z },
         memory_bytes: 1 << 30,
-        temp_dir: std::env::temp_dir(),
+        ..MeshOptions::default()
     };
     let set = MeshSet::open(&[path.to_path_buf()], options, &NoMonitor)?;
     let (mut feed, mut batch, mut all) = (set.feed(), Vec::new(), Vec::new());

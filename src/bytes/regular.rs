@@ -1,0 +1,84 @@
+//! Regular files and nothing else: to open a pipe may wait for ever, and to read a device may never end.
+
+use super::FileId;
+use std::fs::{File, Metadata};
+use std::io;
+use std::path::Path;
+use std::time::SystemTime;
+
+/// Opens the file at `path` to be read; pipes, devices and folders are refused.
+pub(crate) fn open_regular(path: &Path) -> io::Result<(File, Metadata)> {
+    // Asked by name first: opening a pipe that nobody writes to would wait.
+    check(&std::fs::metadata(path)?)?;
+    let file = File::open(path)?;
+    let about = file.metadata()?;
+    check(&about)?;
+    Ok((file, about))
+}
+
+fn check(about: &Metadata) -> io::Result<()> {
+    match about {
+        about if about.is_file() => Ok(()),
+        about if about.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
+        _ => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a pipe or a device; copy its content to a file")),
+    }
+}
+
+/// The state of a file: another one means that it was written to, cut or replaced.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
+pub(crate) struct Stamp {
+    len: u64,
+    modified: Option<SystemTime>,
+    id: Option<FileId>,
+}
+
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
+impl Stamp {
+    /// The state of the open `file`, which `about` describes.
+    pub fn of(file: &File, about: &Metadata) -> Self {
+        Self { len: about.len(), modified: about.modified().ok(), id: FileId::of(file) }
+    }
+
+    /// Length of the file (bytes).
+    pub fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Whether the file at `path` is in this state.
+    pub fn is_of(&self, path: &Path) -> bool {
+        let Ok(about) = std::fs::metadata(path) else { return false };
+        let now = Self { len: about.len(), modified: about.modified().ok(), id: FileId::at(path) };
+        *self == now
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn only_regular_files_are_opened_and_any_change_shows() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let pipe = at("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        for refused in [&pipe, folder.path(), Path::new("/dev/zero"), &at("none")] {
+            assert!(open_regular(refused).is_err(), "{}", refused.display());
+        }
+        fs::write(at("a"), "one").unwrap();
+        fs::write(at("b"), "two").unwrap();
+        let stamp = || open_regular(&at("a")).map(|(file, about)| Stamp::of(&file, &about)).unwrap();
+        let first = stamp();
+        assert!(first.is_of(&at("a")) && !first.is_of(&at("b")) && !first.is_of(&at("none")));
+        fs::OpenOptions::new().append(true).open(at("a")).unwrap().set_modified(SystemTime::UNIX_EPOCH).unwrap();
+        assert!(!first.is_of(&at("a")), "another time");
+        let second = stamp();
+        fs::write(at("a"), "longer").unwrap();
+        assert!(!second.is_of(&at("a")), "another length");
+        let third = stamp();
+        fs::rename(at("b"), at("a")).unwrap();
+        assert!(!third.is_of(&at("a")), "another file");
+    }
+}

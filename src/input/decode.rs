@@ -1,0 +1,180 @@
+//! Decoding: pieces of files, by any number of threads, in any order.
+
+use super::convert;
+use super::file::Content;
+use super::laz::{Body, Run};
+use super::source::Source;
+use super::{BATCH_POINTS, InputSet, PointBatch, UnitCounts, las};
+use crate::{Error, Result};
+
+/// Points of one [`Unit`] of a plain LAS file.
+const UNIT_POINTS: u64 = 1 << 17;
+/// Longest slab of undecoded records (bytes); fits a second-level cache beside the batch.
+const SLAB_BYTES: usize = 1 << 20;
+
+/// One piece of work.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unit {
+    file: usize,
+    points: u64,
+    part: Part,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Part {
+    Records { first: u64 },
+    Chunk { index: usize, start: u64, len: u64, open: bool },
+    Stream { start: u64, len: u64, exact: bool },
+}
+
+impl Unit {
+    /// Index of its file in [`InputSet::files`].
+    pub fn file(&self) -> usize {
+        self.file
+    }
+
+    /// Points that it should hold: for progress only.
+    pub fn points(&self) -> u64 {
+        self.points
+    }
+}
+
+impl InputSet {
+    /// Independent pieces of work, made as they are asked for: 131,072 points of a LAS file, one LAZ chunk, or a LAZ file
+    /// that can only be read from its start.
+    pub fn units(&self) -> impl Iterator<Item = Unit> + Send + '_ {
+        self.files.iter().enumerate().flat_map(|(file, scan)| {
+            let units: Box<dyn Iterator<Item = Unit> + Send + '_> = match &scan.content {
+                Content::Plain { points } => {
+                    let points = *points;
+                    Box::new((0..points.div_ceil(UNIT_POINTS)).map(move |i| {
+                        let first = i * UNIT_POINTS;
+                        Unit { file, points: UNIT_POINTS.min(points - first), part: Part::Records { first } }
+                    }))
+                }
+                Content::Packed { body: Body::Stream { start, len, points, exact }, .. } => {
+                    let part = Part::Stream { start: *start, len: *len, exact: *exact };
+                    Box::new((*points > 0 && *len > 0).then_some(Unit { file, points: *points, part }).into_iter())
+                }
+                Content::Packed { body: Body::Chunks { start, chunks, open }, .. } => {
+                    let mut at = *start;
+                    Box::new(chunks.iter().enumerate().filter_map(move |(index, chunk)| {
+                        let (start, len) = (at, u64::from(chunk.bytes));
+                        at += len;
+                        let open = *open && index + 1 == chunks.len();
+                        let points = u64::from(chunk.points);
+                        let part = Part::Chunk { index, start, len, open };
+                        (points > 0 || len > 0).then_some(Unit { file, points, part })
+                    }))
+                }
+            };
+            units
+        })
+    }
+}
+
+/// Decodes units; one per thread, so that its buffers are reused.
+#[derive(Debug, Default)]
+pub struct Decoder {
+    slab: Vec<u8>,
+    batch: PointBatch,
+    source: Option<(usize, Source)>,
+}
+
+impl Decoder {
+    /// A decoder with empty buffers.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Decodes `unit` of `set`, handing its kept points to `sink` in batches of at most [`BATCH_POINTS`] points; a batch
+    /// may be empty, so that `sink` can end work of which nothing is kept.
+    ///
+    /// An error of `sink` ends the work and is returned. Points that are not there are counted, not an error. Damaged
+    /// compressed data are an error, after the points before the damage were handed on; where incomplete input is allowed
+    /// they are a loss that [`InputSet::check_complete`] tells.
+    pub fn decode(
+        &mut self,
+        set: &InputSet,
+        unit: &Unit,
+        sink: &mut dyn FnMut(&PointBatch) -> Result<()>,
+    ) -> Result<UnitCounts> {
+        let file = &set.files[unit.file];
+        if self.source.as_ref().is_none_or(|(number, _)| *number != unit.file) {
+            let source = Source::open(file.path())?;
+            if source.stamp() != file.stamp {
+                set.losses.add(unit.file, |loss| loss.changed = true);
+            }
+            source.hashes(set.options.hash);
+            self.source = Some((unit.file, source));
+        }
+        let Some((_, source)) = &self.source else { return Ok(UnitCounts::default()) };
+        source.take_hash();
+        let record_bytes = match &file.content {
+            Content::Plain { .. } => usize::from(file.record_bytes),
+            Content::Packed { packing, .. } => packing.decoded_bytes(),
+        };
+        // A slab is at least one record (64 KiB at most) and never more than a batch.
+        let slab_points = (SLAB_BYTES / record_bytes).clamp(1, BATCH_POINTS);
+        self.slab.resize(slab_points * record_bytes, 0);
+        let (batch, mut counts, mut refused) = (&mut self.batch, UnitCounts::default(), false);
+        let filter = set.filter(file.layout());
+        let mut take = |records: &[u8]| {
+            convert::convert(records, record_bytes, &file.transform, filter, batch, &mut counts);
+            sink(batch).inspect_err(|_| refused = true)
+        };
+        let classes = !set.options.exclude_classes.is_empty();
+        let run = |packing, start, len, open, name| {
+            let (points, memory_bytes) = (unit.points, set.options.memory_bytes);
+            Run { source, packing, start, len, points, open, classes, memory_bytes, name }
+        };
+        let slab = &mut self.slab;
+        // Points decoded, and bytes left that hold something else.
+        let outcome = match (&unit.part, &file.content) {
+            (Part::Chunk { index, start, len, open }, Content::Packed { packing, .. }) => {
+                let run = run(&**packing, *start, *len, *open, format!("LAZ chunk {index}"));
+                run.decode(false, slab, &mut take)
+            }
+            (Part::Stream { start, len, exact }, Content::Packed { packing, .. }) => {
+                let run = run(&**packing, *start, *len, true, "LAZ points".into());
+                run.decode(true, slab, &mut take).map(|(done, left)| (done, if *exact { left } else { 0 }))
+            }
+            (Part::Records { first }, _) => {
+                let start = file.points_at + first * record_bytes as u64;
+                las::read(source, start, unit.points, record_bytes, slab, &mut take).map(|done| (done, 0))
+            }
+            _ => return Err(Error::parameter("unit", "it belongs to another set of files")),
+        };
+        // The last chunk of a file whose header lies holds fewer points than fit; that is no loss.
+        let open = matches!(unit.part, Part::Chunk { open: true, .. });
+        match outcome {
+            Ok((done, left)) => {
+                counts.missing = if open { 0 } else { unit.points.saturating_sub(done) };
+                if counts.missing + counts.not_finite > 0 || left > 0 {
+                    set.losses.add(unit.file, |loss| {
+                        loss.missing += counts.missing;
+                        loss.not_finite += counts.not_finite;
+                        loss.uneven += u64::from(left > 0);
+                    });
+                }
+            }
+            Err(error @ (Error::Input { .. } | Error::Io { .. })) if !refused && set.options.allow_incomplete => {
+                counts.missing = unit.points.saturating_sub(counts.read);
+                set.losses.add(unit.file, |loss| {
+                    loss.not_finite += counts.not_finite;
+                    loss.damaged += 1;
+                    let without_path = match error {
+                        Error::Input { at, reason, .. } => format!("{at}: {reason}"),
+                        other => other.to_string(),
+                    };
+                    loss.reason.get_or_insert(without_path);
+                });
+            }
+            Err(error) => return Err(error),
+        }
+        if set.options.hash {
+            set.add_hash(unit.file, source.take_hash());
+        }
+        Ok(counts)
+    }
+}

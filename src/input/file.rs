@@ -1,0 +1,287 @@
+//! One scan file: what its header and records say, checked, and where its points lie.
+
+use super::convert::{Layout, Transform};
+use super::crs;
+use super::header::Header;
+use super::laz::{Body, Chunk, Packing};
+use super::losses::Findings;
+use super::records::Records;
+use super::scenes::Scene;
+use super::source::Source;
+use super::{InputOptions, StatedBounds, Units, las};
+use crate::bytes::Stamp;
+use crate::{Error, Result};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use xxhash_rust::xxh3::xxh3_128;
+
+/// One opened scan file.
+#[derive(Debug)]
+pub struct ScanFile {
+    path: PathBuf,
+    pub(super) stamp: Stamp,
+    version: (u8, u8),
+    format: u8,
+    pub(super) record_bytes: u16,
+    pub(super) points_at: u64,
+    points_stated: u64,
+    /// Least and greatest corner that its header claims, in file units.
+    bounds: [[f64; 3]; 2],
+    pub(super) transform: Transform,
+    pub(super) content: Content,
+}
+
+#[derive(Debug)]
+pub(super) enum Content {
+    Plain { points: u64 },
+    Packed { packing: Arc<Packing>, body: Body },
+}
+
+/// What files have in common, so that each need not hold it.
+#[derive(Debug)]
+pub(super) struct Common {
+    /// By the bytes of the LASzip record.
+    packings: HashMap<Vec<u8>, Arc<Packing>>,
+    /// Chunks that may still be listed.
+    chunks_left: u64,
+}
+
+impl Common {
+    /// For chunk tables of so many bytes in all.
+    pub fn new(memory_bytes: u64) -> Self {
+        Self { packings: HashMap::new(), chunks_left: memory_bytes / size_of::<Chunk>() as u64 }
+    }
+
+    fn packing(&mut self, source: &Source, body: &[u8], memory_bytes: u64) -> Result<Arc<Packing>> {
+        if let Some(packing) = self.packings.get(body) {
+            return Ok(packing.clone());
+        }
+        let packing = Arc::new(Packing::read(source, body, memory_bytes)?);
+        self.packings.insert(body.to_vec(), packing.clone());
+        Ok(packing)
+    }
+}
+
+/// What a file leaves open, and its reference system.
+#[derive(Debug, Default)]
+pub(super) struct Reference {
+    /// WKT, else `EPSG:n`, else what GeoTIFF keys cite.
+    pub crs: Option<String>,
+    pub no_unit: bool,
+    pub degrees: bool,
+}
+
+impl ScanFile {
+    pub(super) fn open(
+        path: &Path,
+        options: &InputOptions,
+        common: &mut Common,
+        findings: &mut Findings,
+    ) -> Result<(Self, Reference)> {
+        let source = Source::open(path)?;
+        if let Some(kind) = other_format(path)
+            && source.bytes_at(0, 4)?.as_deref() != Some(b"LASF")
+        {
+            let reason = format!("a {kind} is no laser scan in LAS or LAZ; expected \"LASF\" at byte 0");
+            return Err(Error::input(path, "name", reason));
+        }
+        let bytes = source.stamp().len();
+        let mut header = Header::read(&source, bytes)?;
+        findings.notes.append(&mut header.notes);
+        let mut records = Records::read(&source, &header, bytes)?;
+        findings.notes.append(&mut records.notes);
+        let mut georeference = crs::Georeference::read(&records, header.says_wkt);
+        let mut reference = Reference { crs: georeference.text.take(), ..Reference::default() };
+        let unit = match options.units {
+            Units::Factor(factor) => [factor; 3],
+            Units::Auto => {
+                if let Some(unit) = georeference.absurd_unit() {
+                    let reason = format!(
+                        "it states a unit of {unit} m, which is no unit of scans (expected 0.001 to 10000 m); give the \
+                         right one with --units"
+                    );
+                    return Err(Error::input(path, "reference system", reason));
+                }
+                findings.notes.append(&mut georeference.notes);
+                reference.degrees = georeference.degrees;
+                reference.no_unit = georeference.horizontal.is_none() && !georeference.degrees;
+                let horizontal = georeference.horizontal.unwrap_or(1.0);
+                // Heights without a unit of their own: that of the map, as surveyors in feet do; never degrees.
+                let vertical = georeference.vertical.unwrap_or(horizontal);
+                [horizontal, horizontal, vertical]
+            }
+        };
+        let transform = Transform { scale: header.scale, offset: header.offset, unit, up: options.up };
+        let content = match (&records.laszip, header.compressed) {
+            (Some(body), true) => {
+                let packing = common.packing(&source, body, options.memory_bytes)?;
+                packing.check_record_bytes(&header, findings);
+                let body = packing.body(&source, &header, bytes, common.chunks_left, findings)?;
+                if let Body::Chunks { chunks, .. } = &body {
+                    common.chunks_left -= chunks.len() as u64;
+                }
+                Content::Packed { packing, body }
+            }
+            (None, false) => Content::Plain { points: las::points(&source, &header, bytes, findings)? },
+            (None, true) => {
+                let reason = "the points are compressed, but the LASzip record that says how is missing or cut";
+                return Err(Error::input(path, "records before the points", reason));
+            }
+            (Some(_), false) => {
+                let reason = "there is a LASzip record, but the point format does not say \"compressed\" (bit 7): one \
+                              of the two is damaged";
+                return Err(Error::input(path, "header, byte 104", reason));
+            }
+        };
+        let file = Self {
+            path: path.to_path_buf(),
+            stamp: source.stamp(),
+            version: header.version,
+            format: header.format,
+            record_bytes: header.record_bytes,
+            points_at: header.points_at,
+            points_stated: header.points_stated,
+            bounds: header.bounds,
+            transform,
+            content,
+        };
+        if file.points_expected() == 0 && file.points_stated == 0 {
+            findings.note("it holds no points");
+        }
+        if let Content::Plain { points } = file.content
+            && let Some(record) = las::record_after(&source, &header, bytes, points)?
+            && file.is_plausible(&record)
+        {
+            findings.lose(format!(
+                "the header states {points} points, but more records with points inside its bounds follow"
+            ))?;
+        }
+        Ok((file, reference))
+    }
+
+    /// Whether a record holds a point as the header describes them.
+    fn is_plausible(&self, record: &[u8]) -> bool {
+        let at = self.transform.point(record);
+        let inside =
+            |bounds: StatedBounds| (0..3).all(|axis| bounds.min[axis] <= at[axis] && at[axis] <= bounds.max[axis]);
+        record.iter().any(|&byte| byte != 0) && self.bounds_with_slack().is_some_and(inside)
+    }
+
+    /// Where the file is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Its length (bytes).
+    pub fn bytes(&self) -> u64 {
+        self.stamp.len()
+    }
+
+    /// LAS version, for example (1, 4).
+    pub fn version(&self) -> (u8, u8) {
+        self.version
+    }
+
+    /// LAS point format [0..=10].
+    pub fn point_format(&self) -> u8 {
+        self.format
+    }
+
+    /// Whether its points are compressed (LAZ).
+    pub fn compressed(&self) -> bool {
+        matches!(self.content, Content::Packed { .. })
+    }
+
+    /// Points that its header claims.
+    pub fn points_stated(&self) -> u64 {
+        self.points_stated
+    }
+
+    /// Points that it can hold by its length and chunk table: a better hint, still only a hint.
+    pub fn points_expected(&self) -> u64 {
+        match &self.content {
+            Content::Plain { points } => *points,
+            Content::Packed { body: Body::Stream { points, .. }, .. } => *points,
+            Content::Packed { body: Body::Chunks { chunks, .. }, .. } => {
+                chunks.iter().map(|c| u64::from(c.points)).sum()
+            }
+        }
+    }
+
+    /// Metres per file unit along the file's own x, y and z.
+    pub fn unit_m(&self) -> [f64; 3] {
+        self.transform.unit
+    }
+
+    /// Where flags and class lie in its records.
+    pub(super) fn layout(&self) -> Layout {
+        match &self.content {
+            Content::Packed { packing, .. } => packing.layout,
+            Content::Plain { .. } if self.format < 6 => Layout::Old,
+            Content::Plain { .. } => Layout::Extended,
+        }
+    }
+
+    /// XXH3-128 of what its header says about the points: with the bytes of the points it makes their coordinates.
+    pub(super) fn hash(&self) -> u128 {
+        let Transform { scale, offset, unit, .. } = self.transform;
+        let numbers = [scale, offset, unit].concat().into_iter().flat_map(f64::to_le_bytes);
+        let counts = [self.points_at, self.points_expected(), u64::from(self.record_bytes), u64::from(self.format)];
+        xxh3_128(&numbers.chain(counts.into_iter().flat_map(u64::to_le_bytes)).collect::<Vec<_>>())
+    }
+
+    /// The bounds that its header claims; `None` where they are not finite or not in order. Often wrong.
+    pub fn bounds_stated(&self) -> Option<StatedBounds> {
+        let [a, b] = self.bounds;
+        let in_order = (0..3).all(|axis| a[axis] <= b[axis]);
+        let (a, b) = (self.transform.corner(a)?, self.transform.corner(b)?);
+        let pick = |f: fn(f64, f64) -> f64| std::array::from_fn(|axis| f(a[axis], b[axis]));
+        in_order.then_some(StatedBounds { min: pick(f64::min), max: pick(f64::max) })
+    }
+
+    /// Whether the bounds that its header claims are not those of points from `min` to `max`, give or take a step of
+    /// its coordinates. Unless these are `all` of its points, the claim may be larger.
+    pub fn bounds_disagree(&self, min: [f64; 3], max: [f64; 3], all: bool) -> bool {
+        let Some(stated) = self.bounds_stated() else { return true };
+        (0..3).any(|axis| {
+            let slack = self.slack(min[axis], max[axis]);
+            let (below, above) = (stated.min[axis] - min[axis], max[axis] - stated.max[axis]);
+            below.max(above) > slack || all && below.min(above) < -slack
+        })
+    }
+
+    /// The bounds that its header claims, larger by a step of its coordinates on every side.
+    pub fn bounds_with_slack(&self) -> Option<StatedBounds> {
+        let stated = self.bounds_stated()?;
+        let slack: [f64; 3] = std::array::from_fn(|axis| self.slack(stated.min[axis], stated.max[axis]));
+        let min: [f64; 3] = std::array::from_fn(|axis| stated.min[axis] - slack[axis]);
+        let max: [f64; 3] = std::array::from_fn(|axis| stated.max[axis] + slack[axis]);
+        let finite = min.iter().chain(&max).all(|v| v.is_finite());
+        finite.then_some(StatedBounds { min, max })
+    }
+
+    /// The file with the bounds that its header claims, if it claims points.
+    pub(crate) fn scene_stated(&self) -> Option<Scene<'_>> {
+        let StatedBounds { min, max } = self.bounds_stated().filter(|_| self.points_expected() > 0)?;
+        Some(Scene { path: &self.path, min, max })
+    }
+
+    /// How far a coordinate between `min` and `max` may lie from what a header says of it (m): a step of the largest
+    /// scale, and rounding.
+    fn slack(&self, min: f64, max: f64) -> f64 {
+        let step =
+            (0..3).map(|axis| (self.transform.scale[axis] * self.transform.unit[axis]).abs()).fold(0.0, f64::max);
+        step + 1e-9 * min.abs().max(max.abs())
+    }
+}
+
+fn other_format(path: &Path) -> Option<&'static str> {
+    let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+    Some(match extension.as_str() {
+        "off" | "3mf" | "fbx" => "mesh in a format that is not read (write it as OBJ, PLY, STL or glTF)",
+        "e57" | "pcd" | "pts" | "ptx" | "xyz" | "rcp" | "rcs" => "point cloud of another format",
+        "slices" => "slice archive",
+        _ => return None,
+    })
+}

@@ -1,0 +1,188 @@
+//! The triangles of a set of files, one file after the other.
+
+use super::watch::{Digest, Watch};
+use super::{MeshCounts, MeshSet, Triangles, is_far, usable};
+use crate::input::scenes::Scene;
+use crate::input::{incomplete, warn_incomplete};
+use crate::mesh::Triangle;
+use crate::{Error, Monitor, Result};
+
+/// Least and greatest corner (m).
+pub(super) type Bounds = ([f64; 3], [f64; 3]);
+
+/// Bounds of nothing.
+pub(super) const NO_BOUNDS: Bounds = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+
+/// `bounds` around `corner` too.
+pub(super) fn grown((min, max): Bounds, corner: [f64; 3]) -> Bounds {
+    ([0, 1, 2].map(|axis| min[axis].min(corner[axis])), [0, 1, 2].map(|axis| max[axis].max(corner[axis])))
+}
+
+/// Hands out the triangles of a set, file after file.
+pub struct MeshFeed<'a> {
+    set: &'a MeshSet,
+    /// Number of the file at hand.
+    next: usize,
+    open: Option<Box<dyn Triangles>>,
+    of_file: OfFile,
+    total: MeshCounts,
+    /// Of the usable triangles of each file so far, and the hash of what was read of it.
+    found: Vec<(Bounds, u128)>,
+    complete: bool,
+}
+
+/// What was met in the file at hand.
+#[derive(Default)]
+struct OfFile {
+    counts: MeshCounts,
+    /// Of the triangles left out, those with corners that are not finite or far away.
+    far: u64,
+    broken: u64,
+    reason: Option<Error>,
+    digest: Digest,
+}
+
+impl<'a> MeshFeed<'a> {
+    pub(super) fn new(set: &'a MeshSet) -> Self {
+        let (of_file, total) = (OfFile::default(), MeshCounts::default());
+        Self { set, next: 0, open: None, of_file, total, found: Vec::new(), complete: true }
+    }
+
+    /// Replaces `batch` by the next usable triangles (m, z up), maybe none; false after the last.
+    ///
+    /// At the end of each file a warning tells how many triangles without area were left out. A file without any usable one
+    /// is an error: an empty archive in place of a good one helps nobody. So are broken faces, and a file that changed
+    /// while it was read; where incomplete input is allowed, `monitor` is told of these instead.
+    pub fn next(&mut self, batch: &mut Vec<Triangle>, monitor: &dyn Monitor) -> Result<bool> {
+        batch.clear();
+        let more = self.read(batch, monitor);
+        if more.is_err() {
+            // What follows an error means nothing; other workers find the end.
+            self.next = self.set.files.len();
+        }
+        more
+    }
+
+    fn read(&mut self, batch: &mut Vec<Triangle>, monitor: &dyn Monitor) -> Result<bool> {
+        let Some(file) = self.set.files.get(self.next) else { return Ok(false) };
+        let allow_incomplete = self.set.options.allow_incomplete;
+        let mut watch = Watch::new(monitor, allow_incomplete);
+        let more = self.read_some(batch, &mut watch);
+        self.of_file.broken += watch.broken;
+        self.of_file.reason = self.of_file.reason.take().or(watch.reason);
+        let more = match more {
+            // The rest of the file cannot be read.
+            Err(error) if allow_incomplete && is_about(&error, &file.path) => {
+                self.of_file.reason.get_or_insert(error);
+                false
+            }
+            more => more?,
+        };
+        let read = batch.len();
+        batch.iter_mut().for_each(|triangle| self.set.place(self.next, triangle));
+        self.of_file.far += batch.iter().filter(|triangle| is_far(triangle)).count() as u64;
+        batch.retain(usable);
+        self.of_file.counts += MeshCounts { read: read as u64, left_out: (read - batch.len()) as u64 };
+        self.found.resize(self.next + 1, (NO_BOUNDS, 0));
+        let bounds = &mut self.found[self.next].0;
+        *bounds = batch.as_flattened().iter().fold(*bounds, |all, &corner| grown(all, corner));
+        if !more {
+            self.finish_file(monitor)?;
+        }
+        Ok(true)
+    }
+
+    fn read_some(&mut self, batch: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
+        watch.go_on()?;
+        let reader = match &mut self.open {
+            Some(reader) => reader,
+            closed => {
+                self.of_file.digest = Digest::new(self.set.options.hash);
+                closed.insert(self.set.reader(self.next, &self.of_file.digest, watch)?)
+            }
+        };
+        reader.read(batch, watch)
+    }
+
+    fn finish_file(&mut self, monitor: &dyn Monitor) -> Result<()> {
+        let file = &self.set.files[self.next];
+        let OfFile { counts, far, broken, reason, digest } = std::mem::take(&mut self.of_file);
+        let MeshCounts { read, left_out } = counts;
+        if read == left_out {
+            if let Some(error) = reason {
+                return Err(error);
+            }
+            let reason = if read == 0 {
+                "it holds no triangles; a cloud of points must come as LAS or LAZ".into()
+            } else {
+                format!("none of its {read} triangles has an area and finite corners within 1e12 m; write it again")
+            };
+            return Err(Error::input(&file.path, "triangles", reason));
+        }
+        let mut lost = Vec::new();
+        if let Some(error) = reason {
+            let text = match error {
+                Error::Input { at, reason, .. } => format!("{at}: {reason}"),
+                other => other.to_string(),
+            };
+            let more = if broken > 1 { format!(" (and {} faces more)", broken - 1) } else { String::new() };
+            lost.push(format!("{text}{more}"));
+        }
+        if far > 0 {
+            lost.push(format!("{far} of {read} triangles have a corner that is not finite or beyond 1e12 m"));
+        }
+        if !file.stamp.is_of(&file.path) {
+            lost.push("it was written to, cut or replaced while it was read".into());
+        }
+        if let Some(first) = lost.first().filter(|_| !self.set.options.allow_incomplete) {
+            return Err(incomplete(&file.path, "triangles", first));
+        }
+        lost.iter().for_each(|lost| warn_incomplete(&file.path, lost, monitor));
+        self.complete &= lost.is_empty();
+        if left_out > far {
+            let flat = left_out - far;
+            monitor.warn(&format!("{}: {flat} of {read} triangles left out: they have no area", file.path.display()));
+        }
+        self.total += counts;
+        self.found[self.next].1 = digest.value();
+        self.open = None;
+        self.next += 1;
+        Ok(())
+    }
+
+    /// Files with the bounds of their usable triangles so far.
+    pub(crate) fn scenes(&self) -> impl Iterator<Item = Scene<'a>> {
+        let files = self.set.files.iter().zip(&self.found);
+        files.map(|(file, &((min, max), _))| Scene { path: &file.path, min, max })
+    }
+
+    /// Bounds of all usable triangles so far.
+    pub(super) fn bounds(&self) -> Option<Bounds> {
+        let all = self.found.iter().fold(NO_BOUNDS, |all, (file, _)| grown(grown(all, file.0), file.1));
+        (all.0[0] <= all.1[0]).then_some(all)
+    }
+
+    /// Hashes of what was read of the files that came to their end, by number; 0 unless the options ask for them.
+    pub(crate) fn hashes(&self) -> impl Iterator<Item = u128> {
+        self.found.iter().map(|found| found.1)
+    }
+
+    /// Triangles of the files that came to their end.
+    pub fn counts(&self) -> MeshCounts {
+        self.total
+    }
+
+    /// Whether nothing is known to be missing so far: always so, unless incomplete input is allowed.
+    pub fn is_complete(&self) -> bool {
+        self.complete
+    }
+}
+
+/// Whether an error is about the file at `path` (and not about temporary data).
+fn is_about(error: &Error, path: &std::path::Path) -> bool {
+    match error {
+        Error::Input { .. } | Error::Unsupported { .. } => true,
+        Error::Io { path: of, .. } => of == path,
+        _ => false,
+    }
+}

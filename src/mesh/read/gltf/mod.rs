@@ -1,0 +1,392 @@
+//! glTF 2.0, as `.gltf` with its buffers and as `.glb`: the triangles of the default scene, or of all nodes where there
+//! is none, in the places that their nodes give them.
+//!
+//! What is used of the structure is held in memory and checked here; buffers are read piece by piece, and the places of
+//! parts follow from a walk through the nodes while they are read. Skins and morph targets stay at rest. Source: "glTF 2.0
+//! Specification", Khronos Group, chapters 3.5 to 3.7.
+
+mod buffers;
+mod structure;
+
+use self::buffers::{BinaryPart, Buffers};
+use self::structure::{Accessor, Primitive, Shape, Structure, Transform};
+use super::text::BYTE_ORDER_MARK;
+use super::watch::{Digest, Source, Watch};
+use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
+use crate::{Error, Result};
+use bitvec::vec::BitVec;
+use nalgebra::{Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// Least memory granted to the structure of a file (bytes), as text and again as read.
+const LEAST_JSON_BYTES: u64 = 16 << 20;
+/// Most placed parts of meshes; nodes may share meshes, so these are not bounded by the file's length.
+const MOST_PARTS: u64 = 1 << 22;
+/// Most nodes below each other.
+const DEEPEST: usize = 1000;
+
+/// Modes of primitives that are points and triangles.
+const POINTS: u8 = 0;
+const TRIANGLES: u8 = 4;
+const STRIP: u8 = 5;
+const FAN: u8 = 6;
+
+/// Types of components.
+const U8: u32 = 5121;
+const U16: u32 = 5123;
+const U32: u32 = 5125;
+const F32: u32 = 5126;
+
+/// Equally typed values in a buffer.
+#[derive(Debug, Clone, Copy)]
+struct Values {
+    buffer: usize,
+    start: u64,
+    stride: u64,
+    count: u64,
+    /// Bytes of a component.
+    size: usize,
+}
+
+/// A part of a mesh in its place.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    place: Matrix4<f64>,
+    mode: u8,
+    positions: Values,
+    indices: Option<Values>,
+}
+
+impl Part {
+    /// Number of triangles.
+    fn len(&self) -> u64 {
+        let corners = self.indices.map_or(self.positions.count, |indices| indices.count);
+        if self.mode == TRIANGLES { corners / 3 } else { corners.saturating_sub(2) }
+    }
+
+    /// Corners of triangle `number`, in order of the indices.
+    fn corners(&self, number: u64) -> [u64; 3] {
+        match self.mode {
+            STRIP => [number, number + 1, number + 2],
+            FAN => [0, number + 1, number + 2],
+            _ => [3 * number, 3 * number + 1, 3 * number + 2],
+        }
+    }
+}
+
+/// What a file holds, checked as far as it is used.
+struct Checked {
+    path: PathBuf,
+    structure: Structure<'static>,
+    buffers: Buffers,
+    /// Nodes to begin with.
+    roots: Vec<u32>,
+}
+
+/// Nodes beside each other that are being walked through: their places in the list of all children, or of all roots.
+struct Level {
+    nodes: std::ops::Range<usize>,
+    above: Matrix4<f64>,
+}
+
+/// The walk through the nodes in the order of the file: each node before its children.
+#[derive(Default)]
+struct Walk {
+    levels: Vec<Level>,
+    /// Primitives of the node at hand that are still to come, and its place.
+    primitives: std::ops::Range<usize>,
+    place: Matrix4<f64>,
+}
+
+pub(super) struct Reader {
+    checked: Checked,
+    walk: Walk,
+    part: Option<Part>,
+    triangle: u64,
+}
+
+impl Reader {
+    pub(super) fn open(path: &Path, options: &MeshOptions, digest: &Digest, watch: &mut Watch) -> Result<Self> {
+        let most_bytes = options.memory_bytes.max(LEAST_JSON_BYTES);
+        let (json, binary) = read_structure(path, most_bytes, digest)?;
+        watch.go_on()?;
+        let text = json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&json);
+        let structure = Structure::parse(text, most_bytes).map_err(|e| {
+            Error::input(path, "structure", format!("{}; expected glTF 2.0", e.to_string().replace('\n', " ")))
+        })?;
+        let wrong = |reason: String| Err(Error::input(path, "structure", reason));
+        if !structure.version.starts_with("2.") {
+            return wrong(format!("expected glTF of version 2, found {:?}", structure.version));
+        }
+        if let Some(extension) = &structure.extension_required {
+            return wrong(format!("it requires the extension {extension:?}; export the file without it"));
+        }
+        let buffers = Buffers::open(path, &structure.buffers, binary, digest)?;
+        let structure = structure.without_text();
+        drop(json);
+        let mut checked = Checked { path: path.to_path_buf(), structure, buffers, roots: Vec::new() };
+        checked.roots = checked.roots()?;
+        checked.check(watch)?;
+        let walk = Walk::new(&checked);
+        Ok(Self { checked, walk, part: None, triangle: 0 })
+    }
+}
+
+impl Checked {
+    fn error(&self, at: impl Into<String>, reason: impl Into<String>) -> Error {
+        Error::input(&self.path, at, reason)
+    }
+
+    fn missing(&self, what: &str, number: impl std::fmt::Display) -> Error {
+        self.error("structure", format!("it names {what} {number}, which does not exist"))
+    }
+
+    /// Nodes of the default scene, else of the first, else those that are no children.
+    fn roots(&self) -> Result<Vec<u32>> {
+        let Structure { scenes, nodes, children, .. } = &self.structure;
+        let scene = match self.structure.scene {
+            Some(number) if number as usize >= scenes.len() => return Err(self.missing("scene", number)),
+            Some(number) => Some(number as usize),
+            None => (scenes.len() > 0).then_some(0),
+        };
+        if let Some(scene) = scene {
+            return Ok(scenes.numbers()[scenes.range(scene)].to_vec());
+        }
+        let mut is_child: BitVec = BitVec::repeat(false, nodes.len());
+        for &child in children.numbers().iter().filter(|child| (**child as usize) < nodes.len()) {
+            is_child.set(child as usize, true);
+        }
+        Ok(is_child.iter_zeros().map(|node| node as u32).collect())
+    }
+
+    /// Walks through all nodes and looks at each part once, so that no fault shows only after hours.
+    fn check(&self, watch: &mut Watch) -> Result<()> {
+        let Structure { nodes, children, .. } = &self.structure;
+        let (mut met, mut checked): (BitVec, BitVec) =
+            (BitVec::repeat(false, nodes.len()), BitVec::repeat(false, self.structure.primitives.len()));
+        let (mut parts, mut clouds) = (0u64, 0u64);
+        let mut levels = vec![(0..self.roots.len(), true)];
+        while let Some((level, are_roots)) = levels.last_mut() {
+            watch.step()?;
+            let list = if *are_roots { &self.roots[..] } else { children.numbers() };
+            let Some(number) = level.next().map(|at| list[at]) else {
+                levels.pop();
+                continue;
+            };
+            let node = nodes.get(number as usize).ok_or_else(|| self.missing("node", number))?;
+            // Every node has one parent at most, so one that is met twice is damage, and might be a circle.
+            if met.replace(number as usize, true) {
+                return Err(self.error(format!("node {number}"), "it has two parents, or is its own"));
+            }
+            if let Some(mesh) = node.mesh() {
+                let primitives = self.structure.mesh(mesh).ok_or_else(|| self.missing("mesh", mesh))?;
+                parts += primitives.len() as u64;
+                for number in primitives.filter(|&number| !checked.replace(number, true)) {
+                    watch.step()?;
+                    let primitive = self.structure.primitives[number];
+                    self.part(&primitive, Matrix4::identity())?;
+                    clouds += u64::from(primitive.mode == POINTS);
+                }
+            }
+            if parts > MOST_PARTS {
+                return Err(self.error("structure", format!("more than {MOST_PARTS} placed parts of meshes")));
+            }
+            if levels.len() == DEEPEST {
+                return Err(self.error(format!("node {number}"), format!("it lies below {DEEPEST} others")));
+            }
+            levels.push((children.range(number as usize), false));
+        }
+        if clouds > 0 {
+            let reason = format!("{clouds} parts of meshes are points; a cloud of points must come as LAS or LAZ");
+            watch.lose(clouds, self.error("structure", reason))?;
+        }
+        Ok(())
+    }
+
+    /// A primitive in its place; `None` if it has no triangles.
+    fn part(&self, primitive: &Primitive, place: Matrix4<f64>) -> Result<Option<Part>> {
+        let (TRIANGLES | STRIP | FAN, Some(positions)) = (primitive.mode, primitive.positions()) else {
+            return Ok(None);
+        };
+        let positions = self.values(positions, Shape::Vec3, &[F32])?;
+        let indices = primitive.indices().map(|of| self.values(of, Shape::Scalar, &[U8, U16, U32])).transpose()?;
+        Ok(Some(Part { place, mode: primitive.mode, positions, indices }))
+    }
+
+    /// Values that lie within their buffer.
+    fn values(&self, number: usize, shape: Shape, kinds: &[u32]) -> Result<Values> {
+        let at = || format!("accessor {number}");
+        let accessor = self.structure.accessors.get(number).ok_or_else(|| self.missing("accessor", number))?;
+        let &Accessor { component_type, count, .. } = accessor;
+        if accessor.shape != shape || !kinds.contains(&component_type) {
+            let found = format!("{:?} of type {component_type}", accessor.shape);
+            return Err(self.error(at(), format!("expected {shape:?} of type {kinds:?}, found {found}")));
+        }
+        let (Some(view), false) = (accessor.buffer_view, accessor.sparse) else {
+            return Err(self.error(at(), "sparse values are not supported; export the file without them"));
+        };
+        let view = self.structure.views.get(view as usize).ok_or_else(|| self.missing("view", view))?;
+        let buffer = view.buffer as usize;
+        let bytes = self.buffers.len(buffer).ok_or_else(|| self.missing("buffer", buffer))?;
+        let size = match component_type {
+            U8 => 1,
+            U16 => 2,
+            _ => 4,
+        };
+        let whole = size as u64 * if shape == Shape::Vec3 { 3 } else { 1 };
+        // Zero stands for no gaps.
+        let stride = view.byte_stride.map_or(0, u64::from);
+        let stride = if stride == 0 { whole } else { stride };
+        let start = view.byte_offset.checked_add(accessor.byte_offset);
+        let needed = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(whole));
+        let end = start.zip(needed).and_then(|(start, needed)| start.checked_add(needed));
+        let limit = view.byte_offset.saturating_add(view.byte_length).min(bytes);
+        match (start, end) {
+            (Some(start), Some(end)) if end <= limit => Ok(Values { buffer, start, stride, count, size }),
+            _ => Err(self.error(at(), format!("its {count} values reach beyond the {limit} bytes that hold them"))),
+        }
+    }
+
+    fn index(&mut self, values: &Values, number: u64) -> Result<u64> {
+        let mut bytes = [0; 4];
+        self.buffers.read(values.buffer, values.start + number * values.stride, &mut bytes[..values.size])?;
+        Ok(u64::from(u32::from_le_bytes(bytes)))
+    }
+
+    fn position(&mut self, values: &Values, number: u64) -> Result<[f64; 3]> {
+        if number >= values.count {
+            return Err(self.error("indices", format!("there is no corner {number}: the part has {}", values.count)));
+        }
+        let mut bytes = [0; 12];
+        self.buffers.read(values.buffer, values.start + number * values.stride, &mut bytes)?;
+        let (numbers, _) = bytes.as_chunks::<4>();
+        Ok([0, 1, 2].map(|axis| f64::from(f32::from_le_bytes(numbers[axis]))))
+    }
+
+    fn triangle(&mut self, part: &Part, number: u64) -> Result<Triangle> {
+        let mut triangle = [[0.0; 3]; 3];
+        for (corner, mut number) in triangle.iter_mut().zip(part.corners(number)) {
+            if let Some(indices) = &part.indices {
+                number = self.index(indices, number)?;
+            }
+            let at = self.position(&part.positions, number)?;
+            *corner = part.place.transform_point(&Point3::from(at)).into();
+        }
+        Ok(triangle)
+    }
+
+    /// Where a node places what it holds; a matrix excludes the rest (glTF 2.0, section 3.5.3).
+    fn matrix(&self, transform: Option<usize>) -> Matrix4<f64> {
+        match transform.map(|number| self.structure.transforms[number]) {
+            None => Matrix4::identity(),
+            Some(Transform::Matrix(matrix)) => Matrix4::from_iterator(matrix.into_iter().map(f64::from)),
+            Some(Transform::Parts { translation, rotation, scale }) => {
+                let wide = |v: [f32; 3]| Vector3::from(v.map(f64::from));
+                let [x, y, z, w] = rotation.map(f64::from);
+                let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+                Matrix4::new_translation(&wide(translation))
+                    * turn.to_homogeneous()
+                    * Matrix4::new_nonuniform_scaling(&wide(scale))
+            }
+        }
+    }
+}
+
+impl Walk {
+    fn new(checked: &Checked) -> Self {
+        let roots = Level { nodes: 0..checked.roots.len(), above: Matrix4::identity() };
+        Self { levels: vec![roots], ..Self::default() }
+    }
+
+    /// The next part, through nodes that were checked; `None` after the last.
+    fn next(&mut self, checked: &Checked, watch: &mut Watch) -> Result<Option<Part>> {
+        let Structure { nodes, children, primitives, .. } = &checked.structure;
+        loop {
+            watch.step()?;
+            if let Some(number) = self.primitives.next() {
+                match checked.part(&primitives[number], self.place)? {
+                    Some(part) => return Ok(Some(part)),
+                    None => continue,
+                }
+            }
+            let depth = self.levels.len();
+            let Some(level) = self.levels.last_mut() else { return Ok(None) };
+            let list = if depth == 1 { &checked.roots[..] } else { children.numbers() };
+            let Some(number) = level.nodes.next().map(|at| list[at] as usize) else {
+                self.levels.pop();
+                continue;
+            };
+            let node = nodes[number];
+            self.place = level.above * checked.matrix(node.transform());
+            self.primitives = node.mesh().and_then(|mesh| checked.structure.mesh(mesh)).unwrap_or_default();
+            self.levels.push(Level { nodes: children.range(number), above: self.place });
+        }
+    }
+}
+
+impl Triangles for Reader {
+    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
+        while out.len() < BATCH_TRIANGLES {
+            let part = match &self.part {
+                Some(part) if self.triangle < part.len() => *part,
+                _ => {
+                    (self.part, self.triangle) = (self.walk.next(&self.checked, watch)?, 0);
+                    if self.part.is_some() {
+                        continue;
+                    }
+                    return match self.checked.buffers.changed() {
+                        Some(path) => {
+                            let reason = format!("{} changed while it was read", path.display());
+                            watch.lose(1, self.checked.error("buffers", reason)).map(|()| false)
+                        }
+                        None => Ok(false),
+                    };
+                }
+            };
+            watch.step()?;
+            match self.checked.triangle(&part, self.triangle) {
+                Ok(triangle) => out.push(triangle),
+                Err(error) => watch.lose(1, error)?,
+            }
+            self.triangle += 1;
+        }
+        Ok(true)
+    }
+}
+
+/// The structure of a file, and of a `.glb` where its binary part begins and its length.
+fn read_structure(path: &Path, most_bytes: u64, digest: &Digest) -> Result<(Vec<u8>, Option<BinaryPart>)> {
+    let io = |e| Error::io(path, "read the structure", e);
+    let mut file = Source::open(path, digest)?;
+    let bytes = file.len();
+    let mut head = Vec::new();
+    Read::by_ref(&mut file).take(20).read_to_end(&mut head).map_err(io)?;
+    let word = |at: usize| head.get(at..at + 4).map_or(0, |b| u64::from(u32::from_le_bytes([b[0], b[1], b[2], b[3]])));
+    let binary = head.starts_with(b"glTF");
+    let (start, len) = if binary {
+        let (version, whole, len) = (word(4), word(8), word(12));
+        if version != 2 || head.get(16..20) != Some(b"JSON") {
+            return Err(Error::input(path, "header", format!("expected GLB of version 2, found version {version}")));
+        }
+        if whole > bytes || 20 + len > whole {
+            let reason = format!("it states {whole} bytes, {len} of structure, and has {bytes}: it is cut or damaged");
+            return Err(Error::input(path, "header, byte 8", reason));
+        }
+        (20, len)
+    } else {
+        (0, bytes)
+    };
+    if len > most_bytes {
+        let what = format!("{}: structure (bytes) (give more --memory)", path.display());
+        return Err(Error::Limit { what, value: len.to_string(), max: most_bytes.to_string() });
+    }
+    let mut json = Vec::with_capacity(len as usize);
+    file.seek(SeekFrom::Start(start)).map_err(io)?;
+    Read::by_ref(&mut file).take(len).read_to_end(&mut json).map_err(io)?;
+    let mut next = [0; 8];
+    let chunk = binary && file.read_exact(&mut next).is_ok() && next[4..] == *b"BIN\0";
+    let stated = u64::from(u32::from_le_bytes([next[0], next[1], next[2], next[3]]));
+    let at = start + len + 8;
+    Ok((json, chunk.then(|| (at, stated.min(bytes.saturating_sub(at))))))
+}

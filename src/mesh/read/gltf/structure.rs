@@ -1,0 +1,469 @@
+//! The structure of a glTF file: of its JSON what triangles need, in a few bytes a thing, because files may hold millions of
+//! empty ones. What it refers to is checked where it is used.
+
+use serde::Deserialize;
+use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use std::borrow::Cow;
+use std::cell::Cell;
+use std::marker::PhantomData;
+
+/// No number.
+const NONE: u32 = u32::MAX;
+
+/// Lists of numbers, one after the other.
+#[derive(Debug, Default)]
+pub struct Lists {
+    ends: Vec<u32>,
+    numbers: Vec<u32>,
+}
+
+impl Lists {
+    /// Number of lists.
+    pub fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    /// Where the numbers of list `index` stand.
+    pub fn range(&self, index: usize) -> std::ops::Range<usize> {
+        let begin = index.checked_sub(1).map_or(0, |before| self.ends[before]);
+        begin as usize..self.ends[index] as usize
+    }
+
+    /// All numbers of all lists.
+    pub fn numbers(&self) -> &[u32] {
+        &self.numbers
+    }
+
+    fn add(&mut self, list: &[u32], budget: &Budget) -> Result<(), Refusal> {
+        budget.take::<u32>()?;
+        list.iter().try_for_each(|_| budget.take::<u32>())?;
+        self.numbers.extend(list);
+        self.ends.push(self.numbers.len() as u32);
+        Ok(())
+    }
+}
+
+/// Where a node places what it holds.
+#[derive(Debug, Clone, Copy)]
+pub enum Transform {
+    Matrix([f32; 16]),
+    Parts { translation: [f32; 3], rotation: [f32; 4], scale: [f32; 3] },
+}
+
+/// A node, but for its children.
+#[derive(Debug, Clone, Copy)]
+pub struct Node {
+    mesh: u32,
+    transform: u32,
+}
+
+impl Node {
+    /// Number of its mesh.
+    pub fn mesh(&self) -> Option<usize> {
+        (self.mesh != NONE).then_some(self.mesh as usize)
+    }
+
+    /// Number of its transform.
+    pub fn transform(&self) -> Option<usize> {
+        (self.transform != NONE).then_some(self.transform as usize)
+    }
+}
+
+/// A part of a mesh.
+#[derive(Debug, Clone, Copy)]
+pub struct Primitive {
+    positions: u32,
+    indices: u32,
+    pub mode: u8,
+}
+
+impl Primitive {
+    /// Accessor of its positions.
+    pub fn positions(&self) -> Option<usize> {
+        (self.positions != NONE).then_some(self.positions as usize)
+    }
+
+    /// Accessor of its indices.
+    pub fn indices(&self) -> Option<usize> {
+        (self.indices != NONE).then_some(self.indices as usize)
+    }
+}
+
+/// Shape of the values of an accessor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    Scalar,
+    Vec3,
+    Other,
+}
+
+/// Typed values in a view.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Accessor {
+    pub buffer_view: Option<u32>,
+    #[serde(default)]
+    pub byte_offset: u64,
+    pub component_type: u32,
+    pub count: u64,
+    #[serde(rename = "type", deserialize_with = "shape")]
+    pub shape: Shape,
+    #[serde(default, deserialize_with = "is_there")]
+    pub sparse: bool,
+}
+
+/// A piece of a buffer.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct View {
+    pub buffer: u32,
+    #[serde(default)]
+    pub byte_offset: u64,
+    pub byte_length: u64,
+    pub byte_stride: Option<u32>,
+}
+
+/// Bytes, in the file or elsewhere.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Buffer<'a> {
+    pub byte_length: u64,
+    #[serde(borrow)]
+    pub uri: Option<Cow<'a, str>>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+struct Asset<'a> {
+    #[serde(borrow)]
+    version: Cow<'a, str>,
+}
+
+/// What a file holds; numbers are those of the file, and may name what is not there.
+#[derive(Debug, Default)]
+pub struct Structure<'a> {
+    pub version: Cow<'a, str>,
+    pub extension_required: Option<Cow<'a, str>>,
+    pub scene: Option<u32>,
+    /// Root nodes by scene.
+    pub scenes: Lists,
+    pub nodes: Vec<Node>,
+    /// Children by node.
+    pub children: Lists,
+    pub transforms: Vec<Transform>,
+    /// By primitive; `meshes` says which are those of a mesh.
+    pub primitives: Vec<Primitive>,
+    meshes: Vec<u32>,
+    pub accessors: Vec<Accessor>,
+    pub views: Vec<View>,
+    pub buffers: Vec<Buffer<'a>>,
+}
+
+impl<'a> Structure<'a> {
+    /// Of the text `json`, in at most `most_bytes` of memory beside it.
+    pub fn parse(json: &'a [u8], most_bytes: u64) -> Result<Self, serde_json::Error> {
+        let mut reader = serde_json::Deserializer::from_slice(json);
+        let structure = Root(&Budget(Cell::new(most_bytes))).deserialize(&mut reader)?;
+        reader.end()?;
+        Ok(structure)
+    }
+
+    /// The same without what it borrows from the text: version, extension and buffers.
+    pub fn without_text(self) -> Structure<'static> {
+        let Self { scene, scenes, nodes, children, transforms, primitives, meshes, accessors, views, .. } = self;
+        let (version, extension_required, buffers) = Default::default();
+        Structure {
+            version,
+            extension_required,
+            scene,
+            scenes,
+            nodes,
+            children,
+            transforms,
+            primitives,
+            meshes,
+            accessors,
+            views,
+            buffers,
+        }
+    }
+
+    /// Primitives of a mesh.
+    pub fn mesh(&self, number: usize) -> Option<std::ops::Range<usize>> {
+        let end = *self.meshes.get(number)?;
+        let begin = number.checked_sub(1).map_or(0, |before| self.meshes[before]);
+        Some(begin as usize..end as usize)
+    }
+}
+
+/// Why reading ends.
+type Refusal = &'static str;
+
+/// Memory that is left.
+struct Budget(Cell<u64>);
+
+impl Budget {
+    /// Takes room for one more `T`; a vector doubles as it grows, and is there twice meanwhile.
+    fn take<T>(&self) -> Result<(), Refusal> {
+        let left = self.0.get().checked_sub(2 * size_of::<T>() as u64);
+        self.0.set(left.ok_or("its structure takes more memory than --memory leaves for it; give more")?);
+        Ok(())
+    }
+}
+
+fn shape<'de, D: Deserializer<'de>>(value: D) -> Result<Shape, D::Error> {
+    Ok(match &*Cow::<str>::deserialize(value)? {
+        "SCALAR" => Shape::Scalar,
+        "VEC3" => Shape::Vec3,
+        _ => Shape::Other,
+    })
+}
+
+fn is_there<'de, D: Deserializer<'de>>(value: D) -> Result<bool, D::Error> {
+    IgnoredAny::deserialize(value).map(|_| true)
+}
+
+fn no_number() -> u32 {
+    NONE
+}
+
+fn triangles() -> u8 {
+    super::TRIANGLES
+}
+
+/// A list within a thing, of bounded length.
+struct Bounded<T>(Vec<T>);
+
+impl<T> Default for Bounded<T> {
+    fn default() -> Self {
+        Self(Vec::new())
+    }
+}
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for Bounded<T> {
+    fn deserialize<D: Deserializer<'de>>(list: D) -> Result<Self, D::Error> {
+        let mut all = Vec::new();
+        let put = |item| {
+            all.push(item);
+            if all.len() > MOST_IN_LIST { Err("a list of more than 1048576 things") } else { Ok(()) }
+        };
+        fill(put).deserialize(list)?;
+        Ok(Self(all))
+    }
+}
+
+/// Most elements of a [`Bounded`] list.
+const MOST_IN_LIST: usize = 1 << 20;
+
+/// Hands the elements of a list to a function, one by one.
+struct Fill<F, T>(F, PhantomData<T>);
+
+fn fill<T, F: FnMut(T) -> Result<(), Refusal>>(put: F) -> Fill<F, T> {
+    Fill(put, PhantomData)
+}
+
+impl<'de, T: Deserialize<'de>, F: FnMut(T) -> Result<(), Refusal>> DeserializeSeed<'de> for Fill<F, T> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, list: D) -> Result<(), D::Error> {
+        list.deserialize_seq(self)
+    }
+}
+
+impl<'de, T: Deserialize<'de>, F: FnMut(T) -> Result<(), Refusal>> Visitor<'de> for Fill<F, T> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str("a list")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(mut self, mut list: A) -> Result<(), A::Error> {
+        while let Some(item) = list.next_element()? {
+            (self.0)(item).map_err(A::Error::custom)?;
+        }
+        Ok(())
+    }
+}
+
+#[derive(Deserialize)]
+struct SceneText {
+    #[serde(default)]
+    nodes: Bounded<u32>,
+}
+
+#[derive(Deserialize)]
+struct NodeText {
+    #[serde(default = "no_number")]
+    mesh: u32,
+    #[serde(default)]
+    children: Bounded<u32>,
+    matrix: Option<[f32; 16]>,
+    translation: Option<[f32; 3]>,
+    rotation: Option<[f32; 4]>,
+    scale: Option<[f32; 3]>,
+}
+
+impl NodeText {
+    fn transform(&self) -> Option<Transform> {
+        if let Some(matrix) = self.matrix {
+            return Some(Transform::Matrix(matrix));
+        }
+        (self.translation.is_some() || self.rotation.is_some() || self.scale.is_some()).then_some(Transform::Parts {
+            translation: self.translation.unwrap_or_default(),
+            rotation: self.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]),
+            scale: self.scale.unwrap_or([1.0; 3]),
+        })
+    }
+}
+
+#[derive(Deserialize)]
+struct MeshText {
+    primitives: Bounded<PrimitiveText>,
+}
+
+#[derive(Deserialize)]
+struct PrimitiveText {
+    attributes: Attributes,
+    #[serde(default = "no_number")]
+    indices: u32,
+    #[serde(default = "triangles")]
+    mode: u8,
+}
+
+#[derive(Deserialize)]
+struct Attributes {
+    #[serde(rename = "POSITION", default = "no_number")]
+    position: u32,
+}
+
+#[derive(Deserialize)]
+#[serde(field_identifier, rename_all = "camelCase")]
+enum Key {
+    Asset,
+    ExtensionsRequired,
+    Scene,
+    Scenes,
+    Nodes,
+    Meshes,
+    Accessors,
+    BufferViews,
+    Buffers,
+    #[serde(other)]
+    Other,
+}
+
+/// Reads the whole.
+struct Root<'b>(&'b Budget);
+
+impl<'de> DeserializeSeed<'de> for Root<'_> {
+    type Value = Structure<'de>;
+
+    fn deserialize<D: Deserializer<'de>>(self, root: D) -> Result<Self::Value, D::Error> {
+        root.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Root<'_> {
+    type Value = Structure<'de>;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let (budget, mut all) = (self.0, Structure::default());
+        let mut version = None;
+        while let Some(key) = map.next_key()? {
+            match key {
+                Key::Asset => version = Some(map.next_value::<Asset>()?.version),
+                Key::ExtensionsRequired => {
+                    all.extension_required = map.next_value::<Bounded<Cow<str>>>()?.0.into_iter().next();
+                }
+                Key::Scene => all.scene = Some(map.next_value()?),
+                Key::Scenes => {
+                    let scenes = &mut all.scenes;
+                    map.next_value_seed(fill(|scene: SceneText| scenes.add(&scene.nodes.0, budget)))?;
+                }
+                Key::Nodes => map.next_value_seed(fill(|node| all.add_node(&node, budget)))?,
+                Key::Meshes => map.next_value_seed(fill(|mesh| all.add_mesh(&mesh, budget)))?,
+                Key::Accessors => map.next_value_seed(fill(push(&mut all.accessors, budget)))?,
+                Key::BufferViews => map.next_value_seed(fill(push(&mut all.views, budget)))?,
+                Key::Buffers => map.next_value_seed(fill(push(&mut all.buffers, budget)))?,
+                Key::Other => drop(map.next_value::<IgnoredAny>()?),
+            }
+        }
+        all.version = version.ok_or_else(|| A::Error::missing_field("asset"))?;
+        Ok(all)
+    }
+}
+
+/// Appends to `all`.
+fn push<T>(all: &mut Vec<T>, budget: &Budget) -> impl FnMut(T) -> Result<(), Refusal> {
+    |item| {
+        budget.take::<T>()?;
+        all.push(item);
+        Ok(())
+    }
+}
+
+impl Structure<'_> {
+    fn add_node(&mut self, node: &NodeText, budget: &Budget) -> Result<(), Refusal> {
+        budget.take::<Node>()?;
+        let mut transform = NONE;
+        if let Some(of_node) = node.transform() {
+            budget.take::<Transform>()?;
+            transform = self.transforms.len() as u32;
+            self.transforms.push(of_node);
+        }
+        self.nodes.push(Node { mesh: node.mesh, transform });
+        self.children.add(&node.children.0, budget)
+    }
+
+    fn add_mesh(&mut self, mesh: &MeshText, budget: &Budget) -> Result<(), Refusal> {
+        budget.take::<u32>()?;
+        for PrimitiveText { attributes, indices, mode } in &mesh.primitives.0 {
+            budget.take::<Primitive>()?;
+            self.primitives.push(Primitive { positions: attributes.position, indices: *indices, mode: *mode });
+        }
+        self.meshes.push(self.primitives.len() as u32);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_triangles_need_is_kept_and_the_rest_is_passed_over() {
+        let json = br#"{"asset":{"version":"2.0","generator":"x"},"scenes":[{},{"nodes":[1,0]}],"scene":1,"cameras":[{"a":[1]}],
+            "nodes":[{},{"mesh":3,"children":[0],"scale":[1,2,3],"extras":{}},{"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}],
+            "meshes":[{"primitives":[]},{"primitives":[{"attributes":{"POSITION":7,"NORMAL":8},"material":1},
+            {"attributes":{},"indices":2,"mode":5}]}],"bufferViews":[{"buffer":0,"byteLength":9}],
+            "accessors":[{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3","sparse":{}}],
+            "buffers":[{"byteLength":9,"uri":"a\u0041"}]}"#;
+        let all = Structure::parse(json, 1 << 20).unwrap();
+        assert_eq!((&*all.version, all.scene, all.extension_required.is_some()), ("2.0", Some(1), false));
+        assert_eq!(&all.scenes.numbers()[all.scenes.range(1)], [1, 0]);
+        assert_eq!((all.scenes.len(), all.scenes.range(0).len(), all.children.range(1)), (2, 0, 0..1));
+        assert_eq!((all.nodes[1].mesh(), all.nodes[0].mesh(), all.nodes[2].transform()), (Some(3), None, Some(1)));
+        assert!(matches!(all.transforms[0], Transform::Parts { scale: [1.0, 2.0, 3.0], .. }));
+        assert_eq!((all.mesh(0), all.mesh(1), all.mesh(2)), (Some(0..0), Some(0..2), None));
+        let [one, other] = all.primitives[..] else { panic!() };
+        assert_eq!((one.positions(), one.indices(), one.mode), (Some(7), None, 4));
+        assert_eq!((other.positions(), other.indices(), other.mode), (None, Some(2), 5));
+        assert!(all.accessors[0].sparse && all.accessors[0].shape == Shape::Vec3);
+        assert_eq!(all.buffers[0].uri.as_deref(), Some("aA"));
+    }
+
+    #[test]
+    fn millions_of_empty_things_are_refused_and_not_held() {
+        for list in ["nodes", "scenes"] {
+            let json = format!(r#"{{"asset":{{"version":"2.0"}},"{list}":[{}{{}}]}}"#, "{},".repeat(2_000_000));
+            let error = Structure::parse(json.as_bytes(), 8 << 20).unwrap_err().to_string();
+            assert!(error.contains("--memory"), "{error}");
+            assert!(Structure::parse(json.as_bytes(), 128 << 20).is_ok());
+        }
+        let json = format!(r#"{{"asset":{{"version":"2.0"}},"nodes":[{{"children":[{}1]}}]}}"#, "1,".repeat(2_000_000));
+        assert!(Structure::parse(json.as_bytes(), 1 << 30).is_err());
+    }
+}

@@ -1,0 +1,123 @@
+//! What a reader of a mesh minds on its way: the wish to stop, faces that are broken, and the bytes it reads.
+
+use crate::bytes::open_regular;
+use crate::{Error, Monitor, Result};
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use xxhash_rust::xxh3::Xxh3;
+
+/// Looks at whether work should stop once in so many steps.
+const STEPS: u32 = 1 << 10;
+
+/// What happens beside the reading of one file.
+pub(super) struct Watch<'a> {
+    pub monitor: &'a dyn Monitor,
+    /// Whether broken faces are left out instead of being errors.
+    pub allow_incomplete: bool,
+    /// Faces left out, and what is wrong with the first.
+    pub broken: u64,
+    pub reason: Option<Error>,
+    steps: u32,
+}
+
+impl<'a> Watch<'a> {
+    pub fn new(monitor: &'a dyn Monitor, allow_incomplete: bool) -> Self {
+        Self { monitor, allow_incomplete, broken: 0, reason: None, steps: 0 }
+    }
+
+    /// One of many steps of work is done; fails when it should stop.
+    pub fn step(&mut self) -> Result<()> {
+        self.steps += 1;
+        if self.steps < STEPS {
+            return Ok(());
+        }
+        self.steps = 0;
+        self.go_on()
+    }
+
+    /// Fails when work should stop.
+    pub fn go_on(&self) -> Result<()> {
+        if self.monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
+    }
+
+    /// So many faces cannot be read: an error, unless they may be left out.
+    pub fn lose(&mut self, faces: u64, error: Error) -> Result<()> {
+        match error {
+            Error::Input { path, at, reason } if !self.allow_incomplete => {
+                let reason = format!("{reason}; --allow-incomplete converts the rest");
+                Err(Error::Input { path, at, reason })
+            }
+            Error::Input { .. } => {
+                self.broken += faces;
+                self.reason.get_or_insert(error);
+                Ok(())
+            }
+            error => Err(error),
+        }
+    }
+}
+
+/// Hash of all that was read of a file, in the order of reading; shared by those that read it.
+#[derive(Clone, Default)]
+pub(super) struct Digest(Arc<Mutex<Option<Box<Xxh3>>>>);
+
+impl Digest {
+    /// Of nothing yet; ignores all bytes unless it is `wanted`.
+    pub fn new(wanted: bool) -> Self {
+        Self(Arc::new(Mutex::new(wanted.then(Box::default))))
+    }
+
+    pub fn update(&self, bytes: &[u8]) {
+        if let Some(state) = &mut *self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+            state.update(bytes);
+        }
+    }
+
+    /// Forgets what was read: it is read again.
+    fn reset(&self) {
+        if let Some(state) = &mut *self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+            state.reset();
+        }
+    }
+
+    pub fn value(&self) -> u128 {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map_or(0, |state| state.digest128())
+    }
+}
+
+/// A mesh file that is read from front to back.
+pub(super) struct Source {
+    file: File,
+    bytes: u64,
+    digest: Digest,
+}
+
+impl Source {
+    pub fn open(path: &Path, digest: &Digest) -> Result<Self> {
+        let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
+        digest.reset();
+        Ok(Self { file, bytes: about.len(), digest: digest.clone() })
+    }
+
+    /// Length of the file (bytes).
+    pub fn len(&self) -> u64 {
+        self.bytes
+    }
+}
+
+impl Read for Source {
+    fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+        let read = self.file.read(buf)?;
+        self.digest.update(&buf[..read]);
+        Ok(read)
+    }
+}
+
+impl Seek for Source {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.digest.reset();
+        self.file.seek(to)
+    }
+}

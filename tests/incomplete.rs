@@ -1,0 +1,399 @@
+//! Input that can be read in part only is refused, and what was there stays; with `--allow-incomplete` the rest is
+//! converted, and a warning names what is missing. Input that changes while it is read, and parts that read two versions of
+//! an input, are noticed.
+#![cfg(feature = "cli")]
+
+#[path = "common/scans.rs"]
+mod scans;
+
+use scangen::{Chunks, WriteSpec, write_las};
+use scans::{command, converts, points, refuses, sliceconv, text, verifies, write};
+use slicewalk::archive::{Archive, merge};
+use slicewalk::convert::{ConvertOptions, Job, PixelSize, ShardOptions, convert, plan_file};
+use slicewalk::{Monitor, NoMonitor};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+const OPTIONS: [&str; 6] = ["--pixel", "0.1", "--units", "m", "-o", "a.slices"];
+
+/// A folder with a scan of 3,000 points and an archive of it.
+fn folder() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("scan.las"), &points(3000));
+    write(&folder.path().join("scan.laz"), &points(12_000));
+    converts(folder.path(), &[&["scan.las"], &OPTIONS[..]].concat());
+    folder
+}
+
+fn points_kept(folder: &Path) -> u64 {
+    Archive::open(folder.join("a.slices")).unwrap().header().points_kept
+}
+
+/// `inputs` are refused with `words` and the way out, and the archive stays; allowed, they convert to so many points, and
+/// the same words are a warning.
+fn is_incomplete(folder: &Path, inputs: &[&str], words: &str, left: u64) {
+    let before = fs::read(folder.join("a.slices")).unwrap();
+    for pixel in ["0.1", "auto"] {
+        let options = ["--pixel", pixel, "--units", "m", "-o", "a.slices", "--force"];
+        let said = refuses(folder, &[inputs, &options].concat(), 1);
+        assert!(said.contains(words) && said.contains("--allow-incomplete"), "{inputs:?}: {said}");
+        assert!(fs::read(folder.join("a.slices")).unwrap() == before, "{inputs:?}: the old archive is gone");
+    }
+    let allowed = [inputs, &OPTIONS, &["--force", "--allow-incomplete"]].concat();
+    let said = converts(folder, &allowed);
+    assert!(said.contains("warning: ") && said.contains("incomplete") && said.contains(words), "{inputs:?}: {said}");
+    assert_eq!(points_kept(folder), left, "{inputs:?}: {said}");
+    verifies(&folder.join("a.slices"));
+    let out = sliceconv(folder, &[&allowed[..], &["--json"]].concat());
+    let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(facts["complete"], false);
+    fs::write(folder.join("a.slices"), before).unwrap();
+}
+
+#[test]
+fn cut_and_damaged_scans() {
+    let folder = folder();
+    let at = folder.path();
+    let las = fs::read(at.join("scan.las")).unwrap();
+    fs::write(at.join("cut.las"), &las[..las.len() / 2]).unwrap();
+    is_incomplete(at, &["cut.las"], "cut.las: ", 1494);
+    is_incomplete(at, &["cut.las", "scan.las"], "the header states 3000 points, the file holds 1494 whole ones", 4494);
+    // The header counts too few: the others lie behind them.
+    let mut few = las.clone();
+    few[107..111].copy_from_slice(&1000u32.to_le_bytes());
+    fs::write(at.join("few.las"), few).unwrap();
+    is_incomplete(at, &["few.las"], "the header states 1000 points, but more records", 1000);
+    // Bytes that are no points may follow: padding, or records of another kind.
+    let padded: Vec<u8> = las.iter().copied().chain([0; 4096]).collect();
+    fs::write(at.join("padded.las"), padded).unwrap();
+    converts(at, &[&["padded.las"], &OPTIONS[..], &["--force"]].concat());
+    assert_eq!(points_kept(at), 3000);
+    let mut laz = fs::read(at.join("scan.laz")).unwrap();
+    let middle = laz.len() * 2 / 3;
+    laz[middle..middle + 300].fill(0xA5);
+    fs::write(at.join("damaged.laz"), laz).unwrap();
+    let said = refuses(at, &[&["damaged.laz"], &OPTIONS[..], &["--force"]].concat(), 1);
+    assert!(said.contains("damaged.laz: LAZ chunk 1: damaged"), "{said}");
+    let said = converts(at, &[&["damaged.laz"], &OPTIONS[..], &["--force", "--allow-incomplete"]].concat());
+    assert!(said.contains("warning: damaged.laz: incomplete: LAZ chunk 1: damaged"), "{said}");
+    assert!((7_000..12_000).contains(&points_kept(at)), "{}", points_kept(at));
+}
+
+#[test]
+fn coordinates_that_cannot_be_kept() {
+    let folder = folder();
+    let at = folder.path();
+    let mut las = fs::read(at.join("scan.las")).unwrap();
+    // Of steps of 10⁷ m, the outermost coordinates lie beyond 10¹² m.
+    las[131..139].copy_from_slice(&1e8f64.to_le_bytes());
+    fs::write(at.join("far.las"), las).unwrap();
+    let said = refuses(at, &["far.las", "-o", "b.slices", "--pixel", "1e5", "--units", "m"], 1);
+    assert!(said.contains("points have a coordinate that is not finite or beyond 1e12 m"), "{said}");
+    let allowed = ["far.las", "-o", "b.slices", "--pixel", "1e5", "--units", "m", "--allow-incomplete"];
+    assert!(converts(at, &allowed).contains("points have a coordinate that is not finite"));
+}
+
+#[test]
+fn files_that_cannot_be_read() {
+    let folder = folder();
+    let at = folder.path();
+    fs::create_dir(at.join("tiles")).unwrap();
+    fs::copy(at.join("scan.las"), at.join("tiles/a.las")).unwrap();
+    fs::write(at.join("tiles/b.las"), "no scan at all, and long enough to hold a header if it were one".repeat(9))
+        .unwrap();
+    for inputs in [&["tiles"][..], &["tiles/*.las"], &["scan.las", "tiles/b.las"], &["scan.las", "none.las"]] {
+        let said = refuses(at, &[inputs, &OPTIONS, &["--force"]].concat(), 1);
+        assert!(said.contains("b.las") || said.contains("none.las"), "{said}");
+        let said = converts(at, &[inputs, &OPTIONS, &["--force", "--allow-incomplete"]].concat());
+        assert!(said.contains("warning: incomplete: left out: "), "{said}");
+        assert_eq!(points_kept(at), 3000);
+    }
+    // Where nothing is left, nothing is written.
+    for inputs in [&["tiles/b.las"][..], &["none.las"], &["none/*.las"]] {
+        refuses(at, &[inputs, &OPTIONS, &["--force", "--allow-incomplete"]].concat(), 1);
+        assert_eq!(points_kept(at), 3000);
+    }
+}
+
+#[test]
+fn broken_meshes() {
+    let folder = folder();
+    let at = folder.path();
+    let corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 nan\n";
+    let ply = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+               element face 3\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 0 1 9\n";
+    let stl = "solid a\nfacet\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n";
+    let mut binary = vec![b' '; 80];
+    binary.extend(2u32.to_le_bytes());
+    binary.extend([0; 12]);
+    [0f32, 0., 0., 1., 0., 0., 0., 1., 0.].iter().for_each(|v| binary.extend(v.to_le_bytes()));
+    binary.extend([0; 20]);
+    for (name, bytes, words) in [
+        (
+            "face.obj",
+            format!("{corners}f 1 2 3\nf 1 2 9\nf 1 2 3 zero\n").into_bytes(),
+            "line 6: there is no corner \"9\"",
+        ),
+        ("far.obj", format!("{corners}f 1 2 3\nf 1 2 4\n").into_bytes(), "1 of 2 triangles have a corner"),
+        ("face.ply", ply.as_bytes().to_vec(), "there is no corner 9"),
+        ("cut.ply", ply.replace("3 0 1 9\n", "").into_bytes(), "the file ends before the elements"),
+        ("cut.stl", stl.as_bytes().to_vec(), "ends before \"endsolid\""),
+        ("loop.stl", format!("{stl}facet\nvertex 1 2 3\nendloop\nendsolid\n").into_bytes(), "a loop has 1 corners"),
+        ("binary.stl", binary, "states 2 triangles of 50 bytes"),
+    ] {
+        fs::write(at.join(name), bytes).unwrap();
+        is_incomplete(at, &[name], words, 1);
+    }
+    // A triangle without area is no loss.
+    fs::write(at.join("flat.obj"), format!("{corners}f 1 2 3\nf 1 2 2\n")).unwrap();
+    let said = converts(at, &[&["flat.obj"], &OPTIONS[..], &["--force"]].concat());
+    assert!(said.contains("1 of 2 triangles left out: they have no area"), "{said}");
+}
+
+#[cfg(unix)]
+#[test]
+fn names_of_any_bytes_count_in_patterns_too() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = folder();
+    let at = folder.path();
+    fs::create_dir(at.join("tiles")).unwrap();
+    fs::copy(at.join("scan.las"), at.join("tiles/a.las")).unwrap();
+    let odd = std::ffi::OsStr::from_bytes(b"tiles/Gr\xF6\xDFe.las");
+    fs::copy(at.join("scan.las"), at.join(odd)).unwrap();
+    for input in ["tiles", "tiles/*.las", "**/tiles/*"] {
+        converts(at, &[&[input], &OPTIONS[..], &["--force"]].concat());
+        assert_eq!(points_kept(at), 6000, "{input}");
+    }
+}
+
+/// Ends within a minute, or it waits for something that never comes.
+fn ends(folder: &Path, arguments: &[&str]) -> String {
+    let mut child = command(folder).args(arguments).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+    let began = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if began.elapsed() > Duration::from_secs(60) {
+            child.kill().unwrap();
+            panic!("{arguments:?} hangs");
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let out = child.wait_with_output().unwrap();
+    assert_eq!(out.status.code(), Some(1));
+    String::from_utf8(out.stderr).unwrap()
+}
+
+#[cfg(unix)]
+#[test]
+fn pipes_devices_and_links_in_circles_are_no_input() {
+    let folder = folder();
+    let at = folder.path();
+    let pipe =
+        |name: &str| assert!(std::process::Command::new("mkfifo").arg(at.join(name)).status().unwrap().success());
+    let buffer = r#"{"asset":{"version":"2.0"},"buffers":[{"byteLength":4,"uri":"buffer.bin"}]}"#;
+    fs::write(at.join("scene.gltf"), buffer).unwrap();
+    for name in ["a.las", "a.laz", "a.obj", "a.ply", "a.stl", "a.glb", "plan.json", "buffer.bin"] {
+        pipe(name);
+    }
+    for input in ["a.las", "a.laz", "a.obj", "a.ply", "a.stl", "a.glb", "scene.gltf", "?.la?", "/dev/zero"] {
+        let said = ends(at, &[&[input], &OPTIONS[..], &["--force", "--quiet"]].concat());
+        assert!(said.contains("a pipe or a device"), "{input}: {said}");
+    }
+    let said = ends(at, &["scan.las", "--plan", "plan.json", "-o", "b.slices"]);
+    assert!(said.contains("plan.json") && said.contains("a pipe or a device"), "{said}");
+    for n in 0..12 {
+        std::os::unix::fs::symlink(".", at.join(format!("loop{n}"))).unwrap();
+    }
+    let said = ends(at, &["**/*.none", "-o", "b.slices"]);
+    assert!(said.contains("matches no"), "{said}");
+}
+
+#[test]
+fn buffers_outside_the_folder_of_a_gltf_file_are_not_followed() {
+    let folder = folder();
+    let at = folder.path();
+    fs::create_dir(at.join("scene")).unwrap();
+    fs::write(at.join("secret.bin"), [0; 36]).unwrap();
+    let outside = at.join("secret.bin");
+    for uri in ["../secret.bin", "%2e%2e/secret.bin", "x/../../secret.bin", text(&outside)] {
+        let json = format!(r#"{{"asset":{{"version":"2.0"}},"buffers":[{{"byteLength":36,"uri":"{uri}"}}]}}"#);
+        fs::write(at.join("scene/a.gltf"), json).unwrap();
+        let said = refuses(at, &[&["scene/a.gltf"], &OPTIONS[..], &["--force", "--quiet"]].concat(), 1);
+        assert!(said.contains("leads out of the folder"), "{uri}: {said}");
+    }
+}
+
+/// Does something to files when a stage begins.
+struct Meddler<F: Fn()> {
+    stage: &'static str,
+    act: F,
+    heard: Mutex<Vec<String>>,
+}
+
+impl<F: Fn() + Sync> Monitor for Meddler<F> {
+    fn stage(&self, name: &str, _: u64, _: &str) {
+        if name == self.stage {
+            (self.act)();
+        }
+    }
+
+    fn warn(&self, text: &str) {
+        self.heard.lock().unwrap().push(text.to_owned());
+    }
+}
+
+#[test]
+fn files_that_change_while_they_are_read() {
+    let folder = folder();
+    let at = folder.path();
+    let before = fs::read(at.join("a.slices")).unwrap();
+    let scan = fs::read(at.join("scan.las")).unwrap();
+    fs::write(at.join("floor.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    let mut other = scan.clone();
+    let middle = scan.len() / 2;
+    other[middle..middle + 400].reverse();
+    fs::write(at.join("other.las"), &other).unwrap();
+    type Act<'a> = Box<dyn Fn() + Sync + 'a>;
+    let of = |name: &str| fs::File::options().write(true).open(at.join(name)).unwrap();
+    let acts: Vec<(&str, Act)> = vec![
+        ("scan.las", Box::new(|| of("scan.las").set_len(50_000).unwrap())),
+        ("scan.las", Box::new(|| fs::write(at.join("scan.las"), [&scan[..], &[7; 500]].concat()).unwrap())),
+        ("scan.las", Box::new(|| fs::write(at.join("scan.las"), &other).unwrap())),
+        ("scan.las", Box::new(|| fs::rename(at.join("other.las"), at.join("scan.las")).unwrap())),
+        ("scan.las", Box::new(|| fs::remove_file(at.join("scan.las")).unwrap())),
+        ("floor.obj", Box::new(|| fs::write(at.join("floor.obj"), "v 0 0 0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n").unwrap())),
+    ];
+    for (number, (name, act)) in acts.iter().enumerate() {
+        // Before the only pass, and between the two passes of a pixel size that follows from the points.
+        for (pixel, stage) in [
+            (PixelSize::Metres(0.1), if *name == "floor.obj" { "reading meshes" } else { "reading points" }),
+            (PixelSize::Auto, "reading points"),
+        ] {
+            fs::write(at.join("scan.las"), &scan).unwrap();
+            fs::write(at.join("other.las"), &other).unwrap();
+            for allow_incomplete in [false, true] {
+                let monitor = Meddler { stage, act, heard: Mutex::default() };
+                let mut options = ConvertOptions::new(vec![at.join(name)], at.join("a.slices"));
+                options.pixel = pixel;
+                options.overwrite = true;
+                options.allow_incomplete = allow_incomplete;
+                // A file that is gone before it is opened for its points is refused even so.
+                let done = convert(&options, &monitor);
+                if allow_incomplete && at.join(name).exists() {
+                    assert!(done.as_ref().is_ok_and(|report| !report.complete), "{number}: {done:?}");
+                    let heard = monitor.heard.into_inner().unwrap();
+                    assert!(
+                        heard.iter().any(|text| text.contains("incomplete: it was written to")),
+                        "{number}: {heard:?}"
+                    );
+                    fs::write(at.join("a.slices"), &before).unwrap();
+                } else {
+                    let error = done.unwrap_err().to_string();
+                    assert!(error.contains(name), "{number}: {error}");
+                    assert!(fs::read(at.join("a.slices")).unwrap() == before, "{number}");
+                }
+                fs::write(at.join("scan.las"), &scan).unwrap();
+                fs::write(at.join("other.las"), &other).unwrap();
+                fs::write(at.join("floor.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+            }
+        }
+    }
+}
+
+/// Two scans side by side, of which the first reaches over both halves.
+fn two_scans(at: &Path, extension: &str) -> [PathBuf; 2] {
+    let mut all = points(40_000);
+    all.retain(|point| point.iter().all(|v| v.abs() < 100.0));
+    let names = ["wide", "east"].map(|name| at.join(format!("{name}.{extension}")));
+    let wide: Vec<_> = all.iter().map(|[x, y, z]| [x * 4.0, *y, *z]).collect();
+    let east: Vec<_> = all.iter().map(|[x, y, z]| [x + 30.0, *y, *z]).collect();
+    for (name, points) in names.iter().zip([wide, east]) {
+        let mut spec = WriteSpec { format: 6, ..WriteSpec::for_path(name) };
+        spec.compression = spec.compression.map(|_| Chunks::Fixed(1000));
+        write_las(name, points, &spec).unwrap();
+    }
+    names
+}
+
+/// Whether a plan knows a file by this byte among others: eight blocks of 4096 bytes, evenly from first to last.
+fn is_sampled(at: usize, len: usize) -> bool {
+    (0..8).map(|n| (len - 4096) * n / 7).any(|begin| (begin..begin + 4096).contains(&at))
+}
+
+/// Where the chunks of a LAZ file of format 6 begin: each has a point, the number of points, and nine sizes of layers.
+fn chunks(file: &[u8]) -> Vec<usize> {
+    let word = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
+    let (mut at, mut starts) = (word(96) + 8, Vec::new());
+    let table = word(word(96));
+    while at < table {
+        starts.push(at);
+        at += 70 + (0..9).map(|layer| word(at + 34 + 4 * layer)).sum::<usize>();
+    }
+    starts
+}
+
+/// Converts part `index` of three.
+fn part(at: &Path, inputs: &[PathBuf], index: u32, job: &Job) -> slicewalk::Result<PathBuf> {
+    let output = at.join(format!("{index}.slices"));
+    let mut options = ConvertOptions::new(inputs.to_vec(), output.clone());
+    job.apply_to(&mut options);
+    options.overwrite = true;
+    options.shard = Some(ShardOptions { index, count: 3, job: Some(job.clone()) });
+    convert(&options, &NoMonitor)?;
+    Ok(output)
+}
+
+#[test]
+fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
+    for extension in ["las", "laz"] {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        let mut inputs = two_scans(at, extension).to_vec();
+        fs::write(at.join("floor.obj"), "v 0 0 0\nv 0.3 0 0\nv 0 0.3 0\n".to_owned() + &"f 1 2 3\n".repeat(9000))
+            .unwrap();
+        inputs.push(at.join("floor.obj"));
+        let mut options = ConvertOptions::new(inputs.clone(), at.join("unused"));
+        options.pixel = PixelSize::Metres(0.1);
+        let job = Job::new(&options, &NoMonitor).unwrap();
+        plan_file::write(&job, &at.join("plan.json"), false).unwrap();
+        let good = [1, 2, 3].map(|index| part(at, &inputs, index, &job).unwrap());
+        let merged = at.join("merged.slices");
+        merge(&good, &merged, false, &NoMonitor).unwrap();
+        let whole = at.join("whole.slices");
+        options.output.clone_from(&whole);
+        convert(&options, &NoMonitor).unwrap();
+        assert!(fs::read(&whole).unwrap() == fs::read(&merged).unwrap());
+        // One byte between the samples that the plan knows a file by: the intensity of a point, or a corner of the mesh.
+        for (name, changed) in [(&inputs[0], "a scan"), (&inputs[2], "a mesh")] {
+            let before = fs::read(name).unwrap();
+            let place = match (changed, extension) {
+                ("a mesh", _) => (before.len() / 5..).find(|&at| before[at] == b'3' && !is_sampled(at, before.len())),
+                (_, "las") => (375 + 12..).step_by(30).find(|&at| !is_sampled(at, before.len())),
+                // The first point of a chunk lies there as it is.
+                _ => chunks(&before).into_iter().map(|at| at + 12).find(|&at| !is_sampled(at, before.len())),
+            };
+            let mut after = before.clone();
+            after[place.unwrap()] ^= 1;
+            fs::write(name, &after).unwrap();
+            let second = part(at, &inputs, 2, &job).unwrap();
+            fs::write(name, before).unwrap();
+            let parts = [good[0].clone(), second, good[2].clone()];
+            let error = merge(&parts, &at.join("bad.slices"), false, &NoMonitor);
+            let error = error.unwrap_err().to_string();
+            let file = name.file_name().unwrap().to_str().unwrap();
+            assert!(error.starts_with(&format!("{file}: content: it changed between two parts")), "{changed}: {error}");
+            assert!(!at.join("bad.slices").exists());
+            part(at, &inputs, 2, &job).unwrap();
+        }
+        // A change of most of it shows in the samples, before any work is done.
+        let mut after = fs::read(&inputs[0]).unwrap();
+        let len = after.len();
+        after[len / 10..len * 9 / 10].iter_mut().for_each(|byte| *byte ^= 1);
+        fs::write(&inputs[0], after).unwrap();
+        let error = part(at, &inputs, 2, &job).unwrap_err().to_string();
+        assert!(error.contains("has changed since"), "{error}");
+    }
+}
