@@ -78,15 +78,15 @@ fn an_hour_over_a_bad_link_is_right_within_the_budget_and_the_same_twice() {
         link.manners = manners;
         let mut random = Random(3);
         let (mut body, mut known) = (Body::at(0.0, 0.0, 30.0), 0);
-        for step in 1..=720 {
-            if step % 12 == 0 {
+        for step in 1..=360 {
+            if step % 6 == 0 {
                 let mut at = |limit: f64| random.in_range(-limit, limit);
                 body = Body::at(at(3.5), at(3.5), 30.0 + at(29.0));
             }
             body.velocity = [random.in_range(-0.1, 0.1), random.in_range(-0.1, 0.1), 0.0].into();
-            body.feet += body.velocity * 5.0;
+            body.feet += body.velocity * 10.0;
             loader.hint(pawn, &body.motion());
-            link.run(&mut loader, seconds(5.0 * f64::from(step))).unwrap();
+            link.run(&mut loader, seconds(10.0 * f64::from(step))).unwrap();
             let view = loader.view().unwrap();
             let answer = overlaps(&view, &body.shape());
             if !matches!(answer, Overlap::NotLoaded(_)) {
@@ -100,7 +100,7 @@ fn an_hour_over_a_bad_link_is_right_within_the_budget_and_the_same_twice() {
                 );
             }
         }
-        assert!(known > 700, "{known} of 720 places");
+        assert!(known > 350, "{known} of 360 places");
         (link.transcript, loader.counters())
     };
     let (transcript, counters) = walk();
@@ -114,7 +114,7 @@ fn an_hour_over_a_bad_link_is_right_within_the_budget_and_the_same_twice() {
 #[test]
 fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
     let mut expected = None;
-    for seed in 0..30 {
+    for seed in 0..12 {
         let mut random = Random(seed);
         let manners = Manners {
             latency: Duration::from_millis(random.below(50)),

@@ -92,7 +92,7 @@ fn answer<const IN: usize>(
     let mut input = BufReader::new(File::open(path).map_err(unreadable)?);
     let mut output = BufWriter::new(std::io::stdout().lock());
     let mut places: [usize; IN] = std::array::from_fn(|at| at);
-    let (mut fields_expected, mut fields) = (None, Fields::default());
+    let (mut fields_expected, mut fields) = (None, Fields::new());
     let (mut bytes, mut text) = (Vec::new(), String::new());
     for number in 1.. {
         text.clear();
@@ -171,7 +171,6 @@ fn go_on(written: std::io::Result<()>) -> Result<bool, Failure> {
 }
 
 /// Splits lines into fields without blanks around them. One reader for all lines: making one takes longer than a query.
-#[derive(Default)]
 struct Fields {
     reader: csv_core::Reader,
     text: Vec<u8>,
@@ -179,6 +178,11 @@ struct Fields {
 }
 
 impl Fields {
+    fn new() -> Self {
+        // Not its `default`, which knows no comma.
+        Self { reader: csv_core::Reader::new(), text: Vec::new(), ends: Vec::new() }
+    }
+
     /// The fields of a line; `None` if a quoted one goes on beyond it.
     fn of(&mut self, line: &str) -> Option<Row<'_>> {
         self.reader.reset();
