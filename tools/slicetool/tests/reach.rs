@@ -192,7 +192,7 @@ fn what_cannot_be_meant_is_refused() {
         (&["reach", "a.slices", "--from", "1,1,1", "-o", "none/out.csv"], "out.csv"),
         (&["reach", "none.slices", "--from", "1,1,1"], "none.slices"),
         (&["route", "a.slices", "--from", "1,1,1", "--to", "2,1,1", "-o", "a.slices"], "a.slices"),
-        (&["reach", "a.slices", "--from", "1,1,1", "--cache", "1KiB"], "--cache"),
+        (&["reach", "a.slices", "--from", "1,1,1", "--cache", "1KiB"], "too few"),
     ] {
         let out = slicetool(at, wrong);
         let text = String::from_utf8(out.stderr).unwrap();
