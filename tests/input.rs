@@ -123,7 +123,7 @@ const READABLE: &[(&str, u64, u64, &str)] = &[
     ("odd/pdrf9-1.4.laz", 1024, 494, ""),
     ("odd/simple-laszip-compressor-version-1.2r0.laz", 1065, 0, ""),
     ("odd/laszip-generated_with2bytespadding.laz", 1065, 0, ""),
-    ("odd/1.2-no-points.las", 0, 0, "states 1065 points, the file holds 0"),
+    ("odd/1.2-no-points.las", 0, 0, "states 1065 points, but none can be read"),
     ("odd/no-points.las", 0, 0, "holds no points"),
     ("odd/1.2-with-color-clipped.las", 1064, 0, "states 1065 points, the file holds 1064"),
     ("odd/bad_vlr_count.las", 10, 0, "3 records before the points, 2 fit"),
