@@ -309,7 +309,7 @@ fn plans_and_parts_on_the_command_line_are_checked() {
     let good = fs::read_to_string(at.join("plan.json")).unwrap();
     for (from, to, word) in [
         ("{", "[", "line 2: no plan in JSON"),
-        ("\"slicewalk_plan\": 1", "\"slicewalk_plan\": 2", "slicewalk_plan"),
+        ("\"slicewalk_plan\": 2", "\"slicewalk_plan\": 1", "slicewalk_plan"),
         ("\"pixel_size\": 0.1", "\"pixel_size\": -1", "pixel_size"),
         ("\"pixel_size\": 0.1", "\"pixel_size\": 0.2", "plan_hash"),
         ("\"classifier\": \"plane\"", "\"classifier\": \"flat\"", "classifier"),

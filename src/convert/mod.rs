@@ -137,6 +137,10 @@ pub(crate) fn plan(
             (round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2), Some(spacing))
         }
     };
+    if options.pixel == PixelSize::Auto && !(1e-6..=MAX_CELL_M).contains(&pixel_m) {
+        let reason = format!("the input asks for pixels of {pixel_m} m; give the pixel size in metres");
+        return Err(Error::parameter(Parameter::AutomaticPixelSize, reason));
+    }
     let plan = Plan {
         frame: Frame::new(pixel_m, options.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M)))?,
         options: options.plan.clone(),
