@@ -10,6 +10,8 @@ mod motion;
 mod path;
 #[path = "walk/seams.rs"]
 mod seams;
+#[path = "walk/stuck.rs"]
+mod stuck;
 #[path = "walk/world.rs"]
 mod world;
 

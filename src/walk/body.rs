@@ -4,7 +4,6 @@ use crate::query::{
     Aabb, Answer, Cylinder, SweepHit, depenetrate, floor_under, mean_floor_under, probe, sweep, top_under,
 };
 use crate::store::PageSet;
-use crate::{Error, Result};
 use nalgebra::{Point3, Vector2, Vector3};
 
 /// The shape of a pawn (m), standing on the middle of its bottom face.
@@ -69,19 +68,9 @@ impl Body {
         }
     }
 
-    pub(super) fn check(&self) -> Result<()> {
-        let half = self.half();
-        let fits = |v: f64| v > 0.0 && v.is_finite();
-        if fits(half.x) && fits(half.y) && fits(self.height()) {
-            Ok(())
-        } else {
-            Err(Error::parameter("pawn", format!("{self:?} is no body")))
-        }
-    }
-
     fn part(&self, feet: Point3<f64>, lift: f64) -> Part {
         let feet = feet + Vector3::new(0.0, 0.0, lift);
-        // Checked when the pawn was made: sizes are positive, and it never moves by what is not finite.
+        // Checked when the pawn was made: sizes are positive, and it never leaves the places where pawns can be.
         match *self {
             Self::Box { x, y, height } => {
                 Part::Box(Aabb::standing(feet, Vector3::new(x, y, height - lift)).expect("a finite box"))
