@@ -4,6 +4,8 @@
 mod cases;
 #[path = "walk/crowds.rs"]
 mod crowds;
+#[path = "walk/jams.rs"]
+mod jams;
 #[path = "walk/motion.rs"]
 mod motion;
 #[path = "../tools/bench/src/walks/path.rs"]
