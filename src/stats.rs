@@ -4,7 +4,7 @@
 //! [`Need`] says. Tiles in which no span begins or ends add nothing: they are like the slice below.
 
 use crate::Result;
-use crate::archive::{Archive, PageDecoder, PageEntry, Place};
+use crate::archive::{Archive, PageDecoder, PageEntry, Storage};
 use crate::frame::{PAGE_SLICES, SLICE_QUANTA};
 use crate::slice::Page;
 
@@ -102,10 +102,10 @@ impl Stats {
     }
 
     fn add(&mut self, entry: &PageEntry, page: &Page) {
-        let kind = match entry.place {
-            Place::Stored(_) => 0,
-            Place::Shared(_) => 1,
-            Place::Uniform(_) => 2,
+        let kind = match entry.storage {
+            Storage::Stored(_) => 0,
+            Storage::Shared(_) => 1,
+            Storage::Uniform(_) => 2,
         };
         self.pages[kind] += 1;
         self.tiles[kind] += u64::from(entry.slices.count_ones());
@@ -163,10 +163,10 @@ impl TileCounter {
             }
         }
         let slices = (0..PAGE_SLICES as u32).filter(|slice| entry.slices >> slice & 1 == 1);
-        let need = |slice: u32| match entry.place {
-            Place::Uniform(_) => Need::Uniform,
-            Place::Shared(_) => Need::Shared,
-            Place::Stored(_) => {
+        let need = |slice: u32| match entry.storage {
+            Storage::Uniform(_) => Need::Uniform,
+            Storage::Shared(_) => Need::Shared,
+            Storage::Stored(_) => {
                 let ends = [&self.bottoms[slice as usize], &self.tops[slice as usize]];
                 if ends.iter().all(|heights| heights.is_empty()) {
                     Need::LikeBelow

@@ -14,7 +14,7 @@ use std::sync::Mutex;
 use laz::laszip::{ChunkTable, ChunkTableEntry, LazVlr};
 use laz::{LasZipCompressor, LazVlrBuilder};
 use slicewalk::input::spacing::estimate_spacing;
-use slicewalk::input::{BATCH_POINTS, Decoder, InputOptions, InputSet, Unit, UnitCounts, Units};
+use slicewalk::input::{BATCH_POINTS, InputOptions, InputSet, PointChunk, PointCounts, PointDecoder, Units};
 use slicewalk::plan::Up;
 use slicewalk::{Error, Monitor, NoMonitor, Result};
 
@@ -32,7 +32,7 @@ impl Monitor for Heard {
 /// What a set of files gives.
 #[derive(Debug, Default, Clone, PartialEq)]
 struct Read {
-    counts: UnitCounts,
+    counts: PointCounts,
     points: Vec<[f64; 3]>,
     warnings: String,
 }
@@ -62,9 +62,9 @@ fn read_strictly(paths: &[PathBuf], options: InputOptions) -> Result<Read> {
     let heard = Heard::default();
     let set = InputSet::open(paths, options, &heard)?;
     let mut all = Read::default();
-    let mut decoder = Decoder::new();
-    for unit in set.units() {
-        all.counts += decoder.decode(&set, &unit, &mut |batch| {
+    let mut decoder = PointDecoder::new();
+    for chunk in set.chunks() {
+        all.counts += decoder.decode(&set, &chunk, &mut |batch| {
             assert!(batch.len() <= BATCH_POINTS);
             assert!(batch.y.len() == batch.len() && batch.z.len() == batch.len());
             all.points.extend((0..batch.len()).map(|i| [batch.x[i], batch.y[i], batch.z[i]]));
@@ -163,8 +163,8 @@ fn every_real_file_gives_its_points_or_one_clear_line() {
     let Some(data) = data::folder() else { return };
     for &(name, points, withheld, warning) in READABLE {
         let found = read_one(&data.join(name)).unwrap_or_else(|e| panic!("{e}"));
-        let expected = UnitCounts { read: points, withheld, ..UnitCounts::default() };
-        assert_eq!(UnitCounts { missing: 0, ..found.counts }, expected, "{name}");
+        let expected = PointCounts { read: points, withheld, ..PointCounts::default() };
+        assert_eq!(PointCounts { missing: 0, ..found.counts }, expected, "{name}");
         assert!(found.warnings.contains(warning), "{name}: {}", found.warnings);
         // Of all these, only cut files are refused unless incomplete input is allowed.
         let strict = read_strictly(&[data.join(name)], InputOptions::default());
@@ -790,19 +790,19 @@ fn threads_and_the_order_of_units_change_nothing() {
     let paths = [folder.file("a.las", &plain.las()), folder.file("b.laz", &packed.laz(3000))];
     let one = read(&paths, InputOptions::default()).unwrap();
     let set = InputSet::open(&paths, InputOptions::default(), &NoMonitor).unwrap();
-    let mut units: Vec<Unit> = set.units().collect();
-    assert_eq!(units.len(), 3 + 7);
-    assert_eq!(units.iter().map(Unit::points).sum::<u64>(), set.points_stated());
-    units.reverse();
+    let mut chunks: Vec<PointChunk> = set.chunks().collect();
+    assert_eq!(chunks.len(), 3 + 7);
+    assert_eq!(chunks.iter().map(PointChunk::points).sum::<u64>(), set.points_stated());
+    chunks.reverse();
     let all = Mutex::new(Read::default());
     std::thread::scope(|scope| {
-        for part in units.chunks(4) {
+        for part in chunks.chunks(4) {
             let (set, all) = (&set, &all);
             scope.spawn(move || {
-                let mut decoder = Decoder::new();
-                for unit in part {
+                let mut decoder = PointDecoder::new();
+                for chunk in part {
                     let mut points = Vec::new();
-                    let counts = decoder.decode(set, unit, &mut |b| {
+                    let counts = decoder.decode(set, chunk, &mut |b| {
                         points.extend((0..b.len()).map(|i| [b.x[i], b.y[i], b.z[i]]));
                         Ok(())
                     });
@@ -823,8 +823,8 @@ fn an_error_of_the_sink_ends_the_work() {
     let folder = Folder::new();
     let path = folder.file("a.laz", &Scan::new(4, 6, 20_000).laz(5000));
     let set = InputSet::open(&[path], InputOptions::default(), &NoMonitor).unwrap();
-    let unit = set.units().next().unwrap();
-    let outcome = Decoder::new().decode(&set, &unit, &mut |_| Err(Error::Interrupted));
+    let chunk = set.chunks().next().unwrap();
+    let outcome = PointDecoder::new().decode(&set, &chunk, &mut |_| Err(Error::Interrupted));
     assert!(matches!(outcome, Err(Error::Interrupted)));
 }
 

@@ -16,7 +16,7 @@ use slicewalk::frame::PageKey;
 use slicewalk::query::*;
 use slicewalk::store::Store;
 
-/// The stated bound on phantoms of round shapes and rays at 10⁷ m, and room for the tests' own rounding [m].
+/// The stated bound on phantoms of round shapes and rays at 10⁷ m, and room for the tests' own rounding (m).
 const SLACK: f64 = 4e-8;
 
 #[test]

@@ -7,7 +7,7 @@ use common::{Pages, Random, key, page, plan, read_all, render, scene};
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
-    Archive, ArchiveWriter, Bounds, PageEncoder, Place, Recovered, Shard, Totals, extract, merge, recover,
+    Archive, ArchiveWriter, Bounds, PageEncoder, Recovered, Shard, Storage, Totals, extract, merge, recover,
 };
 use slicewalk::frame::Frame;
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
@@ -141,10 +141,10 @@ fn recovers(folder: &Path, good: &[u8], bad: &[u8]) -> Option<Recovered> {
     let expected: Pages = whole
         .entries()
         .map(Result::unwrap)
-        .filter(|entry| match entry.place {
-            Place::Stored(extent) => same(extent.offset, extent.len.into()),
-            Place::Shared(extent) => directory && same(extent.offset, extent.len.into()),
-            Place::Uniform(_) => directory,
+        .filter(|entry| match entry.storage {
+            Storage::Stored(extent) => same(extent.offset, extent.len.into()),
+            Storage::Shared(extent) => directory && same(extent.offset, extent.len.into()),
+            Storage::Uniform(_) => directory,
         })
         .map(|entry| (entry.key, pages[&entry.key].clone()))
         .collect();
@@ -234,7 +234,7 @@ fn recovered(folder: &Path, bytes: &[u8]) -> (Recovered, Pages) {
 fn with_page(at: usize, change: impl FnOnce(&mut [u8])) -> Vec<u8> {
     let mut bytes = common::archive(&scene());
     let whole = Archive::from_bytes(bytes.clone()).unwrap();
-    let stored = whole.leaf(0).unwrap().into_iter().filter(|entry| matches!(entry.place, Place::Stored(_)));
+    let stored = whole.leaf(0).unwrap().into_iter().filter(|entry| matches!(entry.storage, Storage::Stored(_)));
     let extent = stored.map(|entry| entry.extent().unwrap()).nth(at).unwrap();
     let page = &mut bytes[extent.offset as usize..extent.offset as usize + extent.len as usize];
     change(page);
@@ -248,7 +248,7 @@ fn a_page_with_a_wrong_key_costs_no_other() {
     let folder = tempfile::tempdir().unwrap();
     let whole = Archive::from_bytes(common::archive(&scene())).unwrap();
     let entries = whole.leaf(0).unwrap();
-    let stored: Vec<_> = entries.iter().filter(|entry| matches!(entry.place, Place::Stored(_))).collect();
+    let stored: Vec<_> = entries.iter().filter(|entry| matches!(entry.storage, Storage::Stored(_))).collect();
     let keys: Vec<_> = stored.iter().map(|entry| entry.key).collect();
     for (at, tx) in (0..keys.len()).flat_map(|at| [(at, -(1 << 29)), (at, 1 << 29)]) {
         let bytes = with_page(at, |page| put(page, 4, tx as u64, 4));

@@ -383,7 +383,7 @@ fn hints_that_make_no_sense_are_counted_and_stale_ones_dropped() {
     let stream = Stream::open(open(MemorySource::new(&TOWER[..])), options(BUDGET, Prefetch::Manual)).unwrap();
     let mut pawn = stream.pawn();
     let mut body = Body::at(f64::NAN, 0.0, 0.0);
-    pawn.hint(&slicewalk::store::Motion { min: body.feet, ..Body::at(0.0, 0.0, 0.0).motion() });
+    pawn.hint(&slicewalk::store::Outlook { min: body.feet, ..Body::at(0.0, 0.0, 0.0).motion() });
     assert_eq!((stream.counters().hints_dropped, stream.step()), (1, Step::Idle));
     body = Body::at(0.0, 0.0, 100.0);
     pawn.hint(&body.motion());

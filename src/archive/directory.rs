@@ -3,7 +3,7 @@
 //! In: entries in ascending key order. Out: the bytes of a leaf before compression, about 10 bytes an entry after it.
 //! Memory: one leaf, at most 2²⁰ entries.
 
-use crate::codec::{Reader, Violation, put_varint, span_bits, span_from_bits, unzigzag, zigzag};
+use crate::codec::{ByteReader, Violation, put_varint, span_bits, span_from_bits, unzigzag, zigzag};
 use crate::frame::{MAX_INDEX, PAGE_SLICES, PageKey};
 use crate::slice::{PageSize, Span};
 use crate::{Error, Result};
@@ -22,7 +22,7 @@ pub struct Extent {
 
 /// Where the content of a page is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Place {
+pub enum Storage {
     /// In bytes of its own.
     Stored(Extent),
     /// In the bytes of an earlier page of equal content.
@@ -41,14 +41,14 @@ pub struct PageEntry {
     /// How large the page is in memory; of a uniform page always [`PageSize::UNIFORM`].
     pub size: PageSize,
     /// Where its content is.
-    pub place: Place,
+    pub storage: Storage,
 }
 
 /// What the directory says of the content of a page: entries of equal content hold equal pages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Content {
     /// Shared bytes count as stored ones.
-    place: Place,
+    storage: Storage,
     slices: u64,
     size: PageSize,
 }
@@ -56,18 +56,18 @@ pub struct Content {
 impl PageEntry {
     /// What the page holds, whichever page it is.
     pub fn content(&self) -> Content {
-        let place = match self.place {
-            Place::Shared(extent) => Place::Stored(extent),
-            place => place,
+        let storage = match self.storage {
+            Storage::Shared(extent) => Storage::Stored(extent),
+            storage => storage,
         };
-        Content { place, slices: self.slices, size: self.size }
+        Content { storage, slices: self.slices, size: self.size }
     }
 
     /// Bytes to read for the content; `None` for a uniform page, which needs no read.
     pub fn extent(&self) -> Option<Extent> {
-        match self.place {
-            Place::Stored(extent) | Place::Shared(extent) => Some(extent),
-            Place::Uniform(_) => None,
+        match self.storage {
+            Storage::Stored(extent) | Storage::Shared(extent) => Some(extent),
+            Storage::Uniform(_) => None,
         }
     }
 
@@ -115,10 +115,10 @@ pub(super) fn encode_leaf(entries: &[PageEntry], base: &mut u64, out: &mut Vec<u
         put_varint(out, zigzag(entry.key.layer as i64 - layer as i64));
         layer = entry.key.layer;
     }
-    out.extend(entries.iter().map(|entry| match entry.place {
-        Place::Stored(_) => STORED,
-        Place::Shared(_) => SHARED,
-        Place::Uniform(_) => UNIFORM,
+    out.extend(entries.iter().map(|entry| match entry.storage {
+        Storage::Stored(_) => STORED,
+        Storage::Shared(_) => SHARED,
+        Storage::Uniform(_) => UNIFORM,
     }));
     let paged = || entries.iter().filter_map(|entry| Some((entry, entry.extent()?)));
     for byte in 0..8 {
@@ -128,8 +128,8 @@ pub(super) fn encode_leaf(entries: &[PageEntry], base: &mut u64, out: &mut Vec<u
         put_varint(out, extent.len as u64);
     }
     for (entry, extent) in paged() {
-        match entry.place {
-            Place::Stored(_) => *base = extent.offset + extent.len as u64,
+        match entry.storage {
+            Storage::Stored(_) => *base = extent.offset + extent.len as u64,
             _ => put_varint(out, *base - extent.offset),
         }
     }
@@ -141,7 +141,7 @@ pub(super) fn encode_leaf(entries: &[PageEntry], base: &mut u64, out: &mut Vec<u
         put_varint(out, (entry.size.words() - entry.size.blocks()) as u64);
     }
     for entry in entries {
-        if let Place::Uniform(span) = entry.place {
+        if let Storage::Uniform(span) = entry.storage {
             out.extend(span_bits(span).to_le_bytes());
         }
     }
@@ -252,7 +252,7 @@ impl Column {
     }
 
     fn varint(&mut self, raw: &[u8]) -> Result<u64, Violation> {
-        let mut reader = Reader::new(&raw[self.at..self.end], "D3");
+        let mut reader = ByteReader::new(&raw[self.at..self.end], "D3");
         let value = reader.varint()?;
         self.at = self.end - reader.len();
         Ok(value)
@@ -271,7 +271,7 @@ impl Cursor {
         if len < count.saturating_mul(MIN_ENTRY) || len as u64 > max_raw_len(leaf.entries) {
             return Err(short());
         }
-        let mut reader = Reader::new(raw, "D3");
+        let mut reader = ByteReader::new(raw, "D3");
         let next = reader.varint()?;
         let columns = Column::of(raw, len - reader.len(), len, count)?;
         let layers = Column::of(raw, columns.end, len, count)?;
@@ -336,7 +336,7 @@ impl Cursor {
                 key,
                 slices: span.slice_mask(),
                 size: PageSize::UNIFORM,
-                place: Place::Uniform(span),
+                storage: Storage::Uniform(span),
             });
         }
         let at = self.given_paged;
@@ -374,11 +374,11 @@ impl Cursor {
         })?;
         let crc = word(raw, self.checksums + 4 * at);
         let extent = Extent { offset: leaf.pages.start + offset, len: len as u32, crc };
-        let place = if kind == STORED { Place::Stored(extent) } else { Place::Shared(extent) };
+        let storage = if kind == STORED { Storage::Stored(extent) } else { Storage::Shared(extent) };
         if kind == STORED {
             self.next = end;
         }
-        Ok(PageEntry { key, slices: mask, size, place })
+        Ok(PageEntry { key, slices: mask, size, storage })
     }
 
     fn key(&mut self, raw: &[u8], leaf: &LeafPlace) -> Result<PageKey, Violation> {
@@ -433,22 +433,22 @@ pub(super) mod tests {
             let mut made: Vec<Extent> = Vec::new();
             let mut entries = Vec::new();
             for (key, (kind, len, crc, slices, bottom, height)) in parts {
-                let place = match kind {
-                    SHARED if !made.is_empty() => Place::Shared(made[crc as usize % made.len()]),
-                    UNIFORM => Place::Uniform(Span::new(bottom, bottom + height, crc & 1 == 1).unwrap()),
+                let storage = match kind {
+                    SHARED if !made.is_empty() => Storage::Shared(made[crc as usize % made.len()]),
+                    UNIFORM => Storage::Uniform(Span::new(bottom, bottom + height, crc & 1 == 1).unwrap()),
                     _ => {
                         made.push(Extent { offset: next, len, crc });
                         next += len as u64;
-                        Place::Stored(made[made.len() - 1])
+                        Storage::Stored(made[made.len() - 1])
                     }
                 };
                 let blocks = 1 + crc % 64;
                 let size = PageSize::new(blocks, blocks + (slices % 524_000) as u32);
-                let (slices, size) = match place {
-                    Place::Uniform(span) => (span.slice_mask(), PageSize::UNIFORM),
+                let (slices, size) = match storage {
+                    Storage::Uniform(span) => (span.slice_mask(), PageSize::UNIFORM),
                     _ => (slices, size.unwrap()),
                 };
-                entries.push(PageEntry { key, slices, size, place });
+                entries.push(PageEntry { key, slices, size, storage });
             }
             entries
         })
@@ -465,7 +465,7 @@ pub(super) mod tests {
     }
 
     fn encoded(entries: &[PageEntry]) -> Vec<u8> {
-        let stored = entries.iter().find(|entry| matches!(entry.place, Place::Stored(_)));
+        let stored = entries.iter().find(|entry| matches!(entry.storage, Storage::Stored(_)));
         let mut base = stored.and_then(PageEntry::extent).map_or(0, |extent| extent.offset);
         let mut raw = Vec::new();
         encode_leaf(entries, &mut base, &mut raw);
@@ -480,7 +480,7 @@ pub(super) mod tests {
             key: PageKey { tx: 0, ty: 0, layer: offset as i32 },
             slices: 1,
             size,
-            place: Place::Shared(Extent { offset, len: 100, crc: 7 }),
+            storage: Storage::Shared(Extent { offset, len: 100, crc: 7 }),
         });
         encode_leaf(&entries, &mut base, &mut raw);
         assert_eq!(base, 5000);

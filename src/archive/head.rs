@@ -3,7 +3,7 @@
 //! The head is read and checked as a whole: magic, length, checksum, then version and features, then every field.
 
 use super::FORMAT_VERSION;
-use crate::codec::{Reader, Violation};
+use crate::codec::{ByteReader, Violation};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
 use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
@@ -288,7 +288,7 @@ pub(super) fn decode(bytes: &[u8], file_len: u64) -> Result<(Header, Vec<Leaf>)>
 
 fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     let at = |violation: Violation| violation.at("head", 0);
-    let mut reader = Reader::new(&covered[MAGIC.len()..FIXED], "H2");
+    let mut reader = ByteReader::new(&covered[MAGIC.len()..FIXED], "H2");
     let mut fields = || -> Result<_, Violation> {
         let version = (u16::from_le_bytes(reader.array()?), u16::from_le_bytes(reader.array()?));
         let head_len = reader.u32()?;
@@ -320,7 +320,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
         let [metadata_crc, leaf_entries, leaf_count] = [reader.u32()?, reader.u32()?, reader.u32()?];
         let [has_bounds] = reader.array()?;
         let reserved = reader.take(FIXED - 325)?;
-        reader = Reader::new(&[], "H2");
+        reader = ByteReader::new(&[], "H2");
         let float = |at: usize| f64::from_bits(words[at]);
         let corner = |at: usize| [float(at), float(at + 1), float(at + 2)];
         let bounds = decode_bounds(corner(4), corner(7), has_bounds)?;
@@ -355,7 +355,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
 }
 
 fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
-    let mut reader = Reader::new(bytes, "H7");
+    let mut reader = ByteReader::new(bytes, "H7");
     let sizes = [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
     let [classifier, up, drop_isolated, reserved] = reader.array()?;
     let min_points = reader.u32()?;
@@ -469,7 +469,7 @@ fn decode_root(bytes: &[u8], leaf_count: usize, header: &Header) -> Result<Vec<L
     let mut leaves: Vec<Leaf> = Vec::with_capacity(leaf_count);
     let (mut offset, mut left) = (0u64, total);
     for record in records.chunks_exact(ROOT_RECORD) {
-        let mut reader = Reader::new(record, "R1");
+        let mut reader = ByteReader::new(record, "R1");
         let column = reader.u64()?;
         let layer = i32::from_le_bytes(reader.array()?);
         let [entries, stored_len, raw_len, crc] = [reader.u32()?, reader.u32()?, reader.u32()?, reader.u32()?];

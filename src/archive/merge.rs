@@ -37,7 +37,7 @@ pub struct Merged {
 }
 
 /// One part. It is closed while others are worked on: there may be more parts than a program may hold open.
-struct Part<'a> {
+struct OpenShard<'a> {
     path: &'a Path,
     header: Header,
     shard: Shard,
@@ -47,7 +47,7 @@ struct Part<'a> {
     unknown: Unknown,
 }
 
-impl<'a> Part<'a> {
+impl<'a> OpenShard<'a> {
     fn open(path: &'a Path) -> Result<Self> {
         let open = || {
             let archive = Archive::open(path)?;
@@ -99,7 +99,7 @@ fn named(path: &Path, error: Error) -> Error {
 ///
 /// Cost: every page is read and decoded once. Nothing appears under the name before all of it is right.
 pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn Monitor) -> Result<Merged> {
-    let parts = shards.iter().map(|path| Part::open(path)).collect::<Result<Vec<_>>>()?;
+    let parts = shards.iter().map(|path| OpenShard::open(path)).collect::<Result<Vec<_>>>()?;
     let (parts, copies) = in_order(parts)?;
     let Some(first) = parts.first() else {
         return Err(Error::parameter(Parameter::Shard, "no part was given; name the archives of all parts"));
@@ -121,7 +121,7 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
 }
 
 /// Metadata of unknown tags that say the same in all parts, and what does not.
-fn common_records(parts: &[Part<'_>]) -> (Unknown, Vec<String>) {
+fn common_records(parts: &[OpenShard<'_>]) -> (Unknown, Vec<String>) {
     let all: BTreeMap<&Tag, &Vec<u8>> = parts.iter().flat_map(|part| &part.unknown).collect();
     let (mut common, mut dropped) = (Unknown::new(), Vec::new());
     for (tag, content) in all {
@@ -136,13 +136,13 @@ fn common_records(parts: &[Part<'_>]) -> (Unknown, Vec<String>) {
 }
 
 /// The parts from first to last, and the names of copies; refuses what does not make one whole.
-fn in_order(parts: Vec<Part<'_>>) -> Result<(Vec<Part<'_>>, Vec<PathBuf>)> {
+fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBuf>)> {
     let mut families: BTreeMap<_, usize> = BTreeMap::new();
     parts.iter().for_each(|part| *families.entry(part.family()).or_default() += 1);
     // The stranger among several is the one that most others do not know.
     let common = families.into_iter().max_by_key(|&(_, members)| members).map(|(family, _)| family);
     let Some(common) = common else { return Ok((parts, Vec::new())) };
-    let mut ordered: BTreeMap<u32, Part<'_>> = BTreeMap::new();
+    let mut ordered: BTreeMap<u32, OpenShard<'_>> = BTreeMap::new();
     let mut copies = Vec::new();
     for part in parts {
         if part.family() != common {
@@ -193,8 +193,8 @@ fn in_order(parts: Vec<Part<'_>>) -> Result<(Vec<Part<'_>>, Vec<PathBuf>)> {
 }
 
 /// Refuses parts of which one read another content of an input than another.
-fn same_inputs(parts: &[Part<'_>]) -> Result<()> {
-    let mut first: HashMap<u32, (&Part<'_>, u128)> = HashMap::new();
+fn same_inputs(parts: &[OpenShard<'_>]) -> Result<()> {
+    let mut first: HashMap<u32, (&OpenShard<'_>, u128)> = HashMap::new();
     for part in parts {
         for read in &part.read {
             let (other, hash) = *first.entry(read.input).or_insert((part, read.hash));
@@ -218,7 +218,7 @@ fn same_inputs(parts: &[Part<'_>]) -> Result<()> {
     Ok(())
 }
 
-fn same_bytes(a: &Part<'_>, b: &Part<'_>) -> Result<bool> {
+fn same_bytes(a: &OpenShard<'_>, b: &OpenShard<'_>) -> Result<bool> {
     let (a, b) = (FileSource::open(a.path)?, FileSource::open(b.path)?);
     if a.len() != b.len() {
         return Ok(false);
@@ -239,7 +239,7 @@ fn same_bytes(a: &Part<'_>, b: &Part<'_>) -> Result<bool> {
 }
 
 /// Puts all pages of `part` into `writer`.
-fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
+fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
     let archive = part.reopen()?;
     let (mut decoder, mut copier) = (PageDecoder::new(), Copier::new());
     let (mut tiles, mut voxels, mut pages, mut matter) = (0, Voxels::default(), 0, Matter::default());
@@ -276,7 +276,7 @@ fn copy(part: &Part<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> R
 }
 
 /// Adds what `part` says of its points: each point of the input counts in exactly one part.
-fn add(totals: &mut Totals, part: &Part<'_>) -> Result<()> {
+fn add(totals: &mut Totals, part: &OpenShard<'_>) -> Result<()> {
     let header = &part.header;
     for (sum, more) in [
         (&mut totals.points_read, header.points_read),

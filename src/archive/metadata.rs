@@ -2,7 +2,7 @@
 
 use super::head::{MAX_METADATA, hex};
 use super::shard::{InputRead, Shard};
-use crate::codec::{Reader, Violation};
+use crate::codec::{ByteReader, Violation};
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
@@ -84,7 +84,7 @@ impl Metadata {
         let mut last: Option<Tag> = None;
         let mut metadata = Self::default();
         while !rest.is_empty() {
-            let mut reader = Reader::new(rest, "M2");
+            let mut reader = ByteReader::new(rest, "M2");
             let tag: Tag = reader.array()?;
             let len = reader.u32()? as usize;
             let content = reader.take(len)?;
@@ -122,7 +122,7 @@ fn decode_units(content: &[u8]) -> Result<Vec<LengthUnit>, Violation> {
     }
     let mut units: Vec<LengthUnit> = Vec::with_capacity(records.len());
     for record in records {
-        let mut reader = Reader::new(record, "M5");
+        let mut reader = ByteReader::new(record, "M5");
         let unit = LengthUnit { horizontal_m: reader.f64()?, vertical_m: reader.f64()? };
         let sound = [unit.horizontal_m, unit.vertical_m].iter().all(|length| UNIT_RANGE_M.contains(length));
         if !sound || units.last().is_some_and(|last| last.order(&unit).is_ge()) {

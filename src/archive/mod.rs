@@ -42,7 +42,7 @@ mod salvage;
 mod recover;
 
 pub use catalog::Catalog;
-pub use directory::{Content, Extent, PageEntry, Place};
+pub use directory::{Content, Extent, PageEntry, Storage};
 pub use extract::{Extracted, extract};
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub use merge::{Merged, merge};

@@ -1,6 +1,6 @@
 //! Pages as they lie in the file: a leader that tells what they are, and the encoded page (chapter 5).
 
-use super::directory::{Extent, PageEntry, Place, key_in_grid};
+use super::directory::{Extent, PageEntry, Storage, key_in_grid};
 use super::head::hex;
 use crate::Result;
 use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
@@ -188,9 +188,9 @@ impl PageDecoder {
     }
 
     fn check_and_decode(&mut self, entry: &PageEntry, bytes: &[u8]) -> Result<Page, Violation> {
-        let page = match entry.place {
-            Place::Uniform(span) => self.uniform(span),
-            Place::Stored(extent) | Place::Shared(extent) => {
+        let page = match entry.storage {
+            Storage::Uniform(span) => self.uniform(span),
+            Storage::Stored(extent) | Storage::Shared(extent) => {
                 check_leader(entry, extent, bytes)?;
                 self.decoder.decode(&bytes[LEADER..])?
             }
@@ -275,8 +275,8 @@ fn check_leader(entry: &PageEntry, extent: Extent, bytes: &[u8]) -> Result<(), V
         return Err(Violation::new("P2", format!("checksum {crc:08x}"), found));
     }
     let key = leader.key;
-    let fits = match entry.place {
-        Place::Shared(_) => key < entry.key,
+    let fits = match entry.storage {
+        Storage::Shared(_) => key < entry.key,
         _ => key == entry.key,
     };
     if !fits {

@@ -8,7 +8,7 @@
 
 use super::catalog::Catalog;
 use super::copy::{Copier, beyond_this_version, refuse_repeats};
-use super::directory::{Content, Extent, PageEntry, Place};
+use super::directory::{Content, Extent, PageEntry, Storage};
 use super::head::{self, Header, MAX_HEAD, Pages};
 use super::metadata::Metadata;
 use super::page::{EncodedPage, PageDecoder, PageEncoder, own_key};
@@ -208,7 +208,7 @@ impl Rescue<'_> {
         let mut bytes = Vec::new();
         for entry in archive.open_leaf(leaf)? {
             let entry = entry?;
-            let Place::Stored(extent) = entry.place else { continue };
+            let Storage::Stored(extent) = entry.storage else { continue };
             bytes.resize(extent.len as usize, 0);
             let read = self.source.read_at(extent.offset, &mut bytes);
             if read.is_ok() && own_key(&bytes) == Some(entry.key) {
@@ -244,8 +244,8 @@ impl Rescue<'_> {
     fn listed(&mut self, archive: &Archive, entry: &PageEntry) -> Result<()> {
         let Self { writer, copier, decoder, encoder, encoded_anew, entries_wrong, .. } = self;
         let placed = copier.put(writer, entry.key, entry.content(), || {
-            let page = match entry.place {
-                Place::Stored(extent) => own_page(archive, extent, decoder).filter(|(key, _)| *key == entry.key),
+            let page = match entry.storage {
+                Storage::Stored(extent) => own_page(archive, extent, decoder).filter(|(key, _)| *key == entry.key),
                 _ => archive.page_with(entry, decoder).ok().map(|page| (entry.key, page)),
             };
             let Some((key, page)) = page else { return Ok(None) };
@@ -255,10 +255,10 @@ impl Rescue<'_> {
         if placed.is_none() {
             return Ok(());
         }
-        let (count, len) = match entry.place {
-            Place::Stored(extent) => (&mut self.found.stored, extent.len),
-            Place::Shared(_) => (&mut self.found.shared, 0),
-            Place::Uniform(_) => (&mut self.found.uniform, 0),
+        let (count, len) = match entry.storage {
+            Storage::Stored(extent) => (&mut self.found.stored, extent.len),
+            Storage::Shared(_) => (&mut self.found.shared, 0),
+            Storage::Uniform(_) => (&mut self.found.uniform, 0),
         };
         *count += 1;
         self.count(entry.key, len.into())

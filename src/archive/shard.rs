@@ -1,6 +1,6 @@
 //! The records that make an archive one part of several that were converted apart (chapter 7, tags `SHRD` and `READ`).
 
-use crate::codec::{Reader, Violation};
+use crate::codec::{ByteReader, Violation};
 use std::ops::RangeInclusive;
 
 /// Most parts of one conversion.
@@ -52,7 +52,7 @@ impl Shard {
         if content.len() != LEN {
             return Err(Violation::new("M4", format!("{LEN} bytes about the part"), content.len()));
         }
-        let mut reader = Reader::new(content, "M4");
+        let mut reader = ByteReader::new(content, "M4");
         let (index, count, first, last) = (reader.u32()?, reader.u32()?, reader.u64()?, reader.u64()?);
         let shard = Self { index, count, first, last, job: u128::from_le_bytes(reader.array()?) };
         if shard.is_sound() {
@@ -115,7 +115,7 @@ impl InputRead {
         let mut all: Vec<Self> = Vec::new();
         let mut rest = content;
         while !rest.is_empty() || all.is_empty() {
-            let mut reader = Reader::new(rest, "M6");
+            let mut reader = ByteReader::new(rest, "M6");
             let (input, hash) = (reader.u32()?, u128::from_le_bytes(reader.array()?));
             let [len] = reader.array()?;
             let name = std::str::from_utf8(reader.take(len.into())?);

@@ -3,9 +3,9 @@
 //! How many entries a leaf holds depends on how many there are in all, so leaves are made at the end. Memory: 1.5 MiB
 //! for any number of pages; disk: 40 bytes a page beyond the first 32,768.
 
-use super::directory::{Extent, PageEntry, Place};
+use super::directory::{Extent, PageEntry, Storage};
 use crate::Result;
-use crate::codec::{Reader, span_bits, span_from_bits};
+use crate::codec::{ByteReader, span_bits, span_from_bits};
 use crate::frame::PageKey;
 use crate::output::Temporary;
 use crate::slice::PageSize;
@@ -71,10 +71,10 @@ impl Entries {
 
 fn record(entry: &PageEntry) -> [u8; RECORD] {
     let mut out = [0; RECORD];
-    let (kind, extent) = match entry.place {
-        Place::Stored(extent) => (0u32, extent),
-        Place::Shared(extent) => (1, extent),
-        Place::Uniform(span) => (2, Extent { offset: 0, len: span_bits(span), crc: 0 }),
+    let (kind, extent) = match entry.storage {
+        Storage::Stored(extent) => (0u32, extent),
+        Storage::Shared(extent) => (1, extent),
+        Storage::Uniform(span) => (2, Extent { offset: 0, len: span_bits(span), crc: 0 }),
     };
     out[..8].copy_from_slice(&entry.key.column().to_le_bytes());
     out[8..12].copy_from_slice(&entry.key.layer.to_le_bytes());
@@ -88,20 +88,20 @@ fn record(entry: &PageEntry) -> [u8; RECORD] {
 }
 
 fn entry(record: &[u8]) -> Option<PageEntry> {
-    let mut reader = Reader::new(record, "");
+    let mut reader = ByteReader::new(record, "");
     let column = reader.u64().ok()?;
     let key = PageKey::from_column(column, reader.u32().ok()? as i32);
     let kind_and_size = reader.u32().ok()?;
     let size = PageSize::new(kind_and_size >> 2 & 127, kind_and_size >> 9)?;
     let slices = reader.u64().ok()?;
     let extent = Extent { offset: reader.u64().ok()?, len: reader.u32().ok()?, crc: reader.u32().ok()? };
-    let place = match kind_and_size & 3 {
-        0 => Place::Stored(extent),
-        1 => Place::Shared(extent),
-        2 => Place::Uniform(span_from_bits(extent.len)?),
+    let storage = match kind_and_size & 3 {
+        0 => Storage::Stored(extent),
+        1 => Storage::Shared(extent),
+        2 => Storage::Uniform(span_from_bits(extent.len)?),
         _ => return None,
     };
-    Some(PageEntry { key, slices, size, place })
+    Some(PageEntry { key, slices, size, storage })
 }
 
 #[cfg(test)]
@@ -115,13 +115,13 @@ mod tests {
         let mut entries = Entries::new(&folder.path().join("a.slices"));
         let made = |at: u64| {
             let extent = Extent { offset: at << 20, len: at as u32, crc: !at as u32 };
-            let place = match at % 3 {
-                0 => Place::Stored(extent),
-                1 => Place::Shared(extent),
-                _ => Place::Uniform(Span::new(at as u32 % 100, 200, at % 2 == 1).unwrap()),
+            let storage = match at % 3 {
+                0 => Storage::Stored(extent),
+                1 => Storage::Shared(extent),
+                _ => Storage::Uniform(Span::new(at as u32 % 100, 200, at % 2 == 1).unwrap()),
             };
             let size = PageSize::new(1 + at as u32 % 64, 64 + at as u32 * 7).unwrap();
-            PageEntry { key: PageKey::from_column(at, -(at as i32)), slices: at << 30, size, place }
+            PageEntry { key: PageKey::from_column(at, -(at as i32)), slices: at << 30, size, storage }
         };
         let count = 2 * KEPT as u64 + 5;
         for at in 0..count {

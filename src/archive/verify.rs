@@ -5,7 +5,7 @@
 //! Memory: one leaf, 1 MiB of pages, and the places of the last 65,536 stored pages (about 2 MiB).
 
 use super::dedup::WINDOW;
-use super::directory::{Extent, PageEntry, Place};
+use super::directory::{Extent, PageEntry, Storage};
 use super::head::{Pages, Tiles, Voxels};
 use super::matter::Matter;
 use super::page::{PageDecoder, PageEncoder};
@@ -182,12 +182,12 @@ impl Pass<'_> {
     fn place(&mut self, entry: &PageEntry) -> Result<(), Violation> {
         let tiles = entry.slices.count_ones() as u64;
         self.summary.tiles.occupied += tiles;
-        match entry.place {
-            Place::Uniform(_) => {
+        match entry.storage {
+            Storage::Uniform(_) => {
                 self.summary.pages.uniform += 1;
                 Ok(())
             }
-            Place::Stored(extent) => {
+            Storage::Stored(extent) => {
                 self.summary.pages.stored += 1;
                 self.summary.tiles.stored += tiles;
                 self.summary.tiles.unique += tiles;
@@ -203,7 +203,7 @@ impl Pass<'_> {
                     _ => Ok(()),
                 }
             }
-            Place::Shared(extent) => {
+            Storage::Shared(extent) => {
                 self.summary.pages.shared += 1;
                 self.summary.tiles.stored += tiles;
                 let first = self.stored.partition_point(|(stored, ..)| stored.offset < extent.offset);
@@ -225,8 +225,8 @@ impl Pass<'_> {
         let Some(extent) = entry.extent() else {
             return self.decoder.decode(entry, &[]);
         };
-        let bytes = match entry.place {
-            Place::Shared(_) => {
+        let bytes = match entry.storage {
+            Storage::Shared(_) => {
                 self.shared.resize(extent.len as usize, 0);
                 self.archive.source().read_at(extent.offset, &mut self.shared)?;
                 &self.shared[..]
@@ -241,7 +241,7 @@ impl Pass<'_> {
             let part = format!("page {}", entry.key);
             return Err(Violation::new("P10", "the one encoding of its content", "another").at(part, extent.offset));
         }
-        if matches!(entry.place, Place::Stored(_)) {
+        if matches!(entry.storage, Storage::Stored(_)) {
             self.summary.bytes += extent.len as u64;
         }
         Ok(page)

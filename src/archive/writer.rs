@@ -2,7 +2,7 @@
 
 use super::FORMAT_VERSION;
 use super::dedup::Window;
-use super::directory::{Extent, PageEntry, Place, encode_leaf, key_in_grid};
+use super::directory::{Extent, PageEntry, Storage, encode_leaf, key_in_grid};
 use super::head::{self, Bounds, Header, Leaf, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
 use super::matter::Matter;
 use super::metadata::{Metadata, Unknown};
@@ -11,7 +11,7 @@ use super::shard::{InputRead, Shard};
 use super::spill::Entries;
 use crate::codec::{Packer, Violation};
 use crate::frame::PageKey;
-use crate::output::{Existing, Kind, Output, Protected};
+use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::plan::Plan;
 use crate::slice::{PageBounds, PageSize};
 use crate::unit::LengthUnit;
@@ -77,7 +77,7 @@ pub struct ArchiveWriter {
 /// A page that was put: what its entry says, and what it takes to find its bytes again.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
-    place: Place,
+    storage: Storage,
     pub slices: u64,
     size: PageSize,
     pub bounds: PageBounds,
@@ -95,7 +95,7 @@ impl ArchiveWriter {
     /// As [`create`](Self::create), and replaces nothing that is protected.
     pub(super) fn begin(target: &Path, plan: &Plan, existing: Existing, protected: Protected) -> Result<Self> {
         plan.options.check()?;
-        Self::on(Output::create(target, Kind::Archive(existing), protected)?, plan)
+        Self::on(Output::create(target, OutputKind::Archive(existing), protected)?, plan)
     }
 
     /// Starts an archive of `plan` that will be `output`.
@@ -178,9 +178,9 @@ impl ArchiveWriter {
             return Err(Error::parameter(format!("page {key}"), "has no matter; leave it out"));
         };
         let placed = Placed {
-            place: match page.uniform {
-                Some(span) => Place::Uniform(span),
-                None => self.place(page)?,
+            storage: match page.uniform {
+                Some(span) => Storage::Uniform(span),
+                None => self.store(page)?,
             },
             slices: page.slices,
             size: page.size,
@@ -194,17 +194,17 @@ impl ArchiveWriter {
 
     /// Puts the content of `like`, which was put before, under `key` as well; `false` if it must be put with its bytes.
     pub(super) fn put_again(&mut self, key: PageKey, like: &Placed) -> Result<bool> {
-        let place = match like.place {
-            Place::Uniform(span) => Place::Uniform(span),
-            Place::Stored(extent) | Place::Shared(extent) => {
+        let storage = match like.storage {
+            Storage::Uniform(span) => Storage::Uniform(span),
+            Storage::Stored(extent) | Storage::Shared(extent) => {
                 if self.window.candidate(like.hash, extent.len) != Some(extent) {
                     return Ok(false);
                 }
-                Place::Shared(extent)
+                Storage::Shared(extent)
             }
         };
         self.check_key(key)?;
-        self.push(key, &Placed { place, ..*like })?;
+        self.push(key, &Placed { storage, ..*like })?;
         Ok(true)
     }
 
@@ -223,24 +223,24 @@ impl ArchiveWriter {
 
     /// Adds an entry whose bytes have their place, and counts it.
     fn push(&mut self, key: PageKey, placed: &Placed) -> Result<()> {
-        let &Placed { place, slices, size, bounds, voxels, .. } = placed;
-        let entry = PageEntry { key, slices, size, place };
+        let &Placed { storage, slices, size, bounds, voxels, .. } = placed;
+        let entry = PageEntry { key, slices, size, storage };
         self.entries.push(entry)?;
         self.last = Some(key);
         self.matter.add(key, &bounds);
         let tiles = u64::from(slices.count_ones());
         let Header { pages, tiles: count, voxels: sum, .. } = &mut self.counts;
-        match place {
-            Place::Stored(_) => {
+        match storage {
+            Storage::Stored(_) => {
                 pages.stored += 1;
                 count.stored += tiles;
                 count.unique += tiles;
             }
-            Place::Shared(_) => {
+            Storage::Shared(_) => {
                 pages.shared += 1;
                 count.stored += tiles;
             }
-            Place::Uniform(_) => pages.uniform += 1,
+            Storage::Uniform(_) => pages.uniform += 1,
         }
         count.occupied += tiles;
         sum.occupied += voxels.0;
@@ -252,19 +252,19 @@ impl ArchiveWriter {
     }
 
     /// Finds equal bytes or appends those of `page`.
-    fn place(&mut self, page: &EncodedPage) -> Result<Place> {
+    fn store(&mut self, page: &EncodedPage) -> Result<Storage> {
         let len = page.bytes.len() as u32;
         if let Some(extent) = self.window.candidate(page.hash, len) {
             let mut same = vec![0; len as usize];
             self.read_back(extent, &mut same)?;
             if same[super::page::LEADER..] == *page.body() {
-                return Ok(Place::Shared(extent));
+                return Ok(Storage::Shared(extent));
             }
         }
         let extent = Extent { offset: self.flushed + self.buffer.len() as u64, len, crc: page.crc() };
         self.append(&page.bytes)?;
         self.window.insert(page.hash, extent);
-        Ok(Place::Stored(extent))
+        Ok(Storage::Stored(extent))
     }
 
     fn read_back(&self, extent: Extent, buf: &mut [u8]) -> Result<()> {

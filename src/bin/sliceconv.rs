@@ -9,7 +9,7 @@ use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
 use slicewalk::convert::{Job, ShardOptions};
 use slicewalk::input::Units;
 use slicewalk::mesh::MeshMode;
-use slicewalk::output::{Existing, Kind, Output};
+use slicewalk::output::{Existing, Output, OutputKind};
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::size::parse_size;
 use slicewalk::{Error, Monitor, Parameter};
@@ -340,7 +340,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
     if let Some(path) = &arguments.write_plan {
-        let kind = Kind::Plan(Existing::replaced_if(arguments.force));
+        let kind = OutputKind::Plan(Existing::replaced_if(arguments.force));
         let output = Output::create(path, kind, arguments.inputs.iter().collect())?;
         let job = Job::new(&options, monitor)?;
         plan_file::write_to(&job, output)?;

@@ -7,7 +7,7 @@
 //! little is left to say.
 
 use super::lattice::{End, Lattice};
-use super::rans::{Bit, Coder, Decoder, Dry, Encoder, Nibble};
+use super::rans::{Bit, Coder, Dry, Nibble, RansDecoder, RansEncoder};
 use super::{MAX_PAGE_SPANS, Violation};
 use crate::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
 use crate::slice::{Page, PageBuilder, Span};
@@ -95,7 +95,7 @@ pub struct Scratch {
     spans: Vec<Coded>,
     /// Per end and step: 0, or 1 + how far the height lay off the usual one when the step came last [1..=3].
     last_off: Box<[[u8; 1 << 14]; 2]>,
-    encoder: Encoder,
+    encoder: RansEncoder,
     column: Vec<Span>,
     heights: Vec<(u32, End)>,
 }
@@ -121,7 +121,7 @@ impl Default for Scratch {
             first: vec![0; PIXELS + 1].into(),
             spans: Vec::new(),
             last_off: Box::new([[0; 1 << 14]; 2]),
-            encoder: Encoder::default(),
+            encoder: RansEncoder::default(),
             column: Vec::new(),
             heights: Vec::new(),
         }
@@ -232,7 +232,7 @@ impl Candidates {
 }
 
 /// A walk over a page, with its coder.
-struct Walk<'a, C> {
+struct Traversal<'a, C> {
     coder: C,
     lattice: Lattice,
     models: &'a mut Models,
@@ -242,7 +242,7 @@ struct Walk<'a, C> {
 /// A height of a span: the quantum and the step.
 type Height = (u32, u32);
 
-impl<C: Coder> Walk<'_, C> {
+impl<C: Coder> Traversal<'_, C> {
     /// Which blocks have matter, and which in all pixels, as masks.
     fn blocks(&mut self, given: (u64, u64)) -> (u64, u64) {
         let (mut matter, mut full) = (0u64, 0u64);
@@ -444,8 +444,8 @@ fn walk<C: Coder, G: Given>(
         last_off.iter_mut().for_each(|end| end.fill(0));
     }
     spans.clear();
-    let mut walk = Walk { coder, lattice, models, last_off };
-    let (matter, full) = walk.blocks(given.blocks());
+    let mut traversal = Traversal { coder, lattice, models, last_off };
+    let (matter, full) = traversal.blocks(given.blocks());
     if matter == 0 {
         return Err(Violation::new("P6", "matter in some pixel", "none"));
     }
@@ -462,13 +462,13 @@ fn walk<C: Coder, G: Given>(
         if matter >> block & 1 == 1
             && (full >> block & 1 == 1 || {
                 let context = pixel_context([row, row_north, row_north_2], px);
-                walk.coder.bit(&mut walk.models.pixel[context], !given_spans.is_empty())
+                traversal.coder.bit(&mut traversal.models.pixel[context], !given_spans.is_empty())
             })
         {
             row |= 1 << px;
             let mut around = neighbours(first, pixel);
             let [west, north, ..] = &around;
-            let count = walk.count(west.len() as u32, north.len() as u32, given_spans.len() as u32);
+            let count = traversal.count(west.len() as u32, north.len() as u32, given_spans.len() as u32);
             if count > MAX_COLUMN {
                 return Err(Violation::new("P7", "1 to 64 spans in an occupied pixel", count));
             }
@@ -478,14 +478,14 @@ fn walk<C: Coder, G: Given>(
                 let candidates = candidates(spans, &mut around, below);
                 let above = given_spans.get(index + 1).map(|span| span.bottom());
                 let span = given_spans.get(index);
-                let span = span.map(|&span| given.simplest(span, &candidates, &walk.lattice, below, above));
-                let (bottom, bottom_step) = walk.height(
+                let span = span.map(|&span| given.simplest(span, &candidates, &traversal.lattice, below, above));
+                let (bottom, bottom_step) = traversal.height(
                     End::Bottom,
                     candidates.bottom_context(),
                     candidates.bottom,
                     span.map(|span| span.bottom()),
                 );
-                let (top, top_step) = walk.height(
+                let (top, top_step) = traversal.height(
                     End::Top,
                     candidates.thickness_context(),
                     bottom_step as i32 + candidates.thickness,
@@ -493,8 +493,9 @@ fn walk<C: Coder, G: Given>(
                 );
                 let thick = top > bottom + SLICE / 4;
                 let context = (candidates.obstacles * 5 + candidates.count) * 2 + thick as usize;
-                let obstacle =
-                    walk.coder.bit(&mut walk.models.kind[context], span.is_some_and(|span| span.is_obstacle()));
+                let obstacle = traversal
+                    .coder
+                    .bit(&mut traversal.models.kind[context], span.is_some_and(|span| span.is_obstacle()));
                 let span = Span::new(bottom, top, obstacle)
                     .ok_or_else(|| Violation::new("P8", "a span inside the page", format!("{bottom}..={top}")))?;
                 column.push(span);
@@ -512,7 +513,7 @@ fn walk<C: Coder, G: Given>(
         }
         first[pixel + 1] = spans.len() as u32;
     }
-    Ok(walk.coder)
+    Ok(traversal.coder)
 }
 
 fn lattice_of(frame: &Frame, page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
@@ -552,7 +553,7 @@ fn code_lattice(coder: &mut impl Coder, given: Lattice) -> Option<Lattice> {
 
 /// Fills `builder`, which must be empty, from the encoding `body`.
 pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut PageBuilder) -> Result<(), Violation> {
-    let mut decoder = Decoder::new(body, "P6")?;
+    let mut decoder = RansDecoder::new(body, "P6")?;
     let lattice = code_lattice(&mut decoder, Lattice::QUANTA)
         .ok_or_else(|| Violation::new("P7", "steps of 2 to 255 quanta, above their phase", "others"))?;
     let decoder = walk(decoder, lattice, scratch, None, |px, py, spans| {

@@ -2,17 +2,17 @@
 
 use super::Violation;
 
-/// Longest varint [bytes]: 64 bits in groups of 7.
+/// Longest varint (bytes): 64 bits in groups of 7.
 pub const MAX_VARINT: usize = 10;
 
 /// Takes numbers off the front of a byte string; a shortage breaks the rule it was made with.
 #[derive(Debug)]
-pub struct Reader<'a> {
+pub struct ByteReader<'a> {
     rest: &'a [u8],
     rule: &'static str,
 }
 
-impl<'a> Reader<'a> {
+impl<'a> ByteReader<'a> {
     /// Reads `bytes`; running short or finding a varint that is not canonical breaks `rule`.
     pub fn new(bytes: &'a [u8], rule: &'static str) -> Self {
         Self { rest: bytes, rule }
@@ -122,10 +122,10 @@ mod tests {
     #[test]
     fn refuses_varints_that_are_long_or_cut() {
         for bad in [&[][..], &[0x80], &[0x80, 0], &[0xFF; 10], &[0xFF; 11]] {
-            assert_eq!(Reader::new(bad, "D3").varint().unwrap_err().rule, "D3");
+            assert_eq!(ByteReader::new(bad, "D3").varint().unwrap_err().rule, "D3");
         }
         let longest = [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 1];
-        assert_eq!(Reader::new(&longest, "D3").varint(), Ok(u64::MAX));
+        assert_eq!(ByteReader::new(&longest, "D3").varint(), Ok(u64::MAX));
     }
 
     proptest! {
@@ -134,7 +134,7 @@ mod tests {
             let value = value >> shift;
             let mut bytes = Vec::new();
             put_varint(&mut bytes, value);
-            let mut reader = Reader::new(&bytes, "D3");
+            let mut reader = ByteReader::new(&bytes, "D3");
             prop_assert_eq!(reader.varint(), Ok(value));
             prop_assert!(reader.finish().is_ok() && bytes.len() <= MAX_VARINT);
             prop_assert_eq!(unzigzag(zigzag(value as i64)), value as i64);
@@ -142,7 +142,7 @@ mod tests {
 
         #[test]
         fn accepts_exactly_the_canonical_form(bytes in proptest::collection::vec(any::<u8>(), 0..12)) {
-            let mut reader = Reader::new(&bytes, "D3");
+            let mut reader = ByteReader::new(&bytes, "D3");
             if let Ok(value) = reader.varint() {
                 let mut again = Vec::new();
                 put_varint(&mut again, value);

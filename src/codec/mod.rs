@@ -13,7 +13,7 @@ mod compress;
 mod lattice;
 mod rans;
 
-pub use bytes::{Reader, put_varint, unzigzag, zigzag};
+pub use bytes::{ByteReader, put_varint, unzigzag, zigzag};
 pub use compress::{Packer, Unpacker};
 
 use crate::Error;

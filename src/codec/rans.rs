@@ -139,13 +139,13 @@ impl Coder for Dry {
 
 /// Writes symbols; reusable.
 #[derive(Debug, Default)]
-pub struct Encoder {
+pub struct RansEncoder {
     /// First slot and number of slots of each symbol. What is decoded first is encoded last, so they wait here.
     slots: Vec<(u16, u16)>,
     words: Vec<u16>,
 }
 
-impl Encoder {
+impl RansEncoder {
     /// Forgets all symbols.
     pub fn clear(&mut self) {
         self.slots.clear();
@@ -173,7 +173,7 @@ impl Encoder {
     }
 }
 
-impl Coder for Encoder {
+impl Coder for RansEncoder {
     #[inline]
     fn nibble(&mut self, model: &mut Nibble, symbol: u32) -> u32 {
         self.push(model.slots(symbol));
@@ -199,14 +199,14 @@ impl Coder for Encoder {
 
 /// Reads symbols from bytes that nobody vouches for: reading beyond the end gives some symbols, and an error at the end.
 #[derive(Debug)]
-pub struct Decoder<'a> {
+pub struct RansDecoder<'a> {
     state: u32,
     words: &'a [[u8; 2]],
     short: bool,
 }
 
-impl<'a> Decoder<'a> {
-    /// Reads what [`Encoder::finish`] wrote; fewer than 4 bytes, an odd number, or a state too low break `rule`.
+impl<'a> RansDecoder<'a> {
+    /// Reads what [`RansEncoder::finish`] wrote; fewer than 4 bytes, an odd number, or a state too low break `rule`.
     pub fn new(bytes: &'a [u8], rule: &'static str) -> Result<Self, Violation> {
         let wrong = || Violation::new(rule, "a state of 4 bytes, 65536 or more, and whole words", bytes.len());
         let (state, words) = bytes.split_first_chunk::<4>().ok_or_else(wrong)?;
@@ -251,7 +251,7 @@ impl<'a> Decoder<'a> {
     }
 }
 
-impl Coder for Decoder<'_> {
+impl Coder for RansDecoder<'_> {
     #[inline]
     fn nibble(&mut self, model: &mut Nibble, _: u32) -> u32 {
         let symbol = model.symbol_at(self.slot());
@@ -314,17 +314,17 @@ mod tests {
     proptest! {
         #[test]
         fn gives_back_all_symbols_and_ends_where_it_began(symbols in symbols()) {
-            let (mut encoder, mut bytes) = (Encoder::default(), Vec::new());
+            let (mut encoder, mut bytes) = (RansEncoder::default(), Vec::new());
             run(&mut encoder, &symbols, |_, _| {});
             encoder.finish(&mut bytes);
-            let mut decoder = Decoder::new(&bytes, "P6").unwrap();
+            let mut decoder = RansDecoder::new(&bytes, "P6").unwrap();
             run(&mut decoder, &symbols, |symbol, value| match *symbol {
                 Symbol::Nibble(_, expected) | Symbol::Raw(_, expected) => assert_eq!(value, expected),
                 Symbol::Bit(_, expected) => assert_eq!(value != 0, expected),
             });
             prop_assert_eq!(decoder.finish("P6"), Ok(()));
             if !symbols.is_empty() && bytes.len() > 4 {
-                let mut decoder = Decoder::new(&bytes[..bytes.len() - 2], "P6").unwrap();
+                let mut decoder = RansDecoder::new(&bytes[..bytes.len() - 2], "P6").unwrap();
                 run(&mut decoder, &symbols, |_, _| {});
                 prop_assert!(decoder.finish("P6").is_err());
             }
@@ -332,7 +332,7 @@ mod tests {
 
         #[test]
         fn random_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..100), symbols in symbols()) {
-            if let Ok(mut decoder) = Decoder::new(&bytes, "P6") {
+            if let Ok(mut decoder) = RansDecoder::new(&bytes, "P6") {
                 run(&mut decoder, &symbols, |symbol, value| match symbol {
                     Symbol::Nibble(..) => assert!(value < 16),
                     Symbol::Bit(..) => {}
@@ -359,7 +359,7 @@ mod tests {
 
     #[test]
     fn common_symbols_take_a_small_part_of_a_bit() {
-        let (mut encoder, mut bytes) = (Encoder::default(), Vec::new());
+        let (mut encoder, mut bytes) = (RansEncoder::default(), Vec::new());
         run(&mut encoder, &vec![Symbol::Nibble(0, 3); 10_000], |_, _| {});
         encoder.finish(&mut bytes);
         assert!(bytes.len() < 10_000 / 8 / 10, "{} bytes", bytes.len());

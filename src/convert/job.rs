@@ -146,7 +146,7 @@ impl Job {
 
 #[cfg(test)]
 mod tests {
-    use super::super::split::{Cell, tiles};
+    use super::super::split::{QuadCell, tiles};
     use super::*;
     use crate::frame::{Frame, morton};
     use crate::input::StatedBounds;
@@ -186,7 +186,7 @@ mod tests {
             }
             for input in &job.inputs {
                 let area = tiles(&job.plan.frame, &input.bounds.unwrap(), HALO_PIXELS);
-                let met = |first, last| Cell::WHOLE.meets(&area, first, last);
+                let met = |first, last| QuadCell::WHOLE.meets(&area, first, last);
                 let owners = parts.iter().filter(|p| met(p.first, p.last) && (p.first == 0 || !met(0, p.first - 1)));
                 prop_assert_eq!(owners.count(), 1);
                 // By brute force along the lower edge: each of its tiles lies in a part that needs the file.

@@ -3,8 +3,8 @@
 use super::points::{Own, Read, out_of_reach};
 use super::work::on_threads;
 use super::{ConvertOptions, build_bytes};
-use crate::convert::Part;
-use crate::input::UnitCounts;
+use crate::convert::ShardScope;
+use crate::input::PointCounts;
 use crate::input::scenes::Scene;
 use crate::mesh::{MeshCounts, MeshFeed, MeshSet};
 use crate::plan::Plan;
@@ -48,7 +48,7 @@ pub(super) fn read_meshes<'a>(
     options: &ConvertOptions,
     plan: &Plan,
     store: &RunStore,
-    part: Option<&Part>,
+    scope: Option<&ShardScope>,
     monitor: &dyn Monitor,
 ) -> Result<MeshRead<'a>> {
     if set.is_empty() {
@@ -60,8 +60,8 @@ pub(super) fn read_meshes<'a>(
     let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
     let work = || -> Result<(Read, u64)> {
         let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes(options));
-        if let Some(part) = part {
-            runs = runs.only(part.shard.first, part.shard.last);
+        if let Some(scope) = scope {
+            runs = runs.only(scope.shard.first, scope.shard.last);
         }
         let mut surfaces = SurfaceBuilder::new(plan, options.mesh);
         let (mut read, mut batch) = (Read::NOTHING, Vec::new());
@@ -92,10 +92,10 @@ pub(super) fn read_meshes<'a>(
     let triangles = all.triangles;
     all.read.counts.read = triangles.read;
     all.read.counts.not_finite = triangles.left_out;
-    if part.is_none_or(Part::owns_meshes) {
+    if scope.is_none_or(ShardScope::owns_meshes) {
         all.read.own.kept = triangles.read - triangles.left_out;
         all.read.own.left_out =
-            UnitCounts { read: triangles.left_out, not_finite: triangles.left_out, ..Read::NOTHING.counts };
+            PointCounts { read: triangles.left_out, not_finite: triangles.left_out, ..Read::NOTHING.counts };
     }
     for (read, points_made) in done {
         all.read.merge(&read);

@@ -8,15 +8,15 @@
 //! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
 //! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
 
-mod columns;
 mod facts;
 mod job;
 mod meshes;
 mod options;
-mod part;
+mod pages;
 #[cfg(feature = "cli")]
 pub mod plan_file;
 mod points;
+mod scope;
 mod split;
 mod work;
 
@@ -28,17 +28,17 @@ use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Shard, Totals};
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, estimate_spacing};
-use crate::input::{InputOptions, InputSet, ScanFile, UnitCounts};
+use crate::input::{InputOptions, InputSet, PointCounts, ScanFile};
 use crate::mesh::{MeshCounts, MeshOptions, MeshSet};
-use crate::output::{Existing, Kind, Output};
+use crate::output::{Existing, Output, OutputKind};
 use crate::plan::Plan;
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
-use columns::write_columns;
 use meshes::read_meshes;
-use part::Part;
+use pages::write_columns;
 use points::read_points;
+use scope::ShardScope;
 use std::path::{Path, PathBuf};
 
 /// Least memory budget (bytes).
@@ -156,7 +156,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let threads = options.threads.max(1);
     let inputs = open_inputs(options, monitor)?;
     // Begun first, so that a file that must not be replaced is found before the work and not after it.
-    let kind = Kind::Archive(Existing::replaced_if(options.overwrite));
+    let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
     let output = Output::create(&options.output, kind, inputs.paths().collect())?;
     let (plan, spacing) = plan(options, &inputs, monitor)?;
     let Inputs { scans: set, meshes } = inputs;
@@ -165,28 +165,30 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         let what = "different units of inputs (set one for all with --units)".into();
         return Err(Error::Limit { what, value: units.len().to_string(), max: MAX_UNITS.to_string() });
     }
-    let part = options.shard.as_ref().map(|shard| Part::new(shard, &set, &plan, options, monitor)).transpose()?;
+    let scope =
+        options.shard.as_ref().map(|shard| ShardScope::new(shard, &set, &plan, options, monitor)).transpose()?;
     let mut writer = ArchiveWriter::on(output, &plan)?;
-    if let Some(part) = &part {
-        writer.set_shard(part.shard);
+    if let Some(scope) = &scope {
+        writer.set_shard(scope.shard);
     }
 
     let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
     check_free_space(options, &set)?;
-    let (mut read, of_files) = read_points(&set, &plan, &store, build_bytes(options), threads, part.as_ref(), monitor)?;
+    let (mut read, of_files) =
+        read_points(&set, &plan, &store, build_bytes(options), threads, scope.as_ref(), monitor)?;
     // A part that leaves files out cannot say of the whole that nothing in it can be used.
-    let whole = part.as_ref().is_none_or(Part::reads_all);
+    let whole = scope.as_ref().is_none_or(ShardScope::reads_all);
     if whole {
         refuse_unusable(&set, &read.counts)?;
     }
     set.check_complete(monitor)?;
     let points_not_finite = read.own.left_out.not_finite;
-    let mesh_read = read_meshes(&meshes, options, &plan, &store, part.as_ref(), monitor)?;
+    let mesh_read = read_meshes(&meshes, options, &plan, &store, scope.as_ref(), monitor)?;
     read.merge(&mesh_read.read);
-    if let Some(part) = &part {
+    if let Some(scope) = &scope {
         let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
         let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
-        writer.set_read(part.inputs_read(scans.chain(meshes)));
+        writer.set_read(scope.inputs_read(scans.chain(meshes)));
     }
     let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete;
     if whole {
@@ -212,7 +214,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     })?;
     Ok(Report {
         header,
-        shard: part.map(|part| part.shard),
+        shard: scope.map(|scope| scope.shard),
         crs: set.crs().unwrap_or_default().to_owned(),
         units,
         spacing,
@@ -268,7 +270,7 @@ fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
 
 /// Refuses scans that state points of which none can be used: an empty archive in place of a good one helps nobody.
 /// Scans that state none, or whose points are all left out on purpose, make an empty archive.
-fn refuse_unusable(set: &InputSet, counts: &UnitCounts) -> Result<()> {
+fn refuse_unusable(set: &InputSet, counts: &PointCounts) -> Result<()> {
     let Some(first) = set.files().iter().find(|file| file.points_stated() > 0) else { return Ok(()) };
     if counts.read == 0 {
         let reason = format!(

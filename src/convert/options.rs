@@ -71,7 +71,7 @@ impl ConvertOptions {
 /// What to convert of a scan, if not all.
 #[derive(Debug, Clone)]
 pub struct ShardOptions {
-    /// Number of the part [1..=count].
+    /// Number of the part (1..=count).
     pub index: u32,
     /// Number of all parts [1..=65536].
     pub count: u32,

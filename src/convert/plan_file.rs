@@ -5,7 +5,7 @@ use crate::convert::{InputFacts, Job};
 use crate::frame::Frame;
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
-use crate::output::{Existing, Kind, Output, PLAN_KEY, Protected};
+use crate::output::{Existing, Output, OutputKind, PLAN_KEY, Protected};
 use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use serde_json::{Value, json};
@@ -59,7 +59,7 @@ fn input_to_json(input: &InputFacts) -> Value {
 
 /// Writes `job` to `path`, all of it or nothing; an older plan is replaced if `overwrite` says so.
 pub fn write(job: &Job, path: &Path, overwrite: bool) -> Result<()> {
-    write_to(job, Output::create(path, Kind::Plan(Existing::replaced_if(overwrite)), Protected::default())?)
+    write_to(job, Output::create(path, OutputKind::Plan(Existing::replaced_if(overwrite)), Protected::default())?)
 }
 
 /// Writes `job` to an output that was begun before the job was made, so that what must not be replaced was refused then.

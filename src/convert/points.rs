@@ -1,10 +1,10 @@
 //! First pass over scans: points into runs.
 
 use super::work::on_threads;
-use crate::convert::Part;
+use crate::convert::ShardScope;
 use crate::frame::Frame;
 use crate::input::scenes::Scene;
-use crate::input::{Decoder, InputSet, ScanFile, UnitCounts};
+use crate::input::{InputSet, PointCounts, PointDecoder, ScanFile};
 use crate::plan::Plan;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Read {
     /// All points read.
-    pub counts: UnitCounts,
+    pub counts: PointCounts,
     /// Bounds of all kept points.
     pub min: [f64; 3],
     pub max: [f64; 3],
@@ -49,12 +49,12 @@ pub(super) struct Own {
     pub min: [f64; 3],
     pub max: [f64; 3],
     /// Points that make no voxel.
-    pub left_out: UnitCounts,
+    pub left_out: PointCounts,
 }
 
 impl Read {
     pub const NOTHING: Self = {
-        let none = UnitCounts { read: 0, withheld: 0, excluded: 0, not_finite: 0, missing: 0 };
+        let none = PointCounts { read: 0, withheld: 0, excluded: 0, not_finite: 0, missing: 0 };
         let (min, max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         Self { counts: none, min, max, own: Own { kept: 0, min, max, left_out: none } }
     };
@@ -83,27 +83,27 @@ pub(super) fn read_points(
     store: &RunStore,
     build_bytes: u64,
     threads: usize,
-    part: Option<&Part>,
+    scope: Option<&ShardScope>,
     monitor: &dyn Monitor,
 ) -> Result<(Read, Vec<OfFile>)> {
     monitor.stage("reading points", set.points_stated(), "points");
     let recorder = Recorder::new(plan.frame);
-    let units = Mutex::new(set.units().filter(|unit| part.is_none_or(|part| part.reads(unit.file()))));
-    let next_unit = || units.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
+    let chunks = Mutex::new(set.chunks().filter(|chunk| scope.is_none_or(|scope| scope.reads(chunk.file()))));
+    let next_chunk = || chunks.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
     // What one worker cannot do ends the work of all, not only its own.
     let failed = AtomicBool::new(false);
     let of_files = Mutex::new(vec![OfFile::NOTHING; set.files().len()]);
     let work = || -> Result<Read> {
-        let mut decoder = Decoder::new();
+        let mut decoder = PointDecoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
-        if let Some(part) = part {
-            builder = builder.only(part.shard.first, part.shard.last);
+        if let Some(scope) = scope {
+            builder = builder.only(scope.shard.first, scope.shard.last);
         }
         let mut read = Read::NOTHING;
-        while let Some(unit) = next_unit() {
-            let mut of_unit = Read::NOTHING;
-            of_unit.counts = decoder.decode(set, &unit, &mut |batch| {
-                // A unit may be a whole file, so one look per unit would be too few.
+        while let Some(chunk) = next_chunk() {
+            let mut of_chunk = Read::NOTHING;
+            of_chunk.counts = decoder.decode(set, &chunk, &mut |batch| {
+                // A chunk may be a whole file, so one look per chunk would be too few.
                 if monitor.cancelled() || failed.load(Ordering::Relaxed) {
                     return Err(Error::Interrupted);
                 }
@@ -118,24 +118,24 @@ pub(super) fn read_points(
                 if !recorder.reaches(min, max) {
                     return Err(out_of_reach(&plan.frame, min, max));
                 }
-                let (kept, own_min, own_max) = match part {
-                    Some(part) => {
-                        part.check_bounds(&set.files()[unit.file()], unit.file(), min, max)?;
-                        part.own(batch)
+                let (kept, own_min, own_max) = match scope {
+                    Some(scope) => {
+                        scope.check_bounds(&set.files()[chunk.file()], chunk.file(), min, max)?;
+                        scope.own(batch)
                     }
                     None => (batch.len() as u64, min, max),
                 };
                 let own = Own { kept, min: own_min, max: own_max, ..Read::NOTHING.own };
-                of_unit.merge(&Read { min, max, own, ..Read::NOTHING });
+                of_chunk.merge(&Read { min, max, own, ..Read::NOTHING });
                 builder.push(&batch.x, &batch.y, &batch.z, store)
             })?;
-            if part.is_none_or(|part| part.owns(unit.file())) {
-                of_unit.own.left_out = of_unit.counts;
-                of_unit.own.left_out.read -= of_unit.counts.kept();
+            if scope.is_none_or(|scope| scope.owns(chunk.file())) {
+                of_chunk.own.left_out = of_chunk.counts;
+                of_chunk.own.left_out.read -= of_chunk.counts.kept();
             }
-            monitor.advance(of_unit.counts.read - of_unit.counts.kept());
-            read.merge(&of_unit);
-            of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[unit.file()].add(&of_unit);
+            monitor.advance(of_chunk.counts.read - of_chunk.counts.kept());
+            read.merge(&of_chunk);
+            of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[chunk.file()].add(&of_chunk);
         }
         if monitor.cancelled() {
             return Err(Error::Interrupted);

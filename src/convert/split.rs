@@ -7,10 +7,10 @@ use crate::input::StatedBounds;
 /// First columns of `count` parts that hold about as many points each, if headers tell the truth.
 pub(super) fn split(frame: &Frame, inputs: &[InputFacts], count: u32) -> Vec<u64> {
     let areas = inputs.iter().filter_map(|input| Some((tiles(frame, &input.bounds?, 0), input.points as f64)));
-    let mut areas: Vec<(Tiles, f64)> = areas.collect();
+    let mut areas: Vec<(TileRect, f64)> = areas.collect();
     let mut total: f64 = areas.iter().map(|area| area.1).sum();
     if total <= 0.0 {
-        areas = vec![(Cell::WHOLE.tiles(), 1.0)];
+        areas = vec![(QuadCell::WHOLE.tiles(), 1.0)];
         total = 1.0;
     }
     let mut firsts = vec![0u64];
@@ -26,7 +26,7 @@ pub(super) fn split(frame: &Frame, inputs: &[InputFacts], count: u32) -> Vec<u64
 
 /// First and last tile along x and y.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Tiles {
+pub(super) struct TileRect {
     pub x: (i64, i64),
     pub y: (i64, i64),
 }
@@ -34,15 +34,15 @@ pub(super) struct Tiles {
 const GRID: (i64, i64) = (i32::MIN as i64, i32::MAX as i64);
 
 /// Tiles of the points within `bounds`, and of those up to `halo` pixels away.
-pub(super) fn tiles(frame: &Frame, bounds: &StatedBounds, halo: i64) -> Tiles {
+pub(super) fn tiles(frame: &Frame, bounds: &StatedBounds, halo: i64) -> TileRect {
     let along = |axis: usize| {
         let tile = |pixel: i64| pixel.div_euclid(TILE_PIXELS).clamp(GRID.0, GRID.1);
         (tile(frame.pixel_of(bounds.min[axis]) - halo), tile(frame.pixel_of(bounds.max[axis]) + halo))
     };
-    Tiles { x: along(0), y: along(1) }
+    TileRect { x: along(0), y: along(1) }
 }
 
-impl Tiles {
+impl TileRect {
     /// Tiles in both (a float: there may be 2⁶⁴).
     pub fn common(&self, other: &Self) -> f64 {
         let along = |a: (i64, i64), b: (i64, i64)| (a.1.min(b.1) - a.0.max(b.0) + 1).max(0) as f64;
@@ -52,7 +52,7 @@ impl Tiles {
 
 /// A square of tiles whose columns are consecutive: a node of the quadtree that the order of columns walks through.
 #[derive(Clone, Copy)]
-pub(super) struct Cell {
+pub(super) struct QuadCell {
     x: i64,
     y: i64,
     /// Its edge is `2^level` tiles.
@@ -61,12 +61,12 @@ pub(super) struct Cell {
     first: u64,
 }
 
-impl Cell {
+impl QuadCell {
     pub const WHOLE: Self = Self { x: GRID.0, y: GRID.0, level: 32, first: 0 };
 
-    fn tiles(&self) -> Tiles {
+    fn tiles(&self) -> TileRect {
         let edge = (1i64 << self.level) - 1;
-        Tiles { x: (self.x, self.x + edge), y: (self.y, self.y + edge) }
+        TileRect { x: (self.x, self.x + edge), y: (self.y, self.y + edge) }
     }
 
     fn last(&self) -> u64 {
@@ -85,7 +85,7 @@ impl Cell {
     }
 
     /// Whether the cell has a tile of `area` whose column lies in `first..=last`.
-    pub fn meets(&self, area: &Tiles, first: u64, last: u64) -> bool {
+    pub fn meets(&self, area: &TileRect, first: u64, last: u64) -> bool {
         if self.last() < first || self.first > last {
             return false;
         }
@@ -97,8 +97,8 @@ impl Cell {
 }
 
 /// The column before which the `areas`, evenly filled with their weights, hold `target`.
-fn column_at(areas: &[(Tiles, f64)], target: f64) -> u64 {
-    let mut cell = Cell::WHOLE;
+fn column_at(areas: &[(TileRect, f64)], target: f64) -> u64 {
+    let mut cell = QuadCell::WHOLE;
     let mut before = 0.0;
     while cell.level > 0 {
         let quarters = cell.quarters();
@@ -127,12 +127,12 @@ mod tests {
         fn a_range_meets_an_area_exactly_when_it_has_a_column_of_it(
             x in (-20i64..20, 0i64..9), y in (-20i64..20, 0i64..9), at in (-24i32..32, -24i32..32), length in 0u64..200
         ) {
-            let area = Tiles { x: (x.0, x.0 + x.1), y: (y.0, y.0 + y.1) };
+            let area = TileRect { x: (x.0, x.0 + x.1), y: (y.0, y.0 + y.1) };
             let first = morton(at.0, at.1);
             let last = first + length;
             let inside = |tx: i64, ty: i64| (first..=last).contains(&morton(tx as i32, ty as i32));
             let expected = (area.x.0..=area.x.1).any(|tx| (area.y.0..=area.y.1).any(|ty| inside(tx, ty)));
-            prop_assert_eq!(Cell::WHOLE.meets(&area, first, last), expected);
+            prop_assert_eq!(QuadCell::WHOLE.meets(&area, first, last), expected);
         }
     }
 }

@@ -4,7 +4,7 @@
 //! The arithmetic is exactly `(raw · scale + offset) · unit` in `f64`, each step rounded once (no fused operation), then
 //! the turn of the axes, so that an independent reader gets the same bits.
 
-use crate::input::{PointBatch, UnitCounts};
+use crate::input::{PointBatch, PointCounts};
 use crate::plan::{ClassSet, Up};
 
 /// Greatest coordinate that is kept, in magnitude (m).
@@ -26,12 +26,12 @@ impl Transform {
         (f64::from(raw) * self.scale[axis] + self.offset[axis]) * self.unit[axis]
     }
 
-    /// Where the point of a record lies, before any turn of the axes [m].
+    /// Where the point of a record lies, before any turn of the axes (m).
     fn place(&self, record: &[u8]) -> [f64; 3] {
         std::array::from_fn(|axis| self.axis(axis, raw(record, axis)))
     }
 
-    /// Where the point of a record lies [m, z up].
+    /// Where the point of a record lies (m, z up).
     pub(super) fn point(&self, record: &[u8]) -> [f64; 3] {
         self.up.turn(self.place(record))
     }
@@ -41,7 +41,7 @@ impl Transform {
         [i32::MIN, i32::MAX].iter().all(|&raw| (0..3).all(|a| self.axis(a, raw).abs() <= FARTHEST_M))
     }
 
-    /// A corner given in file units [m, z up]; `None` if not finite.
+    /// A corner given in file units (m, z up); `None` if not finite.
     pub(super) fn corner(&self, at: [f64; 3]) -> Option<[f64; 3]> {
         let m = [at[0] * self.unit[0], at[1] * self.unit[1], at[2] * self.unit[2]];
         let turned = self.up.turn(m);
@@ -93,7 +93,7 @@ pub(super) fn convert(
     transform: &Transform,
     filter: &Filter,
     batch: &mut PointBatch,
-    counts: &mut UnitCounts,
+    counts: &mut PointCounts,
 ) {
     let n = records.len() / stride;
     counts.read += n as u64;
@@ -150,7 +150,7 @@ fn sieve(
     transform: &Transform,
     filter: &Filter,
     batch: &mut PointBatch,
-    counts: &mut UnitCounts,
+    counts: &mut PointCounts,
 ) -> usize {
     let mut kept = 0;
     for record in records.chunks_exact(stride) {
@@ -183,8 +183,8 @@ mod tests {
         bytes
     }
 
-    fn run(records: &[Vec<u8>], layout: Layout, exclude: ClassSet, transform: Transform) -> (PointBatch, UnitCounts) {
-        let (mut batch, mut counts) = (PointBatch::default(), UnitCounts::default());
+    fn run(records: &[Vec<u8>], layout: Layout, exclude: ClassSet, transform: Transform) -> (PointBatch, PointCounts) {
+        let (mut batch, mut counts) = (PointBatch::default(), PointCounts::default());
         let filter = Filter::new(layout, &exclude);
         convert(&records.concat(), records[0].len(), &transform, &filter, &mut batch, &mut counts);
         (batch, counts)

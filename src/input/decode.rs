@@ -2,32 +2,32 @@
 
 use super::convert;
 use super::file::Content;
-use super::laz::{Body, Run};
+use super::laz::{Chunking, PackedPoints};
 use super::source::Source;
-use super::{BATCH_POINTS, InputSet, PointBatch, UnitCounts, las};
+use super::{BATCH_POINTS, InputSet, PointBatch, PointCounts, las};
 use crate::{Error, Result};
 
-/// Points of one [`Unit`] of a plain LAS file.
-const UNIT_POINTS: u64 = 1 << 17;
+/// Points of one [`PointChunk`] of a plain LAS file.
+const CHUNK_POINTS: u64 = 1 << 17;
 /// Longest slab of undecoded records (bytes); fits a second-level cache beside the batch.
 const SLAB_BYTES: usize = 1 << 20;
 
 /// One piece of work.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Unit {
+pub struct PointChunk {
     file: usize,
     points: u64,
-    part: Part,
+    source: ChunkSource,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Part {
+enum ChunkSource {
     Records { first: u64 },
     Chunk { index: usize, start: u64, len: u64, open: bool },
     Stream { start: u64, len: u64, exact: bool },
 }
 
-impl Unit {
+impl PointChunk {
     /// Index of its file in [`InputSet::files`].
     pub fn file(&self) -> usize {
         self.file
@@ -42,52 +42,58 @@ impl Unit {
 impl InputSet {
     /// Independent pieces of work, made as they are asked for: 131,072 points of a LAS file, one LAZ chunk, or a LAZ file
     /// that can only be read from its start.
-    pub fn units(&self) -> impl Iterator<Item = Unit> + Send + '_ {
+    pub fn chunks(&self) -> impl Iterator<Item = PointChunk> + Send + '_ {
         self.files.iter().enumerate().flat_map(|(file, scan)| {
-            let units: Box<dyn Iterator<Item = Unit> + Send + '_> = match &scan.content {
+            let pieces: Box<dyn Iterator<Item = PointChunk> + Send + '_> = match &scan.content {
                 Content::Plain { points } => {
                     let points = *points;
-                    Box::new((0..points.div_ceil(UNIT_POINTS)).map(move |i| {
-                        let first = i * UNIT_POINTS;
-                        Unit { file, points: UNIT_POINTS.min(points - first), part: Part::Records { first } }
+                    Box::new((0..points.div_ceil(CHUNK_POINTS)).map(move |i| {
+                        let first = i * CHUNK_POINTS;
+                        PointChunk {
+                            file,
+                            points: CHUNK_POINTS.min(points - first),
+                            source: ChunkSource::Records { first },
+                        }
                     }))
                 }
-                Content::Packed { body: Body::Stream { start, len, points, exact }, .. } => {
-                    let part = Part::Stream { start: *start, len: *len, exact: *exact };
-                    Box::new((*points > 0 && *len > 0).then_some(Unit { file, points: *points, part }).into_iter())
+                Content::Packed { body: Chunking::Stream { start, len, points, exact }, .. } => {
+                    let source = ChunkSource::Stream { start: *start, len: *len, exact: *exact };
+                    Box::new(
+                        (*points > 0 && *len > 0).then_some(PointChunk { file, points: *points, source }).into_iter(),
+                    )
                 }
-                Content::Packed { body: Body::Chunks { start, chunks, open }, .. } => {
+                Content::Packed { body: Chunking::Chunks { start, chunks, open }, .. } => {
                     let mut at = *start;
                     Box::new(chunks.iter().enumerate().filter_map(move |(index, chunk)| {
                         let (start, len) = (at, u64::from(chunk.bytes));
                         at += len;
                         let open = *open && index + 1 == chunks.len();
                         let points = u64::from(chunk.points);
-                        let part = Part::Chunk { index, start, len, open };
-                        (points > 0 || len > 0).then_some(Unit { file, points, part })
+                        let source = ChunkSource::Chunk { index, start, len, open };
+                        (points > 0 || len > 0).then_some(PointChunk { file, points, source })
                     }))
                 }
             };
-            units
+            pieces
         })
     }
 }
 
-/// Decodes units; one per thread, so that its buffers are reused.
+/// Decodes pieces of work; one per thread, so that its buffers are reused.
 #[derive(Debug, Default)]
-pub struct Decoder {
+pub struct PointDecoder {
     slab: Vec<u8>,
     batch: PointBatch,
     source: Option<(usize, Source)>,
 }
 
-impl Decoder {
+impl PointDecoder {
     /// A decoder with empty buffers.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Decodes `unit` of `set`, handing its kept points to `sink` in batches of at most [`BATCH_POINTS`] points; a batch
+    /// Decodes `piece` of `set`, handing its kept points to `sink` in batches of at most [`BATCH_POINTS`] points; a batch
     /// may be empty, so that `sink` can end work of which nothing is kept.
     ///
     /// An error of `sink` ends the work and is returned. Points that are not there are counted, not an error. Damaged
@@ -96,19 +102,19 @@ impl Decoder {
     pub fn decode(
         &mut self,
         set: &InputSet,
-        unit: &Unit,
+        piece: &PointChunk,
         sink: &mut dyn FnMut(&PointBatch) -> Result<()>,
-    ) -> Result<UnitCounts> {
-        let file = &set.files[unit.file];
-        if self.source.as_ref().is_none_or(|(number, _)| *number != unit.file) {
+    ) -> Result<PointCounts> {
+        let file = &set.files[piece.file];
+        if self.source.as_ref().is_none_or(|(number, _)| *number != piece.file) {
             let source = Source::open(file.path())?;
             if source.stamp() != file.stamp {
-                set.losses.add(unit.file, |loss| loss.changed = true);
+                set.losses.add(piece.file, |loss| loss.changed = true);
             }
             source.hashes(set.options.hash);
-            self.source = Some((unit.file, source));
+            self.source = Some((piece.file, source));
         }
-        let Some((_, source)) = &self.source else { return Ok(UnitCounts::default()) };
+        let Some((_, source)) = &self.source else { return Ok(PointCounts::default()) };
         source.take_hash();
         let record_bytes = match &file.content {
             Content::Plain { .. } => usize::from(file.record_bytes),
@@ -117,7 +123,7 @@ impl Decoder {
         // A slab is at least one record (64 KiB at most) and never more than a batch.
         let slab_points = (SLAB_BYTES / record_bytes).clamp(1, BATCH_POINTS);
         self.slab.resize(slab_points * record_bytes, 0);
-        let (batch, mut counts, mut refused) = (&mut self.batch, UnitCounts::default(), false);
+        let (batch, mut counts, mut refused) = (&mut self.batch, PointCounts::default(), false);
         let filter = set.filter(file.layout());
         let mut take = |records: &[u8]| {
             convert::convert(records, record_bytes, &file.transform, filter, batch, &mut counts);
@@ -125,33 +131,33 @@ impl Decoder {
         };
         let classes = !set.options.exclude_classes.is_empty();
         let run = |packing, start, len, open, name| {
-            let (points, memory_bytes) = (unit.points, set.options.memory_bytes);
-            Run { source, packing, start, len, points, open, classes, memory_bytes, name }
+            let (points, memory_bytes) = (piece.points, set.options.memory_bytes);
+            PackedPoints { source, packing, start, len, points, open, classes, memory_bytes, name }
         };
         let slab = &mut self.slab;
         // Points decoded, and bytes left that hold something else.
-        let outcome = match (&unit.part, &file.content) {
-            (Part::Chunk { index, start, len, open }, Content::Packed { packing, .. }) => {
+        let outcome = match (&piece.source, &file.content) {
+            (ChunkSource::Chunk { index, start, len, open }, Content::Packed { packing, .. }) => {
                 let run = run(&**packing, *start, *len, *open, format!("LAZ chunk {index}"));
                 run.decode(false, slab, &mut take)
             }
-            (Part::Stream { start, len, exact }, Content::Packed { packing, .. }) => {
+            (ChunkSource::Stream { start, len, exact }, Content::Packed { packing, .. }) => {
                 let run = run(&**packing, *start, *len, true, "LAZ points".into());
                 run.decode(true, slab, &mut take).map(|(done, left)| (done, if *exact { left } else { 0 }))
             }
-            (Part::Records { first }, _) => {
+            (ChunkSource::Records { first }, _) => {
                 let start = file.points_at + first * record_bytes as u64;
-                las::read(source, start, unit.points, record_bytes, slab, &mut take).map(|done| (done, 0))
+                las::read(source, start, piece.points, record_bytes, slab, &mut take).map(|done| (done, 0))
             }
-            _ => return Err(Error::parameter("unit", "it belongs to another set of files")),
+            _ => return Err(Error::parameter("chunk", "it belongs to another set of files")),
         };
         // The last chunk of a file whose header lies holds fewer points than fit; that is no loss.
-        let open = matches!(unit.part, Part::Chunk { open: true, .. });
+        let open = matches!(piece.source, ChunkSource::Chunk { open: true, .. });
         match outcome {
             Ok((done, left)) => {
-                counts.missing = if open { 0 } else { unit.points.saturating_sub(done) };
+                counts.missing = if open { 0 } else { piece.points.saturating_sub(done) };
                 if counts.missing + counts.not_finite > 0 || left > 0 {
-                    set.losses.add(unit.file, |loss| {
+                    set.losses.add(piece.file, |loss| {
                         loss.missing += counts.missing;
                         loss.not_finite += counts.not_finite;
                         loss.uneven += u64::from(left > 0);
@@ -159,8 +165,8 @@ impl Decoder {
                 }
             }
             Err(error @ (Error::Input { .. } | Error::Io { .. })) if !refused && set.options.allow_incomplete => {
-                counts.missing = unit.points.saturating_sub(counts.read);
-                set.losses.add(unit.file, |loss| {
+                counts.missing = piece.points.saturating_sub(counts.read);
+                set.losses.add(piece.file, |loss| {
                     loss.not_finite += counts.not_finite;
                     loss.damaged += 1;
                     let without_path = match error {
@@ -173,7 +179,7 @@ impl Decoder {
             Err(error) => return Err(error),
         }
         if set.options.hash {
-            set.add_hash(unit.file, source.take_hash());
+            set.add_hash(piece.file, source.take_hash());
         }
         Ok(counts)
     }

@@ -2,8 +2,8 @@
 
 use super::convert::{Layout, Transform};
 use super::crs;
-use super::header::Header;
-use super::laz::{Body, Chunk, Packing};
+use super::header::LasHeader;
+use super::laz::{Chunk, Chunking, Packing};
 use super::losses::Findings;
 use super::records::Records;
 use super::scenes::Scene;
@@ -35,7 +35,7 @@ pub struct ScanFile {
 #[derive(Debug)]
 pub(super) enum Content {
     Plain { points: u64 },
-    Packed { packing: Arc<Packing>, body: Body },
+    Packed { packing: Arc<Packing>, body: Chunking },
 }
 
 /// What files have in common, so that each need not hold it.
@@ -87,7 +87,7 @@ impl ScanFile {
             return Err(Error::input(path, "name", reason));
         }
         let bytes = source.stamp().len();
-        let mut header = Header::read(&source, bytes)?;
+        let mut header = LasHeader::read(&source, bytes)?;
         findings.notes.append(&mut header.notes);
         let mut records = Records::read(&source, &header, bytes)?;
         findings.notes.append(&mut records.notes);
@@ -118,7 +118,7 @@ impl ScanFile {
                 let packing = common.packing(&source, body, options.memory_bytes)?;
                 packing.check_record_bytes(&header, findings);
                 let body = packing.body(&source, &header, bytes, common.chunks_left, findings)?;
-                if let Body::Chunks { chunks, .. } = &body {
+                if let Chunking::Chunks { chunks, .. } = &body {
                     common.chunks_left -= chunks.len() as u64;
                 }
                 Content::Packed { packing, body }
@@ -202,8 +202,8 @@ impl ScanFile {
     pub fn points_expected(&self) -> u64 {
         match &self.content {
             Content::Plain { points } => *points,
-            Content::Packed { body: Body::Stream { points, .. }, .. } => *points,
-            Content::Packed { body: Body::Chunks { chunks, .. }, .. } => {
+            Content::Packed { body: Chunking::Stream { points, .. }, .. } => *points,
+            Content::Packed { body: Chunking::Chunks { chunks, .. }, .. } => {
                 chunks.iter().map(|c| u64::from(c.points)).sum()
             }
         }

@@ -17,7 +17,7 @@ const RECORD_BYTES: [u16; 11] = [20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67];
 
 /// A checked header.
 #[derive(Debug, Clone)]
-pub(super) struct Header {
+pub(super) struct LasHeader {
     pub version: (u8, u8),
     /// The global encoding says that the reference system is well-known text.
     pub says_wkt: bool,
@@ -42,7 +42,7 @@ pub(super) struct Header {
     pub notes: Vec<String>,
 }
 
-impl Header {
+impl LasHeader {
     pub(super) fn read(source: &Source, file_bytes: u64) -> Result<Self> {
         let mut block = [0u8; 512];
         let got = source.read_at(&mut block, 0)?;

@@ -3,13 +3,13 @@
 //! In: a checked header. Out: whole point records. Memory: one slab, given by the caller. The count in the header is
 //! only an upper bound: files are cut (`1.2-with-color-clipped.las`) and headers lie.
 
-use super::header::Header;
+use super::header::LasHeader;
 use super::losses::Findings;
 use super::source::Source;
 use crate::{Error, Result};
 
 /// Points that can be read: as many as stated, if they fit.
-pub(super) fn points(source: &Source, header: &Header, file_bytes: u64, findings: &mut Findings) -> Result<u64> {
+pub(super) fn points(source: &Source, header: &LasHeader, file_bytes: u64, findings: &mut Findings) -> Result<u64> {
     let stated = header.points_stated;
     let extended_at = header.first_extended;
     let end = if header.extended > 0 && extended_at >= header.points_at { extended_at } else { file_bytes };
@@ -31,7 +31,12 @@ pub(super) fn points(source: &Source, header: &Header, file_bytes: u64, findings
 }
 
 /// The record that follows the stated `points`, if there is room for one before other parts of the file begin.
-pub(super) fn record_after(source: &Source, header: &Header, file_bytes: u64, points: u64) -> Result<Option<Vec<u8>>> {
+pub(super) fn record_after(
+    source: &Source,
+    header: &LasHeader,
+    file_bytes: u64,
+    points: u64,
+) -> Result<Option<Vec<u8>>> {
     let len = u64::from(header.record_bytes);
     let at = header.points_at.saturating_add(points.saturating_mul(len));
     let others = [header.first_extended, header.waveforms_at].into_iter().filter(|&other| other >= header.points_at);

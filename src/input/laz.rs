@@ -1,6 +1,6 @@
 //! LAZ: where its chunks lie, and their decoding in bounded memory.
 //!
-//! In: a checked header and the LASzip record. Out: a [`Body`] of chunks that can be decoded in any order, and whole
+//! In: a checked header and the LASzip record. Out: a [`Chunking`], whose chunks can be decoded in any order, and whole
 //! point records. Sources: the LASzip 1.4 format as implemented by the crate `laz` 0.13, which does the arithmetic
 //! decoding; chunk table, chunk heads and counts are read and checked here.
 //!
@@ -14,7 +14,7 @@ use laz::record::{RecordDecompressor, SequentialPointRecordDecompressor};
 use laz::{LazItemType, LazVlr};
 
 use super::convert::Layout;
-use super::header::{Header, u16_at, u32_at, u64_at};
+use super::header::{LasHeader, u16_at, u32_at, u64_at};
 use super::layers::{LAYERS, Layers, POINT_BYTES};
 use super::losses::Findings;
 use super::source::{Source, Window};
@@ -43,9 +43,9 @@ pub(super) struct Chunk {
     pub points: u32,
 }
 
-/// What the points of a LAZ file turn out to be.
+/// How the points of a LAZ file turn out to be cut.
 #[derive(Debug)]
-pub(super) enum Body {
+pub(super) enum Chunking {
     /// Chunks one after the other from byte `start` on. If `open`, the number of points of the last is not known and
     /// its entry is the most it can hold.
     Chunks { start: u64, chunks: Vec<Chunk>, open: bool },
@@ -109,7 +109,7 @@ impl Packing {
     }
 
     /// Notes where the header states records of another length.
-    pub(super) fn check_record_bytes(&self, header: &Header, findings: &mut Findings) {
+    pub(super) fn check_record_bytes(&self, header: &LasHeader, findings: &mut Findings) {
         if self.record_bytes != usize::from(header.record_bytes) {
             findings.note(format!(
                 "the header states records of {} bytes, the LASzip record {}; the latter counts",
@@ -151,11 +151,11 @@ impl Packing {
     pub(super) fn body(
         &self,
         source: &Source,
-        header: &Header,
+        header: &LasHeader,
         file_bytes: u64,
         most_chunks: u64,
         findings: &mut Findings,
-    ) -> Result<Body> {
+    ) -> Result<Chunking> {
         let stated = header.points_stated;
         let data_at = header.points_at;
         let bad = |reason: String| Error::input(source.path(), "LAZ points", reason);
@@ -163,7 +163,7 @@ impl Packing {
             if stated > 0 {
                 findings.lose(format!("the header states {stated} points, but the file ends before the first"))?;
             }
-            return Ok(Body::Stream { start: file_bytes, len: 0, points: 0, exact: false });
+            return Ok(Chunking::Stream { start: file_bytes, len: 0, points: 0, exact: false });
         }
         let unfinished = || {
             bad("the header states 0 points but data follow: the program that wrote this file was interrupted; write or \
@@ -174,7 +174,7 @@ impl Packing {
             let len = file_bytes - data_at;
             return match stated {
                 0 if len >= self.record_bytes as u64 => Err(unfinished()),
-                _ => Ok(Body::Stream { start: data_at, len, points: stated, exact: false }),
+                _ => Ok(Chunking::Stream { start: data_at, len, points: stated, exact: false }),
             };
         }
         let start = data_at + 8;
@@ -196,7 +196,7 @@ impl Packing {
             } else if found != stated {
                 findings.note(format!("the header states {stated} points, its chunks hold {found}"));
             }
-            return Ok(Body::Chunks { start, chunks, open: false });
+            return Ok(Chunking::Chunks { start, chunks, open: false });
         }
         if self.vlr.uses_variable_size_chunks() {
             let what = "and its chunks vary in length, so none can be found; write or fetch the file again";
@@ -206,7 +206,7 @@ impl Packing {
         if stated == 0 && len >= self.record_bytes as u64 {
             return Err(unfinished());
         }
-        Ok(Body::Stream { start, len, points: stated, exact })
+        Ok(Chunking::Stream { start, len, points: stated, exact })
     }
 
     /// Reads the chunk table. The inner error says why it cannot be used, and where the points end.
@@ -274,7 +274,7 @@ impl Packing {
         mut chunks: Vec<Chunk>,
         stated: u64,
         findings: &mut Findings,
-    ) -> Result<Option<Body>> {
+    ) -> Result<Option<Chunking>> {
         let mut open = false;
         if !self.vlr.uses_variable_size_chunks() {
             let size = u64::from(self.vlr.chunk_size());
@@ -302,7 +302,7 @@ impl Packing {
         } else if found != stated {
             findings.note(format!("the header states {stated} points, its chunks hold {found}"));
         }
-        Ok(Some(Body::Chunks { start, chunks, open }))
+        Ok(Some(Chunking::Chunks { start, chunks, open }))
     }
 
     /// Finds layered chunks by their heads alone, up to so many points (none: all) or the end; and how many bytes are left
@@ -373,8 +373,8 @@ fn check_count(source: &Source, count: u64, most: u64) -> Result<()> {
 /// Most bytes that the arithmetic coder writes for no symbol.
 const EMPTY_CODE_BYTES: u64 = 4;
 
-/// One run of the decoder over a chunk or stream.
-pub(super) struct Run<'a> {
+/// The packed points of a chunk or a stream, and what decoding them needs to know.
+pub(super) struct PackedPoints<'a> {
     pub source: &'a Source,
     pub packing: &'a Packing,
     pub start: u64,
@@ -390,7 +390,7 @@ pub(super) struct Run<'a> {
     pub name: String,
 }
 
-impl Run<'_> {
+impl PackedPoints<'_> {
     /// Decodes into `slab`, calling `sink` with whole records; returns the points decoded and the bytes left over.
     pub(super) fn decode(
         &self,

@@ -5,8 +5,8 @@
 //! [`Error::Input`] of one line or a warning, never a panic, and no number in it sizes anything before it is
 //! checked against the file's length.
 //!
-//! How to use it: [`InputSet::open`] checks the headers; [`InputSet::units`] cuts the files into pieces; any number of
-//! threads, each with its own [`Decoder`], decode pieces in any order; [`InputSet::check_complete`] at the end.
+//! How to use it: [`InputSet::open`] checks the headers; [`InputSet::chunks`] cuts the files into pieces; any number of
+//! threads, each with its own [`PointDecoder`], decode pieces in any order; [`InputSet::check_complete`] at the end.
 //!
 //! Memory: a set holds about 300 bytes and the path of a file and 8 bytes a LAZ chunk (16 MiB for 10¹¹ points); a decoder 3 MiB, and
 //! for layered LAZ the compressed coordinates of one chunk (see [`InputOptions::memory_bytes`]).
@@ -40,7 +40,7 @@ use crate::plan::{ClassSet, Up};
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Monitor, Parameter, Result};
 
-pub use self::decode::{Decoder, Unit};
+pub use self::decode::{PointChunk, PointDecoder};
 pub use self::file::ScanFile;
 pub use self::laz::quiet_decoder_panics;
 pub(crate) use self::losses::{incomplete, warn_incomplete};
@@ -119,7 +119,7 @@ impl PointBatch {
 
 /// Numbers of points; sums do not depend on the order of units.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct UnitCounts {
+pub struct PointCounts {
     /// Points read, kept or not.
     pub read: u64,
     /// Of these, left out because withheld.
@@ -132,14 +132,14 @@ pub struct UnitCounts {
     pub missing: u64,
 }
 
-impl UnitCounts {
+impl PointCounts {
     /// Points handed on.
     pub fn kept(&self) -> u64 {
         self.read - self.withheld - self.excluded - self.not_finite
     }
 }
 
-impl std::ops::AddAssign for UnitCounts {
+impl std::ops::AddAssign for PointCounts {
     fn add_assign(&mut self, other: Self) {
         self.read += other.read;
         self.withheld += other.withheld;
@@ -149,7 +149,7 @@ impl std::ops::AddAssign for UnitCounts {
     }
 }
 
-/// A box that a header claims [m, z up].
+/// A box that a header claims (m, z up).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StatedBounds {
     /// Least corner.

@@ -4,7 +4,7 @@
 //! Memory: one record of each kind, each within its limit; the others are stepped over. Stated counts (there are files with
 //! 1,069,128,089) never size anything: stepping ends where the points or the file begin to end.
 
-use super::header::{Header, u16_at, u64_at};
+use super::header::{LasHeader, u16_at, u64_at};
 use super::source::Source;
 use crate::Result;
 
@@ -36,7 +36,7 @@ pub(super) struct Records {
 }
 
 impl Records {
-    pub(super) fn read(source: &Source, header: &Header, file_bytes: u64) -> Result<Self> {
+    pub(super) fn read(source: &Source, header: &LasHeader, file_bytes: u64) -> Result<Self> {
         let mut records = Self::default();
         let end = header.points_at.min(file_bytes);
         let mut at = u64::from(header.header_bytes);

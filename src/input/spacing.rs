@@ -13,7 +13,7 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 
-use super::{Decoder, InputSet, PointBatch, Unit};
+use super::{InputSet, PointBatch, PointChunk, PointDecoder};
 use crate::{Error, Monitor, Parameter, Result};
 
 /// Points per metre of the finest grid of indices: a power of two, so that the product is exact.
@@ -52,15 +52,15 @@ pub struct Spacing {
 pub fn estimate_spacing(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Spacing> {
     monitor.stage("spacing", set.points_stated(), "points");
     let shared = Shared::default();
-    let units = Mutex::new(set.units());
+    let chunks = Mutex::new(set.chunks());
     let failed = AtomicBool::new(false);
     let points = AtomicUsize::new(0);
     let work = || -> Result<()> {
-        let (mut decoder, mut local) = (Decoder::new(), Local::default());
+        let (mut decoder, mut local) = (PointDecoder::new(), Local::default());
         while !failed.load(Ordering::Relaxed) {
-            let next: Option<Unit> = units.lock().unwrap_or_else(|e| e.into_inner()).next();
-            let Some(unit) = next else { break };
-            let counts = decoder.decode(set, &unit, &mut |batch| {
+            let next: Option<PointChunk> = chunks.lock().unwrap_or_else(|e| e.into_inner()).next();
+            let Some(chunk) = next else { break };
+            let counts = decoder.decode(set, &chunk, &mut |batch| {
                 if monitor.cancelled() {
                     return Err(Error::Interrupted);
                 }

@@ -10,7 +10,7 @@ use crate::{Error, Result};
 use nalgebra::Point3;
 
 /// A span before its place in the tree is known: pixel, lowest and highest quantum.
-type Span = ((i64, i64), (i64, i64));
+type PixelInterval = ((i64, i64), (i64, i64));
 
 /// The matter of a thing that moves. Memory: about 32 bytes a span.
 #[derive(Debug, Clone)]
@@ -27,7 +27,7 @@ impl Model {
     ///
     /// Fails if a page is not in memory, or the set is larger than a model can be.
     pub fn from_pages<S: PageSet>(set: &S) -> Result<Self> {
-        let mut spans: Vec<Span> = Vec::new();
+        let mut spans: Vec<PixelInterval> = Vec::new();
         for number in 0..set.column_count() {
             let (tx, ty, slots) = set.column_at(number);
             for slot in slots {
@@ -72,11 +72,11 @@ impl Model {
         Self::new(frame, fill(columns))
     }
 
-    fn new(frame: Frame, spans: Vec<Span>) -> Result<Self> {
+    fn new(frame: Frame, spans: Vec<PixelInterval>) -> Result<Self> {
         if spans.len() > MOST_ITEMS {
             return Err(too_large("spans", spans.len(), MOST_ITEMS));
         }
-        let ends = |span: &Span| [(span.0.0, span.0.0 + 1), (span.0.1, span.0.1 + 1), span.1];
+        let ends = |span: &PixelInterval| [(span.0.0, span.0.0 + 1), (span.0.1, span.0.1 + 1), span.1];
         let bounds = [0, 1, 2].map(|axis| {
             let low = spans.iter().map(|span| ends(span)[axis].0).min().unwrap_or(0);
             (low, spans.iter().map(|span| ends(span)[axis].1).max().unwrap_or(0))

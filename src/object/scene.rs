@@ -3,7 +3,7 @@
 use super::Object;
 use super::oriented::{LocalBox, Relative, SLACK};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
-use crate::query::{Aabb, Area, Cell, Overlap, Visit, descend, overlaps};
+use crate::query::{Aabb, GridCell, Overlap, SweepArea, Visit, descend, overlaps};
 use crate::store::{Missing, PageSet, join, note};
 use nalgebra::{Isometry3, Point3};
 
@@ -29,7 +29,7 @@ pub fn touches_scene<S: PageSet>(object: &Object<'_>, scene: &S) -> Overlap {
         },
         |item| {
             search.item = *item;
-            descend(scene, &Area::around(scene.frame(), &upright.around(item)), &mut search);
+            descend(scene, &SweepArea::around(scene.frame(), &upright.around(item)), &mut search);
             search.hit
         },
     );
@@ -89,7 +89,7 @@ impl<'a> Search<'a> {
     }
 
     /// A cell in the world.
-    fn place(&self, cell: &Cell) -> LocalBox {
+    fn place(&self, cell: &GridCell) -> LocalBox {
         let t = self.frame.pixel_m();
         let (bottom, top) = (self.frame.bottom_height(cell.lo[2] as i64), self.frame.top_height(cell.hi[2] as i64));
         let (low, high) = ([cell.lo[0] * t, cell.lo[1] * t, bottom], [cell.hi[0] * t, cell.hi[1] * t, top]);
@@ -99,11 +99,11 @@ impl<'a> Search<'a> {
 }
 
 impl Visit for Search<'_> {
-    fn enter(&mut self, cell: &Cell) -> bool {
+    fn enter(&mut self, cell: &GridCell) -> bool {
         !self.hit && !self.relative.separates_by_faces(&self.item, &self.place(cell))
     }
 
-    fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
+    fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
         self.hit = self.hit || self.relative.meets(&self.item, &self.place(cell));
     }
 

@@ -3,7 +3,7 @@
 //! - *Complete, or not there.* The bytes go to a locked temporary file beside the target. [`Output::publish`] syncs that
 //!   file, renames it to the target and syncs the folder, which was opened before. Whatever fails up to the rename leaves
 //!   what was there as it was, and no temporary file; a killed run leaves one, which the next output of that name removes.
-//! - *[`Kind`] says what may be replaced.* It is judged when the output is created, before any work, and once more
+//! - *[`OutputKind`] says what may be replaced.* It is judged when the output is created, before any work, and once more
 //!   directly before the rename. An output that may replace nothing is renamed by a call that fails if something has
 //!   appeared under the name. An archive or plan that cannot get its name is kept under another, which the error states.
 //! - *[`Protected`] files are never replaced*, under whatever name: they are known by device and inode (volume and index
@@ -23,7 +23,7 @@ mod temporary;
 pub(crate) use target::ARCHIVE_MAGIC;
 #[cfg(feature = "cli")]
 pub(crate) use target::PLAN_KEY;
-pub use target::{Existing, Kind, Protected};
+pub use target::{Existing, OutputKind, Protected};
 pub(crate) use temporary::Temporary;
 
 use crate::bytes::read_exact_at;
@@ -31,7 +31,7 @@ use crate::{Error, Result};
 use std::fs::File;
 use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use target::{Judged, Place};
+use target::{Judged, Target};
 
 /// Bytes compared or copied at once.
 const CHUNK: usize = 1 << 20;
@@ -46,9 +46,9 @@ const LOOKS: usize = 3;
 pub struct Output {
     /// The target as the user names it.
     name: PathBuf,
-    kind: Kind,
+    kind: OutputKind,
     protected: Protected,
-    place: Place,
+    target: Target,
     temporary: Temporary,
     /// Where [`Write`] goes on.
     position: u64,
@@ -58,15 +58,15 @@ pub struct Output {
 impl Output {
     /// Begins a file that will be called `name`. What it must not replace is refused here, before any work; temporary files
     /// that dead writers of the same name left are removed. Opening a pipe waits for its reader.
-    pub fn create(name: &Path, kind: Kind, protected: Protected) -> Result<Self> {
-        let place = Place::find(name, kind, &protected)?;
-        let beside = match &place {
-            Place::File { path, .. } => path.clone(),
-            Place::Stream(_) => std::env::temp_dir().join("output"),
+    pub fn create(name: &Path, kind: OutputKind, protected: Protected) -> Result<Self> {
+        let target = Target::find(name, kind, &protected)?;
+        let beside = match &target {
+            Target::File { path, .. } => path.clone(),
+            Target::Stream(_) => std::env::temp_dir().join("output"),
         };
         temporary::remove_leftovers(&beside)?;
         let temporary = Temporary::beside(&beside)?;
-        Ok(Self { name: name.to_path_buf(), kind, protected, place, temporary, position: 0, failed: false })
+        Ok(Self { name: name.to_path_buf(), kind, protected, target, temporary, position: 0, failed: false })
     }
 
     /// Writes `bytes` at `offset`.
@@ -83,9 +83,9 @@ impl Output {
 
     /// Where other temporary files of the same work may lie: beside this path.
     pub(crate) fn beside(&self) -> &Path {
-        match &self.place {
-            Place::File { path, .. } => path,
-            Place::Stream(_) => &self.name,
+        match &self.target {
+            Target::File { path, .. } => path,
+            Target::Stream(_) => &self.name,
         }
     }
 
@@ -99,15 +99,15 @@ impl Output {
         if self.failed {
             return Err(Error::output(&self.name, "not all of it could be written, so it was not published"));
         }
-        let (path, existed) = match &self.place {
-            Place::Stream(stream) => {
+        let (path, existed) = match &self.target {
+            Target::Stream(stream) => {
                 return match copy(&self.temporary, stream) {
                     // Whoever closes a pipe early has read enough.
                     Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(Error::io(&self.name, "write", error)),
                     _ => Ok(true),
                 };
             }
-            Place::File { path, existed, .. } => (path.clone(), *existed),
+            Target::File { path, existed, .. } => (path.clone(), *existed),
         };
         if self.kind.existing() == Existing::KeepSame {
             if is_there(&self.temporary, &path)? {
@@ -121,11 +121,11 @@ impl Output {
         if let Err(error) = self.rename(&path) {
             return Err(self.keep(&path, error));
         }
-        match self.place {
-            Place::File { folder, .. } => {
+        match self.target {
+            Target::File { folder, .. } => {
                 folder.sync().map(|()| true).map_err(|source| Error::NotDurable { path: self.name, source })
             }
-            Place::Stream(_) => Ok(true),
+            Target::Stream(_) => Ok(true),
         }
     }
 
@@ -152,7 +152,7 @@ impl Output {
     /// The complete file cannot get its name: gives an archive or a plan, which may have taken hours, another one.
     fn keep(&mut self, path: &Path, error: Error) -> Error {
         let visible = self.temporary.visible_name(path);
-        if self.kind == Kind::Result || self.temporary.rename(&visible, disk::rename_new).is_err() {
+        if self.kind == OutputKind::Result || self.temporary.rename(&visible, disk::rename_new).is_err() {
             return error;
         }
         let why = match error {

@@ -19,7 +19,7 @@ const MOST_LINKS: usize = 40;
 
 /// What an output is, which decides what it may replace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum OutputKind {
     /// A slice archive. It replaces slice archives and empty files alone.
     Archive(Existing),
     /// A plan. It replaces plans and empty files alone.
@@ -46,7 +46,7 @@ impl Existing {
     }
 }
 
-impl Kind {
+impl OutputKind {
     pub(super) fn existing(self) -> Existing {
         match self {
             Self::Archive(existing) | Self::Plan(existing) => existing,
@@ -102,21 +102,21 @@ impl<P: AsRef<Path>> FromIterator<P> for Protected {
 
 /// Where an output goes.
 #[derive(Debug)]
-pub(super) enum Place {
+pub(super) enum Target {
     /// A regular file, links followed: its path, its folder, and whether it was there.
     File { path: PathBuf, folder: Folder, existed: bool },
     /// A pipe, a terminal or a device.
     Stream(File),
 }
 
-impl Place {
+impl Target {
     /// Follows the links of `name`, and refuses what may not be replaced.
-    pub fn find(name: &Path, kind: Kind, protected: &Protected) -> Result<Self> {
+    pub fn find(name: &Path, kind: OutputKind, protected: &Protected) -> Result<Self> {
         let (path, is_descriptor) = follow(name)?;
         let about = disk::metadata(&path);
         let stream = about.as_ref().is_ok_and(|about| about.as_ref().is_some_and(is_stream));
         if is_descriptor || stream {
-            if kind != Kind::Result {
+            if kind != OutputKind::Result {
                 let reason = format!("is no regular file, as {} has to be; choose another name", kind.name());
                 return Err(Error::output(name, reason));
             }
@@ -180,7 +180,7 @@ pub(super) enum Judged {
 }
 
 /// Refuses what an output of `kind` must not replace. `name` is what the user calls `path`.
-pub(super) fn judge(name: &Path, path: &Path, kind: Kind, protected: &Protected) -> Result<Judged> {
+pub(super) fn judge(name: &Path, path: &Path, kind: OutputKind, protected: &Protected) -> Result<Judged> {
     let refuse = |reason: String| Err(Error::output(name, reason));
     let about = match disk::metadata(path) {
         Ok(Some(about)) => about,
@@ -199,17 +199,17 @@ pub(super) fn judge(name: &Path, path: &Path, kind: Kind, protected: &Protected)
     let content = Content::of(path).map_err(|error| Error::io(name, "examine the existing file", error))?;
     if !kind.replaces(content) {
         return refuse(match (kind, content.name()) {
-            (Kind::Result, Some(content)) => {
+            (OutputKind::Result, Some(content)) => {
                 format!("is {content}, which {} never replaces; choose another name", kind.name())
             }
             _ => format!("exists and is not {}, so it is not replaced; choose another name", kind.name()),
         });
     }
     match kind {
-        Kind::Archive(Existing::Refuse) | Kind::Plan(Existing::Refuse) => {
+        OutputKind::Archive(Existing::Refuse) | OutputKind::Plan(Existing::Refuse) => {
             refuse("exists already; --force replaces it".into())
         }
-        Kind::Result if about.permissions().readonly() => {
+        OutputKind::Result if about.permissions().readonly() => {
             refuse("exists and is read-only; make it writable, or choose another name".into())
         }
         _ => Ok(Judged::Replaceable),

@@ -5,11 +5,11 @@ use std::fs;
 use std::rc::Rc;
 use tempfile::TempDir;
 
-const ARCHIVE: Kind = Kind::Archive(Existing::Refuse);
-const ARCHIVE_OVER: Kind = Kind::Archive(Existing::Replace);
-const MERGED: Kind = Kind::Archive(Existing::KeepSame);
-const PLAN: Kind = Kind::Plan(Existing::Refuse);
-const PLAN_OVER: Kind = Kind::Plan(Existing::Replace);
+const ARCHIVE: OutputKind = OutputKind::Archive(Existing::Refuse);
+const ARCHIVE_OVER: OutputKind = OutputKind::Archive(Existing::Replace);
+const MERGED: OutputKind = OutputKind::Archive(Existing::KeepSame);
+const PLAN: OutputKind = OutputKind::Plan(Existing::Refuse);
+const PLAN_OVER: OutputKind = OutputKind::Plan(Existing::Replace);
 
 fn archive(content: &str) -> Vec<u8> {
     [&ARCHIVE_MAGIC[..], content.as_bytes()].concat()
@@ -20,19 +20,19 @@ fn plan(content: &str) -> Vec<u8> {
 }
 
 /// Something of the sort that an output of `kind` may replace.
-fn sort(kind: Kind, content: &str) -> Vec<u8> {
+fn sort(kind: OutputKind, content: &str) -> Vec<u8> {
     match kind {
-        Kind::Archive(_) => archive(content),
-        Kind::Plan(_) => plan(content),
-        Kind::Result => content.into(),
+        OutputKind::Archive(_) => archive(content),
+        OutputKind::Plan(_) => plan(content),
+        OutputKind::Result => content.into(),
     }
 }
 
-fn publish(target: &Path, kind: Kind, bytes: &[u8]) -> Result<bool> {
+fn publish(target: &Path, kind: OutputKind, bytes: &[u8]) -> Result<bool> {
     publish_beside(target, kind, bytes, Protected::default())
 }
 
-fn publish_beside(target: &Path, kind: Kind, bytes: &[u8], protected: Protected) -> Result<bool> {
+fn publish_beside(target: &Path, kind: OutputKind, bytes: &[u8], protected: Protected) -> Result<bool> {
     let mut output = Output::create(target, kind, protected)?;
     output.write_at(0, bytes)?;
     output.publish()
@@ -59,7 +59,7 @@ fn names(folder: &TempDir) -> Vec<String> {
 fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
     for (kind, old) in [(ARCHIVE, false), (ARCHIVE_OVER, true), (ARCHIVE_OVER, false), (PLAN_OVER, true)]
         .into_iter()
-        .chain([(MERGED, false), (Kind::Result, true), (Kind::Result, false)])
+        .chain([(MERGED, false), (OutputKind::Result, true), (OutputKind::Result, false)])
     {
         let old = old.then(|| sort(kind, "old"));
         let new = sort(kind, "new");
@@ -97,7 +97,11 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
             let kept: Vec<_> = names.iter().filter(|name| *name != "target.x").collect();
             let is_complete =
                 synced.get() && done.as_ref().is_err_and(|error| !matches!(error, Error::NotDurable { .. }));
-            assert_eq!(kept.len(), usize::from(is_complete && kind != Kind::Result), "{kind:?}, {call:?}: {names:?}");
+            assert_eq!(
+                kept.len(),
+                usize::from(is_complete && kind != OutputKind::Result),
+                "{kind:?}, {call:?}: {names:?}"
+            );
             if let ([kept], Err(error)) = (&kept[..], &done) {
                 assert!(kept.starts_with("target.slicewalk-") && error.to_string().contains(*kept), "{kept}: {error}");
                 assert_eq!(fs::read(folder.path().join(kept)).unwrap(), new);
@@ -112,7 +116,7 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
 
 #[test]
 fn signals_that_interrupt_every_call_change_nothing() {
-    for kind in [ARCHIVE, ARCHIVE_OVER, Kind::Result] {
+    for kind in [ARCHIVE, ARCHIVE_OVER, OutputKind::Result] {
         let old = (kind != ARCHIVE).then(|| sort(kind, "old"));
         let (folder, target) = place(old.as_deref());
         fs::write(folder.path().join(".target.x.slicewalk-0123456789abcdef.part"), "of a killed run").unwrap();
@@ -158,8 +162,8 @@ fn what_appears_while_the_output_is_synced_stays_and_the_output_is_kept() {
 fn what_appears_before_the_rename_is_judged_too() {
     for at in [Call::Sync, Call::RenameNew] {
         for (kind, appeared, is_replaced) in [
-            (Kind::Result, b"a picture".to_vec(), true),
-            (Kind::Result, archive("precious"), false),
+            (OutputKind::Result, b"a picture".to_vec(), true),
+            (OutputKind::Result, archive("precious"), false),
             (ARCHIVE_OVER, archive("old"), true),
             (ARCHIVE_OVER, b"a scan".to_vec(), false),
         ] {
@@ -169,7 +173,7 @@ fn what_appears_before_the_rename_is_judged_too() {
             let done = faults::with(hook, || publish(&target, kind, &new));
             assert_eq!(done.is_ok(), is_replaced, "{kind:?}, {at:?}");
             let kept = names(&folder).iter().filter(|name| name.starts_with("target.slicewalk-")).count();
-            assert_eq!(kept, usize::from(!is_replaced && kind != Kind::Result), "{kind:?}, {at:?}");
+            assert_eq!(kept, usize::from(!is_replaced && kind != OutputKind::Result), "{kind:?}, {at:?}");
             assert_eq!(fs::read(&target).unwrap(), if is_replaced { new } else { appeared });
             assert_eq!(names(&folder).len(), 1 + kept);
         }
@@ -185,7 +189,7 @@ fn each_kind_replaces_its_own_sort_only() {
         (MERGED, [false; 4]),
         (PLAN, [false; 4]),
         (PLAN_OVER, [false, true, false, true]),
-        (Kind::Result, [false, false, true, true]),
+        (OutputKind::Result, [false, false, true, true]),
     ] {
         for (content, replaced) in contents.iter().zip(replaces) {
             let (folder, target) = place(Some(content));
@@ -195,8 +199,8 @@ fn each_kind_replaces_its_own_sort_only() {
             assert_eq!(&fs::read(&target).unwrap(), if replaced { &new } else { content });
             assert_eq!(names(&folder), ["target.x"]);
             // Where --force helps, it is named, and only there.
-            let helps = matches!(kind, Kind::Archive(_) if content.starts_with(&ARCHIVE_MAGIC) || content.is_empty())
-                || matches!(kind, Kind::Plan(_) if content.starts_with(b"{") || content.is_empty());
+            let helps = matches!(kind, OutputKind::Archive(_) if content.starts_with(&ARCHIVE_MAGIC) || content.is_empty())
+                || matches!(kind, OutputKind::Plan(_) if content.starts_with(b"{") || content.is_empty());
             let said = done.map_or_else(|error| error.to_string(), |_| String::new());
             assert!(replaced || said.contains("--force") == helps, "{kind:?}: {said}");
         }
@@ -211,7 +215,7 @@ fn each_kind_replaces_its_own_sort_only() {
 #[test]
 fn a_failed_write_is_never_published() {
     let (folder, target) = place(Some(b"old"));
-    let mut output = Output::create(&target, Kind::Result, Protected::default()).unwrap();
+    let mut output = Output::create(&target, OutputKind::Result, Protected::default()).unwrap();
     let hook = |call| if call == Call::Write { Err(io::Error::other("disk is full")) } else { Ok(()) };
     assert!(faults::with(hook, || output.write_all(b"new")).unwrap_err().to_string().contains("disk is full"));
     output.write_all(b"more").unwrap();
@@ -222,7 +226,7 @@ fn a_failed_write_is_never_published() {
 #[test]
 fn bytes_go_where_writes_and_seeks_say() {
     let (_folder, target) = place(None);
-    let mut output = Output::create(&target, Kind::Result, Protected::default()).unwrap();
+    let mut output = Output::create(&target, OutputKind::Result, Protected::default()).unwrap();
     output.write_all(b"hello world").unwrap();
     assert_eq!(output.seek(SeekFrom::Start(1)).unwrap(), 1);
     output.write_all(b"a").unwrap();
@@ -239,7 +243,7 @@ fn what_is_no_file_or_has_no_folder_is_refused() {
     let (folder, target) = place(None);
     fs::write(&target, "").unwrap();
     for name in ["", "..", "no/such", "no/..", "new/", "new/.", "target.x/x", "target.x/"] {
-        for kind in [ARCHIVE_OVER, Kind::Result] {
+        for kind in [ARCHIVE_OVER, OutputKind::Result] {
             let said = publish(&folder.path().join(name), kind, b"new").unwrap_err().to_string();
             assert!(said.contains(folder.path().to_str().unwrap()) && said.lines().count() == 1, "{said}");
         }
@@ -254,7 +258,7 @@ mod on_unix {
 
     #[test]
     fn links_stay_and_what_they_name_is_replaced_or_made() {
-        for kind in [ARCHIVE_OVER, Kind::Result] {
+        for kind in [ARCHIVE_OVER, OutputKind::Result] {
             let (folder, target) = place(Some(&sort(kind, "old")));
             fs::create_dir(folder.path().join("sub")).unwrap();
             let (link, far, nothing) =
@@ -283,7 +287,7 @@ mod on_unix {
 
     #[test]
     fn a_link_to_nothing_that_appears_meanwhile_stays() {
-        for kind in [ARCHIVE, ARCHIVE_OVER, Kind::Result] {
+        for kind in [ARCHIVE, ARCHIVE_OVER, OutputKind::Result] {
             let (_folder, target) = place(None);
             let (mut links, link) = (Some(()), target.clone());
             let hook = move |call| match links.take_if(|_| call == Call::Sync) {
@@ -298,7 +302,7 @@ mod on_unix {
 
     #[test]
     fn what_is_read_is_not_replaced_under_any_name() {
-        for kind in [ARCHIVE_OVER, MERGED, Kind::Result] {
+        for kind in [ARCHIVE_OVER, MERGED, OutputKind::Result] {
             let (folder, target) = place(Some(&sort(kind, "read")));
             let (hard, soft) = (folder.path().join("hard"), folder.path().join("soft"));
             fs::hard_link(&target, &hard).unwrap();
@@ -331,7 +335,7 @@ mod on_unix {
         let (folder, _) = place(None);
         let null = folder.path().join("null");
         symlink("/dev/null", &null).unwrap();
-        assert!(publish(&null, Kind::Result, b"new").unwrap());
+        assert!(publish(&null, OutputKind::Result, b"new").unwrap());
         for kind in [ARCHIVE_OVER, PLAN_OVER] {
             assert!(publish(&null, kind, b"new").unwrap_err().to_string().contains("no regular file"));
         }
@@ -339,7 +343,7 @@ mod on_unix {
         if Path::new("/dev/full").exists() {
             let full = folder.path().join("full");
             symlink("/dev/full", &full).unwrap();
-            assert!(publish(&full, Kind::Result, b"new").unwrap_err().to_string().contains("full: cannot write"));
+            assert!(publish(&full, OutputKind::Result, b"new").unwrap_err().to_string().contains("full: cannot write"));
             assert!(fs::metadata(&full).unwrap().file_type().is_char_device());
         }
         assert!(names(&folder).iter().all(|name| name == "null" || name == "full"));
@@ -367,7 +371,7 @@ mod on_unix {
     #[test]
     fn a_new_file_has_the_permissions_of_any_and_another_no_more_than_what_it_replaces() {
         let mode = |path: &Path| fs::metadata(path).unwrap().mode() & 0o777;
-        for kind in [ARCHIVE_OVER, PLAN_OVER, Kind::Result] {
+        for kind in [ARCHIVE_OVER, PLAN_OVER, OutputKind::Result] {
             let (folder, target) = place(None);
             let plain = folder.path().join("plain");
             fs::write(&plain, "").unwrap();
@@ -379,7 +383,7 @@ mod on_unix {
         }
         let (_folder, target) = place(Some(b"old"));
         fs::set_permissions(&target, fs::Permissions::from_mode(0o444)).unwrap();
-        assert!(publish(&target, Kind::Result, b"new").unwrap_err().to_string().contains("read-only"));
+        assert!(publish(&target, OutputKind::Result, b"new").unwrap_err().to_string().contains("read-only"));
         assert_eq!(fs::read(&target).unwrap(), b"old");
     }
 }

@@ -32,7 +32,7 @@ impl Aabb {
         Self { min, max }
     }
 
-    /// A box of `size` [m, >= 0] with `feet` in the middle of its bottom face: the pawn of the thesis.
+    /// A box of `size` (m, >= 0) with `feet` in the middle of its bottom face: the pawn of the thesis.
     pub fn standing(feet: Point3<f64>, size: Vector3<f64>) -> Result<Self> {
         let half = Vector3::new(size.x / 2.0, size.y / 2.0, 0.0);
         Self::new(feet - half, feet + half + Vector3::new(0.0, 0.0, size.z))

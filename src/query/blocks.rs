@@ -41,7 +41,7 @@ pub(super) fn local_heights(heights: Heights, base: i64) -> Option<(u32, u32)> {
 }
 
 /// The page that a shape is held against.
-pub(super) struct Place<'a> {
+pub(super) struct PageUnder<'a> {
     pub page: &'a Page,
     /// First pixel of the page, and the height of its floor (quanta).
     pub i: i64,
@@ -51,7 +51,7 @@ pub(super) struct Place<'a> {
     pub blocks: u64,
 }
 
-impl Place<'_> {
+impl PageUnder<'_> {
     /// Blocks under the shape with matter in the slices of local heights `low..=high`.
     #[inline]
     pub fn blocks_between(&self, low: u32, high: u32) -> u64 {
@@ -68,7 +68,7 @@ impl Place<'_> {
 
 /// What `shape` touches between local heights `low` and `high`, at least until it is one of `until`.
 #[inline]
-pub(super) fn touched<G: OnPixels>(place: &Place<'_>, shape: &G, low: u32, high: u32, until: Kinds) -> Kinds {
+pub(super) fn touched<G: OnPixels>(place: &PageUnder<'_>, shape: &G, low: u32, high: u32, until: Kinds) -> Kinds {
     let mut found = 0;
     let mut blocks = place.blocks_between(low, high);
     while blocks != 0 && found & until == 0 {
@@ -82,7 +82,7 @@ pub(super) fn touched<G: OnPixels>(place: &Place<'_>, shape: &G, low: u32, high:
 /// What `shape` touches in one block, unless it is among what is `known` to be touched.
 #[inline]
 fn touched_in_block<G: OnPixels>(
-    place: &Place<'_>,
+    place: &PageUnder<'_>,
     number: u32,
     shape: &G,
     (mut low, mut high): (u32, u32),

@@ -1,8 +1,8 @@
 //! The lowest underside of matter above a footprint.
 
 use super::answer::Answer;
-use super::blocks::{Place, for_each_bit, local, slices_between};
-use super::columns::{Tile, floor_of, for_each_column, layers};
+use super::blocks::{PageUnder, for_each_bit, local, slices_between};
+use super::footprint::{Tile, floor_of, for_each_column, layers};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Shape};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
@@ -102,7 +102,7 @@ impl CeilingSearch {
 /// Lowest underside of the page from `from` to `most` [0..=16320] in the footprint. Calls `unknown` if an underside on
 /// the page's floor depends on the page below, and that is not in memory.
 fn lowest_underside<G: OnPixels, T: PageSlot>(
-    place: &Place<'_>,
+    place: &PageUnder<'_>,
     shape: &G,
     from: u32,
     mut most: u32,

@@ -16,8 +16,8 @@ pub struct Cylinder {
 }
 
 impl Cylinder {
-    /// The cylinder of `radius` [m, >= 0] that stands on `feet` (the middle of its bottom face) and is `height` tall
-    /// [m, >= 0]. NaN and values beyond ±10¹⁰⁰ m are refused.
+    /// The cylinder of `radius` (m, >= 0) that stands on `feet` (the middle of its bottom face) and is `height` tall
+    /// (m, >= 0). NaN and values beyond ±10¹⁰⁰ m are refused.
     pub fn new(feet: Point3<f64>, radius: f64, height: f64) -> Result<Self> {
         if all_within_reach(feet.iter().chain([&radius, &height])) && radius >= 0.0 && height >= 0.0 {
             Ok(Self { feet, radius, height })

@@ -1,8 +1,8 @@
 //! The highest floor under a footprint.
 
 use super::answer::Answer;
-use super::blocks::{Place, for_each_bit, for_each_strip, local, slices_between};
-use super::columns::{Tile, floor_of, for_each_column, layers};
+use super::blocks::{PageUnder, for_each_bit, for_each_strip, local, slices_between};
+use super::footprint::{Tile, floor_of, for_each_column, layers};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Shape};
 use super::scan::{select, top_in_lanes};
@@ -117,7 +117,7 @@ impl FloorSearch {
 /// Highest top of a floor span of the page from `least` to `limit` [0..=16320] in the footprint.
 #[inline]
 fn highest_top<G: OnPixels, T: PageSlot>(
-    place: &Place<'_>,
+    place: &PageUnder<'_>,
     shape: &G,
     mut least: u32,
     limit: u32,

@@ -31,10 +31,10 @@ mod aabb;
 mod answer;
 mod blocks;
 mod ceiling;
-mod columns;
 mod cylinder;
 mod disc;
 mod floor;
+mod footprint;
 mod grid;
 mod probe;
 mod ray;
@@ -52,7 +52,7 @@ pub(crate) use grid::all_within_reach;
 pub use probe::{Probe, probe, probe_batch};
 pub use ray::{Ray, RayHit, cast};
 pub use sphere::Sphere;
-pub(crate) use sweep::{Area, Cell, Visit, descend};
+pub(crate) use sweep::{GridCell, SweepArea, Visit, descend};
 pub use sweep::{
     Solid, SweepHit, clearance, clearance_batch, depenetrate, depenetrate_batch, mean_floor_under, sweep, sweep_batch,
     top_under,
@@ -60,7 +60,7 @@ pub use sweep::{
 
 use crate::store::PageSet;
 use blocks::MATTER;
-use columns::{Touch, for_each_column};
+use footprint::{Touch, for_each_column};
 use grid::sealed::OnPixels;
 
 /// Whether `shape` touches matter. Ends at the first hit.

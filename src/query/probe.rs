@@ -2,8 +2,8 @@
 
 use super::answer::Answer;
 use super::blocks::{MATTER, OBSTACLE};
-use super::columns::{Touch, for_each_column};
 use super::floor::FloorSearch;
+use super::footprint::{Touch, for_each_column};
 use super::grid::Shape;
 use super::grid::sealed::OnPixels;
 use crate::store::{PageSet, join};

@@ -7,8 +7,8 @@
 
 use super::answer::Answer;
 use super::blocks::{local, local_heights, slices_between, touches_union};
-use super::columns::{floor_of, layers};
 use super::disc::SLACK;
+use super::footprint::{floor_of, layers};
 use super::grid::{Heights, Rect, all_within_reach};
 use crate::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS, floor_index};
 use crate::slice::{BlockView, Page, Span};

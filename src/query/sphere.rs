@@ -15,7 +15,7 @@ pub struct Sphere {
 }
 
 impl Sphere {
-    /// The ball of `radius` [m, >= 0] around `center`. NaN and values beyond ±10¹⁰⁰ m are refused.
+    /// The ball of `radius` (m, >= 0) around `center`. NaN and values beyond ±10¹⁰⁰ m are refused.
     pub fn new(center: Point3<f64>, radius: f64) -> Result<Self> {
         if all_within_reach(center.iter().chain([&radius])) && radius >= 0.0 {
             Ok(Self { center, radius })

@@ -6,12 +6,12 @@
 
 use super::account::{Account, Room};
 use super::fetch::{PageError, Time};
-use super::motion::{Motion, distance};
+use super::outlook::{Outlook, distance};
 use super::publish::{Current, Retired};
 use super::snapshot::{Held, Index, Snapshot, View};
 use super::start::pause_after;
 use super::tally::Counters;
-use crate::archive::{PageDecoder, Place};
+use crate::archive::{PageDecoder, Storage};
 use crate::frame::PageKey;
 use crate::slice::Page;
 use crate::{Error, Result};
@@ -82,7 +82,7 @@ impl Order {
 
 /// A run of pages to read at once.
 #[derive(Debug)]
-pub(super) struct Run {
+pub(super) struct PageRun {
     pub bytes: Range<u64>,
     /// Contents to decode, and the pages that show them.
     pub contents: Vec<(u32, u32)>,
@@ -93,7 +93,7 @@ pub(super) struct Run {
 /// What to do next about an order.
 #[derive(Debug)]
 pub(super) enum Claim {
-    Run(Run),
+    Run(PageRun),
     /// All that could be done is done; pages that failed may be tried again later.
     Done,
     /// The rest is on its way.
@@ -116,11 +116,11 @@ impl Views {
         View { index: self.index.clone(), snapshot: self.current.get() }
     }
 
-    /// Pages that a body touches before it moves; none for a motion that is not valid.
-    pub fn keys_around(&self, motion: &Motion) -> Vec<PageKey> {
+    /// Pages that a body touches before it moves; none for a outlook that is not valid.
+    pub fn keys_around(&self, outlook: &Outlook) -> Vec<PageKey> {
         let mut times = HashMap::new();
-        if motion.is_valid() {
-            motion.wants(&self.index, 0.0, &mut times);
+        if outlook.is_valid() {
+            outlook.wants(&self.index, 0.0, &mut times);
         }
         let mut keys: Vec<_> = times.keys().map(|&page| self.index.key(page)).collect();
         keys.sort_unstable();
@@ -256,7 +256,7 @@ impl Cache {
             let late = contents.iter().filter(|(_, page)| order.times.get(page).is_some_and(|time| *time <= 0.0));
             counters.late += late.count() as u64;
         }
-        let run = Run { bytes, contents, needed_in: time, room };
+        let run = PageRun { bytes, contents, needed_in: time, room };
         if run.bytes.is_empty() {
             let page = PageDecoder::new().decode(self.views.index.entry(content), &[]);
             // A uniform page is what the directory says of it: it cannot fail.
@@ -296,7 +296,7 @@ impl Cache {
             return (bytes, contents);
         }
         let mut extend = |page: u32| {
-            let Place::Stored(extent) = index.entry(page).place else { return true };
+            let Storage::Stored(extent) = index.entry(page).storage else { return true };
             let (start, end) = (extent.offset, extent.offset + u64::from(extent.len));
             let gap = start.saturating_sub(bytes.end).max(bytes.start.saturating_sub(end));
             let whole = bytes.start.min(start)..bytes.end.max(end);
@@ -394,11 +394,11 @@ impl Cache {
     /// Puts the pages of a run into the next snapshot; how many they are, and what became of the others.
     pub fn settle(
         &mut self,
-        run: Run,
+        run: PageRun,
         pages: Vec<Result<Page>>,
         counters: &mut Counters,
     ) -> (usize, Vec<(u32, PageError)>) {
-        let Run { contents, mut room, .. } = run;
+        let PageRun { contents, mut room, .. } = run;
         self.reserved -= room.bytes();
         let (mut changes, mut failures) = (Vec::new(), Vec::new());
         for ((content, page), decoded) in contents.into_iter().zip(pages) {
@@ -430,7 +430,7 @@ impl Cache {
     }
 
     /// Gives up a run that was not read, and its room.
-    pub fn release(&mut self, run: Run) {
+    pub fn release(&mut self, run: PageRun) {
         self.reserved -= run.room.bytes();
         for (content, _) in &run.contents {
             self.in_flight.remove(content);
@@ -438,7 +438,7 @@ impl Cache {
     }
 
     /// Gives up a run of several pages that could not be read: they are read one by one.
-    pub fn divide(&mut self, run: Run) {
+    pub fn divide(&mut self, run: PageRun) {
         self.alone.extend(run.contents.iter().map(|(content, _)| *content));
         self.release(run);
     }

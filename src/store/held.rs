@@ -1,6 +1,6 @@
 //! The store: all pages of a scan, in memory.
 
-use super::columns::{Columns, KeyBounds};
+use super::table::{KeyBounds, SlotTable};
 use super::{PageSet, PageSlot};
 use crate::archive::{Archive, PageDecoder, PageEntry};
 use crate::frame::{Frame, PageKey};
@@ -55,7 +55,7 @@ impl PageSlot for StoreSlot {
 /// ```
 pub struct Store {
     frame: Frame,
-    columns: Columns<StoreSlot>,
+    columns: SlotTable<StoreSlot>,
     weight: usize,
 }
 
@@ -70,7 +70,7 @@ impl Store {
             weight += page.weight_bytes();
             (key, StoreSlot { layer: key.layer, slices: page.slices(), page: Box::new(page) })
         };
-        let columns = Columns::new(pages.into_iter().map(slot).collect());
+        let columns = SlotTable::new(pages.into_iter().map(slot).collect());
         Self { frame, columns, weight }
     }
 

@@ -1,10 +1,10 @@
 //! Loading pages ahead of moving bodies: a state machine without a thread, a lock, a clock or a source of bytes.
 
 use super::account::Account;
-use super::cache::{Cache, Claim, Order, Run, Views};
+use super::cache::{Cache, Claim, Order, PageRun, Views};
 use super::fetch::{Decode, Decoded, Fetch, FetchId, Made, Next, PageError, Time, Work};
 use super::missing::Missing;
-use super::motion::Motion;
+use super::outlook::Outlook;
 use super::request::{LoadReport, Request, RequestId};
 use super::snapshot::View;
 use super::start::{Start, StartTurn, short_answer};
@@ -57,15 +57,15 @@ impl LoaderOptions {
 pub struct BodyId(u64);
 
 #[derive(Debug, Default)]
-struct Body {
-    motion: Option<Motion>,
+struct Tracked {
+    outlook: Option<Outlook>,
     missing: Option<Missing>,
 }
 
 /// A run on its way, or being decoded.
 #[derive(Debug)]
 pub(super) struct Flight {
-    run: Run,
+    run: PageRun,
     since: Time,
     pub request: Option<RequestId>,
     decoding: bool,
@@ -121,17 +121,17 @@ pub(super) enum Turn {
 /// In the loop of a game, where an engine fetches and decodes in the background:
 ///
 /// ```
-/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Motion, Next, Time, View};
+/// # use slicewalk::store::{BodyId, Decode, Decoded, Fetch, FetchId, Loader, Outlook, Next, Time, View};
 /// # trait Engine { fn fetch(&mut self, fetch: Fetch); fn cancel(&mut self, id: FetchId); fn decode(&mut self, job: Decode);
 /// #     fn arrived(&mut self) -> Option<(FetchId, Vec<u8>)>; fn decoded(&mut self) -> Option<Decoded>; }
-/// fn frame(loader: &mut Loader, pawn: BodyId, motion: &Motion, engine: &mut impl Engine, now: Time) -> slicewalk::Result<()> {
+/// fn frame(loader: &mut Loader, pawn: BodyId, outlook: &Outlook, engine: &mut impl Engine, now: Time) -> slicewalk::Result<()> {
 ///     while let Some((id, bytes)) = engine.arrived() {
 ///         loader.given(id, bytes, now).map(|job| engine.decode(job));
 ///     }
 ///     while let Some(decoded) = engine.decoded() {
 ///         loader.loaded(decoded, now);
 ///     }
-///     loader.hint(pawn, motion);
+///     loader.hint(pawn, outlook);
 ///     loop {
 ///         match loader.poll(now)? {
 ///             Next::Fetch(fetch) => engine.fetch(fetch),
@@ -152,7 +152,7 @@ pub struct Loader {
     /// Until the directory is there.
     start: Option<Box<Start>>,
     pub(super) cache: Option<Box<Cache>>,
-    bodies: BTreeMap<BodyId, Body>,
+    bodies: BTreeMap<BodyId, Tracked>,
     /// What the bodies want, and whether they said something else since.
     hinted: Order,
     stale: bool,
@@ -241,17 +241,17 @@ impl Loader {
     /// A new body, which wants nothing yet.
     pub fn body(&mut self) -> BodyId {
         let id = BodyId(self.name());
-        self.bodies.insert(id, Body::default());
+        self.bodies.insert(id, Tracked::default());
         id
     }
 
-    /// Says how a body moves now; once a frame. Replaces its last hint, and with it what it needed. A motion that is not
+    /// Says how a body moves now; once a frame. Replaces its last hint, and with it what it needed. A outlook that is not
     /// finite is dropped and counted.
-    pub fn hint(&mut self, body: BodyId, motion: &Motion) {
-        if !motion.is_valid() {
+    pub fn hint(&mut self, body: BodyId, outlook: &Outlook) {
+        if !outlook.is_valid() {
             self.counters.hints_dropped += 1;
         } else if let Some(body) = self.bodies.get_mut(&body) {
-            *body = Body { motion: Some(*motion), missing: None };
+            *body = Tracked { outlook: Some(*outlook), missing: None };
             self.stale = true;
         }
     }
@@ -378,9 +378,9 @@ impl Loader {
         let index = cache.index();
         let (mut times, mut focus) = (HashMap::new(), Vec::new());
         for body in self.bodies.values() {
-            if let Some(motion) = &body.motion {
-                motion.wants(index, horizon, &mut times);
-                focus.push(motion.focus(index.frame()));
+            if let Some(outlook) = &body.outlook {
+                outlook.wants(index, horizon, &mut times);
+                focus.push(outlook.focus(index.frame()));
             }
             let missing = body.missing.iter().flat_map(|missing| missing.keys());
             times.extend(missing.filter_map(|key| Some((index.find(*key)?, 0.0))));
@@ -392,7 +392,7 @@ impl Loader {
         (self.stale, self.again) = (false, None);
     }
 
-    pub(super) fn launch(&mut self, run: Run, request: Option<RequestId>) -> Fetch {
+    pub(super) fn launch(&mut self, run: PageRun, request: Option<RequestId>) -> Fetch {
         let id = FetchId(self.name());
         let range = run.bytes.clone();
         self.counters.reads += 1;

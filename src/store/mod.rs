@@ -5,7 +5,7 @@
 //! [`Stream`] is a loader with a thread of its own.
 //!
 //! ```text
-//! hints, requests → Loader: start (head, leaves) → Index (all pages) → motion (pages by time to need) → cache (claim, settle)
+//! hints, requests → Loader: start (head, leaves) → Index (all pages) → outlook (pages by time to need) → cache (claim, settle)
 //!        driver: fetches bytes, decodes (Decode → Decoded)                    View (index + newest snapshot) ← publish ┘
 //! ```
 //!
@@ -14,12 +14,11 @@
 
 mod account;
 mod cache;
-mod columns;
 mod fetch;
 mod held;
 mod loader;
 mod missing;
-mod motion;
+mod outlook;
 mod publish;
 mod request;
 mod snapshot;
@@ -27,20 +26,21 @@ mod start;
 #[cfg(not(target_family = "wasm"))]
 mod stream;
 mod sync;
+mod table;
 mod tally;
 
 pub use cache::Views;
-pub use columns::KeyBounds;
 pub use fetch::{Decode, Decoded, Fetch, FetchId, Next, PageError, Time};
 pub use held::{Store, StoreSlot};
 pub use loader::{BodyId, Loader, LoaderOptions};
 pub use missing::{MISSING_KEYS, Missing};
 pub(crate) use missing::{join, note};
-pub use motion::Motion;
+pub use outlook::Outlook;
 pub use request::{LoadReport, RequestId};
 pub use snapshot::{View, ViewSlot};
 #[cfg(not(target_family = "wasm"))]
-pub use stream::{Pawn, Prefetch, Step, Stream, StreamOptions};
+pub use stream::{PawnHandle, Prefetch, Step, Stream, StreamOptions};
+pub use table::KeyBounds;
 pub use tally::Counters;
 
 use crate::frame::Frame;

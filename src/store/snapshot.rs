@@ -9,10 +9,10 @@
 //! groups and one group, both about √n for n pages.
 
 use super::account::Room;
-use super::columns::{Columns, KeyBounds, Table};
-use super::motion::Motion;
+use super::outlook::Outlook;
+use super::table::{KeyBounds, SlotTable, TileTable};
 use super::{PageSet, PageSlot};
-use crate::archive::{PageEntry, Place};
+use crate::archive::{PageEntry, Storage};
 use crate::frame::{Frame, PageKey};
 use crate::slice::Page;
 use std::collections::HashMap;
@@ -54,12 +54,12 @@ impl PageSlot for ViewSlot {
 #[derive(Debug)]
 pub(super) struct Index {
     frame: Frame,
-    entries: Columns<PageEntry>,
+    entries: SlotTable<PageEntry>,
     keys: Box<[PageKey]>,
     /// Per page the first one with the same content.
     contents: Box<[u32]>,
     /// From tile column to `group << shift | offset`.
-    tiles: Table,
+    tiles: TileTable,
     shift: u32,
     /// Number of each group's first page, and the number of all pages.
     groups: Box<[u32]>,
@@ -73,7 +73,7 @@ impl Index {
     pub fn new(frame: Frame, entries: Vec<PageEntry>) -> Self {
         let contents = contents(&entries);
         let keys: Box<[PageKey]> = entries.iter().map(|entry| entry.key).collect();
-        let entries = Columns::new(entries.into_iter().map(|entry| (entry.key, entry)).collect());
+        let entries = SlotTable::new(entries.into_iter().map(|entry| (entry.key, entry)).collect());
         let columns = || (0..entries.column_count()).map(|number| entries.column_at(number));
         let longest = columns().map(|(_, _, slots)| slots.len()).max().unwrap_or(0);
         // A column never lies in two groups, so that its slots are contiguous.
@@ -91,7 +91,7 @@ impl Index {
             first += slots.len();
         }
         groups.push(first as u32);
-        let (tiles, shift) = (Table::new(cells), size.trailing_zeros());
+        let (tiles, shift) = (TileTable::new(cells), size.trailing_zeros());
         Self { frame, entries, keys, contents, tiles, shift, groups: groups.into() }
     }
 
@@ -175,20 +175,20 @@ fn contents(entries: &[PageEntry]) -> Box<[u32]> {
     let mut uniform = HashMap::new();
     let number = |(at, entry): (usize, &PageEntry)| {
         let at = at as u32;
-        match entry.place {
-            Place::Stored(extent) => {
+        match entry.storage {
+            Storage::Stored(extent) => {
                 stored.push((extent.offset, at));
                 at
             }
             // An archive whose pages do not ascend is broken; then nothing is shared, and reading finds the reason.
-            Place::Shared(extent) => {
+            Storage::Shared(extent) => {
                 let found = stored.binary_search_by_key(&extent.offset, |&(offset, _)| offset);
                 let first = found.map_or(at, |found| stored[found].1);
                 let other = &entries[first as usize];
                 let same = other.extent() == Some(extent) && (other.slices, other.size) == (entry.slices, entry.size);
                 if same { first } else { at }
             }
-            Place::Uniform(span) => *uniform.entry(span).or_insert(at),
+            Storage::Uniform(span) => *uniform.entry(span).or_insert(at),
         }
     };
     entries.iter().enumerate().map(number).collect()
@@ -244,15 +244,15 @@ impl View {
         Some(self.snapshot.0[group][offset].page.is_some())
     }
 
-    /// Number of pages in memory that a body touches before it moves; none for a motion that is not valid.
-    pub fn count_loaded(&self, motion: &Motion) -> usize {
+    /// Number of pages in memory that a body touches before it moves; none for a outlook that is not valid.
+    pub fn count_loaded(&self, outlook: &Outlook) -> usize {
         let loaded = |page: &u32| {
             let (group, offset) = self.index.group(*page);
             self.snapshot.0[group][offset].page.is_some()
         };
         let mut pages = HashMap::new();
-        if motion.is_valid() {
-            motion.wants(&self.index, 0.0, &mut pages);
+        if outlook.is_valid() {
+            outlook.wants(&self.index, 0.0, &mut pages);
         }
         pages.keys().filter(|page| loaded(page)).count()
     }

@@ -4,7 +4,7 @@ use super::cache::Views;
 use super::fetch::{Fetch, Next, PageError, Time};
 use super::loader::{BodyId, Loader, LoaderOptions, Turn};
 use super::missing::Missing;
-use super::motion::Motion;
+use super::outlook::Outlook;
 use super::request::LoadReport;
 use super::snapshot::{Index, View};
 use super::tally::Counters;
@@ -73,7 +73,7 @@ pub enum Step {
 #[derive(Debug)]
 struct Inbox {
     body: BodyId,
-    motion: Option<Motion>,
+    outlook: Option<Outlook>,
     missing: Option<Missing>,
     changed: bool,
     gone: bool,
@@ -85,14 +85,14 @@ struct Inbox {
 /// use nalgebra::{Point3, Vector3};
 /// use slicewalk::archive::Archive;
 /// use slicewalk::query::{Aabb, Overlap, overlaps};
-/// use slicewalk::store::{Motion, Stream, StreamOptions};
+/// use slicewalk::store::{Outlook, Stream, StreamOptions};
 ///
 /// let stream = Stream::open(Archive::open("scan.slices")?, StreamOptions::new(16 << 20))?;
 /// let mut pawn = stream.pawn();
 /// let (min, max) = (Point3::new(-0.25, -0.25, 0.0), Point3::new(0.25, 0.25, 1.8));
-/// stream.load_around(&Motion::walking(min, max, Vector3::zeros()))?; // blocks: a loading screen
+/// stream.load_around(&Outlook::walking(min, max, Vector3::zeros()))?; // blocks: a loading screen
 /// for _frame in 0..600 {
-///     pawn.hint(&Motion::walking(min, max, Vector3::new(1.4, 0.0, 0.0)));
+///     pawn.hint(&Outlook::walking(min, max, Vector3::new(1.4, 0.0, 0.0)));
 ///     let view = stream.view();
 ///     if let Overlap::NotLoaded(missing) = overlaps(&view, &Aabb::new(min, max)?) {
 ///         pawn.need(&missing);
@@ -193,12 +193,12 @@ impl Stream {
     }
 
     /// A place for the hints of one body, as long as it lives.
-    pub fn pawn(&self) -> Pawn {
+    pub fn pawn(&self) -> PawnHandle {
         let body = lock(&self.shared.loader).body();
-        let inbox = Arc::new(Mutex::new(Inbox { body, motion: None, missing: None, changed: false, gone: false }));
+        let inbox = Arc::new(Mutex::new(Inbox { body, outlook: None, missing: None, changed: false, gone: false }));
         lock(&self.shared.pawns).push(inbox.clone());
         let worker = self.worker.as_ref().map(|worker| worker.thread().clone());
-        Pawn { inbox, shared: self.shared.clone(), worker }
+        PawnHandle { inbox, shared: self.shared.clone(), worker }
     }
 
     /// Brings the pages `keys` into memory, nearest to `around` first, and returns when all are there or failed; unknown
@@ -218,12 +218,12 @@ impl Stream {
 
     /// As [`load`](Self::load) for all pages that a body touches before it moves: for the first frame, or after a
     /// jump to another place.
-    pub fn load_around(&self, motion: &Motion) -> Result<LoadReport> {
-        if !motion.is_valid() {
-            return Err(Error::parameter("motion", "its numbers must be finite and in order"));
+    pub fn load_around(&self, outlook: &Outlook) -> Result<LoadReport> {
+        if !outlook.is_valid() {
+            return Err(Error::parameter("outlook", "its numbers must be finite and in order"));
         }
-        let keys = self.shared.views.keys_around(motion);
-        self.load(&keys, motion.focus(self.shared.index().frame()))
+        let keys = self.shared.views.keys_around(outlook);
+        self.load(&keys, outlook.focus(self.shared.index().frame()))
     }
 
     /// Does one piece of the background thread's work on this thread: reads one run of pages. For
@@ -297,19 +297,19 @@ impl std::fmt::Debug for Stream {
 }
 
 /// Where one body says how it moves. Dropping it ends its hints.
-pub struct Pawn {
+pub struct PawnHandle {
     inbox: Arc<Mutex<Inbox>>,
     shared: Arc<Shared>,
     worker: Option<Thread>,
 }
 
-impl Pawn {
+impl PawnHandle {
     /// Says how the body moves now; once a frame. Replaces the last hint, and with it what was asked for by
     /// [`need`](Self::need). Never waits: a hint that is not finite, or given in the moment in which the last one is taken,
     /// is dropped and counted.
-    pub fn hint(&mut self, motion: &Motion) {
-        self.put(motion.is_valid(), |inbox| {
-            (inbox.motion, inbox.missing, inbox.changed) = (Some(*motion), None, true);
+    pub fn hint(&mut self, outlook: &Outlook) {
+        self.put(outlook.is_valid(), |inbox| {
+            (inbox.outlook, inbox.missing, inbox.changed) = (Some(*outlook), None, true);
         });
     }
 
@@ -339,16 +339,16 @@ impl Pawn {
     }
 }
 
-impl Drop for Pawn {
+impl Drop for PawnHandle {
     fn drop(&mut self) {
         lock(&self.inbox).gone = true;
         self.shared.hints.fetch_add(1, Release);
     }
 }
 
-impl std::fmt::Debug for Pawn {
+impl std::fmt::Debug for PawnHandle {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Pawn").finish_non_exhaustive()
+        f.debug_struct("PawnHandle").finish_non_exhaustive()
     }
 }
 
@@ -414,8 +414,8 @@ impl Shared {
             if inbox.gone {
                 loader.forget(inbox.body);
             } else if std::mem::take(&mut inbox.changed) {
-                if let Some(motion) = &inbox.motion {
-                    loader.hint(inbox.body, motion);
+                if let Some(outlook) = &inbox.outlook {
+                    loader.hint(inbox.body, outlook);
                 }
                 if let Some(missing) = &inbox.missing {
                     loader.need(inbox.body, missing);
@@ -499,8 +499,8 @@ mod tests {
         let stream = Stream::open(archive(), options).unwrap();
         let mut pawn = stream.pawn();
         let (min, max) = ([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into());
-        let (motion, shape) = (Motion::walking(min, max, Default::default()), Aabb::new(min, max).unwrap());
-        stream.load_around(&motion).unwrap();
+        let (outlook, shape) = (Outlook::walking(min, max, Default::default()), Aabb::new(min, max).unwrap());
+        stream.load_around(&outlook).unwrap();
         let mut walker = Walker::new(Config::default(), [0.0, 0.0, 1.0].into()).unwrap();
         let inbox = pawn.inbox.clone();
         let (_loader, _pawns) = (lock(&stream.shared.loader), lock(&stream.shared.pawns));
@@ -510,7 +510,7 @@ mod tests {
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 for _ in 0..100 {
-                    pawn.hint(&motion);
+                    pawn.hint(&outlook);
                     assert_eq!(overlaps(&stream.view(), &shape), Overlap::Hit);
                     assert_eq!(overlaps(&pawn.view(), &shape), Overlap::Hit);
                     let report = walker.step(&pawn.view(), 1.0 / 60.0, Wish::Direction(Vector2::x()));

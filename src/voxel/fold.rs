@@ -15,7 +15,7 @@ use std::ops::Range;
 pub const BINS: i64 = 16;
 const BIN_STEPS: u32 = (SLICE_STEPS / BINS) as u32;
 
-/// Sums over the points of one voxel, exact: place `u`, `v` in its pixel [1/128 pixel] and height `w` in its band
+/// Sums over the points of one voxel, exact: place `u`, `v` in its pixel (1/128 pixel) and height `w` in its band
 /// [1/8160 band]. Ten numbers determine the least-squares plane and its residual.
 ///
 /// No sum overflows below 10⁹ points in a 3 × 3 × 3 neighbourhood (24,480² · 10⁹ < 2⁶³).

@@ -89,7 +89,7 @@ impl Record {
         (self.0 >> (2 * SUBPIXEL_BITS)) as u32 & ((1 << HEIGHT_BITS) - 1)
     }
 
-    /// Place of a point inside its pixel [1/128 pixel].
+    /// Place of a point inside its pixel (1/128 pixel).
     #[inline]
     pub fn place(self) -> (u32, u32) {
         let mask = (1 << SUBPIXEL_BITS) - 1;

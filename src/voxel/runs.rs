@@ -272,14 +272,14 @@ impl SegmentCoder {
 }
 
 #[derive(Debug)]
-enum Place {
+enum RunStorage {
     Memory { records: Vec<Record>, index: Vec<u8> },
     Disk { records_at: u64, index_at: u64, index_bytes: u64 },
 }
 
 #[derive(Debug)]
 struct Run {
-    place: Place,
+    storage: RunStorage,
     records: u64,
     columns: u64,
 }
@@ -331,7 +331,7 @@ impl RunStore {
             if kept.memory_bytes + bytes <= self.retain_bytes {
                 kept.memory_bytes += bytes;
                 records.shrink_to_fit();
-                kept.runs.push(Run { place: Place::Memory { records, index }, records: count, columns });
+                kept.runs.push(Run { storage: RunStorage::Memory { records, index }, records: count, columns });
                 return Ok(Vec::new());
             }
             let at = kept.file_bytes;
@@ -348,8 +348,8 @@ impl RunStore {
             self.write(file, bytes, records_at + (number * COPY_BYTES) as u64)?;
         }
         self.write(file, &index, index_at)?;
-        let place = Place::Disk { records_at, index_at, index_bytes: index.len() as u64 };
-        self.lock().runs.push(Run { place, records: count, columns });
+        let storage = RunStorage::Disk { records_at, index_at, index_bytes: index.len() as u64 };
+        self.lock().runs.push(Run { storage, records: count, columns });
         Ok(records)
     }
 
@@ -377,11 +377,11 @@ impl RunStore {
     }
 
     fn read_records(&self, run: &Run, first: u64, records: &mut [Record]) -> Result<()> {
-        match &run.place {
-            Place::Memory { records: all, .. } => {
+        match &run.storage {
+            RunStorage::Memory { records: all, .. } => {
                 records.copy_from_slice(&all[first as usize..first as usize + records.len()]);
             }
-            Place::Disk { records_at, .. } => {
+            RunStorage::Disk { records_at, .. } => {
                 let mut buffer = vec![0u8; COPY_BYTES.min(records.len() * RECORD_BYTES as usize)];
                 let mut at = records_at + first * RECORD_BYTES;
                 for chunk in records.chunks_mut(COPY_BYTES / RECORD_BYTES as usize) {
@@ -456,13 +456,13 @@ impl Cursor {
         let Self { coder, chunk, used, fetched, chunk_bytes, .. } = self;
         self.segment = Some(coder.decode(|| {
             if *used == chunk.len() {
-                match &run.place {
-                    Place::Memory { index, .. } => {
+                match &run.storage {
+                    RunStorage::Memory { index, .. } => {
                         let end = index.len().min(*fetched as usize + *chunk_bytes);
                         chunk.clear();
                         chunk.extend_from_slice(&index[*fetched as usize..end]);
                     }
-                    Place::Disk { index_at, index_bytes, .. } => {
+                    RunStorage::Disk { index_at, index_bytes, .. } => {
                         chunk.resize(((index_bytes - *fetched) as usize).min(*chunk_bytes), 0);
                         store.read(chunk, index_at + *fetched)?;
                     }
@@ -477,9 +477,9 @@ impl Cursor {
     }
 }
 
-/// Records of one run that belong to a [`Job`]: a contiguous range.
+/// Records of one run that belong to a [`ColumnJob`]: a contiguous range.
 #[derive(Debug)]
-struct Part {
+struct Stretch {
     run: usize,
     first_record: u64,
     /// Position of a column in the job, and how many records follow for it.
@@ -488,12 +488,12 @@ struct Part {
 
 /// A few neighbouring tile columns to be worked on together, in archive order.
 #[derive(Debug, Default)]
-pub struct Job {
+pub struct ColumnJob {
     /// The tile columns and how many records each has.
     pub columns: Vec<(ColumnKey, u64)>,
     /// Sum of the records of all columns.
     pub records: u64,
-    parts: Vec<Part>,
+    stretches: Vec<Stretch>,
 }
 
 /// Merges the runs: hands out jobs in archive order.
@@ -516,7 +516,12 @@ impl<'a> Merge<'a> {
 
     /// Calls `give` with one job after another, each of at most `max_columns` columns and `max_records` records, or of a
     /// single column. Memory: up to 4 KiB per run and what the job lists.
-    pub fn jobs(&self, max_records: u64, max_columns: u64, mut give: impl FnMut(Job) -> Result<()>) -> Result<()> {
+    pub fn jobs(
+        &self,
+        max_records: u64,
+        max_columns: u64,
+        mut give: impl FnMut(ColumnJob) -> Result<()>,
+    ) -> Result<()> {
         let (least, most) = INDEX_CHUNK_BYTES;
         let chunk_bytes = (self.store.retain_bytes / 8 / self.runs.len().max(1) as u64).clamp(least, most) as usize;
         let cursor = |run| Cursor::new(run, self.store, chunk_bytes);
@@ -524,7 +529,7 @@ impl<'a> Merge<'a> {
         let key_of = |cursor: &Cursor| cursor.segment.map(|segment| segment.key);
         let mut heap: BinaryHeap<_> =
             cursors.iter().enumerate().filter_map(|(run, cursor)| Some(Reverse((key_of(cursor)?, run)))).collect();
-        let mut job = Job::default();
+        let mut job = ColumnJob::default();
         let mut part_of = vec![usize::MAX; self.runs.len()];
         let mut same = Vec::new();
         while let Some(&Reverse((key, _))) = heap.peek() {
@@ -547,10 +552,10 @@ impl<'a> Merge<'a> {
             job.records += records;
             for &run in &same {
                 if part_of[run] == usize::MAX {
-                    part_of[run] = job.parts.len();
-                    job.parts.push(Part { run, first_record: cursors[run].first_record, columns: Vec::new() });
+                    part_of[run] = job.stretches.len();
+                    job.stretches.push(Stretch { run, first_record: cursors[run].first_record, columns: Vec::new() });
                 }
-                job.parts[part_of[run]].columns.push((column, segment_of(run, &cursors)));
+                job.stretches[part_of[run]].columns.push((column, segment_of(run, &cursors)));
                 cursors[run].advance(&self.runs[run], self.store)?;
                 heap.extend(key_of(&cursors[run]).map(|key| Reverse((key, run))));
             }
@@ -559,7 +564,7 @@ impl<'a> Merge<'a> {
     }
 
     /// Puts the records of all columns of `job` into `records`, column after column.
-    pub fn load(&self, job: &Job, records: &mut Vec<Record>) -> Result<()> {
+    pub fn load(&self, job: &ColumnJob, records: &mut Vec<Record>) -> Result<()> {
         records.clear();
         records.resize(job.records as usize, Record(0));
         let mut next = Vec::with_capacity(job.columns.len());
@@ -569,20 +574,20 @@ impl<'a> Merge<'a> {
             start += count;
         }
         let mut buffer = Vec::new();
-        for part in &job.parts {
-            let run = &self.runs[part.run];
-            let total: usize = part.columns.iter().map(|column| column.1 as usize).sum();
-            let first = part.first_record as usize;
-            let mut rest = match &run.place {
-                Place::Memory { records, .. } => &records[first..first + total],
-                Place::Disk { .. } => {
+        for stretch in &job.stretches {
+            let run = &self.runs[stretch.run];
+            let total: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
+            let first = stretch.first_record as usize;
+            let mut rest = match &run.storage {
+                RunStorage::Memory { records, .. } => &records[first..first + total],
+                RunStorage::Disk { .. } => {
                     buffer.clear();
                     buffer.resize(total, Record(0));
-                    self.store.read_records(run, part.first_record, &mut buffer)?;
+                    self.store.read_records(run, stretch.first_record, &mut buffer)?;
                     &buffer[..]
                 }
             };
-            for &(column, count) in &part.columns {
+            for &(column, count) in &stretch.columns {
                 let (own, others) = rest.split_at(count as usize);
                 let place = &mut next[column as usize];
                 records[*place..*place + own.len()].copy_from_slice(own);
@@ -597,20 +602,20 @@ impl<'a> Merge<'a> {
     /// and maybe others, at most `chunk` records at a time, in no particular order, as long as it asks for more.
     pub fn stream(
         &self,
-        job: &Job,
+        job: &ColumnJob,
         rows: (u32, u32),
         chunk: usize,
         mut take: impl FnMut(&[Record]) -> Result<bool>,
     ) -> Result<()> {
         let mut buffer = Vec::new();
-        for part in &job.parts {
-            let (mut first, mut end) = (0, part.columns.iter().map(|column| u64::from(column.1)).sum());
-            if end >= SORTED_RECORDS && part.columns.len() == 1 {
-                (first, end) = (self.row_begins(part, end, rows.0)?, self.row_begins(part, end, rows.1)?);
+        for stretch in &job.stretches {
+            let (mut first, mut end) = (0, stretch.columns.iter().map(|column| u64::from(column.1)).sum());
+            if end >= SORTED_RECORDS && stretch.columns.len() == 1 {
+                (first, end) = (self.row_begins(stretch, end, rows.0)?, self.row_begins(stretch, end, rows.1)?);
             }
             while first < end {
                 buffer.resize((end - first).min(chunk as u64) as usize, Record(0));
-                self.store.read_records(&self.runs[part.run], part.first_record + first, &mut buffer)?;
+                self.store.read_records(&self.runs[stretch.run], stretch.first_record + first, &mut buffer)?;
                 if !take(&buffer)? {
                     return Ok(());
                 }
@@ -620,13 +625,13 @@ impl<'a> Merge<'a> {
         Ok(())
     }
 
-    /// Number of the first record of a sorted part of `records` that does not lie before `row`.
-    fn row_begins(&self, part: &Part, records: u64, row: u32) -> Result<u64> {
+    /// Number of the first record of a sorted stretch of `records` that does not lie before `row`.
+    fn row_begins(&self, stretch: &Stretch, records: u64, row: u32) -> Result<u64> {
         let (mut low, mut high) = (0, records);
         while low < high {
             let middle = low + (high - low) / 2;
             let mut record = [Record(0)];
-            self.store.read_records(&self.runs[part.run], part.first_record + middle, &mut record)?;
+            self.store.read_records(&self.runs[stretch.run], stretch.first_record + middle, &mut record)?;
             if record[0].pixel() < row as usize * PATCH_PIXELS {
                 low = middle + 1;
             } else {

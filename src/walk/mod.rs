@@ -25,7 +25,7 @@ pub use follow::Route;
 use crate::frame::Frame;
 use crate::query::Answer;
 use crate::store::Missing;
-use crate::store::{Motion as Outlook, PageSet};
+use crate::store::{Outlook, PageSet};
 use crate::{Error, Parameter, Result};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use std::ops::ControlFlow;

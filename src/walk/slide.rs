@@ -37,39 +37,39 @@ pub(super) fn tick<S: PageSet>(
     motion: &mut Motion,
     way: Vector2<f64>,
 ) -> Needs<Option<Stop>> {
-    let mut walk = Walk { config, set, motion, stop: None };
-    walk.get_out()?;
+    let mut attempt = Attempt { config, set, motion, stop: None };
+    attempt.get_out()?;
     let strides = (way.norm() / STRIDE_M).ceil().max(1.0);
-    let mut falls = walk.motion.ground == Ground::Air;
+    let mut falls = attempt.motion.ground == Ground::Air;
     for _ in 0..strides as u64 {
-        let before = walk.motion.feet;
+        let before = attempt.motion.feet;
         let stride = way / strides;
-        if !walk.go_around(stride)? {
-            walk.stride(stride)?;
+        if !attempt.go_around(stride)? {
+            attempt.stride(stride)?;
         }
-        if walk.motion.ground != Ground::Air {
-            walk.stand()?;
-            falls |= walk.motion.ground == Ground::Air;
+        if attempt.motion.ground != Ground::Air {
+            attempt.stand()?;
+            falls |= attempt.motion.ground == Ground::Air;
         }
-        if walk.motion.feet == before {
+        if attempt.motion.feet == before {
             // Nor will the next stride get on.
             break;
         }
     }
     if falls {
-        walk.fall()?;
+        attempt.fall()?;
     }
-    ControlFlow::Continue(walk.stop)
+    ControlFlow::Continue(attempt.stop)
 }
 
-struct Walk<'a, S> {
+struct Attempt<'a, S> {
     config: &'a Config,
     set: &'a S,
     motion: &'a mut Motion,
     stop: Option<Stop>,
 }
 
-impl<S: PageSet> Walk<'_, S> {
+impl<S: PageSet> Attempt<'_, S> {
     fn sweep(&self, feet: Point3<f64>, by: Vector3<f64>) -> Needs<Option<SweepHit>> {
         known(self.config.body.sweep(self.set, feet, by))
     }

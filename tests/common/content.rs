@@ -1,7 +1,7 @@
 //! All content of an archive as JSON, in the shape that `spec/reader.py --json` prints.
 
 use serde_json::{Value, json};
-use slicewalk::archive::{Archive, PageEntry, Place};
+use slicewalk::archive::{Archive, PageEntry, Storage};
 use slicewalk::slice::Span;
 use slicewalk::{Error, NoMonitor, Result, info};
 
@@ -43,10 +43,10 @@ fn page(archive: &Archive, entry: &PageEntry) -> Result<Value> {
         "key": [entry.key.tx, entry.key.ty, entry.key.layer],
         "slices": format!("{:016x}", entry.slices),
     });
-    let (kind, extent) = match &entry.place {
-        Place::Stored(extent) => ("stored", extent),
-        Place::Shared(extent) => ("shared", extent),
-        Place::Uniform(span) => {
+    let (kind, extent) = match &entry.storage {
+        Storage::Stored(extent) => ("stored", extent),
+        Storage::Shared(extent) => ("shared", extent),
+        Storage::Uniform(span) => {
             value["kind"] = "uniform".into();
             value["span"] = triple(span);
             return Ok(value);

@@ -7,7 +7,7 @@ pub mod forge;
 
 pub mod part;
 
-use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Place, Shard, Totals};
+use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Shard, Storage, Totals};
 use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::plan::{Classifier, Plan, PlanOptions};
@@ -150,13 +150,13 @@ pub fn render(archive: &Archive) -> String {
     line(format_args!("{:?}", header.pages));
     line(format_args!("crs {}", archive.crs().unwrap()));
     for entry in archive.entries().map(Result::unwrap) {
-        let kind = match entry.place {
-            Place::Stored(_) => "stored",
-            Place::Shared(_) => "shared",
-            Place::Uniform(_) => "uniform",
+        let kind = match entry.storage {
+            Storage::Stored(_) => "stored",
+            Storage::Shared(_) => "shared",
+            Storage::Uniform(_) => "uniform",
         };
         line(format_args!("page {} {kind} slices {:016x}", entry.key, entry.slices));
-        if let Place::Uniform(span) = entry.place {
+        if let Storage::Uniform(span) = entry.storage {
             line(format_args!("  all: {span:?}"));
             continue;
         }

@@ -52,7 +52,7 @@ impl Scene {
         axis(x, i).hypot(axis(y, j))
     }
 
-    /// Distance from `center` to the nearest matter [m].
+    /// Distance from `center` to the nearest matter (m).
     pub fn distance(&self, center: Point3<f64>) -> f64 {
         let quantum = self.frame.quantum_m();
         let distances = self.columns.iter().flat_map(|(&(i, j), spans)| {
@@ -63,7 +63,7 @@ impl Scene {
         distances.fold(f64::INFINITY, f64::min)
     }
 
-    /// First distance at which `ray` meets a span grown by `grow` (negative: shrunk) [m].
+    /// First distance at which `ray` meets a span grown by `grow` (negative: shrunk) (m).
     pub fn cast(&self, ray: &Ray, grow: f64) -> Option<f64> {
         let (frame, quantum) = (&self.frame, self.frame.quantum_m());
         let boxes = self.columns.iter().flat_map(|(&(i, j), spans)| {

@@ -9,7 +9,7 @@ use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::plan::Plan;
 use slicewalk::query::Aabb;
 use slicewalk::slice::{PageBuilder, Span};
-use slicewalk::store::{Motion, Store};
+use slicewalk::store::{Outlook, Store};
 use std::collections::BTreeMap;
 
 /// Latency of a slow source (s), and the time of a frame.
@@ -130,10 +130,10 @@ impl Body {
     }
 
     /// With 5 cm to each side, and 0.4 m up and down for steps.
-    pub fn motion(&self) -> Motion {
+    pub fn motion(&self) -> Outlook {
         let half = Vector3::new(0.3, 0.3, 0.4);
         let top = self.feet + Vector3::new(0.0, 0.0, 1.8);
-        Motion { terminal_speed: 50.0, ..Motion::walking(self.feet - half, top + half, self.velocity) }
+        Outlook { terminal_speed: 50.0, ..Outlook::walking(self.feet - half, top + half, self.velocity) }
     }
 
     /// Falls for one frame, at most at 50 m/s.

@@ -57,19 +57,19 @@ impl Default for MeshOptions {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum MeshFormat {
     Obj,
     Ply,
     Stl,
     Gltf,
 }
 
-fn kind_of(path: &Path) -> Option<Kind> {
+fn kind_of(path: &Path) -> Option<MeshFormat> {
     Some(match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-        "obj" => Kind::Obj,
-        "ply" => Kind::Ply,
-        "stl" => Kind::Stl,
-        "gltf" | "glb" => Kind::Gltf,
+        "obj" => MeshFormat::Obj,
+        "ply" => MeshFormat::Ply,
+        "stl" => MeshFormat::Stl,
+        "gltf" | "glb" => MeshFormat::Gltf,
         _ => return None,
     })
 }
@@ -110,7 +110,7 @@ pub struct MeshSet {
 #[derive(Debug)]
 struct MeshFile {
     path: PathBuf,
-    kind: Kind,
+    kind: MeshFormat,
     stamp: Stamp,
 }
 
@@ -137,7 +137,7 @@ impl MeshSet {
         if let Some(error) = left_out.filter(|_| files.is_empty()) {
             return Err(error);
         }
-        let mut unknown = files.iter().filter(|file| options.units == Units::Auto && file.kind != Kind::Gltf);
+        let mut unknown = files.iter().filter(|file| options.units == Units::Auto && file.kind != MeshFormat::Gltf);
         if let Some(first) = unknown.next() {
             let others = match unknown.count() {
                 0 => String::new(),
@@ -196,10 +196,10 @@ impl MeshSet {
         let MeshFile { path, kind, .. } = &self.files[number];
         let options = &self.options;
         Ok(match kind {
-            Kind::Obj => Box::new(obj::Reader::open(path, options, digest, watch)?),
-            Kind::Ply => Box::new(ply::Reader::open(path, options, digest, watch)?),
-            Kind::Stl => Box::new(stl::Reader::open(path, digest, watch)?),
-            Kind::Gltf => Box::new(gltf::Reader::open(path, options, digest, watch)?),
+            MeshFormat::Obj => Box::new(obj::ObjReader::open(path, options, digest, watch)?),
+            MeshFormat::Ply => Box::new(ply::PlyReader::open(path, options, digest, watch)?),
+            MeshFormat::Stl => Box::new(stl::StlReader::open(path, digest, watch)?),
+            MeshFormat::Gltf => Box::new(gltf::GltfReader::open(path, options, digest, watch)?),
         })
     }
 
@@ -209,7 +209,7 @@ impl MeshSet {
             Units::Auto => 1.0,
             Units::Factor(factor) => factor,
         };
-        let turned = self.options.up == Up::Y || self.files[number].kind == Kind::Gltf;
+        let turned = self.options.up == Up::Y || self.files[number].kind == MeshFormat::Gltf;
         for corner in triangle {
             let [x, y, z] = corner.map(|v| v * factor);
             *corner = if turned { [x, -z, y] } else { [x, y, z] };

@@ -14,7 +14,7 @@ use std::path::Path;
 /// Lines read for one batch of triangles.
 const LINES: usize = 512;
 
-pub(super) struct Reader {
+pub(super) struct ObjReader {
     lines: Lines,
     vertices: Vertices,
     /// Corners defined before the line at hand.
@@ -22,7 +22,7 @@ pub(super) struct Reader {
     polygon: Polygon,
 }
 
-impl Reader {
+impl ObjReader {
     pub(super) fn open(path: &Path, options: &MeshOptions, digest: &Digest, watch: &mut Watch) -> Result<Self> {
         let mut lines = Lines::open(path, true, digest)?;
         let mut vertices = Vertices::new(options);
@@ -63,7 +63,7 @@ impl Reader {
     }
 }
 
-impl Triangles for Reader {
+impl Triangles for ObjReader {
     fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
         for _ in 0..LINES {
             if out.len() >= BATCH_TRIANGLES {

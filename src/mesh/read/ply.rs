@@ -6,7 +6,7 @@
 use super::polygon::Polygon;
 use super::text::{Lines, shown};
 use super::vertices::Vertices;
-use super::watch::{Digest, Source, Watch};
+use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
 use crate::{Error, Result};
 use std::io::{BufReader, ErrorKind, Read};
@@ -65,7 +65,7 @@ struct Property {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum ElementKind {
     Vertex,
     Face,
     Other,
@@ -73,18 +73,18 @@ enum Kind {
 
 #[derive(Debug, Clone)]
 struct Element {
-    kind: Kind,
+    kind: ElementKind,
     count: u64,
     properties: Vec<Property>,
 }
 
 /// The numbers of the body, one after the other.
-enum Body {
+enum Encoding {
     Text(Lines),
-    Binary { reader: BufReader<Source>, path: PathBuf, big: bool, at: u64 },
+    Binary { reader: BufReader<MeshSource>, path: PathBuf, big: bool, at: u64 },
 }
 
-impl Body {
+impl Encoding {
     fn error(&self, reason: impl Into<String>) -> Error {
         match self {
             Self::Text(lines) => lines.error(reason),
@@ -162,8 +162,8 @@ impl Body {
     }
 }
 
-pub(super) struct Reader {
-    body: Body,
+pub(super) struct PlyReader {
+    body: Encoding,
     vertices: Vertices,
     properties: Vec<Property>,
     faces_left: u64,
@@ -171,14 +171,14 @@ pub(super) struct Reader {
     polygon: Polygon,
 }
 
-impl Reader {
+impl PlyReader {
     pub(super) fn open(path: &Path, options: &MeshOptions, digest: &Digest, watch: &mut Watch) -> Result<Self> {
         let (mut body, elements) = open_body(path, digest)?;
         let mut vertices = Vertices::new(options);
         let mut faces = None;
         for element in elements {
             let axes: Vec<Role> = element.properties.iter().map(|property| property.role).collect();
-            if element.kind == Kind::Vertex {
+            if element.kind == ElementKind::Vertex {
                 if !(0..3).all(|axis| axes.contains(&Role::Axis(axis))) {
                     return Err(Error::input(path, "header", "the element \"vertex\" has no properties x, y and z"));
                 }
@@ -192,7 +192,7 @@ impl Reader {
                     })?;
                     vertices.push(vertex)?;
                 }
-            } else if element.kind == Kind::Face {
+            } else if element.kind == ElementKind::Face {
                 if !axes.contains(&Role::Corners) {
                     return Err(Error::input(path, "header", "the element \"face\" has no list \"vertex_indices\""));
                 }
@@ -211,7 +211,7 @@ impl Reader {
     }
 }
 
-impl Reader {
+impl PlyReader {
     /// The corners of the next face, and its triangles; the inner error leaves the place of the next face known.
     fn face(&mut self, out: &mut Vec<Triangle>, watch: &Watch) -> Result<Result<()>> {
         let Self { body, vertices, properties, corners, polygon, .. } = self;
@@ -240,7 +240,7 @@ impl Reader {
     }
 }
 
-impl Triangles for Reader {
+impl Triangles for PlyReader {
     fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
         for _ in 0..FACES.min(self.faces_left) {
             if out.len() >= BATCH_TRIANGLES {
@@ -261,7 +261,7 @@ impl Triangles for Reader {
 }
 
 /// Reads the header.
-fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
+fn open_body(path: &Path, digest: &Digest) -> Result<(Encoding, Vec<Element>)> {
     let mut lines = Lines::open(path, false, digest)?;
     if !lines.next()? || lines.words().next() != Some(b"ply") {
         return Err(lines.error("expected \"ply\": this is no PLY file"));
@@ -279,9 +279,9 @@ fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
                 let parsed = std::str::from_utf8(count).ok().and_then(|text| text.parse().ok());
                 let unclear = || lines.error(format!("expected a number of elements, found {}", shown(count)));
                 let kind = match name {
-                    b"vertex" => Kind::Vertex,
-                    b"face" => Kind::Face,
-                    _ => Kind::Other,
+                    b"vertex" => ElementKind::Vertex,
+                    b"face" => ElementKind::Face,
+                    _ => ElementKind::Other,
                 };
                 elements.push(Element { kind, count: parsed.ok_or_else(unclear)?, properties: Vec::new() });
             }
@@ -290,7 +290,9 @@ fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
                     lines.error(format!("a property that PLY does not know: {}", shown(property.concat().as_slice())))
                 };
                 let element = elements.last_mut().ok_or_else(|| lines.error("a property before any element"))?;
-                element.properties.push(parse_property(property, element.kind == Kind::Face).ok_or_else(unknown)?);
+                element
+                    .properties
+                    .push(parse_property(property, element.kind == ElementKind::Face).ok_or_else(unknown)?);
             }
             [b"end_header"] => break,
             [] | [b"comment" | b"obj_info", ..] => {}
@@ -300,8 +302,8 @@ fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
             return Err(lines.error(format!("more than {MOST_PARTS} elements or properties")));
         }
     }
-    let faces = elements.iter().position(|element| element.kind == Kind::Face);
-    let corners = elements.iter().position(|element| element.kind == Kind::Vertex);
+    let faces = elements.iter().position(|element| element.kind == ElementKind::Face);
+    let corners = elements.iter().position(|element| element.kind == ElementKind::Vertex);
     if let (Some(faces), Some(corners)) = (faces, corners)
         && faces < corners
     {
@@ -311,10 +313,10 @@ fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
         return Err(Error::input(path, "header", format!("element {} has no properties", empty + 1)));
     }
     let body = match &format[..] {
-        b"ascii" => Body::Text(lines),
+        b"ascii" => Encoding::Text(lines),
         b"binary_little_endian" | b"binary_big_endian" => {
             let big = format == b"binary_big_endian";
-            Body::Binary { reader: lines.into_reader(), path: path.to_path_buf(), big, at: 0 }
+            Encoding::Binary { reader: lines.into_reader(), path: path.to_path_buf(), big, at: 0 }
         }
         other => {
             let reason =

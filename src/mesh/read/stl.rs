@@ -4,7 +4,7 @@
 //! text form does; so a file whose length is that of its count is binary, and so is one whose first bytes are no text.
 
 use super::text::{BYTE_ORDER_MARK, Lines, shown};
-use super::watch::{Digest, Source, Watch};
+use super::watch::{Digest, MeshSource, Watch};
 use super::{Triangle, Triangles};
 use crate::{Error, Result};
 use std::io::{BufReader, Read, Seek};
@@ -15,15 +15,15 @@ const TRIANGLE_BYTES: usize = 50;
 /// Triangles, or lines, read for one batch.
 const BATCH: u64 = 512;
 
-pub(super) enum Reader {
-    Binary { reader: BufReader<Source>, path: PathBuf, left: u64, all: u64 },
+pub(super) enum StlReader {
+    Binary { reader: BufReader<MeshSource>, path: PathBuf, left: u64, all: u64 },
     Text { lines: Lines, corners: Vec<[f64; 3]>, open: bool },
 }
 
-impl Reader {
+impl StlReader {
     pub(super) fn open(path: &Path, digest: &Digest, watch: &mut Watch) -> Result<Self> {
         let io = |action| move |e| Error::io(path, action, e);
-        let file = Source::open(path, digest)?;
+        let file = MeshSource::open(path, digest)?;
         let bytes = file.len();
         let mut reader = BufReader::with_capacity(1 << 18, file);
         let mut head = Vec::with_capacity(HEAD_BYTES as usize);
@@ -55,7 +55,7 @@ impl Reader {
     }
 }
 
-impl Triangles for Reader {
+impl Triangles for StlReader {
     fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
         watch.go_on()?;
         match self {

@@ -1,6 +1,6 @@
 //! Lines and words of text formats, of bounded length.
 
-use super::watch::{Digest, Source};
+use super::watch::{Digest, MeshSource};
 use crate::{Error, Result};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 
 /// Reads a file line by line; knows which line it is at.
 pub(super) struct Lines {
-    reader: BufReader<Source>,
+    reader: BufReader<MeshSource>,
     path: PathBuf,
     number: u64,
     line: Vec<u8>,
@@ -25,15 +25,15 @@ pub(super) struct Lines {
 
 impl Lines {
     pub(super) fn open(path: &Path, continued: bool, digest: &Digest) -> Result<Self> {
-        Ok(Self::new(BufReader::with_capacity(1 << 18, Source::open(path, digest)?), path, continued))
+        Ok(Self::new(BufReader::with_capacity(1 << 18, MeshSource::open(path, digest)?), path, continued))
     }
 
-    pub(super) fn new(reader: BufReader<Source>, path: &Path, continued: bool) -> Self {
+    pub(super) fn new(reader: BufReader<MeshSource>, path: &Path, continued: bool) -> Self {
         Self { reader, path: path.to_path_buf(), number: 0, line: Vec::new(), at: 0, continued }
     }
 
     /// The reader, behind the last line read.
-    pub(super) fn into_reader(self) -> BufReader<Source> {
+    pub(super) fn into_reader(self) -> BufReader<MeshSource> {
         self.reader
     }
 

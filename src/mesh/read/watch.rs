@@ -88,13 +88,13 @@ impl Digest {
 }
 
 /// A mesh file that is read from front to back.
-pub(super) struct Source {
+pub(super) struct MeshSource {
     file: File,
     bytes: u64,
     digest: Digest,
 }
 
-impl Source {
+impl MeshSource {
     pub fn open(path: &Path, digest: &Digest) -> Result<Self> {
         let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
         digest.reset();
@@ -107,7 +107,7 @@ impl Source {
     }
 }
 
-impl Read for Source {
+impl Read for MeshSource {
     fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
         let read = self.file.read(buf)?;
         self.digest.update(&buf[..read]);
@@ -115,7 +115,7 @@ impl Read for Source {
     }
 }
 
-impl Seek for Source {
+impl Seek for MeshSource {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.digest.reset();
         self.file.seek(to)

@@ -4,7 +4,7 @@
 use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::query::Aabb;
 use crate::query::blocks::{for_each_bit, local, slices_between, slices_of};
-use crate::query::columns::{floor_of, layers};
+use crate::query::footprint::{floor_of, layers};
 use crate::query::grid::sealed::{OnGrid, OnPixels};
 use crate::query::grid::{Heights, Rect};
 use crate::slice::{Page, Span};
@@ -12,12 +12,12 @@ use crate::store::{PageSet, PageSlot};
 
 /// A closed box in grid units: pixels, pixels, quanta.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Cell {
+pub(crate) struct GridCell {
     pub lo: [f64; 3],
     pub hi: [f64; 3],
 }
 
-impl Cell {
+impl GridCell {
     /// The square of `edge` pixels that begins at (`i`, `j`), from height `bottom` to `top`.
     #[inline]
     fn square(i: i64, j: i64, edge: i64, bottom: i64, top: i64) -> Self {
@@ -28,10 +28,10 @@ impl Cell {
 /// What is asked on the way down.
 pub(crate) trait Visit {
     /// Whether matter anywhere in `cell` can matter. If it can in a part of the cell, it can in the cell.
-    fn enter(&mut self, cell: &Cell) -> bool;
+    fn enter(&mut self, cell: &GridCell) -> bool;
 
     /// Matter that fills `cell`, in pixel (`i`, `j`).
-    fn span(&mut self, cell: &Cell, obstacle: bool, pixel: [i64; 2]);
+    fn span(&mut self, cell: &GridCell, obstacle: bool, pixel: [i64; 2]);
 
     /// A page that is not in memory and has matter in a cell that can matter.
     fn missing(&mut self, key: PageKey);
@@ -52,9 +52,9 @@ pub(crate) trait Visit {
 
 /// Where to look, and in which order.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Area {
+pub(crate) struct SweepArea {
     pub rect: Rect,
-    /// Matter counts if its top is at least `low` and its bottom at most `high` [quanta].
+    /// Matter counts if its top is at least `low` and its bottom at most `high` (quanta).
     pub low: i64,
     pub high: i64,
     /// Axis of x and y along which tile columns are taken in order.
@@ -63,7 +63,7 @@ pub(crate) struct Area {
     pub backward: [bool; 3],
 }
 
-impl Area {
+impl SweepArea {
     /// What a box that stands still may touch.
     pub fn around(frame: &Frame, shape: &Aabb) -> Self {
         let shape = shape.on_grid(frame);
@@ -74,7 +74,7 @@ impl Area {
 
 /// Shows `visit` the matter of `set` in `area`.
 #[inline]
-pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &Area, visit: &mut V) {
+pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &SweepArea, visit: &mut V) {
     let Some(bounds) = set.bounds() else { return };
     let tiles = |first: i64, last: i64, axis: usize| {
         ((first >> 6).max(i64::from(bounds.min[axis])), (last >> 6).min(i64::from(bounds.max[axis])))
@@ -129,7 +129,7 @@ pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &Area, visit: &mut V)
 }
 
 #[inline]
-fn column<T: PageSlot, V: Visit>(area: &Area, tx: i32, ty: i32, slots: &[T], visit: &mut V) {
+fn column<T: PageSlot, V: Visit>(area: &SweepArea, tx: i32, ty: i32, slots: &[T], visit: &mut V) {
     let (i, j) = (i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS);
     let mut slots = layers(slots, Heights { low: area.low, high: area.high });
     while let Some(slot) = if area.backward[2] { slots.next_back() } else { slots.next() } {
@@ -142,7 +142,7 @@ fn column<T: PageSlot, V: Visit>(area: &Area, tx: i32, ty: i32, slots: &[T], vis
         }
         let bottom = base + i64::from(slices.trailing_zeros()) * SLICE_QUANTA;
         let top = base + i64::from(64 - slices.leading_zeros()) * SLICE_QUANTA;
-        if !visit.enter(&Cell::square(i, j, TILE_PIXELS, bottom, top)) {
+        if !visit.enter(&GridCell::square(i, j, TILE_PIXELS, bottom, top)) {
             continue;
         }
         match slot.page() {
@@ -153,7 +153,7 @@ fn column<T: PageSlot, V: Visit>(area: &Area, tx: i32, ty: i32, slots: &[T], vis
 }
 
 #[inline]
-fn page<V: Visit>(area: &Area, page: &Page, i: i64, j: i64, base: i64, visit: &mut V) {
+fn page<V: Visit>(area: &SweepArea, page: &Page, i: i64, j: i64, base: i64, visit: &mut V) {
     let (low, high) = (local(area.low, base), local(area.high, base));
     let (first, last) = slices_of(low, high);
     let blocks = area.rect.bits(i, j, 3) & page.blocks_in(first, last);
@@ -164,7 +164,7 @@ fn page<V: Visit>(area: &Area, page: &Page, i: i64, j: i64, base: i64, visit: &m
         let meets = |span: Span| span.meets(low, high);
         let (bi, bj) = (i + i64::from(number & 7) * 8, j + i64::from(number >> 3) * 8);
         let cell = |span: Span, i: i64, j: i64, edge: i64| {
-            Cell::square(i, j, edge, base + i64::from(span.bottom()), base + i64::from(span.top()))
+            GridCell::square(i, j, edge, base + i64::from(span.bottom()), base + i64::from(span.top()))
         };
         if !block.unions().any(|union| meets(union) && visit.enter(&cell(union, bi, bj, 8))) {
             return;

@@ -9,7 +9,7 @@ mod near;
 mod solid;
 mod step;
 
-pub(crate) use descent::{Area, Cell, Visit, descend};
+pub(crate) use descent::{GridCell, SweepArea, Visit, descend};
 pub use near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
 pub use solid::Solid;
 pub use step::{mean_floor_under, top_under};
@@ -182,14 +182,14 @@ struct Search {
 
 impl Visit for Search {
     #[inline]
-    fn enter(&mut self, cell: &Cell) -> bool {
+    fn enter(&mut self, cell: &GridCell) -> bool {
         let meeting = self.moving.meeting(cell);
         // A shape that begins inside looks for no better place.
         meeting.is_some() && meeting.enter <= self.best.at && self.best.at >= 0.0
     }
 
     #[inline]
-    fn span(&mut self, cell: &Cell, obstacle: bool, pixel: [i64; 2]) {
+    fn span(&mut self, cell: &GridCell, obstacle: bool, pixel: [i64; 2]) {
         if self.best.at < 0.0 {
             return;
         }

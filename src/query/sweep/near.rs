@@ -1,6 +1,6 @@
 //! How far matter is from a shape, and the shortest way out of it.
 
-use super::descent::{Area, Cell, Visit, descend};
+use super::descent::{GridCell, SweepArea, Visit, descend};
 use super::solid::{Form, Moving, Resting, Solid, norm};
 use crate::frame::{Frame, PageKey, floor_index};
 use crate::query::answer::Answer;
@@ -94,13 +94,13 @@ fn metres(frame: &Frame) -> [f64; 3] {
 }
 
 /// What lies within `reach` metres of a shape.
-fn around(frame: &Frame, rest: &Resting, reach: f64) -> Area {
+fn around(frame: &Frame, rest: &Resting, reach: f64) -> SweepArea {
     let unit = metres(frame);
     let low = |a: usize| (rest.lo[a] - reach / unit[a]) * (1.0 + SLACK) - 1.0;
     let low = |a: usize| low(a).min(rest.lo[a] - reach / unit[a] - 1.0);
     let high =
         |a: usize| (rest.hi[a] + reach / unit[a] + 1.0).max((rest.hi[a] + reach / unit[a]) * (1.0 + SLACK) + 1.0);
-    Area {
+    SweepArea {
         rect: Rect {
             i0: floor_index(low(0)),
             i1: floor_index(high(0)),
@@ -125,7 +125,7 @@ struct Nearest {
 
 impl Nearest {
     /// Distance of the shape to a cell (m).
-    fn distance(&self, cell: &Cell) -> f64 {
+    fn distance(&self, cell: &GridCell) -> f64 {
         let Resting { lo, hi, form } = self.rest;
         let gap = |a: usize, lo: f64, hi: f64| (cell.lo[a] - hi).max(lo - cell.hi[a]).max(0.0) * self.metres[a];
         let middle = |a: usize| {
@@ -144,12 +144,12 @@ impl Nearest {
 }
 
 impl Visit for Nearest {
-    fn enter(&mut self, cell: &Cell) -> bool {
+    fn enter(&mut self, cell: &GridCell) -> bool {
         let distance = self.distance(cell);
         distance < self.best || !self.found && distance <= self.best
     }
 
-    fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
+    fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
         if self.enter(cell) {
             self.best = self.distance(cell);
             self.found = true;
@@ -196,7 +196,7 @@ struct WayOut {
 
 impl WayOut {
     /// Way along the axis out of `cell` (grid units).
-    fn way(&self, cell: &Cell) -> f64 {
+    fn way(&self, cell: &GridCell) -> f64 {
         let Resting { lo, hi, form } = self.moving.rest;
         let middle = |a: usize| (lo[a] + hi[a]) * 0.5;
         let gap = |a: usize, scale: f64| (cell.lo[a] - middle(a)).max(middle(a) - cell.hi[a]).max(0.0) * scale;
@@ -217,11 +217,11 @@ impl WayOut {
 }
 
 impl Visit for WayOut {
-    fn enter(&mut self, cell: &Cell) -> bool {
+    fn enter(&mut self, cell: &GridCell) -> bool {
         self.moving.meeting(cell).is_some()
     }
 
-    fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
+    fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
         if self.moving.contact(cell, 1.0).is_some() {
             self.most = self.most.max(self.way(cell));
         }

@@ -6,7 +6,7 @@
 //! For each axis the times at which the shape's bounding box enters and leaves a box are monotone functions of the
 //! box's faces. So the same function that judges spans prunes blocks and pages, exactly.
 
-use super::descent::{Area, Cell};
+use super::descent::{GridCell, SweepArea};
 use crate::frame::{Frame, floor_index};
 use crate::query::disc::SLACK;
 use crate::query::grid::Rect;
@@ -140,7 +140,7 @@ impl Moving {
 
     /// Everything that the bounding box can meet.
     #[inline]
-    pub fn area(&self) -> Area {
+    pub fn area(&self) -> SweepArea {
         let (lo, hi) = (self.rest.lo, self.rest.hi);
         let low = |a: usize| lo[a] + self.v[a].min(0.0);
         let high = |a: usize| hi[a] + self.v[a].max(0.0);
@@ -149,7 +149,7 @@ impl Moving {
         let ((i0, i1), (j0, j1)) = (pixels(0), pixels(1));
         let (bottom, top) = (floor_index(low(2) + self.slack[2]), -floor_index(self.slack[2] - high(2)));
         let (bottom, top) = (bottom.saturating_add(1), top.saturating_sub(1));
-        Area {
+        SweepArea {
             // A box of no width lies in one pixel or on the edge of two; one of no height likewise.
             rect: Rect { i0: i0.min(i1), i1: i1.max(i0), j0: j0.min(j1), j1: j1.max(j0) },
             low: bottom.min(top),
@@ -185,7 +185,7 @@ impl Moving {
 
     /// When the bounding box meets `cell`.
     #[inline]
-    pub fn meeting(&self, cell: &Cell) -> Meeting {
+    pub fn meeting(&self, cell: &GridCell) -> Meeting {
         let of = |a: usize| self.axis(a, cell.lo[a], cell.hi[a]);
         of(0).and(of(1)).and(of(2))
     }
@@ -202,7 +202,7 @@ impl Moving {
 
     /// The first contact with `cell`, within the motion and not after `until`.
     #[inline]
-    pub fn contact(&self, cell: &Cell, until: f64) -> Option<Contact> {
+    pub fn contact(&self, cell: &GridCell, until: f64) -> Option<Contact> {
         let meetings: [Meeting; 3] = std::array::from_fn(|a| self.axis(a, cell.lo[a], cell.hi[a]));
         let hull = meetings[0].and(meetings[1]).and(meetings[2]);
         if !hull.is_some() || hull.enter > until {
@@ -212,7 +212,7 @@ impl Moving {
     }
 
     #[inline]
-    fn form_contact(&self, cell: &Cell, meetings: &[Meeting; 3], hull: Meeting) -> Option<Contact> {
+    fn form_contact(&self, cell: &GridCell, meetings: &[Meeting; 3], hull: Meeting) -> Option<Contact> {
         match self.rest.form {
             Form::Box if hull.enter < 0.0 => Some(Contact::INSIDE),
             Form::Box => {
@@ -267,7 +267,7 @@ struct Round {
 
 impl Round {
     /// `axes` (2 or 3) of them count; the others are scaled by 0.
-    fn new(moving: &Moving, cell: &Cell, scale: [f64; 3], axes: usize) -> Self {
+    fn new(moving: &Moving, cell: &GridCell, scale: [f64; 3], axes: usize) -> Self {
         let rest = &moving.rest;
         // Relative to the box, so that no digits are lost to large coordinates.
         let p = std::array::from_fn(|a| ((rest.lo[a] - cell.lo[a]) + (rest.hi[a] - cell.lo[a])) * 0.5 * scale[a]);

@@ -1,6 +1,6 @@
 //! Tops under a footprint: how high a step is, and the floor as the thesis takes it.
 
-use super::descent::{Area, Cell, Visit, descend};
+use super::descent::{GridCell, SweepArea, Visit, descend};
 use super::solid::{Form, Moving, Solid};
 use crate::frame::PageKey;
 use crate::query::answer::Answer;
@@ -39,7 +39,7 @@ pub fn mean_floor_under<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, dep
 }
 
 /// Where tops are looked for.
-fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Option<(Area, Moving)> {
+fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Option<(SweepArea, Moving)> {
     if !from.is_finite() || !depth.is_finite() || depth < 0.0 {
         return None;
     }
@@ -51,12 +51,12 @@ fn window<S: PageSet, H: Solid>(set: &S, shape: &H, from: f64, depth: f64) -> Op
         rest.form = Form::Cylinder { radius };
     }
     let moving = Moving::new(frame, rest, Vector3::zeros());
-    let area = Area { low: frame.quantum_ceil(from - depth), high: frame.quantum_floor(from), ..moving.area() };
+    let area = SweepArea { low: frame.quantum_ceil(from - depth), high: frame.quantum_floor(from), ..moving.area() };
     (area.low <= area.high).then_some((area, moving))
 }
 
 /// Whether the footprint meets a cell.
-fn over(moving: &Moving, cell: &Cell) -> bool {
+fn over(moving: &Moving, cell: &GridCell) -> bool {
     moving.contact(cell, f64::INFINITY).is_some()
 }
 
@@ -69,11 +69,11 @@ struct Highest {
 }
 
 impl Visit for Highest {
-    fn enter(&mut self, cell: &Cell) -> bool {
+    fn enter(&mut self, cell: &GridCell) -> bool {
         cell.hi[2] > self.best as f64 && over(&self.moving, cell)
     }
 
-    fn span(&mut self, cell: &Cell, _obstacle: bool, _pixel: [i64; 2]) {
+    fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
         if cell.hi[2] <= self.limit as f64 && self.enter(cell) {
             self.best = cell.hi[2] as i64;
             self.found = true;
@@ -95,11 +95,11 @@ struct Mean {
 }
 
 impl Visit for Mean {
-    fn enter(&mut self, cell: &Cell) -> bool {
+    fn enter(&mut self, cell: &GridCell) -> bool {
         over(&self.moving, cell)
     }
 
-    fn span(&mut self, cell: &Cell, obstacle: bool, _pixel: [i64; 2]) {
+    fn span(&mut self, cell: &GridCell, obstacle: bool, _pixel: [i64; 2]) {
         let inside = (self.low as f64..=self.high as f64).contains(&cell.hi[2]);
         if !obstacle && inside && self.enter(cell) {
             self.sum += cell.hi[2];

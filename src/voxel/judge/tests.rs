@@ -240,7 +240,7 @@ fn plan_of_slices(classifier: Classifier, max_slope_deg: f64, slice_pixels: f64)
     Plan { frame: Frame::new(T, slice_pixels * T).unwrap(), options }
 }
 
-/// A voxel with its verdict: the middle of its pixel, and its heights [m].
+/// A voxel with its verdict: the middle of its pixel, and its heights (m).
 struct Judged {
     place: [f64; 2],
     low: f64,

@@ -5,7 +5,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use slicewalk::NoMonitor;
-use slicewalk::input::{Decoder, InputOptions, InputSet, quiet_decoder_panics};
+use slicewalk::input::{InputOptions, InputSet, PointDecoder, quiet_decoder_panics};
 use std::path::PathBuf;
 
 /// Points after which decoding ends: a few bytes of LAZ may stand for billions.
@@ -14,10 +14,10 @@ const ENOUGH: usize = 1 << 20;
 fn read(path: PathBuf, bytes: &[u8]) {
     std::fs::write(&path, bytes).expect("a folder to write to");
     let Ok(set) = InputSet::open(&[path], InputOptions::default(), &NoMonitor) else { return };
-    let mut decoder = Decoder::new();
+    let mut decoder = PointDecoder::new();
     let mut points = 0;
-    for unit in set.units().take(64) {
-        let decoded = decoder.decode(&set, &unit, &mut |batch| {
+    for chunk in set.chunks().take(64) {
+        let decoded = decoder.decode(&set, &chunk, &mut |batch| {
             points += batch.len();
             assert!(batch.x.iter().chain(&batch.y).chain(&batch.z).all(|v| v.abs() <= 1e12));
             if points < ENOUGH { Ok(()) } else { Err(slicewalk::Error::Interrupted) }

@@ -13,7 +13,7 @@ use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk::convert::{AUTO_PIXEL_SPACINGS, ConvertOptions, PixelSize, convert};
 use slicewalk::input::spacing::estimate_spacing;
-use slicewalk::input::{Decoder, InputOptions, InputSet, Units};
+use slicewalk::input::{InputOptions, InputSet, PointDecoder, Units};
 use std::fs::File;
 use std::hint::black_box;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -121,13 +121,13 @@ fn decode_laz(path: &Path) -> u64 {
 fn read_ours(path: &Path, threads: usize) -> u64 {
     let options = InputOptions { units: Units::Factor(1.0), ..InputOptions::default() };
     let set = InputSet::open(&[path.to_owned()], options, &NoMonitor).expect("a scan");
-    let units = std::sync::Mutex::new(set.units());
+    let chunks = std::sync::Mutex::new(set.chunks());
     let work = || {
-        let (mut decoder, mut count) = (Decoder::new(), 0);
+        let (mut decoder, mut count) = (PointDecoder::new(), 0);
         loop {
-            let Some(unit) = units.lock().expect("no panic").next() else { return count };
+            let Some(chunk) = chunks.lock().expect("no panic").next() else { return count };
             count += decoder
-                .decode(&set, &unit, &mut |batch| {
+                .decode(&set, &chunk, &mut |batch| {
                     black_box(batch);
                     Ok(())
                 })

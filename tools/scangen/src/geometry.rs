@@ -167,7 +167,7 @@ pub fn interval_gap(a0: f64, a1: f64, b0: f64, b1: f64) -> f64 {
 pub struct Placement {
     /// Anticlockwise rotation about the z axis through the scene's origin `[°]`.
     pub rotate_deg: f64,
-    /// Shift after the rotation `[m]`.
+    /// Shift after the rotation (m).
     pub translate: Vec3,
 }
 

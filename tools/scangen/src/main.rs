@@ -28,7 +28,7 @@ struct Args {
     /// Points per square metre (scanner: at one metre) [default: 100]
     #[arg(long)]
     density: Option<f64>,
-    /// Standard deviation of the noise, never beyond 6 times it [m]
+    /// Standard deviation of the noise, never beyond 6 times it (m)
     #[arg(long, default_value_t = 0.0)]
     noise: f64,
     /// Adds X,Y,Z to the scene and makes it the file's offset
@@ -49,7 +49,7 @@ struct Args {
     /// Scanner: a station at X,Y,Z, as often as needed [default: the scene's]
     #[arg(long, value_parser = triple, allow_hyphen_values = true)]
     station: Vec<Triple>,
-    /// Scanner: range [m]
+    /// Scanner: range (m)
     #[arg(long, default_value_t = 120.0)]
     range: f64,
     /// Scanner: share of edges that give a mixed pixel
@@ -61,7 +61,7 @@ struct Args {
     /// Outliers per point, 0 to 1
     #[arg(long, default_value_t = 0.0)]
     outliers: f64,
-    /// Greatest distance of an outlier from its point [m]
+    /// Greatest distance of an outlier from its point (m)
     #[arg(long, default_value_t = 20.0)]
     outlier_distance: f64,
     /// Exact repetitions per point, 0 to 1
@@ -82,13 +82,13 @@ struct Args {
     /// Writes the scene as a mesh
     #[arg(long)]
     obj: Option<PathBuf>,
-    /// Longest step on curved surfaces of the mesh [m]
+    /// Longest step on curved surfaces of the mesh (m)
     #[arg(long, default_value_t = 0.25)]
     obj_step: f64,
     /// LAS point data record format, 0 to 10
     #[arg(long, default_value_t = 0)]
     format: u8,
-    /// Coordinate step [m]
+    /// Coordinate step (m)
     #[arg(long, default_value_t = 0.001)]
     scale: f64,
     /// Points per LAZ chunk

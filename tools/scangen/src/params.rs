@@ -58,7 +58,7 @@ impl Params {
                 let value = self.0.get(p.name).copied().unwrap_or(p.default);
                 let fits = (p.min..=p.max).contains(&value);
                 fits.then_some(value).ok_or_else(|| {
-                    Error::parameter(p.name, format!("{value} lies outside {} to {} ({})", p.min, p.max, p.about))
+                    Error::parameter(p.name, format!("{value} lies outside {} to {}: {}", p.min, p.max, p.about))
                 })
             })
             .collect()

@@ -191,5 +191,5 @@ fn wrong_parameters_are_refused_with_the_way_out() {
     let text = Scene::named("stairs", &Params::new().with("risr", 1.0)).unwrap_err().to_string();
     assert_eq!(text, "--param: scene stairs has no parameter \"risr\" (riser, tread, risers, width, landing)");
     let text = Scene::named("stairs", &Params::new().with("riser", 9.0)).unwrap_err().to_string();
-    assert_eq!(text, "riser: 9 lies outside 0.01 to 0.4 (height of a step [m])");
+    assert_eq!(text, "riser: 9 lies outside 0.01 to 0.4: height of a step (m)");
 }

@@ -19,7 +19,7 @@ mod walk;
 
 use clap::{Parser, Subcommand};
 use slicewalk::archive::Archive;
-use slicewalk::output::{Kind, Output, Protected};
+use slicewalk::output::{Output, OutputKind, Protected};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -126,7 +126,7 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
 pub fn output(path: &Path, archive: &Archive, also: &[&Path]) -> Result<Output, Failure> {
     let mut protected: Protected = also.iter().collect();
     protected.add_source(archive.source());
-    Ok(Output::create(path, Kind::Result, protected)?)
+    Ok(Output::create(path, OutputKind::Result, protected)?)
 }
 
 /// A failure to hold all that `what` needs at once in a cache of `cache` bytes.

@@ -4,7 +4,7 @@ use crate::{Failure, Outcome, cache_too_small};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
 use slicewalk::size::parse_size;
-use slicewalk::store::{Motion, Prefetch, Stream, StreamOptions};
+use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
 use slicewalk::walk::{Body, Config, Response, Route, State, Walker};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -207,7 +207,7 @@ fn stream(arguments: &Arguments) -> Result<Stream, Failure> {
 /// Lets the prefetcher work for as long as it could until the frame begins. When it has nothing left to do the walk goes on
 /// at once: no page would come in by waiting. So a walk takes less time than it tells of, and misses what it would have
 /// missed.
-fn prepare(stream: &Stream, outlook: &Motion, frame: u64, frame_s: f64) -> Result<(), Failure> {
+fn prepare(stream: &Stream, outlook: &Outlook, frame: u64, frame_s: f64) -> Result<(), Failure> {
     if frame == 1 {
         // A program waits for what the pawn stands in before it shows the first frame.
         stream.load_around(outlook)?;

@@ -9,9 +9,9 @@ mod buffers;
 mod structure;
 
 use self::buffers::{BinaryPart, Buffers};
-use self::structure::{Accessor, Primitive, Shape, Structure, Transform};
+use self::structure::{Accessor, AccessorShape, NodeTransform, Primitive, Structure};
 use super::text::BYTE_ORDER_MARK;
-use super::watch::{Digest, Source, Watch};
+use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
 use crate::{Error, Result};
 use bitvec::vec::BitVec;
@@ -51,14 +51,14 @@ struct Values {
 
 /// A part of a mesh in its place.
 #[derive(Debug, Clone, Copy)]
-struct Part {
+struct PlacedPrimitive {
     place: Matrix4<f64>,
     mode: u8,
     positions: Values,
     indices: Option<Values>,
 }
 
-impl Part {
+impl PlacedPrimitive {
     /// Number of triangles.
     fn len(&self) -> u64 {
         let corners = self.indices.map_or(self.positions.count, |indices| indices.count);
@@ -92,21 +92,21 @@ struct Level {
 
 /// The walk through the nodes in the order of the file: each node before its children.
 #[derive(Default)]
-struct Walk {
+struct Traversal {
     levels: Vec<Level>,
     /// Primitives of the node at hand that are still to come, and its place.
     primitives: std::ops::Range<usize>,
     place: Matrix4<f64>,
 }
 
-pub(super) struct Reader {
+pub(super) struct GltfReader {
     checked: Checked,
-    walk: Walk,
-    part: Option<Part>,
+    traversal: Traversal,
+    primitive: Option<PlacedPrimitive>,
     triangle: u64,
 }
 
-impl Reader {
+impl GltfReader {
     pub(super) fn open(path: &Path, options: &MeshOptions, digest: &Digest, watch: &mut Watch) -> Result<Self> {
         let most_bytes = options.memory_bytes.max(LEAST_JSON_BYTES);
         let (json, binary) = read_structure(path, most_bytes, digest)?;
@@ -128,8 +128,8 @@ impl Reader {
         let mut checked = Checked { path: path.to_path_buf(), structure, buffers, roots: Vec::new() };
         checked.roots = checked.roots()?;
         checked.check(watch)?;
-        let walk = Walk::new(&checked);
-        Ok(Self { checked, walk, part: None, triangle: 0 })
+        let traversal = Traversal::new(&checked);
+        Ok(Self { checked, traversal, primitive: None, triangle: 0 })
     }
 }
 
@@ -205,17 +205,18 @@ impl Checked {
     }
 
     /// A primitive in its place; `None` if it has no triangles.
-    fn part(&self, primitive: &Primitive, place: Matrix4<f64>) -> Result<Option<Part>> {
+    fn part(&self, primitive: &Primitive, place: Matrix4<f64>) -> Result<Option<PlacedPrimitive>> {
         let (TRIANGLES | STRIP | FAN, Some(positions)) = (primitive.mode, primitive.positions()) else {
             return Ok(None);
         };
-        let positions = self.values(positions, Shape::Vec3, &[F32])?;
-        let indices = primitive.indices().map(|of| self.values(of, Shape::Scalar, &[U8, U16, U32])).transpose()?;
-        Ok(Some(Part { place, mode: primitive.mode, positions, indices }))
+        let positions = self.values(positions, AccessorShape::Vec3, &[F32])?;
+        let indices =
+            primitive.indices().map(|of| self.values(of, AccessorShape::Scalar, &[U8, U16, U32])).transpose()?;
+        Ok(Some(PlacedPrimitive { place, mode: primitive.mode, positions, indices }))
     }
 
     /// Values that lie within their buffer.
-    fn values(&self, number: usize, shape: Shape, kinds: &[u32]) -> Result<Values> {
+    fn values(&self, number: usize, shape: AccessorShape, kinds: &[u32]) -> Result<Values> {
         let at = || format!("accessor {number}");
         let accessor = self.structure.accessors.get(number).ok_or_else(|| self.missing("accessor", number))?;
         let &Accessor { component_type, count, .. } = accessor;
@@ -234,7 +235,7 @@ impl Checked {
             U16 => 2,
             _ => 4,
         };
-        let whole = size as u64 * if shape == Shape::Vec3 { 3 } else { 1 };
+        let whole = size as u64 * if shape == AccessorShape::Vec3 { 3 } else { 1 };
         // Zero stands for no gaps.
         let stride = view.byte_stride.map_or(0, u64::from);
         let stride = if stride == 0 { whole } else { stride };
@@ -264,7 +265,7 @@ impl Checked {
         Ok([0, 1, 2].map(|axis| f64::from(f32::from_le_bytes(numbers[axis]))))
     }
 
-    fn triangle(&mut self, part: &Part, number: u64) -> Result<Triangle> {
+    fn triangle(&mut self, part: &PlacedPrimitive, number: u64) -> Result<Triangle> {
         let mut triangle = [[0.0; 3]; 3];
         for (corner, mut number) in triangle.iter_mut().zip(part.corners(number)) {
             if let Some(indices) = &part.indices {
@@ -280,8 +281,8 @@ impl Checked {
     fn matrix(&self, transform: Option<usize>) -> Matrix4<f64> {
         match transform.map(|number| self.structure.transforms[number]) {
             None => Matrix4::identity(),
-            Some(Transform::Matrix(matrix)) => Matrix4::from_iterator(matrix.into_iter().map(f64::from)),
-            Some(Transform::Parts { translation, rotation, scale }) => {
+            Some(NodeTransform::Matrix(matrix)) => Matrix4::from_iterator(matrix.into_iter().map(f64::from)),
+            Some(NodeTransform::Parts { translation, rotation, scale }) => {
                 let wide = |v: [f32; 3]| Vector3::from(v.map(f64::from));
                 let [x, y, z, w] = rotation.map(f64::from);
                 let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
@@ -293,14 +294,14 @@ impl Checked {
     }
 }
 
-impl Walk {
+impl Traversal {
     fn new(checked: &Checked) -> Self {
         let roots = Level { nodes: 0..checked.roots.len(), above: Matrix4::identity() };
         Self { levels: vec![roots], ..Self::default() }
     }
 
     /// The next part, through nodes that were checked; `None` after the last.
-    fn next(&mut self, checked: &Checked, watch: &mut Watch) -> Result<Option<Part>> {
+    fn next(&mut self, checked: &Checked, watch: &mut Watch) -> Result<Option<PlacedPrimitive>> {
         let Structure { nodes, children, primitives, .. } = &checked.structure;
         loop {
             watch.step()?;
@@ -325,14 +326,14 @@ impl Walk {
     }
 }
 
-impl Triangles for Reader {
+impl Triangles for GltfReader {
     fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
         while out.len() < BATCH_TRIANGLES {
-            let part = match &self.part {
+            let part = match &self.primitive {
                 Some(part) if self.triangle < part.len() => *part,
                 _ => {
-                    (self.part, self.triangle) = (self.walk.next(&self.checked, watch)?, 0);
-                    if self.part.is_some() {
+                    (self.primitive, self.triangle) = (self.traversal.next(&self.checked, watch)?, 0);
+                    if self.primitive.is_some() {
                         continue;
                     }
                     return match self.checked.buffers.changed() {
@@ -358,7 +359,7 @@ impl Triangles for Reader {
 /// The structure of a file, and of a `.glb` where its binary part begins and its length.
 fn read_structure(path: &Path, most_bytes: u64, digest: &Digest) -> Result<(Vec<u8>, Option<BinaryPart>)> {
     let io = |e| Error::io(path, "read the structure", e);
-    let mut file = Source::open(path, digest)?;
+    let mut file = MeshSource::open(path, digest)?;
     let bytes = file.len();
     let mut head = Vec::new();
     Read::by_ref(&mut file).take(20).read_to_end(&mut head).map_err(io)?;

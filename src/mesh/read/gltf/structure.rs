@@ -45,7 +45,7 @@ impl Lists {
 
 /// Where a node places what it holds.
 #[derive(Debug, Clone, Copy)]
-pub enum Transform {
+pub enum NodeTransform {
     Matrix([f32; 16]),
     Parts { translation: [f32; 3], rotation: [f32; 4], scale: [f32; 3] },
 }
@@ -91,7 +91,7 @@ impl Primitive {
 
 /// Shape of the values of an accessor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Shape {
+pub enum AccessorShape {
     Scalar,
     Vec3,
     Other,
@@ -107,7 +107,7 @@ pub struct Accessor {
     pub component_type: u32,
     pub count: u64,
     #[serde(rename = "type", deserialize_with = "shape")]
-    pub shape: Shape,
+    pub shape: AccessorShape,
     #[serde(default, deserialize_with = "is_there")]
     pub sparse: bool,
 }
@@ -115,7 +115,7 @@ pub struct Accessor {
 /// A piece of a buffer.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(rename_all = "camelCase")]
-pub struct View {
+pub struct BufferView {
     pub buffer: u32,
     #[serde(default)]
     pub byte_offset: u64,
@@ -149,12 +149,12 @@ pub struct Structure<'a> {
     pub nodes: Vec<Node>,
     /// Children by node.
     pub children: Lists,
-    pub transforms: Vec<Transform>,
+    pub transforms: Vec<NodeTransform>,
     /// By primitive; `meshes` says which are those of a mesh.
     pub primitives: Vec<Primitive>,
     meshes: Vec<u32>,
     pub accessors: Vec<Accessor>,
-    pub views: Vec<View>,
+    pub views: Vec<BufferView>,
     pub buffers: Vec<Buffer<'a>>,
 }
 
@@ -210,11 +210,11 @@ impl Budget {
     }
 }
 
-fn shape<'de, D: Deserializer<'de>>(value: D) -> Result<Shape, D::Error> {
+fn shape<'de, D: Deserializer<'de>>(value: D) -> Result<AccessorShape, D::Error> {
     Ok(match &*Cow::<str>::deserialize(value)? {
-        "SCALAR" => Shape::Scalar,
-        "VEC3" => Shape::Vec3,
-        _ => Shape::Other,
+        "SCALAR" => AccessorShape::Scalar,
+        "VEC3" => AccessorShape::Vec3,
+        _ => AccessorShape::Other,
     })
 }
 
@@ -303,15 +303,17 @@ struct NodeText {
 }
 
 impl NodeText {
-    fn transform(&self) -> Option<Transform> {
+    fn transform(&self) -> Option<NodeTransform> {
         if let Some(matrix) = self.matrix {
-            return Some(Transform::Matrix(matrix));
+            return Some(NodeTransform::Matrix(matrix));
         }
-        (self.translation.is_some() || self.rotation.is_some() || self.scale.is_some()).then_some(Transform::Parts {
-            translation: self.translation.unwrap_or_default(),
-            rotation: self.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]),
-            scale: self.scale.unwrap_or([1.0; 3]),
-        })
+        (self.translation.is_some() || self.rotation.is_some() || self.scale.is_some()).then_some(
+            NodeTransform::Parts {
+                translation: self.translation.unwrap_or_default(),
+                rotation: self.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]),
+                scale: self.scale.unwrap_or([1.0; 3]),
+            },
+        )
     }
 }
 
@@ -410,7 +412,7 @@ impl Structure<'_> {
         budget.take::<Node>()?;
         let mut transform = NONE;
         if let Some(of_node) = node.transform() {
-            budget.take::<Transform>()?;
+            budget.take::<NodeTransform>()?;
             transform = self.transforms.len() as u32;
             self.transforms.push(of_node);
         }
@@ -446,12 +448,12 @@ mod tests {
         assert_eq!(&all.scenes.numbers()[all.scenes.range(1)], [1, 0]);
         assert_eq!((all.scenes.len(), all.scenes.range(0).len(), all.children.range(1)), (2, 0, 0..1));
         assert_eq!((all.nodes[1].mesh(), all.nodes[0].mesh(), all.nodes[2].transform()), (Some(3), None, Some(1)));
-        assert!(matches!(all.transforms[0], Transform::Parts { scale: [1.0, 2.0, 3.0], .. }));
+        assert!(matches!(all.transforms[0], NodeTransform::Parts { scale: [1.0, 2.0, 3.0], .. }));
         assert_eq!((all.mesh(0), all.mesh(1), all.mesh(2)), (Some(0..0), Some(0..2), None));
         let [one, other] = all.primitives[..] else { panic!() };
         assert_eq!((one.positions(), one.indices(), one.mode), (Some(7), None, 4));
         assert_eq!((other.positions(), other.indices(), other.mode), (None, Some(2), 5));
-        assert!(all.accessors[0].sparse && all.accessors[0].shape == Shape::Vec3);
+        assert!(all.accessors[0].sparse && all.accessors[0].shape == AccessorShape::Vec3);
         assert_eq!(all.buffers[0].uri.as_deref(), Some("aA"));
     }
 

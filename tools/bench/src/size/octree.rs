@@ -6,7 +6,7 @@
 
 use crate::stability::Result;
 use slicewalk::NoMonitor;
-use slicewalk::input::{Decoder, InputOptions, InputSet, Units};
+use slicewalk::input::{InputOptions, InputSet, PointDecoder, Units};
 use std::path::{Path, PathBuf};
 
 const HEADER: u64 = 100;
@@ -17,9 +17,9 @@ const LEVELS: u32 = 16;
 pub fn bytes(file: &Path, units: Units, cube_m: f64) -> Result<u64> {
     let set = InputSet::open(&[PathBuf::from(file)], InputOptions { units, ..Default::default() }, &NoMonitor)?;
     let mut cells = Vec::new();
-    let mut decoder = Decoder::new();
-    for unit in set.units() {
-        decoder.decode(&set, &unit, &mut |batch| {
+    let mut decoder = PointDecoder::new();
+    for chunk in set.chunks() {
+        decoder.decode(&set, &chunk, &mut |batch| {
             for ((x, y), z) in batch.x.iter().zip(&batch.y).zip(&batch.z) {
                 cells.push([x, y, z].map(|value| (value / cube_m).floor() as i64));
             }

@@ -2,7 +2,7 @@
 
 use crate::stability::Result;
 use scangen::{Params, Scene, Truth};
-use slicewalk::archive::{Archive, Place};
+use slicewalk::archive::{Archive, Storage};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
 use std::collections::BTreeSet;
 
@@ -46,9 +46,9 @@ pub fn along_walk(case: &str, archive: &Archive) -> Result<Option<Reads>> {
                 for slice in (first - base).max(0)..=(last - base).min(PAGE_SLICES - 1) {
                     if inside && entry.slices >> slice & 1 == 1 {
                         tiles.insert((entry.key, slice));
-                        match entry.place {
-                            Place::Stored(extent) | Place::Shared(extent) => pages.insert(extent.offset),
-                            Place::Uniform(_) => false,
+                        match entry.storage {
+                            Storage::Stored(extent) | Storage::Shared(extent) => pages.insert(extent.offset),
+                            Storage::Uniform(_) => false,
                         };
                     }
                 }

@@ -7,7 +7,7 @@ use crate::stability::table::{Table, number};
 use scangen::write::write_triangles_obj;
 use scangen::{Params, Scene, WriteSpec, write_las};
 use slicewalk::NoMonitor;
-use slicewalk::input::{Decoder, InputOptions, InputSet, Units};
+use slicewalk::input::{InputOptions, InputSet, PointDecoder, Units};
 use slicewalk::mesh::{MeshOptions, MeshSet, Triangle};
 use slicewalk::plan::Up;
 use std::path::{Path, PathBuf};
@@ -144,9 +144,9 @@ pub fn all(folder: &Path, quick: bool) -> Result<Vec<Model>> {
 /// Points of a scan (m).
 pub fn read_scan(path: &Path, units: Units) -> Result<Vec<[f64; 3]>> {
     let set = InputSet::open(&[path.to_path_buf()], InputOptions { units, ..InputOptions::default() }, &NoMonitor)?;
-    let (mut decoder, mut all) = (Decoder::new(), Vec::new());
-    for unit in set.units() {
-        decoder.decode(&set, &unit, &mut |batch| {
+    let (mut decoder, mut all) = (PointDecoder::new(), Vec::new());
+    for chunk in set.chunks() {
+        decoder.decode(&set, &chunk, &mut |batch| {
             all.extend((0..batch.len()).map(|n| [batch.x[n], batch.y[n], batch.z[n]]));
             Ok(())
         })?;

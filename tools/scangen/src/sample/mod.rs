@@ -96,11 +96,11 @@ pub struct SampleSpec {
     pub mode: Mode,
     /// How many.
     pub amount: Amount,
-    /// Standard deviation of the noise, along the normal (direct) or the ray (scanner); never beyond 6 times it `[m]`.
+    /// Standard deviation of the noise, along the normal (direct) or the ray (scanner); never beyond 6 times it (m).
     pub noise_m: f64,
     /// Outliers added per point `[0..=1]`.
     pub outlier_rate: f64,
-    /// Greatest distance of an outlier from the point it is added to; it is at least half that `[m]`.
+    /// Greatest distance of an outlier from the point it is added to; it is at least half that (m).
     pub outlier_distance_m: f64,
     /// Points repeated exactly, per point `[0..=1]`.
     pub duplicate_rate: f64,
@@ -132,7 +132,7 @@ impl SampleSpec {
         Self { mode: Mode::Scanner(ScannerSpec::default()), ..Self::direct_count(rays) }
     }
 
-    /// The same with noise of this standard deviation `[m]`.
+    /// The same with noise of this standard deviation (m).
     pub fn with_noise(self, noise_m: f64) -> Self {
         Self { noise_m, ..self }
     }

@@ -7,7 +7,7 @@ use crate::{Error, Result, Scene, Truth};
 
 /// Time of one full turn `[s]`; people walk meanwhile.
 const TURN_S: f64 = 60.0;
-/// Neighbouring rays whose ranges differ by more are an edge `[m]`.
+/// Neighbouring rays whose ranges differ by more are an edge (m).
 const EDGE_M: f64 = 0.3;
 
 /// Someone who walks to and fro on a line.

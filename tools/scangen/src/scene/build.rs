@@ -24,11 +24,11 @@ pub struct Flight {
     pub heading_deg: f64,
     /// Number of risers; there is one tread less, for the last riser ends at the landing.
     pub risers: usize,
-    /// Height of a riser `[m]`.
+    /// Height of a riser (m).
     pub riser: f64,
-    /// Depth of a tread `[m]`.
+    /// Depth of a tread (m).
     pub tread: f64,
-    /// Width `[m]`.
+    /// Width (m).
     pub width: f64,
 }
 

@@ -8,18 +8,18 @@ pub(super) const CHURCH: SceneInfo = SceneInfo {
     about: "nave with two arcades of columns and arches, a barrel vault, and a step to the choir",
     params: &[
         param("bays", 7.0, 2.0, 100.0, "arches on each side"),
-        param("bay", 5.0, 2.0, 20.0, "length of a bay [m]"),
-        param("nave", 9.0, 3.0, 40.0, "width of the nave [m]"),
-        param("aisle", 4.0, 1.0, 20.0, "width of each aisle [m]"),
-        param("column", 0.45, 0.1, 2.0, "radius of a column [m]"),
-        param("step", 0.16, 0.01, 1.0, "height of the step to the choir [m]"),
+        param("bay", 5.0, 2.0, 20.0, "length of a bay (m)"),
+        param("nave", 9.0, 3.0, 40.0, "width of the nave (m)"),
+        param("aisle", 4.0, 1.0, 20.0, "width of each aisle (m)"),
+        param("column", 0.45, 0.1, 2.0, "radius of a column (m)"),
+        param("step", 0.16, 0.01, 1.0, "height of the step to the choir (m)"),
     ],
     build: |p, b| build(b, p[0] as usize, p[1], p[2], p[3], p[4], p[5]),
 };
 
-/// Thickness of the wall over the arcades `[m]`.
+/// Thickness of the wall over the arcades (m).
 const ARCADE_M: f64 = 0.7;
-/// Height of the columns `[m]`.
+/// Height of the columns (m).
 const SPRINGING_M: f64 = 4.5;
 
 fn build(b: &mut Builder, bays: usize, bay: f64, nave: f64, aisle: f64, radius: f64, step: f64) {

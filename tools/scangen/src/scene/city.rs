@@ -7,10 +7,10 @@ pub(super) const EXTENT: SceneInfo = SceneInfo {
     name: "extent",
     about: "a sparse city of 896 x 427 x 789 m: blocks of houses, towers, one of them to the top",
     params: &[
-        param("width", 896.0, 60.0, 1e5, "along x [m]"),
-        param("depth", 427.0, 60.0, 1e5, "along y [m]"),
-        param("height", 789.0, 10.0, 1e4, "of the greatest tower [m]"),
-        param("block", 60.0, 20.0, 1e3, "distance between houses [m]"),
+        param("width", 896.0, 60.0, 1e5, "along x (m)"),
+        param("depth", 427.0, 60.0, 1e5, "along y (m)"),
+        param("height", 789.0, 10.0, 1e4, "of the greatest tower (m)"),
+        param("block", 60.0, 20.0, 1e3, "distance between houses (m)"),
         param("layout", 1.0, 0.0, 1e9, "number that draws heights and sizes"),
     ],
     build: |p, b| {

@@ -20,12 +20,12 @@ pub(super) const HOUSE: SceneInfo = SceneInfo {
     name: "house",
     about: "storeys with rooms, doors, columns, tables, ceilings and stairs to the top",
     params: &[
-        param("width", 14.0, 10.0, 100.0, "along x, inside [m]"),
-        param("depth", 10.0, 9.0, 100.0, "along y, inside [m]"),
+        param("width", 14.0, 10.0, 100.0, "along x, inside (m)"),
+        param("depth", 10.0, 9.0, 100.0, "along y, inside (m)"),
         param("storeys", 3.0, 1.0, 50.0, "number of storeys"),
-        param("height", 3.0, 2.4, 4.0, "from floor to floor [m]"),
-        param("door", 1.0, 0.6, 2.0, "clear width of a door [m]"),
-        param("wall", 0.2, 0.05, 0.5, "thickness of walls and slabs [m]"),
+        param("height", 3.0, 2.4, 4.0, "from floor to floor (m)"),
+        param("door", 1.0, 0.6, 2.0, "clear width of a door (m)"),
+        param("wall", 0.2, 0.05, 0.5, "thickness of walls and slabs (m)"),
     ],
     build: |p, b| build(b, [p[0], p[1]], p[2] as usize, p[3], p[4], p[5]),
 };

@@ -12,7 +12,7 @@ pub(super) const PLANE: SceneInfo = SceneInfo {
     params: &[
         param("slope", 0.0, 0.0, 90.0, "degrees from the horizontal"),
         param("heading", 0.0, -360.0, 360.0, "direction of ascent, degrees from x"),
-        param("size", 20.0, 0.01, 1e5, "edge along the slope [m]"),
+        param("size", 20.0, 0.01, 1e5, "edge along the slope (m)"),
     ],
     build: |p, b| tilted(b, "plane", [0.0; 3], p[0], p[1], p[2]),
 };
@@ -33,7 +33,7 @@ pub(super) const RAMPS: SceneInfo = SceneInfo {
         param("slope_step", 5.0, 0.5, 90.0, "degrees between columns, from 0 to 90"),
         param("heading_step", 15.0, 1.0, 360.0, "degrees between rows, from 0 to heading_max"),
         param("heading_max", 90.0, 0.0, 360.0, "last heading [degrees]"),
-        param("size", 2.0, 0.1, 100.0, "edge of a square [m]"),
+        param("size", 2.0, 0.1, 100.0, "edge of a square (m)"),
     ],
     build: |p, b| {
         let gap = 2.0 * p[3];
@@ -50,11 +50,11 @@ pub(super) const STAIRS: SceneInfo = SceneInfo {
     name: "stairs",
     about: "a flight between two landings, climbing along x",
     params: &[
-        param("riser", 0.17, 0.01, 0.4, "height of a step [m]"),
-        param("tread", 0.28, 0.1, 1.0, "depth of a step [m]"),
+        param("riser", 0.17, 0.01, 0.4, "height of a step (m)"),
+        param("tread", 0.28, 0.1, 1.0, "depth of a step (m)"),
         param("risers", 12.0, 1.0, 1000.0, "number of steps"),
-        param("width", 2.0, 0.3, 100.0, "width [m]"),
-        param("landing", 2.0, 0.3, 100.0, "length of the landings [m]"),
+        param("width", 2.0, 0.3, 100.0, "width (m)"),
+        param("landing", 2.0, 0.3, 100.0, "length of the landings (m)"),
     ],
     build: |p, b| {
         let (riser, tread, risers, width, landing) = (p[0], p[1], p[2] as usize, p[3], p[4]);
@@ -70,11 +70,11 @@ pub(super) const CORRIDOR: SceneInfo = SceneInfo {
     name: "corridor",
     about: "a corridor along x with a door, a low beam and a thin sheet of wall at its end",
     params: &[
-        param("width", 2.0, 0.5, 100.0, "between the walls [m]"),
-        param("door", 0.9, 0.1, 100.0, "clear width of the door [m]"),
-        param("wall", 0.15, 0.0, 2.0, "thickness of the door's wall; 0 is a single sheet [m]"),
-        param("beam", 1.9, 0.2, 10.0, "clear height under the beam [m]"),
-        param("length", 12.0, 4.0, 1000.0, "length [m]"),
+        param("width", 2.0, 0.5, 100.0, "between the walls (m)"),
+        param("door", 0.9, 0.1, 100.0, "clear width of the door (m)"),
+        param("wall", 0.15, 0.0, 2.0, "thickness of the door's wall; 0 is a single sheet (m)"),
+        param("beam", 1.9, 0.2, 10.0, "clear height under the beam (m)"),
+        param("length", 12.0, 4.0, 1000.0, "length (m)"),
     ],
     build: |p, b| {
         let (half, door, thick, beam, length) = (p[0] / 2.0, p[1].min(p[0]), p[2], p[3], p[4]);
@@ -99,11 +99,11 @@ pub(super) const COLUMNS: SceneInfo = SceneInfo {
     name: "columns",
     about: "a large floor with a dense field of round columns in its middle and nothing else",
     params: &[
-        param("size", 200.0, 1.0, 1e4, "edge of the floor [m]"),
-        param("field", 40.0, 1.0, 1e4, "edge of the field of columns [m]"),
-        param("spacing", 2.0, 0.2, 100.0, "between columns [m]"),
-        param("radius", 0.25, 0.01, 10.0, "of a column [m]"),
-        param("height", 4.0, 0.1, 100.0, "of a column [m]"),
+        param("size", 200.0, 1.0, 1e4, "edge of the floor (m)"),
+        param("field", 40.0, 1.0, 1e4, "edge of the field of columns (m)"),
+        param("spacing", 2.0, 0.2, 100.0, "between columns (m)"),
+        param("radius", 0.25, 0.01, 10.0, "of a column (m)"),
+        param("height", 4.0, 0.1, 100.0, "of a column (m)"),
     ],
     build: |p, b| {
         let (half, spacing, radius, height) = (p[0] / 2.0, p[2], p[3], p[4]);
@@ -125,9 +125,9 @@ pub(super) const TERRAIN: SceneInfo = SceneInfo {
     name: "terrain",
     about: "rolling ground: a sum of four sines with a known slope everywhere",
     params: &[
-        param("size", 200.0, 1.0, 1e5, "edge [m]"),
-        param("height", 4.0, 0.0, 1e3, "amplitude of the longest wave [m]"),
-        param("wave", 60.0, 0.5, 1e5, "length of the longest wave [m]"),
+        param("size", 200.0, 1.0, 1e5, "edge (m)"),
+        param("height", 4.0, 0.0, 1e3, "amplitude of the longest wave (m)"),
+        param("wave", 60.0, 0.5, 1e5, "length of the longest wave (m)"),
     ],
     build: |p, b| {
         let k = TAU / p[2];
@@ -151,9 +151,9 @@ pub(super) const UNIFORM: SceneInfo = SceneInfo {
     name: "uniform",
     about: "a square kilometre of floor with pillars, for files of any size (points are independent: already shuffled)",
     params: &[
-        param("size", 1500.0, 1.0, 1e5, "edge [m]"),
-        param("spacing", 100.0, 1.0, 1e5, "between pillars [m]"),
-        param("height", 3.0, 0.1, 1e3, "of a pillar [m]"),
+        param("size", 1500.0, 1.0, 1e5, "edge (m)"),
+        param("spacing", 100.0, 1.0, 1e5, "between pillars (m)"),
+        param("height", 3.0, 0.1, 1e3, "of a pillar (m)"),
     ],
     build: |p, b| {
         let (size, spacing, height) = (p[0], p[1], p[2]);

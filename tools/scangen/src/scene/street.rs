@@ -7,13 +7,13 @@ pub(super) const STREET: SceneInfo = SceneInfo {
     name: "street",
     about: "a street along x with kerbs, round posts, lamps and house fronts",
     params: &[
-        param("length", 80.0, 10.0, 1e4, "along x [m]"),
-        param("road", 7.0, 2.0, 50.0, "width between the kerbs [m]"),
-        param("pavement", 3.0, 1.0, 20.0, "width of each pavement [m]"),
-        param("kerb", 0.12, 0.01, 0.5, "height of the kerb [m]"),
-        param("posts", 2.5, 0.5, 100.0, "distance between posts [m]"),
-        param("post", 0.08, 0.01, 1.0, "radius of a post [m]"),
-        param("height", 9.0, 3.0, 100.0, "of the house fronts [m]"),
+        param("length", 80.0, 10.0, 1e4, "along x (m)"),
+        param("road", 7.0, 2.0, 50.0, "width between the kerbs (m)"),
+        param("pavement", 3.0, 1.0, 20.0, "width of each pavement (m)"),
+        param("kerb", 0.12, 0.01, 0.5, "height of the kerb (m)"),
+        param("posts", 2.5, 0.5, 100.0, "distance between posts (m)"),
+        param("post", 0.08, 0.01, 1.0, "radius of a post (m)"),
+        param("height", 9.0, 3.0, 100.0, "of the house fronts (m)"),
     ],
     build: |p, b| {
         let (length, half, kerb, gap, radius, height) = (p[0], p[1] / 2.0, p[3], p[4], p[5], p[6]);

@@ -8,8 +8,8 @@ pub(super) const TOWER: SceneInfo = SceneInfo {
     about: "many storeys around an open shaft; the walk steps into it at the top and falls to the ground",
     params: &[
         param("storeys", 50.0, 2.0, 1000.0, "number of storeys"),
-        param("height", 3.0, 2.2, 20.0, "from floor to floor [m]"),
-        param("size", 10.0, 4.0, 200.0, "edge of a storey [m]"),
+        param("height", 3.0, 2.2, 20.0, "from floor to floor (m)"),
+        param("size", 10.0, 4.0, 200.0, "edge of a storey (m)"),
         param("shaft", 3.0, 1.0, 100.0, "edge of the shaft in its middle [m, at most size - 2]"),
     ],
     build: |p, b| {

@@ -57,7 +57,7 @@ impl Shape {
         each!(self, s => s.area())
     }
 
-    /// Distance between the closed box and the surface `[m]`; 0 if they meet.
+    /// Distance between the closed box and the surface (m); 0 if they meet.
     pub fn distance_to_box(&self, query: &Aabb) -> f64 {
         each!(self, s => s.distance_to_box(query))
     }
@@ -82,7 +82,7 @@ impl Shape {
         each!(self, s => s.raycast(origin, dir, t_min, t_max))
     }
 
-    /// Size of the rectangle `[0, w] × [0, h]` of surface coordinates `[m]`.
+    /// Size of the rectangle `[0, w] × [0, h]` of surface coordinates (m).
     pub fn chart_size(&self) -> [f64; 2] {
         each!(self, s => s.chart_size())
     }

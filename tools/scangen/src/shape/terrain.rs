@@ -8,7 +8,7 @@ use std::collections::BinaryHeap;
 /// One term `amplitude · sin(kx·x + ky·y + phase)`, in the terrain's own coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wave {
-    /// Amplitude `[m]`.
+    /// Amplitude (m).
     pub amplitude: f64,
     /// Wave vector `[rad/m]`.
     pub k: [f64; 2],
@@ -21,7 +21,7 @@ pub struct Wave {
 pub struct Terrain {
     /// Centre of the rectangle, and the height the sines are added to.
     pub center: Vec3,
-    /// Half the edges of the rectangle `[m]`.
+    /// Half the edges of the rectangle (m).
     pub half: [f64; 2],
     /// Heading of the terrain's own x axis, anticlockwise from the world's `[°]`.
     pub heading_deg: f64,

@@ -6,7 +6,7 @@ use crate::plan::Plan;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
 use crate::voxel::judge::Judge;
 use crate::voxel::record::{ColumnKey, PATCH_AREA, Record};
-use crate::voxel::runs::{Job, Merge, RunStore};
+use crate::voxel::runs::{ColumnJob, Merge, RunStore};
 use crate::voxel::spans::ColumnPages;
 use crate::{Error, Monitor, Result};
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -48,7 +48,7 @@ pub(super) fn write_columns(
     let max_records = (memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD).min(MOST_RECORDS);
     let max_columns = (memory_bytes / 8 / ahead as u64 / PAGE_BYTES).max(1);
     let dense = Dense { one_at_a_time: Mutex::new(()), max_voxels: memory_bytes / 4 / DENSE_BYTES_PER_VOXEL };
-    let (job_in, job_out) = bounded::<(u64, Job)>(threads);
+    let (job_in, job_out) = bounded::<(u64, ColumnJob)>(threads);
     let (done_in, done_out) = bounded::<Result<Done>>(ahead);
     // A job is given out against a token, and a token comes back when its pages are written: so no more than
     // `ahead` jobs' pages ever wait for an earlier job.
@@ -116,7 +116,7 @@ fn write_in_order(
 fn work_on_columns(
     mut worker: ColumnWorker<'_>,
     merge: &Merge<'_>,
-    jobs: &Receiver<(u64, Job)>,
+    jobs: &Receiver<(u64, ColumnJob)>,
     done: &Sender<Result<Done>>,
 ) {
     let _alarm = Alarm(done);
@@ -145,7 +145,7 @@ impl Drop for Alarm<'_> {
     }
 }
 
-type Pages = Vec<(PageKey, EncodedPage)>;
+type KeyedPages = Vec<(PageKey, EncodedPage)>;
 
 /// What the workers share for columns that do not fit.
 struct Dense {
@@ -194,8 +194,8 @@ impl<'a> ColumnWorker<'a> {
         }
     }
 
-    fn work(&mut self, merge: &Merge<'_>, job: &Job) -> Result<(Pages, u64)> {
-        let mut pages = Pages::new();
+    fn work(&mut self, merge: &Merge<'_>, job: &ColumnJob) -> Result<(KeyedPages, u64)> {
+        let mut pages = KeyedPages::new();
         let mut dropped = 0;
         if job.records > self.max_records {
             dropped += self.dense_column(merge, job)?;
@@ -220,7 +220,7 @@ impl<'a> ColumnWorker<'a> {
     /// piece; else the column is cut into areas of few enough records, with one pass for each.
     ///
     /// Cost: one to three passes over the column's records, then for each area its rows.
-    fn dense_column(&mut self, merge: &Merge<'_>, job: &Job) -> Result<u64> {
+    fn dense_column(&mut self, merge: &Merge<'_>, job: &ColumnJob) -> Result<u64> {
         if let Some(dropped) = self.fold_piecemeal(merge, job, Area::TILE, self.max_voxels())? {
             return Ok(dropped);
         }
@@ -269,7 +269,13 @@ impl<'a> ColumnWorker<'a> {
     }
 
     /// Folds the records of `area` piece by piece; `None` if they make more than `max_voxels`.
-    fn fold_piecemeal(&mut self, merge: &Merge<'_>, job: &Job, area: Area, max_voxels: u64) -> Result<Option<u64>> {
+    fn fold_piecemeal(
+        &mut self,
+        merge: &Merge<'_>,
+        job: &ColumnJob,
+        area: Area,
+        max_voxels: u64,
+    ) -> Result<Option<u64>> {
         let mut folder = std::mem::take(&mut self.folder);
         let mut folded = Folded::new();
         let mut own = Vec::new();
@@ -293,7 +299,7 @@ impl<'a> ColumnWorker<'a> {
     fn stream(
         &self,
         merge: &Merge<'_>,
-        job: &Job,
+        job: &ColumnJob,
         area: Area,
         mut take: impl FnMut(&[Record]) -> bool,
     ) -> Result<bool> {
@@ -317,7 +323,7 @@ impl<'a> ColumnWorker<'a> {
         dropped
     }
 
-    fn encode(&mut self, column: ColumnKey, pages: &mut Pages) -> Result<()> {
+    fn encode(&mut self, column: ColumnKey, pages: &mut KeyedPages) -> Result<()> {
         let Self { columns, encoder, tolerance, .. } = self;
         columns.finish(column.first_slice(), |layer, page| {
             let key = PageKey::from_column(column.column, layer);

@@ -1,6 +1,6 @@
 //! The walk that all footprint queries share: tile columns under a shape, and the pages in them.
 
-use super::blocks::{self, Kinds, Place};
+use super::blocks::{self, Kinds, PageUnder};
 use super::grid::sealed::OnPixels;
 use super::grid::{Heights, Rect};
 use crate::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
@@ -33,8 +33,8 @@ impl Tile {
     }
 
     #[inline]
-    pub fn place<'a>(&self, page: &'a Page, layer: i32) -> Place<'a> {
-        Place { page, i: self.i, j: self.j, base: floor_of(layer), blocks: self.blocks }
+    pub fn place<'a>(&self, page: &'a Page, layer: i32) -> PageUnder<'a> {
+        PageUnder { page, i: self.i, j: self.j, base: floor_of(layer), blocks: self.blocks }
     }
 }
 

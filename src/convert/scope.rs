@@ -3,7 +3,7 @@
 use super::facts::{InputFacts, name_of};
 use super::job::Job;
 use super::options::{ConvertOptions, ShardOptions};
-use super::split::{Cell, tiles};
+use super::split::{QuadCell, tiles};
 use crate::archive::{InputRead, Shard};
 use crate::frame::{Frame, TILE_PIXELS, morton};
 use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds};
@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// A part of a conversion and how it treats each file.
-pub(crate) struct Part {
+pub(crate) struct ShardScope {
     pub shard: Shard,
     /// By number in the set of inputs: scans, then meshes.
     roles: Vec<Role>,
@@ -35,7 +35,7 @@ struct Role {
     bounds: Option<StatedBounds>,
 }
 
-impl Part {
+impl ShardScope {
     /// The part that `options` ask for, of the inputs `set`, which must be those of its job.
     pub fn new(
         shard: &ShardOptions,
@@ -61,7 +61,7 @@ impl Part {
         let role = |fingerprint: &u128| {
             let input = inputs.get_mut(fingerprint).and_then(Vec::pop)?;
             let meets = |first, last| match &input.bounds {
-                Some(bounds) => Cell::WHOLE.meets(&tiles(&plan.frame, bounds, HALO_PIXELS), first, last),
+                Some(bounds) => QuadCell::WHOLE.meets(&tiles(&plan.frame, bounds, HALO_PIXELS), first, last),
                 None => true,
             };
             let reads = meets(shard.first, shard.last);

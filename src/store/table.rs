@@ -14,24 +14,24 @@ pub struct KeyBounds {
 
 /// Slots sorted by key, with an open-addressing table from tile column to run.
 #[derive(Debug)]
-pub(super) struct Columns<T> {
+pub(super) struct SlotTable<T> {
     slots: Box<[T]>,
     /// Runs in the order of their keys, and a sentinel that ends the last one.
-    runs: Box<[Run]>,
-    tiles: Table,
+    runs: Box<[TileRun]>,
+    tiles: TileTable,
     /// Regions of 64 × 64 tiles that hold a run.
-    regions: Table,
+    regions: TileTable,
     bounds: Option<KeyBounds>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Run {
+struct TileRun {
     tx: i32,
     ty: i32,
     first: u32,
 }
 
-impl<T> Columns<T> {
+impl<T> SlotTable<T> {
     /// Takes slots of distinct keys in any order.
     ///
     /// # Panics
@@ -39,7 +39,7 @@ impl<T> Columns<T> {
     pub fn new(mut slots: Vec<(PageKey, T)>) -> Self {
         slots.sort_unstable_by_key(|(key, _)| *key);
         assert!(u32::try_from(slots.len()).is_ok(), "{} pages are too many", slots.len());
-        let mut runs: Vec<Run> = Vec::new();
+        let mut runs: Vec<TileRun> = Vec::new();
         let mut bounds: Option<KeyBounds> = None;
         for (at, (key, _)) in slots.iter().enumerate() {
             assert!(at == 0 || slots[at - 1].0 != *key, "page {key} is given twice");
@@ -50,7 +50,7 @@ impl<T> Columns<T> {
                 bounds.max[axis] = bounds.max[axis].max(value);
             }
             if runs.last().is_none_or(|run| (run.tx, run.ty) != (key.tx, key.ty)) {
-                runs.push(Run { tx: key.tx, ty: key.ty, first: at as u32 });
+                runs.push(TileRun { tx: key.tx, ty: key.ty, first: at as u32 });
             }
         }
         // Along the Morton curve the tiles of a region lie one behind the other.
@@ -59,9 +59,9 @@ impl<T> Columns<T> {
         let end = slots.len() as u32;
         let ends: Vec<u32> = runs.iter().skip(1).map(|run| run.first).chain([end]).collect();
         let tiles = runs.iter().zip(ends).map(|(run, end)| (run.tx, run.ty, run.first..end));
-        let tiles = Table::new(tiles.collect());
-        let regions = Table::new(regions.into_iter().map(|(rx, ry)| (rx, ry, 0..1)).collect());
-        runs.push(Run { tx: 0, ty: 0, first: end });
+        let tiles = TileTable::new(tiles.collect());
+        let regions = TileTable::new(regions.into_iter().map(|(rx, ry)| (rx, ry, 0..1)).collect());
+        runs.push(TileRun { tx: 0, ty: 0, first: end });
         let slots = slots.into_iter().map(|(_, slot)| slot).collect();
         Self { slots, runs: runs.into(), tiles, regions, bounds }
     }
@@ -106,7 +106,7 @@ impl<T> Columns<T> {
     /// Bytes of the tables and the slots themselves, without what slots own.
     pub fn weight_bytes(&self) -> usize {
         size_of_val::<[T]>(&self.slots)
-            + size_of_val::<[Run]>(&self.runs)
+            + size_of_val::<[TileRun]>(&self.runs)
             + self.tiles.weight_bytes()
             + self.regions.weight_bytes()
     }
@@ -115,38 +115,38 @@ impl<T> Columns<T> {
 /// From pairs of indices to ranges that are not empty: Fibonacci hashing (Knuth, vol. 3, section 6.4) and linear
 /// probing at a load of at most one half, so that a lookup reads one or two neighbouring lines.
 #[derive(Debug)]
-pub(super) struct Table {
+pub(super) struct TileTable {
     /// Power of two in length.
-    cells: Box<[Cell]>,
-    /// Right shift of a 64-bit hash to an index of `cells`.
+    buckets: Box<[Bucket]>,
+    /// Right shift of a 64-bit hash to an index of `buckets`.
     shift: u32,
 }
 
 /// Free if `count` is 0.
 #[derive(Debug, Clone, Copy, Default)]
-struct Cell {
+struct Bucket {
     name: u64,
     first: u32,
     count: u32,
 }
 
-impl Table {
+impl TileTable {
     pub fn new(entries: Vec<(i32, i32, Range<u32>)>) -> Self {
         let count = (2 * entries.len()).next_power_of_two().max(2);
-        let mut table = Self { cells: vec![Cell::default(); count].into(), shift: 64 - count.trailing_zeros() };
+        let mut table = Self { buckets: vec![Bucket::default(); count].into(), shift: 64 - count.trailing_zeros() };
         for (x, y, range) in entries {
             let name = name(x, y);
             let mut at = table.home(name);
-            while table.cells[at].count != 0 {
+            while table.buckets[at].count != 0 {
                 at = (at + 1) & (count - 1);
             }
-            table.cells[at] = Cell { name, first: range.start, count: range.end - range.start };
+            table.buckets[at] = Bucket { name, first: range.start, count: range.end - range.start };
         }
         table
     }
 
     pub fn weight_bytes(&self) -> usize {
-        size_of_val::<[Cell]>(&self.cells)
+        size_of_val::<[Bucket]>(&self.buckets)
     }
 
     #[inline]
@@ -159,11 +159,11 @@ impl Table {
         let name = name(x, y);
         let mut at = self.home(name);
         loop {
-            let cell = &self.cells[at];
+            let cell = &self.buckets[at];
             if cell.name == name || cell.count == 0 {
                 return cell.first as usize..cell.first as usize + cell.count as usize;
             }
-            at = (at + 1) & (self.cells.len() - 1);
+            at = (at + 1) & (self.buckets.len() - 1);
         }
     }
 }
@@ -189,7 +189,7 @@ mod tests {
             for &(tx, ty, layer) in &keys {
                 expected.entry((tx, ty)).or_default().push(layer);
             }
-            let columns = Columns::new(slots);
+            let columns = SlotTable::new(slots);
             for tx in -6..6 {
                 for ty in -6..6 {
                     let found = columns.column(tx, ty);
@@ -206,9 +206,9 @@ mod tests {
 
     #[test]
     fn tile_zero_zero_is_told_apart_from_a_free_cell() {
-        let columns = Columns::new(vec![(PageKey { tx: 1, ty: 0, layer: 0 }, ())]);
+        let columns = SlotTable::new(vec![(PageKey { tx: 1, ty: 0, layer: 0 }, ())]);
         assert!(columns.column(0, 0).is_empty());
         assert_eq!(columns.column(1, 0).len(), 1);
-        assert!(Columns::<()>::new(Vec::new()).column(0, 0).is_empty());
+        assert!(SlotTable::<()>::new(Vec::new()).column(0, 0).is_empty());
     }
 }

@@ -10,9 +10,9 @@ use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use nalgebra::{Point3, Vector3};
 use std::collections::HashMap;
 
-/// How a body moves: what [`Pawn::hint`](super::Pawn::hint) takes.
+/// How a body moves, and so what it may touch soon: what [`PawnHandle::hint`](super::PawnHandle::hint) takes.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Motion {
+pub struct Outlook {
     /// Least corner of all that queries of one frame may ask about if the body stood still (m): the body grown by climb
     /// height, snap distance and skin.
     pub min: Point3<f64>,
@@ -29,7 +29,7 @@ pub struct Motion {
     pub agility: f64,
 }
 
-impl Motion {
+impl Outlook {
     /// A walker in the box `min..max` with this velocity: falls by 9.81 m/s² to at most 60 m/s, turns at its own speed and at
     /// no less than 1.5 m/s.
     pub fn walking(min: Point3<f64>, max: Point3<f64>, velocity: Vector3<f64>) -> Self {
@@ -154,8 +154,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn body(velocity: Vector3<f64>) -> Motion {
-        Motion::walking(Point3::new(-0.25, -0.25, 0.0), Point3::new(0.25, 0.25, 1.8), velocity)
+    fn body(velocity: Vector3<f64>) -> Outlook {
+        Outlook::walking(Point3::new(-0.25, -0.25, 0.0), Point3::new(0.25, 0.25, 1.8), velocity)
     }
 
     #[test]
@@ -172,9 +172,9 @@ mod tests {
     fn hints_that_are_no_numbers_are_not_valid() {
         assert!(body(Vector3::zeros()).is_valid());
         assert!(!body(Vector3::new(f64::NAN, 0.0, 0.0)).is_valid());
-        assert!(!Motion { gravity: -1.0, ..body(Vector3::zeros()) }.is_valid());
-        assert!(!Motion { min: Point3::new(1.0, 0.0, 0.0), ..body(Vector3::zeros()) }.is_valid());
-        assert!(!Motion { max: Point3::new(1.0, 0.0, f64::INFINITY), ..body(Vector3::zeros()) }.is_valid());
+        assert!(!Outlook { gravity: -1.0, ..body(Vector3::zeros()) }.is_valid());
+        assert!(!Outlook { min: Point3::new(1.0, 0.0, 0.0), ..body(Vector3::zeros()) }.is_valid());
+        assert!(!Outlook { max: Point3::new(1.0, 0.0, f64::INFINITY), ..body(Vector3::zeros()) }.is_valid());
     }
 
     proptest! {
