@@ -41,6 +41,7 @@ scan() {
     compare "$fresh/$name.slices" "$fresh/$name.json"
 }
 
+"$venv/bin/python" spec/excerpts.py
 for sample in spec/samples/*.slices; do
     compare "$sample" "${sample%.slices}.json"
 done

@@ -28,20 +28,29 @@ def need(condition, rule, text):
 # Section 6.1: symbols.
 
 
-def bits(count, ones):
-    return [[ones, 0] for _ in range(count)]
+class Models(list):
+    """Models of one name, each a list of its state and how many symbols it has seen."""
+
+    def __init__(self, name, states):
+        super().__init__([state, 0] for state in states)
+        self.name = name
 
 
-def nibbles(count, weights):
+def bits(name, count, ones):
+    return Models(name, [ones] * count)
+
+
+def nibbles(name, count, weights):
     total = sum(weights)
     below = [32752 * sum(weights[:i]) // total for i in range(16)]
-    return [[below, 0] for _ in range(count)]
+    return Models(name, [below] * count)
 
 
 class Symbols:
-    """Takes symbols from a body."""
+    """Takes symbols from a body; `trace`, if any, is told of each with the state after it, and of what they mean."""
 
-    def __init__(self, body):
+    def __init__(self, body, trace=None):
+        self.trace = trace
         need(len(body) >= 5 and len(body) % 2 == 1, "P6", f"a body of {len(body)} bytes")
         self.state = int.from_bytes(body[1:5], "little")
         need(self.state >= 65536, "P6", f"state {self.state} at the start")
@@ -54,13 +63,24 @@ class Symbols:
             state = state << 16 | self.words.pop()
         self.state = state
 
+    def _done(self, name, value, start, count):
+        if self.trace:
+            self.trace(f"{name:14} {value:5}  {start:5} {count:5}  {self.state:08x}", True)
+        return value
+
+    def note(self, text):
+        if self.trace:
+            self.trace(text, False)
+
     def raw(self, n):
         slot = self.state & 32767
         value = slot >> (15 - n)
-        self._advance(slot, value << (15 - n), 1 << (15 - n))
-        return value
+        start, count = value << (15 - n), 1 << (15 - n)
+        self._advance(slot, start, count)
+        return self._done(f"raw({n})", value, start, count)
 
-    def nibble(self, model):
+    def nibble(self, models, index):
+        model = models[index]
         below, seen = model
         slot = self.state & 32767
         value = 15
@@ -72,9 +92,10 @@ class Symbols:
         r = N[seen]
         model[0] = [b - (b >> r) for b in below[: value + 1]] + [b + (32752 - b >> r) for b in below[value + 1 :]]
         model[1] = min(seen + 1, 15)
-        return value
+        return self._done(f"{models.name}[{index}]", value, start, end - start)
 
-    def bit(self, model):
+    def bit(self, models, index):
+        model = models[index]
         ones, seen = model
         slot = self.state & 32767
         zeros = 32768 - ones
@@ -83,10 +104,10 @@ class Symbols:
         if slot < zeros:
             model[0] = ones - (ones - 32 >> r)
             self._advance(slot, 0, zeros)
-            return 0
+            return self._done(f"{models.name}[{index}]", 0, 0, zeros)
         model[0] = ones + (32736 - ones >> r)
         self._advance(slot, zeros, ones)
-        return 1
+        return self._done(f"{models.name}[{index}]", 1, zeros, ones)
 
     def finish(self):
         need(self.state == 65536 and not self.words, "P6", f"state {self.state}, {len(self.words)} words at the end")
@@ -141,16 +162,16 @@ class Span:
 class Page:
     """The content of a page: `columns[64 * py + px]` are the spans of a pixel."""
 
-    def __init__(self, body):
+    def __init__(self, body, trace=None):
         need(body[0] == 1, "P5", f"model {body[0]}")
-        self.symbols = Symbols(body)
+        self.symbols = Symbols(body, trace)
         self.lattice = Lattice.read(self.symbols)
-        self.count = nibbles(16, COUNT_WEIGHTS)
-        self.heights = nibbles(16, HEIGHT_WEIGHTS), nibbles(80, HEIGHT_WEIGHTS)
-        self.second = bits(16, 13312), bits(16, 13312)
-        self.off = [[[16384 if number == 2 else 1024, 0] for number in range(4)] for _ in range(2)]
-        self.up = bits(2, 16384)
-        self.kind = bits(50, 16384)
+        self.count = nibbles("count", 16, COUNT_WEIGHTS)
+        self.heights = nibbles("bottom", 16, HEIGHT_WEIGHTS), nibbles("thickness", 80, HEIGHT_WEIGHTS)
+        self.second = [bits(f"second[{end}]", 16, 13312) for end in range(2)]
+        self.off = [Models(f"off[{end}]", [1024, 1024, 16384, 1024]) for end in range(2)]
+        self.up = bits("up", 2, 16384)
+        self.kind = bits("kind", 50, 16384)
         self.last = {}, {}
         self.coded_last = None
         self.read_blocks()
@@ -162,17 +183,17 @@ class Page:
     # Section 6.3: pixels with matter.
 
     def read_blocks(self):
-        matter, full = bits(9, 16384), bits(9, 8192)
+        matter, full = bits("matter", 9, 16384), bits("full", 9, 8192)
         self.blocks = blocks = [0] * 64
         for at in range(64):
             west = blocks[at - 1] if at % 8 else 0
             north = blocks[at - 8] if at >= 8 else 0
             context = 3 * west + north
-            if self.symbols.bit(matter[context]):
-                blocks[at] = 1 + self.symbols.bit(full[context])
+            if self.symbols.bit(matter, context):
+                blocks[at] = 1 + self.symbols.bit(full, context)
 
     def read_pixels(self):
-        pixel = bits(64, 16384)
+        pixel = bits("pixel", 64, 16384)
         self.columns = columns = [[] for _ in range(SIDE * SIDE)]
 
         def has(px, py):
@@ -190,7 +211,7 @@ class Page:
                         + 16 * has(px + 1, py - 1)
                         + 32 * has(px, py - 2)
                     )
-                    block = 2 * self.symbols.bit(pixel[context])
+                    block = 2 * self.symbols.bit(pixel, context)
                 if block == 2:
                     self.read_column(px, py)
 
@@ -200,12 +221,13 @@ class Page:
         def near(x, y):
             return self.columns[SIDE * y + x] if 0 <= x < SIDE and y >= 0 else []
 
+        self.symbols.note(f"pixel ({px}, {py})")
         west, north = near(px - 1, py), near(px, py - 1)
         neighbours = [near for near in (west, north, near(px - 1, py - 1), near(px + 1, py - 1)) if near]
-        model = self.count[4 * min(len(west), 3) + min(len(north), 3)]
+        context = 4 * min(len(west), 3) + min(len(north), 3)
         count, more = 1, 15
         while more == 15 and count <= 64:
-            more = self.symbols.nibble(model)
+            more = self.symbols.nibble(self.count, context)
             count += more
         need(count <= 64, "P7", f"{count} spans in pixel ({px}, {py})")
         column = self.columns[SIDE * py + px]
@@ -237,12 +259,17 @@ class Page:
         else:
             of_bottom, a = 2 + low_class // 2 if m == 2 else 8 + low_class, 2 + thick_class
         span = Span()
-        span.bottom, span.low, first = self.read_height(0, self.heights[0][of_bottom], bottom)
+        span.bottom, span.low, first = self.read_height(0, of_bottom, bottom)
         context = 10 * klass(abs(thick)) + a
-        span.top, span.high, second = self.read_height(1, self.heights[1][context], span.low + thick)
+        span.top, span.high, second = self.read_height(1, context, span.low + thick)
         span.codes = first, second
         obstacles = sum(near.obstacle for near in candidates)
-        span.obstacle = self.symbols.bit(self.kind[2 * (5 * obstacles + m) + (span.top - span.bottom > 63)])
+        span.obstacle = self.symbols.bit(self.kind, 2 * (5 * obstacles + m) + (span.top - span.bottom > 63))
+        if self.symbols.trace:
+            kind = "obstacle" if span.obstacle else "floor"
+            steps = "" if self.lattice.every else f" (steps {span.low}, {span.high})"
+            text = f"{kind} {span.bottom} ..= {span.top}{steps}; {m} candidates, expected {bottom}, thickness {thick}"
+            self.symbols.note(text)
         check_span(span.bottom, span.top, "P8")
         if before:
             touching = span.bottom == before.top and span.bottom % SLICE == 0 and span.obstacle != before.obstacle
@@ -250,15 +277,15 @@ class Page:
         self.coded_last = span
         return span
 
-    def read_height(self, end, model, expected):
+    def read_height(self, end, context, expected):
         symbols = self.symbols
-        n = symbols.nibble(model)
+        n = symbols.nibble(self.heights[end], context)
         if n == 15:
             height = symbols.raw(7) * SLICE
             return height, self.lattice.next(height), None
         residual = min(n, 1)
         if n >= 2:
-            residual = 2 | symbols.bit(self.second[end][n])
+            residual = 2 | symbols.bit(self.second[end], n)
             if n > 2:
                 residual = residual << (n - 2) | symbols.raw(n - 2)
         residual = -(residual + 1 >> 1) if residual & 1 else residual >> 1
@@ -266,8 +293,8 @@ class Page:
         offset = 0
         if not self.lattice.every:
             last = self.last[end].get(step, 0)
-            if symbols.bit(self.off[end][last]):
-                offset = 1 if symbols.bit(self.up[end]) else -1
+            if symbols.bit(self.off[end], last):
+                offset = 1 if symbols.bit(self.up, end) else -1
             self.last[end][step] = 2 if offset else 1
         return self.lattice.usual(end, step) + offset, step, (step, offset)
 

@@ -3,6 +3,7 @@
 
 reader.py ARCHIVE              checks every rule and prints what the archive holds in short
 reader.py ARCHIVE --json       prints all content as JSON
+reader.py ARCHIVE --symbols N  prints the symbols of the page of entry N, from 0, one a line
 reader.py ARCHIVE --twin FILE  compares content, or the rule that is broken, with a JSON file
 
 A broken rule is one line on standard error and exit code 1. Needs the package `zstandard`.
@@ -391,6 +392,19 @@ def show_units(units):
     return whole(*units[0]) if units else None
 
 
+def show_symbols(data, entry):
+    """Model, value, interval and state after each symbol of a page, and what the symbols mean."""
+    if "offset" not in entry:
+        sys.exit("reader.py: a uniform page has no symbols")
+    number = iter(range(1 << 30))
+
+    def show(text, is_symbol):
+        print(f"{next(number):5}  {text}" if is_symbol else f"       {text}")
+
+    print("    #  model          value  start count  state after")
+    Page(data[entry["offset"] + LEADER_LEN : entry["offset"] + entry["length"]], show)
+
+
 def difference(mine, twin, where="content"):
     """The first place where two structures differ."""
     if isinstance(mine, dict) and isinstance(twin, dict) and mine.keys() == twin.keys():
@@ -406,6 +420,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("archive")
     parser.add_argument("--json", action="store_true", help="print all content")
+    parser.add_argument("--symbols", type=int, metavar="N", help="print the symbols of the page of entry N, from 0")
     parser.add_argument("--twin", metavar="FILE", help="compare with a JSON file")
     options = parser.parse_args()
     try:
@@ -422,7 +437,9 @@ def main():
         content = read_archive(data)
     except Refused as refused:
         broken, content = refused, {"rule": refused.rule}
-    if twin is not None:
+    if options.symbols is not None and not broken:
+        show_symbols(data, content["pages"][options.symbols])
+    elif twin is not None:
         if "some_pages" in twin and not broken:
             pages = content.pop("pages")
             content["some_pages"] = {number: pages[int(number)] for number in twin["some_pages"]}

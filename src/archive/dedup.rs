@@ -10,7 +10,7 @@ use std::collections::{HashMap, VecDeque};
 /// How many distinct pages are remembered.
 pub(super) const WINDOW: usize = 1 << 16;
 
-/// The most recent distinct pages, by the hash of their frames.
+/// The most recent distinct pages, by the hash of their bodies.
 #[derive(Debug, Default)]
 pub(super) struct Window {
     by_hash: HashMap<u64, Extent>,
@@ -19,7 +19,7 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// A page whose frame has this hash and whose length is `len`, if one is remembered.
+    /// A page whose body has this hash and whose length is `len`, if one is remembered.
     pub fn candidate(&self, hash: u64, len: u32) -> Option<Extent> {
         self.by_hash.get(&hash).copied().filter(|extent| extent.len == len)
     }

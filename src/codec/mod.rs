@@ -3,9 +3,9 @@
 //! In: a [`Page`]. Out: at most [`MAX_BODY`] bytes, and from them the same page again. Memory:
 //! one scratch of at most a few MiB per codec object. The bytes are described in `spec/slice-archive.md`, chapter 6.
 //!
-//! The first byte of an encoded page names its model; each model is one small file of this module. Decoders
-//! take hostile bytes: every number is checked before it sizes, indexes or bounds a loop, and a broken rule comes back
-//! as a [`Violation`], which the archive turns into an error with its place in the file.
+//! The first byte of an encoded page names its model; there is one, `adaptive`. Decoders take hostile bytes: every number
+//! is checked before it sizes, indexes or bounds a loop, and a broken rule comes back as a [`Violation`], which the archive
+//! turns into an error with its place in the file.
 
 mod adaptive;
 mod bytes;
