@@ -3,10 +3,11 @@
 //! Pages hold spans, so a tile (one slice of a page) is not stored by itself; what it adds to its page is what its
 //! [`Need`] says. Tiles in which no span begins or ends add nothing: they are like the slice below.
 
-use crate::Result;
-use crate::archive::{Archive, PageDecoder, PageEntry, Storage};
+use crate::archive::{Archive, PageEntry, PageReader, Storage};
 use crate::frame::{PAGE_SLICES, SLICE_QUANTA};
 use crate::slice::Page;
+use crate::{Error, Result};
+use std::collections::HashMap;
 
 /// How much a tile takes, least first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -78,30 +79,40 @@ pub struct Stats {
     pub memory_bytes: u64,
 }
 
+/// Contents of which the counts are kept, in case that they come again.
+const KEPT: usize = 1 << 12;
+
 impl Stats {
-    /// Reads and counts all pages of `archive`. Cost: one pass over the file, 24 bytes a slice.
+    /// Reads and counts all pages of `archive`. Cost: one pass over the file, and 16 bytes for each layer of 64 slices
+    /// with matter, of which 2²⁰ are the most.
     pub fn of(archive: &Archive) -> Result<Self> {
         let mut stats = Self::default();
-        let mut decoder = PageDecoder::new();
+        let mut pages = PageReader::new(archive);
         let mut counter = TileCounter::new(archive.plan().tolerance_quanta());
-        let mut own_slices = std::collections::BTreeSet::new();
+        let mut layers = Layers::default();
+        let mut known = HashMap::new();
         for entry in archive.entries() {
             let entry = entry?;
-            let page = archive.page_with(&entry, &mut decoder)?;
-            stats.add(&entry, &page);
-            for (slice, need, wall) in counter.count(&entry, &page) {
-                stats.needs[need as usize] += 1;
-                stats.wall_needs[need as usize] += u64::from(wall);
-                if need != Need::LikeBelow {
-                    own_slices.insert(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(slice));
+            // A page of its own tells more of its tiles than those that share its bytes.
+            let again = (!matches!(entry.storage, Storage::Stored(_))).then(|| entry.content());
+            let page = match again.and_then(|content| known.get(&content)) {
+                Some(page) => *page,
+                None => PageStats::of(pages.page(&entry)?, &entry, &mut counter),
+            };
+            if let Some(content) = again.filter(|content| !known.contains_key(content)) {
+                if known.len() == KEPT {
+                    known.clear();
                 }
+                known.insert(content, page);
             }
+            stats.add(&entry, &page);
+            layers.add(entry.key.layer, page.own_slices)?;
         }
-        stats.distinct_slices = own_slices.len() as u64;
+        stats.distinct_slices = layers.slices()?;
         Ok(stats)
     }
 
-    fn add(&mut self, entry: &PageEntry, page: &Page) {
+    fn add(&mut self, entry: &PageEntry, page: &PageStats) {
         let kind = match entry.storage {
             Storage::Stored(_) => 0,
             Storage::Shared(_) => 1,
@@ -109,20 +120,97 @@ impl Stats {
         };
         self.pages[kind] += 1;
         self.tiles[kind] += u64::from(entry.slices.count_ones());
-        self.memory_bytes += page.weight_bytes() as u64;
-        let (voxels, obstacles) = page.voxel_counts();
-        self.voxels += voxels;
-        self.obstacle_voxels += obstacles;
+        self.memory_bytes += page.memory_bytes;
+        self.voxels += page.voxels.0;
+        self.obstacle_voxels += page.voxels.1;
+        self.columns += page.columns_by_spans.iter().sum::<u64>();
+        self.spans += page.spans;
+        self.obstacle_spans += page.obstacle_spans;
+        self.inner_voxels += page.inner_voxels;
+        let sums = [&mut self.columns_by_spans[..], &mut self.needs, &mut self.wall_needs];
+        for (sums, counts) in sums.into_iter().zip([&page.columns_by_spans[..], &page.needs, &page.wall_needs]) {
+            sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
+        }
+    }
+}
+
+/// What one page adds.
+#[derive(Debug, Clone, Copy, Default)]
+struct PageStats {
+    needs: [u64; 6],
+    wall_needs: [u64; 6],
+    /// Slices that are not like the one below.
+    own_slices: u64,
+    columns_by_spans: [u64; 5],
+    spans: u64,
+    obstacle_spans: u64,
+    voxels: (u64, u64),
+    inner_voxels: u64,
+    memory_bytes: u64,
+}
+
+impl PageStats {
+    fn of(page: &Page, entry: &PageEntry, counter: &mut TileCounter) -> Self {
+        let memory_bytes = page.weight_bytes() as u64;
+        let mut stats = Self { voxels: page.voxel_counts(), memory_bytes, ..Self::default() };
         for (_, _, spans) in page.columns() {
-            self.columns += 1;
-            self.columns_by_spans[spans.len().min(5) - 1] += 1;
+            stats.columns_by_spans[spans.len().min(5) - 1] += 1;
             for span in spans {
-                self.spans += 1;
-                self.obstacle_spans += u64::from(span.is_obstacle());
+                stats.spans += 1;
+                stats.obstacle_spans += u64::from(span.is_obstacle());
                 let (first, last) = span.slices();
-                self.inner_voxels += u64::from((last - first).saturating_sub(1));
+                stats.inner_voxels += u64::from((last - first).saturating_sub(1));
             }
         }
+        for (slice, need, wall) in counter.count(entry, page) {
+            stats.needs[need as usize] += 1;
+            stats.wall_needs[need as usize] += u64::from(wall);
+            stats.own_slices |= u64::from(need != Need::LikeBelow) << slice;
+        }
+        stats
+    }
+}
+
+/// Slices in a set, by layers of 64.
+#[derive(Debug, Default)]
+struct Layers(Vec<(i32, u64)>);
+
+impl Layers {
+    /// Most layers that are counted.
+    const MOST: usize = 1 << 20;
+
+    fn add(&mut self, layer: i32, slices: u64) -> Result<()> {
+        match self.0.last_mut().filter(|last| last.0 == layer) {
+            Some(last) => last.1 |= slices,
+            None => {
+                if self.0.len() == 2 * Self::MOST {
+                    self.join()?;
+                }
+                self.0.push((layer, slices));
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes one of all entries of each layer.
+    fn join(&mut self) -> Result<()> {
+        self.0.sort_unstable_by_key(|&(layer, _)| layer);
+        self.0.dedup_by(|other, kept| {
+            let same = other.0 == kept.0;
+            kept.1 |= if same { other.1 } else { 0 };
+            same
+        });
+        if self.0.len() > Self::MOST {
+            let what = "layers of 64 slices with matter (cut out a region with slicetool extract)".into();
+            return Err(Error::Limit { what, value: "more".into(), max: Self::MOST.to_string() });
+        }
+        Ok(())
+    }
+
+    /// Number of slices.
+    fn slices(mut self) -> Result<u64> {
+        self.join()?;
+        Ok(self.0.iter().map(|(_, slices)| u64::from(slices.count_ones())).sum())
     }
 }
 
@@ -210,6 +298,25 @@ fn is_plane(heights: &[[f64; 3]], off: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn slices_are_counted_once_and_layers_up_to_a_limit() {
+        let mut layers = Layers::default();
+        for layer in (-3..5).chain([4, 4, -3, 1 << 30]) {
+            layers.add(layer, 1 << (layer & 63) | 1 << 63).unwrap();
+        }
+        // Of layer −1 both are slice 63.
+        assert_eq!(layers.slices().unwrap(), 9 * 2 - 1);
+        let mut layers = Layers::default();
+        for round in 0..3 {
+            for layer in 0..Layers::MOST as i32 {
+                layers.add(layer, 1 << round).unwrap();
+            }
+        }
+        layers.add(-1, 1).unwrap();
+        let refused = layers.slices().unwrap_err().to_string();
+        assert!(refused.contains("1048576"), "{refused}");
+    }
 
     #[test]
     fn planes_are_told_from_levels_and_from_noise() {

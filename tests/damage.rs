@@ -8,7 +8,7 @@ use common::content::rule_of;
 use common::forge::{Parts, put, word};
 use common::{archive, plan, read_all, scene, two_pixels};
 use proptest::prelude::*;
-use slicewalk::archive::{Archive, Finding, Totals};
+use slicewalk::archive::{Archive, Finding, LISTED, Shard, Totals};
 use slicewalk::codec::Encoder;
 use slicewalk::frame::Frame;
 use slicewalk::slice::{PageBuilder, Span};
@@ -368,6 +368,44 @@ fn leaves_with_right_checksums_and_wrong_entries_break_the_rule_for_them() {
     leaf[at] ^= 1;
     let found = rules(&Parts { leaf, ..parts.clone() }.build(|_| ()));
     assert!(found[0] == "D10", "{found:?}");
+}
+
+#[test]
+fn findings_beyond_the_first_are_counted() {
+    // A damaged page shows in all that share its bytes.
+    let mut bytes = common::sharing();
+    let offset = Archive::from_bytes(bytes.clone()).unwrap().header().pages_offset() as usize;
+    bytes[offset + 30] ^= 1;
+    let verified = |bytes: Vec<u8>| {
+        let mut listed = Vec::new();
+        let summary =
+            Archive::from_bytes(bytes).unwrap().verify(&NoMonitor, &mut |finding| listed.push(finding)).unwrap();
+        (summary.findings, listed)
+    };
+    let (count, listed) = verified(bytes);
+    assert_eq!((count, listed.len() as u64), (5000, LISTED));
+    assert!(listed.iter().all(|finding| finding.rule == "P2" && finding.offset == offset as u64));
+    assert_eq!(listed[7].part, "page (0, 0, 7)");
+    // Pages of another part.
+    let content = common::page([((1, 2), vec![Span::new(3, 4, false).unwrap()])]);
+    let pages = (0..1500).map(|layer| (common::key(0, 0, layer), content.clone())).collect();
+    let shard = Shard { index: 1, count: 2, first: 0, last: 3 << 62, job: 0 };
+    let mut part = common::archive_of(&plan(), &(pages, Totals::default()), Some(shard));
+    let at = part.windows(4).position(|bytes| bytes == b"SHRD").unwrap();
+    put(&mut part, at + 8 + 16, (3 << 62) - 1, 8);
+    let metadata = part.len() - 24 - 48..part.len() - 24;
+    let crc = crc32c::crc32c(&part[metadata]);
+    put(&mut part, 312, crc.into(), 4);
+    let head = u32::from_le_bytes(part[12..16].try_into().unwrap()) as usize;
+    let crc = crc32c::crc32c(&part[..head - 4]);
+    let footer = part.len() - 24;
+    put(&mut part, head - 4, crc.into(), 4);
+    put(&mut part, footer + 8, crc.into(), 4);
+    let crc = crc32c::crc32c(&part[footer..footer + 12]);
+    put(&mut part, footer + 12, crc.into(), 4);
+    let (count, listed) = verified(part);
+    assert_eq!((count, listed.len() as u64), (1500, LISTED));
+    assert!(listed.iter().all(|finding| finding.rule == "T5"));
 }
 
 #[test]

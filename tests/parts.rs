@@ -12,9 +12,11 @@ use slicewalk::archive::{
 use slicewalk::frame::Frame;
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
 use slicewalk::slice::{Page, Span};
+use slicewalk::stats::Stats;
 use slicewalk::store::Store;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering::Relaxed;
 
 /// Few different contents, so that many pages are equal, and a uniform one.
 fn content(number: u32) -> Page {
@@ -486,4 +488,32 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
     assert!(header.pages.total() == 0 && header.bounds.is_none());
     assert!(extract(&whole, &([1.0; 3], [0.0; 3]), &target, true, &NoMonitor).is_err());
     assert!(render(&verified(&target)).contains("points read 5000"));
+}
+
+#[test]
+fn shared_bytes_are_read_once() {
+    let bytes = common::sharing();
+    let watched = common::Watched::new(&bytes, u64::MAX);
+    let whole = Archive::from_source(Box::new(watched.clone())).unwrap();
+    let reads = |work: &mut dyn FnMut()| {
+        let before = watched.reads.load(Relaxed);
+        work();
+        watched.reads.load(Relaxed) - before
+    };
+    assert_eq!(whole.leaf_count(), 2);
+    // Metadata, two leaves, the page.
+    let verify = reads(&mut || {
+        let summary = whole.verify(&NoMonitor, &mut |finding| panic!("{finding}")).unwrap();
+        assert_eq!((summary.pages.stored, summary.pages.shared), (1, 4999));
+    });
+    assert_eq!(verify, 4);
+    let stats = reads(&mut || assert_eq!(Stats::of(&whole).unwrap().pages, [1, 4999, 0]));
+    assert_eq!(stats, 3);
+    let folder = tempfile::tempdir().unwrap();
+    let extracted = reads(&mut || {
+        let everything = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+        extract(&whole, &everything, &folder.path().join("a.slices"), false, &NoMonitor).unwrap();
+    });
+    assert_eq!(extracted, 4);
+    assert!(fs::read(folder.path().join("a.slices")).unwrap() == bytes);
 }

@@ -6,12 +6,9 @@ use super::head::Header;
 use super::page::EncodedPage;
 use super::writer::{ArchiveWriter, Placed};
 use crate::frame::PageKey;
-use crate::{Error, Result};
+use crate::Result;
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
-
-/// Pages that may be copied although the archive has no bytes of their own for them.
-const MOST_REPEATS: u64 = 1 << 22;
 
 /// Puts pages whose content is told by a `K`. Memory: about 150 bytes for each of the last 65,536 contents.
 pub(super) struct Copier<K> {
@@ -54,21 +51,6 @@ impl<K: Copy + Eq + Hash> Copier<K> {
     }
 }
 
-/// Refuses an archive whose directory makes so many pages of so few bytes that a copy would take hours and fill a disk.
-pub(super) fn refuse_repeats(header: &Header) -> Result<()> {
-    let repeats = header.pages.shared.saturating_add(header.pages.uniform);
-    let most = MOST_REPEATS.max(header.file_len / 16);
-    if repeats > most {
-        let what = format!(
-            "pages without bytes of their own, in an archive of {} bytes (cut out a region with slicetool extract, or \
-             convert the scan again with larger pixels)",
-            header.file_len
-        );
-        return Err(Error::Limit { what, value: repeats.to_string(), max: most.to_string() });
-    }
-    Ok(())
-}
-
 /// What a head says that this version cannot write, in words.
 pub(super) fn beyond_this_version(header: &Header) -> Option<String> {
     let (major, minor) = header.version;
@@ -77,4 +59,48 @@ pub(super) fn beyond_this_version(header: &Header) -> Option<String> {
         true => format!("what format {major}.{minor} adds to the head"),
         false => format!("optional features {:#x}", header.features_optional),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::{Archive, PageEncoder, Totals};
+    use crate::frame::Frame;
+    use crate::plan::Plan;
+    use crate::slice::{Page, PageBuilder, Span};
+
+    #[test]
+    fn content_is_made_once_and_nothing_is_made_for_what_is_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("a.slices");
+        let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
+        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+        let page = |height: u32| -> Page {
+            let mut builder = PageBuilder::default();
+            let pixels = if height == 0 { 4096 } else { height };
+            for pixel in 0..pixels {
+                assert!(builder.set_column(pixel % 64, pixel / 64, &[Span::new(height, 300, true).unwrap()]));
+            }
+            builder.build()
+        };
+        let (mut copier, mut encoder) = (Copier::new(), PageEncoder::new(plan.frame));
+        let mut made = [0; 4];
+        for layer in 0..40 {
+            let (key, content) = (PageKey { tx: 0, ty: 0, layer }, layer as usize % 4);
+            let placed = copier.put(&mut writer, key, content, || {
+                made[content] += 1;
+                Ok((content < 3).then(|| encoder.encode(key, &page(content as u32))))
+            });
+            assert_eq!(placed.unwrap().is_some(), content < 3);
+        }
+        assert_eq!(made, [1; 4]);
+        let header = writer.finish(Totals::default()).unwrap();
+        assert_eq!((header.pages.stored, header.pages.shared, header.pages.uniform), (2, 18, 10));
+        let archive = Archive::open(&target).unwrap();
+        for entry in archive.entries() {
+            let entry = entry.unwrap();
+            assert_eq!(archive.page(&entry).unwrap(), page(entry.key.layer as u32 % 4));
+        }
+        archive.verify(&crate::NoMonitor, &mut |finding| panic!("{finding}")).unwrap();
+    }
 }

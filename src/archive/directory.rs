@@ -251,7 +251,19 @@ impl Column {
         }
     }
 
+    #[inline]
     fn varint(&mut self, raw: &[u8]) -> Result<u64, Violation> {
+        // Most are of one byte.
+        match raw[..self.end].get(self.at) {
+            Some(&byte) if byte < 0x80 => {
+                self.at += 1;
+                Ok(byte.into())
+            }
+            _ => self.long_varint(raw),
+        }
+    }
+
+    fn long_varint(&mut self, raw: &[u8]) -> Result<u64, Violation> {
         let mut reader = ByteReader::new(&raw[self.at..self.end], "D3");
         let value = reader.varint()?;
         self.at = self.end - reader.len();

@@ -129,7 +129,25 @@ pub struct Header {
     pub leaf_entries: u32,
 }
 
+/// Pages without bytes of their own that are gone through however small the archive is, and bytes for each one more.
+const MOST_REPEATS: u64 = 1 << 22;
+const BYTES_A_REPEAT: u64 = 16;
+
 impl Header {
+    /// Refuses to go through all pages of an archive that makes so many of so few bytes that it would take minutes and more.
+    pub(super) fn check_repeats(&self) -> Result<()> {
+        let repeats = self.pages.shared.saturating_add(self.pages.uniform);
+        let most = MOST_REPEATS.max(self.file_len / BYTES_A_REPEAT);
+        if repeats > most {
+            let what = format!(
+                "pages without bytes of their own, in an archive of {} bytes (convert the scan again with larger pixels)",
+                self.file_len
+            );
+            return Err(Error::Limit { what, value: repeats.to_string(), max: most.to_string() });
+        }
+        Ok(())
+    }
+
     /// Offset of the pages (bytes).
     pub fn pages_offset(&self) -> u64 {
         self.bytes.head

@@ -4,7 +4,7 @@
 //! other; sharing, directory and head are made anew, since they look across parts. Every page is decoded and checked on
 //! its way. Memory: that of one writer and one page.
 
-use super::copy::{Copier, beyond_this_version, refuse_repeats};
+use super::copy::{Copier, beyond_this_version};
 use super::head::{Bounds, Header, Voxels};
 use super::matter::Matter;
 use super::metadata::{Metadata, Tag, Unknown, tag_name};
@@ -89,6 +89,7 @@ fn named(path: &Path, error: Error) -> Error {
         Error::Format { .. } | Error::Unsupported { .. } => {
             Error::input(path, "damaged", format!("{error}; convert this part again"))
         }
+        limit @ Error::Limit { .. } => Error::input(path, "directory", limit.to_string()),
         other => other,
     }
 }
@@ -105,7 +106,6 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
         return Err(Error::parameter(Parameter::Shard, "no part was given; name the archives of all parts"));
     };
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
-    parts.iter().try_for_each(|part| refuse_repeats(&part.header))?;
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
     let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing, shards.iter().collect())?;
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), ..Totals::default() };

@@ -49,10 +49,10 @@ pub use merge::{Merged, merge};
 pub use metadata::MAX_UNITS;
 pub use opening::{Opened, Opening};
 pub use page::{EncodedPage, PageDecoder, PageEncoder};
-pub use reader::Archive;
+pub use reader::{Archive, PageReader};
 pub use recover::{Recovered, recover};
 pub use shard::{InputRead, MAX_SHARDS, Shard};
-pub use verify::{Finding, VerifySummary};
+pub use verify::{Finding, LISTED, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};
 
 /// Version of the format that is written: major, minor.

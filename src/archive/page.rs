@@ -191,23 +191,17 @@ impl PageDecoder {
         let page = match entry.storage {
             Storage::Uniform(span) => self.uniform(span),
             Storage::Stored(extent) | Storage::Shared(extent) => {
-                check_leader(entry, extent, bytes)?;
-                self.decoder.decode(&bytes[LEADER..])?
+                check_key(entry, check_leader(extent, bytes)?)?;
+                self.decode_body(bytes)?
             }
         };
-        if page.slices() != entry.slices {
-            let expected = format!("slices {:016x} as in the directory", entry.slices);
-            return Err(Violation::new("P9", expected, format!("{:016x}", page.slices())));
-        }
-        if page.size() != entry.size {
-            let words = |size: PageSize| format!("{} blocks and {} words", size.blocks(), size.words());
-            return Err(Violation::new(
-                "P11",
-                format!("{} as in the directory", words(entry.size)),
-                words(page.size()),
-            ));
-        }
+        check_entry(entry, page.slices(), page.size())?;
         Ok(page)
+    }
+
+    /// The page whose leader and body are `bytes`, whatever its leader says.
+    pub(super) fn decode_body(&mut self, bytes: &[u8]) -> Result<Page, Violation> {
+        self.decoder.decode(&bytes[LEADER..])
     }
 
     /// The page that `bytes` are by their own word, without a directory entry that tells of it: its key and what it
@@ -258,7 +252,8 @@ impl Leader {
     }
 }
 
-fn check_leader(entry: &PageEntry, extent: Extent, bytes: &[u8]) -> Result<(), Violation> {
+/// The key that the leader of the page `bytes` states, where `bytes` are those of `extent` (rules P1 and P2).
+pub(super) fn check_leader(extent: Extent, bytes: &[u8]) -> Result<PageKey, Violation> {
     if bytes.len() != extent.len as usize || bytes.len() <= LEADER {
         return Err(Violation::new("P1", format!("a page of {} bytes", extent.len), bytes.len()));
     }
@@ -274,13 +269,30 @@ fn check_leader(entry: &PageEntry, extent: Extent, bytes: &[u8]) -> Result<(), V
         let found = format!("{:08x}, and {:08x} in the directory", leader.crc, extent.crc);
         return Err(Violation::new("P2", format!("checksum {crc:08x}"), found));
     }
-    let key = leader.key;
+    Ok(leader.key)
+}
+
+/// Rule P3: the bytes of `entry`, of which the leader states `key`, are its own or those of an earlier page.
+pub(super) fn check_key(entry: &PageEntry, key: PageKey) -> Result<(), Violation> {
     let fits = match entry.storage {
         Storage::Shared(_) => key < entry.key,
         _ => key == entry.key,
     };
-    if !fits {
-        return Err(Violation::new("P3", format!("the bytes of page {} or of one that it shares", entry.key), key));
+    match fits {
+        true => Ok(()),
+        false => Err(Violation::new("P3", format!("the bytes of page {} or of one that it shares", entry.key), key)),
+    }
+}
+
+/// Rules P9 and P11: a page with matter in `slices`, and of this size, is what `entry` says.
+pub(super) fn check_entry(entry: &PageEntry, slices: u64, size: PageSize) -> Result<(), Violation> {
+    if slices != entry.slices {
+        let expected = format!("slices {:016x} as in the directory", entry.slices);
+        return Err(Violation::new("P9", expected, format!("{slices:016x}")));
+    }
+    if size != entry.size {
+        let words = |size: PageSize| format!("{} blocks and {} words", size.blocks(), size.words());
+        return Err(Violation::new("P11", format!("{} as in the directory", words(entry.size)), words(size)));
     }
     Ok(())
 }

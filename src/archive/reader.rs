@@ -1,7 +1,7 @@
 //! Reading an archive: head and footer at once, directory leaves and pages on demand (chapter 10).
 
 use super::catalog::Catalog;
-use super::directory::{LeafEntries, PageEntry};
+use super::directory::{Content, LeafEntries, PageEntry};
 use super::head::Header;
 use super::metadata::Metadata;
 use super::opening::{Opened, Opening};
@@ -133,16 +133,20 @@ impl Archive {
         self.catalog.open_leaf(index, &read(&*self.source, self.catalog.leaf_range(index))?)
     }
 
-    /// All entries in ascending order, leaf by leaf. A leaf that cannot be read is one error, and the next follows.
+    /// All entries in ascending order, leaf by leaf. A leaf that cannot be read is one error, and the next follows. An
+    /// archive that has more than 2²² pages without bytes, and more than one for 16 of its bytes, gives one error alone.
     pub fn entries(&self) -> impl Iterator<Item = Result<PageEntry>> + '_ {
-        (0..self.leaf_count()).flat_map(|index| {
+        let limits = self.header().check_repeats().err();
+        let leaves = if limits.is_some() { 0 } else { self.leaf_count() };
+        let leaves = (0..leaves).flat_map(|index| {
             let leaf = self.open_leaf(index).and_then(|entries| entries.check().map(|_| entries));
             let (entries, error) = match leaf {
                 Ok(entries) => (Some(entries), None),
                 Err(error) => (None, Some(error)),
             };
             entries.into_iter().flatten().chain(error.map(Err))
-        })
+        });
+        limits.map(Err).into_iter().chain(leaves)
     }
 
     /// The entry of a page; `None` if the archive has no matter there. One read, or none in the leaf of the last call.
@@ -182,6 +186,31 @@ impl Archive {
         let page = decoder.decode(entry, &bytes);
         decoder.bytes = bytes;
         page
+    }
+}
+
+/// Reads pages one after the other. One with the content of the last is neither read nor decoded again.
+#[derive(Debug)]
+pub struct PageReader<'a> {
+    archive: &'a Archive,
+    decoder: PageDecoder,
+    last: Option<(Content, Page)>,
+}
+
+impl<'a> PageReader<'a> {
+    /// A reader of the pages of `archive`. Memory: one page, and the scratch memory of a [`PageDecoder`].
+    pub fn new(archive: &'a Archive) -> Self {
+        Self { archive, decoder: PageDecoder::new(), last: None }
+    }
+
+    /// The page of an entry, as by [`Archive::page`].
+    pub fn page(&mut self, entry: &PageEntry) -> Result<&Page> {
+        let content = entry.content();
+        let last = match self.last.take() {
+            Some(last) if last.0 == content => last,
+            _ => (content, self.archive.page_with(entry, &mut self.decoder)?),
+        };
+        Ok(&self.last.insert(last).1)
     }
 }
 

@@ -7,7 +7,7 @@
 //! one writer.
 
 use super::catalog::Catalog;
-use super::copy::{Copier, beyond_this_version, refuse_repeats};
+use super::copy::{Copier, beyond_this_version};
 use super::directory::{Content, Extent, PageEntry, Storage};
 use super::head::{self, Header, MAX_HEAD, Pages};
 use super::metadata::Metadata;
@@ -85,7 +85,8 @@ pub fn recover(
             return Err(Error::input(path, "head", reason));
         }
     };
-    old.as_ref().map_or(Ok(()), |archive| refuse_repeats(archive.header()))?;
+    let limits = old.as_ref().map_or(Ok(()), |archive| archive.header().check_repeats());
+    limits.map_err(|error| Error::input(path, "directory", error.to_string()))?;
     monitor.stage("recover", source.len(), "bytes");
     let mut rescue = Rescue {
         source: &source,

@@ -2,20 +2,22 @@
 //!
 //! Opening has checked head and footer, and that the sections fill the file without gap. What is left: the leaves
 //! cover every page once and in order, every page is sound and canonical, and the totals and bounds of the head are true.
-//! Memory: one leaf, 1 MiB of pages, and the places of the last 65,536 stored pages (about 2 MiB).
+//! Memory: the bytes of one leaf, 1 MiB of pages, and what was found of the last 65,536 stored pages (about 8 MiB): a page
+//! that shares their bytes is checked by that. Time: linear in the bytes of the pages and in their number.
 
 use super::dedup::WINDOW;
 use super::directory::{Extent, PageEntry, Storage};
 use super::head::{Pages, Tiles, Voxels};
 use super::matter::Matter;
-use super::page::{PageDecoder, PageEncoder};
+use super::page::{PageDecoder, PageEncoder, check_entry, check_key, check_leader};
 use super::reader::Archive;
 use super::shard::Shard;
 use crate::codec::Violation;
+use crate::frame::TILE_PIXELS;
 use crate::monitor::Monitor;
-use crate::slice::{Page, PageSize};
+use crate::slice::{Page, PageBounds, PageSize, Span};
 use crate::{Error, Result};
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 
 /// Bytes of pages read at once.
 const CHUNK: u64 = 1 << 20;
@@ -60,19 +62,21 @@ pub struct VerifySummary {
 }
 
 impl Archive {
-    /// Reads and checks every byte; gives each finding to `findings` and goes on. Fails only if `monitor` asks to stop.
-    /// Cost: one pass over the file, each page decoded and encoded again.
+    /// Reads and checks every byte and goes on after a finding. Gives the first [`LISTED`] findings of each rule to `findings`;
+    /// the summary counts all. Fails only if `monitor` asks to stop, and for archives of which [`entries`](Self::entries)
+    /// refuses to give all pages. Cost: one pass over the file, each stored page decoded and encoded again.
     pub fn verify(&self, monitor: &dyn Monitor, findings: &mut dyn FnMut(Finding)) -> Result<VerifySummary> {
         let header = self.header();
+        header.check_repeats()?;
         monitor.stage("verify", header.pages.total(), "pages");
         let mut pass = Pass {
             archive: self,
             findings,
+            counts: HashMap::new(),
             summary: VerifySummary { bytes: header.bytes.head + super::head::FOOTER as u64, ..Default::default() },
             decoder: PageDecoder::new(),
             encoder: PageEncoder::new(*self.frame()),
             chunk: (0, Vec::new()),
-            shared: Vec::new(),
             next: Some(header.pages_offset()),
             lost_leaf: false,
             stored: VecDeque::new(),
@@ -81,22 +85,14 @@ impl Archive {
         };
         pass.metadata();
         for index in 0..self.leaf_count() {
-            let entries = match self.leaf(index) {
-                Ok(entries) => entries,
-                Err(error) => {
-                    pass.report(error, &format!("directory leaf {index}"), header.directory_offset());
-                    // Where the pages of the next leaf begin can no longer be known.
-                    pass.next = None;
-                    pass.lost_leaf = true;
-                    continue;
-                }
-            };
-            for entry in &entries {
+            if let Err(error) = pass.leaf(index, monitor) {
                 if monitor.cancelled() {
                     return Err(Error::Interrupted);
                 }
-                pass.entry(entry);
-                monitor.advance(1);
+                pass.error(error, &format!("directory leaf {index}"), header.directory_offset());
+                // Where the pages of the next leaf begin can no longer be known.
+                pass.next = None;
+                pass.lost_leaf = true;
             }
         }
         pass.totals();
@@ -104,22 +100,57 @@ impl Archive {
     }
 }
 
+/// How many findings of one rule a verification lists; it counts the others.
+pub const LISTED: u64 = 1000;
+/// Pages between two looks at the monitor.
+const STRIDE: u64 = 1 << 12;
+/// Pixels of a page.
+const PIXELS: u64 = (TILE_PIXELS * TILE_PIXELS) as u64;
+
+/// What a sound page adds to the totals.
+#[derive(Debug, Clone, Copy)]
+struct Facts {
+    voxels: (u64, u64),
+    bounds: PageBounds,
+}
+
+impl Facts {
+    fn of(page: &Page) -> Option<Self> {
+        Some(Self { voxels: page.voxel_counts(), bounds: page.bounds()? })
+    }
+
+    /// Of a page whose pixels all hold the one `span`.
+    fn of_uniform(span: Span) -> Self {
+        let voxels = PIXELS * u64::from(span.slice_mask().count_ones());
+        let obstacle = if span.is_obstacle() { voxels } else { 0 };
+        Self { voxels: (voxels, obstacle), bounds: PageBounds::of_uniform(span) }
+    }
+}
+
+/// A stored page that was seen: its entry, and what its bytes hold or break.
+struct Seen {
+    extent: Extent,
+    slices: u64,
+    size: PageSize,
+    verdict: Result<Facts, Box<Violation>>,
+}
+
 struct Pass<'a> {
     archive: &'a Archive,
     findings: &'a mut dyn FnMut(Finding),
+    /// Findings so far by rule.
+    counts: HashMap<&'static str, u64>,
     summary: VerifySummary,
     decoder: PageDecoder,
     encoder: PageEncoder,
     /// Bytes read ahead, and where they begin.
     chunk: (u64, Vec<u8>),
-    /// Bytes of a shared page, which lie far behind the chunk.
-    shared: Vec<u8>,
     /// Where the next stored page must begin; unknown after a damaged leaf.
     next: Option<u64>,
     /// Some stored pages are not known because the leaf that tells of them is damaged.
     lost_leaf: bool,
     /// The most recent stored pages, which later ones may share; ascending.
-    stored: VecDeque<(Extent, u64, PageSize)>,
+    stored: VecDeque<Seen>,
     /// The part of a conversion that the archive says it holds.
     shard: Option<Shard>,
     /// Where the matter of sound pages lies.
@@ -133,118 +164,157 @@ impl Pass<'_> {
                 self.summary.bytes += self.archive.header().bytes.metadata;
                 self.shard = metadata.shard;
             }
-            Err(error) => self.report(error, "metadata", self.archive.header().metadata_offset()),
+            Err(error) => self.error(error, "metadata", self.archive.header().metadata_offset()),
         }
     }
 
-    fn report(&mut self, error: Error, part: &str, at: u64) {
+    /// Counts a finding of `rule`, and lists it if there are not too many.
+    fn report(&mut self, rule: &'static str, finding: impl FnOnce() -> Finding) {
         self.summary.findings += 1;
-        (self.findings)(match error {
-            Error::Format { rule, part, offset, expected, found } => Finding { rule, part, offset, expected, found },
-            other => {
+        let count = self.counts.entry(rule).or_default();
+        *count += 1;
+        if *count <= LISTED {
+            (self.findings)(finding());
+        }
+    }
+
+    fn error(&mut self, error: Error, part: &str, at: u64) {
+        match error {
+            Error::Format { rule, part, offset, expected, found } => {
+                self.report(rule, || Finding { rule, part, offset, expected, found });
+            }
+            other => self.report("S1", || {
                 let expected = "bytes that can be read".into();
                 Finding { rule: "S1", part: part.into(), offset: at, expected, found: other.to_string() }
-            }
+            }),
+        }
+    }
+
+    /// A finding about the page of `entry`.
+    fn page(&mut self, entry: &PageEntry, rule: &'static str, found: impl FnOnce() -> (String, String)) {
+        self.report(rule, || {
+            let offset = entry.extent().map_or(0, |extent| extent.offset);
+            let (expected, found) = found();
+            Finding { rule, part: format!("page {}", entry.key), offset, expected, found }
         });
     }
 
-    fn violation(&mut self, violation: Violation, part: &str, at: u64) {
-        self.report(violation.at(part, at), part, at);
+    fn leaf(&mut self, index: usize, monitor: &dyn Monitor) -> Result<()> {
+        for (number, entry) in (0u64..).zip(self.archive.open_leaf(index)?) {
+            if number.is_multiple_of(STRIDE) && monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            self.entry(&entry?);
+            monitor.advance(1);
+        }
+        Ok(())
     }
 
     fn entry(&mut self, entry: &PageEntry) {
-        let part = format!("page {}", entry.key);
         let (low, high) = entry.slice_range();
         let (first, last) = self.summary.slices.unwrap_or((low, high));
         self.summary.slices = Some((first.min(low), last.max(high)));
-        let at = entry.extent().map_or(0, |extent| extent.offset);
-        if let Err(violation) = self.place(entry) {
-            self.violation(violation, &part, at);
-        }
         if let Some(shard) = self.shard.filter(|shard| !shard.columns().contains(&entry.key.column())) {
-            let expected = format!("columns {:016x} to {:016x} of {shard}", shard.first, shard.last);
-            self.violation(Violation::new("T5", expected, format!("{:016x}", entry.key.column())), &part, at);
+            let expected = || format!("columns {:016x} to {:016x} of {shard}", shard.first, shard.last);
+            self.page(entry, "T5", || (expected(), format!("{:016x}", entry.key.column())));
         }
-        match self.content(entry) {
-            Ok(page) => {
-                let (occupied, obstacle) = page.voxel_counts();
-                self.summary.voxels.occupied += occupied;
-                self.summary.voxels.obstacle += obstacle;
-                if let Some(bounds) = page.bounds() {
-                    self.matter.add(entry.key, &bounds);
-                }
-            }
-            Err(error) => self.report(error, &part, at),
-        }
-    }
-
-    /// Rules D9 and D10: stored pages lie one after the other, shared ones lie where a recent one does.
-    fn place(&mut self, entry: &PageEntry) -> Result<(), Violation> {
-        let tiles = entry.slices.count_ones() as u64;
-        self.summary.tiles.occupied += tiles;
-        match entry.storage {
-            Storage::Uniform(_) => {
+        self.summary.tiles.occupied += u64::from(entry.slices.count_ones());
+        let facts = match entry.storage {
+            Storage::Uniform(span) => {
                 self.summary.pages.uniform += 1;
-                Ok(())
+                Some(Facts::of_uniform(span))
             }
-            Storage::Stored(extent) => {
-                self.summary.pages.stored += 1;
-                self.summary.tiles.stored += tiles;
-                self.summary.tiles.unique += tiles;
-                if self.stored.len() == WINDOW {
-                    self.stored.pop_front();
-                }
-                self.stored.push_back((extent, entry.slices, entry.size));
-                let expected = self.next.replace(extent.offset + extent.len as u64);
-                match expected {
-                    Some(expected) if expected != extent.offset => {
-                        Err(Violation::new("D9", format!("the page at byte {expected}"), extent.offset))
-                    }
-                    _ => Ok(()),
-                }
+            Storage::Stored(extent) => self.stored(entry, extent),
+            Storage::Shared(extent) => self.shared(entry, extent),
+        };
+        if let Some(facts) = facts {
+            self.summary.voxels.occupied += facts.voxels.0;
+            self.summary.voxels.obstacle += facts.voxels.1;
+            self.matter.add(entry.key, &facts.bounds);
+        }
+    }
+
+    /// Stored pages lie one after the other (rule D9), and keep the rules of pages.
+    fn stored(&mut self, entry: &PageEntry, extent: Extent) -> Option<Facts> {
+        let tiles = u64::from(entry.slices.count_ones());
+        self.summary.pages.stored += 1;
+        self.summary.tiles.stored += tiles;
+        self.summary.tiles.unique += tiles;
+        let expected = self.next.replace(extent.offset + u64::from(extent.len));
+        if let Some(expected) = expected.filter(|&expected| expected != extent.offset) {
+            let found = || (format!("the page at byte {expected}"), extent.offset.to_string());
+            self.page(entry, "D9", found);
+        }
+        let verdict = match self.content(entry, extent) {
+            Ok(verdict) => verdict,
+            Err(error) => {
+                self.error(error, &format!("page {}", entry.key), extent.offset);
+                let unread = Violation::new("S1", "bytes that can be read", "those of a page that could not be");
+                self.remember(entry, extent, Err(Box::new(unread)));
+                return None;
             }
-            Storage::Shared(extent) => {
-                self.summary.pages.shared += 1;
-                self.summary.tiles.stored += tiles;
-                let first = self.stored.partition_point(|(stored, ..)| stored.offset < extent.offset);
-                match self.stored.get(first) {
-                    Some(&known) if known == (extent, entry.slices, entry.size) => Ok(()),
-                    // What it shares may be of the lost leaf; the bytes are checked all the same.
-                    _ if self.lost_leaf => Ok(()),
-                    other => {
-                        let expected = format!("one of the last {WINDOW} stored pages");
-                        Err(Violation::new("D10", expected, format!("{extent:?} of {other:?}")))
-                    }
-                }
+        };
+        if let Err(violation) = &verdict {
+            let Violation { rule, expected, found } = &**violation;
+            self.page(entry, rule, || (expected.clone(), found.clone()));
+        }
+        let facts = verdict.as_ref().ok().copied();
+        self.remember(entry, extent, verdict);
+        facts
+    }
+
+    fn remember(&mut self, entry: &PageEntry, extent: Extent, verdict: Result<Facts, Box<Violation>>) {
+        if self.stored.len() == WINDOW {
+            self.stored.pop_front();
+        }
+        self.stored.push_back(Seen { extent, slices: entry.slices, size: entry.size, verdict });
+    }
+
+    /// Shared pages lie where a recent stored one does (rule D10), and keep the rules that that one keeps. Rule P3 follows:
+    /// a stored page has the key of an entry before.
+    fn shared(&mut self, entry: &PageEntry, extent: Extent) -> Option<Facts> {
+        self.summary.pages.shared += 1;
+        self.summary.tiles.stored += u64::from(entry.slices.count_ones());
+        let first = self.stored.partition_point(|seen| seen.extent.offset < extent.offset);
+        let seen = self
+            .stored
+            .get(first)
+            .filter(|seen| (seen.extent, seen.slices, seen.size) == (extent, entry.slices, entry.size));
+        match seen.map(|seen| seen.verdict.clone()) {
+            Some(Ok(facts)) => Some(facts),
+            Some(Err(violation)) => {
+                let Violation { rule, expected, found } = *violation;
+                self.page(entry, rule, || (expected, found));
+                None
+            }
+            // What it shares may be of the lost leaf.
+            None if self.lost_leaf => None,
+            None => {
+                self.page(entry, "D10", || (format!("one of the last {WINDOW} stored pages"), format!("{extent:?}")));
+                None
             }
         }
     }
 
-    /// The page, decoded and encoded again.
-    fn content(&mut self, entry: &PageEntry) -> Result<Page> {
-        let Some(extent) = entry.extent() else {
-            return self.decoder.decode(entry, &[]);
-        };
-        let bytes = match entry.storage {
-            Storage::Shared(_) => {
-                self.shared.resize(extent.len as usize, 0);
-                self.archive.source().read_at(extent.offset, &mut self.shared)?;
-                &self.shared[..]
+    /// Decodes the bytes of a stored page and encodes them again.
+    fn content(&mut self, entry: &PageEntry, extent: Extent) -> Result<Result<Facts, Box<Violation>>> {
+        let start = self.read_ahead(extent)?;
+        let bytes = &self.chunk.1[start..start + extent.len as usize];
+        let (decoder, encoder) = (&mut self.decoder, &mut self.encoder);
+        let mut check = || {
+            check_key(entry, check_leader(extent, bytes)?)?;
+            let page = decoder.decode_body(bytes)?;
+            check_entry(entry, page.slices(), page.size())?;
+            if !encoder.gives(&page, bytes) {
+                return Err(Violation::new("P10", "the one encoding of its content", "another"));
             }
-            _ => {
-                let start = self.read_ahead(extent)?;
-                &self.chunk.1[start..start + extent.len as usize]
-            }
+            Facts::of(&page).ok_or_else(|| Violation::new("P6", "matter in some pixel", "none"))
         };
-        let page = self.decoder.decode(entry, bytes)?;
-        if !self.encoder.gives(&page, bytes) {
-            let part = format!("page {}", entry.key);
-            return Err(Violation::new("P10", "the one encoding of its content", "another").at(part, extent.offset));
+        let verdict = check();
+        if verdict.is_ok() {
+            self.summary.bytes += u64::from(extent.len);
         }
-        if matches!(entry.storage, Storage::Stored(_)) {
-            self.summary.bytes += extent.len as u64;
-        }
-        Ok(page)
+        Ok(verdict.map_err(Box::new))
     }
 
     /// Makes the chunk hold `extent` and returns where in the chunk it begins.
@@ -276,7 +346,7 @@ impl Pass<'_> {
         let directory = header.directory_offset();
         if let Some(end) = self.next.filter(|&end| end != directory) {
             let violation = Violation::new("D9", format!("pages up to byte {directory}"), end);
-            self.violation(violation, "pages", header.pages_offset());
+            self.error(violation.at("pages", header.pages_offset()), "pages", 0);
         }
         if self.summary.findings > 0 {
             return;
@@ -285,7 +355,7 @@ impl Pass<'_> {
         let found = self.summary;
         let mut compare = |rule, stated: String, counted: String| {
             if stated != counted {
-                self.violation(Violation::new(rule, counted, stated), "head", 0);
+                self.error(Violation::new(rule, counted, stated).at("head", 0), "head", 0);
             }
         };
         compare("T1", format!("{:?}", header.pages), format!("{:?}", found.pages));
@@ -294,7 +364,7 @@ impl Pass<'_> {
         compare("T4", format!("slices {:?}", header.slices), format!("slices {:?}", found.slices));
         let bounds = self.matter.check(&header.plan, self.shard.is_some(), header.bounds.as_ref());
         if let Err(violation) = bounds {
-            self.violation(violation, "head", 0);
+            self.error(violation.at("head", 0), "head", 0);
         }
     }
 }

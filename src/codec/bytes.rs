@@ -51,12 +51,6 @@ impl<'a> ByteReader<'a> {
 
     /// The next varint: 7 bits a byte, lowest first, high bit set on all but the last; no leading zero group.
     pub fn varint(&mut self) -> Result<u64, Violation> {
-        if let Some((&byte, rest)) = self.rest.split_first()
-            && byte < 0x80
-        {
-            self.rest = rest;
-            return Ok(byte.into());
-        }
         let mut value = 0u64;
         for (at, &byte) in self.rest.iter().enumerate().take(MAX_VARINT) {
             let group = (byte & 0x7F) as u64;

@@ -55,8 +55,9 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|k| (b[k] - a[k]) * (b[k] - a[k])).sum::<f64>().sqrt()
 }
 
+/// Rounding never leaves the box of the two, so that all points lie within the bounds of the corners.
 fn between(a: [f64; 3], b: [f64; 3], share: f64) -> [f64; 3] {
-    [0, 1, 2].map(|k| a[k] + (b[k] - a[k]) * share)
+    [0, 1, 2].map(|k| (a[k] + (b[k] - a[k]) * share).clamp(a[k].min(b[k]), a[k].max(b[k])))
 }
 
 #[cfg(test)]
@@ -75,10 +76,16 @@ mod tests {
             let place = [0, 1, 2].map(|k| a[k] + p * (b[k] - a[k]) + q * (c[k] - a[k]));
             let mut nearest = f64::INFINITY;
             let mut count = 0u32;
+            let end = |pick: fn(f64, f64) -> f64, axis: usize| {
+                corners.iter().map(|corner| corner[axis]).reduce(pick).unwrap()
+            };
+            let mut inside = true;
             oversample(&corners, step, |point| {
                 nearest = nearest.min(distance(point, place));
                 count += 1;
+                inside &= (0..3).all(|axis| (end(f64::min, axis)..=end(f64::max, axis)).contains(&point[axis]));
             });
+            prop_assert!(inside);
             // Lines are a step apart at most, and so are points on them.
             prop_assert!(nearest <= step * 1.0001, "{nearest}");
             prop_assert!(f64::from(count) < 40.0 + 400.0 / (step * step));

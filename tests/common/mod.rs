@@ -93,6 +93,13 @@ pub fn scene() -> (Pages, Totals) {
     (pages, totals)
 }
 
+/// One page with bytes, and many that share them: the bytes of the archive.
+pub fn sharing() -> Vec<u8> {
+    let span = |at| Span::new(at, at + 40, at % 2 == 0).unwrap();
+    let content = page((0..300).map(|at| ((at % 64, at / 64), vec![span(at)])));
+    archive(&((0..5000).map(|layer| (key(0, 0, layer), content.clone())).collect(), Totals::default()))
+}
+
 /// A key.
 pub fn key(tx: i32, ty: i32, layer: i32) -> PageKey {
     PageKey { tx, ty, layer }

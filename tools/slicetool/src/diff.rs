@@ -2,13 +2,13 @@
 
 use crate::{Failure, Outcome};
 use serde_json::json;
-use slicewalk::archive::{Archive, PageEntry};
+use slicewalk::archive::{Archive, PageEntry, PageReader};
 use slicewalk::slice::{Page, Span};
 use std::fmt::Write;
 use std::path::Path;
 
 /// Counts of what differs; voxels of both archives are compared by lowest bottom, highest top and kind.
-#[derive(Default)]
+#[derive(Clone, Copy, Default)]
 struct Difference {
     pages_only_a: u64,
     pages_only_b: u64,
@@ -100,36 +100,68 @@ fn entries<'a>(archive: &'a Archive, path: &'a Path) -> impl Iterator<Item = Res
     archive.entries().map(move |entry| entry.map_err(|error| crate::broken(path, &error)))
 }
 
+impl Difference {
+    /// Between two pages of the same key; `None` where an archive has none.
+    fn between(a: Option<&Page>, b: Option<&Page>, empty: &Page) -> Self {
+        let mut difference = Self::default();
+        match (a, b) {
+            (Some(_), None) => difference.pages_only_a += 1,
+            (None, Some(_)) => difference.pages_only_b += 1,
+            (a, b) => difference.pages_differing += u64::from(a != b),
+        }
+        if a == b {
+            difference.voxels_in_both += a.map_or(0, |page| page.voxel_counts().0);
+        } else {
+            count(a.unwrap_or(empty), b.unwrap_or(empty), &mut difference);
+        }
+        difference
+    }
+
+    fn add(&mut self, more: &Self) {
+        self.pages_only_a += more.pages_only_a;
+        self.pages_only_b += more.pages_only_b;
+        self.pages_differing += more.pages_differing;
+        self.voxels_only_a += more.voxels_only_a;
+        self.voxels_only_b += more.voxels_only_b;
+        self.voxels_in_both += more.voxels_in_both;
+        self.obstacle_only_a += more.obstacle_only_a;
+        self.obstacle_only_b += more.obstacle_only_b;
+        self.other_height += more.other_height;
+        self.greatest_bottom = self.greatest_bottom.max(more.greatest_bottom);
+        self.greatest_top = self.greatest_top.max(more.greatest_top);
+    }
+}
+
 /// Walks both directories side by side; memory: one page of each.
 fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Result<Difference, Failure> {
     let mut difference = Difference::default();
     let (mut entries_a, mut entries_b) = (entries(a, path_a), entries(b, path_b));
     let (mut next_a, mut next_b) = (entries_a.next().transpose()?, entries_b.next().transpose()?);
+    let (mut pages_a, mut pages_b) = (PageReader::new(a), PageReader::new(b));
     let empty = slicewalk::slice::PageBuilder::default().build();
-    let load = |archive: &Archive, path: &Path, entry: Option<&PageEntry>| -> Result<Option<Page>, Failure> {
-        entry.map(|entry| archive.page(entry)).transpose().map_err(|error| crate::broken(path, &error))
-    };
+    // Contents that lie over each other mostly do so more than once.
+    let mut last = None;
     while next_a.is_some() || next_b.is_some() {
-        let key_a = next_a.as_ref().map(|entry| entry.key);
-        let key_b = next_b.as_ref().map(|entry| entry.key);
-        let take_a = key_a.is_some_and(|a| key_b.is_none_or(|b| a <= b));
-        let take_b = key_b.is_some_and(|b| key_a.is_none_or(|a| b <= a));
-        let page_a = load(a, path_a, next_a.as_ref().filter(|_| take_a))?;
-        let page_b = load(b, path_b, next_b.as_ref().filter(|_| take_b))?;
-        match (&page_a, &page_b) {
-            (Some(_), None) => difference.pages_only_a += 1,
-            (None, Some(_)) => difference.pages_only_b += 1,
-            (page_a, page_b) => difference.pages_differing += u64::from(page_a != page_b),
-        }
-        if page_a == page_b {
-            difference.voxels_in_both += page_a.as_ref().map_or(0, |page| page.voxel_counts().0);
-        } else {
-            count(page_a.as_ref().unwrap_or(&empty), page_b.as_ref().unwrap_or(&empty), &mut difference);
-        }
-        if take_a {
+        let (key_a, key_b) = (next_a.map(|entry| entry.key), next_b.map(|entry| entry.key));
+        let entry_a = next_a.filter(|a| key_b.is_none_or(|b| a.key <= b));
+        let entry_b = next_b.filter(|b| key_a.is_none_or(|a| b.key <= a));
+        let contents = (entry_a.map(|entry| entry.content()), entry_b.map(|entry| entry.content()));
+        let between = match last {
+            Some((same, between)) if same == contents => between,
+            _ => {
+                let page_a = entry_a.map(|entry| pages_a.page(&entry)).transpose();
+                let page_a = page_a.map_err(|error| crate::broken(path_a, &error))?;
+                let page_b = entry_b.map(|entry| pages_b.page(&entry)).transpose();
+                let page_b = page_b.map_err(|error| crate::broken(path_b, &error))?;
+                Difference::between(page_a, page_b, &empty)
+            }
+        };
+        last = Some((contents, between));
+        difference.add(&between);
+        if entry_a.is_some() {
             next_a = entries_a.next().transpose()?;
         }
-        if take_b {
+        if entry_b.is_some() {
             next_b = entries_b.next().transpose()?;
         }
     }

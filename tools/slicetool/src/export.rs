@@ -1,7 +1,7 @@
 //! `slicetool export`: one point per occupied voxel, for any viewer of point clouds.
 
 use crate::{Failure, Outcome};
-use slicewalk::archive::Archive;
+use slicewalk::archive::{Archive, PageReader};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
 use slicewalk::output::Output;
 use std::io::{self, BufWriter, IntoInnerError, Seek, SeekFrom, Write};
@@ -15,6 +15,9 @@ const CLASSES: [u8; 2] = [2, 1];
 const COUNT_DIGITS: usize = 20;
 /// LAS 1.2 counts points with 32 bits.
 const MOST_LAS_POINTS: u64 = u32::MAX as u64;
+/// Voxels that are exported however small the archive is, and for each of its bytes; scans and meshes have up to 4.
+const MOST_VOXELS: u64 = 1 << 26;
+const MOST_VOXELS_A_BYTE: u64 = 1 << 10;
 /// Coarsest step of LAS coordinates where the extent allows it (m).
 const COARSEST_STEP_M: f64 = 1e-4;
 /// Steps of LAS coordinates that an extent may have: 32 bits, less what rounding the offset takes.
@@ -45,6 +48,12 @@ pub fn run(path: &Path, output: &Path) -> Outcome {
         }
     };
     let archive = crate::open(path)?;
+    let header = archive.header();
+    let (voxels, most) = (header.voxels.occupied, MOST_VOXELS.max(header.file_len.saturating_mul(MOST_VOXELS_A_BYTE)));
+    if voxels > most {
+        let reason = format!("{voxels} voxels in {} bytes; at most {most} are exported", header.file_len);
+        return Err(Failure::Text(format!("{}: {reason}; extract a region first", path.display())));
+    }
     let count = write(&archive, path, crate::output(output, &archive, &[])?)?;
     Ok(format!("{}: {count} points\n", output.display()))
 }
@@ -56,9 +65,10 @@ fn each_voxel(
 ) -> Result<(), Failure> {
     let frame = archive.frame();
     let broken = |error| crate::broken(path, &error);
+    let mut pages = PageReader::new(archive);
     for entry in archive.entries() {
         let entry = entry.map_err(broken)?;
-        let page = archive.page(&entry).map_err(broken)?;
+        let page = pages.page(&entry).map_err(broken)?;
         for (px, py, spans) in page.columns() {
             let centre = |tile: i32, pixel: u32| {
                 (f64::from(tile) * TILE_PIXELS as f64 + f64::from(pixel) + 0.5) * frame.pixel_m()

@@ -118,6 +118,7 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
         slicewalk::Error::Format { .. } => {
             Failure::Text(format!("{}: {error}; convert the scan again, or fetch the archive again", path.display()))
         }
+        slicewalk::Error::Limit { .. } => Failure::Text(format!("{}: {error}", path.display())),
         _ => Failure::Text(error.to_string()),
     }
 }

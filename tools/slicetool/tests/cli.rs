@@ -2,7 +2,11 @@
 
 use scangen::{WriteSpec, write_las};
 use slicewalk::NoMonitor;
+use slicewalk::archive::{ArchiveWriter, PageEncoder, Totals};
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+use slicewalk::frame::{Frame, PageKey};
+use slicewalk::plan::Plan;
+use slicewalk::slice::{PageBuilder, Span};
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -408,6 +412,29 @@ fn merge_joins_parts_and_names_what_does_not_belong() {
     assert!(refuses(at, &onto_itself).contains("this command reads"));
     assert!(refuses(at, &["merge", "none.slices", "-o", "n.slices"]).contains("none.slices"));
     assert!(!at.join("n.slices").exists());
+}
+
+#[test]
+fn an_export_of_gigabytes_from_a_thousand_bytes_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
+    let mut writer = ArchiveWriter::create(&at.join("a.slices"), &plan, false).unwrap();
+    let mut builder = PageBuilder::default();
+    for pixel in 0..4096 {
+        assert!(builder.set_column(pixel % 64, pixel / 64, &[Span::new(0, 16320, true).unwrap()]));
+    }
+    let (page, mut encoder) = (builder.build(), PageEncoder::new(plan.frame));
+    for layer in 0..300 {
+        let key = PageKey { tx: 0, ty: 0, layer };
+        writer.put(key, encoder.encode(key, &page)).unwrap();
+    }
+    writer.finish(Totals::default()).unwrap();
+    let said = refuses(at, &["export", "a.slices", "-o", "a.ply"]);
+    assert!(said.contains("a.slices: 78643200 voxels") && said.contains("extract"), "{said}");
+    assert!(!at.join("a.ply").exists());
+    done(at, &["extract", "a.slices", "-o", "b.slices", "--bounds", "0,0,0,1,1,1"]);
+    assert!(done(at, &["export", "b.slices", "-o", "b.ply"]).contains("points"));
 }
 
 #[test]
