@@ -82,7 +82,10 @@ fn a_million_pages_in_a_thousand_bytes_take_memory_for_few() {
     assert!(refused.contains("more.slices") && refused.contains("4194304") && !path("no.slices").exists(), "{refused}");
     let more = Archive::open(path("more.slices")).unwrap();
     let refused = more.verify(&NoMonitor, &mut |finding| panic!("{finding}")).unwrap_err().to_string();
-    assert!(refused.contains("5242880 is beyond the limit of 4194304") && refused.contains("larger pixels"), "{refused}");
+    assert!(
+        refused.contains("5242880 is beyond the limit of 4194304") && refused.contains("larger pixels"),
+        "{refused}"
+    );
     let mut entries = more.entries();
     assert!(entries.next().unwrap().is_err() && entries.next().is_none());
     let key = more.leaf_first(3);

@@ -5,8 +5,8 @@ use super::dedup::WINDOW;
 use super::head::Header;
 use super::page::EncodedPage;
 use super::writer::{ArchiveWriter, Placed};
-use crate::frame::PageKey;
 use crate::Result;
+use crate::frame::PageKey;
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
 

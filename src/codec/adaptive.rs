@@ -491,7 +491,7 @@ fn walk<C: Coder, G: Given>(
                     bottom_step as i32 + candidates.thickness,
                     span.map(|span| span.top()),
                 );
-                let thick = top > bottom + SLICE / 4;
+                let thick = top.saturating_sub(bottom) > SLICE / 4;
                 let context = (candidates.obstacles * 5 + candidates.count) * 2 + thick as usize;
                 let obstacle = traversal
                     .coder
@@ -672,6 +672,24 @@ pub(crate) mod tests {
         assert!((-8192..8192).all(|value| unfold(fold(value)) == value && fold(value + (1 << 14)) == fold(value)));
         folded.sort_unstable();
         assert!(folded.into_iter().eq(0..1 << 14));
+    }
+
+    /// A height below the floor of the page wraps around; no sum of it may overflow before it is refused.
+    #[test]
+    fn a_bottom_below_the_floor_is_refused() {
+        let Scratch { mut models, mut last_off, mut encoder, .. } = Scratch::default();
+        let lattice = Lattice::new(2 << crate::codec::lattice::FRACTION_BITS, 0).unwrap();
+        code_lattice(&mut encoder, lattice);
+        let mut walk = Traversal { coder: encoder, lattice, models: &mut models, last_off: &mut last_off };
+        walk.blocks((1, 0));
+        walk.coder.bit(&mut walk.models.pixel[0], true);
+        walk.count(0, 0, 1);
+        walk.coder.nibble(&mut walk.models.bottom[0], 0);
+        walk.coder.bit(&mut walk.models.off[0][0], true);
+        walk.coder.bit(&mut walk.models.up[0], false);
+        let mut body = vec![1];
+        walk.coder.finish(&mut body);
+        assert_eq!(Decoder::default().decode(&body).unwrap_err().rule, "P8");
     }
 
     #[test]
