@@ -30,6 +30,8 @@ pub enum Failure {
     Text(String),
     /// A result to print that nevertheless means failure, such as a list of findings.
     Result(String),
+    /// One line for standard error about an option whose value is out of range.
+    Usage(String),
 }
 
 impl<E: std::error::Error> From<E> for Failure {
@@ -122,6 +124,21 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
     }
 }
 
+/// A failure to make a pawn: what its options say may lie outside their limits.
+pub fn no_pawn(error: slicewalk::Error) -> Failure {
+    let slicewalk::Error::Parameter { what: slicewalk::Parameter::Pawn(what), reason } = &error else {
+        return Failure::Text(error.to_string());
+    };
+    let option = match *what {
+        "speed" => "--speed",
+        "climb height" => "--climb",
+        "deepest drop" => "--max-drop",
+        "start" => "--start",
+        _ => "--pawn",
+    };
+    Failure::Usage(format!("{option}: {what}: {reason}"))
+}
+
 /// Begins a picture, table or export at `path`, of `archive` and of the files `also` that the command reads.
 pub fn output(path: &Path, archive: &Archive, also: &[&Path]) -> Result<Output, Failure> {
     let mut protected: Protected = also.iter().collect();
@@ -166,6 +183,10 @@ fn main() -> ExitCode {
         Err(Failure::Text(text)) => {
             say(&text);
             return ExitCode::FAILURE;
+        }
+        Err(Failure::Usage(text)) => {
+            say(&text);
+            return ExitCode::from(2);
         }
     };
     // A closed pipe (`slicetool query … | head`) is the reader's choice, not a failure.

@@ -44,7 +44,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
-    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn())?;
+    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn()).map_err(crate::no_pawn)?;
     let Some(start) = loader.known(|view| Ok(ground.spot(view, arguments.from)))? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
         return Err(Failure::Text(format!(
