@@ -2,6 +2,7 @@
 
 use super::Body;
 use super::body::MOST;
+use crate::text::number;
 use crate::{Error, Parameter, Result};
 
 /// How a pawn answers matter in its way.
@@ -61,7 +62,7 @@ impl Config {
             if fits {
                 return Ok(());
             }
-            Err(Error::parameter(Parameter::Pawn(what), format!("{value} (expected {expected})")))
+            Err(Error::parameter(Parameter::Pawn(what), format!("{} (expected {expected})", number(value))))
         };
         let (speed, climb, gravity, terminal) = (self.speed, self.climb, self.gravity, self.terminal);
         limits("speed", speed, (0.0..=MOST).contains(&speed), "0 to 1000 m/s")?;

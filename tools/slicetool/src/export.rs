@@ -3,7 +3,8 @@
 use crate::{Failure, Outcome};
 use slicewalk::archive::Archive;
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
-use slicewalk::output::Output;
+use slicewalk::output::{Output, is_standard};
+use slicewalk::text::{counted, one_line};
 use std::io::{self, BufWriter, IntoInnerError, Seek, SeekFrom, Write};
 use std::mem::ManuallyDrop;
 use std::path::Path;
@@ -39,6 +40,7 @@ pub fn run(path: &Path, output: &Path) -> Outcome {
         "ply" => ply,
         "las" => |archive: &Archive, path: &Path, to: Output| las(archive, path, to, false),
         "laz" => |archive: &Archive, path: &Path, to: Output| las(archive, path, to, true),
+        _ if is_standard(output) => ply,
         _ => {
             let text = format!("{}: unknown format; name the file .ply, .las or .laz", output.display());
             return Err(Failure::Text(text));
@@ -46,7 +48,8 @@ pub fn run(path: &Path, output: &Path) -> Outcome {
     };
     let archive = crate::open(path)?;
     let count = write(&archive, path, crate::output(output, &archive, &[])?)?;
-    Ok(format!("{}: {count} points\n", output.display()))
+    let name = output.to_string_lossy();
+    crate::standard::written(output, &format!("{}: {}\n", one_line(&name), counted(count, "point")))
 }
 
 fn each_voxel(
