@@ -6,12 +6,16 @@ mod cases;
 mod crowds;
 #[path = "walk/guards.rs"]
 mod guards;
+#[path = "walk/jams.rs"]
+mod jams;
 #[path = "walk/motion.rs"]
 mod motion;
 #[path = "../tools/bench/src/walks/path.rs"]
 mod path;
 #[path = "walk/seams.rs"]
 mod seams;
+#[path = "walk/stuck.rs"]
+mod stuck;
 #[path = "walk/world.rs"]
 mod world;
 

@@ -4,26 +4,30 @@ use crate::query::{
     Aabb, Answer, Cylinder, SweepHit, depenetrate, floor_under, mean_floor_under, probe, sweep, top_under,
 };
 use crate::store::PageSet;
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use nalgebra::{Point3, Vector2, Vector3};
+
+/// Longest body (m), and in [`Config`](super::Config) the highest speeds (m/s) and the strongest gravity (m/s²): they bound
+/// the work of a tick.
+pub(super) const MOST: f64 = 1000.0;
 
 /// The shape of a pawn (m), standing on the middle of its bottom face.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Body {
     /// A box along the axes.
     Box {
-        /// Width along x (m, > 0).
+        /// Width along x (m, above 0, at most 1,000).
         x: f64,
-        /// Width along y (m, > 0).
+        /// Width along y (m, above 0, at most 1,000).
         y: f64,
-        /// Height (m, > 0).
+        /// Height (m, above 0, at most 1,000).
         height: f64,
     },
     /// An upright cylinder.
     Cylinder {
-        /// Radius (m, > 0).
+        /// Radius (m, above 0, at most 500).
         radius: f64,
-        /// Height (m, > 0).
+        /// Height (m, above 0, at most 1,000).
         height: f64,
     },
 }
@@ -69,19 +73,21 @@ impl Body {
         }
     }
 
+    /// Refuses a body without extent, and one longer than [`MOST`].
     pub(crate) fn check(&self) -> Result<()> {
-        let half = self.half();
-        let fits = |v: f64| v > 0.0 && v.is_finite();
-        if fits(half.x) && fits(half.y) && fits(self.height()) {
-            Ok(())
-        } else {
-            Err(Error::parameter("pawn", format!("{self:?} is no body")))
+        let size = 2.0 * self.half();
+        for (what, length) in [("pawn's width", size.x), ("pawn's width", size.y), ("pawn's height", self.height())] {
+            if !(length > 0.0 && length <= MOST) {
+                let reason = format!("{length} m (expected more than 0, at most {MOST} m)");
+                return Err(Error::parameter(Parameter::Pawn(what), reason));
+            }
         }
+        Ok(())
     }
 
     fn part(&self, feet: Point3<f64>, lift: f64) -> Part {
         let feet = feet + Vector3::new(0.0, 0.0, lift);
-        // Checked when the pawn was made: sizes are positive, and it never moves by what is not finite.
+        // Checked when the pawn was made: sizes are positive, and it never leaves the places where pawns can be.
         match *self {
             Self::Box { x, y, height } => {
                 Part::Box(Aabb::standing(feet, Vector3::new(x, y, height - lift)).expect("a finite box"))

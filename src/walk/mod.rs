@@ -6,19 +6,22 @@
 //! Time passes in ticks of fixed length ([`Config::tick_s`]), whatever the length of a frame: what is left of a frame
 //! is kept for the next one. So the way walked does not depend on the frame rate. It does not depend on what is in
 //! memory either: a tick that needs a page that is not there does not happen, the pawn waits in place and says which
-//! pages are missing. "Not loaded" is never free.
+//! pages are missing. "Not loaded" is never free. A step is at most [`MOST_TICKS`] long, and gives back the rest.
 //!
 //! [`Response::Slide`] is ours: exact sweeps of the body (never steps and halving), up, forward and down over what is
 //! no higher than the pawn can climb, along walls and out of corners. [`Response::Thesis`] is that of the thesis,
 //! section 3.2.2, for comparison.
 
 mod body;
+mod config;
 mod crowd;
 mod follow;
+mod progress;
 mod slide;
 mod thesis;
 
 pub use body::Body;
+pub use config::{Config, Response};
 pub use crowd::{Crowd, CrowdReport};
 pub use follow::Route;
 
@@ -28,81 +31,8 @@ use crate::store::Missing;
 use crate::store::{Outlook, PageSet};
 use crate::{Error, Parameter, Result};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
+use progress::Progress;
 use std::ops::ControlFlow;
-
-/// How a pawn answers matter in its way.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Response {
-    /// Exact sweeps; slides along walls.
-    #[default]
-    Slide,
-    /// Steps of fixed length, halved while they collide (thesis, section 3.2.2); stands on the highest floor.
-    Thesis,
-    /// As [`Thesis`](Self::Thesis), standing on the mean of the floor's heights.
-    ThesisMean,
-}
-
-/// Numbers of a pawn. All lengths in metres, times in seconds.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Config {
-    /// Its shape.
-    pub body: Body,
-    /// Walking speed (m/s, >= 0).
-    pub speed: f64,
-    /// Highest step it climbs or walks down without falling (m, >= 0, less than its height).
-    pub climb: f64,
-    /// Acceleration downwards (m/s², >= 0).
-    pub gravity: f64,
-    /// Greatest speed of a fall (m/s, > 0).
-    pub terminal: f64,
-    /// Length of a tick (s, > 0).
-    pub tick_s: f64,
-    /// How it answers matter in its way.
-    pub response: Response,
-    /// It stops before ledges deeper than this, and before the edge of the scan (m, >= 0); `None`: it walks over them, and
-    /// falls, as it does with the responses of the thesis.
-    pub max_drop: Option<f64>,
-}
-
-impl Config {
-    /// The pawn of the thesis: 0.5 × 0.5 × 1.8 m, 1.4 m/s, climbs 0.35 m.
-    pub fn new(body: Body) -> Self {
-        Self {
-            body,
-            speed: 1.4,
-            climb: 0.35,
-            gravity: 9.81,
-            terminal: 50.0,
-            tick_s: 1.0 / 240.0,
-            response: Response::Slide,
-            max_drop: None,
-        }
-    }
-
-    fn check(&self) -> Result<()> {
-        self.body.check()?;
-        let finite = |what: &'static str, value: f64, fits: bool| {
-            if fits && value.is_finite() {
-                Ok(())
-            } else {
-                Err(Error::parameter(Parameter::Pawn(what), format!("{value} is not allowed")))
-            }
-        };
-        finite("speed", self.speed, self.speed >= 0.0)?;
-        finite("climb height", self.climb, self.climb >= 0.0 && self.climb < self.body.height())?;
-        finite("gravity", self.gravity, self.gravity >= 0.0)?;
-        finite("terminal speed", self.terminal, self.terminal > 0.0)?;
-        let max_drop = self.max_drop.unwrap_or(0.0);
-        finite("deepest drop", max_drop, max_drop >= 0.0)?;
-        finite("tick", self.tick_s, self.tick_s > 0.0)
-    }
-}
-
-impl Default for Config {
-    fn default() -> Self {
-        Self::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 })
-    }
-}
 
 /// What a pawn is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -111,7 +41,8 @@ pub enum State {
     Walking,
     /// In the air.
     Falling,
-    /// On its feet, wants to go on and does not get on.
+    /// On its feet, wants to go on and makes no progress: it stands still, or has walked for a second and is still
+    /// where it was.
     Blocked,
     /// At the end of its route.
     Arrived,
@@ -159,6 +90,21 @@ pub enum Stop {
     Void,
 }
 
+impl Stop {
+    /// As `slicetool walk --json` writes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Wall => "wall",
+            Self::Steep => "steep",
+            Self::Headroom => "headroom",
+            Self::Corner => "corner",
+            Self::Inside => "inside",
+            Self::Ledge => "ledge",
+            Self::Void => "void",
+        }
+    }
+}
+
 /// Where a pawn wants to go.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Wish {
@@ -179,8 +125,8 @@ pub struct StepReport {
     pub stop: Option<Stop>,
     /// Pages without which it could not go on: it waits. `None` if it did not have to.
     pub missing: Option<Missing>,
-    /// Time that it did not use because it waits (s). Give it to the next step once the pages are there, or drop it:
-    /// then the pawn has stood still for so long.
+    /// Time that it did not use (s), because it waits for pages or because a step is at most [`MOST_TICKS`] long. Pass it
+    /// to the next step (after loading the pages), or drop it: then the pawn has stood still for so long.
     pub unspent: f64,
     /// Ticks that passed.
     pub ticks: u32,
@@ -203,6 +149,17 @@ impl StepReport {
 /// Floor counts as being at the pawn's feet down to so far below them (m): a pawn stands on the highest matter under
 /// it, be that a pebble, and is still on the floor.
 pub const FLOOR_NEAR_M: f64 = 0.05;
+
+/// Most ticks of one step, so that its work is bounded however long the frame was: a machine may have slept for hours.
+pub const MOST_TICKS: u32 = 256;
+
+/// Farthest place of a pawn along each axis (m); a [`Stream`](crate::store::Stream) takes hints as far out.
+const FARTHEST_M: f64 = 1e9;
+
+/// Whether a pawn can be there.
+fn is_place(feet: &Point3<f64>) -> bool {
+    feet.iter().all(|v| v.abs() <= FARTHEST_M)
+}
 
 /// Less than this share of the way wanted is "blocked".
 const BLOCKED_BELOW: f64 = 0.01;
@@ -237,6 +194,11 @@ struct Motion {
     hand: f64,
     changes: u32,
     free: f64,
+    /// Where it began to go around the edges that it is at, what it wanted then (m), and how often it has gone around one
+    /// since.
+    detours_from: Point2<f64>,
+    detours_for: Vector2<f64>,
+    detours: u32,
 }
 
 impl Motion {
@@ -253,6 +215,9 @@ impl Motion {
             hand: 0.0,
             changes: 0,
             free: 0.0,
+            detours_from: feet.xy(),
+            detours_for: none,
+            detours: 0,
         }
     }
 }
@@ -286,18 +251,21 @@ pub struct Walker {
     config: Config,
     motion: Motion,
     state: State,
+    progress: Progress,
     /// Part of a tick that is left of the time given so far (s).
     rest_s: f64,
 }
 
 impl Walker {
-    /// A pawn with its feet at `feet` (m, finite). It falls to the floor below, or stands on it.
+    /// A pawn with its feet at `feet` (m, within ±10⁹). It falls to the floor below, or stands on it; it never gets
+    /// farther out than that.
     pub fn new(config: Config, feet: Point3<f64>) -> Result<Self> {
         config.check()?;
-        if !feet.iter().all(|v| v.is_finite()) {
-            return Err(Error::parameter("start", format!("no pawn can stand at {feet}")));
+        if !is_place(&feet) {
+            return Err(Error::parameter(Parameter::Pawn("start"), format!("{feet} (expected numbers within ±1e9 m)")));
         }
-        Ok(Self { config, motion: Motion::at(feet), state: State::Walking, rest_s: 0.0 })
+        let progress = Progress::at(feet.xy());
+        Ok(Self { config, motion: Motion::at(feet), state: State::Walking, progress, rest_s: 0.0 })
     }
 
     /// Its numbers.
@@ -345,22 +313,25 @@ impl Walker {
         }
     }
 
-    /// Puts it elsewhere (m, finite), at rest. A place that is not finite is left alone.
+    /// Puts it elsewhere (m), at rest. It stays where it is if no pawn can be there (NaN, or beyond ±10⁹ m).
     pub fn place(&mut self, feet: Point3<f64>) {
-        if feet.iter().all(|v| v.is_finite()) {
+        if is_place(&feet) {
             self.motion = Motion::at(feet);
+            self.progress = Progress::at(feet.xy());
             (self.state, self.rest_s) = (State::Walking, 0.0);
         }
     }
 
-    /// Lets `dt` (s, >= 0) pass while the pawn wants to go where `wish` says.
+    /// Lets `dt` (s, >= 0) pass while the pawn wants to go where `wish` says. A `dt` that is negative or not finite counts as 0.
     ///
-    /// Cost: a few sweeps per tick; about a microsecond on a floor at 5 cm.
+    /// At most [`MOST_TICKS`] pass; the rest comes back as [`unspent`](StepReport::unspent). A program that shows frames
+    /// drops it; a simulation passes it to the next step. Cost: a few sweeps per tick, about a microsecond on a floor at
+    /// 5 cm.
     pub fn step<S: PageSet>(&mut self, set: &S, dt: f64, wish: Wish) -> StepReport {
         self.run(set, dt, |_| Some(wish))
     }
 
-    /// Lets `dt` (s, >= 0) pass while the pawn follows `route`; it has [`Arrived`](State::Arrived) when it is on its
+    /// As [`step`](Self::step) while the pawn follows `route`; it has [`Arrived`](State::Arrived) when it is on its
     /// feet at the end.
     pub fn follow<S: PageSet>(&mut self, set: &S, dt: f64, route: &mut Route) -> StepReport {
         self.run(set, dt, |feet| route.wish(feet))
@@ -381,17 +352,21 @@ impl Walker {
         let mut wanted = 0.0;
         // A frame is as many ticks as fit but for rounding errors.
         while time >= tick * (1.0 - 1e-9) {
-            let wish = wish(self.motion.feet);
+            if report.ticks == MOST_TICKS {
+                (report.unspent, time) = (time, 0.0);
+                break;
+            }
+            let (wish, before) = (wish(self.motion.feet), self.motion.feet.xy());
             let way = wish.map_or(Vector2::zeros(), |wish| self.way(wish));
             match self.tick(set, way) {
                 ControlFlow::Continue(stop) => report.stop = stop.or(report.stop),
                 ControlFlow::Break(missing) => {
                     report.missing = Some(missing);
-                    report.unspent = time;
-                    time = 0.0;
+                    (report.unspent, time) = (time, 0.0);
                     break;
                 }
             }
+            self.note_progress(way, before);
             time = (time - tick).max(0.0);
             report.ticks += 1;
             wanted += way.norm();
@@ -403,7 +378,8 @@ impl Walker {
         }
         self.rest_s = time;
         report.moved = self.motion.feet - from;
-        if self.state == State::Walking && report.moved.xy().norm() < BLOCKED_BELOW * wanted {
+        let stands = report.moved.xy().norm() < BLOCKED_BELOW * wanted;
+        if self.state == State::Walking && (stands || self.progress.is_stuck()) {
             self.state = State::Blocked;
         }
         report.state = self.state;
@@ -413,14 +389,25 @@ impl Walker {
     /// The way of one tick (m).
     fn way(&self, wish: Wish) -> Vector2<f64> {
         let far = self.config.speed * self.config.tick_s;
+        // Lengths beyond this are equal: their squares would not be finite.
+        let bounded = |way: Vector2<f64>| way * (FARTHEST_M / way.amax().max(FARTHEST_M));
         match wish {
-            Wish::Direction(way) if way.iter().all(|v| v.is_finite()) => way * (far / way.norm().max(1.0)),
+            Wish::Direction(way) if way.iter().all(|v| v.is_finite()) => {
+                let way = bounded(way);
+                way * (far / way.norm().max(1.0))
+            }
             Wish::Toward(place) if place.iter().all(|v| v.is_finite()) => {
-                let way = place - self.motion.feet.xy();
+                let way = bounded(place - self.motion.feet.xy());
                 way * (far / way.norm().max(far)).min(1.0)
             }
             _ => Vector2::zeros(),
         }
+    }
+
+    /// Judges a tick in which the pawn wanted `way` and began at `before`.
+    fn note_progress(&mut self, way: Vector2<f64>, before: Point2<f64>) {
+        let wanted = if self.motion.ground == Ground::Air { Vector2::zeros() } else { way };
+        self.progress.note(self.config.tick_s, wanted, before, self.motion.feet.xy());
     }
 
     /// One tick; if it needs pages that are not in memory, nothing has changed.
@@ -445,6 +432,10 @@ impl Walker {
             Response::Slide => slide::tick(&self.config, set, &mut motion, way)?,
             Response::Thesis | Response::ThesisMean => thesis::tick(&self.config, set, &mut motion, way)?,
         };
+        // Where the world of pawns ends it stays.
+        if !is_place(&motion.feet) {
+            motion = self.motion;
+        }
         ControlFlow::Continue((motion, stop))
     }
 

@@ -21,6 +21,10 @@ const GAIN: f64 = 0.35;
 /// (pixels): else it might turn back and forth between two of them for ever.
 const CHANGES: u32 = 2;
 const FREE: f64 = 4.0;
+/// So often at most it goes around edges without getting so far (pixels) from where it began to: each way gains a third of
+/// a pixel, but the wish may lead back.
+const DETOURS: u32 = 12;
+const AWAY: f64 = 4.0;
 /// So much farther than need be, where there is room (pixels).
 const CLEAR: f64 = 0.02;
 /// How often the pixel in which such a way ends is halved.
@@ -135,7 +139,7 @@ impl<S: PageSet> Attempt<'_, S> {
             let normal = hit.normal.xy();
             let into = -rest.dot(&normal).min(0.0);
             rest += normal * into;
-            if self.round_the_edge(normal, into, rest)? {
+            if self.round_the_edge(normal, into, rest, way)? {
                 break;
             }
             // Between two walls, or turned back: the corner is where it ends.
@@ -156,6 +160,17 @@ impl<S: PageSet> Attempt<'_, S> {
         if self.motion.free > FREE * self.set.frame().pixel_m() {
             (self.motion.hand, self.motion.changes) = (0.0, 0);
         }
+    }
+
+    /// Whether the ways around edges lead anywhere: away from where they began, unless the pawn has turned meanwhile.
+    fn may_go_around(&mut self, wanted: Vector2<f64>) -> bool {
+        let motion = &mut *self.motion;
+        let away = (motion.feet.xy() - motion.detours_from).norm() > AWAY * self.set.frame().pixel_m();
+        let turned = wanted.dot(&motion.detours_for) < 0.9 * wanted.norm() * motion.detours_for.norm();
+        if away || turned || motion.detours == 0 {
+            (motion.detours_from, motion.detours_for, motion.detours) = (motion.feet.xy(), wanted, 0);
+        }
+        motion.detours < DETOURS
     }
 
     /// On along a way around an edge, if there is one and the pawn still wants past it.
@@ -183,9 +198,15 @@ impl<S: PageSet> Attempt<'_, S> {
     ///
     /// A wall across the grid is a flight of edges of pixels, before each of which a box would stand still and between
     /// two of which a cylinder would rest, where before the true wall they slide on. So the one before the edges goes
-    /// around them, over several ticks; it gains a third of a pixel at least, so this ends.
-    fn round_the_edge(&mut self, normal: Vector2<f64>, into: f64, along: Vector2<f64>) -> Needs<bool> {
-        if along.norm() >= into || into < NOTHING_M {
+    /// around them, over several ticks.
+    fn round_the_edge(
+        &mut self,
+        normal: Vector2<f64>,
+        into: f64,
+        along: Vector2<f64>,
+        wanted: Vector2<f64>,
+    ) -> Needs<bool> {
+        if along.norm() >= into || into < NOTHING_M || !self.may_go_around(wanted) {
             return ControlFlow::Continue(false);
         }
         let (feet, pixel) = (self.motion.feet, self.set.frame().pixel_m());
@@ -229,6 +250,7 @@ impl<S: PageSet> Attempt<'_, S> {
                 }
                 (self.motion.detour, self.motion.detour_for) = (way(long, far), -normal);
                 (self.motion.hand, self.motion.changes, self.motion.free) = (hand, changes, 0.0);
+                self.motion.detours += 1;
                 return ControlFlow::Continue(true);
             }
         }

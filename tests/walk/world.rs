@@ -8,7 +8,9 @@ use scangen::{SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
+use slicewalk::frame::{Frame, PageKey};
 use slicewalk::input::Units;
+use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{PageSet, Store};
 use slicewalk::walk::{Body, Config, Route, State, StepReport, Walker};
 
@@ -47,6 +49,23 @@ pub fn convert_at(scene: &Scene, noise: f64, density: f64) -> (tempfile::TempDir
 pub fn world(scene: &Scene, noise: f64) -> Store {
     let (_dir, archive) = convert_scene(scene, noise);
     Store::resident(&archive, &NoMonitor).unwrap()
+}
+
+/// A level floor of `tiles` by `tiles` tiles of 3.2 m about the origin, with walls of 3 m in pixels that say so.
+pub fn room(tiles: i64, is_wall: impl Fn((i64, i64)) -> bool) -> Store {
+    let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
+    let page = |tx: i64, ty: i64| {
+        let mut builder = PageBuilder::default();
+        for (px, py) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+            let wall = is_wall((tx * 64 + i64::from(px), ty * 64 + i64::from(py)));
+            let matter = if wall { [span(0, 5000, true)] } else { [span(0, 10, false)] };
+            assert!(builder.set_column(px, py, &matter));
+        }
+        (PageKey { tx: tx as i32, ty: ty as i32, layer: 0 }, builder.build())
+    };
+    let row = |ty: i64| (-tiles / 2..tiles - tiles / 2).map(move |tx| (tx, ty));
+    let places = (-tiles / 2..tiles - tiles / 2).flat_map(row);
+    Store::from_pages(Frame::new(T, 0.15).unwrap(), places.map(|(tx, ty)| page(tx, ty)).collect::<Vec<_>>())
 }
 
 /// A scene of what `build` puts into it.

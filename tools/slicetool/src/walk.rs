@@ -1,11 +1,12 @@
 //! `slicetool walk`: a pawn follows waypoints; its path as CSV, what it cost as JSON.
 
-use crate::{Failure, Outcome, cache_too_small};
+use crate::{Failure, Outcome, cache_too_small, no_pawn};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
 use slicewalk::size::parse_size;
 use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
-use slicewalk::walk::{Body, Config, Response, Route, State, Walker};
+use slicewalk::text::finite_number;
+use slicewalk::walk::{Body, Config, Response, Route, State, Stop, Walker};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -13,27 +14,31 @@ use std::time::{Duration, Instant};
 /// So long a pawn may be blocked before the walk ends (s).
 const BLOCKED_S: f64 = 2.0;
 
+/// So often a tick may miss pages that were loaded for it: with prefetch the cache may drop them before the pawn asks again.
+const ATTEMPTS: usize = 64;
+
 /// Where to walk, and how.
 #[derive(clap::Args)]
 pub struct Arguments {
+    /// Slice archive
     archive: PathBuf,
     /// Where the feet stand first (m); if in the air, the pawn falls
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     start: Point3<f64>,
-    /// Places to reach one after the other: columns x,y or x,y,z (a header is optional)
+    /// Places to reach one after the other: columns x,y or x,y,z (a header is optional). `-` reads standard input
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
     #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8", value_parser = body)]
     pawn: Body,
     /// Walking speed (m/s)
-    #[arg(long, default_value_t = 1.4, value_name = "M/S")]
+    #[arg(long, default_value_t = 1.4, value_name = "M/S", allow_negative_numbers = true, value_parser = finite_number)]
     speed: f64,
     /// Highest step it climbs (m)
-    #[arg(long, default_value_t = 0.35, value_name = "METRES")]
+    #[arg(long, default_value_t = 0.35, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     climb: f64,
     /// Stop before ledges deeper than this, and before the edge of the scan (m); else it falls, as with --response thesis
-    #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
     /// Frames per second
     #[arg(long, default_value_t = 60.0, value_name = "HZ", value_parser = rate)]
@@ -44,13 +49,13 @@ pub struct Arguments {
     /// Load pages ahead of the pawn, or only when it misses them
     #[arg(long, value_enum, default_value_t = Switch::On)]
     prefetch: Switch,
-    /// How it answers what is in its way: exact sweeps, or the steps of the thesis
+    /// Response to what is in its way: exact sweeps, or the steps of the thesis
     #[arg(long, value_enum, default_value_t = Rule::Slide)]
     response: Rule,
-    /// End after so much time
+    /// End after this many seconds
     #[arg(long, default_value_t = 300.0, value_name = "S", value_parser = seconds)]
     max_seconds: f64,
-    /// File to write: t,x,y,z,state,frame_us,missing
+    /// File to write: t,x,y,z,state,frame_us,missing. `-` is standard output
     #[arg(short, long, value_name = "path.csv")]
     output: PathBuf,
     /// Print a summary as JSON
@@ -110,6 +115,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Walks; the path appears whole, or not at all.
 pub fn run(arguments: &Arguments) -> Outcome {
+    crate::standard::refuse_two(Some(&arguments.output), arguments.json)?;
     let config = Config {
         speed: arguments.speed,
         climb: arguments.climb,
@@ -120,7 +126,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         },
         ..Config::new(arguments.pawn)
     };
-    let mut walker = Walker::new(config, arguments.start)?;
+    let mut walker = Walker::new(config, arguments.start).map_err(no_pawn)?;
     let mut route = Route::new(waypoints(&arguments.waypoints)?)?;
     let stream = stream(arguments)?;
     let mut output = crate::output(&arguments.output, stream.archive(), &[&arguments.waypoints])?;
@@ -128,7 +134,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let most = (arguments.max_seconds * arguments.hz).ceil().max(1.0) as u64;
     let mut path = String::from("t,x,y,z,state,frame_us,missing\n");
     let (mut times, mut hits, mut late) = (Vec::new(), 0, 0);
-    let (mut distance, mut blocked) = (0.0, 0.0);
+    let (mut distance, mut blocked, mut stop) = (0.0, 0.0, None);
     let mut pawn = stream.pawn();
     for frame in 1..=most {
         if arguments.prefetch == Switch::On {
@@ -139,7 +145,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         hits += stream.view().count_loaded(&walker.outlook(stream.archive().frame()));
         let before = walker.feet();
         let started = Instant::now();
-        let missing = step(&stream, &mut walker, &mut route, frame_s, arguments.cache)?;
+        let (missing, hit) = step(&stream, &mut walker, &mut route, frame_s, arguments.cache)?;
         let frame_us = started.elapsed().as_secs_f64() * 1e6;
         late += missing;
         times.push(frame_us);
@@ -147,7 +153,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         let (feet, state) = (walker.feet(), walker.state());
         let t = frame as f64 * frame_s;
         writeln!(path, "{t:.6},{:.6},{:.6},{:.6},{},{frame_us:.1},{missing}", feet.x, feet.y, feet.z, state.name())?;
-        blocked = if state == State::Blocked { blocked + frame_s } else { 0.0 };
+        (blocked, stop) = if state == State::Blocked { (blocked + frame_s, hit.or(stop)) } else { (0.0, None) };
         if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 {
             break;
         }
@@ -161,28 +167,30 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let (frames, feet) = (times.len(), walker.feet());
     times.sort_by(f64::total_cmp);
     let at = |share: f64| times[((frames - 1) as f64 * share).round() as usize];
-    let state = walker.state().name();
-    if !arguments.json {
-        eprintln!(
-            "{state} at ({:.3}, {:.3}, {:.3}) after {:.2} s and {distance:.2} m; waypoint {} of {}; {} pages late",
-            feet.x,
-            feet.y,
-            feet.z,
-            frames as f64 * frame_s,
-            route.next(),
-            route.places().len(),
-            late
-        );
-        return Ok(String::new());
+    let (state, name) = (walker.state(), walker.state().name());
+    let [x, y, z] = feet.into();
+    let end = format!("({x:.3}, {y:.3}, {z:.3}) after {:.2} s and {distance:.2} m", frames as f64 * frame_s);
+    let (next, places) = (route.next(), route.places().len());
+    if state == State::Blocked {
+        crate::say(&format!(
+            "{}: blocked at {end}, before waypoint {} of {places}: {}; `{}` has the path so far",
+            arguments.archive.display(),
+            next + 1,
+            in_the_way(stop),
+            arguments.output.display()
+        ));
+    } else if !arguments.json {
+        crate::say(&format!("{name} at {end}; waypoint {next} of {places}; {late} pages late"));
     }
     let counters = stream.counters();
     let summary = serde_json::json!({
         "frames": frames,
         "seconds": frames as f64 * frame_s,
         "distance": distance,
-        "state": state,
-        "end": [feet.x, feet.y, feet.z],
-        "waypoints_reached": route.next(),
+        "state": name,
+        "stop": stop.map(Stop::name),
+        "end": [x, y, z],
+        "waypoints_reached": next,
         "frame_us": { "p50": at(0.5), "p99": at(0.99), "p99.9": at(0.999), "max": at(1.0) },
         "reads": counters.reads,
         "bytes": counters.read_bytes,
@@ -194,7 +202,22 @@ pub fn run(arguments: &Arguments) -> Outcome {
         "cache_peak": counters.peak_bytes,
         "cache": counters.budget_bytes,
     });
-    Ok(format!("{summary:#}\n"))
+    let result = if arguments.json { format!("{summary:#}\n") } else { String::new() };
+    if state == State::Blocked { Err(Failure::Result(result)) } else { Ok(result) }
+}
+
+/// Why a pawn is blocked, and what helps.
+fn in_the_way(stop: Option<Stop>) -> &'static str {
+    match stop {
+        Some(Stop::Wall) => "a wall; add waypoints around it, or change --climb or --pawn",
+        Some(Stop::Steep) => "the ground is too steep; add waypoints around it",
+        Some(Stop::Headroom) => "a step without headroom; add waypoints around it, or give a lower --pawn",
+        Some(Stop::Corner) => "a corner; add waypoints around it, or give a smaller --pawn",
+        Some(Stop::Inside) => "the pawn is inside matter; give another --start or a smaller --pawn",
+        Some(Stop::Ledge) => "a drop deeper than --max-drop; add waypoints around it, or raise --max-drop",
+        Some(Stop::Void) => "nothing was scanned ahead; add waypoints around it, or leave out --max-drop",
+        None => "no progress for a second; add waypoints",
+    }
 }
 
 fn stream(arguments: &Arguments) -> Result<Stream, Failure> {
@@ -216,36 +239,57 @@ fn prepare(stream: &Stream, outlook: &Outlook, frame: u64, frame_s: f64) -> Resu
     Ok(())
 }
 
-/// One frame; how many pages it needed that were not there. These are loaded on the spot, and stay until they were used.
-fn step(stream: &Stream, walker: &mut Walker, route: &mut Route, frame_s: f64, cache: u64) -> Result<usize, Failure> {
-    let (mut dt, mut late, mut needed) = (frame_s, 0, Vec::new());
+/// One frame: how many pages it needed that were not in memory, and what was in the pawn's way. The pages are loaded on
+/// the spot, and stay until they were used.
+fn step(
+    stream: &Stream,
+    walker: &mut Walker,
+    route: &mut Route,
+    frame_s: f64,
+    cache: u64,
+) -> Result<(usize, Option<Stop>), Failure> {
+    let (mut dt, mut late, mut stop) = (frame_s, 0, None);
+    let (mut needed, mut attempts) = (Vec::new(), 0);
     loop {
         let report = walker.follow(&stream.view(), dt, route);
-        let Some(missing) = report.missing else { return Ok(late) };
+        stop = report.stop.or(stop);
+        // Left over as well where a frame is longer than the library's longest step.
+        dt = report.unspent;
         if report.ticks > 0 {
+            attempts = 0;
             needed.clear();
         }
+        let Some(missing) = report.missing else {
+            if dt > 0.0 {
+                continue;
+            }
+            return Ok((late, stop));
+        };
         late += missing.count();
-        needed.extend_from_slice(missing.keys());
+        attempts += 1;
+        for key in missing.keys() {
+            if !needed.contains(key) {
+                needed.push(*key);
+            }
+        }
         let loaded = stream.load(&needed, needed[0])?;
-        if loaded.left_out > 0 {
+        if loaded.left_out > 0 || attempts > ATTEMPTS {
             let around = stream.load_around(&walker.outlook(stream.archive().frame()))?;
             return Err(cache_too_small("one step", cache, loaded.needed_bytes.max(around.needed_bytes)));
         }
-        dt = report.unspent;
     }
 }
 
 /// Reads columns x,y: by their names if there is a header, else the first two.
 fn waypoints(path: &Path) -> Result<Vec<Point2<f64>>, Failure> {
-    let failed = |at: String, reason: String| Failure::Text(format!("{}: {at}: {reason}", path.display()));
+    let (table, name) = crate::standard::table(path)?;
+    let failed = |at: String, reason: String| Failure::Text(format!("{name}: {at}: {reason}"));
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
-        .from_path(path)
-        .map_err(|e| failed("cannot open".into(), e.to_string()))?;
+        .from_reader(table);
     let (mut places, mut columns) = (Vec::new(), None);
     for row in reader.records() {
         let row = row.map_err(|e| failed("cannot read".into(), e.to_string()))?;

@@ -161,13 +161,17 @@ fn a_walk_with_max_drop_stops_before_a_hole() {
     fs::write(at.join("w.csv"), "x,y,z\n7.5,2,1\n").unwrap();
     let walk = |more: &[&str]| {
         let base = ["walk", "a.slices", "--start", "4.6,2,1.05", "--waypoints", "w.csv", "-o", "path.csv", "--json"];
-        let found = json(&done(at, &[&base[..], &["--max-seconds", "10"], more].concat()));
-        (found["state"].as_str().unwrap().to_owned(), found["end"][2].as_f64().unwrap())
+        let out = slicetool(at, &[&base[..], &["--max-seconds", "10"], more].concat());
+        let said = String::from_utf8(out.stderr).unwrap();
+        let found = json(std::str::from_utf8(&out.stdout).unwrap());
+        (found["state"].as_str().unwrap().to_owned(), found["end"][2].as_f64().unwrap(), out.status.code(), said)
     };
-    let (state, z) = walk(&["--max-drop", "0.5"]);
+    let (state, z, code, said) = walk(&["--max-drop", "0.5"]);
     assert!(state == "blocked" && (z - 1.0).abs() < 0.01, "{state} at {z} m");
-    let (state, z) = walk(&[]);
-    assert!(state == "falling" && z < 0.0, "{state} at {z} m");
+    // The hole goes through the scan.
+    assert!(code == Some(1) && said.lines().count() == 1 && said.contains("nothing was scanned ahead"), "{said}");
+    let (state, z, code, _) = walk(&[]);
+    assert!(state == "falling" && z < 0.0 && code == Some(0), "{state} at {z} m");
 }
 
 #[test]
@@ -178,7 +182,10 @@ fn what_cannot_be_meant_is_refused() {
         &["reach", "a.slices"][..],
         &["reach", "a.slices", "--from", "1,2"],
         &["reach", "a.slices", "--from", "1,2,1", "--pawn", "cone:1x1"],
+        &["reach", "a.slices", "--from", "1,2,1", "--climb", "2"],
+        &["reach", "a.slices", "--from", "1,2,1", "--max-drop", "-1"],
         &["route", "a.slices", "--from", "1,2,1"],
+        &["route", "a.slices", "--from", "1,2,1", "--to", "2,2,1", "--pawn", "box:2000x1x1"],
     ] {
         assert_eq!(slicetool(at, wrong).status.code(), Some(2), "{wrong:?}");
     }
@@ -187,8 +194,6 @@ fn what_cannot_be_meant_is_refused() {
         (&["reach", "a.slices", "--from", "50,50,1"][..], "cannot stand"),
         (&["reach", "a.slices", "--from", "6,2,1"], "cannot stand"),
         (&["reach", "a.slices", "--from", "1,1,1", "-o", "out.bmp"], ".geojson"),
-        (&["reach", "a.slices", "--from", "1,1,1", "--climb", "2"], "climb"),
-        (&["reach", "a.slices", "--from", "1,1,1", "--max-drop", "-1"], "drop"),
         (&["reach", "a.slices", "--from", "1,1,1", "-o", "none/out.csv"], "out.csv"),
         (&["reach", "none.slices", "--from", "1,1,1"], "none.slices"),
         (&["route", "a.slices", "--from", "1,1,1", "--to", "2,1,1", "-o", "a.slices"], "a.slices"),

@@ -164,15 +164,28 @@ fn a_blocked_pawn_ends_after_two_seconds_and_a_slow_one_after_the_time_given() {
     let (archive, out) = (stairs(dir.path()), dir.path().join("path.csv"));
     let file = dir.path().join("w.csv");
     std::fs::write(&file, "2.5,0\n").unwrap();
-    let run = |more: &[&str]| {
+    let walk = |more: &[&str]| {
         let mut arguments = vec!["walk", archive.to_str().unwrap(), "--start", "-2,0,0", "-o", out.to_str().unwrap()];
         arguments.extend(["--waypoints", file.to_str().unwrap()]);
         arguments.extend(more);
-        let done = slicetool(&arguments);
+        slicetool(&arguments)
+    };
+    let run = |more: &[&str]| {
+        let done = walk(more);
         assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
         rows(&out)
     };
-    let blocked = run(&["--climb", "0.1"]);
+    // The path is written, and the command fails with the reason.
+    let done = walk(&["--climb", "0.1", "--json"]);
+    let said = String::from_utf8(done.stderr).unwrap();
+    assert_eq!(done.status.code(), Some(1), "{said}");
+    assert!(
+        said.lines().count() == 1 && said.contains("scene.slices: blocked at (") && said.contains("a wall"),
+        "{said}"
+    );
+    let summary: serde_json::Value = serde_json::from_slice(&done.stdout).unwrap();
+    assert_eq!((&summary["state"], &summary["stop"]), (&"blocked".into(), &"wall".into()));
+    let blocked = rows(&out);
     let tail = blocked.iter().rev().take_while(|row| row.state == "blocked").count();
     assert_eq!(tail, 120);
     assert!(blocked.last().unwrap().feet[2] < 0.01);
@@ -182,6 +195,49 @@ fn a_blocked_pawn_ends_after_two_seconds_and_a_slow_one_after_the_time_given() {
     assert_eq!(round.last().unwrap().state, "arrived");
     let thesis = run(&["--response", "thesis"]);
     assert_eq!(thesis.last().unwrap().state, "arrived");
+}
+
+/// Frames longer than the library's longest step lose no time: every second is walked.
+#[test]
+fn few_frames_a_second_walk_as_far_as_many() {
+    let dir = tempfile::tempdir().unwrap();
+    let (archive, out) = (stairs(dir.path()), dir.path().join("path.csv"));
+    let file = dir.path().join("w.csv");
+    std::fs::write(&file, "2.5,0\n").unwrap();
+    let run = |hz: &str, prefetch: &str| {
+        let mut arguments = vec!["walk", archive.to_str().unwrap(), "--start", "-2,0,0", "-o", out.to_str().unwrap()];
+        arguments.extend(["--waypoints", file.to_str().unwrap(), "--hz", hz, "--prefetch", prefetch]);
+        arguments.extend(["--speed", "0.25", "--max-seconds", "16"]);
+        let done = slicetool(&arguments);
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        rows(&out)
+    };
+    let often = run("60", "on");
+    for (hz, prefetch) in [("0.25", "on"), ("0.5", "off"), ("0.625", "on")] {
+        for row in run(hz, prefetch) {
+            let there = often.iter().find(|other| (other.t - row.t).abs() < 1.0 / 120.0).unwrap();
+            let gap = (0..3).map(|axis| (row.feet[axis] - there.feet[axis]).abs()).fold(0.0, f64::max);
+            assert!(gap < 0.01, "{hz} Hz, {prefetch}: {gap} m apart at {} s", row.t);
+        }
+    }
+}
+
+#[test]
+fn a_reader_of_messages_that_has_gone_ends_no_walk() {
+    let dir = tempfile::tempdir().unwrap();
+    let (archive, out) = (stairs(dir.path()), dir.path().join("path.csv"));
+    let file = dir.path().join("w.csv");
+    std::fs::write(&file, "-1,0\n").unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let status = Command::new(env!("CARGO_BIN_EXE_slicetool"))
+        .args(["walk", archive.to_str().unwrap(), "--start", "-2,0,0", "-o", out.to_str().unwrap()])
+        .args(["--waypoints", file.to_str().unwrap()])
+        .stderr(writer)
+        .status()
+        .unwrap();
+    assert!(status.success(), "{status}");
+    assert_eq!(rows(&out).last().unwrap().state, "arrived");
 }
 
 #[test]
@@ -199,6 +255,11 @@ fn what_cannot_be_meant_is_refused() {
         &["--start", "0,0,0", "--pawn", "cone:1x1"],
         &["--start", "0,0,0", "--hz", "0"],
         &["--start", "0,0,0", "--cache", "lots"],
+        &["--start", "1e300,0,0"],
+        &["--start", "0,0,0", "--speed", "2000"],
+        &["--start", "0,0,0", "--climb", "2"],
+        &["--start", "0,0,0", "--max-drop", "-1"],
+        &["--start", "0,0,0", "--pawn", "box:0.5x0.5x1001", "--climb", "0"],
     ] {
         assert_eq!(run(wrong).status.code(), Some(2), "{wrong:?}");
     }
@@ -207,13 +268,41 @@ fn what_cannot_be_meant_is_refused() {
     let text = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(text.contains("line 2") && text.contains("oops") && text.lines().count() == 1, "{text}");
     assert!(!out.exists());
-    assert_eq!(run(&["--start", "0,0,0", "--climb", "2"]).status.code(), Some(1));
     std::fs::write(&file, "1,1\n").unwrap();
     let before = std::fs::read(&archive).unwrap();
     let same = archive.to_str().unwrap();
     let done = slicetool(&["walk", same, "--waypoints", file.to_str().unwrap(), "--start", "0,0,0", "-o", same]);
     assert_eq!(done.status.code(), Some(1), "the archive is no place for the path");
     assert_eq!(std::fs::read(&archive).unwrap(), before);
+}
+
+/// A corner before which a cylinder ran around the same edges for ever; and caches too small for one step.
+#[test]
+fn a_pawn_in_a_corner_of_the_real_building_is_blocked() {
+    let Some(scan) = data::file("indoor_two_storey_zup.laz") else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let archive = to_archive(scan, dir.path());
+    let (out, file) = (dir.path().join("path.csv"), dir.path().join("w.csv"));
+    std::fs::write(&file, "-1.8775,-8.5676\n").unwrap();
+    let run = |more: &[&str]| {
+        let mut arguments = vec!["walk", archive.to_str().unwrap(), "--start", "0.1669,-3.1211,-1.32"];
+        arguments.extend(["--waypoints", file.to_str().unwrap(), "-o", out.to_str().unwrap()]);
+        arguments.extend(["--pawn", "cylinder:0.25x1.8", "--climb", "0.2"]);
+        arguments.extend(more);
+        let done = slicetool(&arguments);
+        let said = String::from_utf8(done.stderr).unwrap();
+        assert!(done.status.code() == Some(1) && said.lines().count() == 1, "{more:?}: {said}");
+        said
+    };
+    for prefetch in ["on", "off"] {
+        for cache in ["60KiB", "100KiB", "300KiB"] {
+            let said = run(&["--prefetch", prefetch, "--cache", cache]);
+            assert!(said.contains("one step needs") && said.contains("give --cache") && !out.exists(), "{said}");
+        }
+    }
+    let said = run(&[]);
+    assert!(said.contains("blocked at"), "{said}");
+    assert!(rows(&out).len() < 60 * 10, "{said}");
 }
 
 #[test]
