@@ -64,7 +64,7 @@ pub(super) fn refuse_repeats(header: &Header) -> Result<()> {
              convert the scan again with larger pixels)",
             header.file_len
         );
-        return Err(Error::Limit { what, value: repeats.to_string(), max: most.to_string() });
+        return Err(Error::limit(what, repeats, most));
     }
     Ok(())
 }

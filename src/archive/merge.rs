@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
 
 /// What a merge did.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Merged {
     /// Head of the whole.
     pub header: Header,
@@ -56,8 +57,7 @@ impl<'a> OpenShard<'a> {
         };
         let (archive, metadata) = open().map_err(|error| named(path, error))?;
         let Some(shard) = metadata.shard else {
-            let reason = "it is a whole archive and no part of one: it has no SHRD record; merge takes what \
-                          sliceconv --shard writes";
+            let reason = "it is a whole archive and no part of one: it has no SHRD record; convert it as one shard";
             return Err(Error::input(path, "metadata", reason));
         };
         let Metadata { crs, units, read, unknown, .. } = metadata;
@@ -168,12 +168,7 @@ fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBu
     let missing: Vec<String> =
         (1..=common.2).filter(|index| !ordered.contains_key(index)).map(|index| index.to_string()).collect();
     if !missing.is_empty() {
-        let reason = format!(
-            "missing of {}: {}; convert each with sliceconv --shard NUMBER/{}",
-            common.2,
-            missing.join(", "),
-            common.2
-        );
+        let reason = format!("missing of {}: {}; convert these too", common.2, missing.join(", "));
         return Err(Error::parameter("parts", reason));
     }
     let ordered: Vec<_> = ordered.into_values().collect();

@@ -4,7 +4,7 @@ use crate::query::{
     Aabb, Answer, Cylinder, SweepHit, depenetrate, floor_under, mean_floor_under, probe, sweep, top_under,
 };
 use crate::store::PageSet;
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use nalgebra::{Point3, Vector2, Vector3};
 
 /// The shape of a pawn (m), standing on the middle of its bottom face.
@@ -75,7 +75,7 @@ impl Body {
         if fits(half.x) && fits(half.y) && fits(self.height()) {
             Ok(())
         } else {
-            Err(Error::parameter("pawn", format!("{self:?} is no body")))
+            Err(Error::parameter(Parameter::Pawn("size"), format!("{self:?} is no body")))
         }
     }
 

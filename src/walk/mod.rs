@@ -295,7 +295,7 @@ impl Walker {
     pub fn new(config: Config, feet: Point3<f64>) -> Result<Self> {
         config.check()?;
         if !feet.iter().all(|v| v.is_finite()) {
-            return Err(Error::parameter("start", format!("no pawn can stand at {feet}")));
+            return Err(Error::parameter(Parameter::Pawn("start"), format!("no pawn can stand at {feet}")));
         }
         Ok(Self { config, motion: Motion::at(feet), state: State::Walking, rest_s: 0.0 })
     }

@@ -35,7 +35,7 @@ fn bounds(text: &str) -> Result<Bounds, String> {
 /// Cuts the region out.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
-    let Extracted { header, dropped } =
+    let Extracted { header, dropped, .. } =
         extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &NoMonitor)
             .map_err(|error| crate::broken(&arguments.archive, &error))?;
     if arguments.json {

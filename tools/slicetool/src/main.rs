@@ -18,6 +18,7 @@ mod verify;
 mod walk;
 
 use clap::{Parser, Subcommand};
+use slicewalk::Parameter;
 use slicewalk::archive::Archive;
 use slicewalk::output::{Output, OutputKind, Protected};
 use std::io::Write;
@@ -28,14 +29,49 @@ use std::process::ExitCode;
 pub enum Failure {
     /// One line for standard error.
     Text(String),
+    /// An option has a value that it cannot have; one line.
+    Usage(String),
     /// A result to print that nevertheless means failure, such as a list of findings.
     Result(String),
 }
 
-impl<E: std::error::Error> From<E> for Failure {
+impl<E: std::error::Error + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
-        Self::Text(error.to_string())
+        match (&error as &dyn std::error::Error).downcast_ref() {
+            Some(error) => of_library(error),
+            None => Self::Text(error.to_string()),
+        }
     }
+}
+
+/// An error of the library, with our options in place of its parameters.
+fn of_library(error: &slicewalk::Error) -> Failure {
+    if let slicewalk::Error::Parameter { what, reason } = error
+        && let Some(option) = option_of(what)
+    {
+        return Failure::Usage(format!("{option}: {reason}"));
+    }
+    Failure::Text(error.told(|parameter| {
+        Some(match parameter {
+            Parameter::Overwrite => "--force replaces it",
+            Parameter::Plan => "give them with --plan (sliceconv --write-plan makes one)",
+            Parameter::Cache => "give more --cache",
+            _ => return None,
+        })
+    }))
+}
+
+/// The option whose value is wrong, whatever the archive holds.
+fn option_of(parameter: &Parameter) -> Option<&'static str> {
+    Some(match parameter {
+        Parameter::Pawn("speed") => "--speed",
+        Parameter::Pawn("climb height") => "--climb",
+        Parameter::Pawn("deepest drop") => "--max-drop",
+        Parameter::Pawn("size") => "--pawn",
+        Parameter::Pawn("start") => "--start",
+        Parameter::Cache => "--cache",
+        _ => return None,
+    })
 }
 
 /// Text for standard output, or a failure.
@@ -118,7 +154,7 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
         slicewalk::Error::Format { .. } => {
             Failure::Text(format!("{}: {error}; convert the scan again, or fetch the archive again", path.display()))
         }
-        _ => Failure::Text(error.to_string()),
+        _ => of_library(error),
     }
 }
 
@@ -166,6 +202,10 @@ fn main() -> ExitCode {
         Err(Failure::Text(text)) => {
             say(&text);
             return ExitCode::FAILURE;
+        }
+        Err(Failure::Usage(text)) => {
+            say(&text);
+            return ExitCode::from(2);
         }
     };
     // A closed pipe (`slicetool query … | head`) is the reader's choice, not a failure.

@@ -179,6 +179,10 @@ fn what_cannot_be_meant_is_refused() {
         &["reach", "a.slices", "--from", "1,2"],
         &["reach", "a.slices", "--from", "1,2,1", "--pawn", "cone:1x1"],
         &["route", "a.slices", "--from", "1,2,1"],
+        &["reach", "a.slices", "--from", "1,1,1", "--climb", "2"],
+        &["reach", "a.slices", "--from", "1,1,1", "--max-drop", "-1"],
+        &["reach", "a.slices", "--from", "1,1,1", "--pawn", "box:5000x1x1"],
+        &["reach", "a.slices", "--from", "1,1,1", "--cache", "0"],
     ] {
         assert_eq!(slicetool(at, wrong).status.code(), Some(2), "{wrong:?}");
     }
@@ -187,8 +191,6 @@ fn what_cannot_be_meant_is_refused() {
         (&["reach", "a.slices", "--from", "50,50,1"][..], "cannot stand"),
         (&["reach", "a.slices", "--from", "6,2,1"], "cannot stand"),
         (&["reach", "a.slices", "--from", "1,1,1", "-o", "out.bmp"], ".geojson"),
-        (&["reach", "a.slices", "--from", "1,1,1", "--climb", "2"], "climb"),
-        (&["reach", "a.slices", "--from", "1,1,1", "--max-drop", "-1"], "drop"),
         (&["reach", "a.slices", "--from", "1,1,1", "-o", "none/out.csv"], "out.csv"),
         (&["reach", "none.slices", "--from", "1,1,1"], "none.slices"),
         (&["route", "a.slices", "--from", "1,1,1", "--to", "2,1,1", "-o", "a.slices"], "a.slices"),

@@ -199,6 +199,12 @@ fn what_cannot_be_meant_is_refused() {
         &["--start", "0,0,0", "--pawn", "cone:1x1"],
         &["--start", "0,0,0", "--hz", "0"],
         &["--start", "0,0,0", "--cache", "lots"],
+        &["--start", "0,0,0", "--speed=-1"],
+        &["--start", "0,0,0", "--speed", "nan"],
+        &["--start", "0,0,0", "--climb", "2"],
+        &["--start", "0,0,0", "--climb=-0.1"],
+        &["--start", "0,0,0", "--max-drop", "-1"],
+        &["--start", "0,0,0", "--pawn", "box:1x1xinf"],
     ] {
         assert_eq!(run(wrong).status.code(), Some(2), "{wrong:?}");
     }
@@ -207,8 +213,10 @@ fn what_cannot_be_meant_is_refused() {
     let text = String::from_utf8_lossy(&done.stderr).into_owned();
     assert!(text.contains("line 2") && text.contains("oops") && text.lines().count() == 1, "{text}");
     assert!(!out.exists());
-    assert_eq!(run(&["--start", "0,0,0", "--climb", "2"]).status.code(), Some(1));
     std::fs::write(&file, "1,1\n").unwrap();
+    let empty = run(&["--start", "0,0,0", "--cache", "0"]);
+    let said = String::from_utf8_lossy(&empty.stderr).into_owned();
+    assert!(empty.status.code() == Some(2) && said.contains("--cache: 0 bytes"), "{said}");
     let before = std::fs::read(&archive).unwrap();
     let same = archive.to_str().unwrap();
     let done = slicetool(&["walk", same, "--waypoints", file.to_str().unwrap(), "--start", "0,0,0", "-o", same]);

@@ -101,10 +101,10 @@ fn text(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
         let at = place.feet;
         writeln!(text, "highest step {rise:.2} m at {:.2},{:.2},{:.2}", at.x, at.y, at.z)?;
     }
-    for Passage { at, width } in &reach.passages {
+    for Passage { at, width, .. } in &reach.passages {
         writeln!(text, "passage {width:.2} m wide at {:.2},{:.2},{:.2}", at.x, at.y, at.z)?;
     }
-    for Leak { at, width, drop, kind } in &reach.leaks {
+    for Leak { at, width, drop, kind, .. } in &reach.leaks {
         let depth = drop.map_or("nothing scanned below".into(), |drop| format!("drop {drop:.2} m"));
         writeln!(text, "{} {width:.2} m wide at {:.2},{:.2},{:.2}: {depth}", kind.name(), at.x, at.y, at.z)?;
     }
