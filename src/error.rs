@@ -11,7 +11,8 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused an action on a file.
-    #[error("{path}: cannot {action}: {source}", path = path.display())]
+    #[error("{path}: cannot {action}: {source}{advice}", path = path.display(), advice = advice(way_out))]
+    #[non_exhaustive]
     Io {
         /// File or folder acted on.
         path: PathBuf,
@@ -19,9 +20,12 @@ pub enum Error {
         action: String,
         /// The operating system's own reason.
         source: io::Error,
+        /// What would help, if set otherwise.
+        way_out: Option<Parameter>,
     },
     /// An input file (scan or mesh) cannot be used.
-    #[error("{path}: {at}: {reason}", path = path.display())]
+    #[error("{path}: {at}: {reason}{advice}", path = path.display(), advice = advice(way_out))]
+    #[non_exhaustive]
     Input {
         /// The file.
         path: PathBuf,
@@ -29,6 +33,8 @@ pub enum Error {
         at: String,
         /// What was expected and found, and the way out.
         reason: String,
+        /// What would help, if set otherwise.
+        way_out: Option<Parameter>,
     },
     /// An archive breaks a rule of `spec/slice-archive.md`.
     #[error("rule {rule}: {part} at byte {offset}: expected {expected}, found {found}")]
@@ -45,7 +51,8 @@ pub enum Error {
         found: String,
     },
     /// A value lies beyond a stated limit.
-    #[error("{what}: {value} is beyond the limit of {max}")]
+    #[error("{what}: {value} is beyond the limit of {max}{advice}", advice = advice(way_out))]
+    #[non_exhaustive]
     Limit {
         /// The limited thing, with the way out.
         what: String,
@@ -53,6 +60,8 @@ pub enum Error {
         value: String,
         /// Greatest (or least) value allowed.
         max: String,
+        /// What would help, if set otherwise.
+        way_out: Option<Parameter>,
     },
     /// A valid file uses something that this version does not read.
     #[error("{what}: not supported by this version ({version}); {way_out}")]
@@ -73,12 +82,15 @@ pub enum Error {
         reason: String,
     },
     /// A file must not be written under this name; what is there stays.
-    #[error("{path}: {reason}", path = path.display())]
+    #[error("{path}: {reason}{advice}", path = path.display(), advice = advice(way_out))]
+    #[non_exhaustive]
     Output {
         /// The name as it was given.
         path: PathBuf,
         /// Why not, and the way out.
         reason: String,
+        /// What would help, if set otherwise.
+        way_out: Option<Parameter>,
     },
     /// A file is complete under its name, but its folder could not be synced: after a power failure the folder may be as
     /// it was before.
@@ -97,7 +109,8 @@ pub enum Error {
     Interrupted,
 }
 
-/// What an [`Error::Parameter`] is about. A program that has an option of its own for it names that option instead.
+/// What an [`Error::Parameter`] is about, or what would help in another error ([`Error::way_out`]). A program that has an
+/// option of its own for it names that option instead ([`Error::told`]).
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Parameter {
@@ -115,6 +128,16 @@ pub enum Parameter {
     MinPoints,
     /// The memory budget of a conversion.
     Memory,
+    /// The number of worker threads.
+    Threads,
+    /// The folder for temporary data.
+    TempDir,
+    /// The memory budget of pages that are streamed.
+    Cache,
+    /// Whether input that can be read in part only is taken so.
+    Incomplete,
+    /// Whether a file that is there may be replaced.
+    Overwrite,
     /// The unit of the input.
     Units,
     /// Which part of a conversion is asked for.
@@ -139,6 +162,11 @@ impl std::fmt::Display for Parameter {
             Self::Tolerance => "tolerance",
             Self::MinPoints => "least points of a voxel",
             Self::Memory => "memory budget",
+            Self::Threads => "number of threads",
+            Self::TempDir => "folder for temporary data",
+            Self::Cache => "cache",
+            Self::Incomplete => "incomplete input",
+            Self::Overwrite => "replacing of files",
             Self::Units => "unit of the input",
             Self::Shard => "shard",
             Self::Plan => "plan",
@@ -147,6 +175,28 @@ impl std::fmt::Display for Parameter {
             Self::Other(name) => name,
         })
     }
+}
+
+impl Parameter {
+    /// How a library's caller helps by it, as the end of a sentence.
+    fn advice(&self) -> String {
+        match self {
+            Self::PixelSize => "give a larger pixel size, or the unit of the input".into(),
+            Self::Units => "set the unit of the input".into(),
+            Self::Memory => "give more memory".into(),
+            Self::TempDir => "choose a folder with space for temporary data".into(),
+            Self::Cache => "give a larger cache".into(),
+            Self::Incomplete => "or allow incomplete input, to take what can be read".into(),
+            Self::Overwrite => "allow it to be replaced".into(),
+            Self::Plan => "give its plan".into(),
+            other => format!("set the {other} otherwise"),
+        }
+    }
+}
+
+/// How a message goes on that has this way out.
+fn advice(way_out: &Option<Parameter>) -> String {
+    way_out.as_ref().map_or_else(String::new, |parameter| format!("; {}", parameter.advice()))
 }
 
 impl<T: Into<String>> From<T> for Parameter {
@@ -158,17 +208,55 @@ impl<T: Into<String>> From<T> for Parameter {
 impl Error {
     /// An [`Error::Io`] for `path`.
     pub fn io(path: impl AsRef<Path>, action: impl Into<String>, source: io::Error) -> Self {
-        Self::Io { path: path.as_ref().to_path_buf(), action: action.into(), source }
+        Self::Io { path: path.as_ref().to_path_buf(), action: action.into(), source, way_out: None }
     }
 
     /// An [`Error::Input`] for `path`.
     pub fn input(path: impl AsRef<Path>, at: impl Into<String>, reason: impl Into<String>) -> Self {
-        Self::Input { path: path.as_ref().to_path_buf(), at: at.into(), reason: reason.into() }
+        Self::Input { path: path.as_ref().to_path_buf(), at: at.into(), reason: reason.into(), way_out: None }
     }
 
     /// An [`Error::Output`] for `path`.
     pub fn output(path: impl AsRef<Path>, reason: impl Into<String>) -> Self {
-        Self::Output { path: path.as_ref().to_path_buf(), reason: reason.into() }
+        Self::Output { path: path.as_ref().to_path_buf(), reason: reason.into(), way_out: None }
+    }
+
+    /// An [`Error::Limit`].
+    pub fn limit(what: impl Into<String>, value: impl ToString, max: impl ToString) -> Self {
+        Self::Limit { what: what.into(), value: value.to_string(), max: max.to_string(), way_out: None }
+    }
+
+    /// The same, which another value of `parameter` would help. Errors without a place for that stay as they are.
+    pub fn with_way_out(mut self, parameter: Parameter) -> Self {
+        if let Self::Io { way_out, .. }
+        | Self::Input { way_out, .. }
+        | Self::Limit { way_out, .. }
+        | Self::Output { way_out, .. } = &mut self
+        {
+            *way_out = Some(parameter);
+        }
+        self
+    }
+
+    /// The parameter that would help, set otherwise.
+    pub fn way_out(&self) -> Option<&Parameter> {
+        match self {
+            Self::Io { way_out, .. }
+            | Self::Input { way_out, .. }
+            | Self::Limit { way_out, .. }
+            | Self::Output { way_out, .. } => way_out.as_ref(),
+            _ => None,
+        }
+    }
+
+    /// The message with the way out as a program says it: `say` names its option, or gives `None` if it has none.
+    pub fn told(&self, say: impl FnOnce(&Parameter) -> Option<&'static str>) -> String {
+        let text = self.to_string();
+        let said = self.way_out().and_then(|parameter| Some((parameter, say(parameter)?)));
+        match said.and_then(|(parameter, said)| Some((text.strip_suffix(&parameter.advice())?, said))) {
+            Some((start, said)) => format!("{start}{said}"),
+            None => text,
+        }
     }
 
     /// An [`Error::Format`]; `rule` is the id in the specification.
@@ -185,5 +273,24 @@ impl Error {
     /// An [`Error::Parameter`].
     pub fn parameter(what: impl Into<Parameter>, reason: impl Into<String>) -> Self {
         Self::Parameter { what: what.into(), reason: reason.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_program_names_its_own_option_as_the_way_out() {
+        let error = Error::limit("points", 5, 4).with_way_out(Parameter::Memory);
+        assert_eq!(error.to_string(), "points: 5 is beyond the limit of 4; give more memory");
+        assert_eq!(
+            error.told(|_| Some("give more --memory")),
+            "points: 5 is beyond the limit of 4; give more --memory"
+        );
+        assert_eq!(error.told(|_| None), error.to_string());
+        let plain = Error::input("a.las", "header", "is short");
+        assert_eq!(plain.told(|_| Some("never said")), "a.las: header: is short");
+        assert_eq!(Error::Interrupted.with_way_out(Parameter::Memory).way_out(), None);
     }
 }

@@ -6,7 +6,7 @@ use crate::plan::Plan;
 use crate::unit::{LengthUnit, unit_name};
 use serde_json::{Value, json};
 
-/// Facts of an archive under the keys of the command-line contract (`slicetool info --json`).
+/// Facts of an archive under the keys of the command-line contract.
 pub fn info(archive: &Archive) -> Result<Value> {
     let mut facts = header_info(archive.header(), &archive.crs()?, &archive.units()?);
     if let Some(shard) = archive.shard()? {

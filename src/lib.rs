@@ -137,10 +137,13 @@ pub mod stats;
 #[cfg(feature = "convert")]
 pub mod convert;
 
+// What the programs of this workspace share.
 #[cfg(feature = "cli")]
+#[doc(hidden)]
 pub mod info;
 
 #[cfg(feature = "cli")]
+#[doc(hidden)]
 pub mod size;
 
 #[cfg(feature = "cli")]

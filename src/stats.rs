@@ -50,6 +50,7 @@ impl Need {
 
 /// Counts over an archive.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Stats {
     /// Pages stored, shared and uniform.
     pub pages: [u64; 3],

@@ -40,7 +40,7 @@ impl LengthUnit {
     }
 }
 
-/// Name of a unit of `factor` metres, as `--units` takes it; `other` for units that it takes by their length only.
+/// Name of a unit of `factor` metres, as the program `sliceconv` takes it; `other` for units that it takes by their length only.
 pub fn unit_name(factor: f64) -> &'static str {
     match factor {
         1.0 => "m",

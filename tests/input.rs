@@ -219,7 +219,7 @@ fn units_follow_the_reference_system_of_each_file() {
         let options = InputOptions { units: Units::Factor(2.0), ..InputOptions::default() };
         let heard = Heard::default();
         let set = InputSet::open(&[data.join(name)], options, &heard).unwrap();
-        assert_eq!(set.files()[0].unit_m(), [2.0; 3], "--units overrides {name}");
+        assert_eq!(set.files()[0].unit_m(), [2.0; 3], "an explicit unit overrides {name}");
         assert!(!heard.0.into_inner().unwrap().concat().contains("degrees"));
     }
 }
@@ -440,7 +440,9 @@ fn extra_bytes_are_stepped_over_and_bound_the_memory() {
             match read(&[path], options) {
                 // Of layered points nothing is decoded that is not needed.
                 Ok(found) => assert!((name == "a.las" || format == 7) && found.points.len() == 600),
-                Err(error) => assert!(matches!(error, Error::Limit { .. }) && error.to_string().contains("--memory")),
+                Err(error) => {
+                    assert!(matches!(error, Error::Limit { .. }) && error.to_string().contains("give more memory"))
+                }
             }
         }
     }

@@ -14,6 +14,7 @@ use std::path::Path;
 
 /// What an extraction made.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Extracted {
     /// Head of the new archive.
     pub header: Header,

@@ -25,6 +25,7 @@ const MOST_RANGES: usize = 8;
 
 /// What a merge did.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Merged {
     /// Head of the whole.
     pub header: Header,
@@ -60,8 +61,7 @@ impl<'a> OpenShard<'a> {
         };
         let (archive, metadata) = open().map_err(|error| named(path, error))?;
         let Some(shard) = metadata.shard else {
-            let reason = "it is a whole archive and no part of one: it has no SHRD record; merge takes what \
-                          sliceconv --shard writes";
+            let reason = "it is a whole archive and no part of one: it has no SHRD record; convert it as one shard";
             return Err(Error::input(path, "metadata", reason));
         };
         let Metadata { crs, units, read, unknown, .. } = metadata;
@@ -173,7 +173,7 @@ fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBu
     let missing = ranges(missing, MOST_RANGES);
     if !missing.is_empty() {
         let count = common.2;
-        let reason = format!("missing of {count}: {missing}; convert each with sliceconv --shard NUMBER/{count}");
+        let reason = format!("missing of {count}: {missing}; convert these too");
         return Err(Error::parameter("parts", reason));
     }
     let ordered: Vec<_> = ordered.into_values().collect();

@@ -69,7 +69,7 @@ impl Metadata {
         }
         if out.len() as u64 > MAX_METADATA {
             let [value, max] = [out.len() as u64, MAX_METADATA].map(|len| format!("{len} bytes"));
-            return Err(Error::Limit { what: "metadata with the coordinate reference system".into(), value, max });
+            return Err(Error::limit("metadata with the coordinate reference system", value, max));
         }
         Ok(out)
     }

@@ -29,13 +29,15 @@ pub struct Archive {
 impl Archive {
     /// Opens the archive at `path`, to be read by position: a file that is cut later gives errors. Two reads.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        Self::from_source(Box::new(FileSource::open(path)?))
+        let source = FileSource::open(&path)?;
+        Self::from_source(Box::new(source)).map_err(|error| name_stranger(path.as_ref(), error))
     }
 
     /// Opens the archive at `path` mapped into memory. Condition, as for [`MapSource`]: nobody may write to or cut the
     /// file while it is open, or the process ends with a signal; replacing it by rename is safe.
     pub fn map(path: impl AsRef<Path>) -> Result<Self> {
-        Self::from_source(Box::new(MapSource::open(path)?))
+        let source = MapSource::open(&path)?;
+        Self::from_source(Box::new(source)).map_err(|error| name_stranger(path.as_ref(), error))
     }
 
     /// Opens the archive that `bytes` are.
@@ -177,8 +179,7 @@ impl Archive {
         if let Some(extent) = entry.extent() {
             // The length was checked with the leaf; an entry made by hand is checked here.
             if extent.len as usize > super::page::MAX_STORED_PAGE {
-                let max = super::page::MAX_STORED_PAGE.to_string();
-                return Err(Error::Limit { what: "bytes of a page".into(), value: extent.len.to_string(), max });
+                return Err(Error::limit("bytes of a page", extent.len, super::page::MAX_STORED_PAGE));
             }
             bytes.resize(extent.len as usize, 0);
             self.source.read_at(extent.offset, &mut bytes)?;
@@ -224,5 +225,16 @@ fn read(source: &dyn ByteSource, range: Range<u64>) -> Result<Vec<u8>> {
 impl std::fmt::Debug for Archive {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Archive").field("header", self.header()).field("leaves", &self.leaf_count()).finish()
+    }
+}
+
+/// An error of opening the file at `path`: what is no archive at all is told by its name, for it may be anything.
+fn name_stranger(path: &Path, error: Error) -> Error {
+    match error {
+        Error::Format { rule: rule @ "H1", expected, found, .. } => {
+            let reason = format!("rule {rule}: expected {expected}, found {found}; convert a scan or mesh first");
+            Error::input(path, "first bytes", reason)
+        }
+        other => other,
     }
 }

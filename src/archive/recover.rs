@@ -27,6 +27,7 @@ use std::path::Path;
 
 /// What a recovery found.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Recovered {
     /// Head of the new archive.
     pub header: Header,
@@ -80,9 +81,8 @@ pub fn recover(
         }
         (Some(plan), _) | (None, Some(plan)) => plan.clone(),
         (None, None) => {
-            let reason = "it is damaged, so grid and options are unknown; give them with --plan (sliceconv --write-plan \
-                          makes one)";
-            return Err(Error::input(path, "head", reason));
+            let reason = "it is damaged, so grid and options are unknown";
+            return Err(Error::input(path, "head", reason).with_way_out(Parameter::Plan));
         }
     };
     let limits = old.as_ref().map_or(Ok(()), |archive| archive.header().check_repeats());

@@ -77,6 +77,17 @@ impl ByteSource for Counted {
 }
 
 #[test]
+fn what_is_no_archive_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let scan = folder.path().join("scan.laz");
+    std::fs::write(&scan, b"LASF and then more, longer than the head of any archive could be".repeat(20)).unwrap();
+    for opened in [Archive::open(&scan), Archive::map(&scan)] {
+        let said = opened.unwrap_err().to_string();
+        assert!(said.contains("scan.laz") && said.contains("a slice archive"), "{said}");
+    }
+}
+
+#[test]
 fn an_empty_archive_is_an_archive() {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("empty.slices");
@@ -220,7 +231,7 @@ fn the_old_archive_stays_until_the_new_one_is_complete() {
     write(&target, &BTreeMap::from([(key, floor(1))])).unwrap();
     let old = std::fs::read(&target).unwrap();
     let refused = ArchiveWriter::create(&target, &plan(), false).unwrap_err();
-    assert!(refused.to_string().contains("--force"), "{refused}");
+    assert!(refused.to_string().contains("allow it to be replaced"), "{refused}");
     let mut writer = ArchiveWriter::create(&target, &plan(), true).unwrap();
     writer.put(key, PageEncoder::new(plan().frame).encode(key, &floor(2))).unwrap();
     assert_eq!(std::fs::read(&target).unwrap(), old);

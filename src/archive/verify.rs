@@ -24,6 +24,7 @@ const CHUNK: u64 = 1 << 20;
 
 /// One rule that an archive breaks.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Finding {
     /// Rule id of the specification; `S1` if bytes could not be read at all.
     pub rule: &'static str,

@@ -215,8 +215,8 @@ impl ArchiveWriter {
             return Err(Error::parameter(format!("page {key}"), reason));
         }
         if self.entries.len() == MAX_LEAVES as u64 * MAX_LEAF_ENTRIES as u64 {
-            let what = "pages in one archive (use larger pixels, or several archives)".into();
-            return Err(Error::Limit { what, value: "more".into(), max: self.entries.len().to_string() });
+            let what = "pages in one archive (use larger pixels, or several archives)";
+            return Err(Error::limit(what, "more", self.entries.len()));
         }
         Ok(())
     }

@@ -8,6 +8,7 @@ mod positioned;
 mod regular;
 #[cfg(feature = "remote")]
 mod remote;
+#[doc(hidden)]
 pub mod testing;
 
 pub use file_id::FileId;

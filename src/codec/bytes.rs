@@ -71,19 +71,6 @@ impl<'a> ByteReader<'a> {
         self.rest.len()
     }
 
-    /// Whether nothing is left.
-    pub fn is_empty(&self) -> bool {
-        self.rest.is_empty()
-    }
-
-    /// Requires that nothing is left.
-    pub fn finish(self) -> Result<(), Violation> {
-        match self.rest.len() {
-            0 => Ok(()),
-            left => Err(Violation::new(self.rule, "no byte beyond the last field", format!("{left} more"))),
-        }
-    }
-
     fn start(&self) -> &[u8] {
         &self.rest[..self.rest.len().min(MAX_VARINT)]
     }
@@ -130,7 +117,7 @@ mod tests {
             put_varint(&mut bytes, value);
             let mut reader = ByteReader::new(&bytes, "D3");
             prop_assert_eq!(reader.varint(), Ok(value));
-            prop_assert!(reader.finish().is_ok() && bytes.len() <= MAX_VARINT);
+            prop_assert!(reader.len() == 0 && bytes.len() <= MAX_VARINT);
             prop_assert_eq!(unzigzag(zigzag(value as i64)), value as i64);
         }
 

@@ -13,7 +13,10 @@ mod compress;
 mod lattice;
 mod rans;
 
-pub use bytes::{ByteReader, put_varint, unzigzag, zigzag};
+#[doc(hidden)]
+pub use bytes::put_varint;
+pub(crate) use bytes::{ByteReader, unzigzag, zigzag};
+#[doc(hidden)]
 pub use compress::{Packer, Unpacker};
 
 use crate::Error;

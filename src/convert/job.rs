@@ -26,7 +26,7 @@ use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use xxhash_rust::xxh3::xxh3_128;
 
-/// A conversion fixed before any point is converted; `sliceconv --write-plan` writes one.
+/// A conversion fixed before any point is converted; [`plan_file`](super::plan_file) writes and reads it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Job {
     /// Grid and options.

@@ -86,7 +86,7 @@ pub(super) fn read_meshes<'a>(
         runs.flush(store)?;
         Ok((read, surfaces.points_made()))
     };
-    let done = on_threads(options.threads.max(1), || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+    let done = on_threads(options.threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
     let feed = feed.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     let mut all = MeshRead::of(&feed);
     let triangles = all.triangles;

@@ -56,6 +56,7 @@ const TEMP_BYTES_PER_POINT: u64 = 9;
 
 /// What a conversion did.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct Report {
     /// Header of the archive.
     pub header: Header,
@@ -102,13 +103,16 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
         let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", options.memory_bytes);
         return Err(Error::parameter(Parameter::Memory, reason));
     }
+    if options.threads == 0 {
+        return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
+    }
     options.plan.check()?;
     let input_options = InputOptions {
         units: options.units,
         epsg: options.epsg,
         up: options.plan.up,
         exclude_classes: options.plan.exclude_classes,
-        memory_bytes: options.memory_bytes / 8 / options.threads.max(1) as u64,
+        memory_bytes: options.memory_bytes / 8 / options.threads as u64,
         allow_incomplete: options.allow_incomplete,
         // Parts of one job are compared by what they read.
         hash: options.shard.is_some(),
@@ -137,7 +141,7 @@ pub(crate) fn plan(
         PixelSize::Metres(pixel_m) => (pixel_m, None),
         PixelSize::Auto if set.files().is_empty() => (pixel_of_extent(meshes, monitor)?, None),
         PixelSize::Auto => {
-            let spacing = estimate_spacing(set, options.threads.max(1), monitor)?;
+            let spacing = estimate_spacing(set, options.threads, monitor)?;
             // Where losses are allowed, they come up again in the pass that counts, and are told then.
             set.check_complete(&NoMonitor)?;
             (round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2), Some(spacing))
@@ -159,7 +163,7 @@ pub(crate) fn plan(
 /// Cost: time linear in the points, memory at most the budget plus a constant, disk at most 12 bytes per point where
 /// the points do not fit the budget. Errors: unusable input or options, full disk, interruption by `monitor`.
 pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
-    let threads = options.threads.max(1);
+    let threads = options.threads;
     let inputs = open_inputs(options, monitor)?;
     // Begun first, so that a file that must not be replaced is found before the work and not after it.
     let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
@@ -168,8 +172,8 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
     let Inputs { scans: set, meshes } = inputs;
     let units = LengthUnit::distinct(set.length_units().chain(meshes.length_unit()));
     if units.len() > MAX_UNITS {
-        let what = "different units of inputs (set one for all with --units)".into();
-        return Err(Error::Limit { what, value: units.len().to_string(), max: MAX_UNITS.to_string() });
+        let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
+        return Err(error.with_way_out(Parameter::Units));
     }
     let scope = scope(options, &set, &plan, monitor)?;
     let mut writer = ArchiveWriter::on(output, &plan)?;
@@ -265,7 +269,7 @@ fn nothing_kept(header: &Header, voxels_dropped: u64) -> String {
 
 /// Memory of one worker's run under construction.
 fn build_bytes(options: &ConvertOptions) -> u64 {
-    options.memory_bytes / 4 / options.threads.max(1) as u64
+    options.memory_bytes / 4 / options.threads as u64
 }
 
 /// `value` to so many significant decimal digits.
@@ -304,11 +308,8 @@ fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
     let (points, needed) = temp_bytes(options, set);
     let free = fs4::available_space(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
     if needed > free {
-        let what = format!(
-            "temporary data for {points} points in {} (bytes) (choose a folder with --temp-dir or give more --memory)",
-            dir.display()
-        );
-        return Err(Error::Limit { what, value: needed.to_string(), max: free.to_string() });
+        let what = format!("temporary data for {points} points in {} (bytes; more memory needs less)", dir.display());
+        return Err(Error::limit(what, needed, free).with_way_out(Parameter::TempDir));
     }
     Ok(())
 }

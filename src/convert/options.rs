@@ -8,6 +8,7 @@ use std::path::PathBuf;
 
 /// How the pixel size is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub enum PixelSize {
     /// From the scans' own point spacing, or the extent of the meshes where there is no scan (costs one more pass over
     /// the input).
@@ -31,7 +32,7 @@ pub struct ConvertOptions {
     pub plan: PlanOptions,
     /// Memory budget [bytes, at least 64 MiB].
     pub memory_bytes: u64,
-    /// Worker threads [>= 1].
+    /// Worker threads (>= 1).
     pub threads: usize,
     /// Folder for temporary data.
     pub temp_dir: PathBuf,
@@ -79,6 +80,28 @@ impl ConvertOptions {
 pub struct ShardOptions {
     /// Number of the part (1..=count).
     pub index: u32,
-    /// Number of all parts [1..=65536].
+    /// Number of all parts (1..=65536).
     pub count: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::convert::convert;
+    use crate::{Error, NoMonitor, Parameter};
+
+    #[test]
+    fn options_that_do_no_work_are_refused_by_name() {
+        let refused = |change: fn(&mut ConvertOptions)| {
+            let mut options = ConvertOptions::new(vec!["none.las".into()], "none.slices".into());
+            change(&mut options);
+            match convert(&options, &NoMonitor) {
+                Err(Error::Parameter { what, .. }) => what,
+                other => panic!("{other:?}"),
+            }
+        };
+        assert_eq!(refused(|options| options.threads = 0), Parameter::Threads);
+        assert_eq!(refused(|options| options.memory_bytes = 0), Parameter::Memory);
+        assert_eq!(refused(|options| options.plan.min_points = 0), Parameter::MinPoints);
+    }
 }

@@ -8,7 +8,7 @@ use crate::voxel::judge::Judge;
 use crate::voxel::record::{ColumnKey, PATCH_AREA, Record};
 use crate::voxel::runs::{ColumnJob, Merge, RunStore};
 use crate::voxel::spans::ColumnPages;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::collections::BTreeMap;
 use std::sync::Mutex;
@@ -252,11 +252,9 @@ impl<'a> ColumnWorker<'a> {
                 (self.patch, self.sums) = (Patch::default(), Sums::new(self.judge.bands()));
                 let folded = self.fold_piecemeal(merge, job, area, dense.max_voxels)?;
                 (self.patch, self.sums) = (Patch::default(), Sums::new(self.judge.bands()));
-                dropped += folded.ok_or_else(|| Error::Limit {
-                    what: "occupied slices of one pixel and its neighbours (give more --memory, or a larger --slice)"
-                        .into(),
-                    value: "more".into(),
-                    max: dense.max_voxels.to_string(),
+                dropped += folded.ok_or_else(|| {
+                    let what = "occupied slices of one pixel and its neighbours (larger slices are fewer)";
+                    Error::limit(what, "more", dense.max_voxels).with_way_out(Parameter::Memory)
                 })?;
             }
         }

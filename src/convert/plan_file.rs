@@ -74,7 +74,7 @@ pub fn read(path: &Path) -> Result<Job> {
     let (mut file, about) = open_regular(path).map_err(|error| Error::io(path, "open", error))?;
     if about.len() > MAX_BYTES {
         let what = format!("bytes of the plan file {}", path.display());
-        return Err(Error::Limit { what, value: about.len().to_string(), max: MAX_BYTES.to_string() });
+        return Err(Error::limit(what, about.len(), MAX_BYTES));
     }
     let mut text = String::new();
     file.read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
@@ -84,7 +84,7 @@ pub fn read(path: &Path) -> Result<Job> {
     })?;
     from_json(&value).map_err(|wrong| {
         let Wrong { at, expected } = wrong;
-        Error::input(path, at, format!("expected {expected}; sliceconv --write-plan writes a right one"))
+        Error::input(path, at, format!("expected {expected}; write the plan again"))
     })
 }
 

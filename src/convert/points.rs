@@ -8,7 +8,7 @@ use crate::input::{InputSet, PointCounts, PointDecoder, ScanFile};
 use crate::plan::Plan;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -196,10 +196,7 @@ fn range(values: &[f64]) -> (f64, f64) {
 }
 
 pub(super) fn out_of_reach(frame: &Frame, min: [f64; 3], max: [f64; 3]) -> Error {
-    Error::Limit {
-        what: "coordinates that a grid of this pixel size reaches (m) (give a larger --pixel, or the unit by --units)"
-            .into(),
-        value: format!("{min:?} to {max:?}"),
-        max: format!("±{}", frame.pixel_m().min(frame.slice_m()) * crate::frame::MAX_INDEX as f64),
-    }
+    let reach = frame.pixel_m().min(frame.slice_m()) * crate::frame::MAX_INDEX as f64;
+    let what = "coordinates that a grid of this pixel size reaches (m)";
+    Error::limit(what, format!("{min:?} to {max:?}"), format!("±{reach}")).with_way_out(Parameter::PixelSize)
 }

@@ -74,8 +74,8 @@ impl ShardScope {
         let roles: Vec<Role> = fingerprints.iter().filter_map(role).collect();
         let shared = roles.iter().filter(|role| role.reads && role.shared).count();
         if shared > InputRead::MOST {
-            let what = "inputs that several parts read (join files, or convert fewer at once)".into();
-            return Err(Error::Limit { what, value: shared.to_string(), max: InputRead::MOST.to_string() });
+            let what = "inputs that several parts read (join files, or convert fewer at once)";
+            return Err(Error::limit(what, shared, InputRead::MOST));
         }
         Ok(Self { shard, roles, frame: plan.frame })
     }

@@ -10,7 +10,7 @@ use super::scenes::Scene;
 use super::source::Source;
 use super::{InputOptions, StatedBounds, Units, las};
 use crate::bytes::Stamp;
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -101,11 +101,9 @@ impl ScanFile {
             Units::Factor(factor) => [factor; 3],
             Units::Auto => {
                 if let Some(unit) = georeference.absurd_unit() {
-                    let reason = format!(
-                        "it states a unit of {unit} m, which is no unit of scans (expected 0.001 to 10000 m); give the \
-                         right one with --units"
-                    );
-                    return Err(Error::input(path, "reference system", reason));
+                    let reason =
+                        format!("it states a unit of {unit} m, which is no unit of scans (expected 0.001 to 10000 m)");
+                    return Err(Error::input(path, "reference system", reason).with_way_out(Parameter::Units));
                 }
                 findings.notes.append(&mut georeference.notes);
                 reference.degrees = georeference.degrees;

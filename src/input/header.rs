@@ -2,6 +2,9 @@
 //!
 //! In: an open file. Out: the facts that decoding needs, or one line that says which byte is wrong.
 //! Memory: 512 bytes. The standard: "LAS Specification 1.4 - R15" (ASPRS), sections 2.4 and 2.6; offsets below are bytes.
+//!
+//! Not by the crate `las`: it reads the fields that a version has, whatever length the header states, so it ends with an error
+//! at headers whose version or length is wrong while their points are sound.
 
 use super::source::Source;
 use crate::{Error, Result};

@@ -18,7 +18,7 @@ use super::header::{LasHeader, u16_at, u32_at, u64_at};
 use super::layers::{LAYERS, Layers, POINT_BYTES};
 use super::losses::Findings;
 use super::source::{Source, Window};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 
 /// How the points of one LAZ file are packed.
 #[derive(Debug, Clone)]
@@ -96,11 +96,12 @@ impl Packing {
         }
         // Each extra byte has adaptive models of 256 symbols: about 3 KiB, and as much again while they grow.
         if extra * (12 << 10) > memory_bytes {
-            return Err(Error::Limit {
-                what: format!("{}: models of {extra} extra bytes a point (raise --memory)", source.path().display()),
-                value: format!("{} KiB", extra * 12),
-                max: format!("{} KiB", memory_bytes >> 10),
-            });
+            return Err(too_much(
+                source,
+                &format!("models of {extra} extra bytes a point (bytes)"),
+                extra * (12 << 10),
+                memory_bytes,
+            ));
         }
         let version = vlr.items()[0].version();
         let packing = Self { vlr, layered, whole: compressor == 1, record_bytes, layout, layers, version };
@@ -221,9 +222,8 @@ impl Packing {
         // What a damaged table says of its own place means nothing: points may lie anywhere.
         let lost = |reason: &str| Ok(Err(Lost { reason: reason.to_string(), end: file_bytes, exact: false }));
         let place = |bytes: Option<Vec<u8>>| bytes.map(|b| u64_at(&b, 0));
-        let mut table_at = match place(source.bytes_at(data_at, 8)?) {
-            Some(at) => at,
-            None => return lost("the file ends before its first point"),
+        let Some(mut table_at) = place(source.bytes_at(data_at, 8)?) else {
+            return lost("the file ends before its first point");
         };
         if table_at == u64::MAX || table_at <= data_at {
             // Written to a pipe: the place of the table stands at the very end.
@@ -245,9 +245,8 @@ impl Packing {
         check_count(source, count, most_chunks)?;
         let variable = self.vlr.uses_variable_size_chunks();
         let mut window = Window::new(source, table_at, file_bytes - table_at);
-        let table = match isolate(|| ChunkTable::read(&mut &mut window, variable)) {
-            Ok(Ok(table)) => table,
-            _ => return lost("its chunk table is damaged"),
+        let Ok(Ok(table)) = isolate(|| ChunkTable::read(&mut &mut window, variable)) else {
+            return lost("its chunk table is damaged");
         };
         let chunks: Vec<Chunk> = table
             .as_ref()
@@ -363,11 +362,12 @@ fn check_count(source: &Source, count: u64, most: u64) -> Result<()> {
     if count <= most {
         return Ok(());
     }
-    Err(Error::Limit {
-        what: format!("{}: chunks of a LAZ file (raise --memory)", source.path().display()),
-        value: count.to_string(),
-        max: most.to_string(),
-    })
+    Err(too_much(source, "chunks of a LAZ file", count, most))
+}
+
+/// More of a file than the memory budget holds.
+fn too_much(source: &Source, what: &str, found: u64, most: u64) -> Error {
+    Error::limit(format!("{}: {what}", source.path().display()), found, most).with_way_out(Parameter::Memory)
 }
 
 /// Most bytes that the arithmetic coder writes for no symbol.
@@ -445,11 +445,7 @@ impl PackedPoints<'_> {
             return Err(self.damaged(0, &format!("it holds {} points, expected {}", head.points, self.points)));
         }
         if needed > self.memory_bytes {
-            return Err(Error::Limit {
-                what: format!("{}: {}: compressed bytes (raise --memory)", self.source.path().display(), self.name),
-                value: needed.to_string(),
-                max: self.memory_bytes.to_string(),
-            });
+            return Err(too_much(self.source, &format!("{}: compressed bytes", self.name), needed, self.memory_bytes));
         }
         if head.points == 1 {
             // It lies there as it is, and to begin a chunk is the dearest part of decoding.
@@ -505,12 +501,8 @@ impl PackedPoints<'_> {
     }
 
     fn damaged(&self, done: u64, what: &str) -> Error {
-        let reason = format!(
-            "damaged: {what}, after {done} of {} points; fetch or write the file again, or convert the rest with \
-             --allow-incomplete",
-            self.points
-        );
-        Error::input(self.source.path(), self.name.clone(), reason)
+        let reason = format!("damaged: {what}, after {done} of {} points; fetch or write the file again", self.points);
+        Error::input(self.source.path(), self.name.clone(), reason).with_way_out(Parameter::Incomplete)
     }
 }
 

@@ -4,7 +4,7 @@
 //! header that is wrong about counts or bounds while all points are there does not.
 
 use super::ScanFile;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
@@ -12,11 +12,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// What a user can do about incomplete input.
-const WAY_OUT: &str = "fetch or write it again, or take what can be read with --allow-incomplete";
+const WAY_OUT: &str = "fetch or write it again";
 
 /// An error about a file that can be read in part only.
 pub(crate) fn incomplete(path: &Path, at: &str, what: impl Display) -> Error {
-    Error::input(path, at, format!("{what}; {WAY_OUT}"))
+    Error::input(path, at, format!("{what}; {WAY_OUT}")).with_way_out(Parameter::Incomplete)
 }
 
 /// Tells `monitor` that a file was read in part only.

@@ -230,11 +230,15 @@ impl InputSet {
         if let Some(error) = left_out.filter(|_| files.is_empty() && meshes.is_empty()) {
             return Err(error);
         }
-        no_unit.tell(&files, "no unit of length is stated; metres are assumed, --units sets another", monitor);
+        no_unit.tell(
+            &files,
+            "no unit of length is stated; metres are assumed; set the unit of the input if it is another",
+            monitor,
+        );
         degrees.tell(
             &files,
             "x and y are longitude and latitude in degrees, which are taken as metres; project the scan first, or set \
-             --units",
+             the unit of the input",
             monitor,
         );
         let crs = systems.common(&files, monitor).or_else(|| options.epsg.map(epsg_text));

@@ -3,6 +3,9 @@
 //! In: a checked header. Out: the LASzip record and the records that describe the reference system.
 //! Memory: one record of each kind, each within its limit; the others are stepped over. Stated counts (there are files with
 //! 1,069,128,089) never size anything: stepping ends where the points or the file begin to end.
+//!
+//! Not by the crate `las`: it holds every record whole, and makes room for one of a stated length of up to 2⁶⁴ bytes before
+//! it reads it.
 
 use super::header::{LasHeader, u16_at, u64_at};
 use super::source::Source;

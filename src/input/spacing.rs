@@ -1,4 +1,4 @@
-//! How far apart the points of a scan lie: the distance of a point to its nearest neighbour, as `--pixel auto` needs it.
+//! How far apart the points of a scan lie: the distance of a point to its nearest neighbour, as the automatic pixel size needs it.
 //!
 //! In: a set of scans. Out: the median over a sample, the same bits whatever the order of points and files and the
 //! number of threads (guarantee G4). Memory: below 24 MiB for any input and number of threads.
@@ -35,6 +35,7 @@ const LOCAL_POINTS: usize = 512;
 
 /// Result of [`estimate_spacing`].
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Spacing {
     /// Median distance of a point to its nearest neighbour that lies elsewhere (m).
     pub spacing_m: f64,

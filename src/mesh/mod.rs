@@ -24,6 +24,7 @@ pub type Triangle = [[f64; 3]; 3];
 
 /// How triangles become voxels.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub enum MeshMode {
     /// Every pixel that a triangle touches, its exact heights there, and its true slope.
     #[default]

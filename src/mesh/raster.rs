@@ -18,6 +18,7 @@
 
 use super::Triangle;
 use crate::frame::{Frame, MAX_INDEX, SLICE_QUANTA, floor_index};
+use crate::plan::rise_of;
 
 /// Growth of rows, pixels and heights, in units of the greatest coordinate (see the module text).
 const SLACK: f64 = 1.0 / (1u64 << 46) as f64;
@@ -82,7 +83,7 @@ pub fn extent_of(triangle: &Triangle) -> (f64, f64) {
 impl Raster {
     /// A raster on `frame`; triangles steeper than `max_slope_deg` (degrees, 0..=90) are obstacles.
     pub fn new(frame: Frame, max_slope_deg: f64) -> Self {
-        let tangent = if max_slope_deg >= 90.0 { f64::INFINITY } else { max_slope_deg.to_radians().tan() };
+        let tangent = rise_of(max_slope_deg);
         Self { frame, steep_squared: tangent * tangent * (1.0 + SLOPE_SLACK) }
     }
 

@@ -33,8 +33,8 @@ impl Columns {
         }
         let most = MOST_ITEMS as f64;
         if self.surfaces.len() as f64 + pixels > most || self.crossings.len() as f64 + pixels > most {
-            let what = "pixels of a model's triangles (give a larger pixel)".into();
-            return Err(Error::Limit { what, value: "more".into(), max: MOST_ITEMS.to_string() });
+            let what = "pixels of a model's triangles (give a larger pixel)";
+            return Err(Error::limit(what, "more", MOST_ITEMS));
         }
         Ok(())
     }

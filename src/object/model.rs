@@ -140,7 +140,7 @@ impl Model {
 
 fn too_large(what: &str, value: impl ToString, max: impl ToString) -> Error {
     let what = format!("{what} of a model (give a larger pixel)");
-    Error::Limit { what, value: value.to_string(), max: max.to_string() }
+    Error::limit(what, value, max)
 }
 
 /// Fails if a model between these ends of each axis (pixels, pixels, quanta) is too long.
@@ -163,11 +163,11 @@ fn look_at_all(raster: &Raster, triangles: &[Triangle]) -> Result<()> {
         }
         let Some(placed) = raster.place(triangle) else { continue };
         if !placed.is_on_grid() {
-            return Err(Error::Limit {
-                what: "pixels and slices of a model's coordinates (give larger ones)".into(),
-                value: "more".into(),
-                max: crate::frame::MAX_INDEX.to_string(),
-            });
+            return Err(Error::limit(
+                "pixels and slices of a model's coordinates (give larger ones)",
+                "more",
+                crate::frame::MAX_INDEX,
+            ));
         }
         let (low, high) = placed.bounds();
         bounds = [0, 1, 2].map(|axis| (bounds[axis].0.min(low[axis]), bounds[axis].1.max(high[axis])));

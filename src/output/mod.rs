@@ -28,7 +28,7 @@ pub use target::{Existing, OutputKind, Protected, is_standard};
 pub(crate) use temporary::Temporary;
 
 use crate::bytes::read_exact_at;
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use std::fs::File;
 use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -120,7 +120,8 @@ impl Output {
                 return Ok(false);
             }
             if existed {
-                return Err(Error::output(&self.name, "exists already and holds something else; --force replaces it"));
+                let error = Error::output(&self.name, "exists already and holds something else");
+                return Err(error.with_way_out(Parameter::Overwrite));
             }
         }
         self.temporary.sync()?;

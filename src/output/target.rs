@@ -3,7 +3,7 @@
 use super::disk::{self, Folder};
 use super::temporary::split;
 use crate::bytes::{ByteSource, FileId};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -40,7 +40,7 @@ pub enum Existing {
 }
 
 impl Existing {
-    /// Whether the user allows to replace (`--force`).
+    /// Whether the user allows to replace.
     pub fn replaced_if(allowed: bool) -> Self {
         if allowed { Self::Replace } else { Self::Refuse }
     }
@@ -219,7 +219,7 @@ pub(super) fn judge(name: &Path, path: &Path, kind: OutputKind, protected: &Prot
     }
     match kind {
         OutputKind::Archive(Existing::Refuse) | OutputKind::Plan(Existing::Refuse) => {
-            refuse("exists already; --force replaces it".into())
+            refuse("exists already".into()).map_err(|error| error.with_way_out(Parameter::Overwrite))
         }
         OutputKind::Result if about.permissions().readonly() => {
             refuse("exists and is read-only; make it writable, or choose another name".into())

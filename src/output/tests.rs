@@ -198,11 +198,11 @@ fn each_kind_replaces_its_own_sort_only() {
             assert_eq!(done.is_ok(), replaced, "{kind:?}: {done:?}");
             assert_eq!(&fs::read(&target).unwrap(), if replaced { &new } else { content });
             assert_eq!(names(&folder), ["target.x"]);
-            // Where --force helps, it is named, and only there.
+            // Where to allow it helps, that is said, and only there.
             let helps = matches!(kind, OutputKind::Archive(_) if content.starts_with(&ARCHIVE_MAGIC) || content.is_empty())
                 || matches!(kind, OutputKind::Plan(_) if content.starts_with(b"{") || content.is_empty());
             let said = done.map_or_else(|error| error.to_string(), |_| String::new());
-            assert!(replaced || said.contains("--force") == helps, "{kind:?}: {said}");
+            assert!(replaced || said.contains("allow it to be replaced") == helps, "{kind:?}: {said}");
         }
     }
     // The very bytes count as written, and the file is left alone.
@@ -282,7 +282,7 @@ mod on_unix {
         let (folder, target) = place(Some(&archive("old")));
         let link = folder.path().join("link");
         symlink(&target, &link).unwrap();
-        assert!(publish(&link, ARCHIVE, &archive("new")).unwrap_err().to_string().contains("--force"));
+        assert!(publish(&link, ARCHIVE, &archive("new")).unwrap_err().to_string().contains("allow it to be replaced"));
     }
 
     #[test]

@@ -73,6 +73,7 @@ impl Ray {
 
 /// The first matter along a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct RayHit {
     /// Distance from the origin (m).
     pub distance: f64,

@@ -26,6 +26,7 @@ const TOGETHER: i32 = 2;
 
 /// What kind of leak it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum LeakKind {
     /// A hole in a floor.
     Hole,
@@ -48,6 +49,7 @@ impl LeakKind {
 
 /// A place where a region ends although nothing is in the way.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Leak {
     /// Its middle: of a hole the open pixel, else the rim place, nearest to the mean of all; at the height of the rim (m).
     pub at: Point3<f64>,

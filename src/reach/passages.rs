@@ -16,6 +16,7 @@ const LEAST_M2: f64 = 0.25;
 
 /// A narrow place between two wider ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Passage {
     /// Its middle, on the floor (m).
     pub at: Point3<f64>,

@@ -80,18 +80,14 @@ impl Grid {
         let extent = [0, 1, 2].map(|axis| i64::from(max[axis]) - i64::from(min[axis]) + 1);
         for (extent, most) in extent.iter().zip([MOST_TILES, MOST_TILES, MOST_LAYERS]) {
             if *extent > most {
-                return Err(Error::Limit {
-                    what: "extent of the scan in pages (extract a region first)".into(),
-                    value: extent.to_string(),
-                    max: most.to_string(),
-                });
+                return Err(Error::limit("extent of the scan in pages (extract a region first)", extent, most));
             }
         }
         let half = pawn.body.half() / frame.pixel_m();
         if half.max() > MOST_PIXELS {
             let reason =
                 format!("it is {:.0} pixels wide; at most {:.0} are allowed", 2.0 * half.max(), 2.0 * MOST_PIXELS);
-            return Err(Error::parameter("pawn", reason));
+            return Err(Error::parameter(Parameter::Pawn("size"), reason));
         }
         let rects = match pawn.body {
             Body::Box { .. } => vec![[beside(half.x), beside(half.y)]],

@@ -261,6 +261,7 @@ impl Flood {
 
 /// A place of a [`Region`].
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Place {
     /// Where the feet stand: the middle of a pixel, on the highest matter under the footprint (m).
     pub feet: Point3<f64>,

@@ -24,6 +24,7 @@ const BETWEEN_LOOKS: usize = 1 << 12;
 
 /// Why there is no route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Refusal {
     /// The pawn cannot stand where it begins.
     NotStandingFrom,
@@ -46,6 +47,7 @@ impl Refusal {
 
 /// A way.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Route {
     /// Places to reach one after the other, the first and the last included; straight in between, but for steps (m).
     pub points: Vec<Point3<f64>>,

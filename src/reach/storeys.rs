@@ -14,6 +14,7 @@ const LEAST_M2: f64 = 2.0;
 
 /// A storey.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Storey {
     /// Height: half of its area lies above, half below (m).
     pub z: f64,
@@ -23,6 +24,7 @@ pub struct Storey {
 
 /// The storeys of a region.
 #[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Storeys {
     /// From the lowest up.
     pub all: Vec<Storey>,

@@ -116,7 +116,7 @@ impl Views {
         View { index: self.index.clone(), snapshot: self.current.get() }
     }
 
-    /// Pages that a body touches before it moves; none for a outlook that is not valid.
+    /// Pages that a body touches before it moves; none for an outlook that is not valid.
     pub fn keys_around(&self, outlook: &Outlook) -> Vec<PageKey> {
         let mut times = HashMap::new();
         if outlook.is_valid() {

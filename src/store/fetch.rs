@@ -42,6 +42,7 @@ pub enum Next {
 
 /// A page that could not be loaded. It stays "not loaded" in every view.
 #[derive(Debug)]
+#[non_exhaustive]
 pub struct PageError {
     /// The page.
     pub key: PageKey,

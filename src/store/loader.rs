@@ -245,7 +245,7 @@ impl Loader {
         id
     }
 
-    /// Says how a body moves now; once a frame. Replaces its last hint, and with it what it needed. A outlook that is not
+    /// Says how a body moves now; once a frame. Replaces its last hint, and with it what it needed. An outlook that is not
     /// finite is dropped and counted.
     pub fn hint(&mut self, body: BodyId, outlook: &Outlook) {
         if !outlook.is_valid() {

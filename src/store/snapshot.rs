@@ -244,7 +244,7 @@ impl View {
         Some(self.snapshot.0[group][offset].page.is_some())
     }
 
-    /// Number of pages in memory that a body touches before it moves; none for a outlook that is not valid.
+    /// Number of pages in memory that a body touches before it moves; none for an outlook that is not valid.
     pub fn count_loaded(&self, outlook: &Outlook) -> usize {
         let loaded = |page: &u32| {
             let (group, offset) = self.index.group(*page);

@@ -6,7 +6,7 @@ use super::account::{Account, Room};
 use super::fetch::{FetchId, Time, Work};
 use super::snapshot::Index;
 use crate::archive::{Catalog, Opened, Opening, PageEntry};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
@@ -239,9 +239,12 @@ fn same_again(error: &Error) -> Error {
 }
 
 fn too_small(account: &Account, pages: u64, least: usize) -> Error {
-    let budget = account.budget();
-    Error::parameter(
-        "cache",
-        format!("{budget} bytes are too few: the table of {pages} pages alone needs {least}; give more memory"),
-    )
+    match account.budget() {
+        0 => Error::parameter(Parameter::Cache, "0 bytes hold no page; give some MiB"),
+        // What is too few depends on the archive: no fault of the parameter alone.
+        budget => Error::parameter(
+            "cache",
+            format!("{budget} bytes are too few: the table of {pages} pages alone needs {least}; give more memory"),
+        ),
+    }
 }

@@ -19,6 +19,7 @@ use std::time::{Duration, Instant};
 
 /// Who loads pages before they are needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Prefetch {
     /// Nobody: pages come by [`Stream::load`] alone.
     Off,
@@ -59,6 +60,7 @@ impl StreamOptions {
 
 /// What one [`Stream::step`] did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Step {
     /// Read and decoded a run; this many pages came into memory.
     Loaded(usize),
@@ -489,6 +491,12 @@ mod tests {
         writer.put(key, PageEncoder::new(plan.frame).encode(key, &builder.build())).unwrap();
         writer.finish(Totals::default()).unwrap();
         Archive::from_bytes(std::fs::read(&target).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_budget_of_nothing_is_refused_by_name() {
+        let refused = Stream::open(archive(), StreamOptions::new(0)).unwrap_err();
+        assert!(matches!(refused, Error::Parameter { what: crate::Parameter::Cache, .. }), "{refused}");
     }
 
     /// A loader suspended at the worst moment, for ever: every lock is held, even that of the cell which a

@@ -1,7 +1,7 @@
 //! Bands: the slices that verdicts look at together.
 
 use super::record::{BLOCK_SLICES, Record, SLICE_STEPS};
-use crate::plan::Plan;
+use crate::plan::{Plan, rise_of};
 use std::ops::Range;
 
 /// Least height of a band (pixels): that of a slice by default.
@@ -31,7 +31,7 @@ impl Default for Bands {
 impl Bands {
     /// The bands for archives of `plan`.
     pub fn new(plan: &Plan) -> Self {
-        let rise = plan.options.max_slope_deg.min(STEEPEST_LIMIT_DEG).to_radians().tan();
+        let rise = rise_of(plan.options.max_slope_deg.min(STEEPEST_LIMIT_DEG));
         // A little less, so that a slice of three pixels is a band, however the quotient is rounded.
         let pixels = LEAST_PIXELS.max(LEAST_PIXELS_PER_RISE * rise) * (1.0 - 1e-9);
         let slices = (pixels * plan.frame.pixel_m() / plan.frame.slice_m()).ceil();

@@ -11,7 +11,7 @@
 
 use super::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, PATCH_PIXELS, Record, Recorder, SurfaceVoxel};
 use crate::bytes::{read_exact_at, write_all_at};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::fs::File;
@@ -358,15 +358,15 @@ impl RunStore {
             return Ok(file);
         }
         let file = tempfile::tempfile_in(&self.temp_dir)
-            .map_err(|e| Error::io(&self.temp_dir, "create a temporary file (choose a folder with --temp-dir)", e))?;
+            .map_err(|e| Error::io(&self.temp_dir, "create a temporary file", e).with_way_out(Parameter::TempDir))?;
         // Another worker may have been faster; its file is then the one, and this one vanishes.
         Ok(self.file.get_or_init(|| file))
     }
 
     fn write(&self, file: &File, bytes: &[u8], offset: u64) -> Result<()> {
         write_all_at(file, offset, bytes).map_err(|e| {
-            let action = format!("write temporary data at byte {offset} (choose a folder with space by --temp-dir)");
-            Error::io(&self.temp_dir, action, e)
+            let action = format!("write temporary data at byte {offset}");
+            Error::io(&self.temp_dir, action, e).with_way_out(Parameter::TempDir)
         })
     }
 
@@ -777,6 +777,6 @@ mod tests {
         let mut builder = RunBuilder::new(Recorder::new(Frame::new(0.05, 0.15).unwrap()), 0);
         builder.push(&[0.0], &[0.0], &[0.0], &store).unwrap();
         let text = builder.flush(&store).unwrap_err().to_string();
-        assert!(text.contains("/nonexistent/folder") && text.contains("--temp-dir"), "{text}");
+        assert!(text.contains("/nonexistent/folder") && text.contains("choose a folder"), "{text}");
     }
 }

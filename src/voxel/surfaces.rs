@@ -8,7 +8,7 @@ use crate::mesh::raster::{Raster, extent_of};
 use crate::mesh::sample::oversample;
 use crate::mesh::{MeshMode, Triangle};
 use crate::plan::Plan;
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 
 /// Most voxels that one triangle may fill, roughly; more are a mistake in the unit or the pixel size, or a damaged corner,
 /// and would fill the disk (2³²: 34 GB, 1.3 × 1.3 km in pixels of 2 cm).
@@ -69,8 +69,8 @@ impl SurfaceBuilder {
         let (area, longest) = extent_of(triangle);
         let voxels = area / least + longest / least.sqrt();
         if voxels > MOST_VOXELS {
-            let what = "voxels that one triangle fills (give a larger --pixel, or the unit by --units)".into();
-            return Err(Error::Limit { what, value: format!("{voxels:.0}"), max: MOST_VOXELS.to_string() });
+            let error = Error::limit("voxels that one triangle fills", format!("{voxels:.0}"), MOST_VOXELS);
+            return Err(error.with_way_out(Parameter::PixelSize));
         }
         match self.step_m {
             None => self.push_exactly(triangle, runs, store, cancelled),

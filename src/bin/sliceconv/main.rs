@@ -257,8 +257,21 @@ fn failure(failure: &Failure, signal: usize) -> (String, ExitCode) {
             Some(option) => (format!("{option}: {reason}"), ExitCode::from(2)),
             None => (error.to_string(), ExitCode::FAILURE),
         },
-        _ => (error.to_string(), ExitCode::FAILURE),
+        _ => (error.told(way_out), ExitCode::FAILURE),
     }
+}
+
+/// How to help by an option.
+fn way_out(parameter: &Parameter) -> Option<&'static str> {
+    Some(match parameter {
+        Parameter::PixelSize => "give a larger --pixel, or the unit by --units",
+        Parameter::Units => "give the right one with --units",
+        Parameter::Memory => "give more --memory",
+        Parameter::TempDir => "choose a folder with space by --temp-dir",
+        Parameter::Incomplete => "or take what can be read with --allow-incomplete",
+        Parameter::Overwrite => "--force replaces it",
+        _ => return None,
+    })
 }
 
 /// The option whose value is wrong whatever the input holds.
@@ -270,6 +283,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Tolerance => "--tolerance",
         Parameter::MinPoints => "--min-points",
         Parameter::Memory => "--memory",
+        Parameter::Threads => "--threads",
         Parameter::Units => "--units",
         Parameter::Shard => "--shard",
         _ => return None,

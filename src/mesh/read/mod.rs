@@ -144,7 +144,7 @@ impl MeshSet {
                 more => format!(" and {more} more"),
             };
             monitor.warn(&format!(
-                "{}{others}: meshes of this format state no unit; metres are assumed, --units sets another",
+                "{}{others}: meshes of this format state no unit; metres are assumed; set the unit of the input if it is another",
                 first.path.display()
             ));
         }

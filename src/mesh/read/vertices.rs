@@ -2,7 +2,7 @@
 
 use super::MeshOptions;
 use super::blocks::{Blocks, fill_block};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use std::fs::File;
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::PathBuf;
@@ -50,18 +50,18 @@ impl Vertices {
             return Ok(());
         }
         let dir = &self.temp_dir;
-        let refused = |action| move |e| Error::io(dir, action, e);
+        let refused = |action| move |e| Error::io(dir, action, e).with_way_out(Parameter::TempDir);
         let (file, blocks) = match &mut self.file {
             Some(file) => file,
             none => {
-                let action = "create a temporary file (choose a folder with --temp-dir)";
+                let action = "create a temporary file";
                 none.insert((tempfile::tempfile_in(dir).map_err(refused(action))?, Blocks::new()))
             }
         };
         blocks.forget();
         file.seek(SeekFrom::End(0))
             .and_then(|_| file.write_all(&self.buffer))
-            .map_err(refused("write temporary data (choose a folder with space by --temp-dir)"))?;
+            .map_err(refused("write temporary data"))?;
         self.buffer.clear();
         Ok(())
     }

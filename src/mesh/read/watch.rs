@@ -1,7 +1,7 @@
 //! What a reader of a mesh minds on its way: the wish to stop, faces that are broken, and the bytes it reads.
 
 use crate::bytes::open_regular;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -45,10 +45,7 @@ impl<'a> Watch<'a> {
     /// So many faces cannot be read: an error, unless they may be left out.
     pub fn lose(&mut self, faces: u64, error: Error) -> Result<()> {
         match error {
-            Error::Input { path, at, reason } if !self.allow_incomplete => {
-                let reason = format!("{reason}; --allow-incomplete converts the rest");
-                Err(Error::Input { path, at, reason })
-            }
+            error @ Error::Input { .. } if !self.allow_incomplete => Err(error.with_way_out(Parameter::Incomplete)),
             Error::Input { .. } => {
                 self.broken += faces;
                 self.reason.get_or_insert(error);

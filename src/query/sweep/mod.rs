@@ -25,6 +25,7 @@ const LONGEST_M: f64 = 1e30;
 
 /// The first matter that a moving shape meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct SweepHit {
     /// Part of the motion until the contact, 0..=1. The shape moved by `fraction · motion` touches the matter.
     pub fraction: f64,

@@ -39,7 +39,7 @@ mod tests;
 use super::bands::Bands;
 use super::fold::{Area, Patch, Sums, Voxel};
 use crate::frame::SLICE_QUANTA;
-use crate::plan::{Classifier, Plan};
+use crate::plan::{Classifier, Plan, rise_of};
 use pieces::Runs;
 use surface::{Around, Surfaces, Verdict};
 
@@ -68,16 +68,15 @@ impl Judge {
     pub fn new(plan: &Plan) -> Self {
         let (frame, limit) = (&plan.frame, plan.options.max_slope_deg);
         let bands = Bands::new(plan);
-        let tangent = |deg: f64| if deg >= 90.0 { f64::INFINITY } else { deg.to_radians().tan() };
         let bound = |more: f64| (limit + more).min(STEEPEST_BOUND_DEG.max(limit));
         let quanta_per_pixel = frame.pixel_m() / frame.quantum_m();
-        let run = |deg: f64| std::f64::consts::SQRT_2 * tangent(deg) * quanta_per_pixel;
-        let reach = tangent(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG));
+        let run = |deg: f64| std::f64::consts::SQRT_2 * rise_of(deg) * quanta_per_pixel;
+        let reach = rise_of(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG));
         Self {
             classifier: plan.options.classifier,
             bands,
             runs: Runs::new(frame, bands, run(limit)),
-            surfaces: Surfaces::new(frame, bands, tangent(limit), reach),
+            surfaces: Surfaces::new(frame, bands, rise_of(limit), reach),
             steep_run: run(limit),
             clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
         }

@@ -54,11 +54,12 @@ impl Surfaces {
         let quanta_per_pixel = frame.pixel_m() / frame.quantum_m();
         let bands_per_pixel = frame.pixel_m() / (frame.slice_m() * f64::from(bands.slices()));
         let steps_per_pixel = bands_per_pixel * SLICE_STEPS as f64;
+        let greatest = GREATEST_RESIDUAL_PIXELS * steps_per_pixel;
         let steep = tangent * steps_per_pixel / SUBPIXELS as f64;
         Self {
             bands,
             steep_squared: steep * steep,
-            greatest_square: (GREATEST_RESIDUAL_PIXELS * steps_per_pixel).powi(2),
+            greatest_square: greatest * greatest,
             // Gaps are whole quanta, so the part behind the point decides nothing.
             reach: (reach * quanta_per_pixel) as i64,
             steep_chain: 3.0 * tangent * quanta_per_pixel,
@@ -152,7 +153,8 @@ impl Surfaces {
         let half_difference = (cuu - cvv) / 2.0;
         // Only operations that IEEE 754 rounds exactly, so that every machine gives the same verdict.
         let smaller = half_trace - (half_difference * half_difference + cuv * cuv).sqrt();
-        let least = (LEAST_SPREAD_PIXELS * SUBPIXELS as f64).powi(2) * square;
+        let least = LEAST_SPREAD_PIXELS * SUBPIXELS as f64;
+        let least = least * least * square;
         let covariance = Matrix2::new(cuu, cuv, cuv, cvv);
         let Some(inverse) = covariance.try_inverse().filter(|_| n >= 3 && smaller >= least) else {
             return Fit::Undetermined;

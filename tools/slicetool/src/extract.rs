@@ -36,7 +36,7 @@ fn bounds(text: &str) -> Result<Bounds, String> {
 /// Cuts the region out.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
-    let Extracted { header, dropped } =
+    let Extracted { header, dropped, .. } =
         extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &crate::terminal())
             .map_err(|error| crate::broken(&arguments.archive, &error))?;
     if header.voxels.occupied == 0 {

@@ -21,6 +21,7 @@ mod verify;
 mod walk;
 
 use clap::{Parser, Subcommand};
+use slicewalk::Parameter;
 use slicewalk::archive::Archive;
 use slicewalk::output::{Output, OutputKind, Protected};
 use slicewalk::terminal::Terminal;
@@ -33,16 +34,53 @@ use std::process::ExitCode;
 pub enum Failure {
     /// One line for standard error.
     Text(String),
+    /// An option has a value that it cannot have; one line.
+    Usage(String),
     /// A result to print that nevertheless means failure, such as a list of findings.
     Result(String),
-    /// One line for standard error about options that cannot be meant.
-    Usage(String),
 }
 
-impl<E: std::error::Error> From<E> for Failure {
+impl<E: std::error::Error + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
-        Self::Text(error.to_string())
+        match (&error as &dyn std::error::Error).downcast_ref() {
+            Some(error) => of_library(error),
+            None => Self::Text(error.to_string()),
+        }
     }
+}
+
+/// An error of the library, with our options in place of its parameters.
+fn of_library(error: &slicewalk::Error) -> Failure {
+    if let slicewalk::Error::Parameter { what, reason } = error
+        && let Some(option) = option_of(what)
+    {
+        // A pawn's option has several numbers.
+        return Failure::Usage(match what {
+            Parameter::Pawn(number) if option == "--pawn" => format!("{option}: {number}: {reason}"),
+            _ => format!("{option}: {reason}"),
+        });
+    }
+    Failure::Text(error.told(|parameter| {
+        Some(match parameter {
+            Parameter::Overwrite => "--force replaces it",
+            Parameter::Plan => "give them with --plan (sliceconv --write-plan makes one)",
+            Parameter::Cache => "give more --cache",
+            _ => return None,
+        })
+    }))
+}
+
+/// The option whose value is wrong, whatever the archive holds.
+fn option_of(parameter: &Parameter) -> Option<&'static str> {
+    Some(match parameter {
+        Parameter::Pawn("speed") => "--speed",
+        Parameter::Pawn("climb height") => "--climb",
+        Parameter::Pawn("deepest drop") => "--max-drop",
+        Parameter::Pawn("start") => "--start",
+        Parameter::Pawn(_) => "--pawn",
+        Parameter::Cache => "--cache",
+        _ => return None,
+    })
 }
 
 /// Text for standard output, or a failure.
@@ -145,23 +183,8 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
             Failure::Text(format!("{}: {error}; convert the scan again, or fetch the archive again", path.display()))
         }
         slicewalk::Error::Limit { .. } => Failure::Text(format!("{}: {error}", path.display())),
-        _ => Failure::Text(error.to_string()),
+        _ => of_library(error),
     }
-}
-
-/// A failure to make a pawn: what its options say may lie outside their limits.
-pub fn no_pawn(error: slicewalk::Error) -> Failure {
-    let slicewalk::Error::Parameter { what: slicewalk::Parameter::Pawn(what), reason } = &error else {
-        return Failure::Text(error.to_string());
-    };
-    let option = match *what {
-        "speed" => "--speed",
-        "climb height" => "--climb",
-        "deepest drop" => "--max-drop",
-        "start" => "--start",
-        _ => "--pawn",
-    };
-    Failure::Usage(format!("{option}: {what}: {reason}"))
 }
 
 /// Begins a picture, table or export at `path`, of `archive` and of the files `also` that the command reads.

@@ -63,7 +63,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
 }
 
 fn find(arguments: &Arguments, loader: &Loader) -> Result<Result<Route, Refusal>, Failure> {
-    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn()).map_err(crate::no_pawn)?;
+    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn())?;
     let mut spot =
         |at: Point3<f64>| -> Result<Option<Spot>, Failure> { loader.known(|view| Ok(ground.spot(view, at))) };
     let Some(from) = spot(arguments.from)? else { return Ok(Err(Refusal::NotStandingFrom)) };

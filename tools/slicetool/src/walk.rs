@@ -1,6 +1,6 @@
 //! `slicetool walk`: a pawn follows waypoints; its path as CSV, what it cost as JSON.
 
-use crate::{Failure, Outcome, cache_too_small, no_pawn};
+use crate::{Failure, Outcome, cache_too_small};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
 use slicewalk::size::parse_size;
@@ -126,7 +126,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         },
         ..Config::new(arguments.pawn)
     };
-    let mut walker = Walker::new(config, arguments.start).map_err(no_pawn)?;
+    let mut walker = Walker::new(config, arguments.start)?;
     let mut route = Route::new(waypoints(&arguments.waypoints)?)?;
     let stream = stream(arguments)?;
     let mut output = crate::output(&arguments.output, stream.archive(), &[&arguments.waypoints])?;

@@ -186,6 +186,7 @@ fn what_cannot_be_meant_is_refused() {
         &["reach", "a.slices", "--from", "1,2,1", "--max-drop", "-1"],
         &["route", "a.slices", "--from", "1,2,1"],
         &["route", "a.slices", "--from", "1,2,1", "--to", "2,2,1", "--pawn", "box:2000x1x1"],
+        &["reach", "a.slices", "--from", "1,1,1", "--cache", "0"],
     ] {
         assert_eq!(slicetool(at, wrong).status.code(), Some(2), "{wrong:?}");
     }

@@ -257,8 +257,12 @@ fn what_cannot_be_meant_is_refused() {
         &["--start", "0,0,0", "--cache", "lots"],
         &["--start", "1e300,0,0"],
         &["--start", "0,0,0", "--speed", "2000"],
+        &["--start", "0,0,0", "--speed=-1"],
+        &["--start", "0,0,0", "--speed", "nan"],
         &["--start", "0,0,0", "--climb", "2"],
+        &["--start", "0,0,0", "--climb=-0.1"],
         &["--start", "0,0,0", "--max-drop", "-1"],
+        &["--start", "0,0,0", "--pawn", "box:1x1xinf"],
         &["--start", "0,0,0", "--pawn", "box:0.5x0.5x1001", "--climb", "0"],
     ] {
         assert_eq!(run(wrong).status.code(), Some(2), "{wrong:?}");
@@ -269,6 +273,9 @@ fn what_cannot_be_meant_is_refused() {
     assert!(text.contains("line 2") && text.contains("oops") && text.lines().count() == 1, "{text}");
     assert!(!out.exists());
     std::fs::write(&file, "1,1\n").unwrap();
+    let empty = run(&["--start", "0,0,0", "--cache", "0"]);
+    let said = String::from_utf8_lossy(&empty.stderr).into_owned();
+    assert!(empty.status.code() == Some(2) && said.contains("--cache: 0 bytes"), "{said}");
     let before = std::fs::read(&archive).unwrap();
     let same = archive.to_str().unwrap();
     let done = slicetool(&["walk", same, "--waypoints", file.to_str().unwrap(), "--start", "0,0,0", "-o", same]);

@@ -13,7 +13,7 @@ use self::structure::{Accessor, AccessorShape, NodeTransform, Primitive, Structu
 use super::text::BYTE_ORDER_MARK;
 use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
-use crate::{Error, Result};
+use crate::{Error, Parameter, Result};
 use bitvec::vec::BitVec;
 use nalgebra::{Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
 use std::io::{Read, Seek, SeekFrom};
@@ -379,8 +379,8 @@ fn read_structure(path: &Path, most_bytes: u64, digest: &Digest) -> Result<(Vec<
         (0, bytes)
     };
     if len > most_bytes {
-        let what = format!("{}: structure (bytes) (give more --memory)", path.display());
-        return Err(Error::Limit { what, value: len.to_string(), max: most_bytes.to_string() });
+        let what = format!("{}: structure (bytes)", path.display());
+        return Err(Error::limit(what, len, most_bytes).with_way_out(Parameter::Memory));
     }
     let mut json = Vec::with_capacity(len as usize);
     file.seek(SeekFrom::Start(start)).map_err(io)?;

@@ -205,7 +205,7 @@ impl Budget {
     /// Takes room for one more `T`; a vector doubles as it grows, and is there twice meanwhile.
     fn take<T>(&self) -> Result<(), Refusal> {
         let left = self.0.get().checked_sub(2 * size_of::<T>() as u64);
-        self.0.set(left.ok_or("its structure takes more memory than --memory leaves for it; give more")?);
+        self.0.set(left.ok_or("its structure takes more than its share of the memory budget; give more memory")?);
         Ok(())
     }
 }
@@ -462,7 +462,7 @@ mod tests {
         for list in ["nodes", "scenes"] {
             let json = format!(r#"{{"asset":{{"version":"2.0"}},"{list}":[{}{{}}]}}"#, "{},".repeat(2_000_000));
             let error = Structure::parse(json.as_bytes(), 8 << 20).unwrap_err().to_string();
-            assert!(error.contains("--memory"), "{error}");
+            assert!(error.contains("give more memory"), "{error}");
             assert!(Structure::parse(json.as_bytes(), 128 << 20).is_ok());
         }
         let json = format!(r#"{{"asset":{{"version":"2.0"}},"nodes":[{{"children":[{}1]}}]}}"#, "1,".repeat(2_000_000));

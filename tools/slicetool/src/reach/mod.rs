@@ -47,7 +47,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
-    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn()).map_err(crate::no_pawn)?;
+    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn())?;
     let Some(start) = loader.known(|view| Ok(ground.spot(view, arguments.from)))? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
         return Err(Failure::Text(format!(
@@ -108,10 +108,10 @@ fn text(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
         let at = place.feet;
         writeln!(text, "highest step {rise:.2} m at {:.2},{:.2},{:.2}", at.x, at.y, at.z)?;
     }
-    for Passage { at, width } in &reach.passages {
+    for Passage { at, width, .. } in &reach.passages {
         writeln!(text, "passage {width:.2} m wide at {:.2},{:.2},{:.2}", at.x, at.y, at.z)?;
     }
-    for Leak { at, width, drop, kind } in &reach.leaks {
+    for Leak { at, width, drop, kind, .. } in &reach.leaks {
         let depth = drop.map_or("nothing scanned below".into(), |drop| format!("drop {drop:.2} m"));
         writeln!(text, "{} {width:.2} m wide at {:.2},{:.2},{:.2}: {depth}", kind.name(), at.x, at.y, at.z)?;
     }
