@@ -6,6 +6,8 @@ mod cases;
 mod crowds;
 #[path = "walk/guards.rs"]
 mod guards;
+#[path = "walk/jumps.rs"]
+mod jumps;
 #[path = "walk/motion.rs"]
 mod motion;
 #[path = "../tools/bench/src/walks/path.rs"]

@@ -13,6 +13,7 @@
 //! section 3.2.2, for comparison.
 
 mod body;
+mod change;
 mod crowd;
 mod follow;
 mod slide;
@@ -225,7 +226,7 @@ struct Motion {
     /// Height of the floor that it stood on last: climbing is measured from there, so that no ledge is climbed in parts
     /// (m).
     floor_z: f64,
-    /// Speed of its fall (m/s, >= 0).
+    /// Speed of its fall (m/s); negative while it rises in a jump.
     falling: f64,
     /// Of the thesis' response: its step as a share of the full one.
     step: f64,
@@ -320,7 +321,7 @@ impl Walker {
         self.motion.ground
     }
 
-    /// Speed of its fall (m/s, >= 0).
+    /// Speed of its fall (m/s); negative while it rises in a jump.
     pub fn falling(&self) -> f64 {
         self.motion.falling
     }
