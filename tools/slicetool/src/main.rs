@@ -16,6 +16,7 @@ mod show;
 mod stats;
 mod verify;
 mod walk;
+mod web;
 
 use clap::{Parser, Subcommand};
 use slicewalk::archive::Archive;
@@ -30,6 +31,9 @@ pub enum Failure {
     Text(String),
     /// A result to print that nevertheless means failure, such as a list of findings.
     Result(String),
+    /// A signal asked it to stop: the exit code.
+    #[cfg(feature = "serve")]
+    Interrupted(u8),
 }
 
 impl<E: std::error::Error> From<E> for Failure {
@@ -103,6 +107,11 @@ enum Command {
     Reach(reach::Arguments),
     /// Find the shortest way of a pawn between two places
     Route(route::Arguments),
+    /// Show archives in the browser: walk in them, on this machine alone, until Ctrl-C (exit code 130)
+    #[cfg(feature = "serve")]
+    Serve(web::serve::Arguments),
+    /// Write a folder with the page and archives for any web host that answers range requests
+    Site(web::site::Arguments),
     /// Generate a scan, convert it, verify, query against brute force, draw slices
     Demo(demo::Arguments),
 }
@@ -158,11 +167,16 @@ fn main() -> ExitCode {
         Command::Walk(arguments) => walk::run(&arguments),
         Command::Reach(arguments) => reach::run(&arguments),
         Command::Route(arguments) => route::run(&arguments),
+        #[cfg(feature = "serve")]
+        Command::Serve(arguments) => web::serve::run(&arguments),
+        Command::Site(arguments) => web::site::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
     };
     let (text, code) = match outcome {
         Ok(text) => (text, ExitCode::SUCCESS),
         Err(Failure::Result(text)) => (text, ExitCode::FAILURE),
+        #[cfg(feature = "serve")]
+        Err(Failure::Interrupted(code)) => return ExitCode::from(code),
         Err(Failure::Text(text)) => {
             say(&text);
             return ExitCode::FAILURE;
