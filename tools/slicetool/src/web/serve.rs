@@ -28,7 +28,7 @@ const GRACE: Duration = Duration::from_secs(1);
 const CHUNK: usize = 1 << 17;
 /// The page runs its own scripts and wasm, and reads archives from here and from hosts named in its address.
 const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self' blob:; \
-                      style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; \
+                      style-src 'self'; img-src 'self' blob: data:; \
                       connect-src 'self' blob: https: http://127.0.0.1:* http://localhost:*; manifest-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
