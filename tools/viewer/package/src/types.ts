@@ -348,8 +348,8 @@ export interface View {
  * Geometry of one page: the tops, undersides and sides of its spans as quads, equal neighbours joined.
  *
  * A vertex lies at `origin + scale · position`, computed in double precision where coordinates are large: give a mesh the
- * position `origin − yourOrigin` and the scale `scale`. Heights are rounded to `scale[2]` (an eighth of the pixel size, or more
- * with less detail): the drawing may differ from what collides by half of that.
+ * position `origin − yourOrigin` and the scale `scale`. Heights are rounded to `scale[2]`, a quarter of a cell: the drawing may
+ * differ from what collides by that much.
  */
 export interface PageGeometry {
   /** Names the page in this view. */
@@ -371,6 +371,6 @@ export interface PageGeometry {
    * and obstacles alike; 90 for sides), and 0. Heights and slices follow from z.
    */
   readonly attributes: Uint8Array;
-  /** Three a triangle, counterclockwise seen from outside. */
+  /** Three a triangle, counterclockwise seen from outside. Pages share this memory: do not write to it. */
   readonly indices: Uint32Array;
 }
