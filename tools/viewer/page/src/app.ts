@@ -3,7 +3,7 @@
 import { SlicewalkError, type Stats, type Vec3 } from "slicewalk";
 import { formatAddress, type Mode, type Place } from "./address";
 import { Canvas } from "./canvas";
-import { clamp, wrap, type Look, type Ray } from "./geometry";
+import { clamp, thousands, wrap, type Look, type Ray } from "./geometry";
 import { readGamepad } from "./input/gamepad";
 import { joined } from "./input/intent";
 import { Keyboard } from "./input/keyboard";
@@ -11,10 +11,12 @@ import { Pointer } from "./input/pointer";
 import { Sticks } from "./input/sticks";
 import { pick } from "./measure";
 import { Cameras } from "./scene/cameras";
-import type { Colouring } from "./scene/material";
 import { fromAddress, Session, type Source } from "./session";
 import { loadSettings, saveSettings, walkerSettings, type Settings } from "./settings";
+import type { Table } from "./table";
+import { Sight } from "./sight";
 import { texts } from "./texts.en";
+import { Cloud } from "./scene/cloud";
 import { Shell } from "./ui/shell";
 import { Minimap } from "./ui/minimap";
 
@@ -26,10 +28,6 @@ const MOUSE_DEGREES = 0.11;
 const WRITE_MS = 250;
 /** A longer frame counts as so long: the page was away. */
 const LONGEST_FRAME_S = 0.25;
-/** Below the ceiling, and at most so far above the feet, the roof is cut. */
-const CUT_BELOW_M = 0.15;
-const CUT_ABOVE_M = 2;
-const FAR_M = 1e9;
 const FLOOR_NORMAL = 0.5;
 
 const NO_STATS = { pages: { resident: 0, bytes: 0 }, requests: 0, bytesLoaded: 0 } satisfies Partial<Stats>;
@@ -47,7 +45,7 @@ export class App {
   #opening: AbortController | null = null;
   #last: Source | null = null;
   #mode: Mode = "walk";
-  #colouring: Colouring = "height";
+  #sight: Sight | null = null;
   #ready = false;
   #error: string | null = null;
   #troubled = false;
@@ -55,8 +53,8 @@ export class App {
   #fps = 0;
   #longestTask = 0;
   #seenTriangles = 0;
-  #cutZ = FAR_M;
-  #cutFrom: Vec3 | null = null;
+  #cloudUrl: string | null = null;
+  #cloud: Cloud | null = null;
 
   constructor(parent: HTMLElement) {
     this.#shell = new Shell(parent, this.#settings, {
@@ -72,10 +70,11 @@ export class App {
       close: () => this.#shell.canvas.focus(),
       settings: (settings) => void this.#change(settings),
       colouring: (colouring) => {
-        this.#colouring = colouring;
+        if (this.#sight) this.#sight.colouring = colouring;
         this.#colour();
       },
       slices: () => this.#colour(),
+      cloud: (shown) => this.#showCloud(shown),
     });
     this.#canvas = new Canvas(this.#shell.canvas, this.#cameras, (lost) => {
       if (lost) this.#shell.messages.wait(texts.news.graphicsLost);
@@ -147,9 +146,7 @@ export class App {
       orbit.target = pawn.at;
       orbit.look.heading = mode === "plan" ? 0 : pawn.look.heading;
     }
-    this.#cutFrom = null;
     this.#see();
-    this.#colour();
   }
 
   // What programs and tests read -------------------------------------------------------------------------------------------------
@@ -183,8 +180,9 @@ export class App {
     this.#cameras.orbit.target = at;
   }
 
-  /** Archives to choose from, and the welcome if none is to be opened at once. */
-  offer(archives: readonly { readonly name: string; readonly url: string }[], welcome: boolean): void {
+  /** What lies beside the page, and the welcome if nothing is to be opened at once. */
+  offer({ archives, cloud }: Table, welcome: boolean): void {
+    this.#cloudUrl = cloud;
     this.#shell.welcome.offer(archives);
     if (welcome) this.#shell.welcome.show();
   }
@@ -206,6 +204,10 @@ export class App {
     archive.on("failed", (error) => this.#fail(error));
     pawn.onArrival = (how) => this.#shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);
     this.#minimap = new Minimap(archive);
+    const { colouring } = this.#sight ?? { colouring: "height" };
+    this.#sight = new Sight(session, this.#shell);
+    this.#sight.colouring = colouring;
+    this.#shell.colours.hasCloud = this.#cloudUrl !== null;
     this.#shell.opened(session.source.name, archive.info, this.#minimap);
     this.#shell.messages.wait(null);
     this.#shell.messages.say(pawn.flying ? texts.loading.found : texts.news.capture);
@@ -218,12 +220,30 @@ export class App {
   #leave(): void {
     this.#ready = false;
     this.#minimap = null;
+    this.#showCloud(false);
     const session = this.#session;
     this.#session = null;
     if (session === null) return;
     this.#canvas.scene.remove(session.world.group);
     this.#shell.measure.clear();
     session.close();
+  }
+
+  #showCloud(shown: boolean): void {
+    const session = this.#session;
+    if (this.#cloud !== null) {
+      this.#canvas.scene.remove(this.#cloud.group);
+      this.#cloud.close();
+      this.#cloud = null;
+    }
+    if (!shown || session === null || this.#cloudUrl === null) return;
+    const url = new URL(this.#cloudUrl, location.href).href;
+    const { messages } = this.#shell;
+    this.#cloud = new Cloud(url, session.pawn.at, session.unit, (told) => {
+      messages.say(typeof told === "number" ? texts.news.cloud(thousands(told)) : texts.news.noCloud(told));
+    });
+    this.#cloud.place(session.world);
+    this.#canvas.scene.add(this.#cloud.group);
   }
 
   #trouble(error: SlicewalkError | null): void {
@@ -337,7 +357,7 @@ export class App {
     if (session === null) return null;
     const signal = new AbortController().signal;
     try {
-      const shown = this.#skipCut(ray);
+      const shown = this.#sight?.enter(ray) ?? ray;
       const spot = await pick(session.archive, shown, signal);
       if (spot !== null && spot.normal[2] > FLOOR_NORMAL) return spot.at;
       if (spot !== null) {
@@ -355,15 +375,6 @@ export class App {
     return null;
   }
 
-  /** The ray from where it enters what is drawn: what was cut off is not hit. */
-  #skipCut(ray: Ray): Ray {
-    const top = this.#cut()[1];
-    const { origin, direction } = ray;
-    if (origin[2] <= top || direction[2] >= 0) return ray;
-    const far = (origin[2] - top) / -direction[2];
-    return { origin: [origin[0] + far * direction[0], origin[1] + far * direction[1], top], direction };
-  }
-
   async #change(settings: Settings): Promise<void> {
     const before = this.#settings;
     this.#settings = settings;
@@ -377,7 +388,6 @@ export class App {
     saveSettings(this.#settings);
     this.#shell.settings.show(this.#settings);
     this.#see();
-    this.#colour();
   }
 
   async #link(): Promise<void> {
@@ -439,11 +449,12 @@ export class App {
     if (world.moveOrigin(this.#mode === "walk" ? eye : this.#cameras.orbit.target)) {
       this.#cameras.update(this.#mode, world, eye, pawn.look);
       this.#shell.measure.moved(world);
+      this.#cloud?.place(world);
     }
     view.look(this.#mode === "walk" ? eye : this.#cameras.orbit.target);
     world.settle();
-    void this.#findCut(pawn.at);
-    this.#cutUniforms();
+    void this.#sight?.follow(pawn.at, this.#settings);
+    this.#sight?.update();
     this.#seenTriangles = world.cull(this.#cameras.current);
     const { distance } = this.#cameras.orbit;
     this.#canvas.mark(this.#mode !== "walk", world, pawn.state, pawn.look, this.#settings.width, distance);
@@ -451,71 +462,12 @@ export class App {
     this.#minimap?.update(pawn.at, pawn.look.heading);
   }
 
-  /** Tells the engine how far to build geometry, and the shader how far one sees. */
   #see(): void {
-    const session = this.#session;
-    if (session === null) return;
-    const outside = this.#mode !== "walk";
-    const radius = outside ? Math.max(this.#settings.radius, this.#cameras.orbit.distance * 0.9) : this.#settings.radius;
-    session.view.set({ radius });
-    const { uniforms } = session.world.shading;
-    uniforms.far.value = radius;
-    uniforms.fogShare.value = outside ? 0 : 1;
-  }
-
-  /** Heights between which matter is shown, in the scan's coordinates. */
-  #cut(): readonly [number, number] {
-    const { slice, roof } = this.#shell.slices.choice;
-    const info = this.#session?.archive.info;
-    if (info && slice !== null && this.#shell.toolbars.panel === "slices") {
-      const bottom = info.origin[2] + slice * info.sliceHeight;
-      return [bottom, bottom + info.sliceHeight];
-    }
-    return [-FAR_M, this.#mode !== "walk" && roof ? this.#cutZ : FAR_M];
+    if (this.#session !== null) this.#sight?.see(this.#mode, this.#settings, this.#cameras.orbit.distance);
   }
 
   #colour(): void {
-    const session = this.#session;
-    if (session === null) return;
-    const { world, archive } = session;
-    const { shading } = world;
-    shading.colouring = this.#shell.toolbars.panel === "slices" ? "slice" : this.#colouring;
-    shading.uniforms.slope.value = this.#settings.slope;
-    const [cutLow, cutHigh] = this.#cut();
-    world.opened = cutLow > -FAR_M || cutHigh < FAR_M || this.#mode !== "walk";
-    const { bounds } = archive.info;
-    this.#shell.colours.show([bounds?.min[2] ?? 0, bounds?.max[2] ?? 1], this.#settings.slope);
-  }
-
-  /** The heights of the shader count from the local origin, which moves. */
-  #cutUniforms(): void {
-    const session = this.#session;
-    if (session === null) return;
-    const { world, archive, pawn } = session;
-    const { info } = archive;
-    const { uniforms } = world.shading;
-    const [low, high] = this.#cut();
-    const z = world.origin[2];
-    uniforms.cut.value.set(low - z, high - z);
-    uniforms.heights.value.set((info.bounds?.min[2] ?? 0) - z, (info.bounds?.max[2] ?? 1) - z);
-    uniforms.slicing.value.set(info.origin[2] - z, info.sliceHeight);
-    const slice = Math.floor((pawn.at[2] - info.origin[2] + 1e-6) / info.sliceHeight);
-    const bottom = info.origin[2] + slice * info.sliceHeight - z;
-    uniforms.pawnSlice.value.set(bottom, bottom + info.sliceHeight);
-  }
-
-  /** Looks for the ceiling above the pawn when it has moved. */
-  async #findCut(at: Vec3): Promise<void> {
-    const session = this.#session;
-    const near = this.#cutFrom !== null && Math.hypot(at[0] - this.#cutFrom[0], at[1] - this.#cutFrom[1], at[2] - this.#cutFrom[2]) < 0.3;
-    if (session === null || this.#mode === "walk" || near) return;
-    this.#cutFrom = at;
-    const start = at[2] + this.#settings.height / 2;
-    const up = new Float64Array([at[0], at[1], start, 0, 0, 1, 30]);
-    const far = (await session.archive.cast(up, { load: true }).catch(() => null))?.[0] ?? NaN;
-    const ceiling = Number.isFinite(far) ? start + far - CUT_BELOW_M : Infinity;
-    this.#cutZ = Math.min(ceiling, at[2] + CUT_ABOVE_M);
-    this.#colour();
+    if (this.#session !== null) this.#sight?.colour(this.#settings);
   }
 
   #write(): void {

@@ -4,13 +4,10 @@ import type { Vec3, WalkerRecording } from "slicewalk";
 import { parseAddress } from "./address";
 import { App } from "./app";
 import { fromAddress } from "./session";
+import { readTable } from "./table";
 import { texts } from "./texts.en";
 import { h } from "./ui/dom";
 import "./style.css";
-
-interface Table {
-  readonly archives: readonly { readonly name: string; readonly url: string }[];
-}
 
 declare global {
   interface Window {
@@ -21,16 +18,6 @@ declare global {
       record(): Promise<void>;
       recording(): Promise<WalkerRecording>;
     };
-  }
-}
-
-/** The archives that lie beside the page. */
-async function table(): Promise<Table> {
-  try {
-    const answer = await fetch("archives.json");
-    return answer.ok ? ((await answer.json()) as Table) : { archives: [] };
-  } catch {
-    return { archives: [] };
   }
 }
 
@@ -58,9 +45,9 @@ async function start(parent: HTMLElement): Promise<void> {
     recording: async () => walker().recording(),
   };
   const place = parseAddress(location.search);
-  const { archives } = await table();
-  const url = place.archive ?? archives[0]?.url ?? null;
-  app.offer(archives, url === null);
+  const table = await readTable();
+  const url = place.archive ?? table.archives[0]?.url ?? null;
+  app.offer(table, url === null);
   if (url !== null) await app.open(fromAddress(url), place);
 }
 

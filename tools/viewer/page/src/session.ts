@@ -1,6 +1,7 @@
 // One open archive: the pawn in it, and the geometry around it.
 
 import { openArchive, SlicewalkError, type Archive, type Vec3, type View } from "slicewalk";
+import engine from "slicewalk/engine.wasm?url";
 import { standing, type Look } from "./geometry";
 import { Pawn } from "./pawn";
 import { World } from "./scene/world";
@@ -28,6 +29,8 @@ export class Session {
   readonly world: World;
   readonly view: View;
   crs = "";
+  /** Metres in a unit of the input. */
+  unit = 1;
 
   private constructor(readonly source: Source, readonly archive: Archive, readonly pawn: Pawn) {
     this.world = new World(archive.info.sliceHeight);
@@ -35,7 +38,7 @@ export class Session {
   }
 
   static async open(source: Source, at: Vec3 | null, look: Look | null, settings: Settings, signal: AbortSignal): Promise<Session> {
-    const archive = await openArchive(source.archive, { signal });
+    const archive = await openArchive(source.archive, { signal, wasm: engine });
     try {
       const found = at ?? (await findStart(archive, settings, signal));
       const { bounds } = archive.info;
@@ -54,7 +57,13 @@ export class Session {
 
   /** Reads what the first step does not need. */
   async describe(): Promise<void> {
-    this.crs = await this.archive.reference().then(({ crs }) => crsName(crs), () => "");
+    try {
+      const { crs, unit } = await this.archive.reference();
+      this.crs = crsName(crs);
+      this.unit = unit.factor;
+    } catch {
+      // A failed archive says so elsewhere.
+    }
   }
 
   /** Puts the pawn elsewhere; resolves when the place is loaded. */

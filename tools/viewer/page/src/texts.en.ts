@@ -66,7 +66,7 @@ export const texts = {
     close: "Close",
     xr: "Enter VR",
   },
-  colours: { label: "Colour by", height: "Height", slope: "Slope", obstacle: "Floor and obstacle", slice: "Slice" },
+  colours: { label: "Colour by", height: "Height", slope: "Slope", obstacle: "Floor and obstacle", slice: "Slice", cloud: "Point cloud" },
   legend: { low: "low", high: "high", floor: "floor", obstacle: "obstacle", steep: "steeper than", flat: "0°", upright: "90°", inSlice: "red: height within the slice" },
   slices: {
     one: "Show one slice only",
@@ -145,6 +145,7 @@ export const texts = {
     flyOff: "Walking.",
     loaded: "The place is loaded.",
     cloud: (points: string) => `Point cloud: ${points} points drawn.`,
+    noCloud: (reason: string) => `The point cloud cannot be drawn: ${reason}`,
   },
   errors,
   actions: { again: "Open again", other: "Open another archive", reload: "Reload the page", dismiss: "Go on" },

@@ -19,6 +19,7 @@ export interface ShellEvents extends ToolEvents, WelcomeEvents {
   settings(settings: Settings): void;
   colouring(colouring: Colouring): void;
   slices(): void;
+  cloud(shown: boolean): void;
 }
 
 export class Shell {
@@ -41,7 +42,7 @@ export class Shell {
   constructor(parent: HTMLElement, settings: Settings, readonly events: ShellEvents) {
     this.#parent = parent;
     this.settings = new SettingsPanel(settings, events.settings);
-    this.colours = new ColoursPanel(events.colouring);
+    this.colours = new ColoursPanel(events.colouring, events.cloud);
     this.slices = new SlicesPanel(events.slices);
     this.welcome = new Welcome(events);
     this.toolbars = new Toolbars({ ...events, panel: (name) => this.#panel(name) });
