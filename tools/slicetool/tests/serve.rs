@@ -293,11 +293,15 @@ fn what_cannot_be_served_is_one_line() {
     assert_eq!(run(at, &["serve"]).status.code(), Some(2));
 }
 
+/// Arguments that write the archive's site, and more.
+fn site<'a>(archive: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&["site", archive, "-o", "site", "--page", "page"], more].concat()
+}
+
 #[test]
 fn a_site_is_a_folder_for_any_host() {
     let folder = folder();
     let at = folder.path();
-    let site = |archive: &str, more: &[&str]| [&["site", archive, "-o", "site", "--page", "page"], more].concat();
     let out = run(at, &site("a.slices", &[]));
     assert!(out.status.success() && String::from_utf8(out.stdout).unwrap().starts_with("site: "));
     let read = |name: &str| fs::read(at.join("site").join(name)).unwrap_or_else(|_| panic!("{name}"));

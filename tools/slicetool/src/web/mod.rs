@@ -24,7 +24,7 @@ const PLAIN: &AsciiSet = &NON_ALPHANUMERIC.remove(b'.').remove(b'-').remove(b'_'
 
 /// What `serve` and `site` show.
 #[derive(clap::Args)]
-pub struct Arguments {
+pub struct ShowArguments {
     /// Archives to walk in; the page opens the first one
     #[arg(required = true)]
     archives: Vec<PathBuf>,
@@ -51,7 +51,7 @@ struct Show {
 }
 
 impl Show {
-    fn new(arguments: &Arguments) -> Result<Self, Failure> {
+    fn new(arguments: &ShowArguments) -> Result<Self, Failure> {
         let archives: Vec<_> = arguments
             .archives
             .iter()

@@ -5,7 +5,7 @@
 
 use super::page::{INDEX, mime};
 use super::ranges::{Wanted, names_tag, wanted};
-use super::{Show, TABLE};
+use super::{Show, ShowArguments, TABLE};
 use crate::{Failure, Outcome, say};
 use axum::Router;
 use axum::body::Body;
@@ -36,7 +36,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
-    show: super::Arguments,
+    show: ShowArguments,
     /// Port on 127.0.0.1; 0 takes a free one
     #[arg(long, default_value_t = 0)]
     port: u16,

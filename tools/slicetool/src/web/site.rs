@@ -3,7 +3,7 @@
 //! Each file is published whole. `index.html` comes last: until then a folder that was a site before shows what it showed.
 
 use super::page::INDEX;
-use super::{Show, Shown, TABLE};
+use super::{Show, ShowArguments, Shown, TABLE};
 use crate::{Failure, Outcome};
 use slicewalk::output::{Existing, Kind, Output, Protected};
 use std::io::Write;
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 pub struct Arguments {
     #[command(flatten)]
-    show: super::Arguments,
+    show: ShowArguments,
     /// Folder to write; it may hold an older site
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,

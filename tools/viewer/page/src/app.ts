@@ -26,6 +26,7 @@ const DRAG_DEGREES = 0.16;
 const MOUSE_DEGREES = 0.11;
 /** How often words and numbers are written. */
 const WRITE_MS = 250;
+const SECOND_MS = 1000;
 /** A longer frame counts as so long: the page was away. */
 const LONGEST_FRAME_S = 0.25;
 const FLOOR_NORMAL = 0.5;
@@ -105,6 +106,12 @@ export class App {
     };
     requestAnimationFrame(frame(performance.now()));
     window.setInterval(() => this.#write(), WRITE_MS);
+    let counted = 0;
+    window.setInterval(() => {
+      this.#fps = this.#frames - counted;
+      counted = this.#frames;
+      if (this.#session !== null && !document.hidden) this.#sight?.adapt(this.#fps);
+    }, SECOND_MS);
   }
 
   /** Opens an archive, at a place if one is given, and closes the one before. */
@@ -424,7 +431,6 @@ export class App {
 
   #frame(seconds: number): void {
     this.#frames++;
-    this.#fps += (1 / Math.max(seconds, 1e-3) - this.#fps) * 0.08;
     const session = this.#session;
     if (session === null) {
       this.#canvas.render();
@@ -451,7 +457,7 @@ export class App {
       this.#shell.measure.moved(world);
       this.#cloud?.place(world);
     }
-    view.look(this.#mode === "walk" ? eye : this.#cameras.orbit.target);
+    view.look(this.#mode === "walk" ? eye : this.#cameras.stand);
     world.settle();
     void this.#sight?.follow(pawn.at, this.#settings);
     this.#sight?.update();

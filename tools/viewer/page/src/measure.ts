@@ -27,8 +27,8 @@ export interface Surroundings {
 const PICK_M = 5000;
 const HEADROOM_M = 60;
 const WIDTH_M = 20;
-/** Widths are looked for at these heights above the floor: knees, hips, shoulders. */
-const LEVELS_M = [0.4, 0.9, 1.4];
+/** Widths count between these heights above the floor, from shins to shoulders. */
+const BODY_M = [0.3, 1.4] as const;
 /** Directions in half a turn. */
 const DIRECTIONS = 36;
 /** Floors are compared within this distance, in eight directions. */
@@ -67,13 +67,17 @@ export async function surroundings(archive: Archive, at: Vec3, signal: AbortSign
   const above = Math.max(0.05, 2 * q);
   const options = { load: true, signal };
   const up = [at[0], at[1], at[2] + above, 0, 0, 1, HEADROOM_M];
+  const room = (await archive.cast(new Float64Array(up), options))[0] ?? NaN;
+  // A thin post is swept away from the place in every direction: unlike a ray it does not slip through sparse walls.
+  const post = archive.info.pixelSize;
   const turns = Array.from({ length: 2 * DIRECTIONS }, (_, n) => (n * 180) / DIRECTIONS);
-  const rays = turns.flatMap((heading) =>
-    LEVELS_M.flatMap((level) => [at[0], at[1], at[2] + level, ...direction({ heading, pitch: 0 }), WIDTH_M]),
-  );
-  const far = await archive.cast(new Float64Array([...up, ...rays]), options);
-  const room = far[0] ?? NaN;
-  const free = turns.map((_, n) => Math.min(...LEVELS_M.map((_, level) => far[1 + n * LEVELS_M.length + level] ?? NaN)));
+  const sweeps = turns.flatMap((heading) => {
+    const way = direction({ heading, pitch: 0 });
+    const low = [at[0] - post, at[1] - post, at[2] + BODY_M[0]];
+    return [...low, at[0] + post, at[1] + post, at[2] + BODY_M[1], WIDTH_M * way[0], WIDTH_M * way[1], 0];
+  });
+  const shares = await archive.sweep(new Float64Array(sweeps), options);
+  const free = [...shares].map((share) => (share < 1 ? share * WIDTH_M : Infinity) + post);
   const widths = free.slice(0, DIRECTIONS).map((one, n) => one + (free[n + DIRECTIONS] ?? NaN));
   const width = Math.min(...widths);
 

@@ -1,7 +1,6 @@
 // One open archive: the pawn in it, and the geometry around it.
 
 import { openArchive, SlicewalkError, type Archive, type Vec3, type View } from "slicewalk";
-import engine from "slicewalk/engine.wasm?url";
 import { standing, type Look } from "./geometry";
 import { Pawn } from "./pawn";
 import { World } from "./scene/world";
@@ -10,7 +9,7 @@ import { findLook, findStart } from "./start";
 import { crsName } from "./ui/status";
 
 /** Around a pawn, what is loaded before a place counts as loaded (m). */
-const AROUND_M = 1;
+const AROUND_M = 0.3;
 /** Above the middle of a scan without a place to stand. */
 const HOVER_M = 2;
 
@@ -38,7 +37,7 @@ export class Session {
   }
 
   static async open(source: Source, at: Vec3 | null, look: Look | null, settings: Settings, signal: AbortSignal): Promise<Session> {
-    const archive = await openArchive(source.archive, { signal, wasm: engine });
+    const archive = await openArchive(source.archive, { signal });
     try {
       const found = at ?? (await findStart(archive, settings, signal));
       const { bounds } = archive.info;

@@ -15,12 +15,26 @@ const CEILING_M = 30;
 /** The ceiling is looked for again after so much way. */
 const WAY_M = 0.3;
 const FAR_M = 1e9;
+/** So far is seen until the pawn had time for its first steps: its pages come before those for the eye. */
+const FIRST_M = 4;
+const FIRST_MS = 800;
+/** Most triangles, and how few they become where the graphics are slow (frames a second below the first number). */
+const MOST_TRIANGLES = 800_000;
+const LEAST_TRIANGLES = 100_000;
+/** Cells seen from outside are as wide as this share of their distance: all of a storey in one grain. */
+const OUTSIDE_DETAIL = 0.004;
+const WALK_DETAIL = 0.01;
+const SLOW_FPS = 18;
+const FAST_FPS = 45;
 
 export class Sight {
   colouring: Colouring = "height";
   #mode: Mode = "walk";
   #roofZ = FAR_M;
   #from: Vec3 | null = null;
+  #radius = FIRST_M;
+  #triangles = MOST_TRIANGLES;
+  #began = performance.now();
 
   constructor(readonly session: Session, readonly shell: Shell) {}
 
@@ -30,12 +44,32 @@ export class Sight {
     this.#from = null;
     const { view, world } = this.session;
     const outside = mode !== "walk";
-    const radius = outside ? Math.max(settings.radius, distance * 0.9) : settings.radius;
-    view.set({ radius });
+    // Counted from the camera, which is so far away.
+    const radius = outside ? Math.max(settings.radius, distance) + distance : settings.radius;
+    this.#radius = radius;
+    view.set({
+      radius: this.#settled || outside ? radius : Math.min(FIRST_M, radius),
+      detail: outside ? OUTSIDE_DETAIL : WALK_DETAIL,
+      triangles: Math.round(this.#triangles),
+    });
     const { uniforms } = world.shading;
     uniforms.far.value = radius;
     uniforms.fogShare.value = outside ? 0 : 1;
     this.colour(settings);
+  }
+
+  /** Draws less where the graphics are slow, and more where they have time. Call it once a second. */
+  adapt(fps: number): void {
+    const { view, world } = this.session;
+    const slow = fps < SLOW_FPS && world.triangles > this.#triangles / 2;
+    const fast = fps > FAST_FPS;
+    if (slow) this.#triangles = Math.max(LEAST_TRIANGLES, this.#triangles / 2);
+    else if (fast) this.#triangles = Math.min(MOST_TRIANGLES, this.#triangles * 1.5);
+    if (this.#settled) view.set({ radius: this.#radius, triangles: Math.round(this.#triangles) });
+  }
+
+  get #settled(): boolean {
+    return performance.now() - this.#began > FIRST_MS;
   }
 
   /** Heights between which matter is shown. */

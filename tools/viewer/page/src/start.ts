@@ -9,6 +9,10 @@ const SPIRAL = 49;
 const MOST_HEIGHTS = 24;
 /** A floor counts as free from so far above it: it is stored to a quantum. */
 const ABOVE_FLOOR_M = 0.02;
+/** A look is as good as it is far, up to here; into the open it counts as so far. */
+const VIEW_M = 25;
+const OPEN_M = 4;
+const EYE_BOX_M = 0.2;
 
 function* spiral(): Generator<readonly [number, number]> {
   let [x, y, dx, dy] = [0, 0, 0, -1];
@@ -46,16 +50,17 @@ export async function findStart(archive: Archive, settings: Settings, signal: Ab
   return null;
 }
 
-/** Along the longest free view. */
+/** Along the longest free view: a small box is swept, which does not slip through sparse walls as a ray does. */
 export async function findLook(archive: Archive, at: Vec3, eye: number): Promise<Look> {
   const headings = Array.from({ length: 24 }, (_, n) => n * 15);
-  const rays = headings.flatMap((heading) => [at[0], at[1], at[2] + eye, ...direction({ heading, pitch: 0 }), 25]);
-  const distances = await archive.cast(new Float64Array(rays));
+  const box = flat(standing([at[0], at[1], at[2] + eye - EYE_BOX_M / 2], EYE_BOX_M, EYE_BOX_M));
+  const sweeps = headings.flatMap((heading) => [...box, ...direction({ heading, pitch: 0 }).map((way) => way * VIEW_M)]);
+  const shares = await archive.sweep(new Float64Array(sweeps));
   let best = { heading: 0, far: -1 };
   headings.forEach((heading, n) => {
-    // Out of the scan there is nothing to see: half as good as a wall as far away.
-    const found = distances[n] ?? NaN;
-    const far = Number.isNaN(found) ? 0 : found === Infinity ? 8 : found;
+    // Out of the scan, or into what is not loaded, there is less to see than along a room.
+    const share = shares[n] ?? NaN;
+    const far = share < 1 ? share * VIEW_M : OPEN_M;
     if (far > best.far) best = { heading, far };
   });
   return { heading: best.heading, pitch: 0 };

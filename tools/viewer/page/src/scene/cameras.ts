@@ -26,6 +26,11 @@ export class Cameras {
     return this.#position;
   }
 
+  /** Where a person would stand who sees as much; a plan is drawn from farther above. */
+  get stand(): Vec3 {
+    return add(this.orbit.target, this.#forward, -this.orbit.distance);
+  }
+
   resize(width: number, height: number): void {
     this.#aspect = width / Math.max(height, 1);
   }

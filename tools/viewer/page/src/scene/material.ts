@@ -7,9 +7,9 @@ export type Colouring = "height" | "slope" | "obstacle" | "slice";
 export const COLOURINGS: readonly Colouring[] = ["height", "slope", "obstacle", "slice"];
 
 /** From low to high: legible beside each other, also for the colour-blind. */
-export const RAMP = ["#3d5a80", "#4f8a8b", "#8fb58a", "#d9c58b", "#d98e5f"] as const;
-export const FLOOR = "#8aa5b8";
-export const OBSTACLE = "#d27c5a";
+export const RAMP = ["#7d93bd", "#74adb8", "#a3c6a1", "#e3d29d", "#e2a67c"] as const;
+export const FLOOR = "#9db4c4";
+export const OBSTACLE = "#d98a68";
 export const BACKGROUND = "#16191e";
 
 const vertex = /* glsl */ `
@@ -80,7 +80,7 @@ void main() {
     base = onRamp((z - heights.x) / max(heights.y - heights.x, 0.01));
   }
   float up = vNormal.z;
-  float shade = up > 0.5 ? 1.0 : up < -0.5 ? 0.5 : 0.74 + 0.10 * vNormal.x - 0.06 * vNormal.y;
+  float shade = up > 0.5 ? 1.0 : up < -0.5 ? 0.58 : 0.80 + 0.10 * vNormal.x - 0.07 * vNormal.y;
   float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
   shade *= 1.0 + 0.07 * near * (grain(vCell + 0.01) - 0.5);
   if (!gl_FrontFacing) {

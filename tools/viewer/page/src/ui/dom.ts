@@ -18,9 +18,9 @@ export function h<K extends keyof HTMLElementTagNameMap>(
 }
 
 /** A toolbar button with a picture and a word; the word is hidden where there is no room, and stays for screen readers. */
-export function tool(icon: string, label: string, key: string | null, onclick: () => void): HTMLButtonElement {
+export function tool(icon: string, label: string, key: string | null, onclick: () => void, small = false): HTMLButtonElement {
   const title = key === null ? label : `${label} (${key})`;
-  const button = h("button", { type: "button", class: "tool", title, onclick }, h("span", { class: "word" }, label));
+  const button = h("button", { type: "button", class: small ? "tool small" : "tool", title, onclick }, h("span", { class: "word" }, label));
   button.prepend(picture(icon));
   return button;
 }

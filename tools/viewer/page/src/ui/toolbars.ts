@@ -37,10 +37,10 @@ export class Toolbars {
       this.#panels.set(name, tool(icons[name], texts.tools[name], null, () => this.show(this.#open === name ? null : name)));
     }
     const others = [
-      tool(icons.link, texts.tools.link, null, events.link),
-      tool(icons.screenshot, texts.tools.screenshot, null, events.screenshot),
-      tool(icons.open, texts.actions.other, null, events.open),
-      tool(icons.help, texts.tools.help, "H", events.help),
+      tool(icons.link, texts.tools.link, null, events.link, true),
+      tool(icons.screenshot, texts.tools.screenshot, null, events.screenshot, true),
+      tool(icons.open, texts.actions.other, null, events.open, true),
+      tool(icons.help, texts.tools.help, "H", events.help, true),
     ];
     const all = [this.#fly, ...this.#panels.values(), ...others];
     this.tools = h("div", { class: "bar tools", role: "group", "aria-label": texts.tools.label }, ...all);
