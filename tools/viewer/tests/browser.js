@@ -19,7 +19,7 @@ export async function launch(options = {}) {
     executablePath: CHROMIUM,
     headless: true,
     args: ARGUMENTS,
-    viewport: { width: 960, height: 600 },
+    viewport: { width: 800, height: 500 },
     ...options,
   });
   return {

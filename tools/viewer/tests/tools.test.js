@@ -31,7 +31,7 @@ afterEach(async () => {
 });
 
 const tool = (name) => page.getByRole("button", { name, exact: false });
-const middle = { x: 480, y: 300 };
+const middle = { x: 400, y: 250 };
 
 /** Colours of the canvas as it was drawn last: how many different ones. */
 async function colours() {

@@ -15,11 +15,12 @@ const CEILING_M = 30;
 /** The ceiling is looked for again after so much way. */
 const WAY_M = 0.3;
 const FAR_M = 1e9;
-/** So far is seen until the pawn had time for its first steps: its pages come before those for the eye. */
+/** So far is seen until the pawn had its first steps: what it walks on comes before what is far away. */
 const FIRST_M = 4;
-const FIRST_MS = 800;
-/** Most triangles, and how few they become where the graphics are slow (frames a second below the first number). */
-const MOST_TRIANGLES = 800_000;
+const FIRST_STEPS = 30;
+/** Triangles at first, and between which numbers they go where the graphics are fast or slow (frames a second). */
+const FIRST_TRIANGLES = 300_000;
+const MOST_TRIANGLES = 1_000_000;
 const LEAST_TRIANGLES = 100_000;
 /** Cells seen from outside are as wide as this share of their distance: all of a storey in one grain. */
 const OUTSIDE_DETAIL = 0.004;
@@ -33,8 +34,7 @@ export class Sight {
   #roofZ = FAR_M;
   #from: Vec3 | null = null;
   #radius = FIRST_M;
-  #triangles = MOST_TRIANGLES;
-  #began = performance.now();
+  #triangles = FIRST_TRIANGLES;
 
   constructor(readonly session: Session, readonly shell: Shell) {}
 
@@ -69,7 +69,7 @@ export class Sight {
   }
 
   get #settled(): boolean {
-    return performance.now() - this.#began > FIRST_MS;
+    return this.session.pawn.state.steps >= FIRST_STEPS;
   }
 
   /** Heights between which matter is shown. */
