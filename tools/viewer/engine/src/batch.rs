@@ -5,19 +5,21 @@ use slicewalk::frame::PageKey;
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::query::{self, Aabb, Answer, Overlap, Ray};
 use slicewalk::store::{Missing, PageSet};
-use std::collections::BTreeSet;
 
 /// Most keys of missing pages that a batch gathers.
-const MISSING: usize = 4096;
+const MISSING: usize = 1024;
 
 /// The pages that answers of a batch needed.
 #[derive(Debug, Default)]
-pub(crate) struct Lacks(pub BTreeSet<PageKey>);
+pub(crate) struct Lacks(pub Vec<PageKey>);
 
 impl Lacks {
     fn note(&mut self, missing: &Missing) {
-        if self.0.len() < MISSING {
-            self.0.extend(missing.keys());
+        for key in missing.keys() {
+            // Neighbouring questions mostly need the same pages.
+            if self.0.len() < MISSING && !self.0.iter().rev().any(|other| other == key) {
+                self.0.push(*key);
+            }
         }
     }
 

@@ -13,7 +13,7 @@ use slicewalk::nalgebra::Point3;
 use slicewalk::store::{
     BodyId, Decode, FetchId, Loader, LoaderOptions, Motion, Next, PageSet, PageSlot, RequestId, Time, View,
 };
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::time::Duration;
 use wasm_bindgen::prelude::wasm_bindgen;
 
@@ -29,17 +29,40 @@ const WAIT: f64 = 3.0;
 #[wasm_bindgen]
 pub struct Engine {
     loader: Loader,
-    fetches: BTreeMap<u32, FetchId>,
-    fetch_names: u32,
+    fetches: Named<FetchId>,
     decodes: VecDeque<Decode>,
     reports: VecDeque<String>,
-    requests: BTreeMap<u32, RequestId>,
+    requests: Named<RequestId>,
     lacks: Lacks,
-    pawns: BTreeMap<u32, Moving<Pawn>>,
-    scenes: BTreeMap<u32, Moving<Scene>>,
+    pawns: Named<Moving<Pawn>>,
+    scenes: Named<Moving<Scene>>,
     names: u32,
     loaded: u64,
     drawn: Option<(u32, PageKey, u32, Geometry)>,
+}
+
+/// A few things by the names that JavaScript has for them, in the order in which they were made.
+struct Named<T>(Vec<(u32, T)>);
+
+impl<T> Named<T> {
+    const NONE: Self = Self(Vec::new());
+
+    fn insert(&mut self, name: u32, thing: T) {
+        self.0.push((name, thing));
+    }
+
+    fn get_mut(&mut self, name: u32) -> Option<&mut T> {
+        self.0.iter_mut().find(|(other, _)| *other == name).map(|(_, thing)| thing)
+    }
+
+    fn remove(&mut self, name: u32) -> Option<T> {
+        let at = self.0.iter().position(|(other, _)| *other == name)?;
+        Some(self.0.remove(at).1)
+    }
+
+    fn things(&self) -> impl Iterator<Item = &T> {
+        self.0.iter().map(|(_, thing)| thing)
+    }
 }
 
 /// Something that wants pages.
@@ -54,7 +77,6 @@ impl Engine {
     /// Begins with an archive of `file_len` bytes (NaN: not known), under a budget of bytes and of requests at once.
     #[wasm_bindgen(constructor)]
     pub fn new(file_len: f64, budget: f64, requests: u32) -> Engine {
-        fault::keep_panics();
         let horizon = Duration::from_secs_f64(HORIZON_S);
         let options = LoaderOptions {
             horizon_min: horizon,
@@ -66,14 +88,13 @@ impl Engine {
         let file_len = (file_len >= 0.0).then_some(file_len as u64);
         Engine {
             loader: Loader::open(file_len, options),
-            fetches: BTreeMap::new(),
-            fetch_names: 0,
+            fetches: Named::NONE,
             decodes: VecDeque::new(),
             reports: VecDeque::new(),
-            requests: BTreeMap::new(),
+            requests: Named::NONE,
             lacks: Lacks::default(),
-            pawns: BTreeMap::new(),
-            scenes: BTreeMap::new(),
+            pawns: Named::NONE,
+            scenes: Named::NONE,
             names: 0,
             loaded: 0,
             drawn: None,
@@ -90,14 +111,14 @@ impl Engine {
         loop {
             match self.loader.poll(now).map_err(|error| fault::text(&error))? {
                 Next::Fetch(fetch) => {
-                    self.fetch_names += 1;
-                    self.fetches.insert(self.fetch_names, fetch.id);
-                    todo.extend([FETCH, f64::from(self.fetch_names), fetch.range.start as f64, fetch.range.end as f64]);
+                    let name = self.name();
+                    self.fetches.insert(name, fetch.id);
+                    todo.extend([FETCH, f64::from(name), fetch.range.start as f64, fetch.range.end as f64]);
                 }
                 Next::Cancel(id) => {
-                    let name = self.fetches.iter().find(|(_, other)| **other == id).map(|(name, _)| *name);
+                    let name = self.fetches.0.iter().find(|(_, other)| *other == id).map(|(name, _)| *name);
                     if let Some(name) = name {
-                        self.fetches.remove(&name);
+                        self.fetches.remove(name);
                         todo.extend([CANCEL, f64::from(name)]);
                     }
                 }
@@ -120,14 +141,14 @@ impl Engine {
 
     /// The bytes of a fetch came; [`decode`](Self::decode) takes them in.
     pub fn given(&mut self, fetch: u32, bytes: Vec<u8>, now_ms: f64) {
-        if let Some(id) = self.fetches.remove(&fetch) {
+        if let Some(id) = self.fetches.remove(fetch) {
             self.decodes.extend(self.loader.given(id, bytes, time(now_ms)));
         }
     }
 
     /// A fetch failed; it is asked for again later.
     pub fn failed(&mut self, fetch: u32, message: &str, now_ms: f64) {
-        if let Some(id) = self.fetches.remove(&fetch) {
+        if let Some(id) = self.fetches.remove(fetch) {
             let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
             self.loader.failed(id, error, time(now_ms));
         }
@@ -139,7 +160,7 @@ impl Engine {
         let loaded = self.loader.loaded(job.run(), time(now_ms));
         self.loaded += loaded as u64;
         if loaded > 0 {
-            self.scenes.values_mut().for_each(|scene| scene.thing.pages_changed());
+            self.scenes.0.iter_mut().for_each(|(_, scene)| scene.thing.pages_changed());
         }
         true
     }
@@ -172,8 +193,8 @@ impl Engine {
     /// pawns wait for, pages to be built.
     pub fn stats(&self) -> Vec<f64> {
         let counters = self.loader.counters();
-        let missing: usize = self.pawns.values().filter_map(|pawn| pawn.thing.missing()).map(|m| m.count()).sum();
-        let unbuilt: usize = self.scenes.values().map(|scene| scene.thing.unbuilt()).sum();
+        let missing: usize = self.pawns.things().filter_map(|pawn| pawn.thing.missing()).map(|m| m.count()).sum();
+        let unbuilt: usize = self.scenes.things().map(|scene| scene.thing.unbuilt()).sum();
         vec![
             counters.resident_pages as f64,
             counters.resident_bytes as f64,
@@ -206,17 +227,22 @@ impl Engine {
 
     /// Asks for the pages that the last batch needed; the name of the request, or 0 if it needed none.
     pub fn load_missing(&mut self) -> u32 {
-        let keys: Vec<PageKey> = std::mem::take(&mut self.lacks.0).into_iter().collect();
+        let keys = std::mem::take(&mut self.lacks.0);
         if keys.is_empty() { 0 } else { self.request(&keys) }
+    }
+
+    /// Forgets what the last batch needed.
+    pub fn forget_missing(&mut self) {
+        self.lacks.0.clear();
     }
 
     /// Number of pages asked for that found no room; NaN while the request is under way.
     pub fn outcome(&mut self, request: u32) -> Result<f64, String> {
-        let Some(id) = self.requests.get(&request) else { return Err(invalid("no such request")) };
+        let Some(id) = self.requests.get_mut(request) else { return Err(invalid("no such request")) };
         match self.loader.outcome(*id) {
             None => Ok(f64::NAN),
             Some(outcome) => {
-                self.requests.remove(&request);
+                self.requests.remove(request);
                 outcome.map(|report| report.left_out as f64).map_err(|error| fault::text(&error))
             }
         }
@@ -263,10 +289,10 @@ impl Engine {
     pub fn pawn(&mut self, settings: &[f64], at: &[f64]) -> Result<u32, String> {
         let pawn = Pawn::new(Settings::from_numbers(settings)?, point(at)?)?;
         let body = self.loader.body();
-        self.names += 1;
-        self.pawns.insert(self.names, Moving { thing: pawn, body, hinted: None });
-        self.hint(self.names)?;
-        Ok(self.names)
+        let name = self.name();
+        self.pawns.insert(name, Moving { thing: pawn, body, hinted: None });
+        self.hint(name)?;
+        Ok(name)
     }
 
     /// Lets time pass for a pawn; what it does then (see [`Pawn::state`]). `input`: see [`Input::from_numbers`].
@@ -315,8 +341,7 @@ impl Engine {
 
     /// Ends a pawn, or a scene.
     pub fn forget(&mut self, name: u32) {
-        let bodies =
-            [self.pawns.remove(&name).map(|pawn| pawn.body), self.scenes.remove(&name).map(|scene| scene.body)];
+        let bodies = [self.pawns.remove(name).map(|pawn| pawn.body), self.scenes.remove(name).map(|scene| scene.body)];
         bodies.into_iter().flatten().for_each(|body| self.loader.forget(body));
     }
 
@@ -325,14 +350,14 @@ impl Engine {
     /// A scene (see [`Scene::new`]); its name.
     pub fn scene(&mut self, radius: f64, triangles: f64, detail: f64) -> u32 {
         let body = self.loader.body();
-        self.names += 1;
-        self.scenes.insert(self.names, Moving { thing: Scene::new(radius, triangles, detail), body, hinted: None });
-        self.names
+        let name = self.name();
+        self.scenes.insert(name, Moving { thing: Scene::new(radius, triangles, detail), body, hinted: None });
+        name
     }
 
     /// Changes what a scene was given.
     pub fn set_scene(&mut self, scene: u32, radius: f64, triangles: f64, detail: f64) {
-        if let Some(scene) = self.scenes.get_mut(&scene) {
+        if let Some(scene) = self.scenes.get_mut(scene) {
             scene.thing.set(radius, triangles, detail);
         }
     }
@@ -340,7 +365,7 @@ impl Engine {
     /// A scene's camera is there now.
     pub fn look(&mut self, scene: u32, at: &[f64]) -> Result<(), String> {
         let at = point(at)?;
-        if let Some(scene) = self.scenes.get_mut(&scene) {
+        if let Some(scene) = self.scenes.get_mut(scene) {
             scene.thing.look(at);
             let motion = scene.thing.motion();
             if scene.hinted != Some(motion) {
@@ -355,7 +380,7 @@ impl Engine {
     /// numbers), and then [`take_positions`](Self::take_positions) and its like have it; else nothing.
     pub fn build(&mut self, scene: u32) -> Result<Vec<f64>, String> {
         let view = self.view()?;
-        let Some(scene) = self.scenes.get_mut(&scene) else { return Ok(Vec::new()) };
+        let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
         scene.thing.plan(&view);
         self.drawn = scene.thing.build(&view);
         let Some((id, key, _, geometry)) = &self.drawn else { return Ok(Vec::new()) };
@@ -365,7 +390,7 @@ impl Engine {
 
     /// Names of the pages that a scene's camera left behind.
     pub fn take_dropped(&mut self, scene: u32) -> Vec<u32> {
-        self.scenes.get_mut(&scene).map_or(Vec::new(), |scene| scene.thing.take_dropped())
+        self.scenes.get_mut(scene).map_or(Vec::new(), |scene| scene.thing.take_dropped())
     }
 
     /// Vertices of the page drawn last, once.
@@ -385,6 +410,11 @@ impl Engine {
 }
 
 impl Engine {
+    fn name(&mut self) -> u32 {
+        self.names += 1;
+        self.names
+    }
+
     fn catalog(&self) -> Result<&Catalog, String> {
         self.loader.catalog().ok_or_else(not_open)
     }
@@ -394,13 +424,13 @@ impl Engine {
     }
 
     fn moving(&mut self, pawn: u32) -> Result<&mut Moving<Pawn>, String> {
-        self.pawns.get_mut(&pawn).ok_or_else(|| invalid("the walker is closed"))
+        self.pawns.get_mut(pawn).ok_or_else(|| invalid("the walker is closed"))
     }
 
     /// Says what a pawn needs next, and what it waits for.
     fn hint(&mut self, pawn: u32) -> Result<(), String> {
         let frame = *self.view()?.frame();
-        if let Some(pawn) = self.pawns.get_mut(&pawn) {
+        if let Some(pawn) = self.pawns.get_mut(pawn) {
             let motion = pawn.thing.walker().outlook(&frame);
             let missing = pawn.thing.missing();
             if pawn.hinted != Some(motion) || missing.is_some() {
@@ -415,9 +445,9 @@ impl Engine {
     fn request(&mut self, keys: &[PageKey]) -> u32 {
         let around = keys.get(keys.len() / 2).copied().unwrap_or(PageKey { tx: 0, ty: 0, layer: 0 });
         let id = self.loader.request(keys, around);
-        self.names += 1;
-        self.requests.insert(self.names, id);
-        self.names
+        let name = self.name();
+        self.requests.insert(name, id);
+        name
     }
 }
 

@@ -1,7 +1,6 @@
-//! Errors and panics as texts for JavaScript.
+//! Errors as texts for JavaScript.
 
 use slicewalk::{Error, Parameter};
-use std::cell::RefCell;
 
 /// An error as `kind|message`.
 pub(crate) fn text(error: &Error) -> String {
@@ -19,18 +18,4 @@ pub(crate) fn text(error: &Error) -> String {
 /// An argument that makes no sense.
 pub(crate) fn invalid(message: impl std::fmt::Display) -> String {
     format!("invalid|{message}")
-}
-
-thread_local! {
-    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
-}
-
-/// Keeps what panics say: in wasm they end as traps without a text.
-pub(crate) fn keep_panics() {
-    #[cfg(target_family = "wasm")]
-    std::panic::set_hook(Box::new(|info| PANIC.with_borrow_mut(|text| *text = info.to_string())));
-}
-
-pub(crate) fn last_panic() -> String {
-    PANIC.with_borrow(Clone::clone)
 }

@@ -19,9 +19,3 @@ pub use engine::Engine;
 pub use geometry::Geometry;
 pub use pawn::{Input, Pawn, Settings, TICK_S};
 pub use scene::Scene;
-
-/// What the last panic said; empty without one. Whoever catches a trap of the engine asks for it.
-#[wasm_bindgen::prelude::wasm_bindgen]
-pub fn last_panic() -> String {
-    fault::last_panic()
-}

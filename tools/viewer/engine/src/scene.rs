@@ -7,7 +7,7 @@ use crate::map::columns;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::store::{Motion, PageSet, PageSlot};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 
 /// A loader looks so far ahead (s).
 pub(crate) const HORIZON_S: f64 = 8.0;
@@ -33,8 +33,8 @@ pub struct Scene {
     /// Makes everything coarser than `detail` asks for, to keep to `triangles`.
     coarser: f64,
     drawn: HashMap<PageKey, Drawn>,
-    /// To be built, the nearest last.
-    queue: Vec<(PageKey, u32)>,
+    /// To be built: distance (m), page, coarseness; in no order.
+    queue: Vec<(f64, PageKey, u32)>,
     dropped: Vec<u32>,
     stale: bool,
     names: u32,
@@ -115,16 +115,13 @@ impl Scene {
             return;
         }
         let (frame, at, forget) = (*set.frame(), self.at, self.radius * FORGET);
-        let mut left: Vec<(PageKey, u32)> = Vec::new();
         self.drawn.retain(|key, drawn| {
             let keeps = distance(&frame, *key, &at) <= forget;
             if !keeps {
-                left.push((*key, drawn.id));
+                self.dropped.push(drawn.id);
             }
             keeps
         });
-        left.sort_unstable();
-        self.dropped.extend(left.into_iter().map(|(_, id)| id));
         self.refine();
         self.queue = self.wanted(set);
         // Coarser until that makes a difference.
@@ -134,10 +131,10 @@ impl Scene {
         }
     }
 
-    /// Pages in memory that are not drawn, or not as they should be, the nearest last.
-    fn wanted<S: PageSet>(&self, set: &S) -> Vec<(PageKey, u32)> {
+    /// Pages in memory that are not drawn, or not as they should be.
+    fn wanted<S: PageSet>(&self, set: &S) -> Vec<(f64, PageKey, u32)> {
         let (frame, at) = (*set.frame(), self.at);
-        let mut wanted: BTreeMap<(u64, PageKey), u32> = BTreeMap::new();
+        let mut wanted = Vec::new();
         let area = [at.x - self.radius, at.y - self.radius, at.x + self.radius, at.y + self.radius];
         for (tx, ty, slots) in columns(set, area) {
             for slot in slots.iter().filter(|slot| slot.page().is_some()) {
@@ -149,11 +146,11 @@ impl Scene {
                 let coarseness = self.coarseness(&frame, far);
                 let built = self.drawn.get(&key).map(|drawn| drawn.coarseness);
                 if built.is_none_or(|built| coarseness + STEADY < built || built + STEADY < coarseness) {
-                    wanted.insert(((far * 1000.0) as u64, key), coarseness);
+                    wanted.push((far, key, coarseness));
                 }
             }
         }
-        wanted.into_iter().rev().map(|((_, key), coarseness)| (key, coarseness)).collect()
+        wanted
     }
 
     fn sum(&self) -> usize {
@@ -173,9 +170,18 @@ impl Scene {
         cell.max(1.0).log2().max(least).floor().min(f64::from(COARSEST)) as u32
     }
 
+    fn nearest(&mut self) -> Option<(PageKey, u32)> {
+        let order = |(_, a): &(usize, &(f64, PageKey, u32)), (_, b): &(usize, &(f64, PageKey, u32))| {
+            a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
+        };
+        let (at, _) = self.queue.iter().enumerate().min_by(order)?;
+        let (_, key, coarseness) = self.queue.swap_remove(at);
+        Some((key, coarseness))
+    }
+
     /// Draws the next page: its name, place, coarseness and geometry. `None` if nothing is to be drawn.
     pub fn build<S: PageSet>(&mut self, set: &S) -> Option<(u32, PageKey, u32, Geometry)> {
-        while let Some((key, coarseness)) = self.queue.pop() {
+        while let Some((key, coarseness)) = self.nearest() {
             let slot = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
             let Some(page) = slot.and_then(|slot| slot.page()) else { continue };
             let geometry = Geometry::of(set.frame(), key, page, coarseness);

@@ -13,7 +13,7 @@ import {
   type OpenOptions,
   type RayHits,
   type SliceMap,
-  type SlicewalkError,
+  SlicewalkError,
   type Stats,
   type View,
   type ViewOptions,
@@ -25,7 +25,9 @@ import { makeWalker } from "./walker.js";
 
 /** Opens the archive at an address, or in a file that the user chose. */
 export async function openArchive(source: string | URL | Blob, options: OpenOptions = {}): Promise<Archive> {
-  options.signal?.throwIfAborted();
+  if (options.signal?.aborted) {
+    throw aborted();
+  }
   let worker: Worker;
   try {
     worker = options.worker ? options.worker() : new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
@@ -38,7 +40,11 @@ export async function openArchive(source: string | URL | Blob, options: OpenOpti
 }
 
 function absolute(address: string | URL): string {
-  return new URL(address, typeof document === "undefined" ? undefined : document.baseURI).href;
+  try {
+    return new URL(address, typeof document === "undefined" ? undefined : document.baseURI).href;
+  } catch (cause) {
+    throw new SlicewalkError("invalid", `${address} is no address`, { cause });
+  }
 }
 
 class OpenArchive implements Archive {

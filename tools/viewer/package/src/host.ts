@@ -4,7 +4,7 @@ import { aborted, asError, asFault } from "./fault.js";
 import { browser, HttpSource, type Outside } from "./http.js";
 import type { Call, FromWorker, Note, Open, ToWorker } from "./protocol.js";
 import { BlobSource, TailFirst } from "./source.js";
-import { SlicewalkError } from "./types.js";
+import { NOT_LOADED, SlicewalkError } from "./types.js";
 import type { Engine } from "./wasm/engine.js";
 
 /** Most bytes that the head of an archive takes. */
@@ -24,7 +24,6 @@ export type LoadEngine = (wasm: string | WebAssembly.Module | undefined) => Prom
 
 export interface EngineModule {
   open(fileLength: number, budget: number, requests: number): Engine;
-  lastPanic(): string;
   /** Whether no more memory is to be had. */
   isFull(): boolean;
 }
@@ -207,35 +206,77 @@ export class Host {
       throw new SlicewalkError("invalid", `${rows.length} numbers are not rows of ${width}`);
     }
     const out = kind === "overlaps" ? new Uint8Array(count) : new Float64Array(count * answers);
-    let size = ROWS;
-    for (let first = 0; first < count; ) {
-      const last = Math.min(first + size, count);
-      const engine = this.ready();
-      out.set(this.ask(engine, kind, rows.subarray(first * width, last * width), first), first * answers);
-      const request = load ? engine.load_missing() : 0;
-      if (request === 0) {
-        first = last;
-        size = ROWS;
-        // A long batch lets steps through.
-        await this.pause();
-      } else if ((await this.outcome(request, signal)) > 0) {
-        if (last - first === 1) {
-          throw new SlicewalkError("out-of-memory", `the budget has no room for the pages that row ${first} needs; give it more`);
+    let left: Uint32Array = await this.ask(kind, rows, null, out, signal);
+    while (load && left.length > 0) {
+      const before = left.length;
+      const noRoom = await this.outcome(this.ready().load_missing(), signal);
+      left = await this.ask(kind, rows, left, out, signal);
+      if (left.length < before || noRoom === 0) {
+        continue;
+      }
+      // Not all has room at once: one row then, and what it needs.
+      const first = left.slice(0, 1);
+      for (let alone: Uint32Array = first; alone.length > 0; alone = await this.ask(kind, rows, alone, out, signal)) {
+        // What the others lacked is forgotten.
+        this.ready().forget_missing();
+        await this.ask(kind, rows, alone, out, signal);
+        if ((await this.outcome(this.ready().load_missing(), signal)) > 0) {
+          throw new SlicewalkError(
+            "out-of-memory",
+            `the budget has no room for the pages that row ${first[0]} needs; give it more`,
+          );
         }
-        size = Math.ceil((last - first) / 2);
       }
-      if (signal.aborted) {
-        throw aborted();
-      }
+      left = left.slice(1);
     }
     return out;
   }
 
-  private ask(engine: Engine, kind: keyof typeof SHAPES, rows: Float64Array, first: number): Uint8Array | Float64Array {
+  /** Answers these rows, or all; those that are not known. */
+  private async ask(
+    kind: keyof typeof SHAPES,
+    rows: Float64Array,
+    which: Uint32Array | null,
+    out: Uint8Array | Float64Array,
+    signal: AbortSignal,
+  ): Promise<Uint32Array> {
+    const [width, answers] = SHAPES[kind];
+    const count = which?.length ?? rows.length / width;
+    const unknown: number[] = [];
+    for (let first = 0; first < count; first += ROWS) {
+      if (first > 0) {
+        // A long batch lets steps through.
+        await this.pause();
+      }
+      if (signal.aborted) {
+        throw aborted();
+      }
+      const last = Math.min(first + ROWS, count);
+      const row = (n: number): number => which?.[n] ?? n;
+      let part = rows.subarray(first * width, last * width);
+      if (which) {
+        part = new Float64Array((last - first) * width);
+        for (let n = first; n < last; n++) {
+          part.set(rows.subarray(row(n) * width, (row(n) + 1) * width), (n - first) * width);
+        }
+      }
+      const found = this.questioned(() => this.ready()[kind](part), first);
+      for (let n = first; n < last; n++) {
+        const answer = found.subarray((n - first) * answers, (n - first + 1) * answers);
+        out.set(answer, row(n) * answers);
+        if (kind === "overlaps" ? answer[0] === NOT_LOADED : Number.isNaN(answer[0])) {
+          unknown.push(row(n));
+        }
+      }
+    }
+    return Uint32Array.from(unknown);
+  }
+
+  /** Rows in errors are counted from the beginning of the batch. */
+  private questioned<T>(ask: () => T, first: number): T {
     try {
-      return engine[kind](rows);
+      return ask();
     } catch (thrown) {
-      // Rows are counted from the beginning of the batch.
       const error = asError(thrown);
       const message = error.message.replace(/^row (\d+)/, (_, row) => `row ${Number(row) + first}`);
       throw error.kind === "invalid" ? new SlicewalkError("invalid", message) : thrown;
@@ -253,10 +294,25 @@ export class Host {
     });
   }
 
+  /** How many pages of a request found no room; 0 for no request. */
   private outcome(request: number, signal: AbortSignal): Promise<number> {
-    return new Promise((resolve, reject) => {
-      this.requests.set(request, { resolve, reject });
-      signal.addEventListener("abort", () => reject(aborted()), { once: true });
+    if (request === 0) {
+      return Promise.resolve(0);
+    }
+    return new Promise<number>((resolve, reject) => {
+      const abort = () => reject(aborted());
+      const done = () => signal.removeEventListener("abort", abort);
+      signal.addEventListener("abort", abort, { once: true });
+      this.requests.set(request, {
+        resolve: (leftOut) => {
+          done();
+          resolve(leftOut);
+        },
+        reject: (error) => {
+          done();
+          reject(error);
+        },
+      });
       this.wake();
     });
   }
@@ -429,8 +485,7 @@ export class Host {
       return asError(thrown);
     }
     const full = thrown instanceof RangeError || this.module?.isFull();
-    const said = this.module?.lastPanic() || String(thrown.message);
-    const text = full ? "the browser has no more memory; give a smaller budget" : said;
+    const text = full ? "the browser has no more memory; give a smaller budget" : `the engine stopped: ${String(thrown)}`;
     const error = new SlicewalkError(full ? "out-of-memory" : "engine", text, { cause: thrown });
     this.fail(error);
     return error;

@@ -152,7 +152,9 @@ export class HttpSource implements Source {
     if (range && (Number(range[1]) !== start || Number(range[2]) + 1 !== start + expected)) {
       await response.body?.cancel().catch(() => undefined);
       const found = response.headers.get("Content-Range");
-      throw new Passing(`${this.url}: the host answers other bytes (expected ${start}-${start + expected - 1}, found ${found})`);
+      throw new Passing(
+        `${this.url}: the host answers other bytes (expected ${start}-${start + expected - 1}, found ${found})`,
+      );
     }
     const bytes = await this.body(response, expected, watch);
     if (bytes.length < expected && (length !== undefined || bytes.length === 0)) {

@@ -24,7 +24,8 @@ export class Link {
     worker.onmessage = (event: MessageEvent<FromWorker>) => this.receive(event.data);
     worker.onerror = (event) => {
       event.preventDefault?.();
-      const text = event.message || "it cannot be loaded; is worker.js beside the package's other files, and of type JavaScript?";
+      const text =
+        event.message || "it cannot be loaded; is worker.js beside the package's other files, and of type JavaScript?";
       this.end(new SlicewalkError("engine", `the worker failed: ${text}`));
     };
   }

@@ -204,7 +204,11 @@ export interface Archive {
   load(box: Bounds, options?: { signal?: AbortSignal }): Promise<void>;
 
   /** Floor and obstacles between two heights, of the pages in memory now; at most 1024 cells an edge. */
-  map(area: { min: readonly [number, number]; max: readonly [number, number] }, heights: readonly [number, number], cells?: number): Promise<SliceMap>;
+  map(
+    area: { min: readonly [number, number]; max: readonly [number, number] },
+    heights: readonly [number, number],
+    cells?: number,
+  ): Promise<SliceMap>;
 
   /** A pawn. Pages around it are loaded ahead of its way. */
   walker(options: WalkerOptions): Promise<Walker>;

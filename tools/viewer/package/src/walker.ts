@@ -33,7 +33,8 @@ const DEFAULTS: Omit<Settings, "crouchHeight"> = {
 /** Fills in what was not given; a crouching height that was not given follows the body's. */
 function complete(given: WalkerSettings): Settings {
   const chosen = { ...DEFAULTS, ...defined(given) };
-  const crouchHeight = given.crouchHeight ?? Math.min(chosen.body.height, Math.max(0.6 * chosen.body.height, chosen.climb + 0.1));
+  const crouchHeight =
+    given.crouchHeight ?? Math.min(chosen.body.height, Math.max(0.6 * chosen.body.height, chosen.climb + 0.1));
   return { ...chosen, crouchHeight };
 }
 
@@ -58,8 +59,20 @@ function inputNumbers(input: WalkerInput): Float64Array {
 
 /** The engine's twelve numbers. */
 function state(numbers: Float64Array): WalkerState {
-  const [x = 0, y = 0, z = 0, ground = 0, stop = 0, speed = 0, rise = 0, crouched = 0, height = 0, missing = 0, ticks = 0, steps = 0] =
-    numbers;
+  const [
+    x = 0,
+    y = 0,
+    z = 0,
+    ground = 0,
+    stop = 0,
+    speed = 0,
+    rise = 0,
+    crouched = 0,
+    height = 0,
+    missing = 0,
+    ticks = 0,
+    steps = 0,
+  ] = numbers;
   return {
     at: [x, y, z],
     ground: GROUNDS[ground] ?? "walking",

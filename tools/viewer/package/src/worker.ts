@@ -2,7 +2,7 @@
 
 import { Host } from "./host.js";
 import type { FromWorker, ToWorker } from "./protocol.js";
-import init, { Engine, last_panic } from "./wasm/engine.js";
+import init, { Engine } from "./wasm/engine.js";
 
 interface Scope {
   onmessage: ((event: MessageEvent<ToWorker>) => void) | null;
@@ -15,7 +15,6 @@ const host = new Host({ post: (message, transfer) => scope.postMessage(message, 
   const { memory } = wasm === undefined ? await init() : await init({ module_or_path: wasm });
   return {
     open: (fileLength, budget, requests) => new Engine(fileLength, budget, requests),
-    lastPanic: last_panic,
     isFull: () => {
       try {
         memory.grow(1);

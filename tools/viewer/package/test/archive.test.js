@@ -8,8 +8,10 @@ import { FileHost, numbers, read } from "./local.js";
 const scene = read("scene.slices");
 const URL_ = "http://host/scene.slices";
 const open = (host, options) => openArchive(URL_, { worker: host.worker, ...options });
-const refuses = (kind, message = /./) => (error) =>
-  error instanceof SlicewalkError && error.kind === kind && message.test(error.message);
+const refuses =
+  (kind, message = /./) =>
+  (error) =>
+    error instanceof SlicewalkError && error.kind === kind && message.test(error.message);
 const until = async (what, seconds = 10) => {
   for (let n = 0; !what(); n++) {
     assert.ok(n < seconds * 200, `never: ${what}`);
@@ -23,8 +25,8 @@ test("opens with three requests and says what the head says", async () => {
   const { info } = archive;
   assert.equal(info.name, URL_);
   assert.equal(info.fileBytes, scene.length);
-  assert.deepEqual([info.pixelSize, info.sliceHeight, info.origin, info.maxSlope], [0.02, 0.06, [0, 0, 0], 45]);
-  assert.ok(info.pages > 50 && info.formatVersion.startsWith("1."));
+  assert.deepEqual([info.pixelSize, info.sliceHeight, info.origin, info.maxSlope], [0.04, 0.12, [0, 0, 0], 45]);
+  assert.ok(info.pages >= 16 && info.formatVersion.startsWith("1."));
   assert.deepEqual(await archive.reference(), { crs: "", unit: { name: "unknown", factor: null } });
   assert.ok(host.asked.length <= 2, `${host.asked.length} requests: head, and all that lies at the end`);
   archive.close();
@@ -46,8 +48,14 @@ test("answers batches as natively, once what they need is loaded, under a budget
   assert.deepEqual(sweeps, numbers("sweeps.answers.f64").slice(0, rows));
   const hits = await archive.castHits(numbers("rays.f64").subarray(0, 7 * rows), { load: true });
   const expected = numbers("rays.answers.f64").subarray(0, 5 * rows);
-  assert.deepEqual(hits.distances, expected.filter((_, n) => n % 5 === 0));
-  assert.deepEqual(hits.normals, expected.filter((_, n) => n % 5 > 0 && n % 5 < 4));
+  assert.deepEqual(
+    hits.distances,
+    expected.filter((_, n) => n % 5 === 0),
+  );
+  assert.deepEqual(
+    hits.normals,
+    expected.filter((_, n) => n % 5 > 0 && n % 5 < 4),
+  );
   assert.deepEqual(Array.from(hits.obstacles), Array.from(expected.filter((_, n) => n % 5 === 4)));
   await until(() => archive.stats.pending === 0 && archive.stats.evicted > 0);
   assert.ok(archive.stats.peakBytes <= 3 << 20 && archive.stats.requests > 2 && archive.stats.bytesLoaded > 1000);
@@ -69,15 +77,21 @@ test("arguments that make no sense are refused with their row", async () => {
 });
 
 test("a walker waits for its pages and then walks, jumps, crouches and flies", async () => {
-  const archive = await open(new FileHost(scene));
-  const walker = await archive.walker({ at: [1.5, 0.4, 3.5] });
-  assert.deepEqual(walker.state.at, [1.5, 0.4, 3.5]);
+  const host = new FileHost(scene);
+  const archive = await open(host);
+  host.delay = 200;
+  const at = [-2, 2, 0.2];
+  const walker = await archive.walker({ at });
+  assert.deepEqual(walker.state.at, at);
   const first = await walker.step(1 / 60, {});
   assert.ok(first.missing > 0 && first.ticks === 0, "not loaded is never free");
-  await archive.load({ min: [0.5, -0.6, 2], max: [2.5, 1.4, 6] });
+  host.delay = 1;
+  await archive.load({ min: [-4, 0, -1], max: [1, 4, 5] });
   const go = async (frames, input) => {
     let highest = -Infinity;
-    for (let n = 0; n < frames; n++) highest = Math.max(highest, (await walker.step(1 / 60, input)).at[2]);
+    for (let n = 0; n < frames; n++) {
+      highest = Math.max(highest, (await walker.step(1 / 60, input)).at[2]);
+    }
     return highest;
   };
   await go(60, {});
@@ -85,8 +99,8 @@ test("a walker waits for its pages and then walks, jumps, crouches and flies", a
   const [x, , z] = walker.state.at;
   assert.ok((await go(20, { jump: true })) > z + 0.3);
   await go(60, {});
-  await go(30, { wish: [1, 0] });
-  assert.ok(walker.state.at[0] > x + 0.1 && walker.state.speed >= 0);
+  await go(12, { wish: [1, 0], pace: 0.5 });
+  assert.ok(walker.state.at[0] > x + 0.05, `${walker.state.at}, from ${x}`);
   await go(2, { crouch: true });
   assert.deepEqual([walker.state.crouched, walker.state.height], [true, 1.8 * 0.6]);
   await go(2, {});
@@ -94,10 +108,10 @@ test("a walker waits for its pages and then walks, jumps, crouches and flies", a
   await go(60, { fly: true, lift: 1 });
   assert.equal(walker.state.ground, "flying");
   assert.ok(walker.state.at[2] > z + 1 && walker.state.rise > 1);
-  assert.equal((await walker.place([1.5, 0.4, 3.5])).at[2], 3.5);
+  assert.equal((await walker.place(at)).at[2], 0.2);
   await assert.rejects(walker.set({ body: { shape: "cylinder", radius: 20, height: 3 } }), refuses("invalid", /room/));
-  await walker.set({ speed: 3, body: { shape: "cylinder", radius: 0.2, height: 1.5 } });
-  assert.equal((await walker.step(0.1, {})).height, 1.5);
+  await walker.set({ speed: 3, body: { shape: "cylinder", radius: 0.1, height: 0.9 } });
+  assert.equal((await walker.step(0.1, {})).height, 0.9);
   walker.close();
   await assert.rejects(walker.step(0.1, {}), refuses("invalid", /closed/));
   archive.close();
@@ -109,13 +123,16 @@ test("a view gets the pages around its camera, and forgets those it leaves behin
   const dropped = [];
   const view = archive.view({ radius: 2, onPage: (page) => pages.set(page.id, page), onDrop: (id) => dropped.push(id) });
   view.look([0, 0, 1]);
-  await until(() => pages.size > 8 && archive.stats.unbuilt === 0 && archive.stats.pending === 0);
+  await until(() => pages.size > 3 && archive.stats.unbuilt === 0 && archive.stats.pending === 0);
   for (const page of pages.values()) {
     assert.equal(page.positions.length % 12, 0);
-    assert.deepEqual([page.normals.length, page.attributes.length], [page.positions.length / 3 * 4, page.positions.length / 3 * 4]);
+    assert.deepEqual(
+      [page.normals.length, page.attributes.length],
+      [(page.positions.length / 3) * 4, (page.positions.length / 3) * 4],
+    );
     assert.equal(page.indices.length, page.positions.length / 2);
     assert.equal(Math.max(...page.indices.subarray(-6)), page.positions.length / 3 - 1);
-    assert.deepEqual([page.origin[0], page.key.level], [page.key.tx * 64 * 0.02, 0]);
+    assert.deepEqual([page.origin[0], page.key.level], [page.key.tx * 64 * 0.04, 0]);
     for (let vertex = 0; vertex < page.positions.length; vertex += 3) {
       for (const axis of [0, 1, 2]) {
         const at = page.origin[axis] + page.scale[axis] * page.positions[vertex + axis];
@@ -127,7 +144,10 @@ test("a view gets the pages around its camera, and forgets those it leaves behin
   const near = [...pages.keys()];
   view.look([500, 0, 1]);
   await until(() => dropped.length === near.length);
-  assert.deepEqual(dropped.sort((a, b) => a - b), near.sort((a, b) => a - b));
+  assert.deepEqual(
+    dropped.sort((a, b) => a - b),
+    near.sort((a, b) => a - b),
+  );
   view.close();
   archive.close();
 });
@@ -202,7 +222,7 @@ test("opening and batches can be given up", async () => {
   const opening = open(host, { signal: gate.signal });
   gate.abort();
   await assert.rejects(opening, refuses("aborted"));
-  await assert.rejects(open(host, { signal: gate.signal }), /abort/i);
+  await assert.rejects(open(host, { signal: gate.signal }), refuses("aborted"));
   const archive = await open(host);
   const again = new AbortController();
   const batch = archive.overlaps(numbers("boxes.f64"), { load: true, signal: again.signal });

@@ -19,12 +19,17 @@ class Clock {
         reject(new Error("aborted"));
         return;
       }
-      const sleeper = { at: this.time + ms, ms, resolve };
-      this.#sleepers.push(sleeper);
-      signal.addEventListener("abort", () => {
+      const abort = () => {
         this.#sleepers = this.#sleepers.filter((other) => other !== sleeper);
         reject(new Error("aborted"));
-      });
+      };
+      const done = () => {
+        signal.removeEventListener("abort", abort);
+        resolve();
+      };
+      const sleeper = { at: this.time + ms, ms, resolve: done };
+      this.#sleepers.push(sleeper);
+      signal.addEventListener("abort", abort);
     });
   }
 
@@ -87,7 +92,8 @@ function source(replies, options) {
 
 const fine = (start, end) => answer(start, end);
 const never = new AbortController().signal;
-const refuses = (kind, message) => (error) => error.name === "SlicewalkError" && error.kind === kind && message.test(error.message);
+const refuses = (kind, message) => (error) =>
+  error.name === "SlicewalkError" && error.kind === kind && message.test(error.message);
 
 test("reads ranges and learns the length", async () => {
   const { source: s, clock, asked } = source([fine]);
@@ -105,7 +111,11 @@ test("a host of another origin that exposes nothing still serves, the first answ
 
 test("failures that pass are tried again after pauses that grow, and then given up", async () => {
   const down = () => Promise.reject(new TypeError("fetch failed"));
-  const { source: s, clock, asked } = source([down, (a, b) => answer(a, b, { status: 503, body: "" }), () => answer(0, 0, { status: 429, body: "" }), fine]);
+  const {
+    source: s,
+    clock,
+    asked,
+  } = source([down, (a, b) => answer(a, b, { status: 503, body: "" }), () => answer(0, 0, { status: 429, body: "" }), fine]);
   assert.equal((await clock.wait(s.read(0, 10, never))).length, 10);
   assert.deepEqual([asked.length, clock.pauses], [4, [250, 500, 1000]]);
   const gone = source([down]);
@@ -126,7 +136,11 @@ test("what the host refuses for good is not asked for again", async () => {
 test("once open, it goes on trying for as long as somebody wants the bytes, and says so", async () => {
   const told = [];
   let up = true;
-  const { source: s, clock, asked } = source([(a, b) => (up ? answer(a, b) : answer(a, b, { status: 404, body: "" }))], {
+  const {
+    source: s,
+    clock,
+    asked,
+  } = source([(a, b) => (up ? answer(a, b) : answer(a, b, { status: 404, body: "" }))], {
     onTrouble: (error) => told.push(error?.kind ?? null),
   });
   await clock.wait(s.read(0, 10, never));
@@ -147,7 +161,10 @@ test("once open, it goes on trying for as long as somebody wants the bytes, and 
 test("an archive that was replaced is an error, never a mix", async () => {
   const cases = [
     [{ etag: '"1"' }, { etag: '"2"' }],
-    [{ etag: null, modified: "Mon, 01 Jan 2024 00:00:00 GMT" }, { etag: null, modified: "Tue, 02 Jan 2024 00:00:00 GMT" }],
+    [
+      { etag: null, modified: "Mon, 01 Jan 2024 00:00:00 GMT" },
+      { etag: null, modified: "Tue, 02 Jan 2024 00:00:00 GMT" },
+    ],
     [{ etag: null }, { etag: null, total: 2000 }],
     [{ etag: '"1"' }, { status: 416, body: "" }],
   ];
@@ -176,7 +193,16 @@ test("a host without ranges: a small file is read whole, once; a large one is re
   // One that does not say how long it is.
   let pulled = 0;
   const chunk = new Uint8Array(8 << 20);
-  const endless = () => new Response(new ReadableStream({ pull: (c) => { pulled += 1; c.enqueue(chunk); } }), { status: 200 });
+  const endless = () =>
+    new Response(
+      new ReadableStream({
+        pull: (c) => {
+          pulled += 1;
+          c.enqueue(chunk);
+        },
+      }),
+      { status: 200 },
+    );
   const stopped = source([endless]);
   await assert.rejects(stopped.clock.wait(stopped.source.read(0, 100, never)), refuses("no-ranges", /ignores ranges/));
   assert.ok(pulled < 16, `${pulled} pieces of 8 MiB`);
@@ -186,8 +212,15 @@ test("answers that are short, long or of other bytes are asked for again", async
   const wrong = [
     (a, b) => answer(a, b, { body: FILE.slice(a, a + 3) }),
     (a, b) => answer(a, b, { body: FILE.slice(a, b + 3) }),
-    (a, b) => { const r = answer(a + 1, b + 1); return r; },
-    (a, b) => new Response(new ReadableStream({ pull: (c) => c.error(new Error("reset")) }), { status: 206, headers: answer(a, b).headers }),
+    (a, b) => {
+      const r = answer(a + 1, b + 1);
+      return r;
+    },
+    (a, b) =>
+      new Response(new ReadableStream({ pull: (c) => c.error(new Error("reset")) }), {
+        status: 206,
+        headers: answer(a, b).headers,
+      }),
   ];
   for (const reply of wrong) {
     const { source: s, clock, asked } = source([fine, reply, fine]);
@@ -200,7 +233,12 @@ test("answers that are short, long or of other bytes are asked for again", async
 test("a request that stalls is given up and made again", async () => {
   let given = 0;
   const stalls = (_a, _b, signal) =>
-    new Promise((_, reject) => signal.addEventListener("abort", () => { given += 1; reject(new DOMException("", "AbortError")); }));
+    new Promise((_, reject) =>
+      signal.addEventListener("abort", () => {
+        given += 1;
+        reject(new DOMException("", "AbortError"));
+      }),
+    );
   const { source: s, clock, asked } = source([stalls, fine]);
   assert.equal((await clock.wait(s.read(0, 10, never))).length, 10);
   assert.deepEqual([asked.length, given, clock.pauses], [2, 1, [20_000, 250]]);
@@ -210,7 +248,12 @@ test("who gives up gets his answer at once, and the request ends", async () => {
   const gate = new AbortController();
   let ended = false;
   const hangs = (_a, _b, signal) =>
-    new Promise((_, reject) => signal.addEventListener("abort", () => { ended = true; reject(new DOMException("", "AbortError")); }));
+    new Promise((_, reject) =>
+      signal.addEventListener("abort", () => {
+        ended = true;
+        reject(new DOMException("", "AbortError"));
+      }),
+    );
   const { source: s, asked } = source([hangs]);
   const reading = s.read(0, 10, gate.signal);
   await new Promise((resolve) => setImmediate(resolve));

@@ -3,10 +3,11 @@
 import { readFileSync } from "node:fs";
 import { Host } from "../dist/host.js";
 import { browser } from "../dist/http.js";
-import init, { Engine, last_panic } from "../dist/wasm/engine.js";
+import init, { Engine } from "../dist/wasm/engine.js";
 
 /** What `record` wrote. */
-export const folder = process.env.SLICEWALK_ENGINE_CHECK ?? new URL("../../../../target/engine-check", import.meta.url).pathname;
+export const folder =
+  process.env.SLICEWALK_ENGINE_CHECK ?? new URL("../../../../target/engine-check", import.meta.url).pathname;
 
 export const read = (name) => {
   const bytes = readFileSync(`${folder}/${name}`);
@@ -19,16 +20,24 @@ const loaded = init({ module_or_path: new WebAssembly.Module(bytes) });
 
 export async function engineModule() {
   await loaded;
-  return { open: (length, budget, requests) => new Engine(length, budget, requests), lastPanic: last_panic, isFull: () => false };
+  return {
+    open: (length, budget, requests) => new Engine(length, budget, requests),
+
+    isFull: () => false,
+  };
 }
 
 /** Stands for a `Worker`; what passes is cloned and moved as between threads. */
 export class LocalWorker {
   constructor(fetch) {
-    this.host = new Host({ post: (data, transfer) => this.#later(data, transfer, (m) => this.onmessage?.({ data: m })) }, engineModule, {
-      ...browser,
-      fetch,
-    });
+    this.host = new Host(
+      { post: (data, transfer) => this.#later(data, transfer, (m) => this.onmessage?.({ data: m })) },
+      engineModule,
+      {
+        ...browser,
+        fetch,
+      },
+    );
   }
 
   #later(data, transfer, then) {
@@ -52,6 +61,7 @@ export class LocalWorker {
 export class FileHost {
   asked = [];
   down = false;
+  delay = 1;
   etag = '"1"';
 
   constructor(file) {
@@ -61,7 +71,7 @@ export class FileHost {
   fetch = async (_url, init) => {
     const [, first, last] = /^bytes=(\d+)-(\d+)$/.exec(init.headers.Range);
     this.asked.push([Number(first), Number(last) + 1]);
-    await new Promise((resolve) => setTimeout(resolve, 1));
+    await new Promise((resolve) => setTimeout(resolve, this.delay));
     if (init.signal.aborted) throw new DOMException("", "AbortError");
     if (this.down) throw new TypeError("fetch failed");
     const { length } = this.file;

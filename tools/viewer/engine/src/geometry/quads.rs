@@ -2,50 +2,67 @@
 
 use super::cells::{Bar, Cells};
 use super::{Face, Faces};
-use std::collections::HashMap;
 
 /// Slopes are told in steps of this many degrees, so that what is nearly level can be joined.
 const SLOPE_STEP_DEG: f64 = 15.0;
 /// Neighbouring tops steeper than this are two surfaces.
 const CONNECTED_DEG: f64 = 78.0;
 
+/// Cells side by side at one height: from `x0` to before `x1`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Strip {
+    x0: u16,
+    x1: u16,
+    z: u16,
+    attributes: [u8; 3],
+}
+
 /// Quads at the tops of bars, or at their undersides.
 pub(super) fn levels(cells: &Cells, top: bool, faces: &mut Faces) {
     let edge = cells.edge as isize;
-    // Rectangles that end in the row before: from (x0, x1, height, attributes) to its first row.
-    let mut open: HashMap<(u16, u16, u16, [u8; 3]), u16> = HashMap::new();
-    let mut runs: Vec<(u16, u16, u16, [u8; 3])> = Vec::new();
+    // Rectangles that end in the row before, with their first row; both lists ascend by `x0`.
+    let mut open: Vec<(Strip, u16)> = Vec::new();
+    let mut strips: Vec<Strip> = Vec::new();
+    // Strips that end in the cell before, and those that end in this one.
+    let (mut ends, mut now): (Vec<usize>, Vec<usize>) = Default::default();
     for y in 0..=edge {
-        runs.clear();
-        // Runs that end in the cell before, by place in `runs`.
-        let mut ends: Vec<usize> = Vec::new();
+        strips.clear();
+        ends.clear();
         for x in 0..edge {
-            let mut now = Vec::with_capacity(ends.len());
+            now.clear();
             for bar in cells.at(x, y) {
-                let height = if top { bar.top } else { bar.bottom };
-                let slope = if top { slope(cells, faces.step_cells, x, y, height) } else { 0 };
+                let z = if top { bar.top } else { bar.bottom };
+                let slope = if top { slope(cells, faces.step_cells, x, y, z) } else { 0 };
                 let face = if top { Face::Top } else { Face::Underside };
                 let attributes = [face as u8, u8::from(bar.obstacle), slope];
-                let joins = ends.iter().copied().find(|&run| (runs[run].2, runs[run].3) == (height, attributes));
-                match joins {
-                    Some(run) => {
-                        runs[run].1 = x as u16 + 1;
-                        now.push(run);
-                    }
-                    None => {
-                        now.push(runs.len());
-                        runs.push((x as u16, x as u16 + 1, height, attributes));
-                    }
+                let joins = |at: &&usize| (strips[**at].z, strips[**at].attributes) == (z, attributes);
+                if let Some(&at) = ends.iter().find(joins) {
+                    strips[at].x1 += 1;
+                    now.push(at);
+                } else {
+                    now.push(strips.len());
+                    strips.push(Strip { x0: x as u16, x1: x as u16 + 1, z, attributes });
                 }
             }
-            ends = now;
+            std::mem::swap(&mut ends, &mut now);
         }
         let before = std::mem::take(&mut open);
-        open.extend(runs.iter().map(|run| (*run, before.get(run).copied().unwrap_or(y as u16))));
-        let mut closed: Vec<_> = before.into_iter().filter(|(run, _)| !open.contains_key(run)).collect();
-        // A hash table has no order of its own.
-        closed.sort_unstable();
-        for ((x0, x1, z, attributes), y0) in closed {
+        let mut continued = vec![false; before.len()];
+        let mut first = 0;
+        for strip in &strips {
+            while before.get(first).is_some_and(|(other, _)| other.x0 < strip.x0) {
+                first += 1;
+            }
+            let beside = before[first..].iter().take_while(|(other, _)| other.x0 == strip.x0);
+            let same = beside.zip(first..).find(|((other, _), _)| other == strip).map(|(_, at)| at);
+            if let Some(at) = same {
+                continued[at] = true;
+            }
+            open.push((*strip, same.map_or(y as u16, |at| before[at].1)));
+        }
+        for ((Strip { x0, x1, z, attributes }, y0), _) in
+            before.into_iter().zip(continued).filter(|(_, goes_on)| !goes_on)
+        {
             let y1 = y as u16;
             let corners = [[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]];
             match top {
@@ -76,32 +93,38 @@ fn slope(cells: &Cells, step_cells: f64, x: isize, y: isize, height: u16) -> u8 
     ((degrees / SLOPE_STEP_DEG).round() * SLOPE_STEP_DEG) as u8
 }
 
+/// Part of a side of a bar that nothing covers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Side {
+    bottom: u16,
+    top: u16,
+    obstacle: bool,
+    /// Faces greater coordinates.
+    up: bool,
+}
+
 /// Quads between cells of which one has matter and the other has not.
 pub(super) fn sides(cells: &Cells, faces: &mut Faces) {
     let edge = cells.edge as isize;
+    // Sides that end in the cell before, each with its first cell.
+    let (mut open, mut now): (Vec<(Side, u16)>, Vec<(Side, u16)>) = Default::default();
     for along_y in [true, false] {
         for plane in 0..=edge {
-            // Stretches that end in the cell before: from (bottom, top, obstacle, towards greater coordinates) to their first.
-            let mut open: HashMap<(u16, u16, bool, bool), u16> = HashMap::new();
             for at in 0..=edge {
                 let cell = |side: isize| if along_y { cells.at(side, at) } else { cells.at(at, side) };
-                let mut now = HashMap::new();
-                if at < edge {
-                    let mut side = |here: &[Bar], there: &[Bar], up: bool| {
-                        uncovered(here, there, |bottom, top, obstacle| {
-                            let key = (bottom, top, obstacle, up);
-                            now.insert(key, open.get(&key).copied().unwrap_or(at as u16));
-                        });
-                    };
-                    side(cell(plane - 1), cell(plane), true);
-                    side(cell(plane), cell(plane - 1), false);
+                let (below, above) = (cell(plane - 1), cell(plane));
+                for (here, there, up) in [(below, above, true), (above, below, false)] {
+                    uncovered(here, there, |bottom, top, obstacle| {
+                        let side = Side { bottom, top, obstacle, up };
+                        // What goes on is no longer open.
+                        let goes_on = open.iter().position(|(other, _)| *other == side);
+                        now.push((side, goes_on.map_or(at as u16, |n| open.swap_remove(n).1)));
+                    });
                 }
-                let mut closed: Vec<_> = open.into_iter().filter(|(key, _)| !now.contains_key(key)).collect();
-                closed.sort_unstable();
-                for ((bottom, top, obstacle, up), from) in closed {
-                    side_quad(faces, along_y, up, plane as u16, [from, at as u16], [bottom, top], obstacle);
+                for (side, from) in open.drain(..) {
+                    side_quad(faces, along_y, side, plane as u16, [from, at as u16]);
                 }
-                open = now;
+                std::mem::swap(&mut open, &mut now);
             }
         }
     }

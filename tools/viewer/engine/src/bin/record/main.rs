@@ -3,12 +3,12 @@
 //!
 //! Random numbers come from integers and exact operations, so that a bit that differs is a difference of the engine.
 
-#[path = "../../../../../tests/stream/tower.rs"]
-mod tower;
+mod random;
+mod scene;
 
+use random::Random;
 use slicewalk_engine::Engine;
 use std::path::Path;
-use tower::Random;
 
 /// Frames of the long walk: ten minutes.
 const FRAMES: usize = 36_000;
@@ -18,7 +18,7 @@ const LOW: [f64; 3] = [-4.5, -4.5, -0.5];
 const HIGH: [f64; 3] = [4.5, 4.5, 6.5];
 /// A box and a cylinder.
 const SETTINGS: [[f64; 10]; 2] =
-    [[0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.5, 1.0, f64::NAN], [1.0, 0.25, 0.0, 1.7, 0.3, 1.8, 9.81, 0.4, 0.9, 1.0]];
+    [[0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.6, 1.1, f64::NAN], [1.0, 0.25, 0.0, 1.7, 0.3, 1.8, 9.81, 0.4, 0.9, 1.0]];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_bits().to_le_bytes()).collect();
         std::fs::write(folder.join(name), bytes)
     };
-    let bytes = tower::tower(4.0, 6.5, 3);
+    let bytes = scene::hall()?;
     std::fs::write(folder.join("scene.slices"), &bytes)?;
     write("settings.f64", SETTINGS.as_flattened())?;
 
@@ -51,9 +51,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     write("inputs.f64", inputs.as_flattened())?;
     let mut states = Vec::new();
     for settings in &SETTINGS {
-        let pawn = engine.pawn(settings, &[1.5, 0.4, 3.5])?;
+        let pawn = engine.pawn(settings, &[-2.0, 2.0, 0.2])?;
         for input in &inputs {
-            states.extend(engine.step(pawn, input[0], &input[1..])?);
+            states.extend(play(&mut engine, pawn, input)?);
         }
     }
     write("inputs.states.f64", &states)?;
@@ -74,12 +74,18 @@ fn shape(random: &mut Random) -> [f64; 6] {
     [low[0], low[1], low[2], low[0] + size[0], low[1] + size[1], low[2] + size[2]]
 }
 
-/// Seconds, wish x and y, pace, lift and flags of each frame: a player that turns, runs, jumps, crouches and now and then flies.
+/// What a player does in each frame, who turns, runs, jumps, crouches, now and then flies, and is put elsewhere: seconds, wish x
+/// and y, pace, lift, flags; or x, y and z of a place, and -1 as the flags.
 fn inputs(count: usize) -> Vec<[f64; 6]> {
     let mut random = Random(5);
     let mut input = [0.0; 6];
     let frames = (0..count).map(|frame| {
-        if frame % 90 == 0 {
+        if frame % 600 == 0 {
+            let storey = 3.0 * random.below(2) as f64;
+            let (x, y) = (random.in_range(-4.0, 4.0), random.in_range(-4.0, 4.0));
+            return [0.0, x, y, storey + 0.6, 0.0, -1.0];
+        }
+        if frame % 90 == 1 {
             let flags = [0, 0, 0, 1, 1, 2, 3, 4][random.below(8) as usize];
             let (x, y) = (random.in_range(-1.0, 1.0), random.in_range(-1.0, 1.0));
             let (pace, lift) = (random.in_range(0.5, 2.5), random.in_range(-0.6, 0.5));
@@ -90,14 +96,21 @@ fn inputs(count: usize) -> Vec<[f64; 6]> {
             0 => random.in_range(0.0, 0.3),
             _ => 1.0 / 60.0,
         };
-        // Back to the middle before it is lost.
-        if frame % 900 == 899 {
-            [seconds, 0.0, 0.0, 4.0, 0.0, 8.0]
-        } else {
-            [seconds, input[1], input[2], input[3], input[4], input[5]]
+        // To a place, now and then.
+        match frame % 450 {
+            400.. => [seconds, 0.0, -0.4, 1.5, 0.0, 8.0],
+            _ => [seconds, input[1], input[2], input[3], input[4], input[5]],
         }
     });
     frames.collect()
+}
+
+/// The state of a pawn after one of [`inputs`].
+fn play(engine: &mut Engine, pawn: u32, input: &[f64; 6]) -> Result<Vec<f64>, String> {
+    match input {
+        [_, place @ .., -1.0] => engine.place(pawn, &place[..3]),
+        [seconds, input @ ..] => engine.step(pawn, *seconds, input),
+    }
 }
 
 /// An engine that holds all of the archive.
@@ -130,7 +143,7 @@ fn serve(engine: &mut Engine, bytes: &[u8], now: f64) -> Result<(), String> {
 /// A walk over a link of 40 ms and 20 Mbit/s in virtual time: the ranges asked for, and the states, in their order.
 fn streamed(bytes: &[u8], inputs: &[[f64; 6]]) -> Result<Vec<f64>, String> {
     let mut engine = Engine::new(bytes.len() as f64, (64 << 20) as f64, 4);
-    let (mut words, mut link, mut pawn): (Vec<f64>, Vec<(f64, u32, f64, f64)>, Option<u32>) = Default::default();
+    let (mut words, mut link, mut pawn) = (Vec::<f64>::new(), Vec::new(), None);
     let (mut free_at, mut now) = (0.0f64, 0.0);
     for input in inputs {
         let arrived: Vec<_> = link.extract_if(.., |answer| answer.0 <= now).collect();
@@ -141,9 +154,9 @@ fn streamed(bytes: &[u8], inputs: &[[f64; 6]]) -> Result<Vec<f64>, String> {
         if engine.is_open() {
             let pawn = match pawn {
                 Some(pawn) => pawn,
-                None => *pawn.insert(engine.pawn(&SETTINGS[0], &[1.5, 0.4, 3.5])?),
+                None => *pawn.insert(engine.pawn(&SETTINGS[0], &[-2.0, 2.0, 0.2])?),
             };
-            words.extend(engine.step(pawn, input[0], &input[1..])?);
+            words.extend(play(&mut engine, pawn, input)?);
         }
         let todo = engine.poll(now)?;
         let mut at = 0;

@@ -3,7 +3,7 @@
 # flags of cargo. The target of rustup is taken if it is installed. Otherwise Debian's packages of rustc and of the source of
 # its standard library are unpacked into FOLDER, never installed, so that the system's cargo stays what it is.
 #
-#   eval "$(tools/wasm-check/toolchain.sh FOLDER)"
+#   eval "$(tools/viewer/toolchain.sh FOLDER)"
 #   cargo build --target wasm32-unknown-unknown $WASM_FLAGS ...
 set -euo pipefail
 folder=${1:?folder to unpack into}
@@ -35,5 +35,7 @@ export LD_LIBRARY_PATH="$root/usr/lib/x86_64-linux-gnu:$root/usr/lib\${LD_LIBRAR
 export RUSTC="$root/usr/bin/rustc"
 export RUSTC_BOOTSTRAP=1
 export CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER="${lld:-rust-lld}"
-export WASM_FLAGS="-Z build-std=std,panic_abort"
+export WASM_FLAGS="-Z build-std=std,panic_abort -Z build-std-features=optimize_for_size"
+# The engine must be small: no texts of panics, which nobody would read.
+export CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_RUSTFLAGS="-Zunstable-options -Cpanic=immediate-abort"
 VARIABLES
