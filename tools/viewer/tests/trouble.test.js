@@ -52,19 +52,22 @@ describe("trouble", () => {
   });
 
   it("waits for a host that went away, and goes on when it is back", async () => {
-    // The first storey is there, the third is not.
+    // Slow enough that the third storey is not loaded when the host goes away.
+    server.delayMs = 500;
     await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     await server.stop();
     await page.evaluate(() => void window.slicewalk.goto({ at: [9.25, 4.5, 6.2] }).catch(() => {}));
-    const waits = await until(page, "waiting or there", ({ missing, at }) => missing > 0 || Math.abs(at[2] - 6) < 0.05);
-    if (waits.missing > 0) await page.getByText("Connection trouble, trying again").waitFor();
+    await until(page, "waiting for pages", ({ missing, at }) => missing > 0 && at[2] > 6);
+    await page.getByText("Connection trouble, trying again").waitFor();
+    server.delayMs = 0;
     await server.start();
     await until(page, "on the floor of the third storey", ({ at, missing }) => Math.abs(at[2] - 6) < 0.05 && missing === 0, { timeout: 120_000 });
     assert.equal((await state(page)).error, null);
   });
 
   it("says that an archive was replaced, and opens the new one", async () => {
-    // Little is loaded yet: the next pages come from the new file.
+    // Slow enough that the next pages come from the new file.
+    server.delayMs = 500;
     await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     copyFileSync(other(), join(folder, "new.slices"));
     renameSync(join(folder, "new.slices"), join(folder, "house.slices"));
