@@ -6,11 +6,20 @@ import { join } from "node:path";
 import { chromium } from "playwright-core";
 
 const ARGUMENTS = [
-  "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist",
-  "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
+  "--no-sandbox",
+  "--use-gl=angle",
+  "--use-angle=swiftshader",
+  "--enable-unsafe-swiftshader",
+  "--ignore-gpu-blocklist",
+  "--disable-quic",
+  "--no-first-run",
+  "--disable-background-networking",
+  "--disable-component-update",
+  "--disable-sync",
 ];
 
-export const CHROMIUM = process.env.CHROMIUM ?? ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find(existsSync);
+export const CHROMIUM =
+  process.env.CHROMIUM ?? ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find(existsSync);
 
 /** A browser with a profile of its own. `close` ends it and removes the profile. */
 export async function launch(options = {}) {
@@ -41,7 +50,9 @@ export async function newPage(context, { scripts = [] } = {}) {
     if (message.type() !== "error" && message.type() !== "warning") return;
     // Software graphics warn about themselves.
     if (/GPU stall|GL Driver Message|WebGL-0x/.test(message.text())) return;
-    (/^Failed to load resource/.test(message.text()) ? failedRequests : complaints).push(`${message.type()}: ${message.text()}`);
+    (/^Failed to load resource/.test(message.text()) ? failedRequests : complaints).push(
+      `${message.type()}: ${message.text()}`,
+    );
   });
   for (const script of scripts) await page.addInitScript(script);
   return Object.assign(page, { complaints, failedRequests });

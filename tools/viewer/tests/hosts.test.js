@@ -66,7 +66,9 @@ describe("hosts", () => {
     }
   });
 
-  it("draws a point cloud over the archive", { skip: cloud() === null ? "SLICEWALK_DATA has no COPC file" : false }, async () => {
+  it("draws a point cloud over the archive", {
+    skip: cloud() === null ? "SLICEWALK_DATA has no COPC file" : false,
+  }, async () => {
     const server = await serve(house(), "--cloud", cloud());
     try {
       await walkIn(page, server.address);

@@ -46,14 +46,28 @@ export const house = () => made("house", ["demo"], ["--pixel", "0.05", "--exclud
 export const MOVED = [500_000, 5_000_000, 0];
 
 /** The same house far from the origin: 1e6 is a multiple of neither pixels nor pages, so only the answers are the same. */
-export const movedHouse = () => made("moved", ["demo", "--origin", MOVED.join(",")], ["--pixel", "0.05", "--exclude-class", "7"]);
+export const movedHouse = () =>
+  made("moved", ["demo", "--origin", MOVED.join(",")], ["--pixel", "0.05", "--exclude-class", "7"]);
 
 /** A shaft 150 m deep, from the highest storey. */
 export const tower = () =>
-  made("tower", ["tower", "--param", "storeys=51", "--param", "size=6", "--order", "grid", "--density", "150"], ["--pixel", "0.2"]);
+  made(
+    "tower",
+    ["tower", "--param", "storeys=51", "--param", "size=6", "--order", "grid", "--density", "150"],
+    ["--pixel", "0.2"],
+  );
 
 /** A room with its floor at 0 and a table less: another archive for the same name. */
 export const other = () => made("other", ["house", "--param", "storeys=1", "--density", "400"], ["--pixel", "0.05"]);
 
 /** Way up the stairs of the house: places to walk straight to, one after the other. */
-export const WAY = { start: [1.5, 2, 0], places: [[3.8, 5], [6.4, 5], [11, 1.1], [13.45, 1.1], [13.45, 7.3]] };
+export const WAY = {
+  start: [1.5, 2, 0],
+  places: [
+    [3.8, 5],
+    [6.4, 5],
+    [11, 1.1],
+    [13.45, 1.1],
+    [13.45, 7.3],
+  ],
+};

@@ -6,8 +6,13 @@ import { open } from "node:fs/promises";
 import { extname, join, normalize } from "node:path";
 
 const TYPES = {
-  ".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8", ".css": "text/css; charset=utf-8",
-  ".json": "application/json", ".wasm": "application/wasm", ".svg": "image/svg+xml", ".txt": "text/plain; charset=utf-8",
+  ".html": "text/html; charset=utf-8",
+  ".js": "text/javascript; charset=utf-8",
+  ".css": "text/css; charset=utf-8",
+  ".json": "application/json",
+  ".wasm": "application/wasm",
+  ".svg": "image/svg+xml",
+  ".txt": "text/plain; charset=utf-8",
 };
 
 export class StaticServer {
@@ -63,7 +68,9 @@ export class StaticServer {
         ETag: `"${size.toString(16)}-${Math.round(mtimeMs * 1000).toString(16)}"`,
       };
       const range = /^bytes=(\d+)-(\d*)$/.exec(note.range ?? "");
-      let [first, last] = range ? [Number(range[1]), range[2] === "" ? size - 1 : Math.min(Number(range[2]), size - 1)] : [0, size - 1];
+      const [first, last] = range
+        ? [Number(range[1]), range[2] === "" ? size - 1 : Math.min(Number(range[2]), size - 1)]
+        : [0, size - 1];
       if (range && first > last) {
         note.status = 416;
         response.writeHead(416, { "Content-Range": `bytes */${size}` }).end();
@@ -74,8 +81,11 @@ export class StaticServer {
       const bytes = Buffer.alloc(last - first + 1);
       await file.read(bytes, 0, bytes.length, first);
       note.bytes = bytes.length;
-      if (this.bytesPerSecond < Infinity) await new Promise((resolve) => setTimeout(resolve, (1000 * bytes.length) / this.bytesPerSecond));
-      response.writeHead(note.status, { ...headers, "Content-Length": bytes.length }).end(request.method === "HEAD" ? undefined : bytes);
+      if (this.bytesPerSecond < Infinity)
+        await new Promise((resolve) => setTimeout(resolve, (1000 * bytes.length) / this.bytesPerSecond));
+      response
+        .writeHead(note.status, { ...headers, "Content-Length": bytes.length })
+        .end(request.method === "HEAD" ? undefined : bytes);
     } finally {
       await file.close();
     }

@@ -15,7 +15,9 @@ export async function walkTowards(page, place, { keys = ["w"], near = NEAR } = {
   const turning = setInterval(() => void lookTowards(page, place).catch(() => {}), 250);
   try {
     await lookTowards(page, place);
-    return await hold(page, keys, `at ${place}`, ({ at }) => Math.hypot(at[0] - place[0], at[1] - place[1]) < near, { timeout: 90_000 });
+    return await hold(page, keys, `at ${place}`, ({ at }) => Math.hypot(at[0] - place[0], at[1] - place[1]) < near, {
+      timeout: 90_000,
+    });
   } finally {
     clearInterval(turning);
   }

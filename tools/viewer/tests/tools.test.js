@@ -36,19 +36,22 @@ const middle = { x: 400, y: 250 };
 /** Colours in the middle of the screen, where nothing lies above the canvas: how many different ones. */
 async function colours() {
   const picture = await page.locator("canvas.view").screenshot();
-  return page.evaluate(async (bytes) => {
-    const image = await createImageBitmap(new Blob([new Uint8Array(bytes)], { type: "image/png" }));
-    const canvas = new OffscreenCanvas(image.width, image.height);
-    const context = canvas.getContext("2d");
-    context.drawImage(image, 0, 0);
-    const seen = new Map();
-    const { data } = context.getImageData(image.width / 4, image.height / 3, image.width / 4, image.height / 3);
-    for (let n = 0; n < data.length; n += 4 * 7) {
-      const key = (data[n] >> 3) * 1024 + (data[n + 1] >> 3) * 32 + (data[n + 2] >> 3);
-      seen.set(key, (seen.get(key) ?? 0) + 1);
-    }
-    return seen.size;
-  }, [...picture]);
+  return page.evaluate(
+    async (bytes) => {
+      const image = await createImageBitmap(new Blob([new Uint8Array(bytes)], { type: "image/png" }));
+      const canvas = new OffscreenCanvas(image.width, image.height);
+      const context = canvas.getContext("2d");
+      context.drawImage(image, 0, 0);
+      const seen = new Map();
+      const { data } = context.getImageData(image.width / 4, image.height / 3, image.width / 4, image.height / 3);
+      for (let n = 0; n < data.length; n += 4 * 7) {
+        const key = (data[n] >> 3) * 1024 + (data[n + 1] >> 3) * 32 + (data[n + 2] >> 3);
+        seen.set(key, (seen.get(key) ?? 0) + 1);
+      }
+      return seen.size;
+    },
+    [...picture],
+  );
 }
 
 /** Something is drawn: more colours than a plain background has. */
@@ -74,7 +77,10 @@ describe("places", () => {
     await page.goto("about:blank");
     await walkIn(page, link);
     const again = await state(page);
-    assert.ok(again.at.every((value, axis) => Math.abs(value - at[axis]) < 0.0015), `${again.at}`);
+    assert.ok(
+      again.at.every((value, axis) => Math.abs(value - at[axis]) < 0.0015),
+      `${again.at}`,
+    );
     assert.deepEqual(again.look, look);
     await page.goto("about:blank");
     await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
@@ -231,7 +237,11 @@ describe("for everyone", () => {
     const check = async (what) => {
       const results = await page.evaluate(() => window.axe.run(document, { resultTypes: ["violations"] }));
       const serious = results.violations.filter(({ impact }) => impact === "serious" || impact === "critical");
-      assert.deepEqual(serious.map(({ id, nodes }) => [id, nodes.map(({ target }) => target.join(" "))]), [], what);
+      assert.deepEqual(
+        serious.map(({ id, nodes }) => [id, nodes.map(({ target }) => target.join(" "))]),
+        [],
+        what,
+      );
     };
     await page.addInitScript(AXE);
     await page.goto(server.address);

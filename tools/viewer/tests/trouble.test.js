@@ -21,7 +21,10 @@ after(async () => {
 beforeEach(async () => {
   folder = mkdtempSync(join(tmpdir(), "slicewalk-trouble-"));
   copyFileSync(house(), join(folder, "house.slices"));
-  server = await new StaticServer(DIST, { "/house.slices": join(folder, "house.slices"), "/bad.slices": join(folder, "bad.slices") }).start();
+  server = await new StaticServer(DIST, {
+    "/house.slices": join(folder, "house.slices"),
+    "/bad.slices": join(folder, "bad.slices"),
+  }).start();
   page = await newPage(browser.context);
 });
 afterEach(async () => {
@@ -61,7 +64,9 @@ describe("trouble", () => {
     await page.getByText("Connection trouble, trying again").waitFor();
     server.delayMs = 0;
     await server.start();
-    await until(page, "on the floor of the third storey", ({ at, missing }) => Math.abs(at[2] - 6) < 0.05 && missing === 0, { timeout: 120_000 });
+    await until(page, "on the floor of the third storey", ({ at, missing }) => Math.abs(at[2] - 6) < 0.05 && missing === 0, {
+      timeout: 120_000,
+    });
     assert.equal((await state(page)).error, null);
   });
 

@@ -9,12 +9,16 @@ import { after, afterEach, before, beforeEach, describe, it } from "node:test";
 import { hold, launch, newPage, state, until, walkIn } from "./browser.js";
 import { BIN, DIST, house, movedHouse, MOVED, tower, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
-import { address, lookTowards, walkTowards } from "./steer.js";
+import { address, walkTowards } from "./steer.js";
 
 let browser, server, page;
 
 before(async () => {
-  server = await new StaticServer(DIST, { "/house.slices": house(), "/moved.slices": movedHouse(), "/tower.slices": tower() }).start();
+  server = await new StaticServer(DIST, {
+    "/house.slices": house(),
+    "/moved.slices": movedHouse(),
+    "/tower.slices": tower(),
+  }).start();
   browser = await launch();
 });
 after(async () => {
@@ -127,7 +131,12 @@ describe("walking", () => {
 
   it("walks by a gamepad", async () => {
     await page.addInitScript(() => {
-      const pad = { connected: true, mapping: "standard", axes: [0, 0, 0, 0], buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) };
+      const pad = {
+        connected: true,
+        mapping: "standard",
+        axes: [0, 0, 0, 0],
+        buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })),
+      };
       Object.assign(window, { pad });
       navigator.getGamepads = () => [pad, null, null, null];
     });

@@ -100,10 +100,12 @@ export class App {
       },
     });
     this.#watchTasks();
-    const frame = (last: number) => (now: number): void => {
-      this.#frame(Math.min((now - last) / 1000, LONGEST_FRAME_S));
-      requestAnimationFrame(frame(now));
-    };
+    const frame =
+      (last: number) =>
+      (now: number): void => {
+        this.#frame(Math.min((now - last) / 1000, LONGEST_FRAME_S));
+        requestAnimationFrame(frame(now));
+      };
     requestAnimationFrame(frame(performance.now()));
     window.setInterval(() => this.#write(), WRITE_MS);
     let counted = 0;

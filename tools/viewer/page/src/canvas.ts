@@ -1,6 +1,18 @@
 // The canvas: the renderer, its size, the pawn's marker, and the loss of the graphics.
 
-import { BoxGeometry, Color, ConeGeometry, EdgesGeometry, Group, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, Scene, WebGLRenderer } from "three";
+import {
+  BoxGeometry,
+  Color,
+  ConeGeometry,
+  EdgesGeometry,
+  Group,
+  LineBasicMaterial,
+  LineSegments,
+  Mesh,
+  MeshBasicMaterial,
+  Scene,
+  WebGLRenderer,
+} from "three";
 import { BACKGROUND } from "./scene/material";
 import type { Cameras } from "./scene/cameras";
 import type { World } from "./scene/world";
@@ -17,11 +29,18 @@ export class Canvas {
   readonly #nose: Mesh;
   lost = false;
 
-  constructor(readonly element: HTMLCanvasElement, readonly cameras: Cameras, readonly graphics: (lost: boolean) => void) {
+  constructor(
+    readonly element: HTMLCanvasElement,
+    readonly cameras: Cameras,
+    readonly graphics: (lost: boolean) => void,
+  ) {
     this.#renderer = new WebGLRenderer({ canvas: element, antialias: true, powerPreference: "high-performance" });
     this.scene.background = new Color(BACKGROUND);
     const accent = "#ffb547";
-    this.#body = new LineSegments(new EdgesGeometry(new BoxGeometry(1, 1, 1)), new LineBasicMaterial({ color: accent, depthTest: false }));
+    this.#body = new LineSegments(
+      new EdgesGeometry(new BoxGeometry(1, 1, 1)),
+      new LineBasicMaterial({ color: accent, depthTest: false }),
+    );
     this.#nose = new Mesh(new ConeGeometry(0.28, 0.8, 4), new MeshBasicMaterial({ color: accent, depthTest: false }));
     this.#body.renderOrder = this.#nose.renderOrder = 1;
     this.#marker.add(this.#body, this.#nose);

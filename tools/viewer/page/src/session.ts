@@ -31,12 +31,22 @@ export class Session {
   /** Metres in a unit of the input. */
   unit = 1;
 
-  private constructor(readonly source: Source, readonly archive: Archive, readonly pawn: Pawn) {
+  private constructor(
+    readonly source: Source,
+    readonly archive: Archive,
+    readonly pawn: Pawn,
+  ) {
     this.world = new World(archive.info.sliceHeight);
     this.view = archive.view({ onPage: (page) => this.world.take(page), onDrop: (id) => this.world.drop(id) });
   }
 
-  static async open(source: Source, at: Vec3 | null, look: Look | null, settings: Settings, signal: AbortSignal): Promise<Session> {
+  static async open(
+    source: Source,
+    at: Vec3 | null,
+    look: Look | null,
+    settings: Settings,
+    signal: AbortSignal,
+  ): Promise<Session> {
     const archive = await openArchive(source.archive, { signal });
     try {
       const found = at ?? (await findStart(archive, settings, signal));

@@ -36,7 +36,10 @@ export class Sight {
   #radius = FIRST_M;
   #triangles = FIRST_TRIANGLES;
 
-  constructor(readonly session: Session, readonly shell: Shell) {}
+  constructor(
+    readonly session: Session,
+    readonly shell: Shell,
+  ) {}
 
   /** Of a view `outside`, seen from `distance`: how far the engine builds geometry, and the shader shows it. */
   see(mode: Mode, settings: Settings, distance: number): void {

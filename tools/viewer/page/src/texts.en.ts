@@ -9,12 +9,21 @@ interface Trouble {
 }
 
 const errors: Record<ErrorKind | "webgl" | "page", Trouble> = {
-  "not-an-archive": { title: "This is not a slice archive", wayOut: "Convert the scan with sliceconv, or choose another file." },
+  "not-an-archive": {
+    title: "This is not a slice archive",
+    wayOut: "Convert the scan with sliceconv, or choose another file.",
+  },
   damaged: { title: "The archive is damaged", wayOut: "Check it with slicetool verify, then copy or convert it again." },
   replaced: { title: "The archive was replaced while you walked", wayOut: "Open it again to walk in the new one." },
   network: { title: "The host does not answer", wayOut: "Check the connection and the address, then try again." },
-  "no-ranges": { title: "The host does not answer range requests", wayOut: "Use another web host, or download the archive and drop it here." },
-  "out-of-memory": { title: "The browser has too little memory for this archive", wayOut: "Close other tabs, or cut out a part with slicetool extract." },
+  "no-ranges": {
+    title: "The host does not answer range requests",
+    wayOut: "Use another web host, or download the archive and drop it here.",
+  },
+  "out-of-memory": {
+    title: "The browser has too little memory for this archive",
+    wayOut: "Close other tabs, or cut out a part with slicetool extract.",
+  },
   aborted: { title: "Opening was given up", wayOut: "Open the archive again." },
   invalid: { title: "The request makes no sense", wayOut: "Check the address of this page." },
   engine: { title: "The engine stopped", wayOut: "Open the archive again; if it stops again, reload the page." },
@@ -64,10 +73,16 @@ export const texts = {
     screenshot: "Screenshot",
     help: "Help",
     close: "Close",
-    xr: "Enter VR",
   },
-  colours: { label: "Colour by", height: "Height", slope: "Slope", obstacle: "Floor and obstacle", slice: "Slice", cloud: "Point cloud" },
-  legend: { low: "low", high: "high", floor: "floor", obstacle: "obstacle", steep: "steeper than", flat: "0°", upright: "90°", inSlice: "red: height within the slice" },
+  colours: {
+    label: "Colour by",
+    height: "Height",
+    slope: "Slope",
+    obstacle: "Floor and obstacle",
+    slice: "Slice",
+    cloud: "Point cloud",
+  },
+  legend: { floor: "floor", obstacle: "obstacle", steep: "steeper than", flat: "0°", inSlice: "red: height within the slice" },
   slices: {
     one: "Show one slice only",
     slider: "Slice",
@@ -125,7 +140,10 @@ export const texts = {
     reset: "Default settings",
     refused: "This pawn does not fit here; the old one stays.",
   },
-  minimap: { label: (heading: string) => `Map around the pawn; it looks ${heading}`, cardinal: ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"] },
+  minimap: {
+    label: (heading: string) => `Map around the pawn; it looks ${heading}`,
+    cardinal: ["north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west"],
+  },
   news: {
     linkCopied: "The link to this place is in the clipboard.",
     link: "The link to this place is in the address bar.",
@@ -143,12 +161,11 @@ export const texts = {
     local: "A link cannot carry a file of this computer.",
     flyOn: "Flying: space rises, C sinks, walls do not stop you.",
     flyOff: "Walking.",
-    loaded: "The place is loaded.",
     cloud: (points: string) => `Point cloud: ${points} points drawn.`,
     noCloud: (reason: string) => `The point cloud cannot be drawn: ${reason}`,
   },
   errors,
-  actions: { again: "Open again", other: "Open another archive", reload: "Reload the page", dismiss: "Go on" },
+  actions: { again: "Open again", other: "Open another archive" },
   help: {
     heading: "Keys and gestures",
     rows: [

@@ -14,7 +14,16 @@ export interface Intent {
   crouch: boolean;
 }
 
-export const nothing = (): Intent => ({ forward: 0, right: 0, turn: 0, tilt: 0, lift: 0, run: false, jump: false, crouch: false });
+export const nothing = (): Intent => ({
+  forward: 0,
+  right: 0,
+  turn: 0,
+  tilt: 0,
+  lift: 0,
+  run: false,
+  jump: false,
+  crouch: false,
+});
 
 export function joined(intents: readonly Intent[]): Intent {
   const all = nothing();

@@ -24,7 +24,10 @@ export class Pointer {
   #timer = 0;
   #refused = false;
 
-  constructor(readonly canvas: HTMLCanvasElement, readonly events: PointerEvents) {
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    readonly events: PointerEvents,
+  ) {
     canvas.addEventListener("pointerdown", (event) => this.#down(event));
     canvas.addEventListener("pointermove", (event) => this.#move(event));
     canvas.addEventListener("pointerup", (event) => this.#up(event));

@@ -34,9 +34,17 @@ export class Sticks {
       parent.append(element);
       return element;
     };
-    const options = { mode: "static", position: { left: "50%", top: "50%" }, size: 112, color: "#e8eaed", restOpacity: 0.35 } as const;
+    const options = {
+      mode: "static",
+      position: { left: "50%", top: "50%" },
+      size: 112,
+      color: "#e8eaed",
+      restOpacity: 0.35,
+    } as const;
     const follow = (collection: ReturnType<typeof createSticks>, moved: (x: number, y: number) => void): void => {
-      collection.on("move", (event: { data: { vector: { x: number; y: number } } }) => moved(event.data.vector.x, event.data.vector.y));
+      collection.on("move", (event: { data: { vector: { x: number; y: number } } }) =>
+        moved(event.data.vector.x, event.data.vector.y),
+      );
       collection.on("end", () => moved(0, 0));
     };
     follow(create({ ...options, zone: zone("left", texts.touch.move) }), (x, y) => {
@@ -49,11 +57,13 @@ export class Sticks {
       intent.tilt = y;
     });
     const jump = h("button", { class: "jump", type: "button" }, texts.touch.jump);
-    const hold = (held: boolean) => (event: Event): void => {
-      event.preventDefault();
-      intent.jump = held;
-      intent.lift = held ? 1 : 0;
-    };
+    const hold =
+      (held: boolean) =>
+      (event: Event): void => {
+        event.preventDefault();
+        intent.jump = held;
+        intent.lift = held ? 1 : 0;
+      };
     jump.addEventListener("pointerdown", hold(true));
     for (const end of ["pointerup", "pointercancel", "pointerleave"]) jump.addEventListener(end, hold(false));
     parent.append(jump);

@@ -81,7 +81,8 @@ export class Cameras {
       camera.up.copy(UP);
       this.#eye.aspect = this.#aspect;
       // A narrow screen sees as wide as a square one.
-      this.#eye.fov = this.#aspect < 1 ? Math.min(100, (360 / Math.PI) * Math.atan(Math.tan((70 * Math.PI) / 360) / this.#aspect)) : 70;
+      this.#eye.fov =
+        this.#aspect < 1 ? Math.min(100, (360 / Math.PI) * Math.atan(Math.tan((70 * Math.PI) / 360) / this.#aspect)) : 70;
       this.#eye.near = mode === "walk" ? 0.04 : Math.max(0.1, orbit.distance / 500);
       this.#eye.updateProjectionMatrix();
     }

@@ -9,13 +9,27 @@ export class ColoursPanel {
   readonly element = h("section", { class: "panel colours", "aria-label": texts.colours.label, hidden: true });
   readonly #legend = h("div", { class: "legend" });
   readonly #cloud = h("input", { type: "checkbox", id: "cloud" });
-  readonly #cloudField = h("div", { class: "field check", hidden: true }, this.#cloud, h("label", { for: "cloud" }, texts.colours.cloud));
+  readonly #cloudField = h(
+    "div",
+    { class: "field check", hidden: true },
+    this.#cloud,
+    h("label", { for: "cloud" }, texts.colours.cloud),
+  );
   #chosen: Colouring = "height";
 
-  constructor(readonly changed: (colouring: Colouring) => void, cloud: (shown: boolean) => void) {
+  constructor(
+    readonly changed: (colouring: Colouring) => void,
+    cloud: (shown: boolean) => void,
+  ) {
     this.#cloud.addEventListener("change", () => cloud(this.#cloud.checked));
     const choices = COLOURINGS.map((name) => {
-      const input = h("input", { type: "radio", name: "colouring", id: `colour-${name}`, value: name, checked: name === "height" });
+      const input = h("input", {
+        type: "radio",
+        name: "colouring",
+        id: `colour-${name}`,
+        value: name,
+        checked: name === "height",
+      });
       input.addEventListener("change", () => {
         this.#chosen = name;
         changed(name);

@@ -20,7 +20,11 @@ export function h<K extends keyof HTMLElementTagNameMap>(
 /** A toolbar button with a picture and a word; the word is hidden where there is no room, and stays for screen readers. */
 export function tool(icon: string, label: string, key: string | null, onclick: () => void, small = false): HTMLButtonElement {
   const title = key === null ? label : `${label} (${key})`;
-  const button = h("button", { type: "button", class: small ? "tool small" : "tool", title, onclick }, h("span", { class: "word" }, label));
+  const button = h(
+    "button",
+    { type: "button", class: small ? "tool small" : "tool", title, onclick },
+    h("span", { class: "word" }, label),
+  );
   button.prepend(picture(icon));
   return button;
 }
@@ -52,7 +56,8 @@ export const icons = {
   link: "M10 14a4 4 0 0 0 6 0l3-3a4 4 0 0 0-6-6l-1 1M14 10a4 4 0 0 0-6 0l-3 3a4 4 0 0 0 6 6l1-1",
   screenshot: "M4 8h4l2-3h4l2 3h4v11H4zM12 16.500a3 3 0 1 0 0-6 3 3 0 0 0 0 6z",
   help: "M9 9a3 3 0 1 1 4 3c-1 .5-1 1-1 2M12 17.500v.01M3 12a9 9 0 1 0 18 0 9 9 0 1 0-18 0",
-  colours: "M12 3a9 9 0 1 0 0 18c1.500 0 2-1 1.500-2-.7-1.500.3-3 2-3H18a3 3 0 0 0 3-3c0-5-4-10-9-10zM7.500 12v.01M9 7.500v.01M14.500 7.500v.01",
+  colours:
+    "M12 3a9 9 0 1 0 0 18c1.500 0 2-1 1.500-2-.7-1.500.3-3 2-3H18a3 3 0 0 0 3-3c0-5-4-10-9-10zM7.500 12v.01M9 7.500v.01M14.500 7.500v.01",
   open: "M4 19V5h6l2 3h8v11zM12 16v-5M9.500 13.500 12 11l2.500 2.500",
   close: "M6 6l12 12M18 6 6 18",
 } as const;

@@ -92,7 +92,10 @@ export class MeasurePanel {
 
   #write(row: Row, value: Value | null, otherwise: string): void {
     const element = this.#values.get(row) as HTMLElement;
-    const text = value === null ? otherwise : `${metres(value.metres)} m ${texts.measure.error(metres(value.error, value.error < 0.01 ? 3 : 2))}`;
+    const text =
+      value === null
+        ? otherwise
+        : `${metres(value.metres)} m ${texts.measure.error(metres(value.error, value.error < 0.01 ? 3 : 2))}`;
     write(element, text);
     if (value === null) delete element.dataset["metres"];
     else element.dataset["metres"] = String(value.metres);
@@ -110,7 +113,10 @@ export class MeasurePanel {
       this.marks.add(ball);
     }
     if (places.length === 2) {
-      const line = new Line(new BufferGeometry().setFromPoints(places), new LineBasicMaterial({ color: "#ffb547", depthTest: false }));
+      const line = new Line(
+        new BufferGeometry().setFromPoints(places),
+        new LineBasicMaterial({ color: "#ffb547", depthTest: false }),
+      );
       line.renderOrder = 2;
       this.marks.add(line);
     }

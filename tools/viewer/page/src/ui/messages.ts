@@ -12,7 +12,12 @@ export interface Action {
 
 export class Messages {
   readonly news = h("div", { class: "news", role: "status", "aria-live": "polite", hidden: true });
-  readonly progress = h("div", { class: "progress", hidden: true }, h("progress", { "aria-label": texts.loading.place }), h("span"));
+  readonly progress = h(
+    "div",
+    { class: "progress", hidden: true },
+    h("progress", { "aria-label": texts.loading.place }),
+    h("span"),
+  );
   readonly dialog = h("dialog", { class: "trouble", "aria-labelledby": "trouble-title" });
   #timer = 0;
 
@@ -39,10 +44,18 @@ export class Messages {
   trouble(kind: keyof typeof texts.errors, detail: string, actions: readonly Action[]): void {
     const { title, wayOut } = texts.errors[kind];
     const buttons = actions.map(({ label, act }, n) =>
-      h("button", { type: "button", class: n === 0 ? "primary" : "plain", onclick: () => {
-        this.dialog.close();
-        act();
-      } }, label),
+      h(
+        "button",
+        {
+          type: "button",
+          class: n === 0 ? "primary" : "plain",
+          onclick: () => {
+            this.dialog.close();
+            act();
+          },
+        },
+        label,
+      ),
     );
     this.dialog.replaceChildren(
       h("h2", { id: "trouble-title" }, title),

@@ -15,7 +15,10 @@ const OFTEN_MS = 1200;
 const BELOW_M = 0.6;
 const ABOVE_M = 1.8;
 const COLOURS: readonly (readonly [number, number, number, number])[] = [
-  [0, 0, 0, 0], [84, 97, 112, 255], [226, 230, 235, 255], [0, 0, 0, 70],
+  [0, 0, 0, 0],
+  [84, 97, 112, 255],
+  [226, 230, 235, 255],
+  [0, 0, 0, 70],
 ];
 
 export class Minimap {

@@ -10,11 +10,21 @@ export class SettingsPanel {
   readonly element = h("section", { class: "panel settings", "aria-label": texts.settings.label, hidden: true });
   readonly #inputs = new Map<keyof Settings, HTMLInputElement>();
 
-  constructor(settings: Settings, readonly changed: (settings: Settings) => void) {
+  constructor(
+    settings: Settings,
+    readonly changed: (settings: Settings) => void,
+  ) {
     this.element.append(h("h2", {}, texts.settings.label));
     for (const name of NAMES) {
       const { min, max, step } = limits[name];
-      const input = h("input", { type: "number", id: `set-${name}`, min, max, step, onchange: () => this.changed(sound(this.#read())) });
+      const input = h("input", {
+        type: "number",
+        id: `set-${name}`,
+        min,
+        max,
+        step,
+        onchange: () => this.changed(sound(this.#read())),
+      });
       this.#inputs.set(name, input);
       this.element.append(h("div", { class: "field" }, h("label", { for: `set-${name}` }, texts.settings[name]), input));
     }

@@ -39,7 +39,11 @@ export class Shell {
   readonly #help = helpDialog();
   readonly #parent: HTMLElement;
 
-  constructor(parent: HTMLElement, settings: Settings, readonly events: ShellEvents) {
+  constructor(
+    parent: HTMLElement,
+    settings: Settings,
+    readonly events: ShellEvents,
+  ) {
     this.#parent = parent;
     this.settings = new SettingsPanel(settings, events.settings);
     this.colours = new ColoursPanel(events.colouring, events.cloud);
@@ -47,9 +51,27 @@ export class Shell {
     this.welcome = new Welcome(events);
     this.toolbars = new Toolbars({ ...events, panel: (name) => this.#panel(name) });
     const head = h("header", { class: "head" }, this.#name, this.toolbars.modes, this.toolbars.tools);
-    const panels = h("div", { class: "right" }, this.measure.element, this.slices.element, this.colours.element, this.settings.element);
+    const panels = h(
+      "div",
+      { class: "right" },
+      this.measure.element,
+      this.slices.element,
+      this.colours.element,
+      this.settings.element,
+    );
     this.#left.append(this.status.element);
-    const main = h("main", {}, this.canvas, this.crosshair, head, panels, this.#left, this.#map, this.messages.progress, this.messages.news);
+    const main = h(
+      "main",
+      {},
+      this.canvas,
+      this.crosshair,
+      head,
+      panels,
+      this.#left,
+      this.#map,
+      this.messages.progress,
+      this.messages.news,
+    );
     // After a click with the mouse the keys walk on; who came to a button by keys stays there.
     main.addEventListener("click", ({ detail, target }) => {
       if (detail > 0 && target instanceof Element && target.closest("button.tool")) this.canvas.focus({ preventScroll: true });
@@ -83,7 +105,11 @@ export class Shell {
 function helpDialog(): HTMLDialogElement {
   const rows = texts.help.rows.map(([keys, what]) => h("tr", {}, h("th", { scope: "row" }, keys), h("td", {}, what)));
   const dialog = h("dialog", { class: "help", "aria-labelledby": "help-title" });
-  const close = h("button", { type: "button", class: "tool close", "aria-label": texts.tools.close, onclick: () => dialog.close() }, picture(icons.close));
+  const close = h(
+    "button",
+    { type: "button", class: "tool close", "aria-label": texts.tools.close, onclick: () => dialog.close() },
+    picture(icons.close),
+  );
   dialog.append(h("h2", { id: "help-title" }, texts.help.heading), close, h("table", {}, h("tbody", {}, ...rows)));
   return dialog;
 }

@@ -82,7 +82,12 @@ export class SlicesPanel {
     if (!info?.slices) return;
     const n = this.#slider.valueAsNumber;
     const low = info.origin[2] + (n + info.slices.lowest) * info.sliceHeight;
-    const text = texts.slices.value(n, info.slices.highest - info.slices.lowest + 1, metres(low), metres(low + info.sliceHeight));
+    const text = texts.slices.value(
+      n,
+      info.slices.highest - info.slices.lowest + 1,
+      metres(low),
+      metres(low + info.sliceHeight),
+    );
     write(this.#value, text);
     this.#slider.setAttribute("aria-valuetext", text);
   }

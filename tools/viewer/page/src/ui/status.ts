@@ -36,7 +36,12 @@ export class StatusPanel {
       this.#values.set(row, value);
       list.append(h("div", { class: row }, h("dt", {}, texts.panel[row]), value));
     }
-    this.element = h("details", { class: "panel status", "aria-label": texts.panel.label }, h("summary", {}, this.#place), list);
+    this.element = h(
+      "details",
+      { class: "panel status", "aria-label": texts.panel.label },
+      h("summary", {}, this.#place),
+      list,
+    );
     this.element.open = matchMedia("(min-width: 720px) and (min-height: 560px)").matches;
   }
 

@@ -29,12 +29,18 @@ export class Toolbars {
 
   constructor(readonly events: ToolEvents) {
     for (const mode of MODES) {
-      this.#modes.set(mode, tool(icons[mode], texts.modes[mode], KEYS[mode], () => events.mode(mode)));
+      this.#modes.set(
+        mode,
+        tool(icons[mode], texts.modes[mode], KEYS[mode], () => events.mode(mode)),
+      );
     }
     this.modes = h("div", { class: "bar modes", role: "group", "aria-label": texts.modes.label }, ...this.#modes.values());
     this.#fly = tool(icons.fly, texts.tools.fly, "F", events.fly);
     for (const name of ["measure", "slices", "colours", "settings"] as const) {
-      this.#panels.set(name, tool(icons[name], texts.tools[name], null, () => this.show(this.#open === name ? null : name)));
+      this.#panels.set(
+        name,
+        tool(icons[name], texts.tools[name], null, () => this.show(this.#open === name ? null : name)),
+      );
     }
     const others = [
       tool(icons.link, texts.tools.link, null, events.link, true),

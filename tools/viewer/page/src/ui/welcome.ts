@@ -22,7 +22,14 @@ export class Welcome {
       input.value = "";
       if (file) this.#take(() => events.file(file));
     });
-    const address = h("input", { type: "text", inputmode: "url", id: "open-address", placeholder: "https://…/scan.slices", autocomplete: "url", required: true });
+    const address = h("input", {
+      type: "text",
+      inputmode: "url",
+      id: "open-address",
+      placeholder: "https://…/scan.slices",
+      autocomplete: "url",
+      required: true,
+    });
     const form = h("form", {
       class: "address",
       onsubmit: (event) => {
@@ -30,14 +37,23 @@ export class Welcome {
         this.#take(() => events.address(address.value.trim()));
       },
     });
-    form.append(h("label", { for: "open-address" }, texts.open.address), h("div", { class: "row" }, address, h("button", { class: "primary" }, texts.open.go)));
+    form.append(
+      h("label", { for: "open-address" }, texts.open.address),
+      h("div", { class: "row" }, address, h("button", { class: "primary" }, texts.open.go)),
+    );
     this.element = h(
       "dialog",
       { class: "welcome", "aria-labelledby": "welcome-title" },
       h("h1", { id: "welcome-title" }, texts.open.heading),
       h("p", {}, texts.open.lead),
       this.#offered,
-      h("div", { class: "drop" }, h("label", { for: "open-file", class: "primary" }, texts.open.choose), input, h("p", { class: "quiet" }, texts.open.hint)),
+      h(
+        "div",
+        { class: "drop" },
+        h("label", { for: "open-file", class: "primary" }, texts.open.choose),
+        input,
+        h("p", { class: "quiet" }, texts.open.hint),
+      ),
       form,
       h("p", { class: "quiet" }, texts.open.convert),
     );
@@ -48,7 +64,9 @@ export class Welcome {
   /** Archives that lie beside the page. */
   offer(archives: readonly { readonly name: string; readonly url: string }[]): void {
     const choose = (url: string) => (): void => this.#take(() => this.events.address(url));
-    const buttons = archives.map(({ name, url }) => h("button", { type: "button", class: "plain", onclick: choose(url) }, name));
+    const buttons = archives.map(({ name, url }) =>
+      h("button", { type: "button", class: "plain", onclick: choose(url) }, name),
+    );
     this.#offered.replaceChildren(...buttons);
     this.#offered.hidden = archives.length === 0;
   }
