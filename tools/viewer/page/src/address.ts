@@ -30,12 +30,12 @@ export function parseAddress(search: string): Place {
   };
 }
 
-/** Millimetres and hundredths of a degree: as exact as a person can tell, and short. */
+/** Millimetres, heights rounded up so that feet stay above the floor, and hundredths of a degree. */
 export function formatAddress({ archive, at, look, mode }: Place): string {
   const round = (value: number, digits: number): string => String(Number(value.toFixed(digits)));
   const fields: string[] = [];
   if (archive !== null) fields.push(`archive=${encodeURIComponent(archive).replaceAll("%2F", "/").replaceAll("%3A", ":")}`);
-  if (at !== null) fields.push(`at=${at.map((value) => round(value, 3)).join(",")}`);
+  if (at !== null) fields.push(`at=${[round(at[0], 3), round(at[1], 3), round(Math.ceil(at[2] * 1000) / 1000, 3)].join(",")}`);
   if (look !== null) fields.push(`look=${round(look.heading, 2)},${round(look.pitch, 2)}`);
   if (mode !== "walk") fields.push(`view=${mode}`);
   return `?${fields.join("&")}`;

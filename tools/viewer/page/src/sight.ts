@@ -17,7 +17,7 @@ const WAY_M = 0.3;
 const FAR_M = 1e9;
 /** So far is seen until the pawn had its first steps: what it walks on comes before what is far away. */
 const FIRST_M = 4;
-const FIRST_STEPS = 30;
+const FIRST_STEPS = 10;
 /** Triangles at first, and between which numbers they go where the graphics are fast or slow (frames a second). */
 const FIRST_TRIANGLES = 300_000;
 const MOST_TRIANGLES = 1_000_000;

@@ -102,7 +102,7 @@ export const texts = {
     place: "Place",
     open: "open",
     none: "none",
-    error: (metres: string) => `± ${metres}`,
+    error: (metres: string) => `± ${metres} m`,
   },
   panel: {
     label: "State",

@@ -65,8 +65,14 @@ float grain(vec3 cell) {
 }
 
 void main() {
-  if (vLocal.z < cut.x || vLocal.z > cut.y) discard;
-  float z = vLocal.z - 1e-4 * vNormal.z;
+  if (vLocal.z > cut.y) discard;
+  if (gl_FrontFacing && vLocal.z < cut.x) {
+    // Below the slice that is shown: hides what lies in it, and shows nothing.
+    colour = vec4(background, 1.0);
+    return;
+  }
+  // Seen from inside, matter was cut open: it is shown as if it were filled up to the cut.
+  float z = gl_FrontFacing ? vLocal.z - 1e-4 * vNormal.z : cut.y - 1e-4;
   vec3 base;
   if (colouring == 1) {
     base = vKind.z > slope ? mix(obstacleColour, vec3(0.55, 0.16, 0.16), clamp((vKind.z - slope) / (90.5 - slope), 0.0, 1.0))
@@ -84,9 +90,8 @@ void main() {
   float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
   shade *= 1.0 + 0.07 * near * (grain(vCell + 0.01) - 0.5);
   if (!gl_FrontFacing) {
-    // Seen from inside: the face of the cut.
-    base = mix(base, vec3(0.93), 0.35);
-    shade = 0.9;
+    if (colouring != 3) base = mix(base, vec3(0.93), 0.35);
+    shade = 1.0;
   }
   if (colouring == 3 && z >= pawnSlice.x && z < pawnSlice.y) shade *= 1.12;
   else if (colouring == 3 && pawnSlice.y > pawnSlice.x) base = mix(base, vec3(dot(base, vec3(0.33))), 0.45) * 0.8;
