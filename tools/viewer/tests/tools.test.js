@@ -35,22 +35,24 @@ const middle = { x: 400, y: 250 };
 
 /** Colours in the middle of the screen, where nothing lies above the canvas: how many different ones. */
 async function colours() {
-  const picture = await page.locator("canvas.view").screenshot();
   return page.evaluate(
-    async (bytes) => {
-      const image = await createImageBitmap(new Blob([new Uint8Array(bytes)], { type: "image/png" }));
-      const canvas = new OffscreenCanvas(image.width, image.height);
-      const context = canvas.getContext("2d");
-      context.drawImage(image, 0, 0);
-      const seen = new Map();
-      const { data } = context.getImageData(image.width / 4, image.height / 3, image.width / 4, image.height / 3);
-      for (let n = 0; n < data.length; n += 4 * 7) {
-        const key = (data[n] >> 3) * 1024 + (data[n + 1] >> 3) * 32 + (data[n + 2] >> 3);
-        seen.set(key, (seen.get(key) ?? 0) + 1);
-      }
-      return seen.size;
-    },
-    [...picture],
+    () =>
+      new Promise((resolve) => {
+        // The page draws in its own callback of the same frame, before this one.
+        requestAnimationFrame(() => {
+          const view = document.querySelector("canvas.view");
+          const canvas = new OffscreenCanvas(view.width, view.height);
+          const context = canvas.getContext("2d");
+          context.drawImage(view, 0, 0);
+          const [w, h] = [canvas.width, canvas.height];
+          const { data } = context.getImageData(w / 4, h / 3, w / 4, h / 3);
+          const seen = new Set();
+          for (let n = 0; n < data.length; n += 4 * 7) {
+            seen.add((data[n] >> 3) * 1024 + (data[n + 1] >> 3) * 32 + (data[n + 2] >> 3));
+          }
+          resolve(seen.size);
+        });
+      }),
   );
 }
 

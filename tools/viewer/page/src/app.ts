@@ -459,7 +459,8 @@ export class App {
       this.#shell.measure.moved(world);
       this.#cloud?.place(world);
     }
-    view.look(this.#mode === "walk" ? eye : this.#cameras.stand);
+    // What is seen is loaded after what the first step needs.
+    if (pawn.state.steps > 0) view.look(this.#mode === "walk" ? eye : this.#cameras.stand);
     world.settle();
     void this.#sight?.follow(pawn.at, this.#settings);
     this.#sight?.update();

@@ -4,7 +4,7 @@
 // and never less far. So a clear width lies between what is found and `2t` more: the middle is given, ± t.
 
 import type { Archive, Vec3 } from "slicewalk";
-import { direction, distance, type Ray } from "./geometry";
+import { add, direction, distance, type Ray } from "./geometry";
 
 export interface Value {
   readonly metres: number;
@@ -25,6 +25,9 @@ export interface Surroundings {
 }
 
 const PICK_M = 5000;
+/** So far sparse surfaces stop a ray, if it would pass them by more than so many pixels. */
+const NEAR_M = 60;
+const GAP_PIXELS = 4;
 const HEADROOM_M = 60;
 const WIDTH_M = 20;
 /** Widths count between these heights above the floor, from shins to shoulders. */
@@ -41,13 +44,26 @@ export const pixelError = (archive: Archive): number => archive.info.pixelSize +
 
 export const heightError = (archive: Archive): number => archive.info.sliceHeight / 255 + archive.info.tolerance;
 
-/** What a ray meets first. Loads what it needs. */
+/** What a ray meets first, and not through gaps of a pixel or two. Loads what it needs. */
 export async function pick(archive: Archive, { origin, direction }: Ray, signal: AbortSignal): Promise<Spot | null> {
-  const hits = await archive.castHits(new Float64Array([...origin, ...direction, PICK_M]), { load: true, signal });
-  const far = hits.distances[0] ?? NaN;
+  const options = { load: true, signal };
+  const hits = await archive.castHits(new Float64Array([...origin, ...direction, PICK_M]), options);
+  const hit = hits.distances[0] ?? NaN;
+  // A small box follows the ray: where it stops long before, the ray slipped through a sparse surface.
+  const half = archive.info.pixelSize;
+  const reach = Math.min(hit, NEAR_M);
+  const box = [...origin.map((value) => value - half), ...origin.map((value) => value + half)];
+  const sweep = new Float64Array([...box, ...direction.map((way) => way * reach)]);
+  const stop = ((await archive.sweep(sweep, options))[0] ?? NaN) * reach;
+  const slipped = stop > 0 && stop < reach - GAP_PIXELS * half;
+  const far = slipped ? stop + half : hit;
   if (!Number.isFinite(far)) return null;
-  const along = (axis: 0 | 1 | 2): number => origin[axis] + far * direction[axis];
-  return { at: [along(0), along(1), along(2)], normal: [hits.normals[0] ?? 0, hits.normals[1] ?? 0, hits.normals[2] ?? 0] };
+  const at = add(origin, direction, far);
+  if (!slipped) return { at, normal: [hits.normals[0] ?? 0, hits.normals[1] ?? 0, hits.normals[2] ?? 0] };
+  const around = [at[0] - half, at[1] - half, at[2] - 2 * half, at[0] + half, at[1] + half, at[2] + 2 * half];
+  const floor = (await archive.floor(new Float64Array(around), options))[0] ?? NaN;
+  const isFloor = direction[2] < 0 && Math.abs(floor - at[2]) <= 2 * half;
+  return isFloor ? { at: [at[0], at[1], floor], normal: [0, 0, 1] } : { at, normal: [-direction[0], -direction[1], 0] };
 }
 
 /** Distance, distance across and difference of height of two places. */

@@ -33,6 +33,7 @@ export class Minimap {
 
   constructor(readonly archive: Archive) {
     this.element.append(this.#canvas);
+    this.#name(0);
   }
 
   update(at: Vec3, heading: number): void {
@@ -94,6 +95,10 @@ export class Minimap {
     context.lineTo(-10, 11);
     context.fill();
     context.restore();
+    this.#name(heading);
+  }
+
+  #name(heading: number): void {
     const cardinal = texts.minimap.cardinal[Math.round(wrap(heading) / 45) % 8] ?? "";
     this.#canvas.setAttribute("aria-label", texts.minimap.label(cardinal));
   }

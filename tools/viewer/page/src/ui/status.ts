@@ -27,7 +27,7 @@ export function crsName(crs: string): string {
 export class StatusPanel {
   readonly element: HTMLDetailsElement;
   readonly #values = new Map<Row, HTMLElement>();
-  readonly #place = h("span", { class: "place" });
+  readonly #place = h("span", { class: "place" }, texts.panel.label);
 
   constructor() {
     const list = h("dl");
