@@ -8,6 +8,8 @@ mod crowds;
 mod guards;
 #[path = "walk/jams.rs"]
 mod jams;
+#[path = "walk/jumps.rs"]
+mod jumps;
 #[path = "walk/motion.rs"]
 mod motion;
 #[path = "../tools/bench/src/walks/path.rs"]

@@ -8,6 +8,7 @@ use super::metadata::Metadata;
 use crate::Result;
 use crate::codec::{Unpacker, Violation};
 use crate::frame::PageKey;
+use crate::unit::LengthUnit;
 use std::ops::Range;
 
 /// The head of an archive: header and root directory. What it names is fetched by its range and decoded here;
@@ -104,6 +105,11 @@ impl Catalog {
     /// The coordinate reference system as the input stated it, empty if unknown, from the bytes of the metadata block.
     pub fn decode_crs(&self, metadata: &[u8]) -> Result<String> {
         Ok(self.decode_metadata(metadata)?.crs)
+    }
+
+    /// The units in which the inputs came, ascending and each once, from the bytes of the metadata block; none if unknown.
+    pub fn decode_units(&self, metadata: &[u8]) -> Result<Vec<LengthUnit>> {
+        Ok(self.decode_metadata(metadata)?.units)
     }
 
     pub(super) fn decode_metadata(&self, bytes: &[u8]) -> Result<Metadata> {

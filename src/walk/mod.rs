@@ -14,6 +14,7 @@
 
 mod body;
 mod config;
+mod change;
 mod crowd;
 mod follow;
 mod progress;
@@ -182,7 +183,7 @@ struct Motion {
     /// Height of the floor that it stood on last: climbing is measured from there, so that no ledge is climbed in parts
     /// (m).
     floor_z: f64,
-    /// Speed of its fall (m/s, >= 0).
+    /// Speed of its fall (m/s); negative while it rises in a jump.
     falling: f64,
     /// Of the thesis' response: its step as a share of the full one.
     step: f64,
@@ -288,7 +289,7 @@ impl Walker {
         self.motion.ground
     }
 
-    /// Speed of its fall (m/s, >= 0).
+    /// Speed of its fall (m/s); negative while it rises in a jump.
     pub fn falling(&self) -> f64 {
         self.motion.falling
     }

@@ -351,7 +351,7 @@ impl<S: PageSet> Attempt<'_, S> {
         ControlFlow::Continue(())
     }
 
-    /// One tick of free fall, to the first matter.
+    /// One tick of free fall or of a jump, to the first matter.
     fn fall(&mut self) -> Needs<()> {
         let config = self.config;
         let before = self.motion.falling;
@@ -359,6 +359,10 @@ impl<S: PageSet> Attempt<'_, S> {
         let down = (before + after) * 0.5 * config.tick_s;
         match self.sweep(self.motion.feet, Vector3::new(0.0, 0.0, -down))? {
             Some(hit) if hit.begins_inside() => self.stop = Some(Stop::Inside),
+            Some(hit) if down < 0.0 => {
+                self.motion.feet.z -= down * hit.fraction;
+                self.motion.falling = 0.0;
+            }
             Some(hit) => {
                 self.motion.feet.z = hit.heights[1];
                 self.motion.floor_z = self.motion.feet.z;

@@ -121,6 +121,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             table.row("picture", format!("{} (z = {height} m)", path.display()));
         }
     }
+    table.row("walk in it", format!("slicetool serve {} --open", output.display()));
     Ok(table.text)
 }
 

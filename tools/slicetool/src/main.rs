@@ -19,6 +19,7 @@ mod standard;
 mod stats;
 mod verify;
 mod walk;
+mod web;
 
 use clap::{Parser, Subcommand};
 use slicewalk::Parameter;
@@ -38,6 +39,9 @@ pub enum Failure {
     Usage(String),
     /// A result to print that nevertheless means failure, such as a list of findings.
     Result(String),
+    /// A signal asked it to stop: the exit code.
+    #[cfg(feature = "serve")]
+    Interrupted(u8),
 }
 
 impl<E: std::error::Error + 'static> From<E> for Failure {
@@ -155,6 +159,11 @@ enum Command {
     Reach(reach::Arguments),
     /// Find the shortest way of a pawn between two places
     Route(route::Arguments),
+    /// Show archives in the browser: walk in them, on this machine alone, until Ctrl-C (exit code 130)
+    #[cfg(feature = "serve")]
+    Serve(web::serve::Arguments),
+    /// Write a folder with the page and archives for any web host that answers range requests
+    Site(web::site::Arguments),
     /// Generate a scan, convert it, verify, query against brute force, draw slices
     Demo(demo::Arguments),
     /// Print completions for a shell
@@ -228,6 +237,9 @@ fn main() -> ExitCode {
         Command::Walk(arguments) => walk::run(&arguments),
         Command::Reach(arguments) => reach::run(&arguments),
         Command::Route(arguments) => route::run(&arguments),
+        #[cfg(feature = "serve")]
+        Command::Serve(arguments) => web::serve::run(&arguments),
+        Command::Site(arguments) => web::site::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Completions { shell } => manual::completions(shell),
         Command::Man { folder } => manual::write(&folder),
@@ -235,6 +247,8 @@ fn main() -> ExitCode {
     let (text, code) = match outcome {
         Ok(text) => (text, ExitCode::SUCCESS),
         Err(Failure::Result(text)) => (text, ExitCode::FAILURE),
+        #[cfg(feature = "serve")]
+        Err(Failure::Interrupted(code)) => return ExitCode::from(code),
         Err(Failure::Text(text)) => {
             say(&text);
             return ExitCode::FAILURE;

@@ -1,0 +1,110 @@
+//! The built page: a few files, read once and held in memory, so that nothing else of a disk can be asked for.
+
+use crate::Failure;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Where the repository builds it.
+const BUILT: &str = "tools/viewer/dist";
+/// Where an installed program has it: beside itself.
+const BESIDE: &str = "slicewalk-viewer";
+/// What begins it.
+pub const INDEX: &str = "index.html";
+/// No page is larger; a folder that is was named by mistake.
+const MOST_BYTES: u64 = 64 << 20;
+const MOST_FILES: usize = 1000;
+const MOST_DEPTH: usize = 8;
+
+/// Files of the page by their names, folders separated by `/`.
+pub struct Page(BTreeMap<String, Vec<u8>>);
+
+impl Page {
+    /// The page in `named`, else the one beside the program or in the repository.
+    pub fn find(named: Option<&Path>) -> Result<Self, Failure> {
+        let folder = match named {
+            Some(folder) if folder.join(INDEX).is_file() => folder.to_path_buf(),
+            Some(folder) => {
+                let found = if folder.is_dir() { "a folder without it" } else { "no folder" };
+                let text = format!("--page {}: not a built page (expected {INDEX}, found {found})", folder.display());
+                return Err(Failure::Text(format!("{text}; tools/viewer/build.sh builds one in {BUILT}")));
+            }
+            None => usual_folders().into_iter().find(|folder| folder.join(INDEX).is_file()).ok_or_else(|| {
+                Failure::Text(
+                    "the page is not built; run tools/viewer/build.sh in the repository, or name a built page by --page DIR"
+                        .into(),
+                )
+            })?,
+        };
+        let mut page = Self(BTreeMap::new());
+        page.read(&folder, "", MOST_DEPTH, &mut MOST_BYTES.clone())?;
+        Ok(page)
+    }
+
+    /// The file called `name`.
+    pub fn get(&self, name: &str) -> Option<&[u8]> {
+        self.0.get(name).map(Vec::as_slice)
+    }
+
+    pub fn files(&self) -> impl Iterator<Item = (&str, &[u8])> {
+        self.0.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()))
+    }
+
+    /// Reads the regular files of a folder. Links and hidden files are no part of a page.
+    fn read(&mut self, folder: &Path, prefix: &str, depth: usize, room: &mut u64) -> Result<(), Failure> {
+        let failed =
+            |path: &Path, error: std::io::Error| Failure::Text(format!("{}: cannot read: {error}", path.display()));
+        for entry in std::fs::read_dir(folder).map_err(|error| failed(folder, error))? {
+            let entry = entry.map_err(|error| failed(folder, error))?;
+            let path = entry.path();
+            let Ok(name) = entry.file_name().into_string() else { continue };
+            let about = entry.metadata().map_err(|error| failed(&path, error))?;
+            if name.starts_with('.') || about.is_symlink() {
+                continue;
+            }
+            let name = format!("{prefix}{name}");
+            if about.is_dir() && depth > 0 {
+                self.read(&path, &format!("{name}/"), depth - 1, room)?;
+            } else if about.is_file() {
+                let left = room.checked_sub(about.len()).filter(|_| self.0.len() < MOST_FILES);
+                *room = left.ok_or_else(|| {
+                    let most = MOST_BYTES >> 20;
+                    Failure::Text(format!(
+                        "{}: too large for a page ({MOST_FILES} files, {most} MiB)",
+                        folder.display()
+                    ))
+                })?;
+                self.0.insert(name, std::fs::read(&path).map_err(|error| failed(&path, error))?);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Folders that may hold the page: beside the program, and above it or above the working folder in the repository.
+fn usual_folders() -> Vec<PathBuf> {
+    let program = std::env::current_exe().and_then(|path| path.canonicalize()).ok();
+    let beside = program.iter().filter_map(|path| path.parent()).map(|folder| folder.join(BESIDE));
+    let here = std::env::current_dir().ok();
+    let above =
+        [&program, &here].into_iter().flatten().flat_map(|path| path.ancestors()).map(|folder| folder.join(BUILT));
+    beside.chain(above).collect()
+}
+
+/// MIME type by the ending of a name.
+#[cfg(feature = "serve")]
+pub fn mime(name: &str) -> &'static str {
+    match name.rsplit_once('.').map_or("", |(_, ending)| ending) {
+        "html" => "text/html; charset=utf-8",
+        "js" | "mjs" => "text/javascript; charset=utf-8",
+        "css" => "text/css; charset=utf-8",
+        "json" | "webmanifest" => "application/json",
+        "wasm" => "application/wasm",
+        "svg" => "image/svg+xml",
+        "png" => "image/png",
+        "jpg" | "jpeg" => "image/jpeg",
+        "ico" => "image/x-icon",
+        "woff2" => "font/woff2",
+        "txt" | "md" => "text/plain; charset=utf-8",
+        _ => "application/octet-stream",
+    }
+}

@@ -1,0 +1,297 @@
+//! `slicetool serve`: the page and archives, to this machine alone.
+//!
+//! A request is answered from a table made at the start. Archives are opened anew for each request, so one that was replaced
+//! shows another tag, and the page reports it.
+
+use super::page::{INDEX, mime};
+use super::ranges::{Wanted, names_tag, wanted};
+use super::{Show, ShowArguments, TABLE};
+use crate::{Failure, Outcome, say};
+use axum::Router;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::header::{self, HeaderName, HeaderValue};
+use axum::http::{HeaderMap, Method, Response, StatusCode, Uri};
+use std::io::{SeekFrom, Write};
+use std::net::Ipv4Addr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::io::{AsyncReadExt, AsyncSeekExt};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio_util::io::ReaderStream;
+
+/// How long answers that are under way may take after the server was asked to stop.
+const GRACE: Duration = Duration::from_secs(1);
+/// Bytes of a file in memory for each answer.
+const CHUNK: usize = 1 << 17;
+/// The page runs its own scripts and wasm, and reads archives from here and from hosts named in its address.
+const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self' blob:; \
+                      style-src 'self'; img-src 'self' blob: data:; \
+                      connect-src 'self' blob: https: http://127.0.0.1:* http://localhost:*; manifest-src 'self'; \
+                      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// What to serve, and where.
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    show: ShowArguments,
+    /// Port on 127.0.0.1; 0 takes a free one
+    #[arg(long, default_value_t = 0)]
+    port: u16,
+    /// Open the page in the browser
+    #[arg(long)]
+    open: bool,
+}
+
+/// What a name in an address stands for.
+enum Entry {
+    Memory { bytes: Vec<u8>, tag: String },
+    File(PathBuf),
+}
+
+struct Table {
+    entries: std::collections::BTreeMap<String, Entry>,
+}
+
+impl Table {
+    fn new(show: Show) -> Self {
+        let table = show.table();
+        let memory =
+            |bytes: &[u8]| Entry::Memory { bytes: bytes.to_vec(), tag: format!("\"{:08x}\"", crc32c::crc32c(bytes)) };
+        let mut entries: std::collections::BTreeMap<_, _> =
+            show.page.files().map(|(name, bytes)| (name.to_owned(), memory(bytes))).collect();
+        entries.insert(TABLE.into(), memory(table.as_bytes()));
+        entries.extend(show.files.into_iter().map(|file| (file.name, Entry::File(file.path))));
+        Self { entries }
+    }
+}
+
+/// Serves until it is interrupted.
+pub fn run(arguments: &Arguments) -> Outcome {
+    let table = Arc::new(Table::new(Show::new(&arguments.show)?));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let signal = runtime.block_on(serve(arguments, table))?;
+    runtime.shutdown_timeout(GRACE);
+    Err(Failure::Interrupted(signal))
+}
+
+async fn serve(arguments: &Arguments, table: Arc<Table>) -> Result<u8, Failure> {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, arguments.port)).await.map_err(|error| {
+        Failure::Text(format!(
+            "--port {}: cannot listen: {error}; choose another port, or 0 for a free one",
+            arguments.port
+        ))
+    })?;
+    let mut signals = Signals::listen()?;
+    let address = format!("http://{}/", listener.local_addr()?);
+    let mut out = std::io::stdout();
+    // Whoever does not read the address may know it: `--port`.
+    let _ = writeln!(out, "{address}").and_then(|()| out.flush());
+    if arguments.open
+        && let Err(error) = open::that_detached(&address)
+    {
+        say(&format!("cannot open a browser: {error}; open {address} yourself"));
+    }
+    let (stop, stopped) = oneshot::channel::<()>();
+    let router = Router::new().fallback(answer).with_state(table);
+    let server = axum::serve(listener, router).with_graceful_shutdown(async {
+        let _ = stopped.await;
+    });
+    let serving = tokio::spawn(server.into_future());
+    let signal = signals.next().await;
+    let _ = stop.send(());
+    let _ = tokio::time::timeout(GRACE, serving).await;
+    Ok(signal)
+}
+
+async fn answer(State(table): State<Arc<Table>>, method: Method, uri: Uri, headers: HeaderMap) -> Response<Body> {
+    let mut response = match respond(&table, &method, &uri, &headers).await {
+        Ok(response) => response,
+        Err(status) => plain(status),
+    };
+    if method == Method::HEAD {
+        *response.body_mut() = Body::empty();
+    }
+    let always: [(HeaderName, &'static str); 5] = [
+        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+        // Asked again each time: an archive may have been converted anew.
+        (header::CACHE_CONTROL, "no-cache"),
+    ];
+    response.headers_mut().extend(always.map(|(name, value)| (name, HeaderValue::from_static(value))));
+    response
+}
+
+async fn respond(table: &Table, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Response<Body>, StatusCode> {
+    if !is_own_host(headers) {
+        return Err(StatusCode::FORBIDDEN);
+    }
+    if method != Method::GET && method != Method::HEAD {
+        let mut response = plain(StatusCode::METHOD_NOT_ALLOWED);
+        response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"));
+        return Ok(response);
+    }
+    let path = percent_encoding::percent_decode_str(uri.path().trim_start_matches('/')).decode_utf8();
+    let name = path.map_err(|_| StatusCode::NOT_FOUND)?;
+    let name = if name.is_empty() { INDEX } else { &name };
+    match table.entries.get(name).ok_or(StatusCode::NOT_FOUND)? {
+        Entry::Memory { bytes, tag } => {
+            let about = About { len: bytes.len() as u64, tag: tag.clone(), modified: None };
+            let (head, part) = about.head(headers, name)?;
+            let body =
+                part.map_or(Body::empty(), |part| Body::from(bytes[part.start as usize..part.end as usize].to_vec()));
+            head.body(body).map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
+        }
+        Entry::File(path) => {
+            let (mut file, about) = About::open(path).await.map_err(|error| missing(path, &error))?;
+            let (head, part) = about.head(headers, name)?;
+            let body = match part {
+                None => Body::empty(),
+                Some(part) => {
+                    file.seek(SeekFrom::Start(part.start)).await.map_err(|error| missing(path, &error))?;
+                    Body::from_stream(ReaderStream::with_capacity(file.take(part.end - part.start), CHUNK))
+                }
+            };
+            head.body(body).map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)
+        }
+    }
+}
+
+/// Notes that a named file cannot be read any more.
+fn missing(path: &Path, error: &std::io::Error) -> StatusCode {
+    say(&format!("{}: cannot read: {error}", path.display()));
+    match error.kind() {
+        std::io::ErrorKind::NotFound => StatusCode::NOT_FOUND,
+        _ => StatusCode::INTERNAL_SERVER_ERROR,
+    }
+}
+
+/// Whether a request names this machine: a foreign site whose name was turned to 127.0.0.1 does not.
+fn is_own_host(headers: &HeaderMap) -> bool {
+    let Some(host) = headers.get(header::HOST) else { return true };
+    let host = host.to_str().unwrap_or("");
+    let name = host
+        .rsplit_once(':')
+        .filter(|(_, port)| port.bytes().all(|b| b.is_ascii_digit()))
+        .map_or(host, |(name, _)| name);
+    name == "127.0.0.1" || name.eq_ignore_ascii_case("localhost")
+}
+
+fn plain(status: StatusCode) -> Response<Body> {
+    let mut response = Response::new(Body::from(format!("{status}\n")));
+    *response.status_mut() = status;
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(mime("status.txt")));
+    response
+}
+
+/// What an answer says of a file besides its bytes.
+struct About {
+    len: u64,
+    tag: String,
+    modified: Option<SystemTime>,
+}
+
+impl About {
+    /// Opens the file at `path`. Its tag is made from length, time of the last change and a checksum of its head, which is
+    /// written last and differs in each archive.
+    async fn open(path: &Path) -> std::io::Result<(tokio::fs::File, Self)> {
+        const HEAD_BYTES: u64 = 16_384;
+        let mut file = tokio::fs::File::open(path).await?;
+        let about = file.metadata().await?;
+        let mut head = Vec::new();
+        (&mut file).take(HEAD_BYTES).read_to_end(&mut head).await?;
+        let modified = about.modified().ok();
+        let nanoseconds =
+            modified.and_then(|time| time.duration_since(UNIX_EPOCH).ok()).map_or(0, |age| age.as_nanos());
+        let tag = format!("\"{:x}-{nanoseconds:x}-{:08x}\"", about.len(), crc32c::crc32c(&head));
+        Ok((file, Self { len: about.len(), tag, modified }))
+    }
+
+    /// Status and headers of the answer to a request with these headers, and the bytes that belong to it.
+    fn head(
+        &self,
+        request: &HeaderMap,
+        name: &str,
+    ) -> Result<(axum::http::response::Builder, Option<std::ops::Range<u64>>), StatusCode> {
+        let text = |name: HeaderName| request.get(name).and_then(|value| value.to_str().ok());
+        let date = self.modified.map(httpdate::fmt_http_date);
+        let mut head = Response::builder()
+            .header(header::ETAG, &self.tag)
+            .header(header::ACCEPT_RANGES, "bytes")
+            .header(header::CONTENT_TYPE, mime(name));
+        if let Some(date) = &date {
+            head = head.header(header::LAST_MODIFIED, date);
+        }
+        if text(header::IF_MATCH).is_some_and(|tags| !names_tag(tags, &self.tag)) {
+            return Err(StatusCode::PRECONDITION_FAILED);
+        }
+        let unchanged = match text(header::IF_NONE_MATCH) {
+            Some(tags) => names_tag(tags, &self.tag),
+            None => date.is_some() && text(header::IF_MODIFIED_SINCE) == date.as_deref(),
+        };
+        if unchanged {
+            return Ok((head.status(StatusCode::NOT_MODIFIED), None));
+        }
+        // A part of another version is of no use: then the whole new file is the answer.
+        let same = text(header::IF_RANGE).is_none_or(|known| known == self.tag || Some(known) == date.as_deref());
+        let (status, part) = match wanted(text(header::RANGE).filter(|_| same), self.len) {
+            Wanted::Whole => (StatusCode::OK, 0..self.len),
+            Wanted::Part(part) => {
+                let range = format!("bytes {}-{}/{}", part.start, part.end - 1, self.len);
+                head = head.header(header::CONTENT_RANGE, range);
+                (StatusCode::PARTIAL_CONTENT, part)
+            }
+            Wanted::Outside => {
+                let range = format!("bytes */{}", self.len);
+                let head = head.header(header::CONTENT_RANGE, range).header(header::CONTENT_LENGTH, 0);
+                return Ok((head.status(StatusCode::RANGE_NOT_SATISFIABLE), None));
+            }
+        };
+        Ok((head.status(status).header(header::CONTENT_LENGTH, part.end - part.start), Some(part)))
+    }
+}
+
+/// The signals that ask to stop.
+#[cfg(unix)]
+struct Signals([(u8, tokio::signal::unix::Signal); 3]);
+
+#[cfg(unix)]
+impl Signals {
+    fn listen() -> std::io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        Ok(Self([
+            (130, signal(SignalKind::interrupt())?),
+            (143, signal(SignalKind::terminate())?),
+            (129, signal(SignalKind::hangup())?),
+        ]))
+    }
+
+    /// The exit code of the next one.
+    async fn next(&mut self) -> u8 {
+        std::future::poll_fn(|context| {
+            let come =
+                self.0.iter_mut().find_map(|(code, signal)| signal.poll_recv(context).is_ready().then_some(*code));
+            come.map_or(std::task::Poll::Pending, std::task::Poll::Ready)
+        })
+        .await
+    }
+}
+
+#[cfg(not(unix))]
+struct Signals;
+
+#[cfg(not(unix))]
+impl Signals {
+    fn listen() -> std::io::Result<Self> {
+        Ok(Self)
+    }
+
+    async fn next(&mut self) -> u8 {
+        let _ = tokio::signal::ctrl_c().await;
+        130
+    }
+}

@@ -1,0 +1,72 @@
+//! `slicetool site`: the page and archives as a folder for any web host that answers ranges.
+//!
+//! Each file is published whole. `index.html` comes last: until then a folder that was a site before shows what it showed.
+
+use super::page::INDEX;
+use super::{Show, ShowArguments, Shown, TABLE};
+use crate::{Failure, Outcome};
+use slicewalk::output::{Existing, Kind, Output, Protected};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// What to show, and where to put it.
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    show: ShowArguments,
+    /// Folder to write; it may hold an older site
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Replace archives of the same names in that folder
+    #[arg(long)]
+    force: bool,
+}
+
+/// Writes the site and says where it is.
+pub fn run(arguments: &Arguments) -> Outcome {
+    let (show, folder) = (Show::new(&arguments.show)?, &arguments.output);
+    let mut protected: Protected = show.files.iter().map(|file| &file.path).collect();
+    show.files
+        .iter()
+        .filter_map(|file| file.archive.as_ref())
+        .for_each(|archive| protected.add_source(archive.source()));
+    create(folder)?;
+    for file in &show.files {
+        copy(file, &folder.join(&file.name), arguments.force, &protected)?;
+    }
+    let write = |name: &str, bytes: &[u8]| -> Result<(), Failure> {
+        let path = folder.join(name);
+        path.parent().map_or(Ok(()), create)?;
+        let mut output = Output::create(&path, Kind::Result, protected.clone())?;
+        output.write_at(0, bytes)?;
+        output.publish()?;
+        Ok(())
+    };
+    write(TABLE, show.table().as_bytes())?;
+    for (name, bytes) in show.page.files().filter(|(name, _)| *name != INDEX && *name != TABLE) {
+        write(name, bytes)?;
+    }
+    write(INDEX, show.page.get(INDEX).unwrap_or_default())?;
+    Ok(format!("{}: put this folder on any web host that answers range requests\n", folder.display()))
+}
+
+fn create(folder: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder)
+        .map_err(|error| Failure::Text(format!("{}: cannot create: {error}", folder.display())))
+}
+
+/// Copies an archive or a cloud. An archive that is there already stays if it is the same.
+fn copy(file: &Shown, to: &Path, force: bool, protected: &Protected) -> Result<(), Failure> {
+    let existing = if force { Existing::Replace } else { Existing::KeepSame };
+    let kind = if file.archive.is_some() { Kind::Archive(existing) } else { Kind::Result };
+    let mut output = Output::create(to, kind, protected.clone())?;
+    let mut writer = std::io::BufWriter::with_capacity(1 << 20, &mut output);
+    let failed = |error: std::io::Error| {
+        Failure::Text(format!("{}: cannot copy to {}: {error}", file.path.display(), to.display()))
+    };
+    std::io::copy(&mut std::fs::File::open(&file.path).map_err(failed)?, &mut writer).map_err(failed)?;
+    writer.flush().map_err(failed)?;
+    drop(writer);
+    output.publish()?;
+    Ok(())
+}

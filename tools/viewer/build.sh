@@ -1,0 +1,48 @@
+#!/usr/bin/env bash
+# Builds the viewer: the engine as wasm, its package (tools/viewer/package/dist) and the page (tools/viewer/dist). `--engine` leaves
+# the page out.
+#
+# Needs Node.js 20.19 or newer with npm, clang, and a wasm toolchain (toolchain.sh gets one). SLICEWALK_WASM_TOOLCHAIN names a folder
+# to keep that in; by default it lies in the target folder.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+target=${CARGO_TARGET_DIR:-$PWD/target}
+viewer=$PWD/tools/viewer
+
+if ! command -v npm >/dev/null && ! { apt-get update -qq && apt-get install --yes --quiet nodejs npm; } >&2; then
+    echo "build.sh: npm is not installed; install Node.js 20.19 or newer" >&2
+    exit 1
+fi
+variables=$("$viewer/toolchain.sh" "${SLICEWALK_WASM_TOOLCHAIN:-$target/wasm-toolchain}")
+(
+    eval "$variables"
+    # A folder of its own: another compiler would make cargo build everything else again.
+    # shellcheck disable=SC2086
+    cargo build --quiet -p slicewalk-engine --lib --profile wasm --target wasm32-unknown-unknown --target-dir "$target/wasm" $WASM_FLAGS
+)
+(
+    cd "$viewer/bindgen"
+    CARGO_PROFILE_DEV_DEBUG=0 cargo build --quiet --target-dir "$target/viewer-bindgen"
+)
+rm -rf "$viewer/package/src/wasm"
+"$target/viewer-bindgen/debug/viewer-bindgen" \
+    "$target/wasm/wasm32-unknown-unknown/wasm/slicewalk_engine.wasm" "$viewer/package/src/wasm"
+size=$(gzip -9 -c "$viewer/package/src/wasm/engine_bg.wasm" | wc -c)
+echo "engine: $size bytes compressed"
+if [ "$size" -gt 200000 ]; then
+    echo "build.sh: the engine is too large: $size bytes compressed (expected at most 200000)" >&2
+    exit 1
+fi
+
+# npm_package FOLDER: installs what its lock file names, and builds it.
+npm_package() {
+    (
+        cd "$viewer/$1"
+        npm ci --no-audit --no-fund --loglevel=error
+        npm run --silent build
+    )
+}
+npm_package package
+if [ "${1:-}" != --engine ]; then
+    npm_package page
+fi

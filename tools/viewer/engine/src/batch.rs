@@ -1,0 +1,99 @@
+//! Batches of questions on arrays of numbers, in the shapes that the package documents.
+
+use crate::fault::invalid;
+use slicewalk::frame::PageKey;
+use slicewalk::nalgebra::{Point3, Vector3};
+use slicewalk::query::{self, Aabb, Answer, Overlap, Ray};
+use slicewalk::store::{Missing, PageSet};
+
+/// Most keys of missing pages that a batch gathers.
+const MISSING: usize = 1024;
+
+/// The pages that answers of a batch needed.
+#[derive(Debug, Default)]
+pub(crate) struct Lacks(pub Vec<PageKey>);
+
+impl Lacks {
+    fn note(&mut self, missing: &Missing) {
+        for key in missing.keys() {
+            // Neighbouring questions mostly need the same pages.
+            if self.0.len() < MISSING && !self.0.iter().rev().any(|other| other == key) {
+                self.0.push(*key);
+            }
+        }
+    }
+
+    fn known<T>(&mut self, answer: Answer<T>) -> Option<T> {
+        match answer {
+            Answer::Known(value) => Some(value),
+            Answer::NotLoaded(missing) => {
+                self.note(&missing);
+                None
+            }
+        }
+    }
+}
+
+fn rows<const N: usize>(numbers: &[f64]) -> Result<&[[f64; N]], String> {
+    match numbers.as_chunks::<N>() {
+        (rows, []) => Ok(rows),
+        _ => Err(invalid(format_args!("{} numbers are not rows of {N}", numbers.len()))),
+    }
+}
+
+fn each<const N: usize, T>(
+    numbers: &[f64],
+    mut answer: impl FnMut(&[f64; N]) -> slicewalk::Result<T>,
+) -> Result<Vec<T>, String> {
+    let rows = rows::<N>(numbers)?.iter().enumerate();
+    rows.map(|(n, row)| answer(row).map_err(|error| invalid(format_args!("row {n}: {error}")))).collect()
+}
+
+fn aabb(row: &[f64]) -> slicewalk::Result<Aabb> {
+    Aabb::new(Point3::from_slice(&row[..3]), Point3::from_slice(&row[3..6]))
+}
+
+/// N×6 (min, max) → 0 clear, 1 hit, 2 not loaded.
+pub(crate) fn overlaps<S: PageSet>(set: &S, boxes: &[f64], lacks: &mut Lacks) -> Result<Vec<u8>, String> {
+    each::<6, _>(boxes, |row| {
+        Ok(match query::overlaps(set, &aabb(row)?) {
+            Overlap::Clear => 0,
+            Overlap::Hit => 1,
+            Overlap::NotLoaded(missing) => {
+                lacks.note(&missing);
+                2
+            }
+        })
+    })
+}
+
+/// N×9 (min, max, motion) → free share of the motion; NaN: not loaded.
+pub(crate) fn sweep<S: PageSet>(set: &S, sweeps: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+    each::<9, _>(sweeps, |row| {
+        let answer = query::sweep(set, &aabb(row)?, Vector3::from_column_slice(&row[6..]));
+        Ok(lacks.known(answer).map_or(f64::NAN, |hit| hit.map_or(1.0, |hit| hit.fraction)))
+    })
+}
+
+/// N×7 (origin, direction, max) → five numbers a ray: distance (∞: nothing hit, NaN: not loaded), normal, obstacle.
+pub(crate) fn cast<S: PageSet>(set: &S, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+    let answers = each::<7, _>(rays, |row| {
+        let ray = Ray::new(Point3::from_slice(&row[..3]), Vector3::from_column_slice(&row[3..6]), row[6])?;
+        Ok(match lacks.known(query::cast(set, &ray)) {
+            None => [f64::NAN, 0.0, 0.0, 0.0, 0.0],
+            Some(None) => [f64::INFINITY, 0.0, 0.0, 0.0, 0.0],
+            Some(Some(hit)) => {
+                [hit.distance, hit.normal.x, hit.normal.y, hit.normal.z, f64::from(u8::from(hit.obstacle))]
+            }
+        })
+    })?;
+    Ok(answers.into_flattened())
+}
+
+/// N×6 (min, max) → the highest floor at or below the top; −∞: none, NaN: not loaded.
+pub(crate) fn floor<S: PageSet>(set: &S, boxes: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+    each::<6, _>(boxes, |row| {
+        let floor = query::floor_under(set, &aabb(row)?, row[5], f64::INFINITY);
+        Ok(lacks.known(floor).map_or(f64::NAN, |floor| floor.unwrap_or(f64::NEG_INFINITY)))
+    })
+}

@@ -1,0 +1,182 @@
+//! `record FOLDER [QUESTIONS]`: writes a scene, seeded questions and inputs, and beside them what the engine answers natively.
+//! `test/same.test.js` of the package asks the engine as wasm.
+//!
+//! Random numbers come from integers and exact operations, so that a bit that differs is a difference of the engine.
+
+mod random;
+mod scene;
+
+use random::Random;
+use slicewalk_engine::Engine;
+use std::path::Path;
+
+/// Frames of the long walk: ten minutes.
+const FRAMES: usize = 36_000;
+/// Frames of the walk over a slow link.
+const STREAMED: usize = 1800;
+const LOW: [f64; 3] = [-4.5, -4.5, -0.5];
+const HIGH: [f64; 3] = [4.5, 4.5, 6.5];
+/// A box and a cylinder.
+const SETTINGS: [[f64; 10]; 2] =
+    [[0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.6, 1.1, f64::NAN], [1.0, 0.25, 0.0, 1.7, 0.3, 1.8, 9.81, 0.4, 0.9, 1.0]];
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let folder = Path::new(arguments.first().ok_or("usage: record FOLDER [QUESTIONS]")?);
+    let questions: usize = arguments.get(1).map_or(Ok(100_000), |count| count.parse())?;
+    let write = |name: &str, numbers: &[f64]| {
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_bits().to_le_bytes()).collect();
+        std::fs::write(folder.join(name), bytes)
+    };
+    let bytes = scene::hall()?;
+    std::fs::write(folder.join("scene.slices"), &bytes)?;
+    write("settings.f64", SETTINGS.as_flattened())?;
+
+    let mut engine = open(&bytes)?;
+    let mut random = Random(17);
+    let boxes = rows(questions, || shape(&mut random).to_vec());
+    write("boxes.f64", &boxes)?;
+    std::fs::write(folder.join("boxes.answers.u8"), engine.overlaps(&boxes)?)?;
+    write("boxes.floors.f64", &engine.floor(&boxes)?)?;
+    let sweeps = rows(questions, || [&shape(&mut random)[..], &place(&mut random, [-1.0; 3], [1.0; 3])].concat());
+    write("sweeps.f64", &sweeps)?;
+    write("sweeps.answers.f64", &engine.sweep(&sweeps)?)?;
+    let rays = rows(questions, || {
+        [&place(&mut random, LOW, HIGH)[..], &place(&mut random, [-1.0; 3], [1.0; 3]), &[20.0]].concat()
+    });
+    write("rays.f64", &rays)?;
+    write("rays.answers.f64", &engine.cast(&rays)?)?;
+
+    let inputs = inputs(FRAMES);
+    write("inputs.f64", inputs.as_flattened())?;
+    let mut states = Vec::new();
+    for settings in &SETTINGS {
+        let pawn = engine.pawn(settings, &[-2.0, 2.0, 0.2])?;
+        for input in &inputs {
+            states.extend(play(&mut engine, pawn, input)?);
+        }
+    }
+    write("inputs.states.f64", &states)?;
+    write("streamed.f64", &streamed(&bytes, &inputs[..STREAMED])?)?;
+    Ok(())
+}
+
+fn rows(count: usize, mut row: impl FnMut() -> Vec<f64>) -> Vec<f64> {
+    (0..count).flat_map(|_| row()).collect()
+}
+
+fn place(random: &mut Random, low: [f64; 3], high: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| random.in_range(low[axis], high[axis]))
+}
+
+fn shape(random: &mut Random) -> [f64; 6] {
+    let (low, size) = (place(random, LOW, HIGH), place(random, [0.0; 3], [0.8, 0.8, 2.0]));
+    [low[0], low[1], low[2], low[0] + size[0], low[1] + size[1], low[2] + size[2]]
+}
+
+/// What a player does in each frame, who turns, runs, jumps, crouches, now and then flies, and is put elsewhere: seconds, wish x
+/// and y, pace, lift, flags; or x, y and z of a place, and -1 as the flags.
+fn inputs(count: usize) -> Vec<[f64; 6]> {
+    let mut random = Random(5);
+    let mut input = [0.0; 6];
+    let frames = (0..count).map(|frame| {
+        if frame % 600 == 0 {
+            let storey = 3.0 * random.below(2) as f64;
+            let (x, y) = (random.in_range(-4.0, 4.0), random.in_range(-4.0, 4.0));
+            return [0.0, x, y, storey + 0.6, 0.0, -1.0];
+        }
+        if frame % 90 == 1 {
+            let flags = [0, 0, 0, 1, 1, 2, 3, 4][random.below(8) as usize];
+            let (x, y) = (random.in_range(-1.0, 1.0), random.in_range(-1.0, 1.0));
+            let (pace, lift) = (random.in_range(0.5, 2.5), random.in_range(-0.6, 0.5));
+            input = [0.0, x, y, pace, lift, f64::from(flags)];
+        }
+        // Frames of all lengths, but mostly of one sixtieth.
+        let seconds = match random.below(16) {
+            0 => random.in_range(0.0, 0.3),
+            _ => 1.0 / 60.0,
+        };
+        // To a place, now and then.
+        match frame % 450 {
+            400.. => [seconds, 0.0, -0.4, 1.5, 0.0, 8.0],
+            _ => [seconds, input[1], input[2], input[3], input[4], input[5]],
+        }
+    });
+    frames.collect()
+}
+
+/// The state of a pawn after one of [`inputs`].
+fn play(engine: &mut Engine, pawn: u32, input: &[f64; 6]) -> Result<Vec<f64>, String> {
+    match input {
+        [_, place @ .., -1.0] => engine.place(pawn, &place[..3]),
+        [seconds, input @ ..] => engine.step(pawn, *seconds, input),
+    }
+}
+
+/// An engine that holds all of the archive.
+fn open(bytes: &[u8]) -> Result<Engine, String> {
+    let mut engine = Engine::new(bytes.len() as f64, 1e9, 4);
+    serve(&mut engine, bytes, 0.0)?;
+    let all = engine.load(&[-100.0, -100.0, -100.0, 100.0, 100.0, 100.0])?;
+    serve(&mut engine, bytes, 0.0)?;
+    match engine.outcome(all)? {
+        0.0 => Ok(engine),
+        other => Err(format!("{other} pages were left out")),
+    }
+}
+
+/// Gives all that is asked for at once.
+fn serve(engine: &mut Engine, bytes: &[u8], now: f64) -> Result<(), String> {
+    loop {
+        let todo = engine.poll(now)?;
+        let fetches: Vec<_> = todo.chunks(4).filter(|chunk| chunk[0] == 1.0 && chunk.len() == 4).collect();
+        for fetch in &fetches {
+            engine.given(fetch[1] as u32, bytes[fetch[2] as usize..fetch[3] as usize].to_vec(), now);
+        }
+        while engine.decode(now) {}
+        if fetches.is_empty() {
+            return Ok(());
+        }
+    }
+}
+
+/// A walk over a link of 40 ms and 20 Mbit/s in virtual time: the ranges asked for, and the states, in their order.
+fn streamed(bytes: &[u8], inputs: &[[f64; 6]]) -> Result<Vec<f64>, String> {
+    let mut engine = Engine::new(bytes.len() as f64, (64 << 20) as f64, 4);
+    let (mut words, mut link, mut pawn) = (Vec::<f64>::new(), Vec::new(), None);
+    let (mut free_at, mut now) = (0.0f64, 0.0);
+    for input in inputs {
+        let arrived: Vec<_> = link.extract_if(.., |answer| answer.0 <= now).collect();
+        for (_, name, start, end) in arrived {
+            engine.given(name, bytes[start as usize..end as usize].to_vec(), now);
+            while engine.decode(now) {}
+        }
+        if engine.is_open() {
+            let pawn = match pawn {
+                Some(pawn) => pawn,
+                None => *pawn.insert(engine.pawn(&SETTINGS[0], &[-2.0, 2.0, 0.2])?),
+            };
+            words.extend(play(&mut engine, pawn, input)?);
+        }
+        let todo = engine.poll(now)?;
+        let mut at = 0;
+        while at < todo.len() {
+            match todo[at] {
+                1.0 => {
+                    let (start, end) = (todo[at + 2], todo[at + 3]);
+                    words.extend([start, end]);
+                    free_at = free_at.max(now + 40.0) + (end - start) / 2500.0;
+                    link.push((free_at, todo[at + 1] as u32, start, end));
+                    at += 4;
+                }
+                2.0 => {
+                    link.retain(|answer| f64::from(answer.1) != todo[at + 1]);
+                    at += 2;
+                }
+                _ => at += 2,
+            }
+        }
+        now += 1000.0 / 60.0;
+    }
+    Ok(words)
+}

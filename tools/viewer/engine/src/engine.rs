@@ -1,0 +1,467 @@
+//! What the worker talks to: one archive, its loader, pawns and scenes, by numbers.
+
+use crate::batch::{self, Lacks};
+use crate::facts;
+use crate::fault::{self, invalid};
+use crate::geometry::Geometry;
+use crate::map::{columns, map};
+use crate::pawn::{Input, Pawn, Settings};
+use crate::scene::{HORIZON_S, Scene};
+use slicewalk::archive::Catalog;
+use slicewalk::frame::{PAGE_SLICES, PageKey};
+use slicewalk::nalgebra::Point3;
+use slicewalk::store::{
+    BodyId, Decode, FetchId, Loader, LoaderOptions, Motion, Next, PageSet, PageSlot, RequestId, Time, View,
+};
+use std::collections::VecDeque;
+use std::time::Duration;
+use wasm_bindgen::prelude::wasm_bindgen;
+
+/// Most bytes of one request for pages: little enough that decoding them never holds up a step for long.
+const RUN_BYTES: usize = 128 << 10;
+
+/// What [`Engine::poll`] says, each followed by its numbers.
+const FETCH: f64 = 1.0;
+const CANCEL: f64 = 2.0;
+const WAIT: f64 = 3.0;
+
+/// One open archive.
+#[wasm_bindgen]
+pub struct Engine {
+    loader: Loader,
+    fetches: Named<FetchId>,
+    decodes: VecDeque<Decode>,
+    reports: VecDeque<String>,
+    requests: Named<RequestId>,
+    lacks: Lacks,
+    pawns: Named<Moving<Pawn>>,
+    scenes: Named<Moving<Scene>>,
+    names: u32,
+    loaded: u64,
+    drawn: Option<(u32, PageKey, u32, Geometry)>,
+}
+
+/// A few things by the names that JavaScript has for them, in the order in which they were made.
+struct Named<T>(Vec<(u32, T)>);
+
+impl<T> Named<T> {
+    const NONE: Self = Self(Vec::new());
+
+    fn insert(&mut self, name: u32, thing: T) {
+        self.0.push((name, thing));
+    }
+
+    fn get_mut(&mut self, name: u32) -> Option<&mut T> {
+        self.0.iter_mut().find(|(other, _)| *other == name).map(|(_, thing)| thing)
+    }
+
+    fn remove(&mut self, name: u32) -> Option<T> {
+        let at = self.0.iter().position(|(other, _)| *other == name)?;
+        Some(self.0.remove(at).1)
+    }
+
+    fn things(&self) -> impl Iterator<Item = &T> {
+        self.0.iter().map(|(_, thing)| thing)
+    }
+}
+
+/// Something that wants pages.
+struct Moving<T> {
+    thing: T,
+    body: BodyId,
+    hinted: Option<Motion>,
+}
+
+#[wasm_bindgen]
+impl Engine {
+    /// Begins with an archive of `file_len` bytes (NaN: not known), under a budget of bytes and of requests at once.
+    #[wasm_bindgen(constructor)]
+    pub fn new(file_len: f64, budget: f64, requests: u32) -> Engine {
+        let horizon = Duration::from_secs_f64(HORIZON_S);
+        let options = LoaderOptions {
+            horizon_min: horizon,
+            horizon_max: horizon,
+            run_bytes: RUN_BYTES,
+            fetches: requests.clamp(1, 64) as usize,
+            ..LoaderOptions::new(budget.clamp(0.0, 4e9) as usize)
+        };
+        let file_len = (file_len >= 0.0).then_some(file_len as u64);
+        Engine {
+            loader: Loader::open(file_len, options),
+            fetches: Named::NONE,
+            decodes: VecDeque::new(),
+            reports: VecDeque::new(),
+            requests: Named::NONE,
+            lacks: Lacks::default(),
+            pawns: Named::NONE,
+            scenes: Named::NONE,
+            names: 0,
+            loaded: 0,
+            drawn: None,
+        }
+    }
+
+    // Streaming ----------------------------------------------------------------------------------------------------------------
+
+    /// What to do now, as numbers: 1, name, start, end (fetch these bytes); 2, name (give this fetch up); 3, milliseconds (come
+    /// again then; ∞: after news). Fails while the archive cannot be opened.
+    pub fn poll(&mut self, now_ms: f64) -> Result<Vec<f64>, String> {
+        let now = time(now_ms);
+        let mut todo = Vec::new();
+        loop {
+            match self.loader.poll(now).map_err(|error| fault::text(&error))? {
+                Next::Fetch(fetch) => {
+                    let name = self.name();
+                    self.fetches.insert(name, fetch.id);
+                    todo.extend([FETCH, f64::from(name), fetch.range.start as f64, fetch.range.end as f64]);
+                }
+                Next::Cancel(id) => {
+                    let name = self.fetches.0.iter().find(|(_, other)| *other == id).map(|(name, _)| *name);
+                    if let Some(name) = name {
+                        self.fetches.remove(name);
+                        todo.extend([CANCEL, f64::from(name)]);
+                    }
+                }
+                Next::Report(page) => {
+                    let text = fault::text(&page.error);
+                    self.reports.push_back(text);
+                }
+                Next::Wait(until) => {
+                    todo.extend([WAIT, until.map_or(f64::INFINITY, |until| until.as_secs_f64() * 1000.0)]);
+                    return Ok(todo);
+                }
+            }
+        }
+    }
+
+    /// Why a page could not be loaded, one at a time; empty without news.
+    pub fn take_report(&mut self) -> String {
+        self.reports.pop_front().unwrap_or_default()
+    }
+
+    /// The bytes of a fetch came; [`decode`](Self::decode) takes them in.
+    pub fn given(&mut self, fetch: u32, bytes: Vec<u8>, now_ms: f64) {
+        if let Some(id) = self.fetches.remove(fetch) {
+            self.decodes.extend(self.loader.given(id, bytes, time(now_ms)));
+        }
+    }
+
+    /// A fetch failed; it is asked for again later.
+    pub fn failed(&mut self, fetch: u32, message: &str, now_ms: f64) {
+        if let Some(id) = self.fetches.remove(fetch) {
+            let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
+            self.loader.failed(id, error, time(now_ms));
+        }
+    }
+
+    /// Decodes what came with one fetch; whether there was any.
+    pub fn decode(&mut self, now_ms: f64) -> bool {
+        let Some(job) = self.decodes.pop_front() else { return false };
+        let loaded = self.loader.loaded(job.run(), time(now_ms));
+        self.loaded += loaded as u64;
+        if loaded > 0 {
+            self.scenes.0.iter_mut().for_each(|(_, scene)| scene.thing.pages_changed());
+        }
+        true
+    }
+
+    /// Whether the archive is open: head and directory are there.
+    pub fn is_open(&self) -> bool {
+        self.loader.catalog().is_some() && self.loader.views().is_some()
+    }
+
+    /// The fields of the package's `ArchiveInfo` but its name, as JSON.
+    pub fn info(&self) -> Result<String, String> {
+        Ok(facts::info(self.catalog()?.header()))
+    }
+
+    /// Where the metadata lies: start and end (bytes).
+    pub fn metadata_range(&self) -> Result<Vec<f64>, String> {
+        let range = self.catalog()?.metadata_range();
+        Ok(vec![range.start as f64, range.end as f64])
+    }
+
+    /// The fields of the package's `ArchiveReference`, as JSON, from the bytes of the metadata.
+    pub fn reference(&self, metadata: &[u8]) -> Result<String, String> {
+        let catalog = self.catalog()?;
+        let text = |error| fault::text(&error);
+        let (crs, units) = (catalog.decode_crs(metadata).map_err(text)?, catalog.decode_units(metadata).map_err(text)?);
+        Ok(facts::reference(&crs, &units))
+    }
+
+    /// Nine numbers: pages in memory, their bytes, bytes in use, most in use, budget, pages loaded and evicted so far, pages that
+    /// pawns wait for, pages to be built.
+    pub fn stats(&self) -> Vec<f64> {
+        let counters = self.loader.counters();
+        let missing: usize = self.pawns.things().filter_map(|pawn| pawn.thing.missing()).map(|m| m.count()).sum();
+        let unbuilt: usize = self.scenes.things().map(|scene| scene.thing.unbuilt()).sum();
+        vec![
+            counters.resident_pages as f64,
+            counters.resident_bytes as f64,
+            counters.used_bytes as f64,
+            counters.peak_bytes as f64,
+            counters.budget_bytes as f64,
+            self.loaded as f64,
+            counters.evicted as f64,
+            missing as f64,
+            unbuilt as f64,
+        ]
+    }
+
+    /// Asks for the pages that touch a box (six numbers, min and max); the name of the request.
+    pub fn load(&mut self, corners: &[f64]) -> Result<u32, String> {
+        let &[x0, y0, z0, x1, y1, z1] = corners else { return Err(invalid("a box is six numbers")) };
+        if !corners.iter().all(|v| v.is_finite()) || x0 > x1 || y0 > y1 || z0 > z1 {
+            return Err(invalid(format_args!("no box lies between ({x0}, {y0}, {z0}) and ({x1}, {y1}, {z1})")));
+        }
+        let view = self.view()?;
+        let (low, high) = (view.frame().slice_of(z0), view.frame().slice_of(z1));
+        let mut keys = Vec::new();
+        for (tx, ty, slots) in columns(&view, [x0, y0, x1, y1]) {
+            let layers = low.div_euclid(PAGE_SLICES)..=high.div_euclid(PAGE_SLICES);
+            let slots = slots.iter().filter(|slot| layers.contains(&i64::from(slot.layer())));
+            keys.extend(slots.map(|slot| PageKey { tx, ty, layer: slot.layer() }));
+        }
+        Ok(self.request(&keys))
+    }
+
+    /// Asks for the pages that the last batch needed; the name of the request, or 0 if it needed none.
+    pub fn load_missing(&mut self) -> u32 {
+        let keys = std::mem::take(&mut self.lacks.0);
+        if keys.is_empty() { 0 } else { self.request(&keys) }
+    }
+
+    /// Forgets what the last batch needed.
+    pub fn forget_missing(&mut self) {
+        self.lacks.0.clear();
+    }
+
+    /// Number of pages asked for that found no room; NaN while the request is under way.
+    pub fn outcome(&mut self, request: u32) -> Result<f64, String> {
+        let Some(id) = self.requests.get_mut(request) else { return Err(invalid("no such request")) };
+        match self.loader.outcome(*id) {
+            None => Ok(f64::NAN),
+            Some(outcome) => {
+                self.requests.remove(request);
+                outcome.map(|report| report.left_out as f64).map_err(|error| fault::text(&error))
+            }
+        }
+    }
+
+    // Questions ----------------------------------------------------------------------------------------------------------------
+
+    /// Boxes N×6 → 0 clear, 1 hit, 2 not loaded.
+    pub fn overlaps(&mut self, boxes: &[f64]) -> Result<Vec<u8>, String> {
+        let view = self.view()?;
+        batch::overlaps(&view, boxes, &mut self.lacks)
+    }
+
+    /// Sweeps N×9 → free share of the motion; NaN: not loaded.
+    pub fn sweep(&mut self, sweeps: &[f64]) -> Result<Vec<f64>, String> {
+        let view = self.view()?;
+        batch::sweep(&view, sweeps, &mut self.lacks)
+    }
+
+    /// Rays N×7 → distance, normal and obstacle, five numbers a ray.
+    pub fn cast(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
+        let view = self.view()?;
+        batch::cast(&view, rays, &mut self.lacks)
+    }
+
+    /// Boxes N×6 → highest floor at or below the top; −∞: none, NaN: not loaded.
+    pub fn floor(&mut self, boxes: &[f64]) -> Result<Vec<f64>, String> {
+        let view = self.view()?;
+        batch::floor(&view, boxes, &mut self.lacks)
+    }
+
+    /// A plan of what lies between two heights: width, height and edge of a cell (eight bytes each, as numbers), then a byte a
+    /// cell. `area`: least x and y, greatest x and y, lowest and highest z.
+    pub fn map(&self, area: &[f64], cells: u32) -> Result<Vec<u8>, String> {
+        let &[x0, y0, x1, y1, z0, z1] = area else { return Err(invalid("an area is six numbers")) };
+        let (width, height, cell, found) = map(&self.view()?, [x0, y0, x1, y1], [z0, z1], cells)?;
+        let head = [f64::from(width), f64::from(height), cell].map(f64::to_le_bytes);
+        Ok([head.as_flattened(), &found].concat())
+    }
+
+    // Pawns --------------------------------------------------------------------------------------------------------------------
+
+    /// A pawn at `at` with these settings (see [`Settings::from_numbers`]); its name.
+    pub fn pawn(&mut self, settings: &[f64], at: &[f64]) -> Result<u32, String> {
+        let pawn = Pawn::new(Settings::from_numbers(settings)?, point(at)?)?;
+        let body = self.loader.body();
+        let name = self.name();
+        self.pawns.insert(name, Moving { thing: pawn, body, hinted: None });
+        self.hint(name)?;
+        Ok(name)
+    }
+
+    /// Lets time pass for a pawn; what it does then (see [`Pawn::state`]). `input`: see [`Input::from_numbers`].
+    pub fn step(&mut self, pawn: u32, seconds: f64, input: &[f64]) -> Result<Vec<f64>, String> {
+        let (view, input) = (self.view()?, Input::from_numbers(input)?);
+        self.moving(pawn)?.thing.step(&view, seconds, &input);
+        self.hint(pawn)?;
+        self.pawn_state(pawn)
+    }
+
+    /// What a pawn does now.
+    pub fn pawn_state(&mut self, pawn: u32) -> Result<Vec<f64>, String> {
+        Ok(self.moving(pawn)?.thing.state().to_vec())
+    }
+
+    /// Puts a pawn elsewhere.
+    pub fn place(&mut self, pawn: u32, at: &[f64]) -> Result<Vec<f64>, String> {
+        let at = point(at)?;
+        self.moving(pawn)?.thing.place(at)?;
+        self.hint(pawn)?;
+        self.pawn_state(pawn)
+    }
+
+    /// Gives a pawn other settings.
+    pub fn set_pawn(&mut self, pawn: u32, settings: &[f64]) -> Result<Vec<f64>, String> {
+        let (view, settings) = (self.view()?, Settings::from_numbers(settings)?);
+        self.moving(pawn)?.thing.set(&view, settings)?;
+        self.pawn_state(pawn)
+    }
+
+    /// Begins a recording of a pawn; where it stands.
+    pub fn record(&mut self, pawn: u32) -> Result<Vec<f64>, String> {
+        self.moving(pawn)?.thing.record();
+        self.pawn_state(pawn)
+    }
+
+    /// The steps recorded so far.
+    pub fn recorded_steps(&mut self, pawn: u32) -> Result<Vec<f64>, String> {
+        Ok(self.moving(pawn)?.thing.recording().0.to_vec())
+    }
+
+    /// The feet after each step recorded so far.
+    pub fn recorded_path(&mut self, pawn: u32) -> Result<Vec<f64>, String> {
+        Ok(self.moving(pawn)?.thing.recording().1.to_vec())
+    }
+
+    /// Ends a pawn, or a scene.
+    pub fn forget(&mut self, name: u32) {
+        let bodies = [self.pawns.remove(name).map(|pawn| pawn.body), self.scenes.remove(name).map(|scene| scene.body)];
+        bodies.into_iter().flatten().for_each(|body| self.loader.forget(body));
+    }
+
+    // Scenes -------------------------------------------------------------------------------------------------------------------
+
+    /// A scene (see [`Scene::new`]); its name.
+    pub fn scene(&mut self, radius: f64, triangles: f64, detail: f64) -> u32 {
+        let body = self.loader.body();
+        let name = self.name();
+        self.scenes.insert(name, Moving { thing: Scene::new(radius, triangles, detail), body, hinted: None });
+        name
+    }
+
+    /// Changes what a scene was given.
+    pub fn set_scene(&mut self, scene: u32, radius: f64, triangles: f64, detail: f64) {
+        if let Some(scene) = self.scenes.get_mut(scene) {
+            scene.thing.set(radius, triangles, detail);
+        }
+    }
+
+    /// A scene's camera is there now.
+    pub fn look(&mut self, scene: u32, at: &[f64]) -> Result<(), String> {
+        let at = point(at)?;
+        if let Some(scene) = self.scenes.get_mut(scene) {
+            scene.thing.look(at);
+            let motion = scene.thing.motion();
+            if scene.hinted != Some(motion) {
+                scene.hinted = Some(motion);
+                self.loader.hint(scene.body, &motion);
+            }
+        }
+        Ok(())
+    }
+
+    /// Draws the next page of a scene. If there is one: its name, tx, ty, layer, origin, scale, least and greatest corner (16
+    /// numbers), and then [`take_positions`](Self::take_positions) and its like have it; else nothing.
+    pub fn build(&mut self, scene: u32) -> Result<Vec<f64>, String> {
+        let view = self.view()?;
+        let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
+        scene.thing.plan(&view);
+        self.drawn = scene.thing.build(&view);
+        let Some((id, key, _, geometry)) = &self.drawn else { return Ok(Vec::new()) };
+        let place = [*id as f64, f64::from(key.tx), f64::from(key.ty), f64::from(key.layer)];
+        Ok([&place[..], &geometry.origin, &geometry.scale, geometry.bounds.as_flattened()].concat())
+    }
+
+    /// Names of the pages that a scene's camera left behind.
+    pub fn take_dropped(&mut self, scene: u32) -> Vec<u32> {
+        self.scenes.get_mut(scene).map_or(Vec::new(), |scene| scene.thing.take_dropped())
+    }
+
+    /// Vertices of the page drawn last, once.
+    pub fn take_positions(&mut self) -> Vec<u16> {
+        self.drawn.as_mut().map_or(Vec::new(), |drawn| std::mem::take(&mut drawn.3.positions))
+    }
+
+    /// Normals of the page drawn last, once.
+    pub fn take_normals(&mut self) -> Vec<i8> {
+        self.drawn.as_mut().map_or(Vec::new(), |drawn| std::mem::take(&mut drawn.3.normals))
+    }
+
+    /// Attributes of the page drawn last, once.
+    pub fn take_attributes(&mut self) -> Vec<u8> {
+        self.drawn.as_mut().map_or(Vec::new(), |drawn| std::mem::take(&mut drawn.3.attributes))
+    }
+}
+
+impl Engine {
+    fn name(&mut self) -> u32 {
+        self.names += 1;
+        self.names
+    }
+
+    fn catalog(&self) -> Result<&Catalog, String> {
+        self.loader.catalog().ok_or_else(not_open)
+    }
+
+    fn view(&self) -> Result<View, String> {
+        self.loader.view().ok_or_else(not_open)
+    }
+
+    fn moving(&mut self, pawn: u32) -> Result<&mut Moving<Pawn>, String> {
+        self.pawns.get_mut(pawn).ok_or_else(|| invalid("the walker is closed"))
+    }
+
+    /// Says what a pawn needs next, and what it waits for.
+    fn hint(&mut self, pawn: u32) -> Result<(), String> {
+        let frame = *self.view()?.frame();
+        if let Some(pawn) = self.pawns.get_mut(pawn) {
+            let motion = pawn.thing.walker().outlook(&frame);
+            let missing = pawn.thing.missing();
+            if pawn.hinted != Some(motion) || missing.is_some() {
+                pawn.hinted = Some(motion);
+                self.loader.hint(pawn.body, &motion);
+                missing.into_iter().for_each(|missing| self.loader.need(pawn.body, missing));
+            }
+        }
+        Ok(())
+    }
+
+    fn request(&mut self, keys: &[PageKey]) -> u32 {
+        let around = keys.get(keys.len() / 2).copied().unwrap_or(PageKey { tx: 0, ty: 0, layer: 0 });
+        let id = self.loader.request(keys, around);
+        let name = self.name();
+        self.requests.insert(name, id);
+        name
+    }
+}
+
+fn time(ms: f64) -> Time {
+    Duration::try_from_secs_f64(ms / 1000.0).unwrap_or_default()
+}
+
+fn point(at: &[f64]) -> Result<Point3<f64>, String> {
+    match *at {
+        [x, y, z] if at.iter().all(|v| v.is_finite()) => Ok(Point3::new(x, y, z)),
+        _ => Err(invalid(format_args!("{at:?} is no place"))),
+    }
+}
+
+fn not_open() -> String {
+    invalid("the archive is not open yet")
+}

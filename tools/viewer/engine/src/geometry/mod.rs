@@ -1,0 +1,99 @@
+//! Geometry of a page for drawing: tops, undersides and sides of its spans as quads.
+//!
+//! In: a page, and how many pixels one cell of the drawing is wide. Out: quads on a grid of cells and of vertical steps of a
+//! quarter of a cell. Every page is closed in itself: neighbours need not be in memory, and pages of other detail beside it
+//! leave no gap.
+
+mod cells;
+mod quads;
+
+use cells::Cells;
+use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
+use slicewalk::slice::Page;
+
+/// Greatest power of two of pixels in a cell.
+pub(crate) const COARSEST: u32 = 4;
+
+/// Quads of one page. Positions count cells from the page's corner and steps from its floor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Geometry {
+    /// Corner with the least coordinates (m), for positions of zero.
+    pub origin: [f64; 3],
+    /// Length of a cell along x and y, and of a step (m).
+    pub scale: [f64; 3],
+    /// Least and greatest corner of the matter (m).
+    pub bounds: [[f64; 3]; 2],
+    /// Three a vertex, four vertices a quad, counterclockwise seen from outside.
+    pub positions: Vec<u16>,
+    /// Four a vertex: normal, and zero.
+    pub normals: Vec<i8>,
+    /// Four a vertex: face (0 top, 1 underside, 2 side), obstacle, slope (degrees), zero.
+    pub attributes: Vec<u8>,
+}
+
+impl Geometry {
+    /// Draws `page` with cells of `2^coarseness` pixels.
+    pub fn of(frame: &Frame, key: PageKey, page: &Page, coarseness: u32) -> Self {
+        let coarseness = coarseness.min(COARSEST);
+        let pixels = f64::from(1 << coarseness);
+        let cell_m = frame.pixel_m() * pixels;
+        let step = (cell_m / 4.0 / frame.quantum_m()).round().clamp(1.0, PAGE_QUANTA as f64) as u32;
+        let cells = Cells::of(page, coarseness, step);
+        let mut faces = Faces { step_cells: f64::from(step) * frame.quantum_m() / cell_m, ..Faces::default() };
+        quads::levels(&cells, true, &mut faces);
+        quads::levels(&cells, false, &mut faces);
+        quads::sides(&cells, &mut faces);
+        let origin = [
+            frame.edge_of_pixel(i64::from(key.tx) * TILE_PIXELS),
+            frame.edge_of_pixel(i64::from(key.ty) * TILE_PIXELS),
+            frame.bottom_of_slice(i64::from(key.layer) * PAGE_QUANTA / SLICE_QUANTA),
+        ];
+        let bounds = page.bounds().map_or([origin; 2], |bounds| {
+            let at = |[x, y, z]: [u32; 3], end: u32| {
+                let side = |pixel: u32| f64::from(pixel + end) * frame.pixel_m();
+                [origin[0] + side(x), origin[1] + side(y), origin[2] + f64::from(z) * frame.quantum_m()]
+            };
+            [at(bounds.min, 0), at(bounds.max, 1)]
+        });
+        let scale = [cell_m, cell_m, f64::from(step) * frame.quantum_m()];
+        let Faces { positions, normals, attributes, .. } = faces;
+        Self { origin, scale, bounds, positions, normals, attributes }
+    }
+
+    /// Number of triangles.
+    pub fn triangles(&self) -> usize {
+        self.positions.len() / 6
+    }
+}
+
+/// What faces are there for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Face {
+    Top = 0,
+    Underside = 1,
+    Side = 2,
+}
+
+/// Quads as they are found.
+#[derive(Debug, Default)]
+struct Faces {
+    /// Height of a step in cells.
+    step_cells: f64,
+    positions: Vec<u16>,
+    normals: Vec<i8>,
+    attributes: Vec<u8>,
+}
+
+impl Faces {
+    /// A quad with these corners, counterclockwise seen from where `normal` points.
+    fn quad(&mut self, corners: [[u16; 3]; 4], normal: [i8; 3], attributes: [u8; 3]) {
+        for corner in corners {
+            self.positions.extend(corner);
+            self.normals.extend([normal[0], normal[1], normal[2], 0]);
+            self.attributes.extend([attributes[0], attributes[1], attributes[2], 0]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,168 @@
+//! Cells to quads; equal neighbours are joined, along x first.
+
+use super::cells::{Bar, Cells};
+use super::{Face, Faces};
+
+/// Slopes are told in steps of this many degrees, so that what is nearly level can be joined.
+const SLOPE_STEP_DEG: f64 = 15.0;
+/// Neighbouring tops steeper than this are two surfaces.
+const CONNECTED_DEG: f64 = 78.0;
+
+/// Cells side by side at one height: from `x0` to before `x1`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Strip {
+    x0: u16,
+    x1: u16,
+    z: u16,
+    attributes: [u8; 3],
+}
+
+/// Quads at the tops of bars, or at their undersides.
+pub(super) fn levels(cells: &Cells, top: bool, faces: &mut Faces) {
+    let edge = cells.edge as isize;
+    // Rectangles that end in the row before, with their first row; both lists ascend by `x0`.
+    let mut open: Vec<(Strip, u16)> = Vec::new();
+    let mut strips: Vec<Strip> = Vec::new();
+    // Strips that end in the cell before, and those that end in this one.
+    let (mut ends, mut now): (Vec<usize>, Vec<usize>) = Default::default();
+    for y in 0..=edge {
+        strips.clear();
+        ends.clear();
+        for x in 0..edge {
+            now.clear();
+            for bar in cells.at(x, y) {
+                let z = if top { bar.top } else { bar.bottom };
+                let slope = if top { slope(cells, faces.step_cells, x, y, z) } else { 0 };
+                let face = if top { Face::Top } else { Face::Underside };
+                let attributes = [face as u8, u8::from(bar.obstacle), slope];
+                let joins = |at: &&usize| (strips[**at].z, strips[**at].attributes) == (z, attributes);
+                if let Some(&at) = ends.iter().find(joins) {
+                    strips[at].x1 += 1;
+                    now.push(at);
+                } else {
+                    now.push(strips.len());
+                    strips.push(Strip { x0: x as u16, x1: x as u16 + 1, z, attributes });
+                }
+            }
+            std::mem::swap(&mut ends, &mut now);
+        }
+        let before = std::mem::take(&mut open);
+        let mut continued = vec![false; before.len()];
+        let mut first = 0;
+        for strip in &strips {
+            while before.get(first).is_some_and(|(other, _)| other.x0 < strip.x0) {
+                first += 1;
+            }
+            let beside = before[first..].iter().take_while(|(other, _)| other.x0 == strip.x0);
+            let same = beside.zip(first..).find(|((other, _), _)| other == strip).map(|(_, at)| at);
+            if let Some(at) = same {
+                continued[at] = true;
+            }
+            open.push((*strip, same.map_or(y as u16, |at| before[at].1)));
+        }
+        for ((Strip { x0, x1, z, attributes }, y0), _) in
+            before.into_iter().zip(continued).filter(|(_, goes_on)| !goes_on)
+        {
+            let y1 = y as u16;
+            let corners = [[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]];
+            match top {
+                true => faces.quad(corners, [0, 0, 127], attributes),
+                false => faces.quad([corners[0], corners[3], corners[2], corners[1]], [0, 0, -127], attributes),
+            }
+        }
+    }
+}
+
+/// Slope of the surface around a top (degrees, in steps), from the tops up to two cells away.
+fn slope(cells: &Cells, step_cells: f64, x: isize, y: isize, height: u16) -> u8 {
+    let most = CONNECTED_DEG.to_radians().tan();
+    let rise = |dx: isize, dy: isize| {
+        let far = [2, 1].into_iter().find_map(|far| {
+            let tops = cells.at(x + dx * far, y + dy * far).iter().map(|bar| bar.top);
+            let nearest = tops.min_by_key(|top| top.abs_diff(height))?;
+            let rise = (f64::from(nearest) - f64::from(height)) * step_cells;
+            (rise.abs() <= most * far as f64).then_some((rise, far as f64))
+        });
+        far.unwrap_or((0.0, 0.0))
+    };
+    let along = |dx: isize, dy: isize| {
+        let ((ahead, far), (behind, near)) = (rise(dx, dy), rise(-dx, -dy));
+        if far + near > 0.0 { (ahead - behind) / (far + near) } else { 0.0 }
+    };
+    let degrees = along(1, 0).hypot(along(0, 1)).atan().to_degrees();
+    ((degrees / SLOPE_STEP_DEG).round() * SLOPE_STEP_DEG) as u8
+}
+
+/// Part of a side of a bar that nothing covers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Side {
+    bottom: u16,
+    top: u16,
+    obstacle: bool,
+    /// Faces greater coordinates.
+    up: bool,
+}
+
+/// Quads between cells of which one has matter and the other has not.
+pub(super) fn sides(cells: &Cells, faces: &mut Faces) {
+    let edge = cells.edge as isize;
+    // Sides that end in the cell before, each with its first cell.
+    let (mut open, mut now): (Vec<(Side, u16)>, Vec<(Side, u16)>) = Default::default();
+    for along_y in [true, false] {
+        for plane in 0..=edge {
+            for at in 0..=edge {
+                let cell = |side: isize| if along_y { cells.at(side, at) } else { cells.at(at, side) };
+                let (below, above) = (cell(plane - 1), cell(plane));
+                for (here, there, up) in [(below, above, true), (above, below, false)] {
+                    uncovered(here, there, |bottom, top, obstacle| {
+                        let side = Side { bottom, top, obstacle, up };
+                        // What goes on is no longer open.
+                        let goes_on = open.iter().position(|(other, _)| *other == side);
+                        now.push((side, goes_on.map_or(at as u16, |n| open.swap_remove(n).1)));
+                    });
+                }
+                for (side, from) in open.drain(..) {
+                    side_quad(faces, along_y, side, plane as u16, [from, at as u16]);
+                }
+                std::mem::swap(&mut open, &mut now);
+            }
+        }
+    }
+}
+
+fn side_quad(
+    faces: &mut Faces,
+    along_y: bool,
+    up: bool,
+    plane: u16,
+    [a, b]: [u16; 2],
+    [z0, z1]: [u16; 2],
+    obstacle: bool,
+) {
+    let corner = |along: u16, z: u16| if along_y { [plane, along, z] } else { [along, plane, z] };
+    let corners = [corner(a, z0), corner(b, z0), corner(b, z1), corner(a, z1)];
+    let way = if up { 127 } else { -127 };
+    let normal = if along_y { [way, 0, 0] } else { [0, way, 0] };
+    // Seen against +x, y runs to the right; seen against +y, x runs to the left.
+    let corners = match up == along_y {
+        true => corners,
+        false => [corners[0], corners[3], corners[2], corners[1]],
+    };
+    faces.quad(corners, normal, [Face::Side as u8, u8::from(obstacle), 90]);
+}
+
+/// Calls `f` with the stretches of `here` that `there` leaves open.
+fn uncovered(here: &[Bar], there: &[Bar], mut f: impl FnMut(u16, u16, bool)) {
+    for bar in here {
+        let mut from = bar.bottom;
+        for other in there.iter().filter(|other| other.top > bar.bottom && other.bottom < bar.top) {
+            if other.bottom > from {
+                f(from, other.bottom, bar.obstacle);
+            }
+            from = from.max(other.top);
+        }
+        if from < bar.top {
+            f(from, bar.top, bar.obstacle);
+        }
+    }
+}

@@ -1,0 +1,109 @@
+use super::*;
+use proptest::prelude::*;
+use slicewalk::slice::{PageBuilder, Span};
+
+const KEY: PageKey = PageKey { tx: -1, ty: 2, layer: 1 };
+
+fn frame() -> Frame {
+    Frame::new(0.05, 0.15).unwrap()
+}
+
+fn page(spans: impl Fn(u32, u32) -> Vec<(u32, u32, bool)>) -> Page {
+    let mut builder = PageBuilder::default();
+    for (x, y) in (0..64).flat_map(|y| (0..64).map(move |x| (x, y))) {
+        let spans: Vec<Span> = spans(x, y).into_iter().map(|(b, t, o)| Span::new(b, t, o).unwrap()).collect();
+        assert!(spans.is_empty() || builder.set_column(x, y, &spans));
+    }
+    builder.build()
+}
+
+/// Six times the volume that the quads enclose (cells² · steps), exact: closed and turned outwards, or it comes out wrong.
+fn volume(geometry: &Geometry) -> i64 {
+    let corner = |at: usize| -> [i64; 3] { std::array::from_fn(|axis| i64::from(geometry.positions[3 * at + axis])) };
+    let det = |[a, b, c]: [[i64; 3]; 3]| {
+        a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0])
+    };
+    let quads = geometry.positions.len() / 12;
+    (0..quads)
+        .map(|n| 4 * n)
+        .map(|n| det([0, 1, 2].map(|k| corner(n + k))) + det([0, 2, 3].map(|k| corner(n + k))))
+        .sum()
+}
+
+fn matter(page: &Page, coarseness: u32, step: u32) -> i64 {
+    let cells = Cells::of(page, coarseness, step);
+    let edge = cells.edge as isize;
+    let places = (0..edge).flat_map(|y| (0..edge).map(move |x| (x, y)));
+    places.flat_map(|(x, y)| cells.at(x, y)).map(|bar| i64::from(bar.top - bar.bottom)).sum()
+}
+
+#[test]
+fn a_level_floor_is_a_box_of_six_quads() {
+    let page = page(|_, _| vec![(1000, 1020, false)]);
+    for coarseness in 0..=COARSEST {
+        let geometry = Geometry::of(&frame(), KEY, &page, coarseness);
+        assert_eq!(geometry.positions.len(), 6 * 4 * 3, "{coarseness}");
+        assert_eq!(geometry.triangles(), 12);
+        assert_eq!(geometry.origin, [-3.2, 6.4, 9.6]);
+    }
+    let geometry = Geometry::of(&frame(), KEY, &page, 0);
+    assert!((geometry.bounds[1][2] - (9.6 + 1020.0 * frame().quantum_m())).abs() < 1e-9);
+    assert_eq!(geometry.bounds[0][..2], [-3.2, 6.4]);
+    let top = geometry.origin[2] + f64::from(geometry.positions[2]) * geometry.scale[2];
+    assert!((top - geometry.bounds[1][2]).abs() <= geometry.scale[2]);
+}
+
+#[test]
+fn noise_below_a_step_draws_no_risers_and_stairs_do() {
+    let noisy = page(|x, y| vec![(1000, 1020 + (x * 7 + y * 13) % 8, false)]);
+    assert!(Geometry::of(&frame(), KEY, &noisy, 0).triangles() < 24);
+    let stairs = page(|x, _| vec![(1000, 1020 + x / 16 * 300, false)]);
+    let geometry = Geometry::of(&frame(), KEY, &stairs, 0);
+    // Four treads, three risers and the outer sides.
+    assert!((40..80).contains(&geometry.triangles()), "{}", geometry.triangles());
+    assert!(geometry.attributes.chunks(4).any(|a| a[0] == 2));
+}
+
+#[test]
+fn slopes_are_told_in_degrees() {
+    // A rise of one pixel (85 quanta) a pixel is 45 degrees.
+    let ramp = page(|x, _| vec![(0, 200 + 85 * x, false)]);
+    let geometry = Geometry::of(&frame(), KEY, &ramp, 0);
+    let tops: Vec<u8> = geometry.attributes.chunks(4).filter(|a| a[0] == 0).map(|a| a[2]).collect();
+    assert!(tops.iter().filter(|slope| **slope == 45).count() * 10 > tops.len() * 9, "{tops:?}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+    /// Whatever a page holds, its drawing is closed, faces outwards and encloses just the matter of the cells.
+    #[test]
+    fn drawings_are_closed(seed: u64, density in 1u32..40, coarseness in 0u32..=COARSEST) {
+        let hash = |x: u32, y: u32, k: u32| {
+            let v = seed ^ u64::from(x) << 40 ^ u64::from(y) << 20 ^ u64::from(k);
+            (v.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 33) as u32
+        };
+        let page = page(|x, y| {
+            let mut from = hash(x, y, 0) % 3000;
+            let mut spans = Vec::new();
+            for k in 0..hash(x, y, 1) % density % 6 {
+                let top = from + hash(x, y, 2 + k) % 900;
+                spans.push((from, top, hash(x, y, 9 + k) & 1 == 1));
+                from = top + 2 + hash(x, y, 20 + k) % 700;
+            }
+            spans
+        });
+        let frame = frame();
+        let geometry = Geometry::of(&frame, KEY, &page, coarseness);
+        let step = (geometry.scale[2] / frame.quantum_m()).round() as u32;
+        prop_assert_eq!(volume(&geometry), 6 * matter(&page, coarseness, step));
+        for (vertices, normals) in geometry.positions.chunks(12).zip(geometry.normals.chunks(16)) {
+            let at = |n: usize| -> [i64; 3] { std::array::from_fn(|axis| i64::from(vertices[3 * n + axis])) };
+            let (a, b, c) = (at(0), at(1), at(2));
+            let (u, v): ([i64; 3], [i64; 3]) = (std::array::from_fn(|k| b[k] - a[k]), std::array::from_fn(|k| c[k] - a[k]));
+            let cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+            for axis in 0..3 {
+                prop_assert_eq!(cross[axis].signum(), i64::from(normals[axis]).signum());
+            }
+        }
+    }
+}

@@ -1,0 +1,21 @@
+//! The engine of the viewer: streaming, queries, walking and page geometry, without files, threads or a clock.
+//!
+//! In: bytes of an archive, inputs of players, places of cameras. Out: answers, states and geometry, as numbers that pass between
+//! wasm and JavaScript without more ado. A Web Worker drives it (`tools/viewer/package/src/worker.ts`); compiled natively it
+//! gives the same answers to the last bit.
+//!
+//! Errors are texts `kind|message` with the kinds of the package's `SlicewalkError`.
+
+mod batch;
+mod engine;
+mod facts;
+mod fault;
+mod geometry;
+mod map;
+mod pawn;
+mod scene;
+
+pub use engine::Engine;
+pub use geometry::Geometry;
+pub use pawn::{Input, Pawn, Settings, TICK_S};
+pub use scene::Scene;

@@ -1,0 +1,348 @@
+//! A player's pawn: a [`Walker`] that also runs, jumps, crouches and flies, in whole ticks, and keeps a recording.
+//!
+//! A step passes as many ticks as fit into its time. What a recording holds is ticks that passed and what was wanted of them,
+//! so a replay gives the same way to the last bit, whatever was in memory when it was recorded.
+
+use crate::fault::{self, invalid};
+use slicewalk::nalgebra::{Point2, Point3, Vector2, Vector3};
+use slicewalk::query::Answer;
+use slicewalk::store::{Missing, PageSet};
+use slicewalk::walk::{Body, Config, Ground, State, Stop, Walker, Wish};
+
+/// Length of a tick (s).
+pub const TICK_S: f64 = 1.0 / 240.0;
+/// Longest time of one step (s); what goes beyond is dropped.
+const LONGEST_S: f64 = 0.25;
+/// Numbers of one step in a recording: ticks, wish or place x and y, pace, lift, flags, place z, and one kept free.
+const ROW: usize = 8;
+const JUMP: u32 = 1;
+const CROUCH: u32 = 2;
+const FLY: u32 = 4;
+const TOWARD: u32 = 8;
+const PLACE: u32 = 16;
+
+/// What can be changed while a pawn walks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Shape while it stands.
+    pub body: Body,
+    /// Highest step (m).
+    pub climb: f64,
+    /// Walking speed (m/s).
+    pub speed: f64,
+    /// Acceleration downwards (m/s²).
+    pub gravity: f64,
+    /// Height of a jump (m).
+    pub jump: f64,
+    /// Height while crouching (m).
+    pub crouch: f64,
+    /// Deepest drop that it walks over.
+    pub max_drop: Option<f64>,
+}
+
+impl Settings {
+    /// From ten numbers: shape (0 box, 1 cylinder), x or radius, y, height, climb, speed, gravity, jump, crouching height,
+    /// deepest drop (NaN: any).
+    pub fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
+        let &[shape, x, y, height, climb, speed, gravity, jump, crouch, max_drop] = numbers else {
+            return Err(invalid("settings are ten numbers"));
+        };
+        let body = if shape == 0.0 { Body::Box { x, y, height } } else { Body::Cylinder { radius: x, height } };
+        let max_drop = (!max_drop.is_nan()).then_some(max_drop);
+        let settings = Self { body, climb, speed, gravity, jump, crouch, max_drop };
+        if !(0.0..=1000.0).contains(&jump) {
+            return Err(invalid(format_args!("height of a jump: {jump} m lies outside 0 to 1000 m")));
+        }
+        if !(crouch > 0.0 && crouch <= height) {
+            return Err(invalid(format_args!("crouching height: {crouch} m lies outside 0 to {height} m, the body's")));
+        }
+        Walker::new(settings.config(1.0, false), Point3::origin())
+            .and_then(|_| Walker::new(settings.config(1.0, true), Point3::origin()))
+            .map_err(|error| fault::text(&error))?;
+        Ok(settings)
+    }
+
+    fn config(&self, pace: f64, crouched: bool) -> Config {
+        Config {
+            speed: self.speed * pace,
+            climb: self.climb,
+            gravity: self.gravity,
+            tick_s: TICK_S,
+            max_drop: self.max_drop,
+            ..Config::new(self.body(crouched))
+        }
+    }
+
+    fn body(&self, crouched: bool) -> Body {
+        let low = |height: f64| if crouched { self.crouch } else { height };
+        match self.body {
+            Body::Box { x, y, height } => Body::Box { x, y, height: low(height) },
+            Body::Cylinder { radius, height } => Body::Cylinder { radius, height: low(height) },
+        }
+    }
+}
+
+/// What a pawn is told to do for the time of a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Input {
+    /// Direction, or the place to walk to if [`toward`](Self::toward).
+    pub wish: Vector2<f64>,
+    /// Multiplies the walking speed.
+    pub pace: f64,
+    /// Up or down while flying, -1 to 1.
+    pub lift: f64,
+    /// Walks to the place `wish`.
+    pub toward: bool,
+    /// Jumps if it stands.
+    pub jump: bool,
+    /// Crouches.
+    pub crouch: bool,
+    /// Flies, through matter too.
+    pub fly: bool,
+}
+
+impl Input {
+    /// From five numbers: wish x and y, pace, lift, flags (1 jump, 2 crouch, 4 fly, 8 toward).
+    pub fn from_numbers(numbers: &[f64]) -> Result<Self, String> {
+        let &[x, y, pace, lift, flags] = numbers else { return Err(invalid("an input is five numbers")) };
+        let finite = x.is_finite() && y.is_finite() && lift.is_finite();
+        if !finite || !(0.0..=100.0).contains(&pace) {
+            return Err(invalid(format_args!("no pawn can go ({x}, {y}) at pace {pace}, lift {lift}")));
+        }
+        let has = |flag: u32| flags as u32 & flag != 0;
+        let (jump, crouch, fly, toward) = (has(JUMP), has(CROUCH), has(FLY), has(TOWARD));
+        Ok(Self { wish: Vector2::new(x, y), pace, lift: lift.clamp(-1.0, 1.0), toward, jump, crouch, fly })
+    }
+
+    fn flags(&self) -> u32 {
+        let flag = |is: bool, flag: u32| if is { flag } else { 0 };
+        flag(self.jump, JUMP) | flag(self.crouch, CROUCH) | flag(self.fly, FLY) | flag(self.toward, TOWARD)
+    }
+
+    fn row(&self, ticks: u32) -> [f64; ROW] {
+        [f64::from(ticks), self.wish.x, self.wish.y, self.pace, self.lift, f64::from(self.flags()), 0.0, 0.0]
+    }
+}
+
+/// What a player moves.
+#[derive(Debug)]
+pub struct Pawn {
+    walker: Walker,
+    settings: Settings,
+    crouched: bool,
+    flying: bool,
+    /// Told to jump, and no tick has passed since.
+    jumps: bool,
+    /// Part of a tick that is left of the time given so far (s).
+    rest_s: f64,
+    ticks: u64,
+    steps: u64,
+    stop: Option<Stop>,
+    missing: Option<Missing>,
+    /// Across and upwards over the last step (m/s).
+    speed: [f64; 2],
+    recording: Option<Recording>,
+}
+
+#[derive(Debug, Default)]
+struct Recording {
+    steps: Vec<f64>,
+    path: Vec<f64>,
+}
+
+impl Pawn {
+    /// A pawn with its feet at `at` (m, finite).
+    pub fn new(settings: Settings, at: Point3<f64>) -> Result<Self, String> {
+        let walker = Walker::new(settings.config(1.0, false), at).map_err(|error| fault::text(&error))?;
+        Ok(Self {
+            walker,
+            settings,
+            crouched: false,
+            flying: false,
+            jumps: false,
+            rest_s: 0.0,
+            ticks: 0,
+            steps: 0,
+            stop: None,
+            missing: None,
+            speed: [0.0; 2],
+            recording: None,
+        })
+    }
+
+    /// The walker inside, for what it will need.
+    pub fn walker(&self) -> &Walker {
+        &self.walker
+    }
+
+    /// Pages that the last step waited for.
+    pub fn missing(&self) -> Option<&Missing> {
+        self.missing.as_ref()
+    }
+
+    /// Takes other settings; a body that finds no room is refused.
+    pub fn set<S: PageSet>(&mut self, set: &S, settings: Settings) -> Result<(), String> {
+        if self.recording.is_some() {
+            return Err(invalid("settings cannot change during a recording"));
+        }
+        let body = settings.body(self.crouched);
+        if body != *self.body() && !self.flying && self.walker.has_room(set, &body) == Answer::Known(false) {
+            return Err(invalid("there is no room here for a pawn of this size"));
+        }
+        self.walker.set_config(settings.config(1.0, self.crouched)).map_err(|error| fault::text(&error))?;
+        self.settings = settings;
+        Ok(())
+    }
+
+    fn body(&self) -> &Body {
+        &self.walker.config().body
+    }
+
+    /// Puts it elsewhere (m, finite), at rest.
+    pub fn place(&mut self, at: Point3<f64>) -> Result<(), String> {
+        if !at.iter().all(|v| v.is_finite()) {
+            return Err(invalid(format_args!("no pawn can stand at {at}")));
+        }
+        self.walker.place(at);
+        (self.rest_s, self.jumps, self.stop, self.missing, self.speed) = (0.0, false, None, None, [0.0; 2]);
+        self.keep([0.0, at.x, at.y, 1.0, 0.0, f64::from(PLACE), at.z, 0.0]);
+        Ok(())
+    }
+
+    /// Lets at most 0.25 s pass.
+    pub fn step<S: PageSet>(&mut self, set: &S, seconds: f64, input: &Input) {
+        self.steps += 1;
+        self.jumps |= input.jump;
+        self.rest_s += if seconds > 0.0 { seconds.min(LONGEST_S) } else { 0.0 };
+        let ticks = (self.rest_s / TICK_S * (1.0 + 1e-9)) as u32;
+        if ticks == 0 {
+            return;
+        }
+        self.rest_s = (self.rest_s - f64::from(ticks) * TICK_S).max(0.0);
+        let mut input = Input { jump: std::mem::take(&mut self.jumps), ..*input };
+        input.crouch = input.crouch || self.crouched && !self.may_stand_up(set);
+        let before = self.walker.feet();
+        let passed = self.advance(set, ticks, &input);
+        let moved = (self.walker.feet() - before) / (f64::from(ticks) * TICK_S);
+        self.speed = [moved.xy().norm(), moved.z];
+        self.keep(input.row(passed));
+    }
+
+    fn may_stand_up<S: PageSet>(&self, set: &S) -> bool {
+        self.flying || self.walker.has_room(set, &self.settings.body(false)) == Answer::Known(true)
+    }
+
+    /// Ticks that passed of `ticks`: all, unless pages are missing.
+    fn advance<S: PageSet>(&mut self, set: &S, ticks: u32, input: &Input) -> u32 {
+        (self.crouched, self.flying) = (input.crouch, input.fly);
+        // Checked with the settings; a pace only makes it faster.
+        let config = self.settings.config(input.pace, self.crouched);
+        let applied = self.walker.set_config(config);
+        debug_assert!(applied.is_ok());
+        (self.stop, self.missing) = (None, None);
+        let passed = if input.fly { self.fly(ticks, input) } else { self.walk(set, ticks, input) };
+        self.ticks += u64::from(passed);
+        passed
+    }
+
+    fn fly(&mut self, ticks: u32, input: &Input) -> u32 {
+        let across = match input.toward {
+            true => input.wish - self.walker.feet().xy().coords,
+            false => input.wish,
+        };
+        let way: Vector3<f64> = (across / across.norm().max(1.0)).push(input.lift);
+        let far = self.settings.speed * input.pace * TICK_S * f64::from(ticks);
+        self.walker.place(self.walker.feet() + way * far);
+        ticks
+    }
+
+    fn walk<S: PageSet>(&mut self, set: &S, ticks: u32, input: &Input) -> u32 {
+        if input.jump {
+            self.walker.jump((2.0 * self.settings.gravity * self.settings.jump).sqrt());
+        }
+        let wish = match input.toward {
+            true => Wish::Toward(Point2::from(input.wish)),
+            false => Wish::Direction(input.wish),
+        };
+        let report = self.walker.step(set, f64::from(ticks) * TICK_S, wish);
+        (self.stop, self.missing) = (report.stop, report.missing);
+        report.ticks
+    }
+
+    /// Begins a recording here and at rest.
+    pub fn record(&mut self) {
+        self.walker.place(self.walker.feet());
+        (self.crouched, self.flying, self.rest_s, self.jumps) = (false, false, 0.0, false);
+        self.recording = Some(Recording::default());
+    }
+
+    fn keep(&mut self, row: [f64; ROW]) {
+        if let Some(recording) = &mut self.recording {
+            recording.steps.extend(row);
+            recording.path.extend(self.walker.feet().iter());
+        }
+    }
+
+    /// The steps recorded so far, and the feet after each.
+    pub fn recording(&self) -> (&[f64], &[f64]) {
+        self.recording.as_ref().map_or((&[], &[]), |recording| (&recording.steps, &recording.path))
+    }
+
+    /// Does again what `steps` say, from where it stands; the feet after each.
+    pub fn replay<S: PageSet>(&mut self, set: &S, steps: &[f64]) -> Result<Vec<f64>, String> {
+        let mut path = Vec::new();
+        let (rows, rest) = steps.as_chunks::<ROW>();
+        if !rest.is_empty() {
+            return Err(invalid("a recording has eight numbers a step"));
+        }
+        for &[ticks, x, y, pace, lift, flags, z, _] in rows {
+            if flags as u32 & PLACE != 0 {
+                self.place(Point3::new(x, y, z))?;
+            } else {
+                let input = Input::from_numbers(&[x, y, pace, lift, flags])?;
+                let passed = self.advance(set, ticks as u32, &input);
+                if f64::from(passed) != ticks {
+                    return Err(invalid(format_args!("{passed} of {ticks} ticks passed: pages are missing")));
+                }
+            }
+            path.extend(self.walker.feet().iter());
+        }
+        Ok(path)
+    }
+
+    /// Twelve numbers: feet, ground (0 walking, 1 falling, 2 blocked, 3 flying), reason of a stop (0 none), speed across and
+    /// upwards, whether it crouches, height, missing pages, ticks, steps.
+    pub fn state(&self) -> [f64; 12] {
+        let feet = self.walker.feet();
+        let ground = match self.walker.state() {
+            _ if self.flying => 3,
+            _ if self.walker.ground() == Ground::Air => 1,
+            State::Blocked => 2,
+            State::Falling | State::Walking | State::Arrived => 0,
+        };
+        let stop = match self.stop {
+            None => 0,
+            Some(Stop::Wall) => 1,
+            Some(Stop::Steep) => 2,
+            Some(Stop::Headroom) => 3,
+            Some(Stop::Corner) => 4,
+            Some(Stop::Inside) => 5,
+            Some(Stop::Ledge) => 6,
+            Some(Stop::Void) => 7,
+        };
+        [
+            feet.x,
+            feet.y,
+            feet.z,
+            f64::from(ground),
+            f64::from(stop),
+            self.speed[0],
+            self.speed[1],
+            f64::from(u8::from(self.crouched)),
+            self.body().height(),
+            self.missing.map_or(0, |missing| missing.count()) as f64,
+            self.ticks as f64,
+            self.steps as f64,
+        ]
+    }
+}

@@ -1,0 +1,280 @@
+//! Which pages a camera sees, and how finely: what to build next, what to forget.
+//!
+//! In: the pages in memory and where the camera is. Out: geometry, nearest first. Memory: a few words for each page drawn.
+
+use crate::geometry::{COARSEST, Geometry};
+use crate::map::columns;
+use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
+use slicewalk::nalgebra::{Point3, Vector3};
+use slicewalk::store::{Motion, PageSet, PageSlot};
+use std::collections::HashMap;
+
+/// A loader looks so far ahead (s).
+pub(crate) const HORIZON_S: f64 = 8.0;
+/// Pages are forgotten only when they are so much farther than the radius: who walks to and fro keeps them.
+const FORGET: f64 = 1.25;
+/// By so much a cell may be coarser or finer than wanted before a page is built anew.
+const STEADY: u32 = 1;
+/// How much coarser everything becomes when there are too many triangles.
+const COARSEN: f64 = 1.3;
+/// From here on what is near becomes coarser too, until all of it is as coarse as can be.
+const COARSE_ALL: f64 = 16.0;
+const COARSEST_ALL: f64 = COARSE_ALL * (4 << COARSEST) as f64;
+/// Below this share of the triangles allowed, everything becomes finer again.
+const REFINE_BELOW: f64 = 0.5;
+
+/// What a camera draws.
+#[derive(Debug)]
+pub struct Scene {
+    at: Point3<f64>,
+    radius: f64,
+    triangles: usize,
+    detail: f64,
+    /// Makes everything coarser than `detail` asks for, to keep to `triangles`.
+    coarser: f64,
+    drawn: HashMap<PageKey, Drawn>,
+    /// To be built: distance (m), page, coarseness; in no order.
+    queue: Vec<(f64, PageKey, u32)>,
+    dropped: Vec<u32>,
+    stale: bool,
+    names: u32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Drawn {
+    id: u32,
+    coarseness: u32,
+    triangles: usize,
+}
+
+impl Scene {
+    /// A scene of pages up to `radius` metres away, of at most `triangles`, with cells no wider than `detail` times their
+    /// distance.
+    pub fn new(radius: f64, triangles: f64, detail: f64) -> Self {
+        let mut scene = Self {
+            at: Point3::origin(),
+            radius: 0.0,
+            triangles: 0,
+            detail: 0.0,
+            coarser: 1.0,
+            drawn: HashMap::new(),
+            queue: Vec::new(),
+            dropped: Vec::new(),
+            stale: false,
+            names: 0,
+        };
+        scene.set(radius, triangles, detail);
+        scene
+    }
+
+    /// Changes what [`new`](Self::new) was given; what makes no sense counts as the nearest that does.
+    pub fn set(&mut self, radius: f64, triangles: f64, detail: f64) {
+        self.radius = radius.clamp(1.0, 10_000.0);
+        self.triangles = triangles.clamp(10_000.0, 1e9) as usize;
+        self.detail = detail.clamp(1e-4, 1.0);
+        (self.coarser, self.stale) = (1.0, true);
+    }
+
+    /// The camera has moved.
+    pub fn look(&mut self, at: Point3<f64>) {
+        if at.iter().all(|v| v.is_finite()) && at != self.at {
+            (self.at, self.stale) = (at, true);
+        }
+    }
+
+    /// Pages were loaded.
+    pub fn pages_changed(&mut self) {
+        self.stale = true;
+    }
+
+    /// What a loader needs to know to have the pages there, the nearest first.
+    pub fn motion(&self) -> Motion {
+        Motion {
+            min: self.at,
+            max: self.at,
+            velocity: Vector3::zeros(),
+            gravity: 0.0,
+            terminal_speed: 0.0,
+            agility: self.radius / HORIZON_S,
+        }
+    }
+
+    /// Pages that [`build`](Self::build) will draw.
+    pub fn unbuilt(&self) -> usize {
+        self.queue.len()
+    }
+
+    /// Names of pages that the camera left behind since it was asked last.
+    pub fn take_dropped(&mut self) -> Vec<u32> {
+        std::mem::take(&mut self.dropped)
+    }
+
+    /// Looks what is to be drawn, if something changed.
+    pub fn plan<S: PageSet>(&mut self, set: &S) {
+        if !std::mem::take(&mut self.stale) {
+            return;
+        }
+        let (frame, at, forget) = (*set.frame(), self.at, self.radius * FORGET);
+        self.drawn.retain(|key, drawn| {
+            let keeps = distance(&frame, *key, &at) <= forget;
+            if !keeps {
+                self.dropped.push(drawn.id);
+            }
+            keeps
+        });
+        self.refine();
+        self.queue = self.wanted(set);
+        // Coarser until that makes a difference.
+        while self.queue.is_empty() && self.sum() > self.triangles && self.coarser < COARSEST_ALL {
+            self.coarser *= COARSEN;
+            self.queue = self.wanted(set);
+        }
+    }
+
+    /// Pages in memory that are not drawn, or not as they should be.
+    fn wanted<S: PageSet>(&self, set: &S) -> Vec<(f64, PageKey, u32)> {
+        let (frame, at) = (*set.frame(), self.at);
+        let mut wanted = Vec::new();
+        let area = [at.x - self.radius, at.y - self.radius, at.x + self.radius, at.y + self.radius];
+        for (tx, ty, slots) in columns(set, area) {
+            for slot in slots.iter().filter(|slot| slot.page().is_some()) {
+                let key = PageKey { tx, ty, layer: slot.layer() };
+                let far = distance(&frame, key, &at);
+                if far > self.radius {
+                    continue;
+                }
+                let coarseness = self.coarseness(&frame, far);
+                let built = self.drawn.get(&key).map(|drawn| drawn.coarseness);
+                if built.is_none_or(|built| coarseness + STEADY < built || built + STEADY < coarseness) {
+                    wanted.push((far, key, coarseness));
+                }
+            }
+        }
+        wanted
+    }
+
+    fn sum(&self) -> usize {
+        self.drawn.values().map(|drawn| drawn.triangles).sum()
+    }
+
+    /// Finer again, if there is room for many more triangles.
+    fn refine(&mut self) {
+        if (self.sum() as f64) < self.triangles as f64 * REFINE_BELOW {
+            self.coarser = (self.coarser / COARSEN).max(1.0);
+        }
+    }
+
+    fn coarseness(&self, frame: &Frame, far: f64) -> u32 {
+        let cell = far * self.detail * self.coarser / frame.pixel_m();
+        let least = (self.coarser / COARSE_ALL).log2().max(0.0);
+        cell.max(1.0).log2().max(least).floor().min(f64::from(COARSEST)) as u32
+    }
+
+    fn nearest(&mut self) -> Option<(PageKey, u32)> {
+        let order = |(_, a): &(usize, &(f64, PageKey, u32)), (_, b): &(usize, &(f64, PageKey, u32))| {
+            a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))
+        };
+        let (at, _) = self.queue.iter().enumerate().min_by(order)?;
+        let (_, key, coarseness) = self.queue.swap_remove(at);
+        Some((key, coarseness))
+    }
+
+    /// Draws the next page: its name, place, coarseness and geometry. `None` if nothing is to be drawn.
+    pub fn build<S: PageSet>(&mut self, set: &S) -> Option<(u32, PageKey, u32, Geometry)> {
+        while let Some((key, coarseness)) = self.nearest() {
+            let slot = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
+            let Some(page) = slot.and_then(|slot| slot.page()) else { continue };
+            let geometry = Geometry::of(set.frame(), key, page, coarseness);
+            let id = self.drawn.get(&key).map_or_else(
+                || {
+                    self.names += 1;
+                    self.names
+                },
+                |drawn| drawn.id,
+            );
+            self.drawn.insert(key, Drawn { id, coarseness, triangles: geometry.triangles() });
+            self.stale |= self.queue.is_empty() && self.sum() > self.triangles;
+            return Some((id, key, coarseness, geometry));
+        }
+        None
+    }
+}
+
+/// From a place to the nearest point of a page's box (m).
+fn distance(frame: &Frame, key: PageKey, at: &Point3<f64>) -> f64 {
+    let gap = |low: f64, size: f64, x: f64| (low - x).max(x - low - size).max(0.0);
+    let edge = TILE_PIXELS as f64 * frame.pixel_m();
+    let height = PAGE_SLICES as f64 * frame.slice_m();
+    Vector3::new(
+        gap(f64::from(key.tx) * edge, edge, at.x),
+        gap(f64::from(key.ty) * edge, edge, at.y),
+        gap(f64::from(key.layer) * height, height, at.z),
+    )
+    .norm()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slicewalk::slice::{PageBuilder, Span};
+    use slicewalk::store::Store;
+
+    /// Rough ground of 16 × 16 pages of 3.2 m.
+    fn ground() -> Store {
+        let pages = (0..256).map(|n| {
+            let mut builder = PageBuilder::default();
+            for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+                let top = 100 + (x * 31 + y * 17 + n as u32) % 5 * 60;
+                assert!(builder.set_column(x, y, &[Span::new(0, top, false).unwrap()]));
+            }
+            (PageKey { tx: n % 16, ty: n / 16, layer: 0 }, builder.build())
+        });
+        Store::from_pages(Frame::new(0.05, 0.15).unwrap(), pages)
+    }
+
+    fn build_all(scene: &mut Scene, store: &Store) -> Vec<(u32, PageKey, u32)> {
+        let mut built = Vec::new();
+        for _ in 0..40 {
+            scene.plan(store);
+            while let Some((id, key, coarseness, _)) = scene.build(store) {
+                built.push((id, key, coarseness));
+            }
+        }
+        built
+    }
+
+    #[test]
+    fn the_nearest_is_built_first_and_finest_and_what_is_left_behind_is_dropped() {
+        let store = ground();
+        let mut scene = Scene::new(10.0, 1e9, 0.01);
+        scene.look(Point3::new(1.0, 1.0, 1.0));
+        let built = build_all(&mut scene, &store);
+        assert_eq!(built[0].1, PageKey { tx: 0, ty: 0, layer: 0 });
+        assert!(built.iter().map(|page| page.2).is_sorted(), "{built:?}");
+        assert_eq!((built[0].2, built.last().unwrap().2), (0, 0), "0.01 × 10 m is two pixels: steady");
+        assert!(scene.take_dropped().is_empty());
+        let count = built.len();
+        assert!(count < 30 && build_all(&mut scene, &store).is_empty());
+        // To the other end: all of it is dropped, and as much is built.
+        scene.look(Point3::new(50.0, 50.0, 1.0));
+        let again = build_all(&mut scene, &store);
+        let mut dropped = scene.take_dropped();
+        dropped.sort_unstable();
+        assert_eq!(dropped, Vec::from_iter(1..=count as u32));
+        assert!(again.iter().all(|page| page.0 > count as u32));
+    }
+
+    #[test]
+    fn triangles_keep_to_their_number() {
+        let store = ground();
+        let mut scene = Scene::new(60.0, 1e9, 0.001);
+        scene.look(Point3::new(25.0, 25.0, 1.0));
+        build_all(&mut scene, &store);
+        let all = scene.sum();
+        scene.set(60.0, all as f64 / 8.0, 0.001);
+        let again = build_all(&mut scene, &store);
+        assert!(scene.sum() <= all / 8, "{} of {all}", scene.sum());
+        assert!(again.iter().all(|page| page.0 <= 256), "pages keep their names");
+        assert_eq!(scene.drawn.len(), 256);
+    }
+}

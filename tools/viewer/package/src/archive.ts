@@ -1,0 +1,216 @@
+/** Archives as the page sees them. */
+
+import { aborted, asError, fromFault } from "./fault.js";
+import { Link } from "./link.js";
+import type { BatchKind, FromWorker } from "./protocol.js";
+import {
+  type Archive,
+  type ArchiveEvents,
+  type ArchiveInfo,
+  type ArchiveReference,
+  type BatchOptions,
+  type Bounds,
+  type OpenOptions,
+  type RayHits,
+  type SliceMap,
+  SlicewalkError,
+  type Stats,
+  type View,
+  type ViewOptions,
+  type Walker,
+  type WalkerOptions,
+} from "./types.js";
+import { ViewHandle } from "./view.js";
+import { makeWalker } from "./walker.js";
+
+/** Opens the archive at an address, or in a file that the user chose. */
+export async function openArchive(source: string | URL | Blob, options: OpenOptions = {}): Promise<Archive> {
+  if (options.signal?.aborted) {
+    throw aborted();
+  }
+  let worker: Worker;
+  try {
+    worker = options.worker ? options.worker() : new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+  } catch (thrown) {
+    throw asError(thrown);
+  }
+  const archive = new OpenArchive(worker);
+  await archive.open(source, options);
+  return archive;
+}
+
+function absolute(address: string | URL): string {
+  try {
+    return new URL(address, typeof document === "undefined" ? undefined : document.baseURI).href;
+  } catch (cause) {
+    throw new SlicewalkError("invalid", `${address} is no address`, { cause });
+  }
+}
+
+class OpenArchive implements Archive {
+  info!: ArchiveInfo;
+  stats: Stats = toStats(new Float64Array(12));
+  private readonly link: Link;
+  private readonly views = new Map<number, ViewHandle>();
+  private readonly listeners: { [E in keyof ArchiveEvents]: Set<ArchiveEvents[E]> } = {
+    stats: new Set(),
+    trouble: new Set(),
+    failed: new Set(),
+  };
+  private referenced: Promise<ArchiveReference> | undefined;
+
+  constructor(worker: Worker) {
+    this.link = new Link(worker, (event) => this.happened(event));
+  }
+
+  async open(source: string | URL | Blob, options: OpenOptions): Promise<void> {
+    const { wasm } = options;
+    try {
+      const info = await this.link.call<string>(
+        {
+          call: "open",
+          source: source instanceof Blob ? source : absolute(source),
+          wasm: typeof wasm === "string" || wasm instanceof URL ? absolute(wasm) : wasm,
+          budgetBytes: options.budgetBytes ?? 64 << 20,
+          requests: options.requests ?? 6,
+          credentials: options.credentials,
+        },
+        options.signal,
+      );
+      const name = source instanceof Blob ? ((source as Partial<File>).name ?? "a file") : absolute(source);
+      this.info = { name, ...JSON.parse(info) };
+    } catch (thrown) {
+      this.link.end(aborted());
+      throw asError(thrown);
+    }
+  }
+
+  get error(): SlicewalkError | null {
+    return this.link.error;
+  }
+
+  on<E extends keyof ArchiveEvents>(event: E, listener: ArchiveEvents[E]): () => void {
+    this.listeners[event].add(listener);
+    return () => {
+      this.listeners[event].delete(listener);
+    };
+  }
+
+  reference(): Promise<ArchiveReference> {
+    const reading = this.referenced ?? this.link.call<ArchiveReference>({ call: "reference" });
+    this.referenced = reading;
+    // Asked again, it tries again.
+    reading.catch(() => {
+      this.referenced = undefined;
+    });
+    return reading;
+  }
+
+  overlaps(boxes: Float64Array, options?: BatchOptions): Promise<Uint8Array> {
+    return this.batch<Uint8Array>("overlaps", boxes, options);
+  }
+
+  sweep(sweeps: Float64Array, options?: BatchOptions): Promise<Float64Array> {
+    return this.batch("sweep", sweeps, options);
+  }
+
+  async cast(rays: Float64Array, options?: BatchOptions): Promise<Float64Array> {
+    return (await this.castHits(rays, options)).distances;
+  }
+
+  async castHits(rays: Float64Array, options?: BatchOptions): Promise<RayHits> {
+    const answers = await this.batch<Float64Array>("cast", rays, options);
+    const count = answers.length / 5;
+    const hits = { distances: new Float64Array(count), normals: new Float64Array(3 * count), obstacles: new Uint8Array(count) };
+    for (let ray = 0; ray < count; ray++) {
+      hits.distances[ray] = answers[5 * ray] as number;
+      hits.normals.set(answers.subarray(5 * ray + 1, 5 * ray + 4), 3 * ray);
+      hits.obstacles[ray] = answers[5 * ray + 4] as number;
+    }
+    return hits;
+  }
+
+  floor(boxes: Float64Array, options?: BatchOptions): Promise<Float64Array> {
+    return this.batch("floor", boxes, options);
+  }
+
+  private batch<T = Float64Array>(kind: BatchKind, rows: Float64Array, options: BatchOptions = {}): Promise<T> {
+    const copy = rows.slice();
+    return this.link.call<T>({ call: "batch", kind, rows: copy, load: options.load ?? false }, options.signal, [copy.buffer]);
+  }
+
+  load(box: Bounds, options: { signal?: AbortSignal } = {}): Promise<void> {
+    return this.link.call<void>({ call: "load", box: Float64Array.of(...box.min, ...box.max) }, options.signal);
+  }
+
+  async map(
+    area: { min: readonly [number, number]; max: readonly [number, number] },
+    heights: readonly [number, number],
+    cells = 512,
+  ): Promise<SliceMap> {
+    const bytes = await this.link.call<Uint8Array>({
+      call: "map",
+      area: Float64Array.of(...area.min, ...area.max, ...heights),
+      cells,
+    });
+    const head = new DataView(bytes.buffer, bytes.byteOffset, 24);
+    const [width, height, cell] = [0, 8, 16].map((at) => head.getFloat64(at, true)) as [number, number, number];
+    return { width, height, cell, cells: bytes.subarray(24), min: area.min };
+  }
+
+  walker(options: WalkerOptions): Promise<Walker> {
+    return makeWalker(this.link, options);
+  }
+
+  view(options: ViewOptions): View {
+    return new ViewHandle(this.link, options, this.info.pixelSize, this.views);
+  }
+
+  close(): void {
+    this.link.end(aborted());
+  }
+
+  private happened(event: Extract<FromWorker, { event: string }>): void {
+    switch (event.event) {
+      case "stats":
+        this.stats = toStats(event.numbers);
+        this.tell("stats", this.stats);
+        break;
+      case "trouble":
+        this.tell("trouble", event.fault && fromFault(event.fault));
+        break;
+      case "failed":
+        this.tell("failed", fromFault(event.fault));
+        break;
+      case "page":
+        this.views.get(event.view)?.page(event);
+        break;
+      case "drop":
+        this.views.get(event.view)?.drop(event.ids);
+        break;
+    }
+  }
+
+  private tell<E extends keyof ArchiveEvents>(event: E, value: Parameters<ArchiveEvents[E]>[0]): void {
+    for (const listener of this.listeners[event]) {
+      (listener as (value: unknown) => void)(value);
+    }
+  }
+}
+
+function toStats(numbers: Float64Array): Stats {
+  const at = (index: number): number => numbers[index] ?? 0;
+  return {
+    pages: { resident: at(0), bytes: at(1) },
+    usedBytes: at(2),
+    peakBytes: at(3),
+    budgetBytes: at(4),
+    loaded: at(5),
+    evicted: at(6),
+    missing: at(7),
+    unbuilt: at(8),
+    requests: at(9),
+    bytesLoaded: at(10),
+    pending: at(11),
+  };
+}

@@ -1,0 +1,513 @@
+/** The worker's side: drives the engine with bytes and time, and answers the page. Knows no `Worker`, so tests run it in place. */
+
+import { aborted, asError, asFault } from "./fault.js";
+import { browser, HttpSource, type Outside } from "./http.js";
+import type { Call, FromWorker, Note, Open, ToWorker } from "./protocol.js";
+import { BlobSource, TailFirst } from "./source.js";
+import { NOT_LOADED, SlicewalkError } from "./types.js";
+import type { Engine } from "./wasm/engine.js";
+
+/** Most bytes that the head of an archive takes. */
+const HEAD = 16 << 10;
+/** Rows of a batch that are answered at once. */
+const ROWS = 4096;
+const STATS_EVERY = 250;
+/** Numbers of a question of each kind, and of its answer. */
+const SHAPES = { overlaps: [6, 1], sweep: [9, 1], cast: [7, 5], floor: [6, 1] } as const;
+
+export interface Port {
+  post(message: FromWorker, transfer: Transferable[]): void;
+}
+
+/** Loads the engine: `wasm` as the page gave it. */
+export type LoadEngine = (wasm: string | WebAssembly.Module | undefined) => Promise<EngineModule>;
+
+export interface EngineModule {
+  open(fileLength: number, budget: number, requests: number): Engine;
+  /** Whether no more memory is to be had. */
+  isFull(): boolean;
+}
+
+interface Waiting {
+  resolve(leftOut: number): void;
+  reject(error: SlicewalkError): void;
+}
+
+export class Host {
+  private module: EngineModule | undefined;
+  private engine: Engine | undefined;
+  private source: TailFirst | undefined;
+  private failure: SlicewalkError | undefined;
+  private readonly fetches = new Map<number, AbortController>();
+  private readonly calls = new Map<number, AbortController>();
+  private readonly requests = new Map<number, Waiting>();
+  private readonly views: number[] = [];
+  private scheduled = false;
+  private timer = new AbortController();
+  private readonly life = new AbortController();
+  private statsAt = Number.NEGATIVE_INFINITY;
+  private statsDue = false;
+  private statsWait = false;
+  private lastStats = "";
+  /** Wakes the worker without letting a timer's pause pass. */
+  private readonly bell = new MessageChannel();
+
+  constructor(
+    private readonly port: Port,
+    private readonly load: LoadEngine,
+    private readonly outside: Outside = browser,
+  ) {
+    this.bell.port1.onmessage = () => this.pump();
+  }
+
+  /** Ends everything; for tests, a worker is simply terminated. */
+  close(): void {
+    this.failure ??= aborted();
+    for (const gate of [...this.fetches.values(), ...this.calls.values(), this.timer, this.life]) {
+      gate.abort();
+    }
+    this.bell.port1.close();
+  }
+
+  receive(message: ToWorker): void {
+    if ("note" in message) {
+      this.noted(message);
+      return;
+    }
+    const gate = new AbortController();
+    this.calls.set(message.id, gate);
+    this.answer(message, gate.signal)
+      .then(
+        ({ value, transfer }) => this.port.post({ id: message.id, value }, transfer),
+        (thrown: unknown) => this.port.post({ id: message.id, fault: asFault(this.caught(thrown)) }, []),
+      )
+      .finally(() => this.calls.delete(message.id));
+  }
+
+  private noted(message: Note): void {
+    if (message.note === "abort") {
+      this.calls.get(message.id)?.abort();
+      return;
+    }
+    const engine = this.engine;
+    if (!engine || this.failure) {
+      return;
+    }
+    this.guarded(() => {
+      switch (message.note) {
+        case "look":
+          engine.look(message.view, message.at);
+          break;
+        case "view":
+          engine.set_scene(message.view, ...message.settings);
+          break;
+        case "forget":
+          engine.forget(message.name);
+          if (this.views.includes(message.name)) {
+            this.views.splice(this.views.indexOf(message.name), 1);
+          }
+          break;
+      }
+      this.wake();
+    });
+  }
+
+  private async answer(call: Call, signal: AbortSignal): Promise<{ value: unknown; transfer: Transferable[] }> {
+    const plain = (value: unknown) => ({ value, transfer: [] });
+    const moved = (array: Float64Array | Uint8Array) => ({ value: array, transfer: [array.buffer as ArrayBuffer] });
+    if (call.call === "open") {
+      return plain(await this.open(call, signal));
+    }
+    const engine = this.ready();
+    switch (call.call) {
+      case "reference": {
+        const [start = 0, end = 0] = engine.metadata_range();
+        const metadata = (await this.source?.read(start, end, signal)) ?? new Uint8Array();
+        return plain(JSON.parse(engine.reference(metadata)));
+      }
+      case "batch":
+        return moved(await this.batch(call.kind, call.rows, call.load, signal));
+      case "load": {
+        const leftOut = await this.outcome(engine.load(call.box), signal);
+        if (leftOut > 0) {
+          throw new SlicewalkError("out-of-memory", `the budget has no room for ${leftOut} pages of this box; give it more`);
+        }
+        return plain(undefined);
+      }
+      case "map":
+        return moved(engine.map(call.area, call.cells));
+      case "walker":
+        return this.woken(plain(engine.pawn(call.settings, call.at)));
+      case "step":
+        return this.woken(moved(engine.step(call.walker, call.seconds, call.input)));
+      case "place":
+        return this.woken(moved(engine.place(call.walker, call.at)));
+      case "settings":
+        return this.woken(moved(engine.set_pawn(call.walker, call.settings)));
+      case "record":
+        return moved(engine.record(call.walker));
+      case "recording":
+        return plain({ steps: engine.recorded_steps(call.walker), path: engine.recorded_path(call.walker) });
+      case "view": {
+        const view = engine.scene(...call.settings);
+        this.views.push(view);
+        return plain(view);
+      }
+    }
+  }
+
+  private woken<T>(answer: T): T {
+    this.wake();
+    return answer;
+  }
+
+  private ready(): Engine {
+    if (this.failure) {
+      throw this.failure;
+    }
+    if (!this.engine?.is_open()) {
+      throw new SlicewalkError("invalid", "the archive is not open yet");
+    }
+    return this.engine;
+  }
+
+  // Opening ------------------------------------------------------------------------------------------------------------------
+
+  private opened: Waiting | undefined;
+
+  private async open(call: Open, signal: AbortSignal): Promise<string> {
+    const { source } = call;
+    const onTrouble = (error: SlicewalkError | null) =>
+      this.port.post({ event: "trouble", fault: error && asFault(error) }, []);
+    const credentials = call.credentials;
+    const options = credentials ? { onTrouble, credentials } : { onTrouble };
+    const bytes = new TailFirst(
+      typeof source === "string" ? new HttpSource(source, this.outside, options) : new BlobSource(source),
+    );
+    this.source = bytes;
+    // The engine arrives while the first bytes do.
+    const [module] = await Promise.all([this.load(call.wasm), bytes.begin(HEAD, signal)]);
+    this.module = module;
+    this.engine = module.open(bytes.length ?? Number.NaN, call.budgetBytes, call.requests);
+    await new Promise<number>((resolve, reject) => {
+      this.opened = { resolve, reject };
+      signal.addEventListener("abort", () => reject(aborted()), { once: true });
+      this.pump();
+    });
+    return this.engine.info();
+  }
+
+  // Batches ------------------------------------------------------------------------------------------------------------------
+
+  private async batch(kind: keyof typeof SHAPES, rows: Float64Array, load: boolean, signal: AbortSignal) {
+    const [width, answers] = SHAPES[kind];
+    const count = rows.length / width;
+    if (!Number.isInteger(count)) {
+      throw new SlicewalkError("invalid", `${rows.length} numbers are not rows of ${width}`);
+    }
+    const out = kind === "overlaps" ? new Uint8Array(count) : new Float64Array(count * answers);
+    let left: Uint32Array = await this.ask(kind, rows, null, out, signal);
+    while (load && left.length > 0) {
+      const before = left.length;
+      const noRoom = await this.outcome(this.ready().load_missing(), signal);
+      left = await this.ask(kind, rows, left, out, signal);
+      if (left.length < before || noRoom === 0) {
+        continue;
+      }
+      // Not all has room at once: one row then, and what it needs.
+      const first = left.slice(0, 1);
+      for (let alone: Uint32Array = first; alone.length > 0; alone = await this.ask(kind, rows, alone, out, signal)) {
+        // What the others lacked is forgotten.
+        this.ready().forget_missing();
+        await this.ask(kind, rows, alone, out, signal);
+        if ((await this.outcome(this.ready().load_missing(), signal)) > 0) {
+          throw new SlicewalkError(
+            "out-of-memory",
+            `the budget has no room for the pages that row ${first[0]} needs; give it more`,
+          );
+        }
+      }
+      left = left.slice(1);
+    }
+    return out;
+  }
+
+  /** Answers these rows, or all; those that are not known. */
+  private async ask(
+    kind: keyof typeof SHAPES,
+    rows: Float64Array,
+    which: Uint32Array | null,
+    out: Uint8Array | Float64Array,
+    signal: AbortSignal,
+  ): Promise<Uint32Array> {
+    const [width, answers] = SHAPES[kind];
+    const count = which?.length ?? rows.length / width;
+    const unknown: number[] = [];
+    for (let first = 0; first < count; first += ROWS) {
+      if (first > 0) {
+        // A long batch lets steps through.
+        await this.pause();
+      }
+      if (signal.aborted) {
+        throw aborted();
+      }
+      const last = Math.min(first + ROWS, count);
+      const row = (n: number): number => which?.[n] ?? n;
+      let part = rows.subarray(first * width, last * width);
+      if (which) {
+        part = new Float64Array((last - first) * width);
+        for (let n = first; n < last; n++) {
+          part.set(rows.subarray(row(n) * width, (row(n) + 1) * width), (n - first) * width);
+        }
+      }
+      const found = this.questioned(() => this.ready()[kind](part), first);
+      for (let n = first; n < last; n++) {
+        const answer = found.subarray((n - first) * answers, (n - first + 1) * answers);
+        out.set(answer, row(n) * answers);
+        if (kind === "overlaps" ? answer[0] === NOT_LOADED : Number.isNaN(answer[0])) {
+          unknown.push(row(n));
+        }
+      }
+    }
+    return Uint32Array.from(unknown);
+  }
+
+  /** Rows in errors are counted from the beginning of the batch. */
+  private questioned<T>(ask: () => T, first: number): T {
+    try {
+      return ask();
+    } catch (thrown) {
+      const error = asError(thrown);
+      const message = error.message.replace(/^row (\d+)/, (_, row) => `row ${Number(row) + first}`);
+      throw error.kind === "invalid" ? new SlicewalkError("invalid", message) : thrown;
+    }
+  }
+
+  private pause(): Promise<void> {
+    return new Promise((resolve) => {
+      const channel = new MessageChannel();
+      channel.port1.onmessage = () => {
+        channel.port1.close();
+        resolve();
+      };
+      channel.port2.postMessage(0);
+    });
+  }
+
+  /** How many pages of a request found no room; 0 for no request. */
+  private outcome(request: number, signal: AbortSignal): Promise<number> {
+    if (request === 0) {
+      return Promise.resolve(0);
+    }
+    return new Promise<number>((resolve, reject) => {
+      const abort = () => reject(aborted());
+      const done = () => signal.removeEventListener("abort", abort);
+      signal.addEventListener("abort", abort, { once: true });
+      this.requests.set(request, {
+        resolve: (leftOut) => {
+          done();
+          resolve(leftOut);
+        },
+        reject: (error) => {
+          done();
+          reject(error);
+        },
+      });
+      this.wake();
+    });
+  }
+
+  // The loop -----------------------------------------------------------------------------------------------------------------
+
+  /** Comes to `pump` soon, after the messages that wait already. */
+  private wake(): void {
+    if (!this.scheduled) {
+      this.scheduled = true;
+      this.bell.port2.postMessage(0);
+    }
+  }
+
+  /** Does what is to be done now, and at most one piece of work that takes long. */
+  private pump(): void {
+    this.scheduled = false;
+    const engine = this.engine;
+    if (!engine || this.failure) {
+      return;
+    }
+    this.timer.abort();
+    this.guarded(() => {
+      const wait = this.poll(engine);
+      if (engine.decode(this.outside.now()) || this.build(engine)) {
+        this.statsDue = true;
+        this.wake();
+      } else if (wait < Number.POSITIVE_INFINITY) {
+        this.timer = new AbortController();
+        const { signal } = this.timer;
+        this.outside.sleep(Math.max(wait - this.outside.now(), 1), signal).then(
+          () => this.wake(),
+          () => undefined,
+        );
+      }
+      this.settle(engine);
+      this.tell(engine);
+    });
+  }
+
+  /** Begins and gives up requests as the engine says; when to come again. */
+  private poll(engine: Engine): number {
+    const todo = engine.poll(this.outside.now());
+    let wait = Number.POSITIVE_INFINITY;
+    for (let at = 0; at < todo.length; ) {
+      const [what = 0, a = 0, b = 0, c = 0] = todo.subarray(at, at + 4);
+      if (what === 1) {
+        void this.fetch(engine, a, b, c);
+        at += 4;
+      } else if (what === 2) {
+        this.fetches.get(a)?.abort();
+        at += 2;
+      } else {
+        wait = a;
+        at += 2;
+      }
+    }
+    for (let report = engine.take_report(); report !== ""; report = engine.take_report()) {
+      this.port.post({ event: "trouble", fault: asFault(report) }, []);
+    }
+    return wait;
+  }
+
+  private async fetch(engine: Engine, name: number, start: number, end: number): Promise<void> {
+    const gate = new AbortController();
+    this.fetches.set(name, gate);
+    try {
+      const bytes = await this.source?.read(start, end, gate.signal);
+      if (bytes && !this.failure) {
+        this.guarded(() => engine.given(name, bytes, this.outside.now()));
+      }
+    } catch (thrown) {
+      if (!gate.signal.aborted) {
+        // The source itself goes on trying where that may help.
+        this.fail(asError(thrown));
+      }
+    } finally {
+      this.fetches.delete(name);
+      this.statsDue = true;
+      this.wake();
+    }
+  }
+
+  /** Draws one page of some view, or forgets some. */
+  private build(engine: Engine): boolean {
+    if (!engine.is_open()) {
+      return false;
+    }
+    for (const view of this.views) {
+      const numbers = engine.build(view);
+      const ids = engine.take_dropped(view);
+      if (ids.length > 0) {
+        this.port.post({ event: "drop", view, ids }, [ids.buffer as ArrayBuffer]);
+      }
+      if (numbers.length > 0) {
+        const [positions, normals, attributes] = [engine.take_positions(), engine.take_normals(), engine.take_attributes()];
+        const transfer = [numbers, positions, normals, attributes].map((array) => array.buffer as ArrayBuffer);
+        this.port.post({ event: "page", view, numbers, positions, normals, attributes }, transfer);
+        // The next time another view comes first.
+        this.views.push(...this.views.splice(this.views.indexOf(view), 1));
+        return true;
+      }
+    }
+    return false;
+  }
+
+  /** Resolves what came to an end. */
+  private settle(engine: Engine): void {
+    if (this.opened && engine.is_open()) {
+      this.opened.resolve(0);
+      this.opened = undefined;
+    }
+    for (const [request, waiting] of this.requests) {
+      try {
+        const leftOut = engine.outcome(request);
+        if (Number.isNaN(leftOut)) {
+          continue;
+        }
+        waiting.resolve(leftOut);
+      } catch (thrown) {
+        waiting.reject(asError(thrown));
+      }
+      this.requests.delete(request);
+    }
+  }
+
+  /** Posts the numbers, at most four times a second. */
+  private tell(engine: Engine): void {
+    if (!this.statsDue) {
+      return;
+    }
+    const early = this.statsAt + STATS_EVERY - this.outside.now();
+    if (early > 0) {
+      if (!this.statsWait) {
+        this.statsWait = true;
+        this.outside.sleep(early, this.life.signal).then(
+          () => {
+            this.statsWait = false;
+            this.wake();
+          },
+          () => undefined,
+        );
+      }
+      return;
+    }
+    this.statsAt = this.outside.now();
+    this.statsDue = false;
+    const { requests, bytes } = this.source ?? { requests: 0, bytes: 0 };
+    const numbers = Float64Array.from([...engine.stats(), requests, bytes, this.fetches.size]);
+    const text = numbers.join();
+    if (text !== this.lastStats) {
+      this.lastStats = text;
+      this.port.post({ event: "stats", numbers }, []);
+    }
+  }
+
+  // Failures -----------------------------------------------------------------------------------------------------------------
+
+  private guarded(work: () => void): void {
+    try {
+      work();
+    } catch (thrown) {
+      this.fail(this.caught(thrown));
+    }
+  }
+
+  /** A trap of the engine is the end of it; anything else that it throws is an answer. */
+  private caught(thrown: unknown): SlicewalkError {
+    if (!(thrown instanceof WebAssembly.RuntimeError || thrown instanceof RangeError)) {
+      return asError(thrown);
+    }
+    const full = thrown instanceof RangeError || this.module?.isFull();
+    const text = full ? "the browser has no more memory; give a smaller budget" : `the engine stopped: ${String(thrown)}`;
+    const error = new SlicewalkError(full ? "out-of-memory" : "engine", text, { cause: thrown });
+    this.fail(error);
+    return error;
+  }
+
+  private fail(error: SlicewalkError): void {
+    if (this.failure) {
+      return;
+    }
+    this.failure = error;
+    for (const gate of this.fetches.values()) {
+      gate.abort();
+    }
+    for (const waiting of this.requests.values()) {
+      waiting.reject(error);
+    }
+    this.requests.clear();
+    if (this.opened) {
+      this.opened.reject(error);
+      this.opened = undefined;
+    } else {
+      this.port.post({ event: "failed", fault: asFault(error) }, []);
+    }
+  }
+}

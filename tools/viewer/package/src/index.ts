@@ -1,0 +1,2 @@
+export { openArchive } from "./archive.js";
+export * from "./types.js";

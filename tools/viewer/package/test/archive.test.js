@@ -1,0 +1,233 @@
+// The package as a page uses it, on an archive that comes by ranges.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { CLEAR, HIT, NOT_LOADED, openArchive, SlicewalkError } from "../dist/index.js";
+import { FileHost, numbers, read } from "./local.js";
+
+const scene = read("scene.slices");
+const URL_ = "http://host/scene.slices";
+const open = (host, options) => openArchive(URL_, { worker: host.worker, ...options });
+const refuses =
+  (kind, message = /./) =>
+  (error) =>
+    error instanceof SlicewalkError && error.kind === kind && message.test(error.message);
+const until = async (what, seconds = 10) => {
+  for (let n = 0; !what(); n++) {
+    assert.ok(n < seconds * 200, `never: ${what}`);
+    await new Promise((resolve) => setTimeout(resolve, 5));
+  }
+};
+
+test("opens with three requests and says what the head says", async () => {
+  const host = new FileHost(scene);
+  const archive = await open(host);
+  const { info } = archive;
+  assert.equal(info.name, URL_);
+  assert.equal(info.fileBytes, scene.length);
+  assert.deepEqual([info.pixelSize, info.sliceHeight, info.origin, info.maxSlope], [0.04, 0.12, [0, 0, 0], 45]);
+  assert.ok(info.pages >= 16 && info.formatVersion.startsWith("1."));
+  assert.deepEqual(await archive.reference(), { crs: "", unit: { name: "unknown", factor: null } });
+  assert.ok(host.asked.length <= 2, `${host.asked.length} requests: head, and all that lies at the end`);
+  archive.close();
+  await assert.rejects(archive.overlaps(new Float64Array(6)), refuses("aborted"));
+});
+
+test("answers batches as natively, once what they need is loaded, under a budget of part of the archive", async () => {
+  const archive = await open(new FileHost(scene), { budgetBytes: 3 << 20 });
+  const rows = 3000;
+  const boxes = numbers("boxes.f64").subarray(0, 6 * rows);
+  const now = await archive.overlaps(boxes);
+  assert.ok(now.includes(NOT_LOADED) && !now.includes(HIT), "nothing is in memory yet, and nothing is said to be free wrongly");
+  const native = read("boxes.answers.u8").subarray(0, rows);
+  assert.ok(now.every((answer, n) => answer === NOT_LOADED || answer === native[n]));
+  assert.deepEqual(await archive.overlaps(boxes, { load: true }), native);
+  assert.ok(native.includes(CLEAR) && native.includes(HIT));
+  assert.deepEqual(await archive.floor(boxes, { load: true }), numbers("boxes.floors.f64").slice(0, rows));
+  const sweeps = await archive.sweep(numbers("sweeps.f64").subarray(0, 9 * rows), { load: true });
+  assert.deepEqual(sweeps, numbers("sweeps.answers.f64").slice(0, rows));
+  const hits = await archive.castHits(numbers("rays.f64").subarray(0, 7 * rows), { load: true });
+  const expected = numbers("rays.answers.f64").subarray(0, 5 * rows);
+  assert.deepEqual(
+    hits.distances,
+    expected.filter((_, n) => n % 5 === 0),
+  );
+  assert.deepEqual(
+    hits.normals,
+    expected.filter((_, n) => n % 5 > 0 && n % 5 < 4),
+  );
+  assert.deepEqual(Array.from(hits.obstacles), Array.from(expected.filter((_, n) => n % 5 === 4)));
+  await until(() => archive.stats.pending === 0 && archive.stats.evicted > 0);
+  assert.ok(archive.stats.peakBytes <= 3 << 20 && archive.stats.requests > 2 && archive.stats.bytesLoaded > 1000);
+  archive.close();
+});
+
+test("arguments that make no sense are refused with their row", async () => {
+  const archive = await open(new FileHost(scene));
+  await assert.rejects(archive.overlaps(new Float64Array(7)), refuses("invalid", /7 numbers are not rows of 6/));
+  const boxes = new Float64Array(6 * 5000);
+  boxes[6 * 4500] = 1;
+  await assert.rejects(archive.overlaps(boxes), refuses("invalid", /^row 4500: box/));
+  await assert.rejects(archive.cast(new Float64Array(7)), refuses("invalid", /row 0: ray/));
+  await assert.rejects(archive.walker({ at: [0, 0, Number.NaN] }), refuses("invalid"));
+  await assert.rejects(archive.walker({ at: [0, 0, 0], climb: 3 }), refuses("invalid", /climb/));
+  await assert.rejects(archive.load({ min: [1, 0, 0], max: [0, 0, 0] }), refuses("invalid", /box/));
+  assert.equal(archive.error, null);
+  archive.close();
+});
+
+test("a walker waits for its pages and then walks, jumps, crouches and flies", async () => {
+  const host = new FileHost(scene);
+  const archive = await open(host);
+  host.delay = 200;
+  const at = [-2, 2, 0.2];
+  const walker = await archive.walker({ at });
+  assert.deepEqual(walker.state.at, at);
+  const first = await walker.step(1 / 60, {});
+  assert.ok(first.missing > 0 && first.ticks === 0, "not loaded is never free");
+  host.delay = 1;
+  await archive.load({ min: [-4, 0, -1], max: [1, 4, 5] });
+  const go = async (frames, input) => {
+    let highest = -Infinity;
+    for (let n = 0; n < frames; n++) {
+      highest = Math.max(highest, (await walker.step(1 / 60, input)).at[2]);
+    }
+    return highest;
+  };
+  await go(60, {});
+  assert.equal(walker.state.ground, "walking");
+  const [x, , z] = walker.state.at;
+  assert.ok((await go(20, { jump: true })) > z + 0.3);
+  await go(60, {});
+  await go(12, { wish: [1, 0], pace: 0.5 });
+  assert.ok(walker.state.at[0] > x + 0.05, `${walker.state.at}, from ${x}`);
+  await go(2, { crouch: true });
+  assert.deepEqual([walker.state.crouched, walker.state.height], [true, 1.8 * 0.6]);
+  await go(2, {});
+  assert.equal(walker.state.crouched, false);
+  await go(60, { fly: true, lift: 1 });
+  assert.equal(walker.state.ground, "flying");
+  assert.ok(walker.state.at[2] > z + 1 && walker.state.rise > 1);
+  assert.equal((await walker.place(at)).at[2], 0.2);
+  await assert.rejects(walker.set({ body: { shape: "cylinder", radius: 20, height: 3 } }), refuses("invalid", /room/));
+  await walker.set({ speed: 3, body: { shape: "cylinder", radius: 0.1, height: 0.9 } });
+  assert.equal((await walker.step(0.1, {})).height, 0.9);
+  walker.close();
+  await assert.rejects(walker.step(0.1, {}), refuses("invalid", /closed/));
+  archive.close();
+});
+
+test("a view gets the pages around its camera, and forgets those it leaves behind", async () => {
+  const archive = await open(new FileHost(scene));
+  const pages = new Map();
+  const dropped = [];
+  const view = archive.view({ radius: 2, onPage: (page) => pages.set(page.id, page), onDrop: (id) => dropped.push(id) });
+  view.look([0, 0, 1]);
+  await until(() => pages.size > 3 && archive.stats.unbuilt === 0 && archive.stats.pending === 0);
+  for (const page of pages.values()) {
+    assert.equal(page.positions.length % 12, 0);
+    assert.deepEqual(
+      [page.normals.length, page.attributes.length],
+      [(page.positions.length / 3) * 4, (page.positions.length / 3) * 4],
+    );
+    assert.equal(page.indices.length, page.positions.length / 2);
+    assert.equal(Math.max(...page.indices.subarray(-6)), page.positions.length / 3 - 1);
+    assert.deepEqual([page.origin[0], page.key.level], [page.key.tx * 64 * 0.04, 0]);
+    for (let vertex = 0; vertex < page.positions.length; vertex += 3) {
+      for (const axis of [0, 1, 2]) {
+        const at = page.origin[axis] + page.scale[axis] * page.positions[vertex + axis];
+        const slack = page.cell + 1e-9;
+        assert.ok(at >= page.bounds.min[axis] - slack && at <= page.bounds.max[axis] + slack, `${at} along ${axis}`);
+      }
+    }
+  }
+  const near = [...pages.keys()];
+  view.look([500, 0, 1]);
+  await until(() => dropped.length === near.length);
+  assert.deepEqual(
+    dropped.sort((a, b) => a - b),
+    near.sort((a, b) => a - b),
+  );
+  view.close();
+  archive.close();
+});
+
+test("a map shows floor, obstacles and what is not loaded", async () => {
+  const archive = await open(new FileHost(scene));
+  const area = { min: [-2, -2], max: [2, 2] };
+  const before = await archive.map(area, [0.1, 2], 64);
+  assert.deepEqual([before.width, before.height, before.cells.length], [64, 64, 4096]);
+  assert.ok(before.cells.every((cell) => cell === 0 || cell === 3) && before.cells.includes(3));
+  await archive.load({ min: [-2, -2, 0], max: [2, 2, 3] });
+  const after = await archive.map(area, [-0.1, 2], 64);
+  assert.ok(after.cells.includes(1) && after.cells.includes(2) && !after.cells.includes(3));
+  archive.close();
+});
+
+test("a Blob is read by slices", async () => {
+  const archive = await openArchive(new Blob([scene]), { worker: new FileHost(new Uint8Array()).worker });
+  const boxes = numbers("boxes.f64").subarray(0, 600);
+  assert.deepEqual(await archive.overlaps(boxes, { load: true }), read("boxes.answers.u8").subarray(0, 100));
+  archive.close();
+});
+
+test("what is no archive, is damaged or needs more memory is said so", async () => {
+  const text = new TextEncoder().encode("<!doctype html>".repeat(100));
+  await assert.rejects(open(new FileHost(text)), refuses("not-an-archive", /rule H1/));
+  await assert.rejects(open(new FileHost(scene.slice(0, 30_000))), refuses("damaged", /rule/));
+  await assert.rejects(openArchive(new Blob([]), { worker: new FileHost(text).worker }), refuses("not-an-archive"));
+  await assert.rejects(open(new FileHost(scene), { budgetBytes: 1000 }), refuses("out-of-memory", /table/));
+  const small = await open(new FileHost(scene), { budgetBytes: 300_000 });
+  const all = { min: [-9, -9, -9], max: [9, 9, 9] };
+  await assert.rejects(small.load(all), refuses("out-of-memory", /no room for \d+ pages/));
+  small.close();
+  const bad = scene.slice();
+  bad.fill(0x55, 40_000, 60_000);
+  const archive = await open(new FileHost(bad));
+  await assert.rejects(archive.load(all), refuses("damaged", /page/));
+  const answers = await archive.overlaps(Float64Array.of(-9, -9, -9, 9, 9, 9));
+  assert.ok(answers[0] === NOT_LOADED || answers[0] === HIT);
+  archive.close();
+});
+
+test("a host that goes away and comes back is waited for, and the trouble is told", async () => {
+  const host = new FileHost(scene);
+  const archive = await open(host);
+  const told = [];
+  archive.on("trouble", (error) => told.push(error?.kind ?? null));
+  host.down = true;
+  const loading = archive.load({ min: [-1, -1, 0], max: [1, 1, 2] });
+  await until(() => told.includes("network"));
+  host.down = false;
+  await loading;
+  await until(() => told.at(-1) === null);
+  assert.equal(archive.error, null);
+  archive.close();
+});
+
+test("an archive that is replaced meanwhile fails as a whole, once", async () => {
+  const host = new FileHost(scene);
+  const archive = await open(host);
+  const failures = [];
+  archive.on("failed", (error) => failures.push(error));
+  host.etag = '"2"';
+  await assert.rejects(archive.load({ min: [-1, -1, 0], max: [1, 1, 2] }), refuses("replaced", /open it again/));
+  await assert.rejects(archive.overlaps(new Float64Array(6)), refuses("replaced"));
+  assert.deepEqual([failures.map((error) => error.kind), archive.error?.kind], [["replaced"], "replaced"]);
+});
+
+test("opening and batches can be given up", async () => {
+  const gate = new AbortController();
+  const host = new FileHost(scene);
+  const opening = open(host, { signal: gate.signal });
+  gate.abort();
+  await assert.rejects(opening, refuses("aborted"));
+  await assert.rejects(open(host, { signal: gate.signal }), refuses("aborted"));
+  const archive = await open(host);
+  const again = new AbortController();
+  const batch = archive.overlaps(numbers("boxes.f64"), { load: true, signal: again.signal });
+  setTimeout(() => again.abort(), 5);
+  await assert.rejects(batch, refuses("aborted"));
+  assert.equal((await archive.overlaps(Float64Array.of(50, 50, 50, 51, 51, 51)))[0], CLEAR);
+  archive.close();
+});

@@ -1,0 +1,84 @@
+// A worker in place and a host of files, for tests.
+
+import { readFileSync } from "node:fs";
+import { Host } from "../dist/host.js";
+import { browser } from "../dist/http.js";
+import init, { Engine } from "../dist/wasm/engine.js";
+
+/** What `record` wrote. */
+export const folder =
+  process.env.SLICEWALK_ENGINE_CHECK ?? new URL("../../../../target/engine-check", import.meta.url).pathname;
+
+export const read = (name) => {
+  const bytes = readFileSync(`${folder}/${name}`);
+  return new Uint8Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));
+};
+export const numbers = (name) => new Float64Array(read(name).buffer);
+
+const bytes = readFileSync(new URL("../dist/wasm/engine_bg.wasm", import.meta.url));
+const loaded = init({ module_or_path: new WebAssembly.Module(bytes) });
+
+export async function engineModule() {
+  await loaded;
+  return {
+    open: (length, budget, requests) => new Engine(length, budget, requests),
+
+    isFull: () => false,
+  };
+}
+
+/** Stands for a `Worker`; what passes is cloned and moved as between threads. */
+export class LocalWorker {
+  constructor(fetch) {
+    this.host = new Host(
+      { post: (data, transfer) => this.#later(data, transfer, (m) => this.onmessage?.({ data: m })) },
+      engineModule,
+      {
+        ...browser,
+        fetch,
+      },
+    );
+  }
+
+  #later(data, transfer, then) {
+    const moved = structuredClone(data, { transfer });
+    setImmediate(() => {
+      if (!this.over) then(moved);
+    });
+  }
+
+  postMessage(data, transfer = []) {
+    this.#later(data, transfer, (m) => this.host.receive(m));
+  }
+
+  terminate() {
+    this.over = true;
+    this.host.close();
+  }
+}
+
+/** A host of one file: what it is now, and what was asked of it. */
+export class FileHost {
+  asked = [];
+  down = false;
+  delay = 1;
+  etag = '"1"';
+
+  constructor(file) {
+    this.file = file;
+  }
+
+  fetch = async (_url, init) => {
+    const [, first, last] = /^bytes=(\d+)-(\d+)$/.exec(init.headers.Range);
+    this.asked.push([Number(first), Number(last) + 1]);
+    await new Promise((resolve) => setTimeout(resolve, this.delay));
+    if (init.signal.aborted) throw new DOMException("", "AbortError");
+    if (this.down) throw new TypeError("fetch failed");
+    const { length } = this.file;
+    const end = Math.min(Number(last) + 1, length);
+    const headers = { ETag: this.etag, "Content-Range": `bytes ${first}-${end - 1}/${length}` };
+    return new Response(this.file.slice(Number(first), end), { status: 206, headers });
+  };
+
+  worker = () => new LocalWorker(this.fetch);
+}

@@ -1,0 +1,163 @@
+// The engine as it is shipped against what it answered natively, to the last bit.
+
+import assert from "node:assert/strict";
+import { spawnSync } from "node:child_process";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { before, test } from "node:test";
+import { openArchive } from "../dist/index.js";
+import { engineModule, FileHost, folder, numbers, read } from "./local.js";
+
+const scene = read("scene.slices");
+const settings = numbers("settings.f64");
+let module;
+before(async () => {
+  module = await engineModule();
+});
+
+function serve(engine, now) {
+  for (;;) {
+    const todo = engine.poll(now);
+    let fetched = false;
+    for (let at = 0; todo[at] === 1; at += 4) {
+      engine.given(todo[at + 1], scene.slice(todo[at + 2], todo[at + 3]), now);
+      fetched = true;
+    }
+    while (engine.decode(now));
+    if (!fetched) return;
+  }
+}
+
+/** An engine with all of the archive in memory. */
+function whole() {
+  const engine = module.open(scene.length, 1e9, 4);
+  serve(engine, 0);
+  const all = engine.load(Float64Array.of(-100, -100, -100, 100, 100, 100));
+  serve(engine, 0);
+  assert.equal(engine.outcome(all), 0);
+  return engine;
+}
+
+/** The state of a pawn after one row of inputs: a step, or a place. */
+function play(engine, pawn, row) {
+  return row[5] === -1 ? engine.place(pawn, row.subarray(1, 4)) : engine.step(pawn, row[0], row.subarray(1));
+}
+
+/** Compares bits: NaN is itself, and 0 is not -0. */
+function same(found, expected, what) {
+  assert.equal(found.length, expected.length, what);
+  const bits = (numbers) =>
+    numbers instanceof Uint8Array ? numbers : new BigUint64Array(numbers.buffer, numbers.byteOffset, numbers.length);
+  const [a, b] = [bits(found), bits(expected)];
+  const first = a.findIndex((word, n) => word !== b[n]);
+  assert.equal(first, -1, `${what}: number ${first} is ${found[first]}, natively ${expected[first]}`);
+}
+
+const questions = read("boxes.answers.u8").length;
+
+test(`${questions} boxes, their floors, sweeps and rays`, () => {
+  const engine = whole();
+  const boxes = numbers("boxes.f64");
+  same(engine.overlaps(boxes), read("boxes.answers.u8"), "boxes");
+  same(engine.floor(boxes), numbers("boxes.floors.f64"), "floors");
+  same(engine.sweep(numbers("sweeps.f64")), numbers("sweeps.answers.f64"), "sweeps");
+  same(engine.cast(numbers("rays.f64")), numbers("rays.answers.f64"), "rays");
+  engine.free();
+});
+
+test("a box and a cylinder that a player moves for ten minutes", () => {
+  const engine = whole();
+  const [inputs, expected] = [numbers("inputs.f64"), numbers("inputs.states.f64")];
+  const found = new Float64Array(expected.length);
+  let at = 0;
+  for (const body of [settings.subarray(0, 10), settings.subarray(10, 20)]) {
+    const pawn = engine.pawn(body, Float64Array.of(-2, 2, 0.2));
+    for (let row = 0; row < inputs.length; row += 6) {
+      found.set(play(engine, pawn, inputs.subarray(row, row + 6)), at);
+      at += 12;
+    }
+  }
+  same(found, expected, "states");
+  const seen = (column) => new Set(found.filter((_, at) => at % 12 === column));
+  assert.deepEqual([seen(3).size, seen(4).size >= 5], [4, true], "walks, falls, flies and is blocked, and for several reasons");
+  engine.free();
+});
+
+test("a walk over a slow link asks for the same bytes at the same times", () => {
+  const engine = module.open(scene.length, 64 << 20, 4);
+  const [inputs, expected] = [numbers("inputs.f64"), numbers("streamed.f64")];
+  const words = [];
+  let [link, freeAt, now, pawn] = [[], 0, 0, undefined];
+  for (let row = 0; row < 6 * 1800; row += 6) {
+    const arrived = link.filter((answer) => answer.at <= now);
+    link = link.filter((answer) => answer.at > now);
+    for (const { name, start, end } of arrived) {
+      engine.given(name, scene.slice(start, end), now);
+      while (engine.decode(now));
+    }
+    if (engine.is_open()) {
+      pawn ??= engine.pawn(settings.subarray(0, 10), Float64Array.of(-2, 2, 0.2));
+      words.push(...play(engine, pawn, inputs.subarray(row, row + 6)));
+    }
+    const todo = engine.poll(now);
+    for (let at = 0; at < todo.length; ) {
+      const [what, name, start, end] = todo.subarray(at, at + 4);
+      if (what === 1) {
+        words.push(start, end);
+        freeAt = Math.max(freeAt, now + 40) + (end - start) / 2500;
+        link.push({ at: freeAt, name, start, end });
+      } else if (what === 2) {
+        link = link.filter((answer) => answer.name !== name);
+      }
+      at += what === 1 ? 4 : 2;
+    }
+    now += 1000 / 60;
+  }
+  same(Float64Array.from(words), expected, "streamed");
+  engine.free();
+});
+
+test("what a walker records is walked natively to the last bit", async (t) => {
+  const replay = process.env.SLICEWALK_REPLAY;
+  if (!replay) {
+    t.skip("SLICEWALK_REPLAY names no program");
+    return;
+  }
+  const archive = await openArchive("http://host/scene.slices", { worker: new FileHost(scene).worker });
+  const walker = await archive.walker({ at: [-2, 2, 0.2], maxDrop: 4 });
+  await walker.step(0.01, {});
+  await walker.record();
+  const inputs = numbers("inputs.f64");
+  // Pages come while it walks: some ticks are postponed.
+  for (let row = 0; row < 6 * 900; row += 6) {
+    const [seconds, x, y, pace, lift, flags] = inputs.subarray(row, row + 6);
+    if (flags === -1) {
+      await walker.place([x, y, pace]);
+      continue;
+    }
+    const way = flags & 8 ? { toward: [x, y] } : { wish: [x, y] };
+    await walker.step(seconds, { ...way, pace, lift, jump: !!(flags & 1), crouch: !!(flags & 2), fly: !!(flags & 4) });
+  }
+  const recording = await walker.recording();
+  archive.close();
+  assert.ok(recording.path.length > 1000);
+  const folder_ = mkdtempSync(join(tmpdir(), "slicewalk-"));
+  try {
+    const run = (changed) => {
+      writeFileSync(join(folder_, "walk.json"), JSON.stringify(changed));
+      return spawnSync(replay, [`${folder}/scene.slices`, join(folder_, "walk.json")], { encoding: "utf8" });
+    };
+    const sound = run(recording);
+    assert.equal(sound.status, 0, sound.stderr);
+    assert.match(sound.stdout, /the same path/);
+    // The least difference is found.
+    const path = recording.path.slice();
+    path[900] += Number.EPSILON * path[900];
+    const other = run({ ...recording, path });
+    assert.equal(other.status, 1);
+    assert.match(other.stderr, /step 300/);
+  } finally {
+    rmSync(folder_, { recursive: true });
+  }
+});

@@ -1,0 +1,90 @@
+// The canvas: the renderer, its size, the pawn's marker, and the loss of the graphics.
+
+import {
+  BoxGeometry,
+  Color,
+  ConeGeometry,
+  EdgesGeometry,
+  Group,
+  LineBasicMaterial,
+  LineSegments,
+  Mesh,
+  MeshBasicMaterial,
+  Scene,
+  WebGLRenderer,
+} from "three";
+import { BACKGROUND } from "./scene/material";
+import type { Cameras } from "./scene/cameras";
+import type { World } from "./scene/world";
+import type { Look } from "./geometry";
+import type { WalkerState } from "slicewalk";
+
+const MOST_PIXELS = 2;
+
+export class Canvas {
+  readonly scene = new Scene();
+  readonly #renderer: WebGLRenderer;
+  readonly #marker = new Group();
+  readonly #body: LineSegments;
+  readonly #nose: Mesh;
+  lost = false;
+
+  constructor(
+    readonly element: HTMLCanvasElement,
+    readonly cameras: Cameras,
+    readonly graphics: (lost: boolean) => void,
+  ) {
+    this.#renderer = new WebGLRenderer({ canvas: element, antialias: true, powerPreference: "high-performance" });
+    this.scene.background = new Color(BACKGROUND);
+    const accent = "#ffb547";
+    this.#body = new LineSegments(
+      new EdgesGeometry(new BoxGeometry(1, 1, 1)),
+      new LineBasicMaterial({ color: accent, depthTest: false }),
+    );
+    this.#nose = new Mesh(new ConeGeometry(0.28, 0.8, 4), new MeshBasicMaterial({ color: accent, depthTest: false }));
+    this.#body.renderOrder = this.#nose.renderOrder = 1;
+    this.#marker.add(this.#body, this.#nose);
+    this.scene.add(this.#marker);
+    // three.js asks for the graphics back and brings everything to them again.
+    element.addEventListener("webglcontextlost", () => {
+      this.lost = true;
+      graphics(true);
+    });
+    element.addEventListener("webglcontextrestored", () => {
+      this.lost = false;
+      graphics(false);
+    });
+    new ResizeObserver(() => this.resize()).observe(element);
+    this.resize();
+  }
+
+  resize(): void {
+    const { clientWidth, clientHeight } = this.element;
+    if (clientWidth === 0 || clientHeight === 0) return;
+    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
+    this.#renderer.setSize(clientWidth, clientHeight, false);
+    this.cameras.resize(clientWidth, clientHeight);
+  }
+
+  /** Where the pawn stands; it does not see itself. */
+  mark(shown: boolean, world: World, state: WalkerState, look: Look, width: number, metresHigh: number): void {
+    this.#marker.visible = shown;
+    this.#marker.position.copy(world.local(state.at));
+    this.#body.scale.set(width, width, state.height);
+    this.#body.position.z = state.height / 2;
+    const size = Math.max(1, metresHigh / 25);
+    this.#nose.scale.setScalar(size);
+    this.#nose.position.z = state.height / 2;
+    this.#nose.rotation.z = (-look.heading * Math.PI) / 180;
+  }
+
+  render(): void {
+    if (!this.lost) this.#renderer.render(this.scene, this.cameras.current);
+  }
+
+  /** The picture as it is now. */
+  picture(): Promise<Blob | null> {
+    this.render();
+    return new Promise((resolve) => this.element.toBlob(resolve, "image/png"));
+  }
+}

@@ -1,0 +1,28 @@
+// The first gamepad with the standard layout.
+
+import { nothing, type Intent } from "./intent";
+
+const DEAD = 0.15;
+
+/** Nothing near the middle, and all of the way at the edge. */
+function stick(value: number | undefined): number {
+  const size = Math.abs(value ?? 0);
+  return size < DEAD ? 0 : Math.sign(value ?? 0) * Math.min(1, (size - DEAD) / (1 - DEAD));
+}
+
+export function readGamepad(): Intent {
+  const pad = navigator.getGamepads?.().find((pad) => pad?.connected === true && pad.axes.length >= 4);
+  if (!pad) return nothing();
+  const held = (...buttons: number[]): boolean => buttons.some((button) => pad.buttons[button]?.pressed === true);
+  const [jump, crouch] = [held(0), held(1)];
+  return {
+    forward: -stick(pad.axes[1]),
+    right: stick(pad.axes[0]),
+    turn: stick(pad.axes[2]),
+    tilt: -stick(pad.axes[3]),
+    lift: Number(jump) - Number(crouch),
+    run: held(4, 5, 10),
+    jump,
+    crouch,
+  };
+}

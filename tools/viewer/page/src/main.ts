@@ -1,0 +1,55 @@
+// Starts the page: finds the archive that the address or the host names, and shows programs what it does.
+
+import type { Vec3, WalkerRecording } from "slicewalk";
+import { parseAddress } from "./address";
+import { App } from "./app";
+import { fromAddress } from "./session";
+import { readTable } from "./table";
+import { texts } from "./texts.en";
+import { h } from "./ui/dom";
+import "./style.css";
+
+declare global {
+  interface Window {
+    slicewalk?: {
+      state(): Record<string, unknown>;
+      goto(place: { at?: Vec3; look?: readonly [number, number] }): Promise<void>;
+      /** For tests and reports: what the pawn was told and where it went, to be replayed by the library. */
+      record(): Promise<void>;
+      recording(): Promise<WalkerRecording>;
+    };
+  }
+}
+
+function refuse(parent: HTMLElement): void {
+  const { title, wayOut } = texts.errors.webgl;
+  parent.append(h("main", { class: "refused" }, h("h1", {}, title), h("p", {}, wayOut)));
+}
+
+async function start(parent: HTMLElement): Promise<void> {
+  let app: App;
+  try {
+    app = new App(parent);
+  } catch {
+    refuse(parent);
+    return;
+  }
+  const walker = () => {
+    if (app.session === null) throw new Error("no archive is open");
+    return app.session.pawn.walker;
+  };
+  window.slicewalk = {
+    state: () => app.state,
+    goto: (place) => app.goto(place),
+    record: async () => walker().record(),
+    recording: async () => walker().recording(),
+  };
+  const place = parseAddress(location.search);
+  const table = await readTable();
+  const url = place.archive ?? table.archives[0]?.url ?? null;
+  app.offer(table, url === null);
+  if (url !== null) await app.open(fromAddress(url), place);
+}
+
+const parent = document.getElementById("app");
+if (parent) void start(parent);

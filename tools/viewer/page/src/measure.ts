@@ -1,0 +1,116 @@
+// Measures of the scene by exact collision queries, each with its error.
+//
+// Matter in an archive reaches at most a pixel `t` beyond the points across, and at most a quantum (slice height / 255) along z,
+// and never less far. So a clear width lies between what is found and `2t` more: the middle is given, ± t.
+
+import type { Archive, Vec3 } from "slicewalk";
+import { add, direction, distance, type Ray } from "./geometry";
+
+export interface Value {
+  readonly metres: number;
+  readonly error: number;
+}
+
+export interface Spot {
+  readonly at: Vec3;
+  readonly normal: Vec3;
+}
+
+export interface Surroundings {
+  /** Null: open to the sky, or wider than looked for. */
+  readonly headroom: Value | null;
+  readonly width: Value | null;
+  /** Least difference to a neighbouring floor that is more than noise. */
+  readonly step: Value | null;
+}
+
+const PICK_M = 5000;
+/** So far sparse surfaces stop a ray, if it would pass them by more than so many pixels. */
+const NEAR_M = 60;
+const GAP_PIXELS = 4;
+const HEADROOM_M = 60;
+const WIDTH_M = 20;
+/** Widths count between these heights above the floor, from shins to shoulders. */
+const BODY_M = [0.3, 1.4] as const;
+/** Directions in half a turn. */
+const DIRECTIONS = 36;
+/** Floors are compared within this distance, in eight directions. */
+const STEP_M = 0.35;
+const STEP_PLACES = 8;
+/** Higher is a wall, not a step. */
+const HIGHEST_STEP_M = 1.2;
+
+export const pixelError = (archive: Archive): number => archive.info.pixelSize + archive.info.tolerance;
+
+export const heightError = (archive: Archive): number => archive.info.sliceHeight / 255 + archive.info.tolerance;
+
+/** What a ray meets first, and not through gaps of a pixel or two. Loads what it needs. */
+export async function pick(archive: Archive, { origin, direction }: Ray, signal: AbortSignal): Promise<Spot | null> {
+  const options = { load: true, signal };
+  const hits = await archive.castHits(new Float64Array([...origin, ...direction, PICK_M]), options);
+  const hit = hits.distances[0] ?? NaN;
+  // A small box follows the ray: where it stops long before, the ray slipped through a sparse surface.
+  const half = archive.info.pixelSize;
+  const reach = Math.min(hit, NEAR_M);
+  const box = [...origin.map((value) => value - half), ...origin.map((value) => value + half)];
+  const sweep = new Float64Array([...box, ...direction.map((way) => way * reach)]);
+  const stop = ((await archive.sweep(sweep, options))[0] ?? NaN) * reach;
+  const slipped = stop > 0 && stop < reach - GAP_PIXELS * half;
+  const far = slipped ? stop + half : hit;
+  if (!Number.isFinite(far)) return null;
+  const at = add(origin, direction, far);
+  if (!slipped) return { at, normal: [hits.normals[0] ?? 0, hits.normals[1] ?? 0, hits.normals[2] ?? 0] };
+  const around = [at[0] - half, at[1] - half, at[2] - 2 * half, at[0] + half, at[1] + half, at[2] + 2 * half];
+  const floor = (await archive.floor(new Float64Array(around), options))[0] ?? NaN;
+  const isFloor = direction[2] < 0 && Math.abs(floor - at[2]) <= 2 * half;
+  return isFloor ? { at: [at[0], at[1], floor], normal: [0, 0, 1] } : { at, normal: [-direction[0], -direction[1], 0] };
+}
+
+/** Distance, distance across and difference of height of two places. */
+export function between(archive: Archive, a: Vec3, b: Vec3): { straight: Value; across: Value; height: Value } {
+  const [across, height] = [Math.hypot(a[0] - b[0], a[1] - b[1]), b[2] - a[2]];
+  const [t, q] = [pixelError(archive), heightError(archive)];
+  return {
+    straight: { metres: distance(a, b), error: Math.hypot(2 * t, 2 * q) },
+    across: { metres: across, error: 2 * t },
+    height: { metres: height, error: 2 * q },
+  };
+}
+
+/** Headroom, clear width and step at a place. Loads what it needs. */
+export async function surroundings(archive: Archive, at: Vec3, signal: AbortSignal): Promise<Surroundings> {
+  const [t, q] = [pixelError(archive), heightError(archive)];
+  const above = Math.max(0.05, 2 * q);
+  const options = { load: true, signal };
+  const up = [at[0], at[1], at[2] + above, 0, 0, 1, HEADROOM_M];
+  const room = (await archive.cast(new Float64Array(up), options))[0] ?? NaN;
+  // A thin post is swept away from the place in every direction: unlike a ray it does not slip through sparse walls.
+  const post = archive.info.pixelSize;
+  const turns = Array.from({ length: 2 * DIRECTIONS }, (_, n) => (n * 180) / DIRECTIONS);
+  const sweeps = turns.flatMap((heading) => {
+    const way = direction({ heading, pitch: 0 });
+    const low = [at[0] - post, at[1] - post, at[2] + BODY_M[0]];
+    return [...low, at[0] + post, at[1] + post, at[2] + BODY_M[1], WIDTH_M * way[0], WIDTH_M * way[1], 0];
+  });
+  const shares = await archive.sweep(new Float64Array(sweeps), options);
+  const free = [...shares].map((share) => (share < 1 ? share * WIDTH_M : Infinity) + post);
+  const widths = free.slice(0, DIRECTIONS).map((one, n) => one + (free[n + DIRECTIONS] ?? NaN));
+  const width = Math.min(...widths);
+
+  const around = Array.from({ length: STEP_PLACES }, (_, n) => direction({ heading: (n * 360) / STEP_PLACES, pitch: 0 }));
+  const places = [[0, 0, 0] as Vec3, ...around];
+  const half = archive.info.pixelSize / 4;
+  const boxes = places.flatMap((side) => {
+    const [x, y] = [at[0] + side[0] * STEP_M, at[1] + side[1] * STEP_M];
+    return [x - half, y - half, at[2] - HIGHEST_STEP_M, x + half, y + half, at[2] + HIGHEST_STEP_M];
+  });
+  const floors = await archive.floor(new Float64Array(boxes), options);
+  const here = floors[0] ?? NaN;
+  const noise = Math.max(0.03, 4 * q);
+  const steps = [...floors.slice(1)].map((z) => Math.abs(z - here)).filter((rise) => rise > noise && rise <= HIGHEST_STEP_M);
+  return {
+    headroom: Number.isFinite(room) ? { metres: room + above + q, error: q } : null,
+    width: Number.isFinite(width) ? { metres: width + t, error: t } : null,
+    step: steps.length > 0 ? { metres: Math.min(...steps), error: q } : null,
+  };
+}

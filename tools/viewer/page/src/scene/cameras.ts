@@ -1,0 +1,109 @@
+// Three ways to look: out of the pawn's eyes, around it, and down on it.
+
+import type { Vec3 } from "slicewalk";
+import { OrthographicCamera, PerspectiveCamera, Vector3, type Camera } from "three";
+import { type Mode } from "../address";
+import { across, add, clamp, direction, wrap, type Look, type Ray } from "../geometry";
+import type { World } from "./world";
+
+const UP = new Vector3(0, 0, 1);
+
+export class Cameras {
+  readonly #eye = new PerspectiveCamera(70, 1, 0.04, 4000);
+  readonly #top = new OrthographicCamera(-1, 1, 1, -1, 0.1, 8000);
+  /** Of orbit and plan: what is looked at, from how far, and from where. */
+  readonly orbit = { target: [0, 0, 0] as Vec3, distance: 18, look: { heading: 30, pitch: -40 } as Look };
+  #aspect = 1;
+  #mode: Mode = "walk";
+  #position: Vec3 = [0, 0, 0];
+  #forward: Vec3 = [0, 1, 0];
+
+  get current(): Camera {
+    return this.#mode === "plan" ? this.#top : this.#eye;
+  }
+
+  get position(): Vec3 {
+    return this.#position;
+  }
+
+  /** Where a person would stand who sees as much; a plan is drawn from farther above. */
+  get stand(): Vec3 {
+    return add(this.orbit.target, this.#forward, -this.orbit.distance);
+  }
+
+  resize(width: number, height: number): void {
+    this.#aspect = width / Math.max(height, 1);
+  }
+
+  /** Heading that is up on the screen, or ahead. */
+  heading(look: Look): number {
+    return this.#mode === "walk" ? look.heading : this.orbit.look.heading;
+  }
+
+  turn(heading: number, pitch: number): void {
+    const { look } = this.orbit;
+    look.heading = wrap(look.heading + heading);
+    look.pitch = clamp(look.pitch + pitch, -89, 20);
+  }
+
+  /** Shifts what is looked at by a share of the screen's height, as a hand would. */
+  pan(right: number, up: number): void {
+    const { orbit } = this;
+    const sides = across(orbit.look.heading);
+    const size = orbit.distance * 0.9;
+    const move = (axis: 0 | 1): number => (-right * sides.right[axis] - up * sides.forward[axis]) * size;
+    orbit.target = [orbit.target[0] + move(0), orbit.target[1] + move(1), orbit.target[2]];
+  }
+
+  zoom(factor: number): void {
+    this.orbit.distance = clamp(this.orbit.distance * factor, 1, 2000);
+  }
+
+  update(mode: Mode, world: World, eye: Vec3, look: Look): void {
+    this.#mode = mode;
+    const { orbit } = this;
+    if (mode === "walk") {
+      this.#forward = direction(look);
+      this.#position = eye;
+    } else {
+      this.#forward = direction(mode === "plan" ? { heading: orbit.look.heading, pitch: -90 } : orbit.look);
+      this.#position = add(orbit.target, this.#forward, mode === "plan" ? -2000 : -orbit.distance);
+    }
+    const camera = this.current;
+    camera.position.copy(world.local(this.#position));
+    if (mode === "plan") {
+      const ahead = across(orbit.look.heading).forward;
+      camera.up.set(ahead[0], ahead[1], 0);
+      const half = orbit.distance / 2;
+      Object.assign(this.#top, { left: -half * this.#aspect, right: half * this.#aspect, top: half, bottom: -half });
+      this.#top.updateProjectionMatrix();
+    } else {
+      camera.up.copy(UP);
+      this.#eye.aspect = this.#aspect;
+      // A narrow screen sees as wide as a square one.
+      this.#eye.fov =
+        this.#aspect < 1 ? Math.min(100, (360 / Math.PI) * Math.atan(Math.tan((70 * Math.PI) / 360) / this.#aspect)) : 70;
+      this.#eye.near = mode === "walk" ? 0.04 : Math.max(0.1, orbit.distance / 500);
+      this.#eye.updateProjectionMatrix();
+    }
+    camera.lookAt(world.local(add(this.#position, this.#forward)));
+    camera.updateMatrixWorld();
+  }
+
+  /** The ray through a place of the screen: x and y from -1 (left, bottom) to 1. */
+  ray(x: number, y: number, world: World): Ray {
+    const camera = this.current;
+    if (this.#mode === "plan") {
+      const start = new Vector3(x, y, -1).unproject(camera);
+      return { origin: world.world(start), direction: this.#forward };
+    }
+    const end = new Vector3(x, y, 0.5).unproject(camera).sub(camera.position).normalize();
+    return { origin: this.#position, direction: [end.x, end.y, end.z] };
+  }
+
+  /** Where a place of the scan lies on the screen, 0 to 1 from the top left; null behind the camera. */
+  project(at: Vec3, world: World): readonly [number, number] | null {
+    const seen = world.local(at).project(this.current);
+    return Math.abs(seen.z) <= 1 ? [(seen.x + 1) / 2, (1 - seen.y) / 2] : null;
+  }
+}

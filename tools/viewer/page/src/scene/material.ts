@@ -1,0 +1,151 @@
+// How matter looks: shaded by its face, coloured by height, slope, kind or slice, and cut between two heights.
+
+import { DoubleSide, FrontSide, GLSL3, ShaderMaterial, Vector2, Vector3, Color, type IUniform } from "three";
+
+export type Colouring = "height" | "slope" | "obstacle" | "slice";
+
+export const COLOURINGS: readonly Colouring[] = ["height", "slope", "obstacle", "slice"];
+
+/** From low to high: legible beside each other, also for the colour-blind. */
+export const RAMP = ["#7d93bd", "#74adb8", "#a3c6a1", "#e3d29d", "#e2a67c"] as const;
+export const FLOOR = "#9db4c4";
+export const OBSTACLE = "#d98a68";
+export const BACKGROUND = "#16191e";
+
+const vertex = /* glsl */ `
+in vec4 attributes;
+out vec3 vLocal;
+out vec3 vCell;
+out float vDistance;
+flat out vec3 vNormal;
+flat out vec3 vKind;
+void main() {
+  vec4 local = modelMatrix * vec4(position, 1.0);
+  vec4 seen = viewMatrix * local;
+  vLocal = local.xyz;
+  vCell = position;
+  vNormal = normal;
+  vKind = attributes.xyz;
+  vDistance = length(seen.xyz);
+  gl_Position = projectionMatrix * seen;
+}`;
+
+const fragment = /* glsl */ `
+precision highp float;
+in vec3 vLocal;
+in vec3 vCell;
+in float vDistance;
+flat in vec3 vNormal;
+flat in vec3 vKind;
+uniform int colouring;
+uniform vec2 heights;
+uniform vec2 cut;
+uniform vec2 slicing;
+uniform vec2 pawnSlice;
+uniform float slope;
+uniform float far;
+uniform float fogShare;
+uniform vec3 ramp[5];
+uniform vec3 floorColour;
+uniform vec3 obstacleColour;
+uniform vec3 background;
+out vec4 colour;
+
+vec3 onRamp(float share) {
+  float place = clamp(share, 0.0, 1.0) * 4.0;
+  int below = min(int(place), 3);
+  return mix(ramp[below], ramp[below + 1], place - float(below));
+}
+
+// A little grain per cell, so that motion is seen on large plain faces.
+float grain(vec3 cell) {
+  vec3 p = fract(floor(cell) * vec3(0.1031, 0.1030, 0.0973));
+  p += dot(p, p.yzx + 33.33);
+  return fract((p.x + p.y) * p.z);
+}
+
+void main() {
+  if (vLocal.z > cut.y) discard;
+  if (gl_FrontFacing && vLocal.z < cut.x) {
+    // Below the slice that is shown: hides what lies in it, and shows nothing.
+    colour = vec4(background, 1.0);
+    return;
+  }
+  // Seen from inside, matter was cut open: it is shown as if it were filled up to the cut.
+  float z = gl_FrontFacing ? vLocal.z - 1e-4 * vNormal.z : cut.y - 1e-4;
+  vec3 base;
+  if (colouring == 1) {
+    base = vKind.z > slope ? mix(obstacleColour, vec3(0.55, 0.16, 0.16), clamp((vKind.z - slope) / (90.5 - slope), 0.0, 1.0))
+                           : mix(ramp[1], ramp[3], vKind.z / max(slope, 1.0));
+  } else if (colouring == 2) {
+    base = vKind.y > 0.5 ? obstacleColour : floorColour;
+  } else if (colouring == 3) {
+    // The thesis: red is the height within the slice, blue 255 for obstacles and 26 for floors, green 255.
+    base = vec3(fract((z - slicing.x) / slicing.y), 1.0, vKind.y > 0.5 ? 1.0 : 26.0 / 255.0);
+  } else {
+    base = onRamp((z - heights.x) / max(heights.y - heights.x, 0.01));
+  }
+  float up = vNormal.z;
+  float shade = up > 0.5 ? 1.0 : up < -0.5 ? 0.58 : 0.80 + 0.10 * vNormal.x - 0.07 * vNormal.y;
+  float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
+  shade *= 1.0 + 0.07 * near * (grain(vCell + 0.01) - 0.5);
+  if (!gl_FrontFacing) {
+    if (colouring != 3) base = mix(base, vec3(0.93), 0.35);
+    shade = 1.0;
+  }
+  if (colouring == 3 && z >= pawnSlice.x && z < pawnSlice.y) shade *= 1.12;
+  else if (colouring == 3 && pawnSlice.y > pawnSlice.x) base = mix(base, vec3(dot(base, vec3(0.33))), 0.45) * 0.8;
+  float mist = fogShare * smoothstep(0.45 * far, far, vDistance);
+  colour = vec4(mix(base * shade, background, mist), 1.0);
+  colour.rgb *= mix(1.06, 0.92, smoothstep(0.0, 0.6 * far, vDistance));
+}`;
+
+/** All uniforms; heights count from the scene's local origin. */
+export class Shading {
+  readonly uniforms: {
+    colouring: IUniform<number>;
+    heights: IUniform<Vector2>;
+    cut: IUniform<Vector2>;
+    slicing: IUniform<Vector2>;
+    pawnSlice: IUniform<Vector2>;
+    slope: IUniform<number>;
+    far: IUniform<number>;
+    fogShare: IUniform<number>;
+    ramp: IUniform<Vector3[]>;
+    floorColour: IUniform<Vector3>;
+    obstacleColour: IUniform<Vector3>;
+    background: IUniform<Vector3>;
+  };
+  readonly solid: ShaderMaterial;
+  readonly opened: ShaderMaterial;
+
+  constructor() {
+    // Colours go to the screen as they are written: the shader works in the screen's own space.
+    const plain = (hex: string): Vector3 => {
+      const { r, g, b } = new Color().setStyle(hex, "srgb-linear");
+      return new Vector3(r, g, b);
+    };
+    this.uniforms = {
+      colouring: { value: 0 },
+      heights: { value: new Vector2(0, 1) },
+      cut: { value: new Vector2(-1e9, 1e9) },
+      slicing: { value: new Vector2(0, 1) },
+      pawnSlice: { value: new Vector2(0, 0) },
+      slope: { value: 45 },
+      far: { value: 40 },
+      fogShare: { value: 1 },
+      ramp: { value: RAMP.map(plain) },
+      floorColour: { value: plain(FLOOR) },
+      obstacleColour: { value: plain(OBSTACLE) },
+      background: { value: plain(BACKGROUND) },
+    };
+    const make = (side: typeof FrontSide | typeof DoubleSide): ShaderMaterial =>
+      new ShaderMaterial({ glslVersion: GLSL3, vertexShader: vertex, fragmentShader: fragment, uniforms: this.uniforms, side });
+    this.solid = make(FrontSide);
+    this.opened = make(DoubleSide);
+  }
+
+  set colouring(colouring: Colouring) {
+    this.uniforms.colouring.value = COLOURINGS.indexOf(colouring);
+  }
+}

@@ -1,0 +1,147 @@
+// The pages of an archive as meshes, relative to a local origin near the camera: 32 bits on the graphics card are exact to a
+// tenth of a millimetre there, whatever the coordinates of the scan.
+
+import type { Bounds, PageGeometry, Vec3 } from "slicewalk";
+import { Box3, BufferAttribute, BufferGeometry, Frustum, Group, Matrix4, Mesh, Sphere, Vector3, type Camera } from "three";
+import { distance } from "../geometry";
+import { Shading } from "./material";
+
+/** Farther than this from the local origin, another one is chosen. */
+const NEAR_ORIGIN_M = 500;
+/** Time that a frame may take for bringing new pages to the graphics card. */
+const UPLOAD_MS = 4;
+
+interface Drawn {
+  readonly mesh: Mesh;
+  readonly page: PageGeometry;
+  readonly box: Box3;
+  readonly bytes: number;
+}
+
+export class World {
+  readonly group = new Group();
+  readonly shading = new Shading();
+  /** Place of the scene's (0, 0, 0) in the scan. */
+  origin: Vec3 = [0, 0, 0];
+  triangles = 0;
+  bytes = 0;
+  #opened = false;
+  readonly #drawn = new Map<number, Drawn>();
+  readonly #waiting = new Map<number, PageGeometry>();
+  readonly #frustum = new Frustum();
+  readonly #matrix = new Matrix4();
+
+  constructor(readonly sliceHeight: number) {}
+
+  /** Chooses another local origin if `at` is far from this one: on a boundary of slices, so that slices are counted exactly. */
+  moveOrigin(at: Vec3): boolean {
+    if (distance(at, this.origin) < NEAR_ORIGIN_M) return false;
+    const round = (value: number, step: number): number => Math.round(value / step) * step;
+    this.origin = [round(at[0], 64), round(at[1], 64), round(at[2], this.sliceHeight)];
+    this.#drawn.forEach((drawn) => this.#place(drawn));
+    return true;
+  }
+
+  /** Coordinates of the scene. */
+  local(at: Vec3): Vector3 {
+    return new Vector3(at[0] - this.origin[0], at[1] - this.origin[1], at[2] - this.origin[2]);
+  }
+
+  world(at: { x: number; y: number; z: number }): Vec3 {
+    return [at.x + this.origin[0], at.y + this.origin[1], at.z + this.origin[2]];
+  }
+
+  get pages(): number {
+    return this.#drawn.size;
+  }
+
+  get waiting(): number {
+    return this.#waiting.size;
+  }
+
+  take(page: PageGeometry): void {
+    this.#waiting.set(page.id, page);
+  }
+
+  drop(id: number): void {
+    this.#waiting.delete(id);
+    const drawn = this.#drawn.get(id);
+    if (drawn === undefined) return;
+    this.#drawn.delete(id);
+    this.group.remove(drawn.mesh);
+    drawn.mesh.geometry.dispose();
+    this.triangles -= drawn.page.indices.length / 3;
+    this.bytes -= drawn.bytes;
+  }
+
+  clear(): void {
+    [...this.#waiting.keys(), ...this.#drawn.keys()].forEach((id) => this.drop(id));
+  }
+
+  /** Whether faces are seen from inside, where matter is cut. */
+  set opened(opened: boolean) {
+    if (opened === this.#opened) return;
+    this.#opened = opened;
+    this.#drawn.forEach(({ mesh }) => (mesh.material = opened ? this.shading.opened : this.shading.solid));
+  }
+
+  /** Takes in pages that have come, for as long as a frame can spare. */
+  settle(): void {
+    const end = performance.now() + UPLOAD_MS;
+    for (const [id, page] of this.#waiting) {
+      this.drop(id);
+      if (page.indices.length > 0) this.#add(page);
+      if (performance.now() > end) break;
+    }
+  }
+
+  /** Shows what the camera sees. */
+  cull(camera: Camera): number {
+    this.#matrix.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse);
+    this.#frustum.setFromProjectionMatrix(this.#matrix);
+    let seen = 0;
+    for (const { mesh, box, page } of this.#drawn.values()) {
+      mesh.visible = this.#frustum.intersectsBox(box);
+      seen += mesh.visible ? page.indices.length / 3 : 0;
+    }
+    return seen;
+  }
+
+  /** Least and greatest height of what is drawn. */
+  heights(): readonly [number, number] | null {
+    let [low, high] = [Infinity, -Infinity];
+    for (const { page } of this.#drawn.values()) {
+      low = Math.min(low, page.bounds.min[2]);
+      high = Math.max(high, page.bounds.max[2]);
+    }
+    return low < high ? [low, high] : null;
+  }
+
+  #add(page: PageGeometry): void {
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(page.positions, 3));
+    geometry.setAttribute("normal", new BufferAttribute(page.normals, 4, true));
+    geometry.setAttribute("attributes", new BufferAttribute(page.attributes, 4));
+    geometry.setIndex(new BufferAttribute(page.indices, 1));
+    // Boxes of the world decide what is drawn; three.js' own sphere would be found by a walk over all vertices.
+    geometry.boundingSphere = new Sphere(new Vector3(), Infinity);
+    const mesh = new Mesh(geometry, this.#opened ? this.shading.opened : this.shading.solid);
+    mesh.frustumCulled = false;
+    mesh.matrixAutoUpdate = false;
+    const arrays = [page.positions, page.normals, page.attributes, page.indices];
+    const drawn = { mesh, page, box: new Box3(), bytes: arrays.reduce((sum, array) => sum + array.byteLength, 0) };
+    this.#place(drawn);
+    this.#drawn.set(page.id, drawn);
+    this.group.add(mesh);
+    this.triangles += page.indices.length / 3;
+    this.bytes += drawn.bytes;
+  }
+
+  #place({ mesh, page, box }: Drawn): void {
+    mesh.position.copy(this.local(page.origin));
+    mesh.scale.set(...(page.scale as [number, number, number]));
+    mesh.updateMatrix();
+    const corners = page.bounds satisfies Bounds;
+    box.set(this.local(corners.min), this.local(corners.max));
+  }
+}

@@ -1,0 +1,93 @@
+// One open archive: the pawn in it, and the geometry around it.
+
+import { openArchive, SlicewalkError, type Archive, type Vec3, type View } from "slicewalk";
+import { standing, type Look } from "./geometry";
+import { Pawn } from "./pawn";
+import { World } from "./scene/world";
+import { walkerSettings, type Settings } from "./settings";
+import { findLook, findStart } from "./start";
+import { crsName } from "./ui/status";
+
+/** Around a pawn, what is loaded before a place counts as loaded (m). */
+const AROUND_M = 0.3;
+/** Above the middle of a scan without a place to stand. */
+const HOVER_M = 2;
+
+export interface Source {
+  /** What `openArchive` takes. */
+  readonly archive: string | Blob;
+  /** What a link carries; null for a file of this computer. */
+  readonly link: string | null;
+  readonly name: string;
+}
+
+/** The archive at an address, relative to the page. */
+export const fromAddress = (url: string): Source => ({ archive: new URL(url, location.href).href, link: url, name: url });
+
+export class Session {
+  readonly world: World;
+  readonly view: View;
+  crs = "";
+  /** Metres in a unit of the input. */
+  unit = 1;
+
+  private constructor(
+    readonly source: Source,
+    readonly archive: Archive,
+    readonly pawn: Pawn,
+  ) {
+    this.world = new World(archive.info.sliceHeight);
+    this.view = archive.view({ onPage: (page) => this.world.take(page), onDrop: (id) => this.world.drop(id) });
+  }
+
+  static async open(
+    source: Source,
+    at: Vec3 | null,
+    look: Look | null,
+    settings: Settings,
+    signal: AbortSignal,
+  ): Promise<Session> {
+    const archive = await openArchive(source.archive, { signal });
+    try {
+      const found = at ?? (await findStart(archive, settings, signal));
+      const { bounds } = archive.info;
+      const middle = (axis: 0 | 1): number => (bounds === null ? 0 : (bounds.min[axis] + bounds.max[axis]) / 2);
+      const place: Vec3 = found ?? [middle(0), middle(1), (bounds?.max[2] ?? 0) + HOVER_M];
+      await archive.load(around(place, settings), { signal });
+      const pawn = new Pawn(await archive.walker({ ...walkerSettings(settings), at: place }));
+      pawn.flying = found === null;
+      Object.assign(pawn.look, look ?? (await findLook(archive, place, settings.eye)));
+      return new Session(source, archive, pawn);
+    } catch (error) {
+      archive.close();
+      throw error;
+    }
+  }
+
+  /** Reads what the first step does not need. */
+  async describe(): Promise<void> {
+    try {
+      const { crs, unit } = await this.archive.reference();
+      this.crs = crsName(crs);
+      this.unit = unit.factor;
+    } catch {
+      // A failed archive says so elsewhere.
+    }
+  }
+
+  /** Puts the pawn elsewhere; resolves when the place is loaded. */
+  async goto(at: Vec3, settings: Settings): Promise<void> {
+    if (!at.every(Number.isFinite)) throw new SlicewalkError("invalid", "a place is three finite numbers");
+    await this.pawn.place(at);
+    await this.archive.load(around(at, settings));
+  }
+
+  close(): void {
+    this.archive.close();
+    this.world.clear();
+  }
+}
+
+function around(at: Vec3, { width, height }: Settings): ReturnType<typeof standing> {
+  return standing([at[0], at[1], at[2] - AROUND_M], width + 2 * AROUND_M, height + 2 * AROUND_M);
+}

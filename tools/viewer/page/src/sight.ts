@@ -1,0 +1,139 @@
+// What is shown of the matter around the pawn: how far, in which colours, and between which heights.
+
+import type { Vec3 } from "slicewalk";
+import type { Mode } from "./address";
+import { distance, type Ray } from "./geometry";
+import type { Colouring } from "./scene/material";
+import type { Session } from "./session";
+import type { Settings } from "./settings";
+import type { Shell } from "./ui/shell";
+
+/** Below the ceiling, and at most so far above the feet, the roof is cut. */
+const CUT_BELOW_M = 0.15;
+const CUT_ABOVE_M = 2;
+const CEILING_M = 30;
+/** The ceiling is looked for again after so much way. */
+const WAY_M = 0.3;
+const FAR_M = 1e9;
+/** So far is seen until the pawn had its first steps: what it walks on comes before what is far away. */
+const FIRST_M = 4;
+const FIRST_STEPS = 10;
+/** Triangles at first, and between which numbers they go where the graphics are fast or slow (frames a second). */
+const FIRST_TRIANGLES = 300_000;
+const MOST_TRIANGLES = 1_000_000;
+const LEAST_TRIANGLES = 100_000;
+/** Cells seen from outside are as wide as this share of their distance: all of a storey in one grain. */
+const OUTSIDE_DETAIL = 0.004;
+const WALK_DETAIL = 0.01;
+const SLOW_FPS = 18;
+const FAST_FPS = 45;
+
+export class Sight {
+  colouring: Colouring = "height";
+  #mode: Mode = "walk";
+  #roofZ = FAR_M;
+  #from: Vec3 | null = null;
+  #radius = FIRST_M;
+  #triangles = FIRST_TRIANGLES;
+
+  constructor(
+    readonly session: Session,
+    readonly shell: Shell,
+  ) {}
+
+  /** Of a view `outside`, seen from `distance`: how far the engine builds geometry, and the shader shows it. */
+  see(mode: Mode, settings: Settings, distance: number): void {
+    this.#mode = mode;
+    this.#from = null;
+    const { view, world } = this.session;
+    const outside = mode !== "walk";
+    // Counted from the camera, which is so far away.
+    const radius = outside ? Math.max(settings.radius, distance) + distance : settings.radius;
+    this.#radius = radius;
+    view.set({
+      radius: this.#settled || outside ? radius : Math.min(FIRST_M, radius),
+      detail: outside ? OUTSIDE_DETAIL : WALK_DETAIL,
+      triangles: Math.round(this.#triangles),
+    });
+    const { uniforms } = world.shading;
+    uniforms.far.value = radius;
+    uniforms.fogShare.value = outside ? 0 : 1;
+    this.colour(settings);
+  }
+
+  /** Draws less where the graphics are slow, and more where they have time. Call it once a second. */
+  adapt(fps: number): void {
+    const { view, world } = this.session;
+    const slow = fps < SLOW_FPS && world.triangles > this.#triangles / 2;
+    const fast = fps > FAST_FPS;
+    if (slow) this.#triangles = Math.max(LEAST_TRIANGLES, this.#triangles / 2);
+    else if (fast) this.#triangles = Math.min(MOST_TRIANGLES, this.#triangles * 1.5);
+    if (this.#settled) view.set({ radius: this.#radius, triangles: Math.round(this.#triangles) });
+  }
+
+  get #settled(): boolean {
+    return this.session.pawn.state.steps >= FIRST_STEPS;
+  }
+
+  /** Heights between which matter is shown. */
+  get cut(): readonly [number, number] {
+    const { slice, roof } = this.shell.slices.choice;
+    const { info } = this.session.archive;
+    if (slice !== null && this.#showsSlices) {
+      const bottom = info.origin[2] + slice * info.sliceHeight;
+      return [bottom, bottom + info.sliceHeight];
+    }
+    return [-FAR_M, this.#mode !== "walk" && roof ? this.#roofZ : FAR_M];
+  }
+
+  colour(settings: Settings): void {
+    const { world, archive } = this.session;
+    world.shading.colouring = this.#showsSlices ? "slice" : this.colouring;
+    world.shading.uniforms.slope.value = settings.slope;
+    const [low, high] = this.cut;
+    world.opened = this.#mode !== "walk" || low > -FAR_M || high < FAR_M;
+    const { bounds } = archive.info;
+    this.shell.colours.show([bounds?.min[2] ?? 0, bounds?.max[2] ?? 1], settings.slope);
+  }
+
+  /** The heights of the shader count from the local origin, which moves. */
+  update(): void {
+    const { world, archive, pawn } = this.session;
+    const { info } = archive;
+    const { uniforms } = world.shading;
+    const [low, high] = this.cut;
+    const z = world.origin[2];
+    uniforms.cut.value.set(low - z, high - z);
+    uniforms.heights.value.set((info.bounds?.min[2] ?? 0) - z, (info.bounds?.max[2] ?? 1) - z);
+    uniforms.slicing.value.set(info.origin[2] - z, info.sliceHeight);
+    const slice = Math.floor((pawn.at[2] - info.origin[2] + 1e-6) / info.sliceHeight);
+    const bottom = info.origin[2] + slice * info.sliceHeight - z;
+    uniforms.pawnSlice.value.set(bottom, bottom + info.sliceHeight);
+  }
+
+  /** Looks for the ceiling above the pawn when it has moved. */
+  async follow(at: Vec3, settings: Settings): Promise<void> {
+    const near = this.#from !== null && distance(at, this.#from) < WAY_M;
+    if (this.#mode === "walk" || near) return;
+    this.#from = at;
+    const start = at[2] + settings.height / 2;
+    const up = new Float64Array([at[0], at[1], start, 0, 0, 1, CEILING_M]);
+    const far = (await this.session.archive.cast(up, { load: true }).catch(() => null))?.[0] ?? NaN;
+    const ceiling = Number.isFinite(far) ? start + far - CUT_BELOW_M : Infinity;
+    this.#roofZ = Math.min(ceiling, at[2] + CUT_ABOVE_M);
+    this.colour(settings);
+  }
+
+  /** The ray from where it enters what is shown: what was cut off is not hit. */
+  enter(ray: Ray): Ray {
+    const [, top] = this.cut;
+    const { origin, direction } = ray;
+    if (origin[2] <= top || direction[2] >= 0) return ray;
+    const far = (origin[2] - top) / -direction[2];
+    return { origin: [origin[0] + far * direction[0], origin[1] + far * direction[1], top], direction };
+  }
+
+  get #showsSlices(): boolean {
+    return this.shell.toolbars.panel === "slices";
+  }
+}

@@ -1,0 +1,73 @@
+// Choosing what colours say, with their legend.
+
+import { metres } from "../geometry";
+import { COLOURINGS, FLOOR, OBSTACLE, RAMP, type Colouring } from "../scene/material";
+import { texts } from "../texts.en";
+import { h } from "./dom";
+
+export class ColoursPanel {
+  readonly element = h("section", { class: "panel colours", "aria-label": texts.colours.label, hidden: true });
+  readonly #legend = h("div", { class: "legend" });
+  readonly #cloud = h("input", { type: "checkbox", id: "cloud" });
+  readonly #cloudField = h(
+    "div",
+    { class: "field check", hidden: true },
+    this.#cloud,
+    h("label", { for: "cloud" }, texts.colours.cloud),
+  );
+  #chosen: Colouring = "height";
+
+  constructor(
+    readonly changed: (colouring: Colouring) => void,
+    cloud: (shown: boolean) => void,
+  ) {
+    this.#cloud.addEventListener("change", () => cloud(this.#cloud.checked));
+    const choices = COLOURINGS.map((name) => {
+      const input = h("input", {
+        type: "radio",
+        name: "colouring",
+        id: `colour-${name}`,
+        value: name,
+        checked: name === "height",
+      });
+      input.addEventListener("change", () => {
+        this.#chosen = name;
+        changed(name);
+      });
+      return h("div", { class: "choice" }, input, h("label", { for: `colour-${name}` }, texts.colours[name]));
+    });
+    this.element.append(h("fieldset", {}, h("legend", {}, texts.colours.label), ...choices), this.#legend, this.#cloudField);
+  }
+
+  /** Whether there is a point cloud to be shown; it is not shown yet. */
+  set hasCloud(has: boolean) {
+    this.#cloudField.hidden = !has;
+    this.#cloud.checked = false;
+  }
+
+  /** Legend for heights from `low` to `high` and a limit of slopes. */
+  show([low, high]: readonly [number, number], slope: number): void {
+    const { legend } = texts;
+    const swatch = (colour: string, words: string): HTMLElement => {
+      const mark = h("span", { class: "swatch" });
+      mark.style.background = colour;
+      return h("span", { class: "entry" }, mark, words);
+    };
+    const bar = (colours: readonly string[], left: string, right: string): HTMLElement[] => {
+      const strip = h("div", { class: "strip" });
+      strip.style.background = `linear-gradient(to right, ${colours.join(", ")})`;
+      return [strip, h("div", { class: "ends" }, h("span", {}, left), h("span", {}, right))];
+    };
+    const parts: Record<Colouring, () => HTMLElement[]> = {
+      height: () => bar(RAMP, `${metres(low, 1)} m`, `${metres(high, 1)} m`),
+      slope: () => [...bar([RAMP[1], RAMP[3]], legend.flat, `${slope}°`), swatch(OBSTACLE, `${legend.steep} ${slope}°`)],
+      obstacle: () => [swatch(FLOOR, legend.floor), swatch(OBSTACLE, legend.obstacle)],
+      slice: () => [
+        ...bar(["rgb(0,255,26)", "rgb(255,255,26)"], legend.floor, ""),
+        ...bar(["rgb(0,255,255)", "rgb(255,255,255)"], legend.obstacle, ""),
+        h("p", { class: "quiet" }, legend.inSlice),
+      ],
+    };
+    this.#legend.replaceChildren(...parts[this.#chosen]());
+  }
+}

@@ -1,0 +1,72 @@
+// News in one line that passes, and troubles that stay until a person decides.
+
+import { texts } from "../texts.en";
+import { h, write } from "./dom";
+
+const NEWS_MS = 4500;
+
+export interface Action {
+  readonly label: string;
+  readonly act: () => void;
+}
+
+export class Messages {
+  readonly news = h("div", { class: "news", role: "status", "aria-live": "polite", hidden: true });
+  readonly progress = h(
+    "div",
+    { class: "progress", hidden: true },
+    h("progress", { "aria-label": texts.loading.place }),
+    h("span"),
+  );
+  readonly dialog = h("dialog", { class: "trouble", "aria-labelledby": "trouble-title" });
+  #timer = 0;
+
+  say(text: string): void {
+    clearTimeout(this.#timer);
+    this.news.hidden = false;
+    write(this.news, text);
+    this.#timer = window.setTimeout(() => {
+      this.news.hidden = true;
+      write(this.news, "");
+    }, NEWS_MS);
+  }
+
+  /** What is being waited for; null: nothing. */
+  wait(text: string | null): void {
+    this.progress.hidden = text === null;
+    const [bar, words] = this.progress.children;
+    if (text !== null && bar && words instanceof HTMLElement) {
+      write(words, text);
+      bar.setAttribute("aria-label", text);
+    }
+  }
+
+  trouble(kind: keyof typeof texts.errors, detail: string, actions: readonly Action[]): void {
+    const { title, wayOut } = texts.errors[kind];
+    const buttons = actions.map(({ label, act }, n) =>
+      h(
+        "button",
+        {
+          type: "button",
+          class: n === 0 ? "primary" : "plain",
+          onclick: () => {
+            this.dialog.close();
+            act();
+          },
+        },
+        label,
+      ),
+    );
+    this.dialog.replaceChildren(
+      h("h2", { id: "trouble-title" }, title),
+      h("p", { class: "detail" }, detail),
+      h("p", {}, wayOut),
+      h("div", { class: "actions" }, ...buttons),
+    );
+    if (!this.dialog.open) this.dialog.showModal();
+  }
+
+  clear(): void {
+    if (this.dialog.open) this.dialog.close();
+  }
+}

@@ -1,0 +1,115 @@
+// The layout: the canvas below, bars and panels above it.
+
+import type { ArchiveInfo } from "slicewalk";
+import type { Colouring } from "../scene/material";
+import type { Settings } from "../settings";
+import { texts } from "../texts.en";
+import { ColoursPanel } from "./colours";
+import { h, icons, picture } from "./dom";
+import { MeasurePanel } from "./measure";
+import { Messages } from "./messages";
+import type { Minimap } from "./minimap";
+import { SettingsPanel } from "./settings";
+import { SlicesPanel } from "./slices";
+import { StatusPanel } from "./status";
+import { Toolbars, type PanelName, type ToolEvents } from "./toolbars";
+import { Welcome, type WelcomeEvents } from "./welcome";
+
+export interface ShellEvents extends ToolEvents, WelcomeEvents {
+  settings(settings: Settings): void;
+  colouring(colouring: Colouring): void;
+  slices(): void;
+  cloud(shown: boolean): void;
+}
+
+export class Shell {
+  readonly canvas = h("canvas", { class: "view", tabindex: 0, role: "application", "aria-label": texts.title });
+  readonly crosshair = h("div", { class: "crosshair", "aria-hidden": "true", hidden: true });
+  readonly messages = new Messages();
+  readonly status = new StatusPanel();
+  readonly measure = new MeasurePanel();
+  readonly slices: SlicesPanel;
+  readonly colours: ColoursPanel;
+  readonly settings: SettingsPanel;
+  readonly welcome: Welcome;
+  readonly toolbars: Toolbars;
+  readonly #name = h("h1", { class: "name" }, texts.title);
+  readonly #left = h("div", { class: "left" });
+  readonly #map = h("div", { class: "corner" });
+  readonly #help = helpDialog();
+  readonly #parent: HTMLElement;
+
+  constructor(
+    parent: HTMLElement,
+    settings: Settings,
+    readonly events: ShellEvents,
+  ) {
+    this.#parent = parent;
+    this.settings = new SettingsPanel(settings, events.settings);
+    this.colours = new ColoursPanel(events.colouring, events.cloud);
+    this.slices = new SlicesPanel(events.slices);
+    this.welcome = new Welcome(events);
+    this.toolbars = new Toolbars({ ...events, panel: (name) => this.#panel(name) });
+    const head = h("header", { class: "head" }, this.#name, this.toolbars.modes, this.toolbars.tools);
+    const panels = h(
+      "div",
+      { class: "right" },
+      this.measure.element,
+      this.slices.element,
+      this.colours.element,
+      this.settings.element,
+    );
+    this.#left.append(this.status.element);
+    const main = h(
+      "main",
+      {},
+      this.canvas,
+      this.crosshair,
+      head,
+      panels,
+      this.#left,
+      this.#map,
+      this.messages.progress,
+      this.messages.news,
+    );
+    // After a click with the mouse the keys walk on; who came to a button by keys stays there.
+    main.addEventListener("click", ({ detail, target }) => {
+      if (detail > 0 && target instanceof Element && target.closest("button.tool")) this.canvas.focus({ preventScroll: true });
+    });
+    parent.append(main, this.welcome.element, this.welcome.curtain, this.messages.dialog, this.#help);
+    parent.classList.add("empty");
+  }
+
+  opened(name: string, info: ArchiveInfo, minimap: Minimap): void {
+    const short = decodeURIComponent(name.split(/[?#]/)[0]?.split("/").at(-1) || name);
+    this.#name.textContent = short;
+    this.#name.title = name;
+    document.title = `${short} – ${texts.title}`;
+    this.canvas.setAttribute("aria-label", texts.viewOf(short));
+    this.slices.open(info);
+    this.#map.replaceChildren(minimap.element);
+    this.#parent.classList.remove("empty");
+  }
+
+  help(): void {
+    if (!this.#help.open) this.#help.showModal();
+  }
+
+  #panel(name: PanelName | null): void {
+    const panels = { measure: this.measure, slices: this.slices, colours: this.colours, settings: this.settings };
+    Object.entries(panels).forEach(([key, panel]) => (panel.element.hidden = key !== name));
+    this.events.panel(name);
+  }
+}
+
+function helpDialog(): HTMLDialogElement {
+  const rows = texts.help.rows.map(([keys, what]) => h("tr", {}, h("th", { scope: "row" }, keys), h("td", {}, what)));
+  const dialog = h("dialog", { class: "help", "aria-labelledby": "help-title" });
+  const close = h(
+    "button",
+    { type: "button", class: "tool close", "aria-label": texts.tools.close, onclick: () => dialog.close() },
+    picture(icons.close),
+  );
+  dialog.append(h("h2", { id: "help-title" }, texts.help.heading), close, h("table", {}, h("tbody", {}, ...rows)));
+  return dialog;
+}

@@ -1,0 +1,69 @@
+// The panel of facts: where the pawn is, how it fares, and what has been loaded.
+
+import type { Stats, WalkerState } from "slicewalk";
+import { bytes, metres, thousands } from "../geometry";
+import { texts } from "../texts.en";
+import { h, write } from "./dom";
+
+const ROWS = ["position", "crs", "ground", "speed", "frames", "pages", "loaded", "missing", "cache", "drawn"] as const;
+
+type Row = (typeof ROWS)[number];
+
+export interface Facts {
+  readonly state: WalkerState;
+  readonly stats: Stats;
+  readonly crs: string;
+  readonly fps: number;
+  readonly triangles: number;
+}
+
+/** The name in a WKT, or the text as it stands. */
+export function crsName(crs: string): string {
+  const name = /^\s*\w+\s*\[\s*"([^"]+)"/.exec(crs)?.[1] ?? crs.trim();
+  const code = [...crs.matchAll(/(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d+)"?/g)].at(-1)?.[1];
+  return code === undefined || name.includes(code) ? name : `${name} (EPSG:${code})`;
+}
+
+export class StatusPanel {
+  readonly element: HTMLDetailsElement;
+  readonly #values = new Map<Row, HTMLElement>();
+  readonly #place = h("span", { class: "place" }, texts.panel.label);
+
+  constructor() {
+    const list = h("dl");
+    for (const row of ROWS) {
+      const value = h("dd");
+      this.#values.set(row, value);
+      list.append(h("div", { class: row }, h("dt", {}, texts.panel[row]), value));
+    }
+    this.element = h(
+      "details",
+      { class: "panel status", "aria-label": texts.panel.label },
+      h("summary", {}, this.#place),
+      list,
+    );
+    this.element.open = matchMedia("(min-width: 720px) and (min-height: 560px)").matches;
+  }
+
+  update({ state, stats, crs, fps, triangles }: Facts): void {
+    const { panel } = texts;
+    const place = state.at.map((value) => metres(value)).join("  ");
+    const stop = state.stop !== null && state.ground !== "flying" ? `, ${panel.stopped(state.stop)}` : "";
+    const ground = `${panel.states[state.ground]}${stop}`;
+    write(this.#place, this.element.open ? panel.label : `${place} · ${panel.states[state.ground]}`);
+    const rows: Record<Row, string> = {
+      position: place,
+      crs: crs === "" ? panel.unknownCrs : crs,
+      ground,
+      speed: `${metres(state.speed, 1)} m/s`,
+      frames: panel.fps(Math.round(fps)),
+      pages: panel.pagesOf(stats.pages.resident, bytes(stats.pages.bytes)),
+      loaded: panel.loadedOf(bytes(stats.bytesLoaded), stats.requests),
+      missing: String(state.missing),
+      cache: panel.cacheOf(bytes(stats.usedBytes), bytes(stats.budgetBytes)),
+      drawn: panel.drawnOf(thousands(triangles)),
+    };
+    ROWS.forEach((row) => write(this.#values.get(row) as HTMLElement, rows[row]));
+    this.#values.get("crs")?.setAttribute("title", rows.crs);
+  }
+}

@@ -1,0 +1,105 @@
+// Where no archive is open: drop one, choose one, or give its address. Files may be dropped at any time.
+
+import { texts } from "../texts.en";
+import { h } from "./dom";
+
+export interface WelcomeEvents {
+  file(file: File): void;
+  address(url: string): void;
+  /** Back to the open archive, if there is one. */
+  close(): void;
+}
+
+export class Welcome {
+  readonly element: HTMLDialogElement;
+  readonly #offered = h("div", { class: "offered", role: "group", "aria-label": texts.open.archives, hidden: true });
+  readonly curtain = h("div", { class: "curtain", hidden: true, "aria-hidden": "true" }, h("p", {}, texts.open.drop));
+
+  constructor(readonly events: WelcomeEvents) {
+    const input = h("input", { type: "file", id: "open-file", accept: ".slices", class: "visually-hidden" });
+    input.addEventListener("change", () => {
+      const file = input.files?.[0];
+      input.value = "";
+      if (file) this.#take(() => events.file(file));
+    });
+    const address = h("input", {
+      type: "text",
+      inputmode: "url",
+      id: "open-address",
+      placeholder: "https://…/scan.slices",
+      autocomplete: "url",
+      required: true,
+    });
+    const form = h("form", {
+      class: "address",
+      onsubmit: (event) => {
+        event.preventDefault();
+        this.#take(() => events.address(address.value.trim()));
+      },
+    });
+    form.append(
+      h("label", { for: "open-address" }, texts.open.address),
+      h("div", { class: "row" }, address, h("button", { class: "primary" }, texts.open.go)),
+    );
+    this.element = h(
+      "dialog",
+      { class: "welcome", "aria-labelledby": "welcome-title" },
+      h("h1", { id: "welcome-title" }, texts.open.heading),
+      h("p", {}, texts.open.lead),
+      this.#offered,
+      h(
+        "div",
+        { class: "drop" },
+        h("label", { for: "open-file", class: "primary" }, texts.open.choose),
+        input,
+        h("p", { class: "quiet" }, texts.open.hint),
+      ),
+      form,
+      h("p", { class: "quiet" }, texts.open.convert),
+    );
+    this.element.addEventListener("close", () => events.close());
+    this.#listen();
+  }
+
+  /** Archives that lie beside the page. */
+  offer(archives: readonly { readonly name: string; readonly url: string }[]): void {
+    const choose = (url: string) => (): void => this.#take(() => this.events.address(url));
+    const buttons = archives.map(({ name, url }) =>
+      h("button", { type: "button", class: "plain", onclick: choose(url) }, name),
+    );
+    this.#offered.replaceChildren(...buttons);
+    this.#offered.hidden = archives.length === 0;
+  }
+
+  show(): void {
+    if (!this.element.open) this.element.showModal();
+  }
+
+  hide(): void {
+    if (this.element.open) this.element.close();
+  }
+
+  #take(act: () => void): void {
+    this.hide();
+    act();
+  }
+
+  #listen(): void {
+    const carriesFile = (event: DragEvent): boolean => event.dataTransfer?.types.includes("Files") === true;
+    window.addEventListener("dragover", (event) => {
+      if (!carriesFile(event)) return;
+      event.preventDefault();
+      this.curtain.hidden = false;
+    });
+    window.addEventListener("dragleave", (event) => {
+      if (event.relatedTarget === null) this.curtain.hidden = true;
+    });
+    window.addEventListener("drop", (event) => {
+      if (!carriesFile(event)) return;
+      event.preventDefault();
+      this.curtain.hidden = true;
+      const file = event.dataTransfer?.files[0];
+      if (file) this.#take(() => this.events.file(file));
+    });
+  }
+}

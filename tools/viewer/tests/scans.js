@@ -1,0 +1,73 @@
+// Archives of generated scans, made once by the programs of this repository and kept in the target folder.
+//
+// SLICEWALK_BIN names the folder of sliceconv, slicetool, scangen and replay; by default the newer build of the repository.
+
+import { execFileSync } from "node:child_process";
+import { existsSync, mkdirSync, renameSync, statSync } from "node:fs";
+import { dirname, join } from "node:path";
+import { fileURLToPath } from "node:url";
+
+const root = join(dirname(fileURLToPath(import.meta.url)), "../../..");
+const target = process.env.CARGO_TARGET_DIR ?? join(root, "target");
+
+function programs() {
+  const folders = [process.env.SLICEWALK_BIN, join(target, "release"), join(target, "debug")].filter(Boolean);
+  const built = folders.filter((folder) => existsSync(join(folder, "sliceconv")));
+  const age = (folder) => statSync(join(folder, "sliceconv")).mtimeMs;
+  const found = process.env.SLICEWALK_BIN ?? built.sort((a, b) => age(b) - age(a))[0];
+  if (found === undefined) throw new Error("build the programs first: cargo build");
+  return found;
+}
+
+export const DIST = process.env.SLICEWALK_PAGE ?? join(root, "tools/viewer/dist");
+export const BIN = programs();
+const kept = join(target, "viewer-tests");
+
+export function program(name, ...args) {
+  return execFileSync(join(BIN, name), args, { encoding: "utf8", stdio: ["ignore", "pipe", "pipe"] });
+}
+
+/** The archive `name`, made by `scangen` and `sliceconv` with these arguments if it is not there. */
+function made(name, scene, conversion) {
+  const path = join(kept, `${name}.slices`);
+  if (existsSync(path)) return path;
+  mkdirSync(kept, { recursive: true });
+  const scan = join(kept, `${name}-${process.pid}.laz`);
+  const output = join(kept, `${name}-${process.pid}.slices`);
+  program("scangen", ...scene, "-o", scan);
+  program("sliceconv", scan, "-o", output, "--quiet", "--force", "--units", "m", ...conversion);
+  renameSync(output, path);
+  return path;
+}
+
+/** The house of the demonstration at 5 cm: doors of 1 m, storeys 3 m apart. */
+export const house = () => made("house", ["demo"], ["--pixel", "0.05", "--exclude-class", "7"]);
+
+export const MOVED = [500_000, 5_000_000, 0];
+
+/** The same house far from the origin: 1e6 is a multiple of neither pixels nor pages, so only the answers are the same. */
+export const movedHouse = () =>
+  made("moved", ["demo", "--origin", MOVED.join(",")], ["--pixel", "0.05", "--exclude-class", "7"]);
+
+/** A shaft 150 m deep, from the highest storey. */
+export const tower = () =>
+  made(
+    "tower",
+    ["tower", "--param", "storeys=51", "--param", "size=6", "--order", "grid", "--density", "150"],
+    ["--pixel", "0.2"],
+  );
+
+/** A room with its floor at 0 and a table less: another archive for the same name. */
+export const other = () => made("other", ["house", "--param", "storeys=1", "--density", "400"], ["--pixel", "0.05"]);
+
+/** Way up the stairs of the house: places to walk straight to, one after the other. */
+export const WAY = {
+  start: [1.5, 2, 0],
+  places: [
+    [3.8, 5],
+    [6.4, 5],
+    [11, 1.1],
+    [13.45, 1.1],
+    [13.45, 7.3],
+  ],
+};

@@ -1,0 +1,278 @@
+// What else the page offers: places by clicks and links, slices, measures, local files, screenshots; and that everyone can use it.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { after, afterEach, before, beforeEach, describe, it } from "node:test";
+import { launch, newPage, state, until, walkIn } from "./browser.js";
+import { DIST, house, WAY } from "./scans.js";
+import { StaticServer } from "./static-server.js";
+import { address } from "./steer.js";
+
+const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const PIXEL = 0.05;
+let browser, server, page;
+
+before(async () => {
+  server = await new StaticServer(DIST, { "/house.slices": house() }).start();
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  await server?.stop();
+});
+beforeEach(async () => {
+  page = await newPage(browser.context);
+});
+afterEach(async () => {
+  assert.deepEqual(page.complaints, []);
+  assert.deepEqual(page.failedRequests, []);
+  await page.close();
+});
+
+const tool = (name) => page.getByRole("button", { name, exact: false });
+const middle = { x: 400, y: 250 };
+
+/** Colours in the middle of the screen, where nothing lies above the canvas: how many different ones. */
+async function colours() {
+  return page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        // The page draws in its own callback of the same frame, before this one.
+        requestAnimationFrame(() => {
+          const view = document.querySelector("canvas.view");
+          const canvas = new OffscreenCanvas(view.width, view.height);
+          const context = canvas.getContext("2d");
+          context.drawImage(view, 0, 0);
+          const [w, h] = [canvas.width, canvas.height];
+          const { data } = context.getImageData(w / 4, h / 3, w / 4, h / 3);
+          const seen = new Set();
+          for (let n = 0; n < data.length; n += 4 * 7) {
+            seen.add((data[n] >> 3) * 1024 + (data[n + 1] >> 3) * 32 + (data[n + 2] >> 3));
+          }
+          resolve(seen.size);
+        });
+      }),
+  );
+}
+
+/** Something is drawn: more colours than a plain background has. */
+async function drawn() {
+  const end = Date.now() + 60_000;
+  while ((await colours()) < 12) {
+    if (Date.now() > end) throw new Error("nothing is drawn");
+    await page.waitForTimeout(200);
+  }
+}
+
+describe("places", () => {
+  it("restores a link's place and view", async () => {
+    await walkIn(page, address(server, { at: [9.25, 4.5, 3], look: [123, -12] }));
+    await until(page, "standing on the first floor", ({ at }) => Math.abs(at[2] - 3) < 0.02);
+    const { at, look, mode } = await state(page);
+    assert.deepEqual([at[0], at[1]], [9.25, 4.5]);
+    assert.deepEqual(look, [123, -12]);
+    assert.equal(mode, "walk");
+    await tool("Copy link").click();
+    await page.waitForURL(/look=123,-12/);
+    const link = page.url();
+    await page.goto("about:blank");
+    await walkIn(page, link);
+    const again = await state(page);
+    assert.ok(
+      again.at.every((value, axis) => Math.abs(value - at[axis]) < 0.01),
+      `${again.at}`,
+    );
+    assert.deepEqual(again.look, look);
+    await page.goto("about:blank");
+    await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
+    assert.equal((await state(page)).mode, "plan");
+  });
+
+  it("goes where a program sends it, and is loaded then", async () => {
+    await walkIn(page, address(server, { at: WAY.start }));
+    const { at, look, missing } = await page.evaluate(async () => {
+      await window.slicewalk.goto({ at: [9.25, 4.5, 6.2], look: [90, 10] });
+      return window.slicewalk.state();
+    });
+    assert.deepEqual([at[0], at[1], look, missing], [9.25, 4.5, [90, 10], 0]);
+    await until(page, "on the floor", ({ at: now }) => Math.abs(now[2] - 6) < 0.02);
+  });
+
+  it("teleports by a click and walks there by two", async () => {
+    const { at: from } = await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
+    await drawn();
+    await page.mouse.click(middle.x, middle.y - 40);
+    const near = await until(page, "elsewhere", ({ at }) => at[1] > from[1] + 0.4);
+    assert.ok(Math.abs(near.at[2]) < 0.05, `on the floor below the cut: z = ${near.at[2]}`);
+    await page.mouse.dblclick(middle.x, middle.y + 30);
+    await until(page, "walking there", ({ speed }) => speed > 0.5);
+    const there = await until(page, "arrived", ({ at, speed }) => at[1] < near.at[1] && speed === 0);
+    assert.equal(there.ground, "walking");
+  });
+
+  it("captures the mouse by a click in the walk view, without a step", async () => {
+    const { at } = await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+    await page.mouse.click(middle.x, middle.y);
+    await page.waitForFunction(() => document.pointerLockElement !== null);
+    await page.mouse.move(middle.x + 120, middle.y);
+    await until(page, "turned", ({ look }) => look[0] !== 0);
+    await page.waitForTimeout(400);
+    assert.deepEqual((await state(page)).at.slice(0, 2), at.slice(0, 2));
+    await page.evaluate(() => document.exitPointerLock());
+  });
+
+  it("chooses a place to stand when the address names none", async () => {
+    await walkIn(page, `${server.address}?archive=house.slices`);
+    const { at, ground } = await until(page, "standing", (now) => now.ground === "walking" && now.speed === 0);
+    assert.ok(Math.abs(at[2]) < 0.05 && at[0] > 0 && at[0] < 14 && at[1] > 0 && at[1] < 10, `${at}, ${ground}`);
+  });
+});
+
+describe("tools", () => {
+  it("shows one slice and marks the pawn's", async () => {
+    await walkIn(page, address(server, { at: WAY.start, view: "plan" }));
+    await drawn();
+    await tool("Slices").click();
+    const slider = page.getByRole("slider", { name: "Slice" });
+    await page.getByText(/The pawn stands in slice \d+/).waitFor();
+    const many = await colours();
+    await slider.focus();
+    await page.keyboard.press("Home");
+    const text = () => slider.getAttribute("aria-valuetext");
+    assert.match(await text(), /^Slice 0 of \d+: z from -0\.\d+ to -?0\.\d+ m$/);
+    await page.keyboard.press("ArrowRight");
+    assert.match(await text(), /^Slice 1 of /);
+    assert.ok(await page.getByLabel("Show one slice only").isChecked());
+    await page.keyboard.press("End");
+    await page.waitForTimeout(500);
+    assert.notEqual(await colours(), many);
+  });
+
+  it("measures a door of 1 m, its headroom and a step", async () => {
+    await walkIn(page, address(server, { at: [3.45, 5, 0], look: [90, -45] }));
+    await tool("Measure").click();
+    const value = async (row) => {
+      const cell = page.locator(`[data-measure=${row}]`);
+      await cell.and(page.locator("[data-metres]")).waitFor();
+      return Number(await cell.getAttribute("data-metres"));
+    };
+    // The middle of the screen is on the floor between the jambs: the wall stands from x = 5 to 5.2.
+    await page.mouse.move(middle.x, middle.y + 1);
+    await page.mouse.move(middle.x, middle.y);
+    const width = await value("width");
+    assert.ok(Math.abs(width - 1) <= 2 * PIXEL, `the door is ${width} m wide`);
+    const headroom = await value("headroom");
+    assert.ok(Math.abs(headroom - 2.1) <= 0.03, `headroom ${headroom} m`);
+    // At the foot of the stairs: a riser of 3 m / 17.
+    await page.evaluate(() => window.slicewalk.goto({ at: [13.45, 0.6, 0], look: [0, -50] }));
+    const end = Date.now() + 30_000;
+    for (let step = NaN; !(Math.abs(step - 3 / 17) < 0.02); ) {
+      assert.ok(Date.now() < end, `a step of ${step} m`);
+      await page.mouse.move(middle.x, middle.y - Math.random() * 20);
+      await page.waitForTimeout(200);
+      step = Number((await page.locator("[data-measure=step]").getAttribute("data-metres")) ?? NaN);
+    }
+    // Two places on a level floor.
+    await page.evaluate(() => window.slicewalk.goto({ at: [8, 5, 0], look: [90, -40] }));
+    await page.waitForTimeout(500);
+    await page.mouse.click(middle.x, middle.y);
+    await page.waitForTimeout(600);
+    await page.mouse.click(middle.x, middle.y + 120);
+    const height = await value("height");
+    const across = await value("across");
+    assert.ok(Math.abs(height) < 0.02 && across > 0.3 && across < 2, `${across} m across, ${height} m up`);
+  });
+
+  it("opens a file of this computer, dropped or chosen, without the network", async () => {
+    await page.goto(server.address);
+    await page.getByRole("heading", { name: "Walk in a laser scan" }).waitFor();
+    await page.locator("input[type=file]").setInputFiles(house());
+    await until(page, "ready", ({ ready }) => ready);
+    const { requests, bytesLoaded } = await state(page);
+    assert.ok(requests > 0 && bytesLoaded > 0);
+    await page.keyboard.down("w");
+    await until(page, "walking", ({ speed }) => speed > 0.5);
+    await page.keyboard.up("w");
+    const bytes = [...readFileSync(house())];
+    const transfer = await page.evaluateHandle((content) => {
+      const data = new DataTransfer();
+      data.items.add(new File([new Uint8Array(content)], "dropped.slices"));
+      return data;
+    }, bytes);
+    await page.dispatchEvent("body", "drop", { dataTransfer: transfer });
+    await page.getByRole("heading", { name: "dropped.slices" }).waitFor();
+    await until(page, "ready", ({ ready }) => ready);
+  });
+
+  it("saves a picture of what it shows", async () => {
+    await walkIn(page, address(server, { at: WAY.start, look: [60, 0] }));
+    await drawn();
+    const [download] = await Promise.all([page.waitForEvent("download"), tool("Screenshot").click()]);
+    assert.match(download.suggestedFilename(), /^slicewalk-.*\.png$/);
+    const picture = readFileSync(await download.path());
+    assert.ok(picture.length > 5_000 && picture.subarray(1, 4).toString() === "PNG", `${picture.length} bytes`);
+  });
+
+  it("takes another pawn, and refuses one that does not fit", async () => {
+    await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+    await tool("Settings").click();
+    const speed = page.getByLabel("Walking speed (m/s)");
+    await speed.fill("3");
+    await speed.press("Enter");
+    await page.locator("canvas.view").focus();
+    await page.keyboard.down("w");
+    await until(page, "faster", (now) => Math.abs(now.speed - 3) < 0.1);
+    await page.keyboard.up("w");
+    const height = page.getByLabel("Pawn height (m)");
+    await height.fill("3.5");
+    await height.press("Enter");
+    await page.getByText("This pawn does not fit here").waitFor();
+    await page.getByRole("button", { name: "Default settings" }).click();
+    await until(page, "as before", () => true);
+    assert.equal(await height.inputValue(), "1.8");
+  });
+});
+
+describe("for everyone", () => {
+  it("has no serious fault that axe finds", async () => {
+    const check = async (what) => {
+      const results = await page.evaluate(() => window.axe.run(document, { resultTypes: ["violations"] }));
+      const serious = results.violations.filter(({ impact }) => impact === "serious" || impact === "critical");
+      assert.deepEqual(
+        serious.map(({ id, nodes }) => [id, nodes.map(({ target }) => target.join(" "))]),
+        [],
+        what,
+      );
+    };
+    await page.addInitScript(AXE);
+    await page.goto(server.address);
+    await page.getByRole("heading", { name: "Walk in a laser scan" }).waitFor();
+    await check("the welcome");
+    await walkIn(page, address(server, { at: WAY.start, look: [60, 0] }));
+    await check("walking");
+    for (const name of ["Measure", "Slices", "Colours", "Settings"]) {
+      await tool(name).click();
+      await check(name);
+    }
+    await page.keyboard.press("h");
+    await page.getByRole("heading", { name: "Keys and gestures" }).waitFor();
+    await check("help");
+  });
+
+  it("has a favicon, names its archive, and reaches every tool by the keyboard", async () => {
+    await walkIn(page, address(server, { at: WAY.start }));
+    const icon = await page.locator("link[rel=icon]").getAttribute("href");
+    const answer = await page.request.get(new URL(icon, server.address).href);
+    assert.equal(answer.status(), 200);
+    assert.match(await page.title(), /house\.slices/);
+    const reached = new Set();
+    for (let n = 0; n < 24; n++) {
+      await page.keyboard.press("Tab");
+      reached.add(await page.evaluate(() => document.activeElement?.textContent?.trim() ?? ""));
+    }
+    for (const name of ["Walk", "Orbit", "Plan", "Fly", "Measure", "Slices", "Settings", "Copy link", "Screenshot", "Help"]) {
+      assert.ok(reached.has(name), `${name} is not among ${[...reached]}`);
+    }
+  });
+});

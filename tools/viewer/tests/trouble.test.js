@@ -1,0 +1,117 @@
+// When things go wrong: graphics lost, host gone, archive replaced or damaged, address wrong.
+
+import assert from "node:assert/strict";
+import { copyFileSync, mkdtempSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, afterEach, before, beforeEach, describe, it } from "node:test";
+import { hold, launch, newPage, state, until, walkIn } from "./browser.js";
+import { DIST, house, other, WAY } from "./scans.js";
+import { StaticServer } from "./static-server.js";
+import { address } from "./steer.js";
+
+let browser, page, server, folder;
+
+before(async () => {
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+});
+beforeEach(async () => {
+  folder = mkdtempSync(join(tmpdir(), "slicewalk-trouble-"));
+  copyFileSync(house(), join(folder, "house.slices"));
+  server = await new StaticServer(DIST, {
+    "/house.slices": join(folder, "house.slices"),
+    "/bad.slices": join(folder, "bad.slices"),
+  }).start();
+  page = await newPage(browser.context);
+});
+afterEach(async () => {
+  assert.deepEqual(page.complaints, []);
+  await page.close();
+  await server.stop().catch(() => {});
+  rmSync(folder, { recursive: true });
+});
+
+describe("trouble", () => {
+  it("survives the loss of its graphics", async () => {
+    await walkIn(page, address(server, { at: WAY.start, look: [60, 0] }));
+    const picture = () => page.locator("canvas.view").screenshot();
+    await page.waitForTimeout(1500);
+    await page.evaluate(() => {
+      const lose = document.querySelector("canvas.view").getContext("webgl2").getExtension("WEBGL_lose_context");
+      Object.assign(window, { lose });
+      lose.loseContext();
+    });
+    await page.getByText("The graphics were lost").waitFor();
+    const black = await picture();
+    await page.evaluate(() => window.lose.restoreContext());
+    await page.getByText("The graphics are back").waitFor();
+    await hold(page, ["w"], "walking on", ({ speed }) => speed > 0.5);
+    await page.waitForTimeout(500);
+    const again = await picture();
+    assert.ok(again.length > 1.5 * black.length, `${again.length} bytes of picture, ${black.length} while lost`);
+  });
+
+  it("waits for a host that went away, and goes on when it is back", async () => {
+    // Slow enough that the third storey is not loaded when the host goes away.
+    server.delayMs = 500;
+    await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+    await server.stop();
+    await page.evaluate(() => void window.slicewalk.goto({ at: [9.25, 4.5, 6.2] }).catch(() => {}));
+    await until(page, "waiting for pages", ({ missing, at }) => missing > 0 && at[2] > 6);
+    await page.getByText("Connection trouble, trying again").waitFor();
+    server.delayMs = 0;
+    await server.start();
+    await until(page, "on the floor of the third storey", ({ at, missing }) => Math.abs(at[2] - 6) < 0.05 && missing === 0, {
+      timeout: 120_000,
+    });
+    assert.equal((await state(page)).error, null);
+  });
+
+  it("says that an archive was replaced, and opens the new one", async () => {
+    // Slow enough that the next pages come from the new file.
+    server.delayMs = 500;
+    await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+    copyFileSync(other(), join(folder, "new.slices"));
+    renameSync(join(folder, "new.slices"), join(folder, "house.slices"));
+    await page.evaluate(() => void window.slicewalk.goto({ at: [9.25, 4.5, 6.2] }).catch(() => {}));
+    const dialog = page.getByRole("dialog", { name: "The archive was replaced while you walked" });
+    await dialog.waitFor();
+    assert.match((await state(page)).error, /replaced/);
+    await dialog.getByRole("button", { name: "Open again" }).click();
+    await until(page, "ready again", ({ ready, error }) => ready && error === null);
+  });
+
+  for (const [what, content, title] of [
+    ["a web page", "<!doctype html><title>Not found</title>", "This is not a slice archive"],
+    ["nothing", "", "This is not a slice archive"],
+  ]) {
+    it(`names ${what} where an archive should be, and offers another`, async () => {
+      writeFileSync(join(folder, "bad.slices"), content);
+      await page.goto(address(server, { archive: "bad.slices" }));
+      const dialog = page.getByRole("dialog", { name: title });
+      await dialog.waitFor();
+      assert.equal((await state(page)).ready, false);
+      await dialog.getByRole("button", { name: "Open another archive" }).click();
+      await page.getByRole("heading", { name: "Walk in a laser scan" }).waitFor();
+    });
+  }
+
+  it("names damage, never walks in it", async () => {
+    const bytes = readFileSync(house());
+    bytes.fill(0x55, 1000, bytes.length - 1000);
+    writeFileSync(join(folder, "bad.slices"), bytes);
+    await page.goto(address(server, { archive: "bad.slices", at: WAY.start }));
+    const { error } = await until(page, "an error", (now) => now.error !== null);
+    assert.match(error, /damaged/);
+    await page.getByRole("dialog").getByText("slicetool verify").waitFor();
+  });
+
+  it("says what a missing archive's address was answered", async () => {
+    await page.goto(address(server, { archive: "missing.slices" }));
+    const { error } = await until(page, "an error", (now) => now.error !== null);
+    assert.match(error, /404/);
+  });
+});

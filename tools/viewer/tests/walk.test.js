@@ -1,0 +1,196 @@
+// Walking: stairs, walls, falls, far from the origin, and by every device.
+
+import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, afterEach, before, beforeEach, describe, it } from "node:test";
+import { hold, launch, newPage, state, until, walkIn } from "./browser.js";
+import { BIN, DIST, house, movedHouse, MOVED, tower, WAY } from "./scans.js";
+import { StaticServer } from "./static-server.js";
+import { address, walkTowards } from "./steer.js";
+
+let browser, server, page;
+
+before(async () => {
+  server = await new StaticServer(DIST, {
+    "/house.slices": house(),
+    "/moved.slices": movedHouse(),
+    "/tower.slices": tower(),
+  }).start();
+  browser = await launch();
+});
+after(async () => {
+  await browser?.close();
+  await server?.stop();
+});
+beforeEach(async () => {
+  server.requests.length = 0;
+  page = await newPage(browser.context);
+});
+afterEach(async () => {
+  assert.deepEqual(page.complaints, []);
+  assert.deepEqual(page.failedRequests, []);
+  await page.close();
+});
+
+/** Up the stairs by keys, recorded. */
+async function climb(archive, shift) {
+  const there = ([x, y]) => [x + shift[0], y + shift[1]];
+  await walkIn(page, address(server, { archive, at: [...there(WAY.start), WAY.start[2]], look: [0, 0] }));
+  await page.evaluate(() => window.slicewalk.record());
+  for (const place of WAY.places) await walkTowards(page, there(place));
+  const { at } = await until(page, "standing", ({ ground, speed }) => ground !== "falling" && speed === 0);
+  assert.ok(Math.abs(at[2] - 3) < 0.03, `at z = ${at[2]}`);
+  return page.evaluate(() => window.slicewalk.recording());
+}
+
+/** The library walks the recorded inputs again and compares each place bit by bit. */
+function replay(archive, recording) {
+  assert.ok(recording.steps.length > 50 * 8 && recording.path.length * 8 === recording.steps.length * 3);
+  const folder = mkdtempSync(join(tmpdir(), "slicewalk-replay-"));
+  try {
+    const file = join(folder, "recording.json");
+    writeFileSync(file, JSON.stringify(recording));
+    return execFileSync(join(BIN, "replay"), [archive, file], { encoding: "utf8" });
+  } finally {
+    rmSync(folder, { recursive: true });
+  }
+}
+
+describe("walking", () => {
+  it("takes the first step after at most 5 range requests and 300 kB", async () => {
+    // The key is down from the beginning, and the page itself notes what had been loaded at the first step.
+    await page.addInitScript((y) => {
+      const look = () => {
+        const now = window.slicewalk?.state();
+        if (now?.ready && now.at[1] > y) window.firstStep = now;
+        else requestAnimationFrame(look);
+      };
+      requestAnimationFrame(look);
+    }, WAY.start[1]);
+    await page.goto(address(server, { at: WAY.start, look: [0, 0] }));
+    await page.waitForFunction(() => window.slicewalk !== undefined);
+    await page.keyboard.down("w");
+    await page.waitForFunction(() => window.firstStep !== undefined);
+    await page.keyboard.up("w");
+    const { requests: count, bytesLoaded: bytes } = await page.evaluate(() => window.firstStep);
+    const ranges = server.of("house.slices");
+    console.log(`first step: ${count} requests, ${bytes} bytes; ${ranges.map(({ range }) => range).join(" ")}`);
+    assert.ok(ranges.every(({ status }) => status === 206));
+    assert.ok(count <= 5 && bytes <= 300_000, `${count} requests, ${bytes} bytes`);
+  });
+
+  it("climbs the stairs by keys, and the library does the same to the last bit", async () => {
+    const recording = await climb("house.slices", [0, 0]);
+    replay(house(), recording);
+    // A replay that differs is noticed.
+    const bent = { ...recording, path: recording.path.with(-1, recording.path.at(-1) + 1e-12) };
+    assert.throws(() => replay(house(), bent));
+  });
+
+  it("climbs them 5,000 km from the origin as well", async () => {
+    const recording = await climb("moved.slices", MOVED);
+    replay(movedHouse(), recording);
+  });
+
+  it("stops at a wall and says so", async () => {
+    await walkIn(page, address(server, { at: WAY.start, look: [270, 0] }));
+    const before = await hold(page, ["w"], "blocked", ({ ground }) => ground === "blocked");
+    // Half the pawn and at most a pixel of matter before the wall.
+    assert.ok(before.at[0] >= 0.25 && before.at[0] <= 0.25 + 2 * 0.05, `x = ${before.at[0]}`);
+    await page.keyboard.down("w");
+    await page.getByText("stopped by a wall").waitFor();
+    await page.keyboard.up("w");
+  });
+
+  it("lands after a fall of 150 m", async () => {
+    const top = await walkIn(page, address(server, { archive: "tower.slices", at: [-2.25, 0, 150], look: [90, 0] }));
+    assert.ok(Math.abs(top.at[2] - 150) < 0.3, `starts at z = ${top.at[2]}`);
+    await hold(page, ["w"], "falling", ({ ground }) => ground === "falling");
+    const end = await until(page, "landed", ({ ground, at }) => ground === "walking" && at[2] < 1, { timeout: 120_000 });
+    assert.ok(Math.abs(end.at[2]) < 0.3, `z = ${end.at[2]}`);
+  });
+
+  it("jumps, crouches and flies through walls", async () => {
+    await walkIn(page, address(server, { at: WAY.start, look: [270, 0] }));
+    await page.keyboard.press("Space");
+    await until(page, "in the air", ({ at }) => at[2] > 0.15);
+    await until(page, "on its feet", ({ at, ground }) => at[2] < 0.05 && ground === "walking");
+    await page.keyboard.press("f");
+    await hold(page, ["w"], "beyond the wall", ({ at, ground }) => at[0] < -1 && ground === "flying");
+    await page.keyboard.press("f");
+    await until(page, "falling", ({ ground }) => ground === "falling");
+  });
+
+  it("walks, turns and looks by the keyboard alone", async () => {
+    const { at: from } = await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+    const far = ({ at }) => Math.hypot(at[0] - from[0], at[1] - from[1]) >= 1;
+    await hold(page, ["ArrowUp"], "a metre on", far);
+    const { look } = await state(page);
+    await hold(page, ["ArrowRight"], "turned", ({ look: now }) => now[0] - look[0] > 20);
+    await hold(page, ["PageDown"], "looking down", ({ look: now }) => now[1] < -15);
+  });
+
+  it("runs with shift", async () => {
+    await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+    await hold(page, ["w"], "walking", ({ speed }) => Math.abs(speed - 1.4) < 0.05);
+    await page.evaluate((at) => window.slicewalk.goto({ at }), WAY.start);
+    await hold(page, ["Shift", "w"], "running", ({ speed }) => speed > 2.5);
+  });
+
+  it("walks by a gamepad", async () => {
+    await page.addInitScript(() => {
+      const pad = {
+        connected: true,
+        mapping: "standard",
+        axes: [0, 0, 0, 0],
+        buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })),
+      };
+      Object.assign(window, { pad });
+      navigator.getGamepads = () => [pad, null, null, null];
+    });
+    const { at: from } = await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+    await page.evaluate(() => (window.pad.axes[1] = -1));
+    await until(page, "a metre on", ({ at }) => at[1] - from[1] >= 1);
+    await page.evaluate(() => {
+      window.pad.axes[1] = 0.05;
+      window.pad.axes[2] = 1;
+    });
+    await until(page, "turned", ({ look }) => look[0] > 20 && look[0] < 340);
+    await page.evaluate(() => (window.pad.axes[2] = 0));
+    await until(page, "standing", ({ speed }) => speed === 0);
+  });
+});
+
+describe("touch", () => {
+  it("walks and looks with two thumbs", async () => {
+    const phone = await launch({ viewport: { width: 740, height: 560 }, hasTouch: true, isMobile: true });
+    try {
+      const page = await newPage(phone.context);
+      const { at: from } = await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+      const thumb = async (name) => {
+        const box = await page.getByRole("group", { name }).boundingBox();
+        return { x: box.x + box.width / 2, y: box.y + box.height / 2 };
+      };
+      await page.getByRole("group", { name: "Walking stick" }).waitFor();
+      const touch = await phone.context.newCDPSession(page);
+      const send = (type, ...points) => touch.send("Input.dispatchTouchEvent", { type, touchPoints: points });
+      const left = await thumb("Walking stick");
+      await send("touchStart", left);
+      await send("touchMove", { x: left.x, y: left.y - 45 });
+      await until(page, "a metre on", ({ at }) => at[1] - from[1] >= 1);
+      await send("touchEnd");
+      const right = await thumb("Looking stick");
+      await send("touchStart", right);
+      await send("touchMove", { x: right.x + 45, y: right.y });
+      await until(page, "turned", ({ look }) => look[0] > 20 && look[0] < 340);
+      await send("touchEnd");
+      await until(page, "standing", ({ speed }) => speed === 0);
+      assert.deepEqual(page.complaints, []);
+    } finally {
+      await phone.close();
+    }
+  });
+});
