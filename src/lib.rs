@@ -135,10 +135,10 @@ pub mod stats;
 #[cfg(feature = "convert")]
 pub mod convert;
 
-#[cfg(feature = "cli")]
+#[cfg(feature = "convert")]
 pub mod info;
 
-#[cfg(feature = "cli")]
+#[cfg(feature = "convert")]
 pub mod size;
 
 pub mod store;

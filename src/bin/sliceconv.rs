@@ -47,7 +47,7 @@ struct Arguments {
     #[arg(long, value_name = "I/N", value_parser = part)]
     shard: Option<(u32, u32)>,
     /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing; of meshes alone, a 700th of their extent
-    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|METRES", value_parser = pixel_size)]
+    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|METRES")]
     pixel: PixelSize,
     /// Height of a slice in metres [default: three pixels]
     #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
@@ -83,7 +83,7 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
     /// Unit of the input: from its CRS, metres, feet, US survey feet, or metres per unit
-    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|m|ft|us-ft|FACTOR", value_parser = units)]
+    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|m|ft|us-ft|FACTOR")]
     units: Units,
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
@@ -132,23 +132,6 @@ fn length(text: &str) -> Result<f64, String> {
         Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
         _ => Err("expected a length in metres above 0".into()),
     }
-}
-
-fn pixel_size(text: &str) -> Result<PixelSize, String> {
-    if text == "auto" { Ok(PixelSize::Auto) } else { length(text).map(PixelSize::Metres) }
-}
-
-fn units(text: &str) -> Result<Units, String> {
-    Ok(match text {
-        "auto" => Units::Auto,
-        "m" => Units::Factor(1.0),
-        "ft" => Units::Factor(0.3048),
-        "us-ft" => Units::Factor(1200.0 / 3937.0),
-        factor => match factor.parse::<f64>() {
-            Ok(value) if value > 0.0 && value.is_finite() => Units::Factor(value),
-            _ => return Err("expected auto, m, ft, us-ft, or metres per unit above 0".into()),
-        },
-    })
 }
 
 fn part(text: &str) -> Result<(u32, u32), String> {
@@ -393,18 +376,7 @@ fn print_plan(arguments: &Arguments, job: &Job) {
 fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
     let header = &report.header;
     if arguments.json {
-        let mut facts = slicewalk::info::header_info(header, &report.crs, &report.units);
-        facts["points_not_finite"] = report.points_not_finite.into();
-        facts["complete"] = report.complete.into();
-        facts["triangles_read"] = report.triangles.read.into();
-        facts["triangles_left_out"] = report.triangles.left_out.into();
-        facts["points_made"] = report.points_made.into();
-        facts["voxels_dropped"] = report.voxels_dropped.into();
-        facts["temp_bytes"] = report.temp_bytes.into();
-        facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
-        if let Some(shard) = &report.shard {
-            facts["shard"] = slicewalk::info::shard_info(shard);
-        }
+        let mut facts = report.info();
         facts["seconds"] = seconds.into();
         // The archive is written; that nobody reads about it is no failure.
         let _ = writeln!(std::io::stdout(), "{facts:#}");
