@@ -21,7 +21,7 @@ mod target;
 mod temporary;
 
 pub(crate) use target::ARCHIVE_MAGIC;
-#[cfg(feature = "cli")]
+#[cfg(feature = "convert")]
 pub(crate) use target::PLAN_KEY;
 pub use target::{Existing, OutputKind, Protected};
 pub(crate) use temporary::Temporary;

@@ -31,7 +31,8 @@ def free_place(archive: slicewalk.Archive, low: np.ndarray, high: np.ndarray) ->
     free = feet[archive.overlaps(boxes) == slicewalk.CLEAR]
     if not len(free):
         sys.exit("nobody can stand in this scan")
-    return free[len(free) // 2]
+    place: np.ndarray = free[len(free) // 2]
+    return place
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ use crate::attend::{Audience, attended};
 use crate::convert::dictionary;
 use crate::errors::Failure;
 use crate::pages::{Pages, Set};
-use numpy::{PyArray2, PyArrayMethods};
+use numpy::PyArray2;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;

@@ -162,8 +162,8 @@ impl Walker {
             Ground::Pages(pages) => ask!(pages.get().set, py, set => self.walker.step(set, dt, wish)),
             Ground::Stream(stream) => {
                 let stream = stream.get().inner()?;
-                let hints = self.hints_for(&stream);
-                hints.hint(&self.walker.outlook(stream.archive().frame()));
+                let outlook = self.walker.outlook(stream.archive().frame());
+                self.hints_for(&stream).hint(&outlook);
                 let done = self.walker.step(&stream.view(), dt, wish);
                 if let (Some(missing), Some((_, hints))) = (&done.missing, &mut self.hints) {
                     hints.need(missing);
@@ -238,8 +238,7 @@ impl Walker {
         let feet = feet.into_pyarray(py).reshape([count, 3])?;
         py.import("slicewalk._results")?
             .getattr("Path")?
-            .call_method1(
-        "_of", (times.into_pyarray(py), feet, codes.into_pyarray(py), route.next()))
+            .call_method1("_of", (times.into_pyarray(py), feet, codes.into_pyarray(py), route.next()))
     }
 
     fn __repr__(&self) -> String {

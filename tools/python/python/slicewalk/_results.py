@@ -44,17 +44,17 @@ class Region:
     @property
     def x(self) -> NDArray[np.float64]:
         """Middle of each column (m)."""
-        return (self.first[0] + np.arange(self.kind.shape[2]) + 0.5) * self.pixel_size
+        return (self.first[0] + 0.5 + np.arange(self.kind.shape[2], dtype=np.float64)) * self.pixel_size
 
     @property
     def y(self) -> NDArray[np.float64]:
         """Middle of each row (m)."""
-        return (self.first[1] + np.arange(self.kind.shape[1]) + 0.5) * self.pixel_size
+        return (self.first[1] + 0.5 + np.arange(self.kind.shape[1], dtype=np.float64)) * self.pixel_size
 
     @property
     def z(self) -> NDArray[np.float64]:
         """Lower end of each slice (m)."""
-        return (self.first[2] + np.arange(self.kind.shape[0])) * self.slice_height
+        return (self.first[2] + np.arange(self.kind.shape[0], dtype=np.float64)) * self.slice_height
 
     def slices(self) -> dict[int, NDArray[np.uint8]]:
         """Return a view of `kind` for each slice with matter, by the slice's number (0 begins at z = 0).

@@ -40,8 +40,6 @@ class Error(Exception):
         self._facts = {name: value for name, value in facts.items() if value is not None}
         for name, value in self._facts.items():
             setattr(self, name, value)
-        if isinstance(self, OSError):
-            self.filename = self.path
 
     def __str__(self) -> str:
         """Return the message, whatever the other base class makes of it."""
@@ -56,7 +54,13 @@ def _again(kind: type[Error], message: str, facts: dict[str, Any]) -> Error:
     return kind(message, **facts)
 
 
-class FileError(Error, OSError):
+class _SystemError(Error, OSError):
+    def __init__(self, message: str, **facts: Any) -> None:
+        super().__init__(message, **facts)
+        self.filename = self.path
+
+
+class FileError(_SystemError):
     """The operating system or a server refused a file. Has `errno`, `strerror` and `action` ("open")."""
 
     action: str | None = None
@@ -90,11 +94,11 @@ class ParameterError(Error, ValueError):
     """A parameter, named by `at`, makes no sense."""
 
 
-class OutputError(Error, OSError):
+class OutputError(_SystemError):
     """A file must not be written under this name; what is there stays."""
 
 
-class NotDurableError(Error, OSError):
+class NotDurableError(_SystemError):
     """A file is complete under its name, but its folder could not be synced: a power failure may undo that."""
 
 
