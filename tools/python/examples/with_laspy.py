@@ -23,7 +23,7 @@ def main() -> None:
     scan = sys.argv[1]
     with laspy.open(scan) as reader, slicewalk.Writer("points.slices", pixel=0.05, force=True) as writer:
         for chunk in reader.chunk_iterator(1_000_000):
-            writer.write(chunk.xyz)
+            writer.write(np.column_stack([chunk.x, chunk.y, chunk.z]))
     archive = slicewalk.open("points.slices")
     points = laspy.read(scan)
     xyz = points.xyz

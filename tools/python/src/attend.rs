@@ -3,7 +3,7 @@
 //! Callbacks and warnings run on the calling thread alone, so no other thread ever waits for the interpreter, and what
 //! they raise ends the work.
 
-use crate::errors::Failure;
+use crate::errors::{Failure, in_python};
 use pyo3::prelude::*;
 use slicewalk::Monitor;
 use std::collections::VecDeque;
@@ -76,7 +76,7 @@ impl Audience<'_, '_> {
         if !self.quiet {
             for text in warnings {
                 let category = py.import("slicewalk.errors")?.getattr("SlicewalkWarning")?;
-                PyErr::warn(py, &category, &CString::new(text.replace('\0', " "))?, 1)?;
+                PyErr::warn(py, &category, &CString::new(in_python(&text).replace('\0', " "))?, 1)?;
             }
         }
         let Some(progress) = self.progress else { return Ok(()) };

@@ -56,9 +56,9 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///
 /// Soft problems of the input are :class:`SlicewalkWarning`.
 ///
-/// >>> report = slicewalk.convert("room.las", "again.slices", pixel=0.1)
+/// >>> report = slicewalk.convert("room.las", "again.slices", pixel=0.1, units="m")
 /// >>> report["points_kept"], report["slices"]
-/// (27000, 9)
+/// (66400, 9)
 #[pyfunction]
 #[pyo3(signature = (inputs, output, *, progress=None, **options))]
 pub fn convert<'py>(
@@ -89,7 +89,7 @@ pub fn convert<'py>(
 /// Returns:
 ///     the plan as a dict
 ///
-/// >>> plan = slicewalk.write_plan("room.las", "plan.json", pixel=0.1)
+/// >>> plan = slicewalk.write_plan("room.las", "plan.json", pixel=0.1, units="m")
 /// >>> for part in (1, 2):
 /// ...     _ = slicewalk.convert("room.las", f"{part}.slices", plan="plan.json", shard=(part, 2))
 #[pyfunction]

@@ -72,7 +72,7 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
         Error::Input { path, at, reason } => {
             facts.set_item("path", path.to_string_lossy())?;
             facts.set_item("at", at)?;
-            facts.set_item("reason", reason)?;
+            facts.set_item("reason", in_python(reason))?;
             "InputError"
         }
         Error::Format { rule, part, offset, expected, found } => {
@@ -85,24 +85,24 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
             "FormatError"
         }
         Error::Limit { what, value, max } => {
-            facts.set_item("reason", what)?;
+            facts.set_item("reason", in_python(what))?;
             facts.set_item("expected", max)?;
             facts.set_item("found", value)?;
             "LimitError"
         }
         Error::Unsupported { what, way_out, .. } => {
             facts.set_item("found", what)?;
-            facts.set_item("hint", way_out)?;
+            facts.set_item("hint", in_python(way_out))?;
             "UnsupportedError"
         }
         Error::Parameter { what, reason } => {
             facts.set_item("at", what.to_string())?;
-            facts.set_item("reason", reason)?;
+            facts.set_item("reason", in_python(reason))?;
             "ParameterError"
         }
         Error::Output { path, reason } => {
             facts.set_item("path", path.to_string_lossy())?;
-            facts.set_item("reason", reason)?;
+            facts.set_item("reason", in_python(reason))?;
             "OutputError"
         }
         Error::NotDurable { path, source } => {
@@ -115,7 +115,18 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
     made(py, class, &text, &facts)
 }
 
+/// A message of the library with the options of the command line by their names in Python.
+pub fn in_python(text: &str) -> String {
+    let mut words: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        let (before, option) = word.split_once("--").unwrap_or((word, ""));
+        let is_option = matches!(before, "" | "(") && option.starts_with(|c: char| c.is_ascii_lowercase());
+        words.push(if is_option { format!("{before}{}", option.replace('-', "_")) } else { word.to_owned() });
+    }
+    words.join(" ")
+}
+
 fn made(py: Python<'_>, class: &str, text: &str, facts: &Bound<'_, PyDict>) -> PyResult<PyErr> {
     let class = py.import("slicewalk.errors")?.getattr(class)?;
-    Ok(PyErr::from_value(class.call((text,), Some(facts))?))
+    Ok(PyErr::from_value(class.call((in_python(text),), Some(facts))?))
 }

@@ -259,7 +259,7 @@ impl Pages {
     ///
     /// >>> archive = slicewalk.open("room.slices")
     /// >>> archive.sweep([[3, 2, 0.5, 3.5, 2.5, 1.8, 0, 1, 0], [3, 2, 0.5, 3.5, 2.5, 1.8, 9, 0, 0]]).round(2)
-    /// array([1. , 0.5])
+    /// array([1.  , 0.49])
     #[pyo3(signature = (boxes, *, threads=None))]
     fn sweep<'py>(
         &self,
@@ -366,7 +366,7 @@ impl Pages {
     ///
     /// >>> region = slicewalk.open("room.slices").region((0, 0, 0, 8, 6, 2.5))
     /// >>> region.kind.shape, int((region.kind == 2).any(axis=0).sum())
-    /// ((9, 61, 81), 280)
+    /// ((9, 61, 81), 276)
     fn region<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         ask!(self.set, py, pages => region(py, pages, self.name(), bounds))
     }
@@ -389,7 +389,7 @@ impl Pages {
     ///
     /// >>> reach = slicewalk.open("room.slices").reach((4, 3, 0.1))
     /// >>> round(reach.area), len(reach.storeys), reach.places.shape[1]
-    /// (42, 1, 4)
+    /// (40, 1, 4)
     #[pyo3(signature = (start, *, pawn=None, climb=0.35, max_drop=None, progress=None))]
     fn reach<'py>(
         &self,

@@ -17,7 +17,7 @@ def folder(tmp_path_factory):
     """room.las and room.slices, as the examples of the documentation know them."""
     folder = tmp_path_factory.mktemp("scans")
     (folder / "room.las").write_bytes(scan.las(scan.room()))
-    slicewalk.convert(folder / "room.las", folder / "room.slices", pixel=scan.PIXEL)
+    slicewalk.convert(folder / "room.las", folder / "room.slices", pixel=scan.PIXEL, units="m")
     return folder
 
 

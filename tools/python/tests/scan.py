@@ -10,6 +10,11 @@ PIXEL = 0.1
 SLICE = 0.3
 
 
+def millimetres(points: np.ndarray) -> np.ndarray:
+    """Points as a file in steps of a millimetre has them."""
+    return np.round(points * 1000) * 0.001
+
+
 def room() -> np.ndarray:
     """A room of 8 × 6 × 2.5 m with a point every 5 cm on its floor, its ceiling and its four walls."""
     x, y, z = (np.arange(0.025, size, 0.05) for size in (8, 6, 2.5))
@@ -19,18 +24,18 @@ def room() -> np.ndarray:
 
     ends_x, ends_y = np.array([0.025, 7.975]), np.array([0.025, 5.975])
     faces = [face(x, y, np.array([0.0, 2.5])), face(ends_x, y, z), face(x, ends_y, z)]
-    return np.round(np.concatenate(faces), 3)
+    return millimetres(np.concatenate(faces))
 
 
 def rubble(count: int, seed: int) -> np.ndarray:
     """Scattered points, clusters and a slope, in whole millimetres."""
     random = np.random.default_rng(seed)
-    scattered = random.uniform((-5, -4, 0.3), (5, 4, 6), (count // 3, 3))
-    centres = random.uniform((-5, -4, 0.3), (5, 4, 6), (12, 3))
+    scattered = random.uniform((-5, -4, 1.8), (5, 4, 6), (count // 3, 3))
+    centres = random.uniform((-5, -4, 1.8), (5, 4, 6), (12, 3))
     clusters = centres[random.integers(0, 12, count // 3)] + random.normal(0, 0.2, (count // 3, 3))
     ground = random.uniform((-5, -4, 0), (5, 4, 0), (count // 3, 3))
     ground[:, 2] = 1 + 0.1 * ground[:, 0]
-    return np.round(np.concatenate([scattered, clusters, ground]), 3)
+    return millimetres(np.concatenate([scattered, clusters, ground]))
 
 
 def las(points: np.ndarray) -> bytes:
@@ -59,6 +64,8 @@ class Spans:
 
     def __init__(self, pages):
         self.pixel, self.quantum = pages.pixel_size, pages.height_quantum
+        # As the grid rounds: one multiplication.
+        self.per_metre = np.array([1 / pages.pixel_size] * 2 + [255 / pages.slice_height])
         columns = []
         for tx, ty, layer in pages.keys():
             page = pages.page((tx, ty, layer))
@@ -70,13 +77,13 @@ class Spans:
 
     def under(self, box):
         """Spans in the pixels under a box."""
-        i0, j0, i1, j1 = np.floor(np.array([box[0], box[1], box[3], box[4]]) / self.pixel)
+        (i0, j0), (i1, j1) = np.floor(box[:2] * self.per_metre[:2]), np.floor(box[3:5] * self.per_metre[:2])
         i, j = self.all[:, 0], self.all[:, 1]
         return self.all[(i0 <= i) & (i <= i1) & (j0 <= j) & (j <= j1)]
 
     def overlap(self, box) -> bool:
         spans = self.under(box)
-        low, high = np.ceil(box[2] / self.quantum), np.floor(box[5] / self.quantum)
+        low, high = np.ceil(box[2] * self.per_metre[2]), np.floor(box[5] * self.per_metre[2])
         return bool(((spans[:, 2] <= high) & (spans[:, 3] >= low)).any())
 
     def floor(self, box) -> float:

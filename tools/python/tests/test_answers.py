@@ -29,7 +29,9 @@ def check_boxes(pages, points, count, seed):
 
 def check_floors(pages, points, count, seed):
     random = np.random.default_rng(seed)
-    boxes = scan.boxes(random, points.min(axis=0), points.max(axis=0), count)
+    low, high = points.min(axis=0), points.max(axis=0)
+    boxes = scan.boxes(random, low, high, count)
+    boxes[::2, 2], boxes[::2, 5] = low[2] - 1, high[2] + 1
     spans = scan.Spans(pages)
     answers = pages.floor(boxes)
     expected = np.array([spans.floor(box) for box in boxes])
@@ -122,12 +124,14 @@ def test_region_holds_every_voxel_of_the_points(rubble):
     points, archive = rubble
     low, high = archive.bounds
     region = archive.region([*low, *high])
-    index = np.floor(points / [region.pixel_size, region.pixel_size, region.slice_height]).astype(int)
+    quanta = points[:, 2] * (255 / region.slice_height)
+    pixels = np.floor(points[:, :2] * (1 / region.pixel_size)).astype(int)
+    index = np.column_stack([pixels, np.floor(quanta).astype(int) // 255])
     column, row, number = (index - region.first).T
     assert region.occupied[number, row, column].all()
     assert region.occupied.sum() == archive.voxels
     assert (region.kind == 2).sum() == archive.info()["voxels"]["obstacle"]
-    quanta = points[:, 2] / archive.height_quantum - (index[:, 2] * 255)
+    quanta -= index[:, 2] * 255
     assert (region.bottom[number, row, column] <= quanta + 1e-6).all()
     assert (region.top[number, row, column] >= quanta - 1e-6).all()
     assert (region.top[~region.occupied] == 0).all()
@@ -143,7 +147,7 @@ def test_columns_and_pages_say_the_same(rubble):
     spans = scan.Spans(archive)
     for x, y, _ in points[:200]:
         column = archive.column(x, y)
-        own = spans.under([x, y, 0, x, y, 0])
+        own = spans.under(np.array([x, y, 0, x, y, 0]))
         own = own[np.argsort(own[:, 2])]
         assert len(column) == len(own)
         assert np.allclose(column.bottoms, own[:, 2] * spans.quantum, atol=1e-9)
@@ -156,7 +160,7 @@ def test_columns_and_pages_say_the_same(rubble):
 def test_xarray(rubble):
     pytest.importorskip("xarray")
     data = rubble[1].region([-1, -1, 1, 1, 1, 2]).to_xarray()
-    assert dict(data.sizes) == {"z": 5, "y": 21, "x": 21}
+    assert dict(data.sizes) == {"z": 4, "y": 21, "x": 21}
     assert data.attrs["pixel_size"] == scan.PIXEL
 
 

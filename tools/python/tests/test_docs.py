@@ -7,6 +7,7 @@ import inspect
 import pathlib
 import shutil
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -60,5 +61,8 @@ def test_script_of_the_page(folder, tmp_path, monkeypatch):
     shutil.move(tmp_path / "scan.laz", tmp_path / "scan.las")
     monkeypatch.chdir(tmp_path)
     pytest.importorskip("matplotlib").use("Agg")
-    exec(compile(script, str(PAGE), "exec"), {})
+    with warnings.catch_warnings():
+        # The scan states no unit.
+        warnings.simplefilter("ignore", slicewalk.SlicewalkWarning)
+        exec(compile(script, str(PAGE), "exec"), {})
     assert (tmp_path / "slice.png").stat().st_size > 1000

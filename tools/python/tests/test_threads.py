@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -56,17 +57,18 @@ def test_other_threads_run_during_a_batch(rubble):
     boxes = np.tile(scan.boxes(np.random.default_rng(6), *archive.bounds, 1000), (2000, 1))
     thread = threading.Thread(target=archive.overlaps, args=(boxes,))
     interval = sys.getswitchinterval()
-    # A batch that held the interpreter would be asked to let go only after an hour.
+    # Nobody is asked to let go of the interpreter: this thread runs only while the batch leaves it.
     sys.setswitchinterval(3600)
     try:
         count = 0
         thread.start()
         while thread.is_alive():
+            time.sleep(0)
             count += 1
-        assert count > 100
     finally:
         sys.setswitchinterval(interval)
         thread.join()
+    assert count > 1000
 
 
 def test_an_array_that_changes_meanwhile_is_no_danger(rubble):
