@@ -28,11 +28,11 @@ try:
         open,
         write_plan,
     )
-except ImportError as error:
-    if "subinterpreter" not in str(error):
+except ImportError as _error:
+    if "subinterpreter" not in str(_error):
         raise
-    message = "slicewalk cannot be imported in a subinterpreter; use threads of the main interpreter, or processes"
-    raise ImportError(message) from None
+    _message = "slicewalk cannot be imported in a subinterpreter; use threads of the main interpreter, or processes"
+    raise ImportError(_message) from None
 
 from slicewalk._options import ConvertOptions, PlanOptions, WriterOptions
 from slicewalk._results import Extreme, Leak, Passage, Path, Reach, Region, Route, StepReport, Storey

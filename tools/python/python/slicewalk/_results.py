@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Place = tuple[float, float, float]
+    _Place = tuple[float, float, float]
 
 STATES = np.array(["walking", "falling", "blocked", "arrived"])
 
@@ -87,7 +87,7 @@ class Storey(NamedTuple):
 class Passage(NamedTuple):
     """A narrow place between two wider ones: its middle on the floor, and its clear width (m)."""
 
-    at: Place
+    at: _Place
     width: float
 
 
@@ -97,7 +97,7 @@ class Leak(NamedTuple):
     `kind` is ``"hole"``, ``"edge"`` or ``"ledge"``; `drop` is None where nothing was scanned below (m).
     """
 
-    at: Place
+    at: _Place
     width: float
     drop: float | None
     kind: str
@@ -106,7 +106,7 @@ class Leak(NamedTuple):
 class Extreme(NamedTuple):
     """A place, and the height there (m)."""
 
-    at: Place
+    at: _Place
     height: float
 
 
@@ -189,7 +189,7 @@ class StepReport(NamedTuple):
     missing: int
     unspent: float
     ticks: int
-    moved: Place
+    moved: _Place
 
     @property
     def waits(self) -> bool:

@@ -5,7 +5,7 @@ from typing import Any, Self, TypeAlias, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from typing_extensions import Buffer, Unpack
+from typing_extensions import Buffer, Unpack, disjoint_base
 
 from slicewalk._options import ConvertOptions, PlanOptions, WriterOptions
 from slicewalk._results import Path, Reach, Region, Route, StepReport
@@ -13,6 +13,22 @@ from slicewalk.errors import Error
 
 _Path: TypeAlias = str | PathLike[str]
 _Progress: TypeAlias = Callable[[str, int, int, str], object] | None
+
+__all__ = [
+    "Archive",
+    "Body",
+    "Column",
+    "Page",
+    "Pages",
+    "Stream",
+    "View",
+    "Walker",
+    "Writer",
+    "__version__",
+    "convert",
+    "open",
+    "write_plan",
+]
 
 __version__: str
 
@@ -32,6 +48,7 @@ def write_plan(
     **options: Unpack[PlanOptions],
 ) -> dict[str, Any]: ...
 
+@disjoint_base
 class Pages:
     @property
     def pixel_size(self) -> float: ...
