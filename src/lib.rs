@@ -138,11 +138,11 @@ pub mod stats;
 pub mod convert;
 
 // What the programs of this workspace share.
-#[cfg(feature = "cli")]
+#[cfg(feature = "convert")]
 #[doc(hidden)]
 pub mod info;
 
-#[cfg(feature = "cli")]
+#[cfg(feature = "convert")]
 #[doc(hidden)]
 pub mod size;
 

@@ -13,25 +13,28 @@ mod job;
 mod meshes;
 mod options;
 mod pages;
-#[cfg(feature = "cli")]
 pub mod plan_file;
 mod points;
 mod preview;
+mod report;
 mod scope;
 mod split;
 mod work;
+mod writer;
 
 pub use facts::InputFacts;
 pub use job::Job;
 pub use options::{ConvertOptions, PixelSize, ShardOptions};
 pub use preview::{Preview, PreviewInput, preview};
+pub use report::Report;
+pub use writer::PointWriter;
 
-use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Shard, Totals};
+use crate::archive::{ArchiveWriter, MAX_UNITS};
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, estimate_spacing};
 use crate::input::{InputOptions, InputSet, PointCounts, ScanFile};
-use crate::mesh::{MeshCounts, MeshOptions, MeshSet};
+use crate::mesh::{MeshOptions, MeshSet};
 use crate::output::{Existing, Output, OutputKind};
 use crate::plan::Plan;
 use crate::text::{counted, grouped};
@@ -54,37 +57,6 @@ pub const AUTO_PIXELS: f64 = 700.0;
 /// Disk per point in the temporary file: its record, copies in the halo, and the index.
 const TEMP_BYTES_PER_POINT: u64 = 9;
 
-/// What a conversion did.
-#[derive(Debug, Clone)]
-#[non_exhaustive]
-pub struct Report {
-    /// Header of the archive.
-    pub header: Header,
-    /// Which part it holds, if not the whole.
-    pub shard: Option<Shard>,
-    /// Point spacing found, if the pixel size was chosen automatically.
-    pub spacing: Option<Spacing>,
-    /// Text of the coordinate reference system; empty if the input names none.
-    pub crs: String,
-    /// Units in which the inputs came, each once.
-    pub units: Vec<LengthUnit>,
-    /// Length of all input files (bytes).
-    pub input_bytes: u64,
-    /// Bytes of temporary data written to disk.
-    pub temp_bytes: u64,
-    /// Points left out because a coordinate was not finite.
-    pub points_not_finite: u64,
-    /// Whether all of the input was read: always so, unless incomplete input is allowed.
-    pub complete: bool,
-    /// Triangles of meshes; they count as points in the header too.
-    pub triangles: MeshCounts,
-    /// Points made of them, if they were sampled.
-    pub points_made: u64,
-    /// Voxels dropped for having fewer than the least number of points or for being isolated, and with them their
-    /// points: boxes that hold only such points are no hits (G1 holds for all other points).
-    pub voxels_dropped: u64,
-}
-
 /// The files of a conversion.
 pub(crate) struct Inputs {
     pub scans: InputSet,
@@ -99,14 +71,7 @@ impl Inputs {
 
 /// Opens the inputs of a conversion.
 pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Inputs> {
-    if options.memory_bytes < MIN_MEMORY_BYTES {
-        let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", options.memory_bytes);
-        return Err(Error::parameter(Parameter::Memory, reason));
-    }
-    if options.threads == 0 {
-        return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
-    }
-    options.plan.check()?;
+    options.check()?;
     let input_options = InputOptions {
         units: options.units,
         epsg: options.epsg,
@@ -151,11 +116,26 @@ pub(crate) fn plan(
         let reason = format!("the input asks for pixels of {pixel_m} m; give the pixel size in metres");
         return Err(Error::parameter(Parameter::AutomaticPixelSize, reason));
     }
-    let plan = Plan {
-        frame: Frame::new(pixel_m, options.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M)))?,
-        options: options.plan.clone(),
-    };
-    Ok((plan, spacing))
+    Ok((options.plan_of(pixel_m)?, spacing))
+}
+
+impl ConvertOptions {
+    /// The plan for pixels of this size (m).
+    fn plan_of(&self, pixel_m: f64) -> Result<Plan> {
+        let slice_m = self.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M));
+        Ok(Plan { frame: Frame::new(pixel_m, slice_m)?, options: self.plan.clone() })
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.memory_bytes < MIN_MEMORY_BYTES {
+            let reason = format!("{} bytes are too few; give at least {MIN_MEMORY_BYTES} (64MiB)", self.memory_bytes);
+            return Err(Error::parameter(Parameter::Memory, reason));
+        }
+        if self.threads == 0 {
+            return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
+        }
+        self.plan.check()
+    }
 }
 
 /// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
@@ -211,23 +191,15 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         monitor.warn("the input holds no points: the archive is empty");
     }
     let voxels_dropped = write_columns(&plan, &store, options.memory_bytes, threads, &mut writer, monitor)?;
-    let own = read.own;
-    let header = writer.finish(Totals {
-        points_read: own.kept + own.left_out.read,
-        points_kept: own.kept,
-        points_withheld: own.left_out.withheld,
-        points_excluded: own.left_out.excluded,
-        bounds: (own.min[0] <= own.max[0]).then_some((own.min, own.max)),
-        crs: set.crs().unwrap_or_default().to_owned(),
-        units: units.clone(),
-    })?;
+    let crs = set.crs().unwrap_or_default().to_owned();
+    let header = writer.finish(read.own.totals(&crs, &units))?;
     if whole && header.points_read > 0 && header.voxels.occupied == 0 {
         monitor.warn(&nothing_kept(&header, voxels_dropped));
     }
     Ok(Report {
         header,
         shard: scope.map(|scope| scope.shard),
-        crs: set.crs().unwrap_or_default().to_owned(),
+        crs,
         units,
         spacing,
         input_bytes: set.bytes().saturating_add(meshes.bytes()),

@@ -5,6 +5,7 @@ use crate::input::Units;
 use crate::mesh::MeshMode;
 use crate::plan::PlanOptions;
 use std::path::PathBuf;
+use std::str::FromStr;
 
 /// How the pixel size is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,6 +16,19 @@ pub enum PixelSize {
     Auto,
     /// This many metres.
     Metres(f64),
+}
+
+/// As the command line takes it: `auto`, or metres.
+impl FromStr for PixelSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            _ if text == "auto" => Ok(Self::Auto),
+            Ok(value) if value > 0.0 && value.is_finite() => Ok(Self::Metres(value)),
+            _ => Err("expected auto, or a length in metres above 0".into()),
+        }
+    }
 }
 
 /// What to convert, and how. See the README for the command line that sets these.

@@ -1,11 +1,13 @@
 //! First pass over scans: points into runs.
 
 use super::work::on_threads;
+use crate::archive::Totals;
 use crate::convert::ShardScope;
 use crate::frame::Frame;
 use crate::input::scenes::Scene;
-use crate::input::{InputSet, PointCounts, PointDecoder, ScanFile};
+use crate::input::{InputSet, PointBatch, PointCounts, PointDecoder, ScanFile};
 use crate::plan::Plan;
+use crate::unit::LengthUnit;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::{Error, Monitor, Parameter, Result};
@@ -50,6 +52,21 @@ pub(super) struct Own {
     pub max: [f64; 3],
     /// Points that make no voxel.
     pub left_out: PointCounts,
+}
+
+impl Own {
+    /// What an archive of these points states.
+    pub fn totals(&self, crs: &str, units: &[LengthUnit]) -> Totals {
+        Totals {
+            points_read: self.kept + self.left_out.read,
+            points_kept: self.kept,
+            points_withheld: self.left_out.withheld,
+            points_excluded: self.left_out.excluded,
+            bounds: (self.min[0] <= self.max[0]).then_some((self.min, self.max)),
+            crs: crs.to_owned(),
+            units: units.to_vec(),
+        }
+    }
 }
 
 impl Read {
@@ -111,10 +128,7 @@ pub(super) fn read_points(
                     return Ok(());
                 }
                 monitor.advance(batch.len() as u64);
-                let (mut min, mut max) = (Read::NOTHING.min, Read::NOTHING.max);
-                for (axis, values) in [&batch.x, &batch.y, &batch.z].into_iter().enumerate() {
-                    (min[axis], max[axis]) = range(values);
-                }
+                let (min, max) = bounds(batch);
                 if !recorder.reaches(min, max) {
                     return Err(out_of_reach(&plan.frame, min, max));
                 }
@@ -178,6 +192,12 @@ fn warn_of_bounds(set: &InputSet, of_files: &[OfFile], monitor: &dyn Monitor) {
             read.max
         ));
     }
+}
+
+/// Least and greatest coordinates of points.
+pub(super) fn bounds(points: &PointBatch) -> ([f64; 3], [f64; 3]) {
+    let along = [&points.x, &points.y, &points.z].map(|values| range(values));
+    (along.map(|ends| ends.0), along.map(|ends| ends.1))
 }
 
 /// Least and greatest value, in lanes that compile to vector instructions.

@@ -8,7 +8,7 @@ use crate::input::{PointBatch, PointCounts};
 use crate::plan::{ClassSet, Up};
 
 /// Greatest coordinate that is kept, in magnitude (m).
-pub(super) const FARTHEST_M: f64 = 1e12;
+pub(crate) const FARTHEST_M: f64 = 1e12;
 
 /// Raw integers to metres, z up.
 #[derive(Debug, Clone, Copy)]

@@ -31,6 +31,7 @@ mod source;
 pub mod spacing;
 
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::{Mutex, PoisonError};
 
 use self::convert::{Filter, Layout};
@@ -38,9 +39,10 @@ use self::file::Common;
 use self::losses::{Findings, Losses};
 use crate::plan::{ClassSet, Up};
 use crate::text::number;
-use crate::unit::{LengthUnit, UNIT_RANGE_M};
+use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
 use crate::{Error, Monitor, Parameter, Result};
 
+pub(crate) use self::convert::FARTHEST_M;
 pub use self::decode::{PointChunk, PointDecoder};
 pub use self::file::ScanFile;
 pub use self::laz::quiet_decoder_panics;
@@ -57,6 +59,24 @@ pub enum Units {
     Auto,
     /// Metres per unit, for x, y and z of every file (m, > 0).
     Factor(f64),
+}
+
+/// As the command line takes it: `auto`, the name of a unit, or metres per unit.
+impl FromStr for Units {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        Ok(match text {
+            "auto" => Self::Auto,
+            "m" => Self::Factor(1.0),
+            "ft" => Self::Factor(FOOT_M),
+            "us-ft" => Self::Factor(US_SURVEY_FOOT_M),
+            factor => match factor.parse::<f64>() {
+                Ok(value) if value > 0.0 && value.is_finite() => Self::Factor(value),
+                _ => return Err("expected auto, m, ft, us-ft, or metres per unit above 0".into()),
+            },
+        })
+    }
 }
 
 /// What to read and how.
@@ -112,6 +132,18 @@ impl PointBatch {
     /// Whether it holds no point.
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
+    }
+
+    /// Forgets all points.
+    pub(crate) fn clear(&mut self) {
+        self.resize(0);
+    }
+
+    /// Adds a point (m).
+    pub(crate) fn push(&mut self, point: [f64; 3]) {
+        for (column, value) in [&mut self.x, &mut self.y, &mut self.z].into_iter().zip(point) {
+            column.push(value);
+        }
     }
 
     fn resize(&mut self, points: usize) {

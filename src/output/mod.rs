@@ -22,7 +22,7 @@ mod target;
 mod temporary;
 
 pub(crate) use target::ARCHIVE_MAGIC;
-#[cfg(feature = "cli")]
+#[cfg(feature = "convert")]
 pub(crate) use target::PLAN_KEY;
 pub use target::{Existing, OutputKind, Protected, is_standard};
 pub(crate) use temporary::Temporary;

@@ -6,6 +6,7 @@ use crate::query::{
 use crate::store::PageSet;
 use crate::{Error, Parameter, Result};
 use nalgebra::{Point3, Vector2, Vector3};
+use std::str::FromStr;
 
 /// Longest body (m), and in [`Config`](super::Config) the highest speeds (m/s) and the strongest gravity (m/s²): they bound
 /// the work of a tick.
@@ -30,6 +31,23 @@ pub enum Body {
         /// Height (m, above 0, at most 1,000).
         height: f64,
     },
+}
+
+/// As the command line takes it: `box:WIDTHxDEPTHxHEIGHT` or `cylinder:RADIUSxHEIGHT` (m, above 0).
+impl FromStr for Body {
+    type Err = String;
+
+    fn from_str(text: &str) -> std::result::Result<Self, String> {
+        let wrong = || "expected box:0.5x0.5x1.8 or cylinder:0.25x1.8 (m, above 0)".to_owned();
+        let (kind, sizes) = text.split_once(':').ok_or_else(wrong)?;
+        let sizes: Option<Vec<f64>> = sizes.split('x').map(|v| v.trim().parse().ok()).collect();
+        let body = match (kind, sizes.as_deref()) {
+            ("box", Some(&[x, y, height])) => Self::Box { x, y, height },
+            ("cylinder", Some(&[radius, height])) => Self::Cylinder { radius, height },
+            _ => return Err(wrong()),
+        };
+        body.check().map(|()| body).map_err(|_| wrong())
+    }
 }
 
 /// A body from `lift` above its feet to its head.

@@ -22,7 +22,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
-use values::{classes, epsg, length, part, pixel_size, units};
+use values::{classes, epsg, length, part};
 
 /// Converts scans (LAS, LAZ) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
 ///
@@ -56,7 +56,7 @@ struct Arguments {
     #[arg(long, value_name = "I/N", value_parser = part)]
     shard: Option<(u32, u32)>,
     /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing; of meshes alone, a 700th of their extent
-    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|METRES", value_parser = pixel_size)]
+    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|METRES")]
     pixel: PixelSize,
     /// Height of a slice in metres [default: three pixels]
     #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
@@ -92,7 +92,7 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
     /// Unit of the input: `auto` takes it from the CRS; else metres, feet, US survey feet, or metres per unit
-    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|m|ft|us-ft|FACTOR", value_parser = units)]
+    #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|m|ft|us-ft|FACTOR")]
     units: Units,
     /// Coordinate reference system of scans that state none; a scan that states another is refused
     #[arg(long, value_name = "EPSG:N", value_parser = epsg)]

@@ -40,19 +40,7 @@ fn from_spacing(spacing: &Spacing) -> String {
 pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) {
     let header = &report.header;
     if arguments.json {
-        let mut facts = header_info(header, &report.crs, &report.units);
-        facts["points_not_finite"] = report.points_not_finite.into();
-        facts["complete"] = report.complete.into();
-        facts["triangles_read"] = report.triangles.read.into();
-        facts["triangles_left_out"] = report.triangles.left_out.into();
-        facts["points_made"] = report.points_made.into();
-        facts["voxels_dropped"] = report.voxels_dropped.into();
-        facts["input_bytes"] = report.input_bytes.into();
-        facts["temp_bytes"] = report.temp_bytes.into();
-        facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
-        if let Some(shard) = &report.shard {
-            facts["shard"] = shard_info(shard);
-        }
+        let mut facts = report.info();
         facts["seconds"] = seconds.into();
         print(format!("{facts:#}"));
     } else if !arguments.quiet {

@@ -1,8 +1,5 @@
 //! Values of options: what was typed, and what was expected where it is wrong.
 
-use slicewalk::convert::PixelSize;
-use slicewalk::input::Units;
-use slicewalk::unit::{FOOT_M, US_SURVEY_FOOT_M};
 use std::ops::RangeInclusive;
 
 pub fn length(text: &str) -> Result<f64, String> {
@@ -10,23 +7,6 @@ pub fn length(text: &str) -> Result<f64, String> {
         Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
         _ => Err("expected a length in metres above 0".into()),
     }
-}
-
-pub fn pixel_size(text: &str) -> Result<PixelSize, String> {
-    if text == "auto" { Ok(PixelSize::Auto) } else { length(text).map(PixelSize::Metres) }
-}
-
-pub fn units(text: &str) -> Result<Units, String> {
-    Ok(match text {
-        "auto" => Units::Auto,
-        "m" => Units::Factor(1.0),
-        "ft" => Units::Factor(FOOT_M),
-        "us-ft" => Units::Factor(US_SURVEY_FOOT_M),
-        factor => match factor.parse::<f64>() {
-            Ok(value) if value > 0.0 && value.is_finite() => Units::Factor(value),
-            _ => return Err("expected auto, m, ft, us-ft, or metres per unit above 0".into()),
-        },
-    })
 }
 
 /// One class or a range of them: `7`, `64-255`.

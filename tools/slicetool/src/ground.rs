@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 pub struct Walks {
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
-    #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8", value_parser = crate::walk::body)]
+    #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8")]
     pawn: Body,
     /// Highest step it climbs (m)
     #[arg(long, default_value_t = 0.35, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]

@@ -29,7 +29,7 @@ pub struct Arguments {
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
-    #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8", value_parser = body)]
+    #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8")]
     pawn: Body,
     /// Walking speed (m/s)
     #[arg(long, default_value_t = 1.4, value_name = "M/S", allow_negative_numbers = true, value_parser = finite_number)]
@@ -84,23 +84,6 @@ fn numbers<const N: usize>(text: &str, separator: char) -> Option<[f64; N]> {
 /// Three numbers apart by commas.
 pub fn point(text: &str) -> Result<Point3<f64>, String> {
     numbers::<3>(text, ',').map(Point3::from).ok_or_else(|| "expected three numbers X,Y,Z".into())
-}
-
-/// A shape of a pawn.
-pub fn body(text: &str) -> Result<Body, String> {
-    let wrong = || "expected box:0.5x0.5x1.8 or cylinder:0.25x1.8 (m, above 0)".to_owned();
-    let positive = |values: &[f64]| values.iter().all(|v| *v > 0.0);
-    match text.split_once(':').ok_or_else(wrong)? {
-        ("box", size) => match numbers::<3>(size, 'x') {
-            Some([x, y, height]) if positive(&[x, y, height]) => Ok(Body::Box { x, y, height }),
-            _ => Err(wrong()),
-        },
-        ("cylinder", size) => match numbers::<2>(size, 'x') {
-            Some([radius, height]) if positive(&[radius, height]) => Ok(Body::Cylinder { radius, height }),
-            _ => Err(wrong()),
-        },
-        _ => Err(wrong()),
-    }
 }
 
 fn rate(text: &str) -> Result<f64, String> {

@@ -1,0 +1,59 @@
+//! What a conversion did, as a value and as JSON.
+
+use crate::archive::{Header, Shard};
+use crate::info::{header_info, shard_info};
+use crate::input::spacing::Spacing;
+use crate::mesh::MeshCounts;
+use crate::unit::LengthUnit;
+use serde_json::Value;
+
+/// What a conversion did.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Report {
+    /// Header of the archive.
+    pub header: Header,
+    /// Which part it holds, if not the whole.
+    pub shard: Option<Shard>,
+    /// Point spacing found, if the pixel size was chosen automatically.
+    pub spacing: Option<Spacing>,
+    /// Text of the coordinate reference system; empty if the input names none.
+    pub crs: String,
+    /// Units in which the inputs came, each once.
+    pub units: Vec<LengthUnit>,
+    /// Length of all input files (bytes).
+    pub input_bytes: u64,
+    /// Bytes of temporary data written to disk.
+    pub temp_bytes: u64,
+    /// Points left out because a coordinate was not finite.
+    pub points_not_finite: u64,
+    /// Whether all of the input was read: always so, unless incomplete input is allowed.
+    pub complete: bool,
+    /// Triangles of meshes; they count as points in the header too.
+    pub triangles: MeshCounts,
+    /// Points made of them, if they were sampled.
+    pub points_made: u64,
+    /// Voxels dropped for having fewer than the least number of points or for being isolated, and with them their
+    /// points: boxes that hold only such points are no hits (G1 holds for all other points).
+    pub voxels_dropped: u64,
+}
+
+impl Report {
+    /// Its facts under the keys of the command-line contract (`sliceconv --json`), but for the seconds.
+    pub fn info(&self) -> Value {
+        let mut facts = header_info(&self.header, &self.crs, &self.units);
+        facts["points_not_finite"] = self.points_not_finite.into();
+        facts["complete"] = self.complete.into();
+        facts["triangles_read"] = self.triangles.read.into();
+        facts["triangles_left_out"] = self.triangles.left_out.into();
+        facts["points_made"] = self.points_made.into();
+        facts["voxels_dropped"] = self.voxels_dropped.into();
+        facts["input_bytes"] = self.input_bytes.into();
+        facts["temp_bytes"] = self.temp_bytes.into();
+        facts["point_spacing"] = self.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
+        if let Some(shard) = &self.shard {
+            facts["shard"] = shard_info(shard);
+        }
+        facts
+    }
+}

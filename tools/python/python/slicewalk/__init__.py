@@ -1,0 +1,113 @@
+"""Walk in laser scans that are too large for memory.
+
+>>> archive = slicewalk.open("room.slices")
+>>> archive.overlaps([[3, 2, 0.5, 3.5, 2.5, 1.8]]) == slicewalk.CLEAR
+array([ True])
+
+`convert` and `Writer` make archives, `open` reads them, `Archive` and the `View` of a `Stream` answer questions about
+boxes, rays, floors and routes, a `Walker` walks. Lengths are metres, angles degrees.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+try:
+    from slicewalk._slicewalk import (
+        Archive,
+        Body,
+        Column,
+        Page,
+        Pages,
+        Stream,
+        View,
+        Walker,
+        Writer,
+        __version__,
+        convert,
+        open,
+        write_plan,
+    )
+except ImportError as _error:
+    if "subinterpreter" not in str(_error):
+        raise
+    _message = "slicewalk cannot be imported in a subinterpreter; use threads of the main interpreter, or processes"
+    raise ImportError(_message) from None
+
+from slicewalk._options import ConvertOptions, PlanOptions, WriterOptions
+from slicewalk._results import Extreme, Leak, Passage, Path, Reach, Region, Route, StepReport, Storey
+from slicewalk.errors import (
+    CancelledError,
+    Error,
+    FileError,
+    FormatError,
+    InputError,
+    LimitError,
+    MissingFileError,
+    NotDurableError,
+    NotLoadedError,
+    OutputError,
+    ParameterError,
+    SlicewalkWarning,
+    UnsupportedError,
+)
+
+CLEAR = 0
+"""A shape touches no matter."""
+HIT = 1
+"""A shape touches matter."""
+NOT_LOADED = 2
+"""A shape touches none of the pages in memory, but others could hold some."""
+
+__all__ = [
+    "CLEAR",
+    "HIT",
+    "NOT_LOADED",
+    "Archive",
+    "Body",
+    "CancelledError",
+    "Column",
+    "ConvertOptions",
+    "Error",
+    "Extreme",
+    "FileError",
+    "FormatError",
+    "InputError",
+    "Leak",
+    "LimitError",
+    "MissingFileError",
+    "NotDurableError",
+    "NotLoadedError",
+    "OutputError",
+    "Page",
+    "Pages",
+    "ParameterError",
+    "Passage",
+    "Path",
+    "PlanOptions",
+    "Reach",
+    "Region",
+    "Route",
+    "SlicewalkWarning",
+    "StepReport",
+    "Storey",
+    "Stream",
+    "UnsupportedError",
+    "View",
+    "Walker",
+    "Writer",
+    "WriterOptions",
+    "__version__",
+    "convert",
+    "open",
+    "write_plan",
+]
+
+
+def _again(source: Any, identity: str) -> Archive:
+    """Open what was pickled once more."""
+    archive = open(source)
+    if archive._identity != identity:
+        message = f"{archive.path}: another archive than the one that was pickled; pickle it again"
+        raise Error(message, path=archive.path)
+    return archive

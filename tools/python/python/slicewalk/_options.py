@@ -1,0 +1,55 @@
+"""Options of conversions: those of the command line, with underscores. The table in `src/options.rs` reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from typing import Literal, TypedDict
+
+StrPath = str | PathLike[str]
+
+
+class WriterOptions(TypedDict, total=False):
+    """Options of a `Writer`."""
+
+    slice: float | None
+    max_slope: float
+    tolerance: float
+    classifier: Literal["plane", "span", "thesis"]
+    memory: int | str
+    threads: int | None
+    temp_dir: StrPath | None
+    min_points: int
+    drop_isolated: bool
+    up: Literal["z", "y"]
+    force: bool
+    crs: str
+
+
+class PlanOptions(TypedDict, total=False):
+    """Options of `write_plan`."""
+
+    pixel: float | Literal["auto"]
+    slice: float | None
+    max_slope: float
+    tolerance: float
+    classifier: Literal["plane", "span", "thesis"]
+    memory: int | str
+    threads: int | None
+    temp_dir: StrPath | None
+    exclude_class: Sequence[int]
+    min_points: int
+    drop_isolated: bool
+    up: Literal["z", "y"]
+    units: float | Literal["auto", "m", "ft", "us-ft"]
+    mesh: Literal["exact", "sampled"]
+    allow_incomplete: bool
+    force: bool
+    quiet: bool
+
+
+class ConvertOptions(PlanOptions, total=False):
+    """Options of `convert`."""
+
+    plan: StrPath | None
+    shard: str | tuple[int, int] | None

@@ -1,0 +1,231 @@
+"""What questions answer with, where a number is not enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    _Place = tuple[float, float, float]
+
+STATES = np.array(["walking", "falling", "blocked", "arrived"])
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """The voxels of a box; see :meth:`Pages.region`. All arrays have the shape (slices, rows along y, columns along x).
+
+    Attributes:
+        kind: uint8, 0 empty, 1 floor, 2 obstacle
+        bottom: uint8, lowest matter in the voxel (quanta above the slice's floor, 0 to 255; 0 where it is empty)
+        top: uint8, highest matter in the voxel (likewise)
+        first: column, row and slice of the first voxel, counted from the origin
+        pixel_size: edge of a pixel (m)
+        slice_height: height of a slice (m)
+
+    """
+
+    kind: NDArray[np.uint8]
+    bottom: NDArray[np.uint8]
+    top: NDArray[np.uint8]
+    first: tuple[int, int, int]
+    pixel_size: float
+    slice_height: float
+
+    @property
+    def occupied(self) -> NDArray[np.bool_]:
+        """Whether each voxel holds matter."""
+        return self.kind > 0
+
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """Middle of each column (m)."""
+        return (self.first[0] + 0.5 + np.arange(self.kind.shape[2], dtype=np.float64)) * self.pixel_size
+
+    @property
+    def y(self) -> NDArray[np.float64]:
+        """Middle of each row (m)."""
+        return (self.first[1] + 0.5 + np.arange(self.kind.shape[1], dtype=np.float64)) * self.pixel_size
+
+    @property
+    def z(self) -> NDArray[np.float64]:
+        """Lower end of each slice (m)."""
+        return (self.first[2] + np.arange(self.kind.shape[0], dtype=np.float64)) * self.slice_height
+
+    def slices(self) -> dict[int, NDArray[np.uint8]]:
+        """Return a view of `kind` for each slice with matter, by the slice's number (0 begins at z = 0).
+
+        >>> slices = slicewalk.open("room.slices").region((0, 0, 0, 8, 6, 2.5)).slices()
+        >>> slices[0].shape, len(slices)
+        ((61, 81), 9)
+        """
+        layers = enumerate(self.kind, self.first[2])
+        return {number: layer for number, layer in layers if layer.any()}
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset`` of kind, bottom and top over z, y and x. Needs the package xarray."""
+        import xarray  # noqa: PLC0415
+
+        axes = ("z", "y", "x")
+        fields = {"kind": (axes, self.kind), "bottom": (axes, self.bottom), "top": (axes, self.top)}
+        places = {"z": self.z, "y": self.y, "x": self.x}
+        facts = {"pixel_size": self.pixel_size, "slice_height": self.slice_height}
+        return xarray.Dataset(fields, places, facts)
+
+
+class Storey(NamedTuple):
+    """Floors that lie together: middle height (m) and area (m²)."""
+
+    z: float
+    area: float
+
+
+class Passage(NamedTuple):
+    """A narrow place between two wider ones: its middle on the floor, and its clear width (m)."""
+
+    at: _Place
+    width: float
+
+
+class Leak(NamedTuple):
+    """A place where a region ends although nothing is in the way.
+
+    `kind` is ``"hole"``, ``"edge"`` or ``"ledge"``; `drop` is None where nothing was scanned below (m).
+    """
+
+    at: _Place
+    width: float
+    drop: float | None
+    kind: str
+
+
+class Extreme(NamedTuple):
+    """A place, and the height there (m)."""
+
+    at: _Place
+    height: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """All that a pawn can reach on foot; see :meth:`Pages.reach`.
+
+    Attributes:
+        area: of all standing places (m²)
+        storeys: from the lowest up
+        passages: narrowest first
+        leaks: by place
+        lowest_headroom: None under the open sky
+        highest_step: None on a level floor
+        places: float64 of shape (N, 4), each ``x, y, z, clearance`` of a standing place (m), the middle of a pixel
+
+    """
+
+    area: float
+    storeys: list[Storey]
+    passages: list[Passage]
+    leaks: list[Leak]
+    lowest_headroom: Extreme | None
+    highest_step: Extreme | None
+    places: NDArray[np.float64]
+
+    @classmethod
+    def _of(  # noqa: PLR0913, PLR0917
+        cls,
+        area: float,
+        storeys: list[Any],
+        passages: list[Any],
+        leaks: list[Any],
+        headroom: Any,
+        step: Any,
+        places: NDArray[np.float64],
+    ) -> Reach:
+        return cls(
+            area,
+            [Storey(*storey) for storey in storeys],
+            [Passage(tuple(at), width) for at, width in passages],
+            [Leak(tuple(at), width, drop, kind) for at, width, drop, kind in leaks],
+            Extreme(tuple(headroom[0]), headroom[1]) if headroom else None,
+            Extreme(tuple(step[0]), step[1]) if step else None,
+            places,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A way; see :meth:`Pages.route`.
+
+    Attributes:
+        found: whether there is one
+        length: of the lines between its points, heights included (m); None without a way
+        reason: why there is none: ``"not_standing_from"``, ``"not_standing_to"``, ``"not_connected"``
+        points: float64 of shape (N, 3): places to reach one after the other (m)
+
+    """
+
+    found: bool
+    length: float | None
+    reason: str | None
+    points: NDArray[np.float64]
+
+    def __bool__(self) -> bool:
+        """Whether there is a way."""
+        return self.found
+
+
+class StepReport(NamedTuple):
+    """What a step of a :class:`Walker` did.
+
+    `stop` says why it did not get where it wanted: ``"wall"``, ``"steep"``, ``"headroom"``, ``"corner"``, ``"inside"``,
+    ``"ledge"``, ``"void"``, or None. `missing` counts the pages that it waits for; `unspent` is the time left over (s).
+    """
+
+    state: str
+    stop: str | None
+    missing: int
+    unspent: float
+    ticks: int
+    moved: _Place
+
+    @property
+    def waits(self) -> bool:
+        """Whether it waits for pages."""
+        return self.missing > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The way that a :class:`Walker` went.
+
+    Attributes:
+        seconds: float64 of shape (N,): time after each frame (s)
+        feet: float64 of shape (N, 3) (m)
+        states: str of shape (N,)
+        waypoints_reached: how many of them
+
+    """
+
+    seconds: NDArray[np.float64]
+    feet: NDArray[np.float64]
+    states: NDArray[np.str_]
+    waypoints_reached: int
+
+    @classmethod
+    def _of(
+        cls, seconds: NDArray[np.float64], feet: NDArray[np.float64], codes: NDArray[np.uint8], reached: int
+    ) -> Path:
+        return cls(seconds, feet, STATES[codes], reached)
+
+    @property
+    def state(self) -> str:
+        """State at the end."""
+        return str(self.states[-1])
+
+    @property
+    def length(self) -> float:
+        """Length of the way (m)."""
+        return float(np.linalg.norm(np.diff(self.feet, axis=0), axis=1).sum())

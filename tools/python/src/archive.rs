@@ -1,0 +1,325 @@
+//! `open` and `Archive`: where archives come from, and what they say about themselves.
+
+use crate::attend::{Audience, attended};
+use crate::convert::dictionary;
+use crate::errors::Failure;
+use crate::pages::{Pages, Set};
+use numpy::PyArray2;
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pyo3::pybacked::PyBackedBytes;
+use pyo3::types::{PyByteArray, PyBytes, PyTuple};
+use slicewalk::Error;
+use slicewalk::archive::{Archive as Inner, Finding};
+use slicewalk::bytes::{ByteSource, FileSource, RemoteOptions, RemoteSource};
+use slicewalk::store::Store;
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, OnceLock, TryLockError};
+use std::time::Duration;
+
+/// An open archive. Its pages are loaded when they are first asked for.
+pub struct Opened {
+    pub archive: Inner,
+    source: Arc<dyn ByteSource>,
+    /// Path or public address.
+    pub name: Option<String>,
+    store: OnceLock<Store>,
+    loading: Mutex<()>,
+}
+
+impl Opened {
+    fn new(source: Arc<dyn ByteSource>, name: Option<String>) -> slicewalk::Result<Self> {
+        let archive = Inner::from_source(Box::new(source.clone()))?;
+        Ok(Self { archive, source, name, store: OnceLock::new(), loading: Mutex::default() })
+    }
+
+    /// The archive once more, on the same source.
+    pub fn again(&self) -> slicewalk::Result<Inner> {
+        Inner::from_source(Box::new(self.source.clone()))
+    }
+
+    /// All pages; the first call loads them.
+    pub fn store(&self, py: Python<'_>) -> PyResult<&Store> {
+        match self.store.get() {
+            Some(store) => Ok(store),
+            None => self.load(py, None),
+        }
+    }
+
+    fn load(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<&Store> {
+        let audience = Audience { progress, quiet: false };
+        attended(py, &audience, self.name.as_deref(), |monitor| {
+            let _loading = loop {
+                match self.loading.try_lock() {
+                    Ok(guard) => break guard,
+                    Err(TryLockError::Poisoned(poisoned)) => break poisoned.into_inner(),
+                    Err(TryLockError::WouldBlock) if monitor.cancelled() => return Err(Error::Interrupted.into()),
+                    Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(2)),
+                }
+            };
+            if self.store.get().is_none() {
+                let _ = self.store.set(Store::resident(&self.archive, monitor)?);
+            }
+            Ok(())
+        })?;
+        // Set by whoever held the lock last.
+        self.store.get().ok_or_else(|| Failure::from(Error::Interrupted).into())
+    }
+
+    /// What tells this archive from others: its length, its plan, and the checksum of its head, which covers all others.
+    fn identity(&self) -> slicewalk::Result<String> {
+        let header = self.archive.header();
+        let mut checksum = [0; 4];
+        self.source.read_at(header.bytes.head.saturating_sub(4), &mut checksum)?;
+        Ok(format!("{:x}-{:032x}-{:08x}", header.file_len, header.plan_hash, u32::from_le_bytes(checksum)))
+    }
+}
+
+/// Bytes that Python holds, read where they are.
+struct Held(PyBackedBytes);
+
+impl ByteSource for Held {
+    fn len(&self) -> u64 {
+        self.0.len() as u64
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> slicewalk::Result<()> {
+        let start = usize::try_from(offset).unwrap_or(usize::MAX);
+        let range = start..start.saturating_add(buf.len());
+        let Some(bytes) = self.0.get(range) else {
+            let action = format!("read {} bytes at {offset}", buf.len());
+            return Err(Error::io("bytes in memory", action, std::io::ErrorKind::UnexpectedEof.into()));
+        };
+        buf.copy_from_slice(bytes);
+        Ok(())
+    }
+}
+
+/// An address without user, password, query and fragment.
+fn public(url: &str) -> String {
+    let url = url.split(['?', '#']).next().unwrap_or_default();
+    let (scheme, rest) = url.split_once("://").unwrap_or(("", url));
+    let (host, path) = rest.split_once('/').map_or((rest, None), |(host, path)| (host, Some(path)));
+    let host = host.rsplit('@').next().unwrap_or_default();
+    path.map_or_else(|| format!("{scheme}://{host}"), |path| format!("{scheme}://{host}/{path}"))
+}
+
+/// Opens a slice archive.
+///
+/// Args:
+///     source: a path; an address (``https://``, ``http://``, ``s3://bucket/key``, ``file://``), which is read by ranges; or the
+///         archive itself as ``bytes``, which are read where they are, without a copy (other buffers are copied)
+///     timeout: longest time of one request to a server (s)
+///     settings: settings of an object store by name, such as ``{"aws_endpoint": ...}``, on top of the environment's ``AWS_*``
+///
+/// Returns:
+///     :class:`Archive`. Two reads; pages follow when they are asked for
+///
+/// Raises:
+///     MissingFileError: there is no such file
+///     FileError: it cannot be read
+///     FormatError: it is no archive, or is damaged
+///     UnsupportedError: another version of slicewalk wrote it
+///
+/// >>> archive = slicewalk.open("room.slices")
+/// >>> archive.pixel_size, archive.slices
+/// (0.1, 9)
+#[pyfunction]
+#[pyo3(signature = (source, *, timeout=10.0, settings=None))]
+pub fn open<'py>(
+    source: &Bound<'py, PyAny>,
+    timeout: f64,
+    settings: Option<HashMap<String, String>>,
+) -> PyResult<Bound<'py, Archive>> {
+    let py = source.py();
+    let url = source.extract::<String>().ok().filter(|text| text.contains("://"));
+    let (name, given): (Option<String>, _) = if let Some(url) = &url {
+        let timeout = Duration::try_from_secs_f64(timeout)
+            .map_err(|error| Failure::from(Error::parameter("timeout", format!("{timeout} s: {error}"))))?;
+        let settings = settings.unwrap_or_default().into_iter().collect();
+        let options = RemoteOptions { timeout, settings, ..RemoteOptions::default() };
+        let name = public(url);
+        let opened = attended(py, &Audience::default(), Some(&name), |_| {
+            Ok(Opened::new(Arc::new(RemoteSource::with(url, &options)?), Some(name.clone()))?)
+        })?;
+        return Archive::bound(py, opened, source.clone().unbind());
+    } else if source.is_instance_of::<PyBytes>() || source.is_instance_of::<PyByteArray>() {
+        (None, Arc::new(Held(source.extract()?)) as Arc<dyn ByteSource>)
+    } else if let Ok(path) = source.extract::<PathBuf>() {
+        let name = path.to_string_lossy().into_owned();
+        let file =
+            py.detach(|| FileSource::open(&path)).map_err(|error| Failure::from(error).raise(py, Some(&name)))?;
+        (Some(name), Arc::new(file))
+    } else {
+        let bytes =
+            py.import("builtins")?.call_method1("memoryview", (source,)).and_then(|view| view.call_method0("tobytes"));
+        let bytes = bytes.map_err(|_| {
+            let found = source.get_type();
+            PyTypeError::new_err(format!("source: expected a path, an address or bytes, found {found}"))
+        })?;
+        (None, Arc::new(Held(bytes.extract()?)))
+    };
+    let opened = py.detach(|| Opened::new(given, name.clone()));
+    let opened = opened.map_err(|error| Failure::from(error).raise(py, name.as_deref()))?;
+    Archive::bound(py, opened, source.clone().unbind())
+}
+
+/// An open slice archive; see :func:`open`.
+///
+/// Its facts are attributes; ``info()`` has all of them. The first question loads all pages, as :meth:`load` does; for an
+/// archive larger than memory ask the :class:`View` of a :class:`Stream`. Archives can be used from many threads at once,
+/// and pickled: a copy opens the same file, and fails if it is another by then.
+#[pyclass(frozen, extends = Pages, module = "slicewalk")]
+pub struct Archive {
+    pub opened: Arc<Opened>,
+    given: Py<PyAny>,
+}
+
+impl Archive {
+    fn bound(py: Python<'_>, opened: Opened, given: Py<PyAny>) -> PyResult<Bound<'_, Self>> {
+        let opened = Arc::new(opened);
+        let pages = PyClassInitializer::from(Pages { set: Set::All(opened.clone()) });
+        Bound::new(py, pages.add_subclass(Self { opened, given }))
+    }
+
+    fn failed(&self, py: Python<'_>, error: Error) -> PyErr {
+        Failure::from(error).raise(py, self.opened.name.as_deref())
+    }
+}
+
+#[pymethods]
+impl Archive {
+    /// Path or address, without password and query; None for bytes.
+    #[getter]
+    fn path(&self) -> Option<&str> {
+        self.opened.name.as_deref()
+    }
+
+    /// Version of the format.
+    #[getter]
+    fn format_version(&self) -> String {
+        let (major, minor) = self.opened.archive.header().version;
+        format!("{major}.{minor}")
+    }
+
+    /// Least and greatest coordinates of all points: float64 of shape (2, 3) (m); None without points.
+    #[getter]
+    fn bounds<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        let bounds = self.opened.archive.header().bounds;
+        bounds.map(|(min, max)| Ok(PyArray2::from_vec2(py, &[min.to_vec(), max.to_vec()])?)).transpose()
+    }
+
+    /// Points read by the conversion.
+    #[getter]
+    fn points_read(&self) -> u64 {
+        self.opened.archive.header().points_read
+    }
+
+    /// Points that made voxels.
+    #[getter]
+    fn points_kept(&self) -> u64 {
+        self.opened.archive.header().points_kept
+    }
+
+    /// Slices from the lowest to the highest with matter.
+    #[getter]
+    fn slices(&self) -> i64 {
+        slicewalk::info::slice_count(self.opened.archive.header())
+    }
+
+    /// Voxels with matter.
+    #[getter]
+    fn voxels(&self) -> u64 {
+        self.opened.archive.header().voxels.occupied
+    }
+
+    /// Steepest slope that counts as floor (degrees).
+    #[getter]
+    fn max_slope(&self) -> f64 {
+        self.opened.archive.plan().options.max_slope_deg
+    }
+
+    /// How far heights were coarsened, always outwards (m).
+    #[getter]
+    fn tolerance(&self) -> f64 {
+        self.opened.archive.plan().options.tolerance_m
+    }
+
+    /// Coordinate reference system as the scan stated it; empty if unknown. One read.
+    #[getter]
+    fn crs(&self, py: Python<'_>) -> PyResult<String> {
+        py.detach(|| self.opened.archive.crs()).map_err(|error| self.failed(py, error))
+    }
+
+    /// All facts, as ``slicetool info --json`` prints them. One read.
+    ///
+    /// >>> slicewalk.open("room.slices").info()["voxels"]["obstacle"] > 0
+    /// True
+    fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let info = py.detach(|| slicewalk::info::info(&self.opened.archive)).map_err(|error| self.failed(py, error))?;
+        dictionary(py, &info)
+    }
+
+    /// Loads all pages now. Ctrl-C ends it.
+    ///
+    /// Args:
+    ///     progress: called with stage, amount done, total and unit
+    ///
+    /// Returns:
+    ///     memory that the pages take (bytes)
+    ///
+    /// >>> slicewalk.open("room.slices").load() > 1000
+    /// True
+    #[pyo3(signature = (progress=None))]
+    fn load(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<usize> {
+        let store = self.opened.load(py, progress)?;
+        Ok(store.weight_bytes() + store.table_bytes())
+    }
+
+    /// Checks every byte; an empty list says that all is well.
+    ///
+    /// Returns:
+    ///     the findings, each a :class:`FormatError` that was not raised
+    ///
+    /// >>> slicewalk.open("room.slices").verify()
+    /// []
+    #[pyo3(signature = (progress=None))]
+    fn verify(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<PyErr>> {
+        let name = self.opened.name.as_deref();
+        let audience = Audience { progress, quiet: false };
+        let findings = attended(py, &audience, name, |monitor| {
+            let mut findings = Vec::new();
+            self.opened.archive.verify(monitor, &mut |finding| findings.push(finding))?;
+            Ok(findings)
+        })?;
+        let error = |finding: Finding| {
+            let Finding { rule, part, offset, expected, found } = finding;
+            Failure::from(Error::Format { rule, part, offset, expected, found }).raise(py, name)
+        };
+        Ok(findings.into_iter().map(error).collect())
+    }
+
+    fn __repr__(&self) -> String {
+        let (frame, header) = (self.opened.archive.frame(), self.opened.archive.header());
+        let name = self.opened.name.as_deref().unwrap_or("bytes");
+        format!(
+            "<slicewalk.Archive {name:?}: {} voxels, pixel {} m, {} slices of {} m>",
+            header.voxels.occupied,
+            frame.pixel_m(),
+            slicewalk::info::slice_count(header),
+            frame.slice_m()
+        )
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let again = py.import("slicewalk")?.getattr("_again")?;
+        let identity = py.detach(|| self.opened.identity()).map_err(|error| self.failed(py, error))?;
+        Ok((again, (&self.given, identity).into_pyobject(py)?))
+    }
+
+    #[getter]
+    fn _identity(&self, py: Python<'_>) -> PyResult<String> {
+        py.detach(|| self.opened.identity()).map_err(|error| self.failed(py, error))
+    }
+}

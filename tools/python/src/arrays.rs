@@ -1,0 +1,172 @@
+//! The caller's arrays: checked, and copied block by block.
+//!
+//! Another Python thread may write to an array while the interpreter is free, and Rust must not read it meanwhile. So no
+//! slice of an array outlives the moment in which the interpreter is held: a block of rows is copied, answered without the
+//! interpreter, and the next one follows. A block fits the cache, so the copy costs about 5 ns a row.
+
+use crate::errors::{Failure, of_row};
+use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use slicewalk::Result;
+use std::num::NonZeroUsize;
+
+/// Rows that are copied at once.
+pub const BLOCK: usize = 1 << 16;
+/// Fewer rows than this are not worth a thread.
+const LEAST_ROWS: usize = 1 << 13;
+
+/// Rows of `N` numbers in an array of the caller's.
+pub struct Rows<'py, const N: usize> {
+    array: Bound<'py, PyArray2<f64>>,
+    what: &'static str,
+}
+
+impl<'py, const N: usize> Rows<'py, N> {
+    /// Checks shape and type. Whatever numpy turns into numbers that `float64` holds without loss is welcome; an array of
+    /// `float64` is not copied here.
+    pub fn of(given: &Bound<'py, PyAny>, what: &'static str) -> PyResult<Self> {
+        let py = given.py();
+        let numpy = py.import("numpy")?;
+        let found = numpy.call_method1("asarray", (given,))?;
+        let untyped = found.cast::<PyUntypedArray>()?;
+        let lossless: bool = numpy.call_method1("can_cast", (untyped.dtype(), "f8", "safe"))?.extract()?;
+        if !lossless && untyped.len() > 0 {
+            let dtype = untyped.dtype();
+            let text =
+                format!("{what}: expected numbers (float64), found {dtype}; convert with numpy.asarray(..., float)");
+            return Err(PyTypeError::new_err(text));
+        }
+        let shape = untyped.shape();
+        let is_empty_list = shape == [0];
+        if !is_empty_list && (shape.len() != 2 || shape[1] != N) {
+            let way_out = match shape {
+                [n] if *n == N => format!("; for a single row pass {what}.reshape(1, {N})"),
+                _ => String::new(),
+            };
+            let shape = untyped.getattr("shape")?.str()?;
+            return Err(PyValueError::new_err(format!("{what}: expected shape (N, {N}), found {shape}{way_out}")));
+        }
+        // Aligned, because Rust reads no other; the same array, if it is.
+        let options = PyDict::new(py);
+        options.set_item("dtype", "f8")?;
+        options.set_item("requirements", "A")?;
+        let array = numpy.call_method("require", (found,), Some(&options))?;
+        let array = if is_empty_list { array.call_method1("reshape", ((0, N),))? } else { array };
+        Ok(Self { array: array.cast_into::<PyArray2<f64>>()?, what })
+    }
+
+    pub fn len(&self) -> usize {
+        self.array.shape()[0]
+    }
+
+    /// The rows from `first` on, as many as `count`, as they are now.
+    pub fn copy(&self, first: usize, count: usize, block: &mut Vec<[f64; N]>) -> PyResult<()> {
+        let array = self.array.try_readonly().map_err(|_| self.busy("in use"))?;
+        let array = array.as_array();
+        if array.shape()[1] != N || array.shape()[0] < first + count {
+            return Err(self.busy("resized"));
+        }
+        block.clear();
+        match array.as_slice() {
+            Some(all) => block.extend_from_slice(all[first * N..(first + count) * N].as_chunks::<N>().0),
+            None => block.extend((first..first + count).map(|row| std::array::from_fn(|at| array[[row, at]]))),
+        }
+        Ok(())
+    }
+
+    fn busy(&self, what: &str) -> PyErr {
+        PyRuntimeError::new_err(format!("{}: the array was {what} by another thread while it was read", self.what))
+    }
+}
+
+/// `answer` for each row, with the interpreter free and on several threads.
+pub fn batch<'py, const N: usize, A: Element + Copy + Default + Send>(
+    given: &Bound<'py, PyAny>,
+    what: &'static str,
+    threads: Option<NonZeroUsize>,
+    answer: impl Fn(&[f64; N]) -> Result<A> + Sync,
+) -> PyResult<Bound<'py, PyArray1<A>>> {
+    let py = given.py();
+    let rows = Rows::<N>::of(given, what)?;
+    let threads = threads.map_or_else(|| std::thread::available_parallelism().map_or(1, |n| n.get()), |n| n.get());
+    let mut answers = vec![A::default(); rows.len()];
+    let mut block = Vec::new();
+    for (number, answers) in answers.chunks_mut(BLOCK).enumerate() {
+        py.check_signals()?;
+        rows.copy(number * BLOCK, answers.len(), &mut block)?;
+        let answered = py.detach(|| on_threads(&block, answers, threads, &answer));
+        answered.map_err(|(row, error)| of_row(py, what, number * BLOCK + row, error))?;
+    }
+    Ok(answers.into_pyarray(py))
+}
+
+/// Number of a row, and what is wrong with it.
+type Wrong = (usize, slicewalk::Error);
+
+fn on_threads<R: Sync, A: Send>(
+    rows: &[R],
+    answers: &mut [A],
+    threads: usize,
+    answer: &(impl Fn(&R) -> Result<A> + Sync),
+) -> std::result::Result<(), Wrong> {
+    let run = |first: usize, rows: &[R], answers: &mut [A]| {
+        for (number, (row, place)) in rows.iter().zip(answers).enumerate() {
+            *place = answer(row).map_err(|error| (first + number, error))?;
+        }
+        Ok(())
+    };
+    let each = rows.len().div_ceil(threads).max(LEAST_ROWS);
+    if each >= rows.len() {
+        return run(0, rows, answers);
+    }
+    std::thread::scope(|scope| {
+        let parts = rows.chunks(each).zip(answers.chunks_mut(each)).enumerate();
+        let mut parts = parts.map(|(part, (rows, answers))| (part * each, rows, answers));
+        let own = parts.next();
+        let others: Vec<_> = parts.map(|(first, rows, out)| scope.spawn(move || run(first, rows, out))).collect();
+        let own = own.map_or(Ok(()), |(first, rows, answers)| run(first, rows, answers));
+        let joined =
+            others.into_iter().map(|other| other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        std::iter::once(own).chain(joined).collect()
+    })
+}
+
+/// So many numbers of the caller's, as a place or a box.
+pub fn numbers<const N: usize>(given: &Bound<'_, PyAny>, what: &str) -> PyResult<[f64; N]> {
+    let values: Vec<f64> = given.extract().unwrap_or_default();
+    let found = values.len();
+    let fits = <[f64; N]>::try_from(values).ok().filter(|values| values.iter().all(|v| v.is_finite()));
+    fits.ok_or_else(|| {
+        let found = given.repr().map_or_else(|_| format!("{found} numbers"), |repr| repr.to_string());
+        PyValueError::new_err(format!("{what}: expected {N} finite numbers, found {found}"))
+    })
+}
+
+/// An array on memory that `owner` keeps, without a copy; nobody may write to it.
+///
+/// # Safety
+/// The memory of `array` stays in place and unchanged as long as `owner` lives.
+pub unsafe fn lend<'py, T: Element, D: numpy::ndarray::Dimension>(
+    array: &numpy::ndarray::Array<T, D>,
+    owner: Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, numpy::PyArray<T, D>>> {
+    // SAFETY: the caller's promise.
+    let lent = unsafe { numpy::PyArray::borrow_from_array(array, owner) };
+    let options = PyDict::new(lent.py());
+    options.set_item("write", false)?;
+    lent.call_method("setflags", (), Some(&options))?;
+    Ok(lent)
+}
+
+/// A row that cannot be answered because of what it says.
+pub fn refused<T>(what: &'static str, reason: &str) -> Result<T> {
+    Err(slicewalk::Error::parameter(what, reason))
+}
+
+impl From<Failure> for PyErr {
+    fn from(failure: Failure) -> Self {
+        Python::attach(|py| failure.raise(py, None))
+    }
+}

@@ -1,0 +1,146 @@
+//! Long work: on a thread of its own, while the calling thread looks for Ctrl-C and passes news on.
+//!
+//! Callbacks and warnings run on the calling thread alone, so no other thread ever waits for the interpreter, and what
+//! they raise ends the work.
+
+use crate::errors::{Failure, in_python};
+use pyo3::prelude::*;
+use slicewalk::Monitor;
+use std::collections::VecDeque;
+use std::ffi::CString;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Time between two looks.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// What the work has to say to whoever waits for it.
+#[derive(Default)]
+struct News {
+    stages: Mutex<VecDeque<Stage>>,
+    warnings: Mutex<Vec<String>>,
+    done: AtomicU64,
+    stop: AtomicBool,
+}
+
+#[derive(Clone, PartialEq)]
+struct Stage {
+    name: String,
+    total: u64,
+    unit: String,
+    /// Of a stage that has ended.
+    done: Option<u64>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Monitor for News {
+    fn stage(&self, name: &str, total: u64, unit: &str) {
+        let mut stages = lock(&self.stages);
+        let done = self.done.swap(0, Ordering::Relaxed);
+        if let Some(last) = stages.back_mut() {
+            last.done = Some(done);
+        }
+        stages.push_back(Stage { name: name.into(), total, unit: unit.into(), done: None });
+    }
+
+    fn advance(&self, amount: u64) {
+        self.done.fetch_add(amount, Ordering::Relaxed);
+    }
+
+    fn warn(&self, text: &str) {
+        lock(&self.warnings).push(text.to_owned());
+    }
+
+    fn cancelled(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
+/// Who is told about long work.
+#[derive(Default)]
+pub struct Audience<'a, 'py> {
+    /// Called with stage, amount done, total (0 if unknown) and unit.
+    pub progress: Option<&'a Bound<'py, PyAny>>,
+    /// No warnings.
+    pub quiet: bool,
+}
+
+impl Audience<'_, '_> {
+    fn tell(&self, py: Python<'_>, news: &News, told: &mut Option<(Stage, u64)>) -> PyResult<()> {
+        py.check_signals()?;
+        let warnings = std::mem::take(&mut *lock(&news.warnings));
+        if !self.quiet {
+            for text in warnings {
+                let category = py.import("slicewalk.errors")?.getattr("SlicewalkWarning")?;
+                PyErr::warn(py, &category, &CString::new(in_python(&text).replace('\0', " "))?, 1)?;
+            }
+        }
+        let Some(progress) = self.progress else { return Ok(()) };
+        loop {
+            let (stage, done) = {
+                let mut stages = lock(&news.stages);
+                let Some(stage) = stages.front().cloned() else { return Ok(()) };
+                if stage.done.is_some() {
+                    stages.pop_front();
+                }
+                let done = stage.done.unwrap_or_else(|| news.done.load(Ordering::Relaxed));
+                (stage, done)
+            };
+            let ended = stage.done.is_some();
+            let now = (Stage { done: None, ..stage }, done);
+            if told.as_ref() != Some(&now) {
+                progress.call1((&now.0.name, done, now.0.total, &now.0.unit))?;
+                *told = Some(now);
+            }
+            if !ended {
+                return Ok(());
+            }
+        }
+    }
+}
+
+/// Does `work` with the interpreter free. Ctrl-C, or an exception of a callback, ends it and is raised.
+pub fn attended<T: Send>(
+    py: Python<'_>,
+    audience: &Audience<'_, '_>,
+    path: Option<&str>,
+    work: impl FnOnce(&dyn Monitor) -> Result<T, Failure> + Send,
+) -> PyResult<T> {
+    let (news, ended, caller) = (News::default(), AtomicBool::new(false), std::thread::current());
+    let (mut told, mut raised) = (None, None);
+    let result = std::thread::scope(|scope| {
+        let worker = scope.spawn(|| {
+            // Told of the end even by a panic.
+            let _end = End(&ended, caller);
+            work(&news)
+        });
+        while !ended.load(Ordering::Acquire) {
+            py.detach(|| std::thread::park_timeout(LOOK));
+            if raised.is_none() {
+                raised = audience.tell(py, &news, &mut told).err();
+                news.stop.store(raised.is_some(), Ordering::Relaxed);
+            }
+        }
+        py.detach(|| worker.join()).unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    });
+    if raised.is_none() {
+        raised = audience.tell(py, &news, &mut told).err();
+    }
+    match raised {
+        Some(error) => Err(error),
+        None => result.map_err(|failure| failure.raise(py, path)),
+    }
+}
+
+struct End<'a>(&'a AtomicBool, std::thread::Thread);
+
+impl Drop for End<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Release);
+        self.1.unpark();
+    }
+}

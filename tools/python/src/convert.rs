@@ -1,0 +1,115 @@
+//! `convert` and `write_plan`: scans and meshes into an archive.
+
+use crate::attend::{Audience, attended};
+use crate::errors::Failure;
+use crate::options::{Asked, paths};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use serde_json::Value;
+use slicewalk::convert::{Job, plan_file};
+use slicewalk::output::{Existing, Output, OutputKind};
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// Facts as Python's own values.
+pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, PyAny>> {
+    py.import("json")?.call_method1("loads", (facts.to_string(),))
+}
+
+/// Converts scans (LAS, LAZ, COPC) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
+///
+/// The archive appears complete under its name, or not at all. The same points always give the same bytes. Ctrl-C ends a
+/// conversion within a moment and leaves nothing behind.
+///
+/// Args:
+///     inputs: one or many: files, folders of scans, glob patterns
+///     output: the archive to write
+///     progress: called with stage, amount done, total (an estimate, 0 if unknown) and unit, on this thread, at most 20 times
+///         a second; what it raises ends the conversion
+///     pixel: edge of a pixel (m), or ``"auto"``: four times the scan's point spacing
+///     slice: height of a slice (m); three pixels by default
+///     max_slope: steepest slope that can be stood on (degrees, 45)
+///     tolerance: how far heights may be coarsened, always outwards (m, 0)
+///     classifier: ``"plane"``, ``"span"`` or ``"thesis"``
+///     memory: memory to use, at least 64 MiB: bytes, or a text such as ``"512MiB"``
+///     threads: worker threads; all cores by default
+///     temp_dir: folder for temporary data
+///     exclude_class: LAS classes to leave out, such as ``[7, 18]`` for noise
+///     min_points: drop voxels of fewer points (1)
+///     drop_isolated: drop voxels without matter in any of the 26 around them
+///     up: axis of the input that points up, ``"z"`` or ``"y"``
+///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
+///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
+///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it
+///     force: replace an existing archive
+///     plan: take grid and options from this plan; those that contradict it are refused
+///     shard: convert one part only, ``"2/8"`` or ``(2, 8)``
+///     quiet: no warnings
+///
+/// Returns:
+///     what ``sliceconv --json`` prints, as a dict
+///
+/// Raises:
+///     InputError: an input cannot be used
+///     OutputError: the archive exists already, or would replace an input
+///     ParameterError: an option makes no sense
+///
+/// Soft problems of the input are :class:`SlicewalkWarning`.
+///
+/// >>> report = slicewalk.convert("room.las", "again.slices", pixel=0.1, units="m")
+/// >>> report["points_kept"], report["slices"]
+/// (66400, 9)
+#[pyfunction]
+#[pyo3(signature = (inputs, output, *, progress=None, **options))]
+pub fn convert<'py>(
+    inputs: &Bound<'py, PyAny>,
+    output: PathBuf,
+    progress: Option<&Bound<'py, PyAny>>,
+    options: Option<&Bound<'py, PyDict>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = inputs.py();
+    Asked::refuse(options, &["crs"])?;
+    let asked = Asked::new(paths(inputs)?, output, options)?;
+    let started = Instant::now();
+    let audience = Audience { progress, quiet: asked.quiet };
+    let report = attended(py, &audience, None, |monitor| Ok(slicewalk::convert::convert(&asked.options, monitor)?))?;
+    let mut facts = report.info();
+    facts["seconds"] = started.elapsed().as_secs_f64().into();
+    dictionary(py, &facts)
+}
+
+/// Fixes grid, options and inputs of a conversion in a plan, to be converted in parts with ``convert(..., plan=, shard=)``.
+///
+/// Args:
+///     inputs: as for :func:`convert`
+///     path: the plan to write (JSON)
+///     progress: as for :func:`convert`
+///     options: those of :func:`convert`, but for ``plan`` and ``shard``
+///
+/// Returns:
+///     the plan as a dict
+///
+/// >>> plan = slicewalk.write_plan("room.las", "plan.json", pixel=0.1, units="m")
+/// >>> for part in (1, 2):
+/// ...     _ = slicewalk.convert("room.las", f"{part}.slices", plan="plan.json", shard=(part, 2))
+#[pyfunction]
+#[pyo3(signature = (inputs, path, *, progress=None, **options))]
+pub fn write_plan<'py>(
+    inputs: &Bound<'py, PyAny>,
+    path: PathBuf,
+    progress: Option<&Bound<'py, PyAny>>,
+    options: Option<&Bound<'py, PyDict>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = inputs.py();
+    Asked::refuse(options, &["crs", "plan", "shard"])?;
+    let asked = Asked::new(paths(inputs)?, PathBuf::new(), options)?;
+    let audience = Audience { progress, quiet: asked.quiet };
+    let plan = attended(py, &audience, None, |monitor| {
+        let kind = OutputKind::Plan(Existing::replaced_if(asked.options.overwrite));
+        let output = Output::create(&path, kind, asked.options.inputs.iter().collect())?;
+        let job = Job::new(&asked.options, monitor)?;
+        plan_file::write_to(&job, output)?;
+        Ok::<_, Failure>(plan_file::to_json(&job))
+    })?;
+    dictionary(py, &plan)
+}

@@ -1,0 +1,132 @@
+//! Exceptions: those of `slicewalk.errors`, with the facts of the library's errors as attributes.
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use slicewalk::Error;
+use slicewalk::frame::PageKey;
+use slicewalk::store::Missing;
+
+/// Why something could not be done.
+pub enum Failure {
+    /// The library's reason.
+    Error(Error),
+    /// Pages that are not in memory.
+    NotLoaded(Vec<PageKey>),
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        Self::Error(error)
+    }
+}
+
+impl From<Missing> for Failure {
+    fn from(missing: Missing) -> Self {
+        Self::NotLoaded(missing.keys().to_vec())
+    }
+}
+
+impl Failure {
+    /// The exception. `path` is the file or address that was worked on, where the error does not say it itself.
+    pub fn raise(self, py: Python<'_>, path: Option<&str>) -> PyErr {
+        exception(py, self, path, None).unwrap_or_else(|error| error)
+    }
+}
+
+/// The exception for a row of the array `what`.
+pub fn of_row(py: Python<'_>, what: &str, row: usize, error: Error) -> PyErr {
+    exception(py, error.into(), None, Some((what, row))).unwrap_or_else(|error| error)
+}
+
+fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(&str, usize)>) -> PyResult<PyErr> {
+    let facts = PyDict::new(py);
+    facts.set_item("path", path)?;
+    let error = match failure {
+        Failure::Error(error) => error,
+        Failure::NotLoaded(keys) => {
+            let pages: Vec<_> = keys.iter().map(|key| (key.tx, key.ty, key.layer)).collect();
+            facts.set_item("pages", &pages)?;
+            facts.set_item("hint", "load them with Stream.load, or ask the archive itself")?;
+            return made(py, "NotLoadedError", &format!("pages that are not in memory are needed: {pages:?}"), &facts);
+        }
+    };
+    let mut text = error.to_string();
+    if let Some((what, row)) = row {
+        facts.set_item("row", row)?;
+        text = format!("{what}: row {row}: {text}");
+    }
+    let set_io = |path: &std::path::Path, source: &std::io::Error| -> PyResult<()> {
+        facts.set_item("path", path.to_string_lossy())?;
+        facts.set_item("errno", source.raw_os_error())?;
+        facts.set_item("strerror", source.to_string())
+    };
+    let class = match &error {
+        Error::Io { path, action, source } => {
+            set_io(path, source)?;
+            facts.set_item("action", action)?;
+            match source.kind() {
+                std::io::ErrorKind::NotFound => "MissingFileError",
+                _ => "FileError",
+            }
+        }
+        Error::Input { path, at, reason } => {
+            facts.set_item("path", path.to_string_lossy())?;
+            facts.set_item("at", at)?;
+            facts.set_item("reason", in_python(reason))?;
+            "InputError"
+        }
+        Error::Format { rule, part, offset, expected, found } => {
+            facts.set_item("rule", rule)?;
+            facts.set_item("part", part)?;
+            facts.set_item("offset", offset)?;
+            facts.set_item("expected", expected)?;
+            facts.set_item("found", found)?;
+            text = path.map_or(text.clone(), |path| format!("{path}: {text}"));
+            "FormatError"
+        }
+        Error::Limit { what, value, max } => {
+            facts.set_item("reason", in_python(what))?;
+            facts.set_item("expected", max)?;
+            facts.set_item("found", value)?;
+            "LimitError"
+        }
+        Error::Unsupported { what, way_out, .. } => {
+            facts.set_item("found", what)?;
+            facts.set_item("hint", in_python(way_out))?;
+            "UnsupportedError"
+        }
+        Error::Parameter { what, reason } => {
+            facts.set_item("at", what.to_string())?;
+            facts.set_item("reason", in_python(reason))?;
+            "ParameterError"
+        }
+        Error::Output { path, reason } => {
+            facts.set_item("path", path.to_string_lossy())?;
+            facts.set_item("reason", in_python(reason))?;
+            "OutputError"
+        }
+        Error::NotDurable { path, source } => {
+            set_io(path, source)?;
+            "NotDurableError"
+        }
+        Error::Interrupted => "CancelledError",
+        _ => "Error",
+    };
+    made(py, class, &text, &facts)
+}
+
+/// A message of the library with the options of the command line by their names in Python.
+pub fn in_python(text: &str) -> String {
+    let mut words: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        let (before, option) = word.split_once("--").unwrap_or((word, ""));
+        let is_option = matches!(before, "" | "(") && option.starts_with(|c: char| c.is_ascii_lowercase());
+        words.push(if is_option { format!("{before}{}", option.replace('-', "_")) } else { word.to_owned() });
+    }
+    words.join(" ")
+}
+
+fn made(py: Python<'_>, class: &str, text: &str, facts: &Bound<'_, PyDict>) -> PyResult<PyErr> {
+    let class = py.import("slicewalk.errors")?.getattr(class)?;
+    Ok(PyErr::from_value(class.call((in_python(text),), Some(facts))?))
+}

@@ -1,0 +1,50 @@
+//! The compiled half of the Python package `slicewalk`; `python/slicewalk` is the other.
+//!
+//! One file a subject: [`pages`] (queries), [`archive`], [`page`] (columns, pages, regions), [`stream`], [`walk`],
+//! [`reach`], [`convert`], [`writer`]. [`arrays`] is the one home of the caller's arrays, [`attend`] of signals and
+//! progress, [`errors`] of exceptions.
+
+mod archive;
+mod arrays;
+mod attend;
+mod convert;
+mod errors;
+mod options;
+mod page;
+mod pages;
+mod reach;
+mod stream;
+mod walk;
+mod writer;
+
+/// The compiled module; programs import `slicewalk`.
+#[pyo3::pymodule]
+mod _slicewalk {
+    #[pymodule_export]
+    use crate::archive::{Archive, open};
+    #[pymodule_export]
+    use crate::convert::{convert, write_plan};
+    #[pymodule_export]
+    use crate::page::{Column, Page};
+    #[pymodule_export]
+    use crate::pages::Pages;
+    #[pymodule_export]
+    use crate::stream::{Body, Stream, View};
+    #[pymodule_export]
+    use crate::walk::Walker;
+    #[pymodule_export]
+    use crate::writer::Writer;
+    use pyo3::exceptions::PyImportError;
+    use pyo3::ffi;
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        // SAFETY: the interpreter is held, so there is a current one.
+        if unsafe { ffi::PyInterpreterState_GetID(ffi::PyInterpreterState_Get()) } != 0 {
+            return Err(PyImportError::new_err("no subinterpreter is supported"));
+        }
+        slicewalk::input::quiet_decoder_panics();
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

@@ -1,0 +1,272 @@
+//! Matter as arrays: the column over one place, a page, a region.
+//!
+//! Pages keep their spans packed in bits. A column or a page is unpacked once, into memory of its own; the arrays that it
+//! hands out are views of that memory, and nobody can write to them.
+
+use crate::arrays::{lend, numbers};
+use crate::errors::Failure;
+use numpy::ndarray::{Array1, Array2, Array3};
+use numpy::{PyArray1, PyArray2, ToPyArray};
+use pyo3::prelude::*;
+use slicewalk::Error;
+use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, TILE_PIXELS};
+use slicewalk::store::{PageSet, PageSlot};
+
+/// Voxels of the largest region.
+const MOST_VOXELS: i64 = 1 << 31;
+
+fn absent(key: PageKey) -> Failure {
+    Failure::NotLoaded(vec![key])
+}
+
+/// The spans of matter over one place, lowest first; see :meth:`Pages.column`.
+#[pyclass(frozen, module = "slicewalk")]
+pub struct Column {
+    bottoms: Array1<f64>,
+    tops: Array1<f64>,
+    obstacle: Array1<bool>,
+}
+
+impl Column {
+    pub fn of<S: PageSet>(set: &S, x: f64, y: f64) -> Result<Self, Failure> {
+        if !x.is_finite() || !y.is_finite() {
+            return Err(Error::parameter("place", format!("expected finite x and y, found {x}, {y}")).into());
+        }
+        let frame = set.frame();
+        let (i, j) = (frame.pixel_of(x), frame.pixel_of(y));
+        let mut spans: Vec<(i64, i64, bool)> = Vec::new();
+        if let (Ok(tx), Ok(ty)) = (i32::try_from(i.div_euclid(TILE_PIXELS)), i32::try_from(j.div_euclid(TILE_PIXELS))) {
+            let pixel = |index: i64| index.rem_euclid(TILE_PIXELS) as u32;
+            for slot in set.column(tx, ty) {
+                let key = PageKey { tx, ty, layer: slot.layer() };
+                let page = slot.page().ok_or_else(|| absent(key))?;
+                let base = i64::from(slot.layer()) * PAGE_QUANTA;
+                for span in page.column(pixel(i), pixel(j)) {
+                    let (bottom, top) = (base + i64::from(span.bottom()), base + i64::from(span.top()));
+                    match spans.last_mut() {
+                        // Matter that goes on from page to page is one span.
+                        Some(last) if last.1 == bottom && bottom == base && last.2 == span.is_obstacle() => {
+                            last.1 = top
+                        }
+                        _ => spans.push((bottom, top, span.is_obstacle())),
+                    }
+                }
+            }
+        }
+        Ok(Self {
+            bottoms: spans.iter().map(|span| frame.bottom_height(span.0)).collect(),
+            tops: spans.iter().map(|span| frame.top_height(span.1)).collect(),
+            obstacle: spans.iter().map(|span| span.2).collect(),
+        })
+    }
+}
+
+/// An array of `owner`, which never changes once it is made.
+macro_rules! view {
+    ($owner:expr, $field:ident) => {
+        // SAFETY: the object is frozen and its arrays are private: they are neither moved nor changed while it lives.
+        unsafe { lend(&$owner.get().$field, $owner.clone().into_any()) }
+    };
+}
+
+#[pymethods]
+impl Column {
+    /// Lower ends: float64 of shape (n,) (m), read-only.
+    #[getter]
+    fn bottoms<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        view!(this, bottoms)
+    }
+
+    /// Upper ends: float64 of shape (n,) (m), read-only.
+    #[getter]
+    fn tops<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        view!(this, tops)
+    }
+
+    /// Whether each span is steeper than the slope limit: bool of shape (n,), read-only.
+    #[getter]
+    fn obstacle<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        view!(this, obstacle)
+    }
+
+    fn __len__(&self) -> usize {
+        self.tops.len()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<slicewalk.Column of {} spans>", self.tops.len())
+    }
+}
+
+/// One tile column of 64 × 64 pixels and 64 slices; see :meth:`Pages.page`.
+///
+/// The spans of pixel ``(x, y)`` are those from ``starts[64 * y + x]`` to ``starts[64 * y + x + 1]``, lowest first. Heights
+/// count in quanta (``height_quantum``) above the page's floor: ``origin[2] + tops * height_quantum`` (m). All arrays are
+/// read-only views of the page's own memory: reading them copies nothing, and they stay valid without the archive.
+#[pyclass(frozen, module = "slicewalk")]
+pub struct Page {
+    key: PageKey,
+    frame: Frame,
+    occupancy: Array2<u64>,
+    starts: Array1<u32>,
+    bottoms: Array1<u16>,
+    tops: Array1<u16>,
+    obstacle: Array1<bool>,
+}
+
+impl Page {
+    pub fn of<S: PageSet>(set: &S, key: PageKey) -> Result<Option<Self>, Failure> {
+        let Some(slot) = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer) else {
+            return Ok(None);
+        };
+        let page = slot.page().ok_or_else(|| absent(key))?;
+        let edge = TILE_PIXELS as usize;
+        let mut occupancy = Array2::zeros((edge, edge));
+        let (mut starts, mut spans) = (vec![0; 1], Vec::with_capacity(page.span_count()));
+        for (py, px) in (0..edge as u32).flat_map(|py| (0..edge as u32).map(move |px| (py, px))) {
+            let column = page.column(px, py);
+            occupancy[[py as usize, px as usize]] = column.iter().fold(0, |mask, span| mask | span.slice_mask());
+            spans.extend_from_slice(column);
+            starts.push(spans.len() as u32);
+        }
+        Ok(Some(Self {
+            key,
+            frame: *set.frame(),
+            occupancy,
+            starts: starts.into(),
+            bottoms: spans.iter().map(|span| span.bottom() as u16).collect(),
+            tops: spans.iter().map(|span| span.top() as u16).collect(),
+            obstacle: spans.iter().map(|span| span.is_obstacle()).collect(),
+        }))
+    }
+}
+
+#[pymethods]
+impl Page {
+    /// ``tx, ty, layer``.
+    #[getter]
+    fn key(&self) -> (i32, i32, i32) {
+        (self.key.tx, self.key.ty, self.key.layer)
+    }
+
+    /// Least corner (m).
+    #[getter]
+    fn origin(&self) -> (f64, f64, f64) {
+        let edge = |tile: i32| self.frame.edge_of_pixel(i64::from(tile) * TILE_PIXELS);
+        let floor = self.frame.bottom_of_slice(i64::from(self.key.layer) * PAGE_SLICES);
+        (edge(self.key.tx), edge(self.key.ty), floor)
+    }
+
+    /// Slices with matter as bits, bit 0 the lowest: uint64 of shape (64, 64), rows along y, read-only.
+    #[getter]
+    fn occupancy<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray2<u64>>> {
+        view!(this, occupancy)
+    }
+
+    /// Where the spans of each pixel begin: uint32 of shape (4097,), read-only.
+    #[getter]
+    fn starts<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<u32>>> {
+        view!(this, starts)
+    }
+
+    /// Lower ends of all spans: uint16 of shape (n,) (quanta above the page's floor), read-only.
+    #[getter]
+    fn bottoms<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<u16>>> {
+        view!(this, bottoms)
+    }
+
+    /// Upper ends of all spans: uint16 of shape (n,) (quanta above the page's floor), read-only.
+    #[getter]
+    fn tops<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<u16>>> {
+        view!(this, tops)
+    }
+
+    /// Whether each span is steeper than the slope limit: bool of shape (n,), read-only.
+    #[getter]
+    fn obstacle<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        view!(this, obstacle)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<slicewalk.Page ({}, {}, {}): {} spans>", self.key.tx, self.key.ty, self.key.layer, self.tops.len())
+    }
+}
+
+/// The voxels that the box `bounds` meets, as `slicewalk.Region`.
+pub fn region<'py, S: PageSet + Sync>(
+    py: Python<'py>,
+    set: &S,
+    name: Option<&str>,
+    bounds: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let [x0, y0, z0, x1, y1, z1] = numbers(bounds, "bounds")?;
+    let frame = *set.frame();
+    let wrong = |error: Error| Failure::from(error).raise(py, name);
+    if x0 > x1 || y0 > y1 || z0 > z1 {
+        let reason = "expected xmin, ymin, zmin, xmax, ymax, zmax in order";
+        return Err(wrong(Error::parameter("bounds", reason)));
+    }
+    let first = [frame.slice_of(z0), frame.pixel_of(y0), frame.pixel_of(x0)];
+    let last = [frame.slice_of(z1), frame.pixel_of(y1), frame.pixel_of(x1)];
+    let count = [0, 1, 2].map(|axis| last[axis] - first[axis] + 1);
+    let voxels = count.iter().try_fold(1i64, |product, count| product.checked_mul(*count));
+    if voxels.is_none_or(|voxels| voxels > MOST_VOXELS) {
+        let value = format!("{} × {} × {}", count[0], count[1], count[2]);
+        let what = "voxels of a region (take a smaller one)".into();
+        return Err(wrong(Error::Limit { what, value, max: MOST_VOXELS.to_string() }));
+    }
+    let shape = count.map(|count| count as usize);
+    let filled = py.detach(|| {
+        let mut arrays = [0; 3].map(|_| Array3::<u8>::zeros(shape));
+        fill(set, first, last, &mut arrays).map(|()| arrays)
+    });
+    let [kind, bottom, top] = filled.map_err(|failure| failure.raise(py, name))?.map(|array| array.to_pyarray(py));
+    py.import("slicewalk._results")?.getattr("Region")?.call1((
+        kind,
+        bottom,
+        top,
+        (first[2], first[1], first[0]),
+        frame.pixel_m(),
+        frame.slice_m(),
+    ))
+}
+
+fn fill<S: PageSet>(set: &S, first: [i64; 3], last: [i64; 3], arrays: &mut [Array3<u8>; 3]) -> Result<(), Failure> {
+    let Some(bounds) = set.bounds() else { return Ok(()) };
+    let tiles = |axis: usize, own: usize| {
+        let (least, most) = (i64::from(bounds.min[own]), i64::from(bounds.max[own]));
+        (first[axis].div_euclid(TILE_PIXELS).max(least), last[axis].div_euclid(TILE_PIXELS).min(most))
+    };
+    let ((tx0, tx1), (ty0, ty1)) = (tiles(2, 0), tiles(1, 1));
+    for (ty, tx) in (ty0..=ty1).flat_map(|ty| (tx0..=tx1).map(move |tx| (ty as i32, tx as i32))) {
+        for slot in set.column(tx, ty) {
+            let base = i64::from(slot.layer()) * PAGE_SLICES;
+            let slices = slot.slices();
+            let in_range = |k: u32| slices >> k & 1 == 1 && (first[0]..=last[0]).contains(&(base + i64::from(k)));
+            if !(0..64).any(in_range) {
+                continue;
+            }
+            let page = slot.page().ok_or_else(|| absent(PageKey { tx, ty, layer: slot.layer() }))?;
+            let corner = [i64::from(ty) * TILE_PIXELS, i64::from(tx) * TILE_PIXELS];
+            for (px, py, spans) in page.columns() {
+                let (i, j) = (corner[1] + i64::from(px), corner[0] + i64::from(py));
+                if !(first[2]..=last[2]).contains(&i) || !(first[1]..=last[1]).contains(&j) {
+                    continue;
+                }
+                for span in spans {
+                    let (lowest, highest) = span.slices();
+                    for k in (lowest..=highest).filter(|k| (first[0]..=last[0]).contains(&(base + i64::from(*k)))) {
+                        let at = [base + i64::from(k) - first[0], j - first[1], i - first[2]].map(|v| v as usize);
+                        let (bottom, top) = span.within_slice(k).unwrap_or((0, 0));
+                        let [kinds, bottoms, tops] = &mut *arrays;
+                        let was_empty = kinds[at] == 0;
+                        bottoms[at] = if was_empty { bottom } else { bottoms[at].min(bottom) };
+                        tops[at] = tops[at].max(top);
+                        kinds[at] = kinds[at].max(if span.is_obstacle() { 2 } else { 1 });
+                    }
+                }
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,442 @@
+//! `Pages`: what can be asked of a set of pages, be it all pages of an archive or those of a view.
+
+use crate::archive::Opened;
+use crate::arrays::{batch, refused};
+use crate::errors::Failure;
+use crate::page::{Column, Page, region};
+use crate::reach;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
+use pyo3::prelude::*;
+use slicewalk::Result;
+use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
+use slicewalk::nalgebra::{Point3, Vector3};
+use slicewalk::query::{
+    Aabb, Answer, Cylinder, Overlap, Ray, Shape, Sphere, cast, ceiling_above, floor_under, overlaps, sweep,
+};
+use slicewalk::store::{PageSet, View};
+use std::num::NonZeroUsize;
+use std::sync::Arc;
+
+/// Where pages come from.
+#[derive(Clone)]
+pub enum Set {
+    /// All pages of an archive, loaded when they are first asked for.
+    All(Arc<Opened>),
+    /// Those in memory at one moment.
+    View(View),
+}
+
+/// Asks whichever set the pages are.
+macro_rules! ask {
+    ($set:expr, $py:expr, $pages:ident => $answer:expr) => {
+        match &$set {
+            $crate::pages::Set::All(opened) => {
+                let $pages = opened.store($py)?;
+                $answer
+            }
+            $crate::pages::Set::View(view) => {
+                let $pages = view;
+                $answer
+            }
+        }
+    };
+}
+pub(crate) use ask;
+
+/// A set of pages that answers questions: an :class:`Archive` or the :class:`View` of a :class:`Stream`.
+///
+/// All coordinates are metres in the archive's reference system. Every method that takes an array of N rows answers with
+/// an array of N values, lets other Python threads run meanwhile, and uses all cores (``threads=`` sets another number).
+/// An array of ``float64`` of any strides is read as it is; whatever numpy turns into ``float64`` without loss
+/// (``float32``, integers, lists) is converted first. The rows must not change while a method runs.
+#[pyclass(frozen, subclass, module = "slicewalk")]
+pub struct Pages {
+    pub set: Set,
+}
+
+fn code(overlap: Overlap) -> u8 {
+    match overlap {
+        Overlap::Clear => 0,
+        Overlap::Hit => 1,
+        Overlap::NotLoaded(_) => 2,
+    }
+}
+
+fn aabb(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Result<Aabb> {
+    Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into())
+}
+
+/// NaN stands for "not loaded".
+fn known<T>(answer: Answer<T>, value: impl FnOnce(T) -> f64) -> f64 {
+    answer.known().map_or(f64::NAN, value)
+}
+
+/// Heights between which the pages can hold matter (m).
+fn heights<S: PageSet>(set: &S) -> (f64, f64) {
+    let height = |layer: i64| set.frame().top_height(layer * PAGE_QUANTA);
+    set.bounds().map_or((0.0, 0.0), |bounds| (height(bounds.min[2].into()), height(i64::from(bounds.max[2]) + 1)))
+}
+
+fn floor_in<S: PageSet>(set: &S, shape: &impl Shape, low: f64, high: f64, (_, top): (f64, f64)) -> f64 {
+    let from = high.min(top);
+    known(floor_under(set, shape, from, from - low), |z| z.unwrap_or(f64::NEG_INFINITY))
+}
+
+fn ceiling_in<S: PageSet>(set: &S, shape: &impl Shape, low: f64, high: f64, (bottom, _): (f64, f64)) -> f64 {
+    let from = low.max(bottom);
+    known(ceiling_above(set, shape, from, high - from), |z| z.unwrap_or(f64::INFINITY))
+}
+
+impl Pages {
+    pub fn frame(&self) -> Frame {
+        match &self.set {
+            Set::All(opened) => *opened.archive.frame(),
+            Set::View(view) => *view.frame(),
+        }
+    }
+
+    /// The archive's name, for errors.
+    pub fn name(&self) -> Option<&str> {
+        match &self.set {
+            Set::All(opened) => opened.name.as_deref(),
+            Set::View(_) => None,
+        }
+    }
+}
+
+#[pymethods]
+impl Pages {
+    /// Edge of a pixel (m).
+    #[getter]
+    fn pixel_size(&self) -> f64 {
+        self.frame().pixel_m()
+    }
+
+    /// Height of a slice (m).
+    #[getter]
+    fn slice_height(&self) -> f64 {
+        self.frame().slice_m()
+    }
+
+    /// Unit in which heights are stored: a slice height / 255 (m).
+    #[getter]
+    fn height_quantum(&self) -> f64 {
+        self.frame().quantum_m()
+    }
+
+    /// Whether closed boxes touch matter.
+    ///
+    /// Args:
+    ///     boxes: N × 6, each ``xmin, ymin, zmin, xmax, ymax, zmax`` (m); a minimum of -inf and a maximum of inf are allowed
+    ///     threads: how many to use; all cores by default
+    ///
+    /// Returns:
+    ///     uint8 of shape (N,): ``CLEAR`` (0), ``HIT`` (1) or ``NOT_LOADED`` (2, in a view of a stream only)
+    ///
+    /// A box that contains a point of the scan is always a hit. A box that contains none even if it is grown by a pixel in x
+    /// and y and by a slice in z is clear.
+    ///
+    /// Raises:
+    ///     ValueError: the shape is another, or a row is no box (its ``row`` says which)
+    ///     TypeError: the array holds no numbers
+    ///
+    /// >>> archive = slicewalk.open("room.slices")
+    /// >>> archive.overlaps([[3, 2, 0.5, 3.5, 2.5, 1.8], [-0.1, 2, 0.5, 0.2, 2.5, 1.8]])
+    /// array([0, 1], dtype=uint8)
+    #[pyo3(signature = (boxes, *, threads=None))]
+    fn overlaps<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        threads: Option<NonZeroUsize>,
+    ) -> PyResult<Bound<'py, PyArray1<u8>>> {
+        ask!(self.set, boxes.py(), pages => {
+            batch(boxes, "boxes", threads, |row| Ok(code(overlaps(pages, &aabb(row)?))))
+        })
+    }
+
+    /// As :meth:`overlaps`, for upright cylinders.
+    ///
+    /// Args:
+    ///     cylinders: N × 5, each ``x, y, z, radius, height`` (m) with the middle of the bottom face
+    ///     threads: how many to use; all cores by default
+    ///
+    /// >>> slicewalk.open("room.slices").overlaps_cylinders([[4, 3, 0.1, 0.25, 1.8], [4, 0.2, 0.1, 0.25, 1.8]])
+    /// array([0, 1], dtype=uint8)
+    #[pyo3(signature = (cylinders, *, threads=None))]
+    fn overlaps_cylinders<'py>(
+        &self,
+        cylinders: &Bound<'py, PyAny>,
+        threads: Option<NonZeroUsize>,
+    ) -> PyResult<Bound<'py, PyArray1<u8>>> {
+        ask!(self.set, cylinders.py(), pages => {
+            batch(cylinders, "cylinders", threads, |&[x, y, z, radius, height]: &[f64; 5]| {
+                Ok(code(overlaps(pages, &Cylinder::new([x, y, z].into(), radius, height)?)))
+            })
+        })
+    }
+
+    /// As :meth:`overlaps`, for balls.
+    ///
+    /// Args:
+    ///     spheres: N × 4, each ``x, y, z, radius`` (m) with the centre
+    ///     threads: how many to use; all cores by default
+    ///
+    /// >>> slicewalk.open("room.slices").overlaps_spheres([[4, 3, 1.2, 0.5], [4, 3, 0.2, 0.5]])
+    /// array([0, 1], dtype=uint8)
+    #[pyo3(signature = (spheres, *, threads=None))]
+    fn overlaps_spheres<'py>(
+        &self,
+        spheres: &Bound<'py, PyAny>,
+        threads: Option<NonZeroUsize>,
+    ) -> PyResult<Bound<'py, PyArray1<u8>>> {
+        ask!(self.set, spheres.py(), pages => {
+            batch(spheres, "spheres", threads, |&[x, y, z, radius]: &[f64; 4]| {
+                Ok(code(overlaps(pages, &Sphere::new([x, y, z].into(), radius)?)))
+            })
+        })
+    }
+
+    /// The highest floor in boxes: the greatest top of a span that can be stood on, in the pixels under the box and between
+    /// its lower and its upper end.
+    ///
+    /// Args:
+    ///     boxes: N × 6, each ``xmin, ymin, zmin, xmax, ymax, zmax`` (m); zmin may be -inf
+    ///     threads: how many to use; all cores by default
+    ///
+    /// Returns:
+    ///     float64 of shape (N,): heights (m), at most a quantum above the scanned floor; -inf where there is no floor, nan
+    ///     where a page is not loaded
+    ///
+    /// >>> archive = slicewalk.open("room.slices")
+    /// >>> archive.floor([[3, 2, -1, 3.5, 2.5, 2], [30, 2, -1, 31, 3, 2]]).round(2)
+    /// array([  0., -inf])
+    #[pyo3(signature = (boxes, *, threads=None))]
+    fn floor<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        threads: Option<NonZeroUsize>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        ask!(self.set, boxes.py(), pages => {
+            let ends = heights(pages);
+            batch(boxes, "boxes", threads, |row| Ok(floor_in(pages, &aabb(row)?, row[2], row[5], ends)))
+        })
+    }
+
+    /// The lowest ceiling in boxes: the least underside of matter, in the pixels under the box and between its lower and its
+    /// upper end.
+    ///
+    /// Args:
+    ///     boxes: N × 6, each ``xmin, ymin, zmin, xmax, ymax, zmax`` (m); zmax may be inf
+    ///     threads: how many to use; all cores by default
+    ///
+    /// Returns:
+    ///     float64 of shape (N,): heights (m), at most a quantum below the scanned ceiling; inf where there is none, nan where
+    ///     a page is not loaded
+    ///
+    /// >>> slicewalk.open("room.slices").ceiling([[3, 2, 1, 3.5, 2.5, 9], [3, 2, 3, 3.5, 2.5, 9]]).round(2)
+    /// array([2.5, inf])
+    #[pyo3(signature = (boxes, *, threads=None))]
+    fn ceiling<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        threads: Option<NonZeroUsize>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        ask!(self.set, boxes.py(), pages => {
+            let ends = heights(pages);
+            batch(boxes, "boxes", threads, |row| Ok(ceiling_in(pages, &aabb(row)?, row[2], row[5], ends)))
+        })
+    }
+
+    /// How far boxes can move before their inside meets matter. Exact at any speed: nothing is sampled.
+    ///
+    /// Args:
+    ///     boxes: N × 9, each ``xmin, ymin, zmin, xmax, ymax, zmax, dx, dy, dz`` (m): a box and its motion
+    ///     threads: how many to use; all cores by default
+    ///
+    /// Returns:
+    ///     float64 of shape (N,): the free share of the motion, 0 to 1; 1 where nothing is in the way, 0 for a box that begins
+    ///     inside matter, nan where a page is not loaded
+    ///
+    /// >>> archive = slicewalk.open("room.slices")
+    /// >>> archive.sweep([[3, 2, 0.5, 3.5, 2.5, 1.8, 0, 1, 0], [3, 2, 0.5, 3.5, 2.5, 1.8, 9, 0, 0]]).round(2)
+    /// array([1.  , 0.49])
+    #[pyo3(signature = (boxes, *, threads=None))]
+    fn sweep<'py>(
+        &self,
+        boxes: &Bound<'py, PyAny>,
+        threads: Option<NonZeroUsize>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        ask!(self.set, boxes.py(), pages => {
+            batch(boxes, "boxes", threads, |&[x0, y0, z0, x1, y1, z1, dx, dy, dz]: &[f64; 9]| {
+                let motion = Vector3::new(dx, dy, dz);
+                if !motion.iter().all(|v| v.is_finite()) {
+                    return refused("motion", "its numbers must be finite");
+                }
+                let answer = sweep(pages, &aabb(&[x0, y0, z0, x1, y1, z1])?, motion);
+                Ok(known(answer, |hit| hit.map_or(1.0, |hit| hit.fraction)))
+            })
+        })
+    }
+
+    /// Distances along rays to the first matter.
+    ///
+    /// Args:
+    ///     rays: N × 7, each ``x, y, z, dx, dy, dz, max`` (m): origin, direction of any length but 0, and the greatest distance
+    ///         (may be inf)
+    ///     threads: how many to use; all cores by default
+    ///
+    /// Returns:
+    ///     float64 of shape (N,): distances (m), 0 for a ray that begins in matter; inf where nothing is hit, nan where a page
+    ///     is not loaded
+    ///
+    /// >>> archive = slicewalk.open("room.slices")
+    /// >>> archive.cast([[4, 3, 1.2, 0, 0, -1, 10], [4, 3, 1.2, 1, 0, 0, 2]]).round(2)
+    /// array([1.2, inf])
+    #[pyo3(signature = (rays, *, threads=None))]
+    fn cast<'py>(
+        &self,
+        rays: &Bound<'py, PyAny>,
+        threads: Option<NonZeroUsize>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        ask!(self.set, rays.py(), pages => {
+            batch(rays, "rays", threads, |&[x, y, z, dx, dy, dz, max]: &[f64; 7]| {
+                let ray = Ray::new(Point3::new(x, y, z), Vector3::new(dx, dy, dz), max)?;
+                Ok(known(cast(pages, &ray), |hit| hit.map_or(f64::INFINITY, |hit| hit.distance)))
+            })
+        })
+    }
+
+    /// The spans of matter over one place, lowest first.
+    ///
+    /// Raises:
+    ///     NotLoadedError: a page of a view is not in memory
+    ///
+    /// >>> column = slicewalk.open("room.slices").column(4.05, 3.05)
+    /// >>> column.tops.round(2), column.obstacle
+    /// (array([0. , 2.5]), array([False, False]))
+    fn column(&self, py: Python<'_>, x: f64, y: f64) -> PyResult<Column> {
+        ask!(self.set, py, pages => Column::of(pages, x, y).map_err(|failure| failure.raise(py, self.name())))
+    }
+
+    /// Keys of all pages, in memory or not: int32 of shape (M, 3), each ``tx, ty, layer``.
+    ///
+    /// A page holds 64 × 64 pixels and 64 slices; page ``(0, 0, 0)`` begins at the origin.
+    ///
+    /// >>> slicewalk.open("room.slices").keys()
+    /// array([[0, 0, 0],
+    ///        [1, 0, 0]], dtype=int32)
+    fn keys<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
+        use slicewalk::store::PageSlot;
+        let mut keys = Vec::new();
+        ask!(self.set, py, pages => {
+            for number in 0..pages.column_count() {
+                let (tx, ty, slots) = pages.column_at(number);
+                slots.iter().for_each(|slot| keys.extend([tx, ty, slot.layer()]));
+            }
+        });
+        let count = keys.len() / 3;
+        keys.into_pyarray(py).reshape([count, 3])
+    }
+
+    /// A page by its key; None where the archive has no matter.
+    ///
+    /// Raises:
+    ///     NotLoadedError: the page of a view is not in memory
+    ///
+    /// >>> page = slicewalk.open("room.slices").page((0, 0, 0))
+    /// >>> page.occupancy.shape, page.bottoms.dtype, page.bottoms.flags.writeable
+    /// ((64, 64), dtype('uint16'), False)
+    fn page(&self, py: Python<'_>, key: (i32, i32, i32)) -> PyResult<Option<Page>> {
+        let key = PageKey { tx: key.0, ty: key.1, layer: key.2 };
+        ask!(self.set, py, pages => Page::of(pages, key).map_err(|failure| failure.raise(py, self.name())))
+    }
+
+    /// All voxels of a region as arrays.
+    ///
+    /// Args:
+    ///     bounds: ``xmin, ymin, zmin, xmax, ymax, zmax`` (m): the region is made of the voxels that this box meets
+    ///
+    /// Returns:
+    ///     :class:`Region`; ``region.kind`` is uint8 of shape (slices, rows along y, columns along x): 0 empty, 1 floor, 2
+    ///     obstacle
+    ///
+    /// Raises:
+    ///     LimitError: the region has more than 2³¹ voxels
+    ///     NotLoadedError: a page of a view is not in memory
+    ///
+    /// >>> region = slicewalk.open("room.slices").region((0, 0, 0, 8, 6, 2.5))
+    /// >>> region.kind.shape, int((region.kind == 2).any(axis=0).sum())
+    /// ((9, 61, 81), 276)
+    fn region<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+        ask!(self.set, py, pages => region(py, pages, self.name(), bounds))
+    }
+
+    /// All that a pawn can reach on foot.
+    ///
+    /// Args:
+    ///     start: ``x, y, z`` of the feet (m): the place below, with nothing between
+    ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
+    ///     climb: highest step it climbs (m)
+    ///     max_drop: deepest drop it takes (m); the climb height by default, so that every way can be walked back
+    ///     progress: called with stage, amount done, total (0 if unknown) and unit
+    ///
+    /// Returns:
+    ///     :class:`Reach`: area, storeys, passages, leaks, and all standing places
+    ///
+    /// Raises:
+    ///     ParameterError: the pawn cannot stand at ``start``
+    ///     NotLoadedError: a page of a view is not in memory
+    ///
+    /// >>> reach = slicewalk.open("room.slices").reach((4, 3, 0.1))
+    /// >>> round(reach.area), len(reach.storeys), reach.places.shape[1]
+    /// (40, 1, 4)
+    #[pyo3(signature = (start, *, pawn=None, climb=0.35, max_drop=None, progress=None))]
+    fn reach<'py>(
+        &self,
+        start: &Bound<'py, PyAny>,
+        pawn: Option<&Bound<'py, PyAny>>,
+        climb: f64,
+        max_drop: Option<f64>,
+        progress: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        reach::reach(self, start, &reach::pawn(pawn, climb, max_drop)?, progress)
+    }
+
+    /// The shortest way of a pawn from one place to another, within 5 %.
+    ///
+    /// Args:
+    ///     start: ``x, y, z`` of the feet (m): the place below, with nothing between
+    ///     goal: likewise
+    ///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
+    ///     climb: highest step it climbs (m)
+    ///     max_drop: deepest drop it takes (m); the climb height by default
+    ///     progress: called with stage, amount done, total (0 if unknown) and unit
+    ///
+    /// Returns:
+    ///     :class:`Route`: whether there is one, why not, its length, and its points, which ``Walker.path`` takes as waypoints
+    ///
+    /// >>> route = slicewalk.open("room.slices").route((1, 1, 0.1), (7, 5, 0.1))
+    /// >>> route.found, round(route.length, 1)
+    /// (True, 7.2)
+    #[pyo3(signature = (start, goal, *, pawn=None, climb=0.35, max_drop=None, progress=None))]
+    #[expect(clippy::too_many_arguments, reason = "they have names in Python")]
+    fn route<'py>(
+        &self,
+        start: &Bound<'py, PyAny>,
+        goal: &Bound<'py, PyAny>,
+        pawn: Option<&Bound<'py, PyAny>>,
+        climb: f64,
+        max_drop: Option<f64>,
+        progress: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        reach::route(self, [start, goal], &reach::pawn(pawn, climb, max_drop)?, progress)
+    }
+}
+
+/// An answer, or the pages that it takes.
+pub fn needs<T>(answer: Answer<T>) -> std::result::Result<T, Failure> {
+    match answer {
+        Answer::Known(value) => Ok(value),
+        Answer::NotLoaded(missing) => Err(missing.into()),
+    }
+}

@@ -1,0 +1,144 @@
+//! Where a pawn can walk, and the way: `Pages.reach` and `Pages.route`.
+
+use crate::arrays::numbers;
+use crate::attend::{Audience, attended};
+use crate::errors::Failure;
+use crate::options::refuse;
+use crate::pages::{Pages, ask, needs};
+use numpy::{IntoPyArray, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyString;
+use slicewalk::nalgebra::Point3;
+use slicewalk::reach::{Flood, Ground, Pawn, Place, Refusal, Region, Route, Search};
+use slicewalk::store::PageSet;
+use slicewalk::walk::Body;
+use slicewalk::{Error, Monitor};
+
+/// The pawn of the thesis, unless another is given as a text of the command line, or as the sizes in it.
+pub fn body(given: Option<&Bound<'_, PyAny>>) -> PyResult<Body> {
+    let Some(given) = given else { return Ok(Body::Box { x: 0.5, y: 0.5, height: 1.8 }) };
+    if let Ok(text) = given.cast::<PyString>() {
+        return text.to_string().parse().map_err(|reason: String| refuse("pawn", reason));
+    }
+    let reason = "expected \"box:0.5x0.5x1.8\" or \"cylinder:0.25x1.8\" (m, above 0)";
+    Err(refuse("pawn", reason))
+}
+
+/// Who walks.
+pub fn pawn(given: Option<&Bound<'_, PyAny>>, climb: f64, max_drop: Option<f64>) -> PyResult<Pawn> {
+    Ok(Pawn { climb, max_drop: max_drop.unwrap_or(climb), ..Pawn::new(body(given)?) })
+}
+
+/// All that was found out about a region.
+struct Found {
+    region: Region,
+    storeys: Vec<(f64, f64)>,
+    passages: Vec<([f64; 3], f64)>,
+    leaks: Vec<([f64; 3], f64, Option<f64>, &'static str)>,
+}
+
+fn survey<S: PageSet>(set: &S, pawn: Pawn, start: [f64; 3], monitor: &dyn Monitor) -> Result<Found, Failure> {
+    let mut ground = Ground::new(set, pawn)?;
+    let Some(spot) = needs(ground.spot(set, start.into()))? else {
+        let [x, y, z] = start;
+        let reason = format!(
+            "the pawn cannot stand at {x}, {y}, {z} (expected floor below it and room for its whole body); choose another \
+             place, or a smaller pawn"
+        );
+        return Err(Error::parameter("start", reason).into());
+    };
+    let mut flood = Flood::from(spot);
+    monitor.stage("reach", 0, "places");
+    needs(flood.grow(&mut ground, set, monitor)?)?;
+    let region = flood.region(&ground);
+    let leaks = needs(region.leaks(&mut ground, set))?;
+    Ok(Found {
+        storeys: region.storeys().all.iter().map(|storey| (storey.z, storey.area_m2)).collect(),
+        passages: region.passages().iter().map(|passage| (passage.at.into(), passage.width)).collect(),
+        leaks: leaks.iter().map(|leak| (leak.at.into(), leak.width, leak.drop, leak.kind.name())).collect(),
+        region,
+    })
+}
+
+/// What can be reached, as `slicewalk.Reach`.
+pub fn reach<'py>(
+    pages: &Pages,
+    start: &Bound<'py, PyAny>,
+    pawn: &Pawn,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = start.py();
+    let at = numbers::<3>(start, "start")?;
+    let audience = Audience { progress, quiet: false };
+    let found = ask!(pages.set, py, set => {
+        attended(py, &audience, pages.name(), |monitor| survey(set, *pawn, at, monitor))?
+    });
+    let places: Vec<f64> = py.detach(|| {
+        let row = |place: Place| [place.feet.x, place.feet.y, place.feet.z, place.clearance];
+        found.region.places().flat_map(row).collect()
+    });
+    let count = places.len() / 4;
+    let extreme = |place: Option<(Place, f64)>| place.map(|(place, height)| (<[f64; 3]>::from(place.feet), height));
+    py.import("slicewalk._results")?.getattr("Reach")?.call_method1(
+        "_of",
+        (
+            found.region.area_m2(),
+            found.storeys,
+            found.passages,
+            found.leaks,
+            extreme(found.region.lowest_headroom()),
+            extreme(found.region.highest_step()),
+            places.into_pyarray(py).reshape([count, 4])?,
+        ),
+    )
+}
+
+/// The way, as `slicewalk.Route`.
+pub fn route<'py>(
+    pages: &Pages,
+    ends: [&Bound<'py, PyAny>; 2],
+    pawn: &Pawn,
+    progress: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let py = ends[0].py();
+    let [from, to] = [numbers::<3>(ends[0], "start")?, numbers::<3>(ends[1], "goal")?].map(Point3::from);
+    let audience = Audience { progress, quiet: false };
+    let found = ask!(pages.set, py, set => {
+        attended(py, &audience, pages.name(), |monitor| find(set, *pawn, [from, to], monitor))?
+    });
+    let (length, points, reason) = match found {
+        Ok(route) => (Some(route.length_m), route.points, None),
+        Err(refusal) => (None, Vec::new(), Some(refusal.name())),
+    };
+    let count = points.len();
+    let points: Vec<f64> = points.iter().flat_map(|point| [point.x, point.y, point.z]).collect();
+    let points = points.into_pyarray(py).reshape([count, 3])?;
+    py.import("slicewalk._results")?.getattr("Route")?.call1((reason.is_none(), length, reason, points))
+}
+
+fn find<S: PageSet>(
+    set: &S,
+    pawn: Pawn,
+    ends: [Point3<f64>; 2],
+    monitor: &dyn Monitor,
+) -> Result<Result<Route, Refusal>, Failure> {
+    let mut ground = Ground::new(set, pawn)?;
+    let Some(from) = needs(ground.spot(set, ends[0]))? else { return Ok(Err(Refusal::NotStandingFrom)) };
+    let Some(to) = needs(ground.spot(set, ends[1]))? else { return Ok(Err(Refusal::NotStandingTo)) };
+    let (mut flood, mut search) = (Flood::from(from), Search::new());
+    let places = ends.map(|end| end.xy());
+    // What a way of this length can touch; a shorter way lies in it whole.
+    let mut length = 1.5 * (places[1] - places[0]).norm() + 10.0;
+    monitor.stage("route", 0, "places");
+    loop {
+        flood.within(places, length);
+        needs(flood.grow(&mut ground, set, monitor)?)?;
+        let region = flood.region(&ground);
+        match search.route(&region, &from, &to, monitor)? {
+            Some(route) if route.length_m <= length || flood.is_whole() => return Ok(Ok(route)),
+            Some(route) => length = route.length_m,
+            None if flood.is_whole() => return Ok(Err(Refusal::NotConnected)),
+            None => length *= 2.0,
+        }
+    }
+}

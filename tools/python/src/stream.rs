@@ -1,0 +1,239 @@
+//! `Stream`: the pages around moving bodies under a byte budget, and `View`, what queries see of them.
+
+use crate::archive::{Archive, Opened};
+use crate::arrays::{Rows, numbers};
+use crate::attend::{Audience, attended};
+use crate::errors::Failure;
+use crate::options::size;
+use crate::pages::{Pages, Set};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use slicewalk::nalgebra::{Point3, Vector3};
+use slicewalk::store::{LoadReport, Outlook, PawnHandle, Prefetch, Stream as Inner, StreamOptions};
+use slicewalk::{Error, Result};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// The pages of an archive around moving bodies, under a byte budget that holds at every moment.
+///
+/// A thread loads pages before they are needed. Questions go to a :meth:`view`, which never waits: where a page is missing,
+/// the answer is ``NOT_LOADED`` or nan, never "free". Drop views soon: what they hold counts in the budget.
+///
+/// Args:
+///     archive: an :class:`Archive`
+///     budget: memory for pages and all that it takes to load them: bytes, or a text such as ``"64MiB"``
+///     prefetch: whether a thread loads ahead; without it pages come by :meth:`load` alone
+///
+/// Raises:
+///     LimitError, ParameterError: the budget is too small; the message says which is enough
+///
+/// >>> archive = slicewalk.open("room.slices")
+/// >>> with slicewalk.Stream(archive, "16MiB") as stream:
+/// ...     box = [[3, 2, 0.5, 3.5, 2.5, 1.8]]
+/// ...     report = stream.load(box)
+/// ...     print(report["left_out"], stream.view().overlaps(box))
+/// 0 [0]
+#[pyclass(frozen, module = "slicewalk")]
+pub struct Stream {
+    stream: Mutex<Option<Arc<Inner>>>,
+    opened: Arc<Opened>,
+}
+
+/// A box at rest: what it touches.
+fn resting(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Outlook {
+    let (min, max) = (Point3::new(x0, y0, z0), Point3::new(x1, y1, z1));
+    Outlook { min, max, velocity: Vector3::zeros(), gravity: 0.0, terminal_speed: 0.0, agility: 0.0 }
+}
+
+impl Stream {
+    fn lock(&self) -> MutexGuard<'_, Option<Arc<Inner>>> {
+        self.stream.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The stream, unless it is closed.
+    pub fn inner(&self) -> PyResult<Arc<Inner>> {
+        self.lock().clone().ok_or_else(|| PyValueError::new_err("the stream is closed: open another one"))
+    }
+
+    /// The archive's name, for errors.
+    pub fn name(&self) -> Option<&str> {
+        self.opened.name.as_deref()
+    }
+}
+
+#[pymethods]
+impl Stream {
+    #[new]
+    #[pyo3(signature = (archive, budget, *, prefetch=true))]
+    fn new(archive: &Bound<'_, Archive>, budget: &Bound<'_, PyAny>, prefetch: bool) -> PyResult<Self> {
+        let opened = archive.get().opened.clone();
+        let budget = usize::try_from(size("budget", budget)?).unwrap_or(usize::MAX);
+        let prefetch = if prefetch { Prefetch::Thread } else { Prefetch::Off };
+        let options = StreamOptions { prefetch, ..StreamOptions::new(budget) };
+        let name = opened.name.clone();
+        let stream = attended(archive.py(), &Audience::default(), name.as_deref(), |_| {
+            Ok(Inner::open(opened.again()?, options)?)
+        })?;
+        Ok(Self { stream: Mutex::new(Some(Arc::new(stream))), opened })
+    }
+
+    /// The pages in memory now, as :class:`View`. Takes one per frame; costs next to nothing.
+    fn view(&self, py: Python<'_>) -> PyResult<Py<View>> {
+        let view = self.inner()?.view();
+        Py::new(py, PyClassInitializer::from(Pages { set: Set::View(view) }).add_subclass(View {}))
+    }
+
+    /// Loads the pages that boxes touch, and returns when they are in memory.
+    ///
+    /// Args:
+    ///     boxes: N × 6, each ``xmin, ymin, zmin, xmax, ymax, zmax`` (m, finite)
+    ///
+    /// Returns:
+    ///     dict of ``loaded``, ``already``, ``evicted``, ``left_out`` (pages that found no room) and ``needed_bytes`` (a budget
+    ///     in which the pages of every single box have room)
+    fn load<'py>(&self, boxes: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
+        let py = boxes.py();
+        let rows = Rows::<6>::of(boxes, "boxes")?;
+        let mut all = Vec::new();
+        rows.copy(0, rows.len(), &mut all)?;
+        let stream = self.inner()?;
+        let report = attended(py, &Audience::default(), self.name(), |monitor| {
+            let mut sum = LoadReport::default();
+            for row in &all {
+                if monitor.cancelled() {
+                    return Err(Error::Interrupted.into());
+                }
+                let report = stream.load_around(&resting(row))?;
+                sum.loaded += report.loaded;
+                sum.already += report.already;
+                sum.evicted += report.evicted;
+                sum.left_out += report.left_out;
+                sum.needed_bytes = sum.needed_bytes.max(report.needed_bytes);
+            }
+            Ok(sum)
+        })?;
+        let facts = PyDict::new(py);
+        facts.set_item("loaded", report.loaded)?;
+        facts.set_item("already", report.already)?;
+        facts.set_item("evicted", report.evicted)?;
+        facts.set_item("left_out", report.left_out)?;
+        facts.set_item("needed_bytes", report.needed_bytes)?;
+        Ok(facts)
+    }
+
+    /// A place for the hints of one body of your own; a :class:`Walker` has one by itself.
+    fn body(&self) -> PyResult<Body> {
+        Ok(Body { pawn: Mutex::new(self.inner()?.pawn()) })
+    }
+
+    /// Waits until all that the hints so far want is in memory, has failed, or finds no room.
+    ///
+    /// Args:
+    ///     seconds: the longest wait (s)
+    ///
+    /// Returns:
+    ///     whether it came so far
+    fn settle(&self, py: Python<'_>, seconds: f64) -> PyResult<bool> {
+        let stream = self.inner()?;
+        let most = Duration::try_from_secs_f64(seconds).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        attended(py, &Audience::default(), None, |monitor| {
+            let start = std::time::Instant::now();
+            loop {
+                let rest = most.saturating_sub(start.elapsed());
+                if stream.settle(rest.min(Duration::from_millis(50))) {
+                    return Ok(true);
+                }
+                if rest.is_zero() || monitor.cancelled() {
+                    return Ok(false);
+                }
+            }
+        })
+    }
+
+    /// What the stream did so far, as a dict: ``loaded``, ``evicted``, ``failed``, ``reads``, ``read_bytes``, ``peak_bytes``,
+    /// ``budget_bytes``.
+    fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let stream = self.inner()?;
+        let counters = py.detach(|| stream.counters());
+        let facts = PyDict::new(py);
+        facts.set_item("loaded", counters.loaded)?;
+        facts.set_item("evicted", counters.evicted)?;
+        facts.set_item("failed", counters.failed)?;
+        facts.set_item("reads", counters.reads)?;
+        facts.set_item("read_bytes", counters.read_bytes)?;
+        facts.set_item("peak_bytes", counters.peak_bytes)?;
+        facts.set_item("budget_bytes", counters.budget_bytes)?;
+        Ok(facts)
+    }
+
+    /// Errors of loading ahead since the last call, the last 16 at most, not raised.
+    fn errors(&self, py: Python<'_>) -> PyResult<Vec<PyErr>> {
+        let stream = self.inner()?;
+        let errors = py.detach(|| stream.take_errors());
+        Ok(errors.into_iter().map(|failed| Failure::from(failed.error).raise(py, self.name())).collect())
+    }
+
+    /// Ends the stream and its thread; views that are left stay valid.
+    fn close(&self, py: Python<'_>) {
+        let stream = self.lock().take();
+        py.detach(|| drop(stream));
+    }
+
+    fn __enter__(this: Bound<'_, Self>) -> Bound<'_, Self> {
+        this
+    }
+
+    #[pyo3(signature = (_kind, _value, _traceback))]
+    fn __exit__(
+        &self,
+        py: Python<'_>,
+        _kind: Option<&Bound<'_, PyAny>>,
+        _value: Option<&Bound<'_, PyAny>>,
+        _traceback: Option<&Bound<'_, PyAny>>,
+    ) {
+        self.close(py);
+    }
+
+    fn __del__(&self, py: Python<'_>) {
+        self.close(py);
+    }
+}
+
+/// The pages of a :class:`Stream` that were in memory when the view was taken. Its answers are about that moment.
+#[pyclass(frozen, extends = Pages, module = "slicewalk")]
+pub struct View {}
+
+/// Where a body of your own says how it moves; see :meth:`Stream.body`. Its hints end with it.
+#[pyclass(frozen, module = "slicewalk")]
+pub struct Body {
+    pawn: Mutex<PawnHandle>,
+}
+
+#[pymethods]
+impl Body {
+    /// Says how the body moves now; once a frame. Never waits.
+    ///
+    /// Args:
+    ///     box: ``xmin, ymin, zmin, xmax, ymax, zmax`` (m): all that questions of one frame may be about
+    ///     velocity: ``vx, vy, vz`` (m/s)
+    ///
+    /// The body may turn at any moment, walk at 1.5 m/s at least, and fall.
+    ///
+    /// >>> with slicewalk.Stream(slicewalk.open("room.slices"), "16MiB") as stream:
+    /// ...     body = stream.body()
+    /// ...     body.hint((3, 2, 0, 3.5, 2.5, 1.8), (1.4, 0, 0))
+    /// ...     stream.settle(10)
+    /// True
+    #[pyo3(signature = (r#box, velocity))]
+    fn hint(&self, r#box: &Bound<'_, PyAny>, velocity: &Bound<'_, PyAny>) -> PyResult<()> {
+        let motion = motion(numbers(r#box, "box")?, numbers(velocity, "velocity")?).map_err(Failure::from)?;
+        self.pawn.lock().unwrap_or_else(PoisonError::into_inner).hint(&motion);
+        Ok(())
+    }
+}
+
+fn motion([x0, y0, z0, x1, y1, z1]: [f64; 6], velocity: [f64; 3]) -> Result<Outlook> {
+    let motion = Outlook::walking([x0, y0, z0].into(), [x1, y1, z1].into(), velocity.into());
+    if motion.is_valid() { Ok(motion) } else { Err(Error::parameter("box", "its corners must be in order")) }
+}

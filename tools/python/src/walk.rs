@@ -1,0 +1,331 @@
+//! `Walker`: a pawn with gravity, stairs and walls.
+
+use crate::arrays::{Rows, numbers};
+use crate::attend::{Audience, attended};
+use crate::errors::Failure;
+use crate::options::refuse;
+use crate::pages::{Pages, ask};
+use crate::reach::body;
+use crate::stream::Stream;
+use numpy::{IntoPyArray, PyArrayMethods};
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use slicewalk::nalgebra::{Point2, Vector2};
+use slicewalk::store::{Outlook, PageSet, PawnHandle, Stream as Inner};
+use slicewalk::walk::{Config, Response, Route, State, StepReport, Stop, Walker as Pawn3, Wish};
+use slicewalk::{Error, Monitor};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// So long a pawn may be blocked before its path ends (s), as in `slicetool walk`.
+const BLOCKED_S: f64 = 2.0;
+/// Frames between two looks at the wish to stop.
+const BETWEEN_LOOKS: u64 = 64;
+
+/// Where a walker walks.
+#[derive(FromPyObject)]
+enum Ground<'py> {
+    Pages(Bound<'py, Pages>),
+    Stream(Bound<'py, Stream>),
+}
+
+/// A pawn: gravity, floors, stairs, walls, ledges. Its way does not depend on the frame rate.
+///
+/// Args:
+///     feet: ``x, y, z`` of the middle of its bottom face (m); in the air it falls
+///     pawn: ``"box:WIDTHxDEPTHxHEIGHT"`` or ``"cylinder:RADIUSxHEIGHT"`` (m)
+///     speed: walking speed (m/s)
+///     climb: highest step it climbs or walks down without falling (m)
+///     gravity: m/s²
+///     max_drop: it stops before ledges deeper than this (m) and before the edge of the scan; by default it falls
+///     response: ``"slide"`` (exact sweeps), ``"thesis"`` or ``"thesis-mean"`` (fixed steps, halved)
+///
+/// Raises:
+///     ParameterError: a number makes no sense
+///
+/// >>> archive = slicewalk.open("room.slices")
+/// >>> walker = slicewalk.Walker((1, 1, 0.1))
+/// >>> for frame in range(60):
+/// ...     report = walker.step(archive, 1 / 60, direction=(1, 0))
+/// >>> report.state, round(walker.feet[0], 1)
+/// ('walking', 2.4)
+#[pyclass(module = "slicewalk")]
+pub struct Walker {
+    walker: Pawn3,
+    /// Its hints, and the stream that they are for.
+    hints: Option<(Arc<Inner>, PawnHandle)>,
+}
+
+fn response(name: &str) -> PyResult<Response> {
+    match name {
+        "slide" => Ok(Response::Slide),
+        "thesis" => Ok(Response::Thesis),
+        "thesis-mean" => Ok(Response::ThesisMean),
+        _ => Err(refuse("response", format!("expected slide, thesis or thesis-mean, found {name:?}"))),
+    }
+}
+
+fn stop_name(stop: Stop) -> &'static str {
+    match stop {
+        Stop::Wall => "wall",
+        Stop::Steep => "steep",
+        Stop::Headroom => "headroom",
+        Stop::Corner => "corner",
+        Stop::Inside => "inside",
+        Stop::Ledge => "ledge",
+        Stop::Void => "void",
+    }
+}
+
+fn report<'py>(py: Python<'py>, report: &StepReport) -> PyResult<Bound<'py, PyAny>> {
+    let moved = report.moved;
+    py.import("slicewalk._results")?.getattr("StepReport")?.call1((
+        report.state.name(),
+        report.stop.map(stop_name),
+        report.missing_count(),
+        report.unspent,
+        report.ticks,
+        (moved.x, moved.y, moved.z),
+    ))
+}
+
+#[pymethods]
+impl Walker {
+    #[new]
+    #[pyo3(signature = (feet, *, pawn=None, speed=1.4, climb=0.35, gravity=9.81, max_drop=None, response="slide"))]
+    fn new(
+        feet: &Bound<'_, PyAny>,
+        pawn: Option<&Bound<'_, PyAny>>,
+        speed: f64,
+        climb: f64,
+        gravity: f64,
+        max_drop: Option<f64>,
+        response: &str,
+    ) -> PyResult<Self> {
+        let response = self::response(response)?;
+        let config = Config { speed, climb, gravity, max_drop, response, ..Config::new(body(pawn)?) };
+        let walker = Pawn3::new(config, numbers::<3>(feet, "feet")?.into()).map_err(Failure::from)?;
+        Ok(Self { walker, hints: None })
+    }
+
+    /// Middle of its bottom face: ``x, y, z`` (m).
+    #[getter]
+    fn feet(&self) -> (f64, f64, f64) {
+        let feet = self.walker.feet();
+        (feet.x, feet.y, feet.z)
+    }
+
+    /// ``"walking"``, ``"falling"``, ``"blocked"`` or ``"arrived"``.
+    #[getter]
+    fn state(&self) -> &'static str {
+        self.walker.state().name()
+    }
+
+    /// Speed of its fall (m/s).
+    #[getter]
+    fn falling(&self) -> f64 {
+        self.walker.falling()
+    }
+
+    /// Puts it elsewhere, at rest.
+    fn place(&mut self, feet: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.walker.place(numbers::<3>(feet, "feet")?.into());
+        Ok(())
+    }
+
+    /// Lets time pass.
+    ///
+    /// Args:
+    ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`, which is then told where the pawn is heading
+    ///     dt: time (s)
+    ///     direction: ``dx, dy``: walks this way; a length below 1 means slower
+    ///     toward: ``x, y``: walks to this place (m). Without either it stands
+    ///
+    /// Returns:
+    ///     :class:`StepReport`. Where pages are missing, the pawn waits in place and ``report.waits`` is true
+    #[pyo3(signature = (pages, dt, *, direction=None, toward=None))]
+    fn step<'py>(
+        &mut self,
+        py: Python<'py>,
+        pages: Ground<'py>,
+        dt: f64,
+        direction: Option<&Bound<'py, PyAny>>,
+        toward: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let wish = match (direction, toward) {
+            (None, None) => Wish::Stay,
+            (Some(way), None) => Wish::Direction(Vector2::from(numbers::<2>(way, "direction")?)),
+            (None, Some(place)) => Wish::Toward(Point2::from(numbers::<2>(place, "toward")?)),
+            _ => return Err(PyTypeError::new_err("direction and toward exclude each other: give one of them")),
+        };
+        let done = match &pages {
+            Ground::Pages(pages) => ask!(pages.get().set, py, set => self.walker.step(set, dt, wish)),
+            Ground::Stream(stream) => {
+                let stream = stream.get().inner()?;
+                let outlook = self.walker.outlook(stream.archive().frame());
+                self.hints_for(&stream).hint(&outlook);
+                let done = self.walker.step(&stream.view(), dt, wish);
+                if let (Some(missing), Some((_, hints))) = (&done.missing, &mut self.hints) {
+                    hints.need(missing);
+                }
+                done
+            }
+        };
+        report(py, &done)
+    }
+
+    /// Walks over waypoints, as ``slicetool walk`` does: until the last one is reached, the pawn has been blocked for 2 s, or
+    /// the time is over.
+    ///
+    /// Args:
+    ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`; pages that a stream lacks are loaded on the way
+    ///     waypoints: N × 2 or N × 3, each ``x, y`` (m) of a place to reach; z is not looked at
+    ///     hz: frames per second
+    ///     max_seconds: the longest time (s)
+    ///
+    /// Returns:
+    ///     :class:`Path`: time, feet and state of each frame
+    ///
+    /// Raises:
+    ///     NotLoadedError: a page of a view is not in memory
+    ///
+    /// >>> archive = slicewalk.open("room.slices")
+    /// >>> path = slicewalk.Walker((1, 1, 0.1)).path(archive, [(7, 1), (7, 5)])
+    /// >>> path.state, path.feet.shape[1], path.feet[-1].round(1)
+    /// ('arrived', 3, array([7., 5., 0.]))
+    #[pyo3(signature = (pages, waypoints, *, hz=60.0, max_seconds=300.0))]
+    fn path<'py>(
+        &mut self,
+        py: Python<'py>,
+        pages: Ground<'py>,
+        waypoints: &Bound<'py, PyAny>,
+        hz: f64,
+        max_seconds: f64,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        if !(0.1..=1e5).contains(&hz) || !(max_seconds > 0.0 && max_seconds <= 1e6) {
+            return Err(refuse("hz, max_seconds", "expected 0.1 to 100000 frames per second, and up to 1000000 s"));
+        }
+        let mut route = Route::new(places(waypoints)?).map_err(Failure::from)?;
+        let most = (max_seconds * hz).ceil().max(1.0) as u64;
+        let walk = Walk { frame_s: 1.0 / hz, most };
+        let frames = match &pages {
+            Ground::Pages(pages) => ask!(pages.get().set, py, set => {
+                let walker = &mut self.walker;
+                attended(py, &Audience::default(), pages.get().name(), |monitor| {
+                    walk.frames(monitor, walker, |walker, dt| follow(walker, set, dt, &mut route))
+                })?
+            }),
+            Ground::Stream(stream) => {
+                let name = stream.get().name();
+                let stream = stream.get().inner()?;
+                let mut hints = stream.pawn();
+                let walker = &mut self.walker;
+                attended(py, &Audience::default(), name, |monitor| {
+                    let frame = *stream.archive().frame();
+                    stream.load_around(&walker.outlook(&frame))?;
+                    walk.frames(monitor, walker, |walker, dt| {
+                        hints.hint(&walker.outlook(&frame));
+                        stream.settle(Duration::from_secs_f64(dt));
+                        follow_loading(walker, &stream, dt, &mut route)
+                    })
+                })?
+            }
+        };
+        let count = frames.len();
+        let times: Vec<f64> = (1..=count).map(|frame| frame as f64 / hz).collect();
+        let feet: Vec<f64> = frames.iter().flat_map(|frame| frame.0).collect();
+        let codes: Vec<u8> = frames.iter().map(|frame| frame.1 as u8).collect();
+        let feet = feet.into_pyarray(py).reshape([count, 3])?;
+        py.import("slicewalk._results")?
+            .getattr("Path")?
+            .call_method1("_of", (times.into_pyarray(py), feet, codes.into_pyarray(py), route.next()))
+    }
+
+    fn __repr__(&self) -> String {
+        let feet = self.walker.feet();
+        format!("<slicewalk.Walker {} at ({}, {}, {})>", self.walker.state().name(), feet.x, feet.y, feet.z)
+    }
+}
+
+impl Walker {
+    /// Its hints for this stream.
+    fn hints_for(&mut self, stream: &Arc<Inner>) -> &mut PawnHandle {
+        let known = self.hints.take().filter(|(own, _)| Arc::ptr_eq(own, stream));
+        &mut self.hints.insert(known.unwrap_or_else(|| (stream.clone(), stream.pawn()))).1
+    }
+}
+
+fn places(waypoints: &Bound<'_, PyAny>) -> PyResult<Vec<Point2<f64>>> {
+    let py = waypoints.py();
+    let array = py.import("numpy")?.call_method1("asarray", (waypoints,))?;
+    let columns = array.getattr("shape")?.get_item(-1).and_then(|columns| columns.extract::<usize>());
+    if columns.is_ok_and(|columns| columns == 3) {
+        let rows = Rows::<3>::of(&array, "waypoints")?;
+        let mut all = Vec::new();
+        rows.copy(0, rows.len(), &mut all)?;
+        return Ok(all.iter().map(|place| Point2::new(place[0], place[1])).collect());
+    }
+    let rows = Rows::<2>::of(&array, "waypoints")?;
+    let mut all = Vec::new();
+    rows.copy(0, rows.len(), &mut all)?;
+    Ok(all.into_iter().map(Point2::from).collect())
+}
+
+/// Frames of equal length.
+struct Walk {
+    frame_s: f64,
+    most: u64,
+}
+
+/// Feet (m) and state after a frame.
+type Frame = ([f64; 3], State);
+
+impl Walk {
+    fn frames(
+        &self,
+        monitor: &dyn Monitor,
+        walker: &mut Pawn3,
+        mut frame: impl FnMut(&mut Pawn3, f64) -> Result<(), Failure>,
+    ) -> Result<Vec<Frame>, Failure> {
+        let (mut frames, mut blocked) = (Vec::new(), 0.0);
+        for number in 0..self.most {
+            if number % BETWEEN_LOOKS == 0 && monitor.cancelled() {
+                return Err(Error::Interrupted.into());
+            }
+            frame(walker, self.frame_s)?;
+            let (feet, state) = (walker.feet(), walker.state());
+            frames.push(([feet.x, feet.y, feet.z], state));
+            blocked = if state == State::Blocked { blocked + self.frame_s } else { 0.0 };
+            if state == State::Arrived || blocked >= BLOCKED_S - 1e-9 {
+                break;
+            }
+        }
+        Ok(frames)
+    }
+}
+
+fn follow<S: PageSet>(walker: &mut Pawn3, set: &S, dt: f64, route: &mut Route) -> Result<(), Failure> {
+    walker.follow(set, dt, route).missing.map_or(Ok(()), |missing| Err(missing.into()))
+}
+
+/// One frame; pages that it lacks are loaded on the spot, and stay until they were used.
+fn follow_loading(walker: &mut Pawn3, stream: &Inner, mut dt: f64, route: &mut Route) -> Result<(), Failure> {
+    let mut needed = Vec::new();
+    loop {
+        let report = walker.follow(&stream.view(), dt, route);
+        let Some(missing) = report.missing else { return Ok(()) };
+        if report.ticks > 0 {
+            needed.clear();
+        }
+        needed.extend_from_slice(missing.keys());
+        let loaded = stream.load(&needed, needed[0])?;
+        if loaded.left_out > 0 {
+            let around: &Outlook = &walker.outlook(stream.archive().frame());
+            let bytes = stream.load_around(around)?.needed_bytes.max(loaded.needed_bytes);
+            let what = "budget of the stream for one step (bytes)".into();
+            let value = stream.counters().budget_bytes.to_string();
+            return Err(Error::Limit { what, value, max: format!("at least {bytes}") }.into());
+        }
+        dt = report.unspent;
+    }
+}

@@ -1,0 +1,147 @@
+//! `Writer`: an archive of points from numpy, batch by batch.
+
+use crate::arrays::{BLOCK, Rows};
+use crate::attend::{Audience, attended};
+use crate::convert::dictionary;
+use crate::errors::Failure;
+use crate::options::Asked;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use slicewalk::convert::PointWriter;
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Writes an archive of points from memory, in batches of any size and order and in bounded memory.
+///
+/// As a context manager it publishes the archive at the end of the block, and writes nothing if the block raises. The same
+/// points give the same bytes as :func:`convert` gives for a file of them in metres.
+///
+/// Args:
+///     output: the archive to write
+///     pixel: edge of a pixel (m)
+///     crs: coordinate reference system of the points (WKT, or any text)
+///     options: ``slice, max_slope, tolerance, classifier, memory, threads, temp_dir, min_points, drop_isolated, up, force``
+///         as for :func:`convert`
+///
+/// Raises:
+///     OutputError: the archive exists already (``force=True`` replaces it)
+///     ParameterError: an option makes no sense
+///
+/// >>> with slicewalk.Writer("floor.slices", pixel=0.1, force=True) as writer:
+/// ...     for y in range(4):
+/// ...         writer.write([[x / 20, y / 20, 0] for x in range(100)])
+/// >>> slicewalk.open("floor.slices").voxels
+/// 100
+#[pyclass(frozen, module = "slicewalk")]
+pub struct Writer {
+    writer: Mutex<Option<PointWriter>>,
+    report: Mutex<Option<Py<PyAny>>>,
+}
+
+impl Writer {
+    fn lock(&self) -> MutexGuard<'_, Option<PointWriter>> {
+        self.writer.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn ended() -> PyErr {
+    PyValueError::new_err("the writer has ended: write to another one")
+}
+
+#[pymethods]
+impl Writer {
+    #[new]
+    #[pyo3(signature = (output, *, pixel, **options))]
+    fn new(
+        py: Python<'_>,
+        output: PathBuf,
+        pixel: &Bound<'_, PyAny>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyResult<Self> {
+        let of_files = ["exclude_class", "units", "mesh", "allow_incomplete", "plan", "shard", "quiet"];
+        Asked::refuse(options, &of_files)?;
+        let options = options.map_or_else(|| Ok(PyDict::new(py)), |options| options.copy())?;
+        options.set_item("pixel", pixel)?;
+        let asked = Asked::new(Vec::new(), output, Some(&options))?;
+        let writer = py.detach(|| PointWriter::create(&asked.options, &asked.crs)).map_err(Failure::from)?;
+        Ok(Self { writer: Mutex::new(Some(writer)), report: Mutex::default() })
+    }
+
+    /// Adds points.
+    ///
+    /// Args:
+    ///     points: N × 3 (m); rows with a coordinate that is not finite are left out and counted
+    ///
+    /// Raises:
+    ///     LimitError: a coordinate lies beyond what a grid of this pixel size reaches
+    fn write(&self, points: &Bound<'_, PyAny>) -> PyResult<()> {
+        let py = points.py();
+        let rows = Rows::<3>::of(points, "points")?;
+        let mut block = Vec::new();
+        for first in (0..rows.len()).step_by(BLOCK) {
+            py.check_signals()?;
+            rows.copy(first, BLOCK.min(rows.len() - first), &mut block)?;
+            py.detach(|| {
+                let column = |axis: usize| block.iter().map(|point| point[axis]).collect::<Vec<_>>();
+                self.lock().as_mut().map(|writer| writer.push(&column(0), &column(1), &column(2)))
+            })
+            .ok_or_else(ended)?
+            .map_err(Failure::from)?;
+        }
+        Ok(())
+    }
+
+    /// Points added so far, those left out included.
+    #[getter]
+    fn points(&self, py: Python<'_>) -> u64 {
+        py.detach(|| self.lock().as_ref().map_or(0, PointWriter::points))
+    }
+
+    /// Publishes the archive; the writer has ended then.
+    ///
+    /// Returns:
+    ///     what ``sliceconv --json`` prints, as a dict; also ``report`` from then on
+    #[pyo3(signature = (progress=None))]
+    fn finish<'py>(&self, py: Python<'py>, progress: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+        let writer = py.detach(|| self.lock().take()).ok_or_else(ended)?;
+        let audience = Audience { progress, quiet: false };
+        let report = attended(py, &audience, None, |monitor| Ok(writer.finish(monitor)?))?;
+        let facts = dictionary(py, &report.info())?;
+        *self.report.lock().unwrap_or_else(PoisonError::into_inner) = Some(facts.clone().unbind());
+        Ok(facts)
+    }
+
+    /// What :meth:`finish` returned; None before.
+    #[getter]
+    fn report(&self, py: Python<'_>) -> Option<Py<PyAny>> {
+        self.report.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|report| report.clone_ref(py))
+    }
+
+    /// Ends the writer without writing anything.
+    fn discard(&self, py: Python<'_>) {
+        py.detach(|| drop(self.lock().take()));
+    }
+
+    fn __enter__(this: Bound<'_, Self>) -> Bound<'_, Self> {
+        this
+    }
+
+    #[pyo3(signature = (kind, _value, _traceback))]
+    fn __exit__(
+        &self,
+        py: Python<'_>,
+        kind: Option<&Bound<'_, PyAny>>,
+        _value: Option<&Bound<'_, PyAny>>,
+        _traceback: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let open = py.detach(|| self.lock().is_some());
+        match kind {
+            None if open => self.finish(py, None).map(|_| ()),
+            _ => {
+                self.discard(py);
+                Ok(())
+            }
+        }
+    }
+}

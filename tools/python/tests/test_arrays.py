@@ -1,0 +1,151 @@
+"""Arrays of every kind that a caller may have."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import scan
+import slicewalk
+
+
+@pytest.fixture
+def boxes(rubble):
+    low, high = rubble[1].bounds
+    return scan.boxes(np.random.default_rng(2), low, high, 500)
+
+
+def test_layouts_make_no_difference(rubble, boxes):
+    archive = rubble[1]
+    expected = archive.overlaps(boxes)
+    wide = np.full((1000, 12), np.nan)
+    wide[::2, ::2] = boxes
+    packed = np.zeros(500, dtype=[("byte", "u1"), ("box", "f8", 6)])
+    packed["box"] = boxes
+    frozen = boxes.copy()
+    frozen.flags.writeable = False
+    same = [
+        np.asfortranarray(boxes), wide[::2, ::2], boxes[::-1][::-1], packed["box"], frozen, boxes.astype(">f8"),
+        boxes.tolist(),
+    ]  # fmt: skip
+    for given in same:
+        assert (archive.overlaps(given) == expected).all()
+    assert (archive.overlaps(boxes[::-1]) == expected[::-1]).all()
+    single = boxes.astype(np.float32)
+    assert (archive.overlaps(single) == archive.overlaps(single.astype(float))).all()
+    assert archive.overlaps(np.array([[0, 0, 0, 1, 1, 1]])).shape == (1,)
+
+
+def test_empty(rubble):
+    archive = rubble[1]
+    for ask, columns in ((archive.overlaps, 6), (archive.sweep, 9), (archive.cast, 7), (archive.floor, 6)):
+        assert ask(np.empty((0, columns))).shape == (0,)
+        assert ask([]).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "says"),
+    [
+        (np.zeros((3, 5)), ValueError, r"boxes: expected shape \(N, 6\), found \(3, 5\)"),
+        (np.zeros(6), ValueError, r"boxes.reshape\(1, 6\)"),
+        (np.zeros((2, 2, 6)), ValueError, "found"),
+        (np.zeros((2, 6), dtype=complex), TypeError, "complex128"),
+        ([["a"] * 6], TypeError, "expected numbers"),
+        (np.zeros((1, 6), dtype=object), TypeError, "object"),
+        (None, TypeError, "object"),
+        ("boxes", TypeError, "expected numbers"),
+    ],
+)
+def test_wrong_arrays(rubble, given, error, says):
+    with pytest.raises(error, match=says):
+        rubble[1].overlaps(given)
+
+
+def test_rows_that_make_no_sense(rubble, boxes):
+    archive = rubble[1]
+    boxes[321, 4] = np.nan
+    with pytest.raises(slicewalk.ParameterError, match="row 321") as raised:
+        archive.overlaps(boxes)
+    assert raised.value.row == 321
+    boxes[7, 0] = 99
+    with pytest.raises(ValueError, match="row 7:"):
+        archive.floor(boxes)
+    many = np.zeros((300_000, 6))
+    many[200_001] = np.nan
+    with pytest.raises(ValueError, match="row 200001:"):
+        archive.overlaps(many)
+    for rays in ([0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 1, 0, 0, -1], [0, 0, np.nan, 1, 0, 0, 1]):
+        with pytest.raises(ValueError, match="row 0"):
+            archive.cast([rays])
+    with pytest.raises(ValueError, match="finite"):
+        archive.sweep([[0, 0, 0, 1, 1, 1, np.inf, 0, 0]])
+    with pytest.raises(ValueError, match="row 0"):
+        archive.overlaps_spheres([[0, 0, 0, -1]])
+
+
+def test_infinite_ends(rubble):
+    archive = rubble[1]
+    inf = np.inf
+    assert archive.overlaps([[-inf, -inf, -inf, inf, inf, inf]]) == slicewalk.HIT
+    highest = archive.floor([[0, 0, 0, 1, 1, 100]])
+    assert archive.floor([[0, 0, -inf, 1, 1, inf]]) == highest
+    assert archive.floor([[0, 0, 0.001, 1, 1, inf]]) == highest
+    assert np.isneginf(archive.floor([[0, 0, 50, 1, 1, inf]]))
+    lowest = archive.ceiling([[0, 0, -100, 1, 1, 100]])
+    assert archive.ceiling([[0, 0, -inf, 1, 1, inf]]) == lowest
+    assert np.isposinf(archive.ceiling([[0, 0, -inf, 1, 1, -50]]))
+
+
+def test_threads_change_nothing(rubble):
+    archive = rubble[1]
+    low, high = archive.bounds
+    boxes = scan.boxes(np.random.default_rng(5), low, high, 150_001)
+    one = archive.overlaps(boxes, threads=1)
+    for threads in (2, 3, 16, None):
+        assert (archive.overlaps(boxes, threads=threads) == one).all()
+    for threads in (0, -1):
+        with pytest.raises((ValueError, OverflowError)):
+            archive.overlaps(boxes, threads=threads)
+
+
+def address(array):
+    return array.__array_interface__["data"][0]
+
+
+def test_pages_are_views_of_one_memory(rubble):
+    archive = rubble[1]
+    page = archive.page(tuple(archive.keys()[0]))
+    column = archive.column(*rubble[0][0, :2])
+    for owner, names in (
+        (page, ["occupancy", "starts", "bottoms", "tops", "obstacle"]),
+        (column, ["bottoms", "tops", "obstacle"]),
+    ):
+        for name in names:
+            first, second = getattr(owner, name), getattr(owner, name)
+            assert first.size
+            assert address(first) == address(second)
+            assert first.base is owner
+            with pytest.raises(ValueError, match="read-only"):
+                first[...] = 0
+            with pytest.raises(ValueError, match="WRITEABLE"):
+                first.flags.writeable = True
+    tops = page.tops
+    copy = tops.copy()
+    del page, archive
+    assert (tops == copy).all(), "an array keeps its page"
+
+
+def test_input_is_not_copied_whole_and_answers_are_handed_over(rubble):
+    archive = rubble[1]
+    archive.load()
+    boxes = np.zeros((500_000, 6))
+    tracemalloc.start()
+    answers = archive.overlaps(boxes)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # numpy tells tracemalloc of each array that it allocates: a copy would be 24 MB, the answers 0.5 MB.
+    assert peak < 400_000
+    assert not answers.flags.owndata
+    assert answers.flags.writeable

@@ -1,0 +1,265 @@
+"""Conversion of files and of arrays."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import scan
+import slicewalk
+
+
+@pytest.fixture
+def las(tmp_path):
+    """A scan of 6000 points."""
+    path = tmp_path / "scan.las"
+    path.write_bytes(scan.las(scan.rubble(6000, 3)))
+    return path
+
+
+def test_options_are_those_of_the_command_line(las, tmp_path):
+    def converted(**options):
+        return slicewalk.convert(las, tmp_path / "a.slices", force=True, **{"units": "m", **options})
+
+    report = converted(pixel=0.2)
+    assert report["pixel_size"] == 0.2
+    assert report["points_kept"] == 6000
+    assert report["seconds"] > 0
+    json.dumps(report)
+    assert converted()["point_spacing"] > 0
+    assert converted(pixel="auto")["pixel_size"] > 0
+    assert converted(pixel="0.2")["pixel_size"] == 0.2
+    assert converted(pixel=0.2, slice=0.4)["slice_height"] == 0.4
+    assert converted(pixel=0.2, max_slope=30)["max_slope"] == 30
+    assert converted(pixel=0.2, tolerance=0.01)["tolerance"] == 0.01
+    assert converted(pixel=0.2, classifier="span")["classifier"] == "span"
+    assert converted(pixel=0.2, memory="64MiB", threads=1)["points_kept"] == 6000
+    assert converted(pixel=0.2, memory=64 << 20, temp_dir=tmp_path)["points_kept"] == 6000
+    assert converted(pixel=0.2, exclude_class=[0])["points_excluded"] == 6000
+    assert converted(pixel=0.2, min_points=2)["voxels_dropped"] > 0
+    assert converted(pixel=0.2, drop_isolated=True)["drop_isolated"]
+    assert converted(pixel=0.2, up="y")["up"] == "y"
+    assert converted(pixel=0.2, units="ft")["unit"]["name"] == "ft"
+    assert converted(pixel=0.2, units=2)["unit"]["factor"] == 2
+    assert converted(pixel=0.2, mesh="sampled", allow_incomplete=True, quiet=True)["complete"]
+    assert converted(pixel=0.2, slice=None, threads=None)["points_kept"] == 6000
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "says"),
+    [
+        ({"pixel": -1}, slicewalk.ParameterError, "pixel"),
+        ({"pixel": "wide"}, slicewalk.ParameterError, "auto"),
+        ({"pixel": 0.2, "classifier": "guess"}, slicewalk.ParameterError, "plane"),
+        ({"pixel": 0.2, "memory": "12parsecs"}, slicewalk.ParameterError, "unit"),
+        ({"pixel": 0.2, "memory": 5}, slicewalk.ParameterError, "64MiB"),
+        ({"pixel": 0.2, "max_slope": 91}, slicewalk.ParameterError, "slope"),
+        ({"pixel": 0.2, "exclude_class": [256]}, OverflowError, None),
+        ({"pixel": [1]}, TypeError, None),
+        ({"pixels": 0.2}, TypeError, "unexpected keyword argument"),
+        ({"crs": "EPSG:1"}, TypeError, "unexpected keyword argument"),
+        ({"pixel": 0.2, "shard": "3"}, slicewalk.ParameterError, "2/8"),
+        ({"pixel": 0.2, "shard": (9, 8)}, slicewalk.ParameterError, "9/8"),
+        ({"pixel": 0.2, "plan": "nowhere.json"}, FileNotFoundError, "nowhere.json"),
+    ],
+)
+def test_options_that_make_no_sense(las, tmp_path, options, error, says):
+    with pytest.raises(error, match=says):
+        slicewalk.convert(las, tmp_path / "a.slices", quiet=True, **options)
+    assert sorted(os.listdir(tmp_path)) == ["scan.las"]
+
+
+def test_outputs_are_kept(las, tmp_path):
+    target = tmp_path / "a.slices"
+    slicewalk.convert([las], str(target), pixel=0.2, units="m")
+    before = target.read_bytes()
+    with pytest.raises(slicewalk.OutputError) as raised:
+        slicewalk.convert(las, target, pixel=0.1, units="m")
+    assert raised.value.path == str(target)
+    assert target.read_bytes() == before
+    with pytest.raises(slicewalk.OutputError):
+        slicewalk.convert(las, las, pixel=0.1, force=True, units="m")
+    with pytest.raises(slicewalk.Error):
+        slicewalk.convert(tmp_path / "none.las", tmp_path / "b.slices", pixel=0.1)
+
+
+def test_damaged_input(las, tmp_path):
+    data = las.read_bytes()
+    las.write_bytes(data[:-1000])
+    with pytest.raises(slicewalk.InputError) as raised:
+        slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, units="m")
+    assert raised.value.path == str(las)
+    assert raised.value.at
+    assert raised.value.reason
+    with pytest.warns(slicewalk.SlicewalkWarning, match="incomplete"):
+        report = slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, allow_incomplete=True, units="m")
+    assert not report["complete"]
+    with pytest.raises(slicewalk.SlicewalkWarning):
+        # Warnings are errors in these tests, and an error ends the work.
+        slicewalk.convert(las, tmp_path / "b.slices", pixel=0.2, allow_incomplete=True, units="m")
+    slicewalk.convert(las, tmp_path / "c.slices", pixel=0.2, allow_incomplete=True, quiet=True)
+
+
+def test_progress(las, tmp_path):
+    told = []
+    slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, units="m", progress=lambda *news: told.append(news))
+    stages = list(dict.fromkeys(news[0] for news in told))
+    assert stages[0] == "reading points"
+    assert stages[-1] == "writing slices"
+    assert ("reading points", 6000, 6000, "points") in told
+    assert all(stage and done >= 0 and total >= 0 and unit for stage, done, total, unit in told)
+
+
+def test_what_a_callback_raises_ends_the_work(las, tmp_path):
+    def progress(*_):
+        message = "enough"
+        raise KeyError(message)
+
+    with pytest.raises(KeyError, match="enough"):
+        slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, units="m", progress=progress)
+    # The work may have been done by then, and is then whole; it is never half.
+    left = set(os.listdir(tmp_path)) - {"scan.las"}
+    assert left <= {"a.slices"}
+    for name in left:
+        assert slicewalk.open(tmp_path / name).verify() == []
+
+
+def test_keyboard_interrupt(tmp_path):
+    points = scan.rubble(3_000_000, 5)
+    (tmp_path / "large.las").write_bytes(scan.las(points))
+    script = """
+        import sys, slicewalk
+        try:
+            slicewalk.convert("large.las", "large.slices", pixel=0.01, tolerance=0.002, threads=1, quiet=True,
+                              progress=lambda *news: print(*news, flush=True))
+        except KeyboardInterrupt:
+            sys.exit(77)
+    """
+    for _ in range(3):
+        with subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(script)], cwd=tmp_path, stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout.readline().startswith("reading points")
+            process.send_signal(signal.SIGINT)
+            started = time.monotonic()
+            process.stdout.read()
+            assert process.wait(timeout=60) == 77
+            assert time.monotonic() - started < 30
+        assert os.listdir(tmp_path) == ["large.las"]
+
+
+def test_parts_join_to_one(las, tmp_path):
+    plan = slicewalk.write_plan(las, tmp_path / "plan.json", pixel=0.1, units="m")
+    assert plan["pixel_size"] == 0.1 if "pixel_size" in plan else plan
+    shards = [(1, 3), "2/3", (3, 3)]
+    reports = [
+        slicewalk.convert(las, tmp_path / f"{number}.slices", plan=tmp_path / "plan.json", shard=shard)
+        for number, shard in enumerate(shards)
+    ]
+    assert [report["shard"]["index"] for report in reports] == [1, 2, 3]
+    assert sum(report["points_kept"] for report in reports) == 6000
+    with pytest.raises(slicewalk.ParameterError, match="contradicts the plan"):
+        slicewalk.convert(las, tmp_path / "x.slices", plan=tmp_path / "plan.json", pixel=0.2)
+    with pytest.raises(TypeError):
+        slicewalk.write_plan(las, tmp_path / "y.json", shard=(1, 2))
+
+
+def test_writer_makes_the_bytes_of_a_conversion(las, tmp_path):
+    points = scan.rubble(6000, 3)
+    slicewalk.convert(las, tmp_path / "file.slices", pixel=0.1, units="m")
+    expected = (tmp_path / "file.slices").read_bytes()
+    for name, batches in (
+        ("one", [points]),
+        ("many", np.array_split(points[::-1], 17)),
+        ("rows", [points[:, ::-1][:, ::-1]]),
+    ):
+        with slicewalk.Writer(tmp_path / name, pixel=0.1) as writer:
+            for batch in batches:
+                writer.write(batch)
+            assert writer.points == 6000
+        assert writer.report["points_kept"] == 6000
+        assert (tmp_path / name).read_bytes() == expected
+
+
+def test_writer_from_many_threads(las, tmp_path):
+    points = scan.rubble(6000, 3)
+    slicewalk.convert(las, tmp_path / "file.slices", pixel=0.1, units="m")
+    with slicewalk.Writer(tmp_path / "a.slices", pixel=0.1) as writer:
+        threads = [threading.Thread(target=writer.write, args=(part,)) for part in np.array_split(points, 8)]
+        [thread.start() for thread in threads]
+        [thread.join() for thread in threads]
+    assert (tmp_path / "a.slices").read_bytes() == (tmp_path / "file.slices").read_bytes()
+
+
+def test_writer_publishes_all_or_nothing(tmp_path):
+    def fail():
+        with slicewalk.Writer(tmp_path / "a.slices", pixel=0.1) as writer:
+            writer.write([[0, 0, 0]])
+            message = "no"
+            raise RuntimeError(message)
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert os.listdir(tmp_path) == []
+    writer = slicewalk.Writer(tmp_path / "a.slices", pixel=0.1, crs="local grid", up="y")
+    writer.write([[0, 0, 0], [np.nan, 0, 0], [1, 2, 3]])
+    report = writer.finish()
+    assert report["points_not_finite"] == 1
+    archive = slicewalk.open(tmp_path / "a.slices")
+    assert archive.crs == "local grid"
+    assert (archive.bounds == [[0, -3, 0], [1, 0, 2]]).all()
+    for ended in (lambda: writer.write([[0, 0, 0]]), writer.finish):
+        with pytest.raises(ValueError, match="ended"):
+            ended()
+    with pytest.raises(slicewalk.OutputError):
+        slicewalk.Writer(tmp_path / "a.slices", pixel=0.1)
+    slicewalk.Writer(tmp_path / "b.slices", pixel=0.1).discard()
+    del writer
+    assert os.listdir(tmp_path) == ["a.slices"]
+    with pytest.raises(slicewalk.ParameterError, match="pixel"):
+        slicewalk.Writer(tmp_path / "b.slices", pixel="auto")
+    with pytest.raises(TypeError, match="units"):
+        slicewalk.Writer(tmp_path / "b.slices", pixel=0.1, units="ft")
+    with slicewalk.Writer(tmp_path / "b.slices", pixel=0.01) as writer, pytest.raises(slicewalk.LimitError):
+        writer.write([[1e11, 0, 0]])
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
+def test_writer_keeps_its_budget(tmp_path):
+    script = """
+        import numpy as np, re, slicewalk
+        def peak():
+            return int(re.search(r"VmHWM:\\s+(\\d+)", open("/proc/self/status").read())[1]) << 10
+        random = np.random.default_rng(1)
+        batch = random.uniform(0, 100, (1 << 18, 3))
+        before = peak()
+        with slicewalk.Writer("a.slices", pixel=0.5, memory="64MiB", threads=1) as writer:
+            for _ in range(64):
+                writer.write(batch)
+        assert writer.report["temp_bytes"] > 64 << 20, writer.report
+        print(peak() - before)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    assert int(done.stdout) <= 128 << 20
+
+
+def test_real_scan(real, tmp_path):
+    points, archive = real("pump_room.laz")
+    assert archive.points_kept == len(points)
+    with slicewalk.Writer(tmp_path / "a.slices", pixel=0.1) as writer:
+        writer.write(points)
+    again = slicewalk.open(tmp_path / "a.slices")
+    assert again.voxels == archive.voxels
+    assert (again.bounds == archive.bounds).all()
