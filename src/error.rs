@@ -93,8 +93,23 @@ pub enum Error {
         source: io::Error,
     },
     /// The user or the calling program asked to stop; nothing was published.
-    #[error("interrupted: nothing was written, temporary files are removed")]
+    #[error("interrupted: nothing was written")]
     Interrupted,
+    /// A conversion failed and left temporary data from which another one can go on (`ConvertOptions::resume`).
+    #[error(
+        "{source}; --resume goes on from {points} points, {bytes} bytes of temporary data in {path}",
+        path = path.display()
+    )]
+    Resumable {
+        /// Why it failed.
+        source: Box<Error>,
+        /// The temporary data.
+        path: PathBuf,
+        /// Their length.
+        bytes: u64,
+        /// Points of the input that need not be read again.
+        points: u64,
+    },
 }
 
 /// What an [`Error::Parameter`] is about. A program that has an option of its own for it names that option instead.

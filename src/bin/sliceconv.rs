@@ -92,6 +92,10 @@ struct Arguments {
     /// of refusing it
     #[arg(long)]
     allow_incomplete: bool,
+    /// Go on from the temporary data of the same conversion that was killed, and leave them if this one ends early: on an
+    /// error, when it is interrupted, on a full disk. Without such data the conversion begins anew
+    #[arg(long, conflicts_with = "write_plan")]
+    resume: bool,
     /// Replace an existing slice archive (or plan); nothing else is ever replaced
     #[arg(long)]
     force: bool,
@@ -276,7 +280,11 @@ fn failure(failure: &Failure, signal: usize) -> (String, ExitCode) {
         Failure::Usage(line) => return (line.clone(), ExitCode::from(2)),
         Failure::Failed(error) => error,
     };
-    match error {
+    let cause = match error {
+        Error::Resumable { source, .. } => source,
+        error => error,
+    };
+    match cause {
         // As the shell reports a program that a signal ended.
         Error::Interrupted => (error.to_string(), ExitCode::from(128 + u8::try_from(signal).unwrap_or(2))),
         // The input is at fault, not the option.
@@ -339,6 +347,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     };
     options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
+    options.resume = arguments.resume;
     if let Some(path) = &arguments.write_plan {
         let kind = OutputKind::Plan(Existing::replaced_if(arguments.force));
         let output = Output::create(path, kind, arguments.inputs.iter().collect())?;
@@ -401,6 +410,8 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
         facts["points_made"] = report.points_made.into();
         facts["voxels_dropped"] = report.voxels_dropped.into();
         facts["temp_bytes"] = report.temp_bytes.into();
+        facts["points_resumed"] = report.resumed.map_or(0, |resumed| resumed.points).into();
+        facts["temp_bytes_resumed"] = report.resumed.map_or(0, |resumed| resumed.bytes).into();
         facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
         if let Some(shard) = &report.shard {
             facts["shard"] = slicewalk::info::shard_info(shard);
@@ -420,6 +431,10 @@ fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
             spacing.spacing_m,
             spacing.sampled
         ));
+    }
+    if let Some(resumed) = report.resumed {
+        let (points, bytes) = (resumed.points, resumed.bytes);
+        say(&format!("resumed: {points} points were not read again, from {bytes} bytes of temporary data"));
     }
     let left_out = header.points_read - header.points_kept;
     let what = match report.triangles.read {

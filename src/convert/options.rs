@@ -43,6 +43,9 @@ pub struct ConvertOptions {
     pub allow_incomplete: bool,
     /// Whether an existing slice archive may be replaced; another file never is.
     pub overwrite: bool,
+    /// Whether to go on from the temporary data that an earlier run of the same conversion left in
+    /// [`temp_dir`](Self::temp_dir), and to leave them if this run fails. Where there are none, the conversion begins anew.
+    pub resume: bool,
     /// The part to convert; `None` for the whole.
     pub shard: Option<ShardOptions>,
 }
@@ -63,6 +66,7 @@ impl ConvertOptions {
             mesh: MeshMode::Exact,
             allow_incomplete: false,
             overwrite: false,
+            resume: false,
             shard: None,
         }
     }
