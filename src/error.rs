@@ -105,8 +105,23 @@ pub enum Error {
         source: io::Error,
     },
     /// The user or the calling program asked to stop; nothing was published.
-    #[error("interrupted: nothing was written, temporary files are removed")]
+    #[error("interrupted: nothing was written")]
     Interrupted,
+    /// A conversion failed and left temporary data from which another one can go on (`ConvertOptions::resume`).
+    #[error(
+        "{source}; resuming goes on from {points} points, {bytes} bytes of temporary data in {path}",
+        path = path.display()
+    )]
+    Resumable {
+        /// Why it failed.
+        source: Box<Error>,
+        /// The temporary data.
+        path: PathBuf,
+        /// Their length.
+        bytes: u64,
+        /// Points of the input that need not be read again.
+        points: u64,
+    },
 }
 
 /// What an [`Error::Parameter`] is about, or what would help in another error ([`Error::way_out`]). A program that has an
@@ -142,6 +157,8 @@ pub enum Parameter {
     Units,
     /// Which part of a conversion is asked for.
     Shard,
+    /// Whether a conversion goes on from what an earlier one left.
+    Resume,
     /// The plan of a conversion or of a recovery.
     Plan,
     /// The region to cut out of an archive.
@@ -169,6 +186,7 @@ impl std::fmt::Display for Parameter {
             Self::Overwrite => "replacing of files",
             Self::Units => "unit of the input",
             Self::Shard => "shard",
+            Self::Resume => "resuming",
             Self::Plan => "plan",
             Self::Bounds => "bounds",
             Self::Pawn(name) => name,

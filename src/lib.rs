@@ -112,6 +112,8 @@ pub mod frame;
 
 pub mod bytes;
 
+mod disk;
+
 pub mod plan;
 
 pub mod unit;

@@ -94,12 +94,23 @@ fn killed_at_any_instant_the_old_archive_stays_and_the_next_run_cleans_up() {
         verifies(&place.archive());
         left += names(place.path()).iter().filter(|name| name.ends_with(".part")).count();
         assert!(left <= 20, "a run leaves at most one file, and the next removes it");
-        // Temporary data have no name, so that they vanish with the process.
+        // A scan as small as this needs no temporary data (see `tests/resume.rs` for larger ones).
         assert_eq!(names(&place.path().join("temp")), [""; 0]);
     }
     println!("{killed} of 20 runs were killed, {left} files were left and removed by the next run");
     assert!(place.overwrite().output().unwrap().status.success());
     assert!(fs::read(place.archive()).unwrap() == new);
+    place.is_clean();
+}
+
+#[test]
+fn without_threads_of_its_own_it_fails_in_one_line_and_leaves_nothing() {
+    let place = Place::new(20_000);
+    // No system has a stack as large as this to give.
+    let out = place.overwrite().env("RUST_MIN_STACK", (1u64 << 62).to_string()).output().unwrap();
+    let said = failed(out.status, &out.stderr);
+    assert!(said.contains("cannot start a thread"), "{said}");
+    place.is_old();
     place.is_clean();
 }
 

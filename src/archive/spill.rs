@@ -6,8 +6,8 @@
 use super::directory::{Extent, PageEntry, Storage};
 use crate::Result;
 use crate::codec::{ByteReader, span_bits, span_from_bits};
+use crate::disk::{Files, Temporary};
 use crate::frame::PageKey;
-use crate::output::Temporary;
 use crate::slice::PageSize;
 use std::path::{Path, PathBuf};
 
@@ -18,6 +18,7 @@ const RECORD: usize = 40;
 /// The entries so far, in the order in which they came.
 #[derive(Debug)]
 pub(super) struct Entries {
+    files: Files,
     target: PathBuf,
     file: Option<Temporary>,
     /// How many entries the file holds.
@@ -27,8 +28,8 @@ pub(super) struct Entries {
 
 impl Entries {
     /// No entries; a temporary file, once needed, lies beside `target`.
-    pub fn new(target: &Path) -> Self {
-        Self { target: target.to_path_buf(), file: None, spilled: 0, tail: Vec::new() }
+    pub fn new(files: &Files, target: &Path) -> Self {
+        Self { files: files.clone(), target: target.to_path_buf(), file: None, spilled: 0, tail: Vec::new() }
     }
 
     /// Number of entries.
@@ -41,7 +42,7 @@ impl Entries {
         if self.tail.len() == KEPT {
             let file = match &mut self.file {
                 Some(file) => file,
-                none => none.insert(Temporary::beside(&self.target)?),
+                none => none.insert(Temporary::beside(&self.files, &self.target)?),
             };
             let records: Vec<u8> = self.tail.iter().flat_map(record).collect();
             file.write_at(self.spilled * RECORD as u64, &records)?;
@@ -112,7 +113,7 @@ mod tests {
     #[test]
     fn gives_back_entries_from_file_and_memory() {
         let folder = tempfile::tempdir().unwrap();
-        let mut entries = Entries::new(&folder.path().join("a.slices"));
+        let mut entries = Entries::new(&Files::current(), &folder.path().join("a.slices"));
         let made = |at: u64| {
             let extent = Extent { offset: at << 20, len: at as u32, crc: !at as u32 };
             let storage = match at % 3 {

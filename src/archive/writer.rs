@@ -122,7 +122,7 @@ impl ArchiveWriter {
             leaf_entries: MIN_LEAF_ENTRIES,
         };
         Ok(Self {
-            entries: Entries::new(output.beside()),
+            entries: Entries::new(output.files(), output.beside()),
             output,
             plan: plan.clone(),
             buffer: Vec::new(),

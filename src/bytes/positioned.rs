@@ -1,5 +1,4 @@
-//! Reading and writing files by position, the same on every system: no shared cursor moves, interrupted calls are
-//! repeated.
+//! Reading and writing files by position, the same on every system: no shared cursor moves.
 
 use std::fs::File;
 use std::io;
@@ -12,7 +11,8 @@ pub(crate) fn read_exact_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Res
     }
 }
 
-/// Fills `buf` with the bytes from `offset` on; returns fewer than it holds only where the file ends.
+/// Fills `buf` with the bytes from `offset` on; returns fewer than it holds only where the file ends. Interrupted calls
+/// are repeated.
 pub(crate) fn read_up_to(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
     let mut done = 0;
     while done < buf.len() {
@@ -26,50 +26,33 @@ pub(crate) fn read_up_to(file: &File, offset: u64, buf: &mut [u8]) -> io::Result
     Ok(done)
 }
 
-/// Writes all of `bytes` from `offset` on.
-pub(crate) fn write_all_at(file: &File, offset: u64, mut bytes: &[u8]) -> io::Result<()> {
-    let mut at = offset;
-    while !bytes.is_empty() {
-        match write_at(file, at, bytes) {
-            Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
-            Ok(written) => {
-                bytes = &bytes[written..];
-                at += written as u64;
-            }
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(())
-}
-
 #[cfg(unix)]
-fn read_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
+pub(crate) fn read_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
     std::os::unix::fs::FileExt::read_at(file, buf, offset)
 }
 
 #[cfg(unix)]
-fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<usize> {
+pub(crate) fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<usize> {
     std::os::unix::fs::FileExt::write_at(file, bytes, offset)
 }
 
 #[cfg(windows)]
-fn read_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
+pub(crate) fn read_at(file: &File, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
     std::os::windows::fs::FileExt::seek_read(file, buf, offset)
 }
 
 #[cfg(windows)]
-fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<usize> {
+pub(crate) fn write_at(file: &File, offset: u64, bytes: &[u8]) -> io::Result<usize> {
     std::os::windows::fs::FileExt::seek_write(file, bytes, offset)
 }
 
 // Systems without files by position, a browser's wasm above all: bytes come by other sources there.
 #[cfg(not(any(unix, windows)))]
-fn read_at(_: &File, _: u64, _: &mut [u8]) -> io::Result<usize> {
+pub(crate) fn read_at(_: &File, _: u64, _: &mut [u8]) -> io::Result<usize> {
     Err(io::ErrorKind::Unsupported.into())
 }
 
 #[cfg(not(any(unix, windows)))]
-fn write_at(_: &File, _: u64, _: &[u8]) -> io::Result<usize> {
+pub(crate) fn write_at(_: &File, _: u64, _: &[u8]) -> io::Result<usize> {
     Err(io::ErrorKind::Unsupported.into())
 }

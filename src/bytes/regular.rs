@@ -45,6 +45,15 @@ impl Stamp {
         self.len
     }
 
+    /// When the file was changed last, where that is known (nanoseconds since 1970).
+    pub fn modified_ns(&self) -> Option<i128> {
+        let since = |time: SystemTime| match time.duration_since(SystemTime::UNIX_EPOCH) {
+            Ok(after) => after.as_nanos() as i128,
+            Err(before) => -(before.duration().as_nanos() as i128),
+        };
+        self.modified.map(since)
+    }
+
     /// Whether the file at `path` is in this state.
     pub fn is_of(&self, path: &Path) -> bool {
         let Ok(about) = std::fs::metadata(path) else { return false };

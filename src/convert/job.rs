@@ -47,7 +47,7 @@ impl Job {
     /// The job that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let inputs = super::open_inputs(options, monitor)?;
-        let (plan, spacing) = super::plan(options, &inputs, monitor)?;
+        let (plan, spacing) = super::plan(options, &inputs, None, monitor)?;
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
         far_apart(&scenes).inspect(|text| monitor.warn(text));
         let job = Self::of(InputFacts::of(&inputs.scans, monitor)?, plan, options);

@@ -1,8 +1,8 @@
 //! First pass over meshes: what triangles fill of voxels, or points on them, into runs.
 
+use super::ConvertOptions;
 use super::points::{Own, Read, out_of_reach};
 use super::work::on_threads;
-use super::{ConvertOptions, build_bytes};
 use crate::convert::ShardScope;
 use crate::input::PointCounts;
 use crate::input::scenes::Scene;
@@ -46,6 +46,7 @@ impl<'a> MeshRead<'a> {
 pub(super) fn read_meshes<'a>(
     set: &'a MeshSet,
     options: &ConvertOptions,
+    build_bytes: u64,
     plan: &Plan,
     store: &RunStore,
     scope: Option<&ShardScope>,
@@ -59,7 +60,7 @@ pub(super) fn read_meshes<'a>(
     let failed = AtomicBool::new(false);
     let cancelled = || monitor.cancelled() || failed.load(Ordering::Relaxed);
     let work = || -> Result<(Read, u64)> {
-        let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes(options));
+        let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes);
         if let Some(scope) = scope {
             runs = runs.only(scope.shard.first, scope.shard.last);
         }

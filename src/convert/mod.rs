@@ -17,8 +17,11 @@ pub mod plan_file;
 mod points;
 mod preview;
 mod report;
+mod resume;
 mod scope;
 mod split;
+#[cfg(test)]
+mod tests;
 mod work;
 mod writer;
 
@@ -27,9 +30,11 @@ pub use job::Job;
 pub use options::{ConvertOptions, PixelSize, ShardOptions};
 pub use preview::{Preview, PreviewInput, preview};
 pub use report::Report;
+pub use resume::Resumed;
 pub use writer::PointWriter;
 
-use crate::archive::{ArchiveWriter, MAX_UNITS};
+use crate::archive::{ArchiveWriter, Header, MAX_UNITS};
+use crate::disk::{FileKind, Files};
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, estimate_spacing};
@@ -40,10 +45,12 @@ use crate::plan::Plan;
 use crate::text::{counted, grouped};
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
+use crate::voxel::spill::SpillPlace;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use meshes::read_meshes;
 use pages::write_columns;
-use points::read_points;
+use points::{Reading, read_points};
+use resume::{Earlier, Identity, Progress, TakenOver};
 use scope::ShardScope;
 use std::path::{Path, PathBuf};
 
@@ -54,7 +61,8 @@ pub const AUTO_PIXEL_SPACINGS: f64 = 4.0;
 /// Pixels along the longer side of meshes whose pixel size is chosen automatically (thesis, equation 3.3 with the sides
 /// of the images in place of the printed ones, at the larger of its two resolutions).
 pub const AUTO_PIXELS: f64 = 700.0;
-/// Disk per point in the temporary file: its record, copies in the halo, and the index.
+/// Disk per point in the temporary file: its record, copies in the halo of other tile columns, and the index. Points that
+/// lie closer together than tiles do may have up to three copies, which no header tells.
 const TEMP_BYTES_PER_POINT: u64 = 9;
 
 /// The files of a conversion.
@@ -79,8 +87,8 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
         exclude_classes: options.plan.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads as u64,
         allow_incomplete: options.allow_incomplete,
-        // Parts of one job are compared by what they read.
-        hash: options.shard.is_some(),
+        // Only what the points of the archive are read from counts, not the pass for an automatic pixel size.
+        hash: false,
     };
     let mut scans = InputSet::open(&options.inputs, input_options, monitor)?;
     let mesh_options = MeshOptions {
@@ -96,16 +104,19 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
     Ok(Inputs { scans, meshes })
 }
 
-/// The plan of a conversion of `inputs`, and the point spacing if the pixel size follows from it.
+/// The plan of a conversion of `inputs`, and the point spacing if the pixel size follows from it. Both may be `known` from
+/// an earlier run.
 pub(crate) fn plan(
     options: &ConvertOptions,
     Inputs { scans: set, meshes }: &Inputs,
+    known: Option<(f64, Spacing)>,
     monitor: &dyn Monitor,
 ) -> Result<(Plan, Option<Spacing>)> {
-    let (pixel_m, spacing) = match options.pixel {
-        PixelSize::Metres(pixel_m) => (pixel_m, None),
-        PixelSize::Auto if set.files().is_empty() => (pixel_of_extent(meshes, monitor)?, None),
-        PixelSize::Auto => {
+    let (pixel_m, spacing) = match (options.pixel, known) {
+        (PixelSize::Metres(pixel_m), _) => (pixel_m, None),
+        (PixelSize::Auto, _) if set.files().is_empty() => (pixel_of_extent(meshes, monitor)?, None),
+        (PixelSize::Auto, Some((pixel_m, spacing))) => (pixel_m, Some(spacing)),
+        (PixelSize::Auto, None) => {
             let spacing = estimate_spacing(set, options.threads, monitor)?;
             // Where losses are allowed, they come up again in the pass that counts, and are told then.
             set.check_complete(&NoMonitor)?;
@@ -138,78 +149,83 @@ impl ConvertOptions {
     }
 }
 
+/// What decides when runs are spilled.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// Bytes of runs that stay in memory.
+    retain_bytes: u64,
+    /// Memory of one worker's run under construction.
+    build_bytes: u64,
+}
+
+impl Limits {
+    /// Memory of all runs under construction: beyond this a kill would cost more than it saves time.
+    const MOST_BUILD_BYTES: u64 = 240 << 20;
+
+    fn of(options: &ConvertOptions) -> Self {
+        let build_bytes = (options.memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / options.threads as u64;
+        Self { retain_bytes: options.memory_bytes / 2, build_bytes }
+    }
+}
+
 /// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
 ///
-/// Cost: time linear in the points, memory at most the budget plus a constant, disk at most 12 bytes per point where
-/// the points do not fit the budget. Errors: unusable input or options, full disk, interruption by `monitor`.
+/// Cost: time linear in the points, memory at most the budget plus a constant. Where the points do not fit the budget, disk:
+/// about 9 bytes a point, and up to 36 for points that all lie in the corners of tiles. Errors: unusable input or options,
+/// full disk, interruption by `monitor`. With [`ConvertOptions::resume`] an error may leave temporary data, from which a
+/// later call goes on: [`Error::Resumable`] says where.
 pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
-    let threads = options.threads;
+    convert_within(options, Limits::of(options), monitor)
+}
+
+/// As [`convert`], with limits of its own.
+pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: &dyn Monitor) -> Result<Report> {
     let inputs = open_inputs(options, monitor)?;
     // Begun first, so that a file that must not be replaced is found before the work and not after it.
     let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
     let output = Output::create(&options.output, kind, inputs.paths().collect())?;
-    let (plan, spacing) = plan(options, &inputs, monitor)?;
-    let Inputs { scans: set, meshes } = inputs;
+    let files = output.files().clone();
+    let target = std::path::absolute(output.beside()).map_err(|error| Error::io(&options.output, "find", error))?;
+    let earlier = Earlier::find(options, &output, &target)?;
+    let (plan, spacing) = plan(options, &inputs, earlier.as_ref().and_then(Earlier::automatic), monitor)?;
+    let Inputs { scans: mut set, meshes } = inputs;
     let units = LengthUnit::distinct(set.length_units().chain(meshes.length_unit()));
     if units.len() > MAX_UNITS {
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
         return Err(error.with_way_out(Parameter::Units));
     }
     let scope = scope(options, &set, &plan, monitor)?;
+    let shard = scope.as_ref().map(|scope| scope.shard);
     let mut writer = ArchiveWriter::on(output, &plan)?;
-    if let Some(scope) = &scope {
-        writer.set_shard(scope.shard);
+    if let Some(shard) = shard {
+        writer.set_shard(shard);
     }
 
-    let store = RunStore::new(options.memory_bytes / 2, &options.temp_dir);
-    check_free_space(options, &set)?;
-    let (mut read, of_files) =
-        read_points(&set, &plan, &store, build_bytes(options), threads, scope.as_ref(), monitor)?;
-    // A part that leaves files out cannot say of the whole that nothing in it can be used.
-    let whole = scope.as_ref().is_none_or(ShardScope::reads_all);
-    if whole {
-        refuse_unusable(&set, &read.counts)?;
+    let spilled = earlier.as_ref().map_or(0, Earlier::bytes);
+    let (_, expected) = temp_bytes(options, &set, limits.retain_bytes);
+    check_free_space(options, &files, expected.saturating_sub(spilled))?;
+    // What will not be spilled need not be known again, and hashes take time.
+    let notes = options.resume || expected > 0;
+    if notes || shard.is_some() {
+        set.start_hashing();
     }
-    set.check_complete(monitor)?;
-    let points_not_finite = read.own.left_out.not_finite;
-    let mesh_read = read_meshes(&meshes, options, &plan, &store, scope.as_ref(), monitor)?;
-    read.merge(&mesh_read.read);
-    if let Some(scope) = &scope {
-        let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
-        let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
-        writer.set_read(scope.inputs_read(scans.chain(meshes)));
-    }
-    let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete;
-    if whole {
-        let scenes: Vec<Scene> = points::scenes(&set, &of_files).chain(mesh_read.scenes).collect();
-        far_apart(&scenes).inspect(|text| monitor.warn(text));
-    }
-    if whole && read.counts.read == 0 {
-        if !complete {
-            return Err(Error::parameter("INPUT", "nothing of it can be read; fetch or write it again"));
+    let identity = Identity::of(options, &plan, spacing, shard, &set);
+    let name = target.file_name().unwrap_or_default().to_owned();
+    let place = SpillPlace { files, folder: options.temp_dir.clone(), name, head: identity.head(&target) };
+    let nothing = || Progress::nothing(set.files().len());
+    let (mut store, progress, resumed) = match earlier {
+        None => (RunStore::new(limits.retain_bytes, place), nothing(), None),
+        Some(earlier) => {
+            let TakenOver { spill, runs, progress, resumed } = earlier.take_over(&identity, place, &set, monitor)?;
+            (RunStore::resumed(limits.retain_bytes, spill, runs, resumed.points), progress, Some(resumed))
         }
-        monitor.warn("the input holds no points: the archive is empty");
+    };
+    let conversion =
+        Conversion { options, limits, plan: &plan, set: &set, meshes: &meshes, scope, progress, notes, units, monitor };
+    match conversion.run(&store, writer) {
+        Ok(report) => Ok(Report { spacing, resumed, temp_bytes: store.temp_bytes(), ..report }),
+        Err(error) => Err(keep(options, &mut store, error)),
     }
-    let voxels_dropped = write_columns(&plan, &store, options.memory_bytes, threads, &mut writer, monitor)?;
-    let crs = set.crs().unwrap_or_default().to_owned();
-    let header = writer.finish(read.own.totals(&crs, &units))?;
-    if whole && header.points_read > 0 && header.voxels.occupied == 0 {
-        monitor.warn(&nothing_kept(&header, voxels_dropped));
-    }
-    Ok(Report {
-        header,
-        shard: scope.map(|scope| scope.shard),
-        crs,
-        units,
-        spacing,
-        input_bytes: set.bytes().saturating_add(meshes.bytes()),
-        temp_bytes: store.temp_bytes(),
-        points_not_finite,
-        complete,
-        triangles: mesh_read.triangles,
-        points_made: mesh_read.points_made,
-        voxels_dropped,
-    })
 }
 
 /// The part that the options ask for, if not the whole; refuses inputs that are not those of the options' job.
@@ -239,9 +255,89 @@ fn nothing_kept(header: &Header, voxels_dropped: u64) -> String {
     format!("nothing is kept: {why}; the archive is empty")
 }
 
-/// Memory of one worker's run under construction.
-fn build_bytes(options: &ConvertOptions) -> u64 {
-    options.memory_bytes / 4 / options.threads as u64
+/// Keeps what is spilled after an error, if that was asked for and helps.
+fn keep(options: &ConvertOptions, store: &mut RunStore, error: Error) -> Error {
+    // Of these the archive is complete, under its name or another.
+    let is_complete = matches!(error, Error::NotDurable { .. } | Error::Output { .. });
+    let points = store.points_on_disk();
+    if !options.resume || is_complete || points == 0 {
+        return error;
+    }
+    let bytes = store.temp_bytes();
+    match store.keep() {
+        Some(path) => Error::Resumable { source: Box::new(error), path, bytes, points },
+        None => error,
+    }
+}
+
+/// A conversion whose plan and inputs are known.
+struct Conversion<'a> {
+    options: &'a ConvertOptions,
+    limits: Limits,
+    plan: &'a Plan,
+    set: &'a InputSet,
+    meshes: &'a MeshSet,
+    scope: Option<ShardScope>,
+    progress: Progress,
+    notes: bool,
+    units: Vec<LengthUnit>,
+    monitor: &'a dyn Monitor,
+}
+
+impl Conversion<'_> {
+    fn run(self, store: &RunStore, mut writer: ArchiveWriter) -> Result<Report> {
+        let Self { options, limits, plan, set, meshes, scope, progress, notes, units, monitor } = self;
+        let threads = options.threads;
+        let scope = scope.as_ref();
+        let reading = Reading { build_bytes: limits.build_bytes, threads, scope, progress: &progress, notes };
+        let (mut read, of_files) = read_points(set, plan, store, reading, monitor)?;
+        // A part that leaves files out cannot say of the whole that nothing in it can be used.
+        let whole = scope.is_none_or(ShardScope::reads_all);
+        if whole {
+            refuse_unusable(set, &read.counts)?;
+        }
+        set.check_complete(monitor)?;
+        let points_not_finite = read.own.left_out.not_finite;
+        let mesh_read = read_meshes(meshes, options, limits.build_bytes, plan, store, scope, monitor)?;
+        read.merge(&mesh_read.read);
+        if let Some(scope) = scope {
+            let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
+            let meshes = set.meshes().iter().map(PathBuf::as_path).zip(mesh_read.hashes);
+            writer.set_read(scope.inputs_read(scans.chain(meshes)));
+        }
+        let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete;
+        if whole {
+            let scenes: Vec<Scene> = points::scenes(set, &of_files).chain(mesh_read.scenes).collect();
+            far_apart(&scenes).inspect(|text| monitor.warn(text));
+        }
+        if whole && read.counts.read == 0 {
+            if !complete {
+                return Err(Error::parameter("INPUT", "nothing of it can be read; fetch or write it again"));
+            }
+            monitor.warn("the input holds no points: the archive is empty");
+        }
+        let voxels_dropped = write_columns(plan, store, options.memory_bytes, threads, &mut writer, monitor)?;
+        let crs = set.crs().unwrap_or_default().to_owned();
+        let header = writer.finish(read.own.totals(&crs, &units))?;
+        if whole && header.points_read > 0 && header.voxels.occupied == 0 {
+            monitor.warn(&nothing_kept(&header, voxels_dropped));
+        }
+        Ok(Report {
+            header,
+            shard: scope.map(|scope| scope.shard),
+            crs,
+            units,
+            spacing: None,
+            input_bytes: set.bytes().saturating_add(meshes.bytes()),
+            temp_bytes: 0,
+            resumed: None,
+            points_not_finite,
+            complete,
+            triangles: mesh_read.triangles,
+            points_made: mesh_read.points_made,
+            voxels_dropped,
+        })
+    }
 }
 
 /// `value` to so many significant decimal digits.
@@ -263,23 +359,23 @@ fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
     }
 }
 
-/// Points that one run reads, and the temporary data that it then writes (bytes), as far as headers tell. These may lie,
-/// so a count beyond one point per byte is not believed.
-fn temp_bytes(options: &ConvertOptions, set: &InputSet) -> (u64, u64) {
+/// Points that one run reads, and the temporary data that it then writes beyond `retain_bytes` (bytes), as far as headers
+/// tell. These may lie, so a count beyond one point per byte is not believed.
+fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u64, u64) {
     let parts = options.shard.map_or(1, |shard| u64::from(shard.count.max(1)));
     let points = set.points_stated().min(set.bytes()) / parts;
-    (points, points.saturating_mul(TEMP_BYTES_PER_POINT).saturating_sub(options.memory_bytes / 2))
+    (points, points.saturating_mul(TEMP_BYTES_PER_POINT).saturating_sub(retain_bytes))
 }
 
 /// Refuses to begin what the disk will not hold.
-fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
+fn check_free_space(options: &ConvertOptions, files: &Files, needed: u64) -> Result<()> {
     let dir = &options.temp_dir;
-    if !dir.is_dir() {
+    if !files.about(dir).is_ok_and(|about| about.is_some_and(|about| about.kind == FileKind::Folder)) {
         return Err(Error::output(dir, "no such folder; temporary data needs one that exists"));
     }
-    let (points, needed) = temp_bytes(options, set);
-    let free = fs4::available_space(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
+    let free = files.free_bytes(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
     if needed > free {
+        let points = needed / TEMP_BYTES_PER_POINT;
         let what = format!("temporary data for {points} points in {} (bytes; more memory needs less)", dir.display());
         return Err(Error::limit(what, needed, free).with_way_out(Parameter::TempDir));
     }

@@ -62,6 +62,9 @@ pub struct ConvertOptions {
     pub overwrite: bool,
     /// The job whose conversion this is, applied to these options ([`Job::apply_to`]): other inputs than its own are refused.
     pub job: Option<Job>,
+    /// Whether to go on from the temporary data that an earlier run of the same conversion left in
+    /// [`temp_dir`](Self::temp_dir), and to leave them if this run fails. Where there are none, the conversion begins anew.
+    pub resume: bool,
     /// The part to convert; `None` for the whole.
     pub shard: Option<ShardOptions>,
 }
@@ -84,6 +87,7 @@ impl ConvertOptions {
             allow_incomplete: false,
             overwrite: false,
             job: None,
+            resume: false,
             shard: None,
         }
     }

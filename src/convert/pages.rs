@@ -12,6 +12,7 @@ use crate::{Error, Monitor, Parameter, Result};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::collections::BTreeMap;
 use std::sync::Mutex;
+use std::thread::Builder;
 
 /// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel (with its
 /// verdicts and the place of its sums) and span that it may become.
@@ -57,15 +58,21 @@ pub(super) fn write_columns(
         let _ = token_in.send(());
     }
     std::thread::scope(|scope| {
-        for _ in 0..threads {
+        for number in 0..threads {
             let (jobs, done) = (job_out.clone(), done_in.clone());
             let (merge, dense) = (&merge, &dense);
             let worker = ColumnWorker::new(plan, max_records, dense, monitor);
-            scope.spawn(move || work_on_columns(worker, merge, &jobs, &done));
+            let started = Builder::new().spawn_scoped(scope, move || work_on_columns(worker, merge, &jobs, &done));
+            match started {
+                Ok(_) => {}
+                Err(error) if number == 0 => return Err(no_thread(error)),
+                // Fewer do the same.
+                Err(_) => break,
+            }
         }
         drop(job_out);
         let merge = &merge;
-        scope.spawn(move || {
+        let giver = Builder::new().spawn_scoped(scope, move || {
             let mut number = 0;
             let given = merge.jobs(max_records, max_columns, |job| {
                 // A closed channel means that the writer gave up; it knows why.
@@ -79,11 +86,18 @@ pub(super) fn write_columns(
                 let _ = done_in.send(Err(error));
             }
         });
-        let written = write_in_order(writer, &done_out, &token_in, monitor);
+        let written = match giver {
+            Ok(_) => write_in_order(writer, &done_out, &token_in, monitor),
+            Err(error) => Err(no_thread(error)),
+        };
         // Both ends must go before the scope waits for the threads that may be blocked on them.
         drop((done_out, token_in));
         written
     })
+}
+
+fn no_thread(error: std::io::Error) -> Error {
+    Error::io("--threads", "start a thread (end other programs, or raise the limit of processes)", error)
 }
 
 fn write_in_order(

@@ -1,5 +1,6 @@
 //! First pass over scans: points into runs.
 
+use super::resume::{Progress, put_reads, result_bytes};
 use super::work::on_threads;
 use crate::archive::Totals;
 use crate::convert::ShardScope;
@@ -35,9 +36,9 @@ pub(super) struct OfFile {
 }
 
 impl OfFile {
-    const NOTHING: Self = Self { min: Read::NOTHING.min, max: Read::NOTHING.max, kept: 0, left_out: 0 };
+    pub const NOTHING: Self = Self { min: Read::NOTHING.min, max: Read::NOTHING.max, kept: 0, left_out: 0 };
 
-    fn add(&mut self, read: &Read) {
+    pub fn add(&mut self, read: &Read) {
         join(&mut self.min, &mut self.max, (&read.min, &read.max));
         self.kept += read.counts.kept();
         self.left_out += read.counts.read - read.counts.kept() + read.counts.missing;
@@ -93,32 +94,55 @@ fn join(min: &mut [f64; 3], max: &mut [f64; 3], other: (&[f64; 3], &[f64; 3])) {
     }
 }
 
+/// How the first pass works.
+#[derive(Clone, Copy)]
+pub(super) struct Reading<'a> {
+    /// Memory of one worker's run under construction.
+    pub build_bytes: u64,
+    pub threads: usize,
+    pub scope: Option<&'a ShardScope>,
+    /// What runs stand for already.
+    pub progress: &'a Progress,
+    /// Whether runs say what they stand for.
+    pub notes: bool,
+}
+
 /// First pass: all points, or those that a part needs, into runs; and what it found in each file.
 pub(super) fn read_points(
     set: &InputSet,
     plan: &Plan,
     store: &RunStore,
-    build_bytes: u64,
-    threads: usize,
-    scope: Option<&ShardScope>,
+    reading: Reading<'_>,
     monitor: &dyn Monitor,
 ) -> Result<(Read, Vec<OfFile>)> {
+    let Reading { build_bytes, threads, scope, progress, notes } = reading;
     monitor.stage("reading points", set.points_stated(), "points");
+    monitor.advance(progress.read.counts.read);
     let recorder = Recorder::new(plan.frame);
-    let chunks = Mutex::new(set.chunks().filter(|chunk| scope.is_none_or(|scope| scope.reads(chunk.file()))));
+    let needed = set
+        .chunks()
+        .zip(0u64..)
+        .filter(|(chunk, number)| scope.is_none_or(|scope| scope.reads(chunk.file())) && !progress.is_done(*number));
+    let chunks = Mutex::new(needed);
     let next_chunk = || chunks.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
     // What one worker cannot do ends the work of all, not only its own.
     let failed = AtomicBool::new(false);
-    let of_files = Mutex::new(vec![OfFile::NOTHING; set.files().len()]);
+    let of_files = Mutex::new(progress.of_files.clone());
     let work = || -> Result<Read> {
         let mut decoder = PointDecoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
         if let Some(scope) = scope {
             builder = builder.only(scope.shard.first, scope.shard.last);
         }
+        if notes {
+            let log = decoder.log();
+            builder = builder.covering(move |out| put_reads(&log, out));
+        }
         let mut read = Read::NOTHING;
-        while let Some(chunk) = next_chunk() {
+        while let Some((chunk, number)) = next_chunk() {
             let mut of_chunk = Read::NOTHING;
+            let (covered, mut at) = (progress.of_chunk(number), 0);
+            builder.begin_chunk(number);
             of_chunk.counts = decoder.decode(set, &chunk, &mut |batch| {
                 // A chunk may be a whole file, so one look per chunk would be too few.
                 if monitor.cancelled() || failed.load(Ordering::Relaxed) {
@@ -141,13 +165,18 @@ pub(super) fn read_points(
                 };
                 let own = Own { kept, min: own_min, max: own_max, ..Read::NOTHING.own };
                 of_chunk.merge(&Read { min, max, own, ..Read::NOTHING });
-                builder.push(&batch.x, &batch.y, &batch.z, store)
+                let begin = at;
+                at += batch.len() as u64;
+                push_missing(&mut builder, batch, begin, covered, store)
             })?;
             if scope.is_none_or(|scope| scope.owns(chunk.file())) {
                 of_chunk.own.left_out = of_chunk.counts;
                 of_chunk.own.left_out.read -= of_chunk.counts.kept();
             }
             monitor.advance(of_chunk.counts.read - of_chunk.counts.kept());
+            // What is lost of a chunk is told by whoever reads it.
+            let result = (notes && !decoder.has_lost()).then(|| result_bytes(&of_chunk, decoder.log().hash()));
+            builder.end_chunk(result.as_deref());
             read.merge(&of_chunk);
             of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[chunk.file()].add(&of_chunk);
         }
@@ -157,13 +186,36 @@ pub(super) fn read_points(
         builder.flush(store)?;
         Ok(read)
     };
-    let mut all = Read::NOTHING;
+    let mut all = progress.read;
     for read in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
         all.merge(&read);
     }
     let of_files = of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     warn_of_bounds(set, &of_files, monitor);
     Ok((all, of_files))
+}
+
+/// Hands `batch`, whose first point is number `begin` of its chunk, to `builder`, but for points that are `covered`.
+fn push_missing(
+    builder: &mut RunBuilder,
+    batch: &PointBatch,
+    begin: u64,
+    covered: &[(u64, u64)],
+    store: &RunStore,
+) -> Result<()> {
+    let end = begin + batch.len() as u64;
+    let mut next = begin;
+    let push = |builder: &mut RunBuilder, from: u64, to: u64| {
+        let range = (from - begin) as usize..(to - begin) as usize;
+        builder.push(&batch.x[range.clone()], &batch.y[range.clone()], &batch.z[range], store)
+    };
+    for &(first, last) in covered.iter().filter(|piece| piece.0 < end && begin < piece.1) {
+        let (first, last) = (first.max(begin), last.min(end));
+        push(builder, next, first)?;
+        builder.pass(last - first);
+        next = last;
+    }
+    push(builder, next, end)
 }
 
 /// The files that have points, with their bounds.

@@ -1,7 +1,8 @@
 //! What a conversion would read and make, without converting.
 
 use super::options::ConvertOptions;
-use super::{check_free_space, open_inputs, plan, scope, temp_bytes};
+use super::{Limits, check_free_space, open_inputs, plan, scope, temp_bytes};
+use crate::disk::Files;
 use crate::archive::Bounds;
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::Spacing;
@@ -53,8 +54,9 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
         check(&options.output, kind, opened.paths().collect())?;
     }
-    check_free_space(options, &opened.scans)?;
-    let (plan, spacing) = plan(options, &opened, monitor)?;
+    let temp_bytes = temp_bytes(options, &opened.scans, Limits::of(options).retain_bytes).1;
+    check_free_space(options, &Files::current(), temp_bytes)?;
+    let (plan, spacing) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
     scope(options, set, &plan, monitor)?;
     let scenes: Vec<Scene> = set.files().iter().filter_map(ScanFile::scene_stated).collect();
@@ -78,7 +80,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         bounds,
         crs: set.crs().unwrap_or_default().to_owned(),
         units: LengthUnit::distinct(set.length_units().chain(meshes.length_unit())),
-        temp_bytes: temp_bytes(options, set).1,
+        temp_bytes,
         inputs: scans.chain(set.meshes().iter().map(of_mesh)).collect::<Result<_>>()?,
     })
 }

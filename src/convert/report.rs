@@ -1,5 +1,6 @@
 //! What a conversion did, as a value and as JSON.
 
+use super::Resumed;
 use crate::archive::{Header, Shard};
 use crate::info::{header_info, shard_info};
 use crate::input::spacing::Spacing;
@@ -25,6 +26,8 @@ pub struct Report {
     pub input_bytes: u64,
     /// Bytes of temporary data written to disk.
     pub temp_bytes: u64,
+    /// What was taken over of an earlier run.
+    pub resumed: Option<Resumed>,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
     /// Whether all of the input was read: always so, unless incomplete input is allowed.
@@ -50,6 +53,8 @@ impl Report {
         facts["voxels_dropped"] = self.voxels_dropped.into();
         facts["input_bytes"] = self.input_bytes.into();
         facts["temp_bytes"] = self.temp_bytes.into();
+        facts["points_resumed"] = self.resumed.map_or(0, |resumed| resumed.points).into();
+        facts["temp_bytes_resumed"] = self.resumed.map_or(0, |resumed| resumed.bytes).into();
         facts["point_spacing"] = self.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
         if let Some(shard) = &self.shard {
             facts["shard"] = shard_info(shard);

@@ -1,11 +1,17 @@
 //! Workers of the first pass.
 
 use crate::{Error, Result};
+use std::thread::Builder;
 
-/// What `work` gives on each of so many threads, or the error that says most.
+/// What `work` gives on each of so many threads, or the error that says most. Threads that the system does not start are
+/// done without: the others find all the work, and if there are none, the calling thread does it.
 pub(super) fn on_threads<T: Send>(threads: usize, work: impl Fn() -> Result<T> + Sync) -> Result<Vec<T>> {
     let results: Vec<Result<T>> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(&work)).collect();
+        let start = |_| Builder::new().spawn_scoped(scope, &work).ok();
+        let workers: Vec<_> = (0..threads).map_while(start).collect();
+        if workers.is_empty() {
+            return vec![work()];
+        }
         workers
             .into_iter()
             .map(|worker| worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))

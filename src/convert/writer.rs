@@ -3,7 +3,7 @@
 use super::pages::write_columns;
 use super::points::{Own, Read, bounds, out_of_reach};
 use super::report::Report;
-use super::{ConvertOptions, PixelSize, build_bytes};
+use super::{ConvertOptions, Limits, PixelSize};
 use crate::archive::ArchiveWriter;
 use crate::input::{FARTHEST_M, PointBatch, PointCounts};
 use crate::mesh::MeshCounts;
@@ -12,6 +12,7 @@ use crate::plan::Plan;
 use crate::unit::LengthUnit;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
+use crate::voxel::spill::SpillPlace;
 use crate::{Error, Monitor, Parameter, Result};
 
 /// Points of a batch that are looked at together.
@@ -60,13 +61,18 @@ impl PointWriter {
         };
         let plan = options.plan_of(pixel_m)?;
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
-        let output = ArchiveWriter::on(Output::create(&options.output, kind, Protected::default())?, &plan)?;
+        let output = Output::create(&options.output, kind, Protected::default())?;
+        // What a program pushes cannot be resumed: without a head, the next run removes what a kill leaves.
+        let name = output.beside().file_name().unwrap_or_default().to_owned();
+        let place =
+            SpillPlace { files: output.files().clone(), folder: options.temp_dir.clone(), name, head: Vec::new() };
+        let output = ArchiveWriter::on(output, &plan)?;
         let recorder = Recorder::new(plan.frame);
         // One run is under construction at a time.
-        let build_bytes = build_bytes(&ConvertOptions { threads: 1, ..options.clone() });
+        let limits = Limits::of(&ConvertOptions { threads: 1, ..options.clone() });
         Ok(Self {
-            runs: RunBuilder::new(recorder, build_bytes),
-            store: RunStore::new(options.memory_bytes / 2, &options.temp_dir),
+            runs: RunBuilder::new(recorder, limits.build_bytes),
+            store: RunStore::new(limits.retain_bytes, place),
             options: options.clone(),
             crs: crs.to_owned(),
             read: Read::NOTHING,
@@ -132,6 +138,7 @@ impl PointWriter {
             crs: self.crs,
             units,
             input_bytes: 0,
+            resumed: None,
             temp_bytes: self.store.temp_bytes(),
             points_not_finite: own.left_out.not_finite,
             complete: true,

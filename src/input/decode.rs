@@ -3,7 +3,7 @@
 use super::convert;
 use super::file::Content;
 use super::laz::{Chunking, PackedPoints};
-use super::source::Source;
+use super::source::{ReadLog, Source};
 use super::{BATCH_POINTS, InputSet, PointBatch, PointCounts, las};
 use crate::{Error, Result};
 
@@ -85,12 +85,24 @@ pub struct PointDecoder {
     slab: Vec<u8>,
     batch: PointBatch,
     source: Option<(usize, Source)>,
+    log: ReadLog,
+    lost: bool,
 }
 
 impl PointDecoder {
     /// A decoder with empty buffers.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Notes of what it reads, where the set's options ask for hashes.
+    pub(crate) fn log(&self) -> ReadLog {
+        self.log.clone()
+    }
+
+    /// Whether the piece decoded last was not whole.
+    pub(crate) fn has_lost(&self) -> bool {
+        self.lost
     }
 
     /// Decodes `piece` of `set`, handing its kept points to `sink` in batches of at most [`BATCH_POINTS`] points; a batch
@@ -107,15 +119,15 @@ impl PointDecoder {
     ) -> Result<PointCounts> {
         let file = &set.files[piece.file];
         if self.source.as_ref().is_none_or(|(number, _)| *number != piece.file) {
-            let source = Source::open(file.path())?;
+            let source = Source::open(file.path(), set.options.hash.then(|| self.log.clone()))?;
             if source.stamp() != file.stamp {
                 set.losses.add(piece.file, |loss| loss.changed = true);
             }
-            source.hashes(set.options.hash);
             self.source = Some((piece.file, source));
         }
         let Some((_, source)) = &self.source else { return Ok(PointCounts::default()) };
-        source.take_hash();
+        self.log.begin(piece.file);
+        self.lost = false;
         let record_bytes = match &file.content {
             Content::Plain { .. } => usize::from(file.record_bytes),
             Content::Packed { packing, .. } => packing.decoded_bytes(),
@@ -157,6 +169,7 @@ impl PointDecoder {
             Ok((done, left)) => {
                 counts.missing = if open { 0 } else { piece.points.saturating_sub(done) };
                 if counts.missing + counts.not_finite > 0 || left > 0 {
+                    self.lost = true;
                     set.losses.add(piece.file, |loss| {
                         loss.missing += counts.missing;
                         loss.not_finite += counts.not_finite;
@@ -166,6 +179,7 @@ impl PointDecoder {
             }
             Err(error @ (Error::Input { .. } | Error::Io { .. })) if !refused && set.options.allow_incomplete => {
                 counts.missing = piece.points.saturating_sub(counts.read);
+                self.lost = true;
                 set.losses.add(piece.file, |loss| {
                     loss.not_finite += counts.not_finite;
                     loss.damaged += 1;
@@ -179,7 +193,7 @@ impl PointDecoder {
             Err(error) => return Err(error),
         }
         if set.options.hash {
-            set.add_hash(piece.file, source.take_hash());
+            set.add_hash(piece.file, self.log.hash());
         }
         Ok(counts)
     }

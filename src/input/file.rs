@@ -14,13 +14,13 @@ use crate::{Error, Parameter, Result};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use xxhash_rust::xxh3::xxh3_128;
+use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
 /// One opened scan file.
 #[derive(Debug)]
 pub struct ScanFile {
     path: PathBuf,
-    pub(super) stamp: Stamp,
+    pub(crate) stamp: Stamp,
     version: (u8, u8),
     format: u8,
     pub(super) record_bytes: u16,
@@ -79,7 +79,7 @@ impl ScanFile {
         common: &mut Common,
         findings: &mut Findings,
     ) -> Result<(Self, Reference)> {
-        let source = Source::open(path)?;
+        let source = Source::open(path, None)?;
         if let Some(kind) = other_format(path)
             && source.bytes_at(0, 4)?.as_deref() != Some(b"LASF")
         {
@@ -231,6 +231,20 @@ impl ScanFile {
         let numbers = [scale, offset, unit].concat().into_iter().flat_map(f64::to_le_bytes);
         let counts = [self.points_at, self.points_expected(), u64::from(self.record_bytes), u64::from(self.format)];
         xxh3_128(&numbers.chain(counts.into_iter().flat_map(u64::to_le_bytes)).collect::<Vec<_>>())
+    }
+
+    /// XXH3-128 of all that decides which pieces its points are read in.
+    pub(crate) fn layout_hash(&self) -> u128 {
+        let mut hash = Xxh3::new();
+        hash.update(&self.hash().to_le_bytes());
+        if let Content::Packed { body: Chunking::Chunks { start, chunks, open }, .. } = &self.content {
+            hash.update(&start.to_le_bytes());
+            hash.update(&[u8::from(*open)]);
+            for chunk in chunks {
+                hash.update(&[chunk.bytes.to_le_bytes(), chunk.points.to_le_bytes()].concat());
+            }
+        }
+        hash.digest128()
     }
 
     /// The bounds that its header claims; `None` where they are not finite or not in order. Often wrong.

@@ -47,6 +47,7 @@ pub use self::decode::{PointChunk, PointDecoder};
 pub use self::file::ScanFile;
 pub use self::laz::quiet_decoder_panics;
 pub(crate) use self::losses::{incomplete, warn_incomplete};
+pub(crate) use self::source::{ReadLog, Reads};
 
 /// Most points of one [`PointBatch`].
 pub const BATCH_POINTS: usize = 1 << 16;
@@ -348,7 +349,13 @@ impl InputSet {
         hashes.get(file).map_or(0, |hash| hash.wrapping_add(self.files[file].hash()))
     }
 
-    fn add_hash(&self, file: usize, hash: u128) {
+    /// Hashes all that is decoded from here on.
+    pub(crate) fn start_hashing(&mut self) {
+        self.options.hash = true;
+        self.hashes = Mutex::new(vec![0; self.files.len()]);
+    }
+
+    pub(crate) fn add_hash(&self, file: usize, hash: u128) {
         let mut hashes = self.hashes.lock().unwrap_or_else(PoisonError::into_inner);
         hashes[file] = hashes[file].wrapping_add(hash);
     }

@@ -3,14 +3,14 @@
 //! In: a path. Out: bytes at offsets. Nothing here moves a shared file position, so several threads may read one file.
 //! Memory: one [`Window`] holds at most [`WINDOW_BYTES`].
 
-use std::cell::Cell;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::bytes::{Stamp, open_regular, read_up_to};
 use crate::{Error, Result};
-use xxhash_rust::xxh3::xxh3_128_with_seed;
+use xxhash_rust::xxh3::{Xxh3, xxh3_128_with_seed};
 
 /// Read-ahead of a [`Window`] (bytes).
 const WINDOW_BYTES: usize = 64 << 10;
@@ -21,27 +21,97 @@ pub(super) struct Source {
     file: File,
     path: PathBuf,
     stamp: Stamp,
-    /// Sum of the hashes of what was read, if that is wanted.
-    hash: Cell<Option<u128>>,
+    /// Where reads are noted, if they are.
+    log: Option<ReadLog>,
+}
+
+/// What was read of a file.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct Reads {
+    /// Sum of the hashes of the pieces, each of its bytes and its place.
+    pub sum: u128,
+    /// Place and length of each piece.
+    pub pieces: Vec<(u64, u64)>,
+}
+
+impl Reads {
+    /// Whether reading the same pieces of the file at `path` gives the same bytes. Cost: that reading.
+    pub fn are_of(&self, path: &Path) -> Result<bool> {
+        let source = Source::open(path, None)?;
+        let (mut sum, mut buffer) = (0u128, vec![0; WINDOW_BYTES]);
+        for &(at, len) in &self.pieces {
+            let (mut hash, end) = (Xxh3::with_seed(at), at.saturating_add(len));
+            let mut next = at;
+            while next < end {
+                let count = (end - next).min(WINDOW_BYTES as u64) as usize;
+                let read = source.read_at(&mut buffer[..count], next)?;
+                if read < count {
+                    return Ok(false);
+                }
+                hash.update(&buffer[..count]);
+                next += count as u64;
+            }
+            sum = sum.wrapping_add(hash.digest128());
+        }
+        Ok(sum == self.sum)
+    }
+}
+
+/// Notes what a decoder reads of the chunk at hand; shared with whoever asks for it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct ReadLog(Arc<Mutex<Noted>>);
+
+#[derive(Debug, Default)]
+struct Noted {
+    file: usize,
+    /// Sum of the hashes of all pieces of the chunk.
+    all: u128,
+    reads: Reads,
+}
+
+impl ReadLog {
+    /// Pieces of a chunk that are listed each time: those of a chunk of usual size. Of a longer one, a whole file, only
+    /// those since the last time are.
+    const MOST_PIECES: usize = 256;
+
+    fn noted(&self) -> MutexGuard<'_, Noted> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A chunk of this file begins.
+    pub(super) fn begin(&self, file: usize) {
+        *self.noted() = Noted { file, ..Noted::default() };
+    }
+
+    fn add(&self, at: u64, bytes: &[u8]) {
+        let hash = xxh3_128_with_seed(bytes, at);
+        let Noted { all, reads: Reads { sum, pieces }, .. } = &mut *self.noted();
+        *all = all.wrapping_add(hash);
+        *sum = sum.wrapping_add(hash);
+        pieces.push((at, bytes.len() as u64));
+    }
+
+    /// Hash of all that was read of the chunk, whatever the order.
+    pub(crate) fn hash(&self) -> u128 {
+        self.noted().all
+    }
+
+    /// The file, and what was read of it for the points of the chunk so far.
+    pub(crate) fn reads(&self) -> (usize, Reads) {
+        let mut noted = self.noted();
+        match noted.reads.pieces.len() <= Self::MOST_PIECES {
+            true => (noted.file, noted.reads.clone()),
+            false => (noted.file, std::mem::take(&mut noted.reads)),
+        }
+    }
 }
 
 impl Source {
-    pub(super) fn open(path: &Path) -> Result<Self> {
+    /// Opens the file at `path`; what is read of it is noted in `log`.
+    pub(super) fn open(path: &Path, log: Option<ReadLog>) -> Result<Self> {
         let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
         let stamp = Stamp::of(&file, &about);
-        Ok(Self { file, path: path.to_path_buf(), stamp, hash: Cell::new(None) })
-    }
-
-    /// Whether what is read is to be hashed.
-    pub(super) fn hashes(&self, wanted: bool) {
-        self.hash.set(wanted.then_some(0));
-    }
-
-    /// Hash of all that was read since the last call: of bytes and places, in whatever order.
-    pub(super) fn take_hash(&self) -> u128 {
-        let hash = self.hash.get();
-        self.hashes(hash.is_some());
-        hash.unwrap_or(0)
+        Ok(Self { file, path: path.to_path_buf(), stamp, log })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -61,8 +131,8 @@ impl Source {
 
     fn fill(&self, out: &mut [u8], offset: u64) -> io::Result<usize> {
         let read = read_up_to(&self.file, offset, out)?;
-        if let Some(hash) = self.hash.get() {
-            self.hash.set(Some(hash.wrapping_add(xxh3_128_with_seed(&out[..read], offset))));
+        if let Some(log) = &self.log {
+            log.add(offset, &out[..read]);
         }
         Ok(read)
     }
@@ -176,7 +246,7 @@ mod tests {
         let all: Vec<u8> = (0..300_000u32).map(|i| ((i * 7) >> 3) as u8).collect();
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(&all).unwrap();
-        let source = Source::open(file.path()).unwrap();
+        let source = Source::open(file.path(), None).unwrap();
         let shown = &all[1000..251_000];
         let mut window = Window::new(&source, 1000, 250_000);
         let mut cursor = io::Cursor::new(shown);

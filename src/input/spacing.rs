@@ -30,6 +30,8 @@ const ENOUGH_POINTS: usize = 1_000;
 const ENOUGH_BLOCKS: usize = 12;
 /// Least mean number of distinct points in a block.
 const ENOUGH_IN_BLOCK: usize = 64;
+/// Coordinates below this are 0 (m).
+const LEAST_M: f64 = 1e-140;
 /// Points that a thread gathers at a level before it takes the lock.
 const LOCAL_POINTS: usize = 512;
 
@@ -76,7 +78,9 @@ pub fn estimate_spacing(set: &InputSet, threads: usize, monitor: &dyn Monitor) -
     };
     let guarded = || work().inspect_err(|_| failed.store(true, Ordering::Relaxed));
     let outcomes: Vec<Result<()>> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (1..threads.max(1)).map(|_| scope.spawn(guarded)).collect();
+        // Fewer threads than asked for do the same work.
+        let start = |_| std::thread::Builder::new().spawn_scoped(scope, guarded).ok();
+        let threads: Vec<_> = (1..threads.max(1)).map_while(start).collect();
         let mut outcomes = vec![guarded()];
         outcomes.extend(threads.into_iter().map(|t| t.join().unwrap_or_else(|p| std::panic::resume_unwind(p))));
         outcomes
@@ -217,6 +221,8 @@ fn hand_over(held: &mut Vec<[f64; 3]>, level: usize, shared: &Shared) -> u32 {
 fn choose(levels: [Level; LEVELS], points: u64) -> Option<Spacing> {
     let mut samples = Vec::new();
     for (level, mut sample) in levels.into_iter().enumerate() {
+        // Squares of distances among numbers as small as this vanish; a search among points without distances is endless.
+        sample.points.as_flattened_mut().iter_mut().filter(|v| v.abs() < LEAST_M).for_each(|v| *v = 0.0);
         sample.points.sort_unstable_by(order);
         sample.points.dedup_by(|a, b| order(a, b).is_eq());
         let mut blocks: Vec<[i64; 3]> = sample.points.iter().map(|&p| block_of(p, level)).collect();
@@ -294,7 +300,6 @@ fn nearest(tree: &[[f64; 3]], depth: usize, from: &[f64; 3], least: &mut f64) {
     let middle = tree.len() / 2;
     let at = &tree[middle];
     let square: f64 = (0..3).map(|a| (at[a] - from[a]) * (at[a] - from[a])).sum();
-    // Distinct points so close that the square vanishes are no neighbours either way.
     if square > 0.0 && square < *least {
         *least = square;
     }
@@ -329,6 +334,15 @@ mod tests {
             [0, 1, 2].map(|a| (([i, j, 0][a as usize]) as f64 + scatter(i, j, a)) * step + 1000.0 * step)
         };
         (0..n).flat_map(|i| (0..n).map(move |j| point(i, j))).collect()
+    }
+
+    #[test]
+    fn points_whose_distances_vanish_are_one_point() {
+        let tiny: Vec<_> = (0..200).flat_map(|i| (0..200).map(move |j| [f64::from(i), f64::from(j), 0.0])).collect();
+        let tiny: Vec<_> = tiny.into_iter().map(|p| p.map(|v| v * 1e-300)).collect();
+        assert_eq!(estimate(&tiny), None);
+        let far = [tiny, vec![[1.0, 0.0, 0.0], [3.0, 0.0, 0.0]]].concat();
+        assert_eq!(estimate(&far).map(|spacing| spacing.spacing_m), Some(1.0));
     }
 
     #[test]

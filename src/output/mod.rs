@@ -14,22 +14,17 @@
 //!   standard output.
 //! - *Permissions.* A new file has those of any new file; one that replaces another is at most as open as that was.
 //!
-//! Files: `disk.rs` holds every call that changes the file system, `temporary.rs` the file in the making, `target.rs` what
-//! is there and may be replaced.
+//! `target.rs` judges what is there and may be replaced.
 
-mod disk;
 mod target;
-mod temporary;
 
 pub(crate) use target::ARCHIVE_MAGIC;
 #[cfg(feature = "convert")]
 pub(crate) use target::PLAN_KEY;
 pub use target::{Existing, OutputKind, Protected, is_standard};
-pub(crate) use temporary::Temporary;
 
-use crate::bytes::read_exact_at;
+use crate::disk::{Access, Files, OpenFile, Temporary, remove_leftovers};
 use crate::{Error, Parameter, Result};
-use std::fs::File;
 use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use target::{Judged, Target};
@@ -49,6 +44,7 @@ pub struct Output {
     name: PathBuf,
     kind: OutputKind,
     protected: Protected,
+    files: Files,
     target: Target,
     temporary: Temporary,
     /// Where [`Write`] goes on.
@@ -65,14 +61,16 @@ impl Output {
     /// Begins a file that will be called `name`. What it must not replace is refused here, before any work; temporary files
     /// that dead writers of the same name left are removed. Opening a pipe waits for its reader.
     pub fn create(name: &Path, kind: OutputKind, protected: Protected) -> Result<Self> {
-        let target = Target::find(name, kind, &protected)?;
+        let files = Files::current();
+        let target = Target::find(&files, name, kind, &protected)?;
         let beside = match &target {
             Target::File { path, .. } => path.clone(),
             Target::Stream(_) => std::env::temp_dir().join("output"),
         };
-        temporary::remove_leftovers(&beside)?;
-        let temporary = Temporary::beside(&beside)?;
-        Ok(Self { name: name.to_path_buf(), kind, protected, target, temporary, position: 0, failed: false })
+        remove_leftovers(&files, &beside)?;
+        let temporary = Temporary::beside(&files, &beside)?;
+        let name = name.to_path_buf();
+        Ok(Self { name, kind, protected, files, target, temporary, position: 0, failed: false })
     }
 
     /// Writes `bytes` at `offset`.
@@ -85,6 +83,16 @@ impl Output {
     /// Reads back what was written.
     pub fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
         self.temporary.read_at(offset, buf)
+    }
+
+    /// The disk that it is written to.
+    pub(crate) fn files(&self) -> &Files {
+        &self.files
+    }
+
+    /// Number of the user who writes it, where the system has such.
+    pub(crate) fn owner(&self) -> Option<u32> {
+        self.files.about(self.temporary.path()).ok().flatten().and_then(|about| about.owner)
     }
 
     /// Where other temporary files of the same work may lie: beside this path.
@@ -116,7 +124,7 @@ impl Output {
             Target::File { path, existed, .. } => (path.clone(), *existed),
         };
         if self.kind.existing() == Existing::KeepSame {
-            if is_there(&self.temporary, &path)? {
+            if is_there(&self.files, &self.temporary, &path)? {
                 return Ok(false);
             }
             if existed {
@@ -141,13 +149,9 @@ impl Output {
         let may_replace = self.kind.existing() == Existing::Replace;
         // What appears between a look and the rename is looked at, too.
         for _ in 0..if may_replace { LOOKS } else { 1 } {
-            let is_there =
-                may_replace && target::judge(&self.name, path, self.kind, &self.protected)? == Judged::Replaceable;
-            let renamed = match is_there {
-                true => self.temporary.rename(path, disk::rename),
-                false => self.temporary.rename(path, disk::rename_new),
-            };
-            match renamed {
+            let judged = || target::judge(&self.files, &self.name, path, self.kind, &self.protected);
+            let is_there = may_replace && judged()? == Judged::Replaceable;
+            match self.temporary.rename(path, is_there) {
                 Ok(()) => return Ok(()),
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
                 Err(error) => return Err(Error::io(&self.name, "rename the temporary file to it", error)),
@@ -159,7 +163,7 @@ impl Output {
     /// The complete file cannot get its name: gives an archive or a plan, which may have taken hours, another one.
     fn keep(&mut self, path: &Path, error: Error) -> Error {
         let visible = self.temporary.visible_name(path);
-        if self.kind == OutputKind::Result || self.temporary.rename(&visible, disk::rename_new).is_err() {
+        if self.kind == OutputKind::Result || self.temporary.rename(&visible, false).is_err() {
             return error;
         }
         let why = match error {
@@ -173,18 +177,18 @@ impl Output {
 }
 
 /// Whether the file at `path` has the bytes of `new`.
-fn is_there(new: &Temporary, path: &Path) -> Result<bool> {
+fn is_there(files: &Files, new: &Temporary, path: &Path) -> Result<bool> {
     let failed = |error| Error::io(path, "compare with the new file", error);
-    let Some(about) = disk::metadata(path).map_err(failed)? else { return Ok(false) };
+    let Some(about) = files.about(path).map_err(failed)? else { return Ok(false) };
     let len = new.len()?;
-    if about.len() != len {
+    if about.len != len {
         return Ok(false);
     }
-    let there = disk::open(path).map_err(failed)?;
+    let there = files.open(path, Access::Read).map_err(failed)?;
     let (mut old_bytes, mut new_bytes) = (vec![0; CHUNK], vec![0; CHUNK]);
     for at in (0..len).step_by(CHUNK) {
         let count = (len - at).min(CHUNK as u64) as usize;
-        read_exact_at(&there, at, &mut old_bytes[..count]).map_err(failed)?;
+        there.read_exact_at(at, &mut old_bytes[..count]).map_err(failed)?;
         new.read_at(at, &mut new_bytes[..count])?;
         if old_bytes[..count] != new_bytes[..count] {
             return Ok(false);
@@ -194,13 +198,13 @@ fn is_there(new: &Temporary, path: &Path) -> Result<bool> {
 }
 
 /// Writes all of `new` to a pipe or device.
-fn copy(new: &Temporary, stream: &File) -> io::Result<()> {
+fn copy(new: &Temporary, stream: &OpenFile) -> io::Result<()> {
     let len = new.len().map_err(io::Error::other)?;
     let mut bytes = vec![0; CHUNK];
     for at in (0..len).step_by(CHUNK) {
         let count = (len - at).min(CHUNK as u64) as usize;
         new.read_at(at, &mut bytes[..count]).map_err(io::Error::other)?;
-        disk::write_stream(stream, &bytes[..count])?;
+        stream.append(&bytes[..count])?;
     }
     Ok(())
 }

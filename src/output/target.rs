@@ -1,11 +1,9 @@
 //! What has the target's name, and whether an output may replace it.
 
-use super::disk::{self, Folder};
-use super::temporary::split;
 use crate::bytes::{ByteSource, FileId};
+use crate::disk::{Access, FileKind, Files, OpenFile, OpenFolder, STANDARD_OUTPUT, split};
 use crate::{Error, Parameter, Result};
-use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// First bytes of every slice archive (chapter 3).
@@ -13,7 +11,7 @@ pub(crate) const ARCHIVE_MAGIC: [u8; 8] = *b"\x89SLIC\r\n\x1a";
 /// Key by which a plan file is known.
 pub(crate) const PLAN_KEY: &str = "slicewalk_plan";
 /// Within so many bytes of its beginning.
-const PLAN_START: u64 = 4096;
+const PLAN_START: usize = 4096;
 /// Longest chain of symbolic links.
 const MOST_LINKS: usize = 40;
 
@@ -87,8 +85,8 @@ impl Protected {
         self.0.extend(source.file_id());
     }
 
-    fn holds(&self, path: &Path) -> bool {
-        !self.0.is_empty() && FileId::at(path).is_some_and(|id| self.0.contains(&id))
+    fn holds(&self, files: &Files, path: &Path) -> bool {
+        !self.0.is_empty() && files.id(path).is_some_and(|id| self.0.contains(&id))
     }
 }
 
@@ -104,18 +102,17 @@ impl<P: AsRef<Path>> FromIterator<P> for Protected {
 #[derive(Debug)]
 pub(super) enum Target {
     /// A regular file, links followed: its path, its folder, and whether it was there.
-    File { path: PathBuf, folder: Folder, existed: bool },
+    File { path: PathBuf, folder: OpenFolder, existed: bool },
     /// A pipe, a terminal or a device.
-    Stream(File),
+    Stream(OpenFile),
 }
 
 impl Target {
     /// Follows the links of `name`, and refuses what may not be replaced.
-    pub fn find(name: &Path, kind: OutputKind, protected: &Protected) -> Result<Self> {
-        let (path, is_descriptor) = follow(name)?;
-        let about = disk::metadata(&path);
-        let stream = about.as_ref().is_ok_and(|about| about.as_ref().is_some_and(is_stream));
-        if is_descriptor || stream {
+    pub fn find(files: &Files, name: &Path, kind: OutputKind, protected: &Protected) -> Result<Self> {
+        let (path, is_descriptor) = follow(files, name)?;
+        let about = files.about(&path).ok().flatten();
+        if is_descriptor || about.is_some_and(|about| about.kind == FileKind::Stream) {
             if kind != OutputKind::Result && is_standard(name) {
                 let reason = format!("{} is not written to standard output; name a file", kind.name());
                 return Err(Error::output(name, reason));
@@ -125,16 +122,15 @@ impl Target {
                 return Err(Error::output(name, reason));
             }
             // What a shell opened is not replaced, but it is written to.
-            let regular = about.is_ok_and(|about| about.is_some_and(|about| about.is_file()));
-            if regular && protected.holds(&path) {
+            if about.is_some_and(|about| about.kind == FileKind::File) && protected.holds(files, &path) {
                 return Err(is_read(name));
             }
-            let stream = disk::open_stream(&path).map_err(|error| Error::io(name, "open", error))?;
+            let stream = files.open(&path, Access::Append).map_err(|error| Error::io(name, "open", error))?;
             return Ok(Self::Stream(stream));
         }
-        let existed = judge(name, &path, kind, protected)? == Judged::Replaceable;
+        let existed = judge(files, name, &path, kind, protected)? == Judged::Replaceable;
         let (folder, _) = split(&path)?;
-        let folder = Folder::open(folder).map_err(|error| Error::io(name, "open its folder", error))?;
+        let folder = files.open_folder(folder).map_err(|error| Error::io(name, "open its folder", error))?;
         Ok(Self::File { path, folder, existed })
     }
 }
@@ -145,16 +141,16 @@ pub fn is_standard(path: &Path) -> bool {
 }
 
 /// Where the symbolic links of `name` lead, and whether that is something that the process has open (`/dev/stdout`).
-fn follow(name: &Path) -> Result<(PathBuf, bool)> {
+fn follow(files: &Files, name: &Path) -> Result<(PathBuf, bool)> {
     if is_standard(name) {
-        return Ok((disk::STANDARD_OUTPUT.into(), true));
+        return Ok((STANDARD_OUTPUT.into(), true));
     }
     let mut path = name.to_path_buf();
     for _ in 0..MOST_LINKS {
         if is_descriptor(&path) {
             return Ok((path, true));
         }
-        match std::fs::read_link(&path) {
+        match files.read_link(&path) {
             Ok(to) => path = path.parent().unwrap_or(Path::new("")).join(to),
             // No link: what it is else, if anything, shows when it is used.
             Err(_) => return Ok((path, false)),
@@ -169,19 +165,6 @@ fn is_descriptor(path: &Path) -> bool {
     folder == Path::new("/dev/fd") || folder.starts_with("/proc") && folder.ends_with("fd")
 }
 
-/// Pipes, terminals, sockets and devices but disks.
-#[cfg(unix)]
-fn is_stream(about: &std::fs::Metadata) -> bool {
-    use std::os::unix::fs::FileTypeExt;
-    let kind = about.file_type();
-    kind.is_fifo() || kind.is_char_device() || kind.is_socket()
-}
-
-#[cfg(not(unix))]
-fn is_stream(about: &std::fs::Metadata) -> bool {
-    !about.is_file() && !about.is_dir()
-}
-
 /// What [`judge`] found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Judged {
@@ -192,23 +175,28 @@ pub(super) enum Judged {
 }
 
 /// Refuses what an output of `kind` must not replace. `name` is what the user calls `path`.
-pub(super) fn judge(name: &Path, path: &Path, kind: OutputKind, protected: &Protected) -> Result<Judged> {
+pub(super) fn judge(
+    files: &Files,
+    name: &Path,
+    path: &Path,
+    kind: OutputKind,
+    protected: &Protected,
+) -> Result<Judged> {
     let refuse = |reason: String| Err(Error::output(name, reason));
-    let about = match disk::metadata(path) {
+    let about = match files.about(path) {
         Ok(Some(about)) => about,
         Ok(None) => return Ok(Judged::Free),
         Err(error) => return Err(Error::io(name, "examine the existing file", error)),
     };
-    if about.is_dir() {
-        return refuse("is a folder; choose another name".into());
+    match about.kind {
+        FileKind::File => {}
+        FileKind::Folder => return refuse("is a folder; choose another name".into()),
+        FileKind::Stream | FileKind::Other => return refuse("is no regular file; choose another name".into()),
     }
-    if !about.is_file() {
-        return refuse("is no regular file; choose another name".into());
-    }
-    if protected.holds(path) {
+    if protected.holds(files, path) {
         return Err(is_read(name));
     }
-    let content = Content::of(path).map_err(|error| Error::io(name, "examine the existing file", error))?;
+    let content = Content::of(files, path).map_err(|error| Error::io(name, "examine the existing file", error))?;
     if !kind.replaces(content) {
         return refuse(match (kind, content.name()) {
             (OutputKind::Result, Some(content)) => {
@@ -221,7 +209,7 @@ pub(super) fn judge(name: &Path, path: &Path, kind: OutputKind, protected: &Prot
         OutputKind::Archive(Existing::Refuse) | OutputKind::Plan(Existing::Refuse) => {
             refuse("exists already".into()).map_err(|error| error.with_way_out(Parameter::Overwrite))
         }
-        OutputKind::Result if about.permissions().readonly() => {
+        OutputKind::Result if about.read_only => {
             refuse("exists and is read-only; make it writable, or choose another name".into())
         }
         _ => Ok(Judged::Replaceable),
@@ -242,9 +230,10 @@ enum Content {
 }
 
 impl Content {
-    fn of(path: &Path) -> io::Result<Self> {
-        let mut start = Vec::new();
-        disk::open(path)?.take(PLAN_START).read_to_end(&mut start)?;
+    fn of(files: &Files, path: &Path) -> io::Result<Self> {
+        let mut start = vec![0; PLAN_START];
+        let len = files.open(path, Access::Read)?.read_up_to(0, &mut start)?;
+        start.truncate(len);
         let is_plan = || {
             let text = String::from_utf8_lossy(&start);
             text.trim_start_matches('\u{feff}').trim_start().starts_with('{')

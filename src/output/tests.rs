@@ -1,8 +1,7 @@
-use super::disk::{Call, faults};
 use super::*;
-use std::cell::Cell;
+use crate::disk::tests::{Call, Hooked};
 use std::fs;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
 
 const ARCHIVE: OutputKind = OutputKind::Archive(Existing::Refuse);
@@ -38,6 +37,11 @@ fn publish_beside(target: &Path, kind: OutputKind, bytes: &[u8], protected: Prot
     output.publish()
 }
 
+/// Runs `act` on a disk whose calls fail if `hook` does.
+fn with_faults<T>(hook: impl FnMut(Call) -> io::Result<()> + Send + 'static, act: impl FnOnce() -> T) -> T {
+    crate::disk::with(Hooked::real(hook), act)
+}
+
 /// A folder, and a target in it that holds `old`.
 fn place(old: Option<&[u8]>) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
@@ -66,20 +70,22 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
         let (mut refused, mut not_durable) = (0, 0);
         for fails in 0.. {
             let (folder, target) = place(old.as_deref());
-            let (mut number, met, synced) = (0, Rc::new(Cell::new(None)), Rc::new(Cell::new(false)));
-            let (failed, passed) = (met.clone(), synced.clone());
+            // How many calls there were, which failed, and whether a sync passed.
+            let calls = Arc::new(Mutex::new((0, None, false)));
+            let seen = calls.clone();
             let hook = move |call| {
-                number += 1;
-                if number - 1 != fails {
-                    passed.set(passed.get() || call == Call::Sync);
+                let (number, failed, synced) = &mut *seen.lock().unwrap();
+                *number += 1;
+                if *number - 1 != fails {
+                    *synced |= call == Call::Sync;
                     return Ok(());
                 }
-                failed.set(Some(call));
+                *failed = Some(call);
                 Err(io::Error::other("made to fail"))
             };
-            let done = faults::with(hook, || publish(&target, kind, &new));
+            let done = with_faults(hook, || publish(&target, kind, &new));
             let there = fs::read(&target).ok();
-            let call = met.get();
+            let (_, call, synced) = *calls.lock().unwrap();
             match &done {
                 Ok(_) => assert_eq!(there.as_ref(), Some(&new), "{kind:?}, {call:?}"),
                 Err(Error::NotDurable { .. }) => {
@@ -95,8 +101,7 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
             // What may have taken hours and is complete is kept, and nothing else.
             let names = names(&folder);
             let kept: Vec<_> = names.iter().filter(|name| *name != "target.x").collect();
-            let is_complete =
-                synced.get() && done.as_ref().is_err_and(|error| !matches!(error, Error::NotDurable { .. }));
+            let is_complete = synced && done.as_ref().is_err_and(|error| !matches!(error, Error::NotDurable { .. }));
             assert_eq!(
                 kept.len(),
                 usize::from(is_complete && kind != OutputKind::Result),
@@ -125,14 +130,14 @@ fn signals_that_interrupt_every_call_change_nothing() {
             number += 1;
             if number % 3 > 0 { Err(ErrorKind::Interrupted.into()) } else { Ok(()) }
         };
-        assert!(faults::with(hook, || publish(&target, kind, &sort(kind, "new"))).unwrap());
+        assert!(with_faults(hook, || publish(&target, kind, &sort(kind, "new"))).unwrap());
         assert_eq!(fs::read(&target).unwrap(), sort(kind, "new"));
         assert_eq!(names(&folder), ["target.x"]);
     }
 }
 
 /// A hook that writes `bytes` to `target` when `at` is called first.
-fn appears(at: Call, target: &Path, bytes: Vec<u8>) -> impl FnMut(Call) -> io::Result<()> + 'static {
+fn appears(at: Call, target: &Path, bytes: Vec<u8>) -> impl FnMut(Call) -> io::Result<()> + Send + 'static {
     let mut what = Some((target.to_path_buf(), bytes));
     move |call| match what.take_if(|_| call == at) {
         Some((target, bytes)) => fs::write(target, bytes),
@@ -147,7 +152,7 @@ fn what_appears_while_the_output_is_synced_stays_and_the_output_is_kept() {
             let (folder, target) = place(None);
             let (there, new) = (sort(kind, "appeared"), sort(kind, "new"));
             let hook = appears(at, &target, there.clone());
-            let said = faults::with(hook, || publish(&target, kind, &new)).unwrap_err().to_string();
+            let said = with_faults(hook, || publish(&target, kind, &new)).unwrap_err().to_string();
             assert!(said.contains("another file got this name"), "{said}");
             assert_eq!(fs::read(&target).unwrap(), there);
             let names = names(&folder);
@@ -170,7 +175,7 @@ fn what_appears_before_the_rename_is_judged_too() {
             let (folder, target) = place(None);
             let new = sort(kind, "new");
             let hook = appears(at, &target, appeared.clone());
-            let done = faults::with(hook, || publish(&target, kind, &new));
+            let done = with_faults(hook, || publish(&target, kind, &new));
             assert_eq!(done.is_ok(), is_replaced, "{kind:?}, {at:?}");
             let kept = names(&folder).iter().filter(|name| name.starts_with("target.slicewalk-")).count();
             assert_eq!(kept, usize::from(!is_replaced && kind != OutputKind::Result), "{kind:?}, {at:?}");
@@ -215,9 +220,14 @@ fn each_kind_replaces_its_own_sort_only() {
 #[test]
 fn a_failed_write_is_never_published() {
     let (folder, target) = place(Some(b"old"));
-    let mut output = Output::create(&target, OutputKind::Result, Protected::default()).unwrap();
-    let hook = |call| if call == Call::Write { Err(io::Error::other("disk is full")) } else { Ok(()) };
-    assert!(faults::with(hook, || output.write_all(b"new")).unwrap_err().to_string().contains("disk is full"));
+    let mut is_first = true;
+    let hook = move |call| match call == Call::Write && std::mem::take(&mut is_first) {
+        true => Err(io::Error::other("disk is full")),
+        false => Ok(()),
+    };
+    let create = || Output::create(&target, OutputKind::Result, Protected::default()).unwrap();
+    let mut output = with_faults(hook, create);
+    assert!(output.write_all(b"new").unwrap_err().to_string().contains("disk is full"));
     output.write_all(b"more").unwrap();
     assert!(output.publish().is_err());
     assert_eq!((fs::read(&target).unwrap(), names(&folder)), (b"old".to_vec(), vec!["target.x".to_owned()]));
@@ -294,7 +304,7 @@ mod on_unix {
                 Some(()) => symlink("nothing", &link),
                 None => Ok(()),
             };
-            let said = faults::with(hook, || publish(&target, kind, &sort(kind, "new"))).unwrap_err().to_string();
+            let said = with_faults(hook, || publish(&target, kind, &sort(kind, "new"))).unwrap_err().to_string();
             assert!(said.contains("another file got this name"), "{said}");
             assert!(fs::symlink_metadata(&target).unwrap().is_symlink());
         }
@@ -323,7 +333,7 @@ mod on_unix {
                 Some(()) => fs::hard_link(&from, &to),
                 None => Ok(()),
             };
-            let done = faults::with(hook, || publish_beside(&late, kind, b"new", [&target].into_iter().collect()));
+            let done = with_faults(hook, || publish_beside(&late, kind, b"new", [&target].into_iter().collect()));
             assert!(done.is_err());
             assert_eq!(fs::read(&target).unwrap(), sort(kind, "read"));
             assert_eq!(fs::read(&late).unwrap(), sort(kind, "read"));

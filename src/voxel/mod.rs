@@ -12,4 +12,5 @@ pub(crate) mod judge;
 pub(crate) mod record;
 pub(crate) mod runs;
 pub(crate) mod spans;
+pub(crate) mod spill;
 pub(crate) mod surfaces;

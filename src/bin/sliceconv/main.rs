@@ -14,7 +14,7 @@ use slicewalk::output::{Existing, Output, OutputKind, is_standard};
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::size::parse_size;
 use slicewalk::terminal::{Terminal, say};
-use slicewalk::text::{finite_number, whole_number};
+use slicewalk::text::{counted, finite_number, whole_number};
 use slicewalk::{Error, Monitor, Parameter};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -108,6 +108,10 @@ struct Arguments {
     /// unless the pixel size is `auto`
     #[arg(long, conflicts_with = "write_plan")]
     dry_run: bool,
+    /// Go on from the temporary data of the same conversion that was killed, and leave them if this one ends early: on an
+    /// error, when it is interrupted, on a full disk. Without such data the conversion begins anew
+    #[arg(long, conflicts_with = "write_plan")]
+    resume: bool,
     /// Replace an existing slice archive (or plan); nothing else is ever replaced
     #[arg(long)]
     force: bool,
@@ -246,6 +250,15 @@ fn failure(failure: &Failure, signal: usize) -> (String, ExitCode) {
         Failure::Usage(line) => return (line.clone(), ExitCode::from(2)),
         Failure::Failed(error) => error,
     };
+    if let Error::Resumable { source, path, bytes, points } = error {
+        let (line, code) = failure_of(source, signal);
+        let (points, path) = (counted(*points, "point"), path.display());
+        return (format!("{line}; --resume goes on from {points}, {bytes} bytes of temporary data in {path}"), code);
+    }
+    failure_of(error, signal)
+}
+
+fn failure_of(error: &Error, signal: usize) -> (String, ExitCode) {
     match error {
         // As the shell reports a program that a signal ended.
         Error::Interrupted => (error.to_string(), ExitCode::from(128 + u8::try_from(signal).unwrap_or(2))),
@@ -286,6 +299,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Threads => "--threads",
         Parameter::Units => "--units",
         Parameter::Shard => "--shard",
+        Parameter::Resume => "--resume",
         _ => return None,
     })
 }
@@ -324,6 +338,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     };
     options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
+    options.resume = arguments.resume;
     if let Some(path) = &arguments.write_plan {
         let kind = OutputKind::Plan(Existing::replaced_if(arguments.force));
         let output = Output::create(path, kind, arguments.inputs.iter().collect())?;

@@ -83,6 +83,10 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     if let Some(spacing) = &report.spacing {
         say(&format!("pixel size {} m: {}", number(frame.pixel_m()), from_spacing(spacing)));
     }
+    if let Some(resumed) = report.resumed {
+        let (points, bytes) = (counted(resumed.points, "point"), file_size(resumed.bytes));
+        say(&format!("resumed: {points} from {bytes} of temporary data"));
+    }
     say(&format!("unit of the source: {}; the archive is in metres", units_in_words(&report.units)));
     // A part reads only some of the input.
     let sizes = match report.shard {

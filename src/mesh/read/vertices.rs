@@ -1,10 +1,10 @@
 //! Corners of a mesh by number: in memory as far as they fit, the rest in an unnamed temporary file.
 
 use super::MeshOptions;
-use super::blocks::{Blocks, fill_block};
+use super::blocks::{BLOCK_BYTES, Blocks};
+use crate::disk::{Files, OpenFile};
 use crate::{Error, Parameter, Result};
-use std::fs::File;
-use std::io::{ErrorKind, Seek, SeekFrom, Write};
+use std::io::ErrorKind;
 use std::path::PathBuf;
 
 const VERTEX_BYTES: usize = 24;
@@ -15,8 +15,10 @@ pub(super) struct Vertices {
     memory: Vec<[f64; 3]>,
     most_in_memory: usize,
     temp_dir: PathBuf,
+    files: Files,
     /// The corners beyond those in memory, and what of them is not yet in the file.
-    file: Option<(File, Blocks)>,
+    file: Option<(OpenFile, Blocks)>,
+    file_bytes: u64,
     buffer: Vec<u8>,
     count: u64,
 }
@@ -27,7 +29,17 @@ impl Vertices {
         // A vector that grows holds up to three halves more than it needs while it moves.
         let most_in_memory = (options.memory_bytes / 3 / VERTEX_BYTES as u64) as usize;
         let temp_dir = options.temp_dir.clone();
-        Self { memory: Vec::new(), most_in_memory, temp_dir, file: None, buffer: Vec::new(), count: 0 }
+        let files = Files::current();
+        Self {
+            memory: Vec::new(),
+            most_in_memory,
+            temp_dir,
+            files,
+            file: None,
+            file_bytes: 0,
+            buffer: Vec::new(),
+            count: 0,
+        }
     }
 
     pub(super) fn len(&self) -> u64 {
@@ -55,13 +67,12 @@ impl Vertices {
             Some(file) => file,
             none => {
                 let action = "create a temporary file";
-                none.insert((tempfile::tempfile_in(dir).map_err(refused(action))?, Blocks::new()))
+                none.insert((self.files.create_unnamed(dir).map_err(refused(action))?, Blocks::new()))
             }
         };
         blocks.forget();
-        file.seek(SeekFrom::End(0))
-            .and_then(|_| file.write_all(&self.buffer))
-            .map_err(refused("write temporary data"))?;
+        file.write_at(self.file_bytes, &self.buffer).map_err(refused("write temporary data"))?;
+        self.file_bytes += self.buffer.len() as u64;
         self.buffer.clear();
         Ok(())
     }
@@ -77,7 +88,13 @@ impl Vertices {
         let Some((file, blocks)) = &mut self.file else { return Ok(None) };
         let mut bytes = [0; VERTEX_BYTES];
         let at = (number - self.memory.len() as u64) * VERTEX_BYTES as u64;
-        match blocks.read(0, at, &mut bytes, |number, block| fill_block(file, number, block)) {
+        let load = |number: u64, block: &mut Vec<u8>| {
+            block.resize(BLOCK_BYTES, 0);
+            let filled = file.read_up_to(number * BLOCK_BYTES as u64, block)?;
+            block.truncate(filled);
+            Ok(())
+        };
+        match blocks.read(0, at, &mut bytes, load) {
             Ok(true) => {}
             Ok(false) => return Err(Error::io(&self.temp_dir, "read temporary data", ErrorKind::UnexpectedEof.into())),
             Err(e) => return Err(Error::io(&self.temp_dir, "read temporary data", e)),

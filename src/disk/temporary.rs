@@ -1,96 +1,118 @@
-//! Temporary files beside a target.
+//! Temporary files beside a target, or in a folder of their own.
 //!
-//! The name is `.TARGET.slicewalk-<16 hex digits>.part`. The file stays locked while its writer lives; leftovers of
-//! writers that died are not, which is how the next run knows that it may remove them.
+//! The name is `.TARGET.slicewalk-<16 hex digits>` and an ending. The file stays locked while its writer lives; leftovers
+//! of writers that died are not, which is how the next run knows that it may remove them.
 
-use super::disk;
-use crate::bytes::read_exact_at;
+use super::{Access, Files, OpenFile};
 use crate::{Error, Result};
 use std::ffi::{OsStr, OsString};
-use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::path::{Path, PathBuf};
 
 const MARK: &str = ".slicewalk-";
-const SUFFIX: &str = ".part";
+/// Ending of outputs in the making.
+const PART: &str = ".part";
 const DIGITS: usize = 16;
 /// How often another random name is tried.
 const ATTEMPTS: usize = 100;
 /// Bytes of the target's name in the temporary one; file systems allow 255 in all.
 const MOST_NAME: usize = 200;
 
-/// A temporary file; removed when dropped, unless it was renamed.
+/// A temporary file; removed when dropped, unless it was renamed or kept.
 #[derive(Debug)]
 pub(crate) struct Temporary {
-    file: File,
+    files: Files,
+    file: OpenFile,
     path: PathBuf,
-    renamed: bool,
+    stays: bool,
 }
 
 impl Temporary {
-    /// Creates and locks a temporary file beside `target`.
-    pub fn beside(target: &Path) -> Result<Self> {
+    /// Creates and locks a temporary file beside `target`. Others may do with it what they may do with the file that it
+    /// will replace, as far as the umask allows; the owner can read and write it.
+    pub fn beside(files: &Files, target: &Path) -> Result<Self> {
         let (folder, name) = split(target)?;
+        let replaces = files.about(target).ok().flatten();
+        let mode = replaces.and_then(|old| old.mode).map(|mode| mode & 0o666 | 0o600);
+        Self::create(files, folder, name, PART, mode)
+    }
+
+    /// Creates and locks a temporary file for the target called `name` in `folder`.
+    pub fn create(files: &Files, folder: &Path, name: &OsStr, ending: &str, mode: Option<u32>) -> Result<Self> {
         let random = RandomState::new();
-        let replaces = disk::metadata(target).ok().flatten();
         for attempt in 0..ATTEMPTS {
             let mut part = prefix(name);
-            part.push(format!("{:0DIGITS$x}{SUFFIX}", random.hash_one((attempt, std::process::id()))));
+            part.push(format!("{:0DIGITS$x}{ending}", random.hash_one((attempt, std::process::id()))));
             let path = folder.join(part);
-            let file = match disk::create(&path, replaces.as_ref()) {
+            let file = match files.create(&path, mode) {
                 Ok(file) => file,
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => continue,
                 Err(error) => return Err(Error::io(path, "create the temporary file", error)),
             };
-            let part = Self { file, path, renamed: false };
-            match disk::try_lock(&part.file) {
+            let part = Self { files: files.clone(), file, path, stays: false };
+            match part.file.try_lock() {
                 // Another run may take the file for a leftover before it is locked; then it is gone.
-                Ok(true) if disk::metadata(&part.path).is_ok_and(|there| there.is_some()) => return Ok(part),
+                Ok(true) if files.about(&part.path).is_ok_and(|there| there.is_some()) => return Ok(part),
                 Ok(_) => {}
                 // Some file systems know no locks: leftovers stay there until removed by hand.
                 Err(error) if error.kind() == io::ErrorKind::Unsupported => return Ok(part),
                 Err(error) => return Err(Error::io(&part.path, "lock", error)),
             }
         }
-        Err(Error::io(target, "create a temporary file beside it", io::ErrorKind::AlreadyExists.into()))
+        Err(Error::io(folder.join(name), "create a temporary file beside it", io::ErrorKind::AlreadyExists.into()))
+    }
+
+    /// The temporary file at `path`, which is open as `file`.
+    pub fn of(files: &Files, path: PathBuf, file: OpenFile) -> Self {
+        Self { files: files.clone(), file, path, stays: false }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether the file stays when this is dropped.
+    pub fn set_stays(&mut self, stays: bool) {
+        self.stays = stays;
     }
 
     /// Writes `bytes` at `offset`.
-    pub fn write_at(&mut self, offset: u64, bytes: &[u8]) -> Result<()> {
-        let written = disk::write_at(&self.file, offset, bytes);
+    pub fn write_at(&self, offset: u64, bytes: &[u8]) -> Result<()> {
+        let written = self.file.write_at(offset, bytes);
         written.map_err(|error| Error::io(&self.path, format!("write {} bytes at {offset}", bytes.len()), error))
     }
 
     /// Reads back what was written.
     pub fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
-        let read = read_exact_at(&self.file, offset, buf);
+        let read = self.file.read_exact_at(offset, buf);
         read.map_err(|error| Error::io(&self.path, format!("read {} bytes at {offset}", buf.len()), error))
     }
 
     /// Makes the content durable.
     pub fn sync(&self) -> Result<()> {
-        disk::sync(&self.file).map_err(|error| Error::io(&self.path, "sync", error))
+        self.file.sync().map_err(|error| Error::io(&self.path, "sync", error))
     }
 
     /// Length (bytes).
     pub fn len(&self) -> Result<u64> {
-        let about = self.file.metadata().map_err(|error| Error::io(&self.path, "ask for the length", error))?;
-        Ok(about.len())
+        self.file.len().map_err(|error| Error::io(&self.path, "ask for the length", error))
     }
 
-    /// Names the file `to` by `rename`, one of [`disk::rename`] and [`disk::rename_new`]. If that fails, the file stays
-    /// temporary.
-    pub fn rename(&mut self, to: &Path, rename: fn(&Path, &Path) -> io::Result<()>) -> io::Result<()> {
-        rename(&self.path, to)?;
-        self.renamed = true;
+    /// Renames the file to `to`, which it replaces if `replace` says so. If that fails, the file stays temporary.
+    pub fn rename(&mut self, to: &Path, replace: bool) -> io::Result<()> {
+        match replace {
+            true => self.files.rename(&self.path, to),
+            false => self.files.rename_new(&self.path, to),
+        }?;
+        self.stays = true;
         Ok(())
     }
 
     /// A visible name of its own for the file, in the same folder, that tells where it comes from.
     pub fn visible_name(&self, target: &Path) -> PathBuf {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        let digits = name.strip_suffix(SUFFIX).and_then(|name| name.rsplit_once(MARK)).map_or("", |(_, digits)| digits);
+        let digits = name.strip_suffix(PART).and_then(|name| name.rsplit_once(MARK)).map_or("", |(_, digits)| digits);
         let mut visible = shortened(target.file_stem().unwrap_or_default());
         visible.push(format!("{MARK}{digits}"));
         if let Some(ending) = target.extension().filter(|ending| ending.len() <= DIGITS) {
@@ -108,30 +130,42 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        if !self.renamed {
+        if !self.stays {
             // Nothing sensible is left to do if this fails: the next run removes the file.
-            let _ = disk::remove(&self.path);
+            let _ = self.files.remove(&self.path);
         }
     }
 }
 
 /// Removes the temporary files that dead writers of `target` left.
-pub(super) fn remove_leftovers(target: &Path) -> Result<()> {
+pub(crate) fn remove_leftovers(files: &Files, target: &Path) -> Result<()> {
     let (folder, name) = split(target)?;
-    let prefix = prefix(name);
-    let names = disk::list(folder, |name| is_part(name, &prefix)).map_err(|e| Error::io(folder, "list", e))?;
-    for path in names.into_iter().map(|name| folder.join(name)) {
-        // Whoever holds the lock is alive; a file that cannot be opened or removed is somebody else's.
-        if disk::open_to_lock(&path).is_ok_and(|file| disk::try_lock(&file).is_ok_and(|free| free)) {
-            let _ = disk::remove(&path);
+    for path in leftovers(files, folder, name, PART)? {
+        if lock(files, &path).is_some() {
+            let _ = files.remove(&path);
         }
     }
     Ok(())
 }
 
-fn is_part(name: &OsStr, prefix: &OsStr) -> bool {
+/// Temporary files for the target called `name` in `folder`, of dead and living writers.
+pub(crate) fn leftovers(files: &Files, folder: &Path, name: &OsStr, ending: &str) -> Result<Vec<PathBuf>> {
+    let prefix = prefix(name);
+    let mut names =
+        files.list(folder, |name| is_part(name, &prefix, ending)).map_err(|e| Error::io(folder, "list", e))?;
+    names.sort();
+    Ok(names.into_iter().map(|name| folder.join(name)).collect())
+}
+
+/// The temporary file at `path`, locked, if its writer is dead. A file that cannot be opened is somebody else's.
+pub(crate) fn lock(files: &Files, path: &Path) -> Option<OpenFile> {
+    let file = files.open(path, Access::Change).ok()?;
+    file.try_lock().is_ok_and(|free| free).then_some(file)
+}
+
+fn is_part(name: &OsStr, prefix: &OsStr, ending: &str) -> bool {
     let random = name.as_encoded_bytes().strip_prefix(prefix.as_encoded_bytes());
-    let random = random.and_then(|rest| rest.strip_suffix(SUFFIX.as_bytes()));
+    let random = random.and_then(|rest| rest.strip_suffix(ending.as_bytes()));
     random.is_some_and(|digits| digits.len() == DIGITS && digits.iter().all(u8::is_ascii_hexdigit))
 }
 
@@ -153,7 +187,7 @@ fn shortened(name: &OsStr) -> OsString {
 }
 
 /// Folder and name of a target.
-pub(super) fn split(target: &Path) -> Result<(&Path, &OsStr)> {
+pub(crate) fn split(target: &Path) -> Result<(&Path, &OsStr)> {
     let whole = target.as_os_str().as_encoded_bytes();
     // Not the `a` of `a/` and `a/.`, either.
     let name = target.file_name().filter(|name| whole.ends_with(name.as_encoded_bytes()));
@@ -170,13 +204,14 @@ mod tests {
     fn only_leftovers_of_the_same_target_are_removed() {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("a.slices");
-        let alive = Temporary::beside(&target).unwrap();
+        let files = Files::current();
+        let alive = Temporary::beside(&files, &target).unwrap();
         let kept = ["a.slices", ".b.slices.slicewalk-0123456789abcdef.part", ".a.slices.slicewalk-mine.part"];
         let stale = ".a.slices.slicewalk-0123456789abcdef.part";
         for name in kept.iter().chain([&stale]) {
             std::fs::write(folder.path().join(name), "old").unwrap();
         }
-        remove_leftovers(&target).unwrap();
+        remove_leftovers(&files, &target).unwrap();
         assert!(kept.iter().all(|name| folder.path().join(name).exists()));
         assert!(!folder.path().join(stale).exists());
         assert!(alive.path.exists());
@@ -190,9 +225,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for name in ["x".repeat(255), "ü".repeat(124) + ".slices", "y".repeat(3) + "." + &"z".repeat(251)] {
             let target = folder.path().join(name);
-            let mut part = Temporary::beside(&target).unwrap();
+            let mut part = Temporary::beside(&Files::current(), &target).unwrap();
             let visible = part.visible_name(&target);
-            part.rename(&visible, disk::rename_new).unwrap();
+            part.rename(&visible, false).unwrap();
             assert!(visible.exists() && visible.to_string_lossy().contains(MARK));
         }
     }

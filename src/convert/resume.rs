@@ -1,0 +1,458 @@
+//! Going on from what an earlier run of the same conversion left on disk.
+//!
+//! A run that spills notes in its journal which chunks of the input its runs stand for, what was found in them, and which
+//! bytes were read for that, with their hash. Another run takes these runs over if it has the same plan and the same
+//! inputs: by path, length and time of each file, by what its header says of its chunks, and by reading again the bytes
+//! that were read and comparing their hash. It then reads the chunks that are missing. Of a chunk that is there in part
+//! it leaves out the points that are there; the decoder gives the same points in the same order.
+//!
+//! Meshes are read again. The second pass, from runs to pages, begins anew.
+
+use super::ConvertOptions;
+use super::points::{OfFile, Read};
+use crate::archive::Shard;
+use crate::codec::ByteReader;
+use crate::input::spacing::Spacing;
+use crate::input::{InputSet, PointCounts, ReadLog, Reads, ScanFile, Units};
+use crate::mesh::MeshMode;
+use crate::output::Output;
+use crate::plan::Plan;
+use crate::voxel::spill::{Leftover, Spill, SpillPlace, SpilledRun};
+use crate::{Error, Monitor, Parameter, Result};
+use std::collections::{BTreeMap, HashSet};
+use std::path::Path;
+use xxhash_rust::xxh3::xxh3_64;
+
+/// What a run took over of an earlier one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Resumed {
+    /// Points that the runs taken over stand for.
+    pub points: u64,
+    /// Bytes of these runs on disk.
+    pub bytes: u64,
+}
+
+/// What decides which records a run makes of which chunk.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Identity {
+    version: String,
+    plan: Vec<u8>,
+    /// If the pixel size was chosen automatically.
+    spacing: Option<Spacing>,
+    /// Unit of the input and mode of meshes, as numbers.
+    numbers: [f64; 2],
+    shard: Option<Shard>,
+    inputs: Vec<InputState>,
+}
+
+/// An input by hashes: there may be very many.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct InputState {
+    /// Of its absolute path.
+    path: u64,
+    /// Of its length, the time when it was changed last, and what decides which chunks it has.
+    state: u64,
+}
+
+impl InputState {
+    fn of(file: &ScanFile) -> Self {
+        let path = std::path::absolute(file.path()).unwrap_or_else(|_| file.path().to_path_buf());
+        let mut state = file.bytes().to_le_bytes().to_vec();
+        state.extend(file.stamp.modified_ns().unwrap_or(i128::MIN).to_le_bytes());
+        state.extend(file.layout_hash().to_le_bytes());
+        Self { path: xxh3_64(path.as_os_str().as_encoded_bytes()), state: xxh3_64(&state) }
+    }
+}
+
+impl Identity {
+    pub fn of(
+        options: &ConvertOptions,
+        plan: &Plan,
+        spacing: Option<Spacing>,
+        shard: Option<Shard>,
+        set: &InputSet,
+    ) -> Self {
+        let unit = match options.units {
+            Units::Auto => 0.0,
+            Units::Factor(factor) => factor,
+        };
+        let mesh = match options.mesh {
+            MeshMode::Exact => -1.0,
+            MeshMode::Sampled { step_m } => step_m.unwrap_or(0.0),
+        };
+        Self {
+            version: env!("CARGO_PKG_VERSION").into(),
+            plan: plan.to_bytes().to_vec(),
+            spacing,
+            numbers: [unit, mesh],
+            shard,
+            inputs: set.files().iter().map(InputState::of).collect(),
+        }
+    }
+
+    /// The head of a journal: the target, then this.
+    pub fn head(&self, target: &Path) -> Vec<u8> {
+        let mut out = Vec::new();
+        let mut put = |bytes: &[u8]| {
+            out.extend((bytes.len() as u64).to_le_bytes());
+            out.extend(bytes);
+        };
+        put(target.as_os_str().as_encoded_bytes());
+        put(self.version.as_bytes());
+        put(&self.plan);
+        let spacing = self.spacing.map(|Spacing { spacing_m, sampled, block_m, points }| {
+            [spacing_m.to_bits(), sampled, block_m.to_bits(), points].map(u64::to_le_bytes)
+        });
+        put(spacing.as_ref().map_or(&[][..], |spacing| spacing.as_flattened()));
+        put(self.numbers.map(f64::to_le_bytes).as_flattened());
+        let shard = self.shard.map(|Shard { index, count, first, last, job }| {
+            let numbers = [u64::from(index), u64::from(count), first, last, job as u64, (job >> 64) as u64];
+            numbers.map(u64::to_le_bytes)
+        });
+        put(shard.as_ref().map_or(&[][..], |shard| shard.as_flattened()));
+        let inputs: Vec<_> =
+            self.inputs.iter().flat_map(|input| [input.path, input.state]).map(u64::to_le_bytes).collect();
+        put(inputs.as_flattened());
+        out
+    }
+
+    /// The target and the rest of a head.
+    fn split(head: &[u8]) -> Option<(&[u8], Vec<&[u8]>)> {
+        let mut reader = ByteReader::new(head, "");
+        let mut fields = Vec::new();
+        while !reader.is_empty() {
+            let len = reader.u64().ok()?;
+            fields.push(reader.take(usize::try_from(len).ok()?).ok()?);
+        }
+        let (target, rest) = fields.split_first()?;
+        Some((target, rest.to_vec()))
+    }
+
+    fn from_fields(fields: &[&[u8]]) -> Option<Self> {
+        let &[version, plan, spacing, numbers, shard, inputs] = fields else { return None };
+        let u64s =
+            |bytes: &[u8]| bytes.as_chunks().0.iter().map(|&bytes| u64::from_le_bytes(bytes)).collect::<Vec<_>>();
+        let spacing = match u64s(spacing)[..] {
+            [] => None,
+            [spacing, sampled, block, points] => {
+                let (spacing_m, block_m) = (f64::from_bits(spacing), f64::from_bits(block));
+                Some(Spacing { spacing_m, sampled, block_m, points })
+            }
+            _ => return None,
+        };
+        let shard = match u64s(shard)[..] {
+            [] => None,
+            [index, count, first, last, low, high] => Some(Shard {
+                index: index as u32,
+                count: count as u32,
+                first,
+                last,
+                job: u128::from(high) << 64 | u128::from(low),
+            }),
+            _ => return None,
+        };
+        let inputs = u64s(inputs).as_chunks().0.iter().map(|&[path, state]| InputState { path, state }).collect();
+        let numbers: [u64; 2] = u64s(numbers).try_into().ok()?;
+        Some(Self {
+            version: String::from_utf8(version.to_vec()).ok()?,
+            plan: plan.to_vec(),
+            spacing,
+            numbers: numbers.map(f64::from_bits),
+            shard,
+            inputs,
+        })
+    }
+
+    /// Fails if a run of this identity, over `set`, cannot go on from what `earlier` left.
+    fn check(&self, earlier: &Self, set: &InputSet) -> Result<()> {
+        let again = "give the same again, or begin anew without resuming";
+        let refuse = |reason: String| Err(Error::parameter(Parameter::Resume, reason));
+        if earlier.version != self.version {
+            let (was, is) = (&earlier.version, &self.version);
+            return refuse(format!(
+                "version {was} of this program began the conversion, this is {is}; begin anew without it"
+            ));
+        }
+        let path = |number: usize| set.files()[number].path();
+        let before: HashSet<u64> = earlier.inputs.iter().map(|input| input.path).collect();
+        if let Some(new) = self.inputs.iter().position(|input| !before.contains(&input.path)) {
+            return refuse(format!("the conversion was begun without {}; {again}", path(new).display()));
+        }
+        if before.len() > self.inputs.len() {
+            return refuse(format!("the conversion was begun with inputs that are not named now; {again}"));
+        }
+        if let Some(changed) = self.inputs.iter().zip(&earlier.inputs).position(|(now, then)| now != then) {
+            return Err(changed_since(path(changed)));
+        }
+        if earlier.shard != self.shard {
+            return refuse(format!("another part was begun; {again}"));
+        }
+        if (&earlier.plan, earlier.numbers) != (&self.plan, self.numbers) {
+            return refuse(format!("the conversion was begun with other options; {again}"));
+        }
+        Ok(())
+    }
+}
+
+fn changed_since(path: &Path) -> Error {
+    let reason = "the file has changed since the run to be resumed read it; begin anew without resuming";
+    Error::input(path, "content", reason)
+}
+
+/// What an earlier run left for this target.
+pub(super) struct Earlier {
+    leftover: Leftover,
+    identity: Identity,
+}
+
+impl Earlier {
+    /// Finds what an earlier run left for the archive `target`, if it is to be resumed, and else removes it.
+    pub fn find(options: &ConvertOptions, output: &Output, target: &Path) -> Result<Option<Self>> {
+        let files = output.files();
+        let name = target.file_name().unwrap_or_default();
+        let found = match Leftover::find(files, &options.temp_dir, name, output.owner()) {
+            Ok(found) => found,
+            Err(error) if options.resume => return Err(error),
+            // Whoever cannot look there cannot write there either, and learns that then.
+            Err(_) => return Ok(None),
+        };
+        let mut earlier: Option<Self> = None;
+        for leftover in found {
+            let Some((of, fields)) = leftover.head().and_then(Identity::split) else {
+                leftover.remove();
+                continue;
+            };
+            if of != target.as_os_str().as_encoded_bytes() {
+                continue;
+            }
+            let is_there = files.about(leftover.path()).is_ok_and(|about| about.is_some());
+            match Identity::from_fields(&fields).filter(|_| options.resume && is_there) {
+                // Of several, which only runs beside each other leave, the one with most.
+                Some(identity) => {
+                    let this = Self { leftover, identity };
+                    let (more, less) = match earlier.take() {
+                        Some(other) if other.leftover.bytes() >= this.leftover.bytes() => (other, Some(this)),
+                        other => (this, other),
+                    };
+                    less.into_iter().for_each(|less| less.leftover.remove());
+                    earlier = Some(more);
+                }
+                None => leftover.remove(),
+            }
+        }
+        Ok(earlier)
+    }
+
+    /// Bytes that it holds on disk.
+    pub fn bytes(&self) -> u64 {
+        self.leftover.bytes()
+    }
+
+    /// The pixel size (m) that was chosen automatically, and why.
+    pub fn automatic(&self) -> Option<(f64, Spacing)> {
+        let pixel = self.identity.plan.first_chunk().map(|&bytes| f64::from_le_bytes(bytes));
+        pixel.zip(self.identity.spacing)
+    }
+
+    /// Goes on from it, for a run of `identity` that spills at `place`.
+    pub fn take_over(
+        self,
+        identity: &Identity,
+        place: SpillPlace,
+        set: &InputSet,
+        monitor: &dyn Monitor,
+    ) -> Result<TakenOver> {
+        identity.check(&self.identity, set)?;
+        monitor.stage("checking", self.bytes(), "bytes");
+        let mut look = |bytes| {
+            monitor.advance(bytes);
+            if monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) }
+        };
+        let (mut runs, mut begun) = (Vec::new(), BTreeMap::new());
+        let mut progress = Progress::nothing(set.files().len());
+        let path = self.leftover.path().to_path_buf();
+        let mut take = |run: SpilledRun, cover: &[u8]| {
+            let broken = || Error::input(&path, "journal", "it contradicts itself; begin anew without resuming");
+            progress.add(cover, set, &mut begun)?.ok_or_else(broken)?;
+            runs.push(run);
+            Ok(())
+        };
+        let spill = self.leftover.take_over(place, &mut look, &mut take)?;
+        progress.partial = begun.into_iter().map(|(chunk, begun)| (chunk, begun.pieces)).collect();
+        let resumed = Resumed { points: progress.points, bytes: runs.iter().map(SpilledRun::bytes).sum() };
+        Ok(TakenOver { spill, runs, progress, resumed })
+    }
+}
+
+/// The runs of an earlier run, and what they stand for.
+pub(super) struct TakenOver {
+    pub spill: Spill,
+    pub runs: Vec<SpilledRun>,
+    pub progress: Progress,
+    pub resumed: Resumed,
+}
+
+/// What of the input need not be read.
+#[derive(Debug)]
+pub(super) struct Progress {
+    /// Chunks that are done: first and end of each row of them.
+    done: BTreeMap<u64, u64>,
+    /// Points of other chunks for which runs stand: first and end, ascending.
+    partial: BTreeMap<u64, Vec<(u64, u64)>>,
+    points: u64,
+    /// What was found in the chunks that are done.
+    pub read: Read,
+    pub of_files: Vec<OfFile>,
+}
+
+/// What is known of a chunk while the journal is read.
+#[derive(Default)]
+struct Begun {
+    pieces: Vec<(u64, u64)>,
+    /// Number of its points, and what was found in it.
+    result: Option<(u64, Read, u128)>,
+    file: usize,
+}
+
+impl Progress {
+    /// Of files of which nothing was read.
+    pub fn nothing(files: usize) -> Self {
+        let (read, of_files) = (Read::NOTHING, vec![OfFile::NOTHING; files]);
+        Self { done: BTreeMap::new(), partial: BTreeMap::new(), points: 0, read, of_files }
+    }
+
+    pub fn is_done(&self, chunk: u64) -> bool {
+        self.done.range(..=chunk).next_back().is_some_and(|(_, &end)| chunk < end)
+    }
+
+    /// Points of a chunk for which runs stand.
+    pub fn of_chunk(&self, chunk: u64) -> &[(u64, u64)] {
+        self.partial.get(&chunk).map_or(&[], Vec::as_slice)
+    }
+
+    /// Adds what a run stands for, which is compared with the files; `None` if it cannot be.
+    fn add(&mut self, cover: &[u8], set: &InputSet, begun: &mut BTreeMap<u64, Begun>) -> Result<Option<()>> {
+        let mut reader = ByteReader::new(cover, "");
+        while !reader.is_empty() {
+            let Some((chunk, piece, file, reads, result)) = parse_piece(&mut reader) else { return Ok(None) };
+            let Some(scan) = set.files().get(file) else { return Ok(None) };
+            if !reads.are_of(scan.path())? {
+                return Err(changed_since(scan.path()));
+            }
+            let of_chunk = begun.entry(chunk).or_default();
+            let at = of_chunk.pieces.partition_point(|other| other.0 < piece.0);
+            let overlaps = |other: Option<&(u64, u64)>| other.is_some_and(|o| o.0 < piece.1 && piece.0 < o.1);
+            let before = at.checked_sub(1).and_then(|before| of_chunk.pieces.get(before));
+            if self.is_done(chunk) || overlaps(before) || overlaps(of_chunk.pieces.get(at)) {
+                return Ok(None);
+            }
+            if piece.0 < piece.1 {
+                of_chunk.pieces.insert(at, piece);
+            }
+            self.points += piece.1 - piece.0;
+            of_chunk.file = file;
+            if let Some((read, hash)) = result {
+                of_chunk.result = Some((piece.1, read, hash));
+            }
+            self.finish(chunk, begun, set);
+        }
+        Ok(Some(()))
+    }
+
+    /// Moves a chunk to those that are done if all of it is there.
+    fn finish(&mut self, chunk: u64, begun: &mut BTreeMap<u64, Begun>, set: &InputSet) {
+        let Some(Begun { pieces, result: Some((points, read, hash)), file }) = begun.get(&chunk) else { return };
+        if pieces.iter().map(|piece| piece.1 - piece.0).sum::<u64>() != *points {
+            return;
+        }
+        self.read.merge(read);
+        self.of_files[*file].add(read);
+        set.add_hash(*file, *hash);
+        begun.remove(&chunk);
+        let (mut first, mut end) = (chunk, chunk + 1);
+        if let Some((&before, &its_end)) = self.done.range(..chunk).next_back()
+            && its_end == chunk
+        {
+            first = before;
+        }
+        if let Some(its_end) = self.done.remove(&end) {
+            end = its_end;
+        }
+        self.done.insert(first, end);
+    }
+}
+
+/// What a decoder noted of its reading, as a piece holds it.
+pub(super) fn put_reads(log: &ReadLog, out: &mut Vec<u8>) {
+    let (file, Reads { sum, pieces }) = log.reads();
+    out.extend((file as u64).to_le_bytes());
+    out.extend(sum.to_le_bytes());
+    pieces.iter().for_each(|(at, len)| out.extend([at.to_le_bytes(), len.to_le_bytes()].concat()));
+}
+
+type Piece = (u64, (u64, u64), usize, Reads, Option<(Read, u128)>);
+
+/// Chunk, points, file, what was read, and the result of a piece.
+fn parse_piece(reader: &mut ByteReader<'_>) -> Option<Piece> {
+    let mut number = || reader.varint().ok();
+    let (chunk, from, points) = (number()?, number()?, number()?);
+    let noted = number()?;
+    let mut noted = ByteReader::new(reader.take(usize::try_from(noted).ok()?).ok()?, "");
+    let file = usize::try_from(noted.u64().ok()?).ok()?;
+    let sum = u128::from_le_bytes(noted.array().ok()?);
+    let mut pieces = Vec::new();
+    while !noted.is_empty() {
+        pieces.push((noted.u64().ok()?, noted.u64().ok()?));
+    }
+    let result = match reader.varint().ok()? {
+        0 => None,
+        len => Some(result_of(reader.take(usize::try_from(len - 1).ok()?).ok()?)?),
+    };
+    Some((chunk, (from, from.checked_add(points)?), file, Reads { sum, pieces }, result))
+}
+
+/// What was found in a chunk, and the hash of what was read of it, as a piece holds it.
+pub(super) fn result_bytes(read: &Read, hash: u128) -> Vec<u8> {
+    let counts = |counts: &PointCounts| {
+        [counts.read, counts.withheld, counts.excluded, counts.not_finite, counts.missing]
+            .map(u64::to_le_bytes)
+            .concat()
+    };
+    let bounds = |min: &[f64; 3], max: &[f64; 3]| [*min, *max].concat().into_iter().flat_map(f64::to_le_bytes);
+    let own = &read.own;
+    let mut out = hash.to_le_bytes().to_vec();
+    out.extend(counts(&read.counts));
+    out.extend(bounds(&read.min, &read.max));
+    out.extend(own.kept.to_le_bytes());
+    out.extend(bounds(&own.min, &own.max));
+    out.extend(counts(&own.left_out));
+    out
+}
+
+fn result_of(bytes: &[u8]) -> Option<(Read, u128)> {
+    let mut reader = ByteReader::new(bytes, "");
+    let hash = u128::from_le_bytes(reader.array().ok()?);
+    let mut read = Read::NOTHING;
+    read.counts = counts_of(&mut reader)?;
+    (read.min, read.max) = bounds_of(&mut reader)?;
+    read.own.kept = reader.u64().ok()?;
+    (read.own.min, read.own.max) = bounds_of(&mut reader)?;
+    read.own.left_out = counts_of(&mut reader)?;
+    Some((read, hash))
+}
+
+fn counts_of(reader: &mut ByteReader<'_>) -> Option<PointCounts> {
+    let mut number = || reader.u64().ok();
+    Some(PointCounts {
+        read: number()?,
+        withheld: number()?,
+        excluded: number()?,
+        not_finite: number()?,
+        missing: number()?,
+    })
+}
+
+fn bounds_of(reader: &mut ByteReader<'_>) -> Option<([f64; 3], [f64; 3])> {
+    let mut corner = || Some([reader.f64().ok()?, reader.f64().ok()?, reader.f64().ok()?]);
+    Some((corner()?, corner()?))
+}

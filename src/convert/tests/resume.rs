@@ -1,0 +1,183 @@
+//! Going on from what another run left.
+
+use super::*;
+use std::time::SystemTime;
+
+/// Names in the folder for temporary data.
+fn temporary(job: &Job) -> Vec<String> {
+    let entries = fs::read_dir(&job.options.temp_dir).unwrap();
+    entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+}
+
+/// A conversion that was interrupted after so many points, resuming or not; how many it had read, and how many it kept.
+fn interrupt(job: &Job, points: u64) -> (u64, u64) {
+    let stops = Stops::after(points);
+    match job.convert(true, &stops) {
+        Err(Error::Resumable { source, path, points, bytes }) => {
+            assert!(matches!(*source, Error::Interrupted) && path.starts_with(&job.options.temp_dir) && bytes > 0);
+            assert_eq!(temporary(job).len(), 2);
+            (stops.points(), points)
+        }
+        Err(Error::Interrupted) => (stops.points(), 0),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_conversion_goes_on_where_others_were_interrupted_and_makes_the_same_bytes() {
+    let job = Job::new();
+    let all = 2 * POINTS as u64;
+    // Interrupted again and again, each time a little later.
+    let mut kept_before = 0;
+    for points in (1..=4).map(|fifths| fifths * all / 5) {
+        let (read, kept) = interrupt(&job, points);
+        // A run in the making, and the batch at hand.
+        assert!(read.saturating_sub(kept) <= 8192 + POINTS as u64, "{read} read, {kept} kept");
+        assert!(kept >= kept_before);
+        kept_before = kept;
+    }
+    assert!(kept_before > all / 4, "{kept_before}");
+    let report = job.convert(true, &NoMonitor).unwrap();
+    assert_eq!(report.resumed.map(|resumed| resumed.points), Some(kept_before));
+    assert!(fs::read(&job.options.output).unwrap() == job.new);
+    assert!(temporary(&job).is_empty());
+    assert_eq!(report.header.points_kept, all);
+}
+
+/// Asks to stop in the second pass.
+struct InSecondPass(Stops);
+
+impl Monitor for InSecondPass {
+    fn stage(&self, name: &str, total: u64, unit: &str) {
+        self.0.stage(name, total, unit);
+    }
+    fn cancelled(&self) -> bool {
+        self.0.stages.lock().unwrap().last().is_some_and(|stage| stage == "writing slices")
+    }
+}
+
+#[test]
+fn interrupted_while_it_writes_pages_a_conversion_reads_no_point_again() {
+    let job = Job::new();
+    let error = job.convert(true, &InSecondPass(Stops::after(0))).unwrap_err();
+    assert!(matches!(error, Error::Resumable { points, .. } if points == 2 * POINTS as u64), "{error}");
+    let said = error.to_string();
+    assert!(said.starts_with("interrupted: nothing was written; resuming goes on from 9000 points"), "{said}");
+    let report = job.convert(true, &NoMonitor).unwrap();
+    assert_eq!(report.resumed.map(|resumed| resumed.points), Some(2 * POINTS as u64));
+    assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
+}
+
+#[test]
+fn with_nothing_to_resume_a_conversion_begins_anew_and_without_the_option_it_cleans_up() {
+    let job = Job::new();
+    let report = job.convert(true, &NoMonitor).unwrap();
+    assert!(report.resumed.is_none() && fs::read(&job.options.output).unwrap() == job.new);
+    interrupt(&job, POINTS as u64 * 3 / 2);
+    // What belongs to an archive of the same name in another folder is somebody else's.
+    let mut other = job.options.clone();
+    other.output = job.folder.path().join("other.d").join("a.slices");
+    fs::create_dir(job.folder.path().join("other.d")).unwrap();
+    convert_within(&other, Job::limits(), &NoMonitor).unwrap();
+    assert_eq!(temporary(&job).len(), 2);
+    let report = job.convert(false, &NoMonitor).unwrap();
+    assert!(report.resumed.is_none() && temporary(&job).is_empty());
+    // An interrupted run that was not to be resumed leaves nothing.
+    let error = job.convert(false, &Stops::after(POINTS as u64)).unwrap_err();
+    assert!(matches!(error, Error::Interrupted) && temporary(&job).is_empty(), "{error}");
+}
+
+#[test]
+fn changed_inputs_and_other_options_are_refused_and_what_was_kept_stays() {
+    let job = Job::new();
+    // All was read of both scans.
+    assert!(job.convert(true, &InSecondPass(Stops::after(0))).is_err());
+    let kept = 2 * POINTS as u64;
+    let refused = |options: &ConvertOptions, with: &[&str]| {
+        let options = ConvertOptions { resume: true, ..options.clone() };
+        let said = convert_within(&options, Job::limits(), &NoMonitor).unwrap_err().to_string();
+        assert!(with.iter().all(|text| said.contains(text)) && said.lines().count() == 1, "{said}");
+        assert_eq!(temporary(&job).len(), 2);
+        assert!(fs::read(&job.options.output).unwrap() == job.old);
+    };
+    let scan = |name: &str| job.folder.path().join(name);
+    for name in ["plain.las", "packed.laz"] {
+        let (bytes, about) = (fs::read(scan(name)).unwrap(), fs::metadata(scan(name)).unwrap());
+        let set = |bytes: &[u8], time: SystemTime| {
+            fs::write(scan(name), bytes).unwrap();
+            fs::File::options().write(true).open(scan(name)).unwrap().set_modified(time).unwrap();
+        };
+        let time = about.modified().unwrap();
+        // A byte among the first points; the time of the file is as it was.
+        let mut changed = bytes.clone();
+        changed[bytes.len() / 9] ^= 1;
+        set(&changed, time);
+        refused(&job.options, &[name, "changed", "resuming"]);
+        set(&bytes, SystemTime::UNIX_EPOCH);
+        refused(&job.options, &[name, "changed"]);
+        let mut longer = bytes.clone();
+        longer.push(0);
+        set(&longer, time);
+        refused(&ConvertOptions { allow_incomplete: true, ..job.options.clone() }, &[name, "changed"]);
+        set(&bytes, time);
+    }
+    let mut options = job.options.clone();
+    options.pixel = PixelSize::Metres(0.2);
+    refused(&options, &["resuming", "other options"]);
+    let mut options = job.options.clone();
+    options.inputs.pop();
+    refused(&options, &["resuming", "not named now"]);
+    let mut options = job.options.clone();
+    fs::copy(scan("plain.las"), scan("more.las")).unwrap();
+    options.inputs.push(scan("more.las"));
+    refused(&options, &["resuming", "more.las"]);
+    // With all as it was, the conversion goes on.
+    let report = job.convert(true, &NoMonitor).unwrap();
+    assert_eq!(report.resumed.map(|resumed| resumed.points), Some(kept));
+    assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
+}
+
+#[test]
+fn a_pixel_size_that_was_chosen_automatically_is_not_chosen_again() {
+    let mut job = Job::new();
+    job.options.pixel = PixelSize::Auto;
+    let whole = job.convert(false, &NoMonitor).unwrap();
+    let new = fs::read(&job.options.output).unwrap();
+    assert!(interrupt(&job, POINTS as u64 * 3 / 2).1 > 0);
+    let stops = Stops::after(u64::MAX);
+    let report = job.convert(true, &stops).unwrap();
+    assert_eq!(report.spacing, whole.spacing);
+    assert!(!stops.stages.lock().unwrap().iter().any(|stage| stage == "spacing"));
+    assert!(fs::read(&job.options.output).unwrap() == new);
+}
+
+#[test]
+fn parts_of_a_conversion_go_on_and_merge_to_the_same_bytes() {
+    let mut job = Job::new();
+    let mut parts = Vec::new();
+    for index in 1..=2 {
+        job.options.shard = Some(ShardOptions { index, count: 2, job: None });
+        job.options.output = job.folder.path().join(format!("part{index}.slices"));
+        // Once while points are read, and once after that.
+        assert!(job.convert(true, &Stops::after(POINTS as u64 / 2)).is_err());
+        assert!(job.convert(true, &InSecondPass(Stops::after(0))).is_err());
+        assert!(job.convert(true, &NoMonitor).unwrap().resumed.is_some_and(|resumed| resumed.points > 0));
+        parts.push(job.options.output.clone());
+    }
+    let output = job.folder.path().join("whole.slices");
+    crate::archive::merge(&parts, &output, false, &NoMonitor).unwrap();
+    assert!(fs::read(&output).unwrap() == job.new);
+}
+
+#[test]
+fn a_kill_costs_no_more_than_256_mib_of_runs_whatever_the_budget() {
+    for memory_bytes in [64 << 20, 128 << 20, 512 << 20, 1 << 30, 4 << 30, 64u64 << 30] {
+        for threads in [1, 2, 7, 64] {
+            let options = ConvertOptions { memory_bytes, threads, ..ConvertOptions::new(Vec::new(), "a".into()) };
+            let limits = Limits::of(&options);
+            let in_memory = limits.retain_bytes.min(crate::voxel::runs::MOST_IN_MEMORY_WHILE_SPILLING);
+            let built = limits.build_bytes / crate::voxel::runs::BUILD_BYTES * 8 * threads as u64;
+            assert!(in_memory + built <= 240 << 20, "{memory_bytes} bytes, {threads} threads");
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! Building runs: records by tile column, sorted by counting.
+
+use super::cover::Covering;
+use super::store::RunStore;
+use super::{SORTED_RECORDS, Segment, SegmentCoder};
+use crate::Result;
+use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, Record, Recorder, SurfaceVoxel};
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+
+/// Bytes per record of a run under construction: the record, its column number and its sorted copy.
+pub const BUILD_BYTES: u64 = 20;
+/// Bytes per tile column of a run under construction: its place in the list and in the lookup, both of which double
+/// as they grow, and in the order and the index made at the end. A run of scattered points is mostly this.
+const COLUMN_BYTES: usize = 120;
+/// Records of a run while no run is on disk: only there many runs cost more than few, and memory that is never touched
+/// costs nothing.
+const SMALL_RUN_RECORDS: usize = 1 << 20;
+
+/// Mixes the few bytes of a [`ColumnIndex`]; the keys come from coordinates, and a slow map is the worst a crafted
+/// input can cause.
+#[derive(Default)]
+struct ColumnHasher(u64);
+
+impl Hasher for ColumnHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+    fn write(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.write_i32(i32::from(byte));
+        }
+    }
+    fn write_i16(&mut self, value: i16) {
+        self.write_i32(i32::from(value));
+    }
+    fn write_i32(&mut self, value: i32) {
+        self.0 = (self.0.rotate_left(23) ^ u64::from(value as u32)).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        self.0 ^= self.0 >> 32;
+    }
+}
+
+/// Collects the records of one worker and hands them to a [`RunStore`] run by run.
+#[derive(Debug)]
+pub struct RunBuilder {
+    recorder: Recorder,
+    /// Tile columns whose records are kept; `None` for all.
+    only: Option<(u64, u64)>,
+    capacity: usize,
+    records: Vec<Record>,
+    /// Number of each record's column in `columns`.
+    numbers: Vec<u32>,
+    columns: Vec<(ColumnIndex, u32)>,
+    lookup: HashMap<ColumnIndex, u32, BuildHasherDefault<ColumnHasher>>,
+    /// Number of the last column met at this place of a 16 × 16 pattern; may be left over from an earlier run.
+    recent: [u32; 256],
+    /// Memory of a run that went to disk.
+    spare: Vec<Record>,
+    covering: Option<Covering>,
+}
+
+impl RunBuilder {
+    /// A builder of runs that take `build_bytes` of memory while they are built.
+    pub fn new(recorder: Recorder, build_bytes: u64) -> Self {
+        let capacity = (build_bytes / BUILD_BYTES).clamp(1 << 13, u32::MAX as u64) as usize;
+        Self {
+            recorder,
+            only: None,
+            capacity,
+            records: Vec::new(),
+            numbers: Vec::new(),
+            columns: Vec::new(),
+            lookup: HashMap::default(),
+            recent: [0; 256],
+            spare: Vec::new(),
+            covering: None,
+        }
+    }
+
+    /// Notes what its runs stand for. `note` adds what else is to be known of a piece of a chunk.
+    pub fn covering(mut self, note: impl FnMut(&mut Vec<u8>) + Send + 'static) -> Self {
+        self.covering = Some(Covering::new(Box::new(note)));
+        self
+    }
+
+    /// The points that follow are those of this chunk of the input, from its first.
+    pub fn begin_chunk(&mut self, chunk: u64) {
+        if let Some(covering) = &mut self.covering {
+            covering.begin(chunk);
+        }
+    }
+
+    /// Leaves out points of the chunk for which other runs stand.
+    pub fn pass(&mut self, points: u64) {
+        if let Some(covering) = &mut self.covering {
+            covering.pass(points);
+        }
+    }
+
+    /// The chunk is at its end. With a `result`, a process that goes on from the runs need not read it again.
+    pub fn end_chunk(&mut self, result: Option<&[u8]>) {
+        if let Some(covering) = &mut self.covering {
+            covering.close(result);
+        }
+    }
+
+    /// Keeps only the records of the tile columns `first..=last`, copies in their halo included.
+    pub fn only(mut self, first: u64, last: u64) -> Self {
+        self.only = Some((first, last));
+        self
+    }
+
+    /// Adds points (all within [`Recorder::reaches`]); a full run goes to `store`.
+    pub fn push(&mut self, x: &[f64], y: &[f64], z: &[f64], store: &RunStore) -> Result<()> {
+        for start in (0..x.len()).step_by(BATCH) {
+            let chunk = start..(start + BATCH).min(x.len());
+            self.make_room(chunk.len(), store)?;
+            let recorder = self.recorder;
+            let count = chunk.len() as u64;
+            recorder.record(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], self.adder());
+            if let Some(covering) = &mut self.covering {
+                covering.add(count);
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds what surfaces fill of voxels (all on the grid); a full run goes to `store`.
+    pub fn push_surfaces(&mut self, voxels: &[SurfaceVoxel], store: &RunStore) -> Result<()> {
+        for chunk in voxels.chunks(BATCH) {
+            self.make_room(chunk.len(), store)?;
+            let recorder = self.recorder;
+            let mut add = self.adder();
+            chunk.iter().for_each(|voxel| recorder.record_surface(voxel, &mut add));
+        }
+        Ok(())
+    }
+
+    /// Makes room for `count` (at most [`BATCH`]) points or voxels with all their copies, so that adding needs no checks.
+    fn make_room(&mut self, count: usize, store: &RunStore) -> Result<()> {
+        let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
+        let covered = self.covering.as_ref().map_or(0, |covering| covering.len() / BUILD_BYTES as usize);
+        let capacity = if store.spills() { self.capacity } else { self.capacity.min(SMALL_RUN_RECORDS) };
+        if self.records.len() + columns + covered + 4 * count > capacity {
+            self.flush(store)?;
+        }
+        if self.records.capacity() < capacity {
+            self.records.reserve_exact(capacity - self.records.len());
+            self.numbers.reserve_exact(capacity - self.numbers.len());
+        }
+        Ok(())
+    }
+
+    fn adder(&mut self) -> impl FnMut(ColumnIndex, Record) + use<'_> {
+        let Self { records, numbers, columns, lookup, recent, only, .. } = self;
+        let only = *only;
+        move |index, record| {
+            if only.is_some_and(|(first, last)| !(first..=last).contains(&index.key().column)) {
+                return;
+            }
+            // Points of a scan jump between few columns; most are found here without hashing.
+            let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
+            if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
+                *place = *lookup.entry(index).or_insert_with(|| {
+                    columns.push((index, 0));
+                    (columns.len() - 1) as u32
+                });
+            }
+            columns[*place as usize].1 += 1;
+            records.push(record);
+            numbers.push(*place);
+        }
+    }
+
+    /// Hands what is collected to `store`; call once more at the end.
+    pub fn flush(&mut self, store: &RunStore) -> Result<()> {
+        let cover = self.covering.as_mut().map(Covering::take).unwrap_or_default();
+        if self.records.is_empty() && cover.is_empty() {
+            return Ok(());
+        }
+        let mut order: Vec<(ColumnKey, u32)> =
+            self.columns.iter().enumerate().map(|(number, column)| (column.0.key(), number as u32)).collect();
+        order.sort_unstable();
+        let mut index = Vec::with_capacity(4 * order.len());
+        let mut encoder = SegmentCoder::default();
+        let mut next = 0u32;
+        for &(key, number) in &order {
+            let records = std::mem::replace(&mut self.columns[number as usize].1, next);
+            encoder.encode(Segment { key, records }, &mut index);
+            next += records;
+        }
+        let mut sorted = std::mem::take(&mut self.spare);
+        sorted.resize(self.records.len(), Record(0));
+        for (&record, &number) in self.records.iter().zip(&self.numbers) {
+            let place = &mut self.columns[number as usize].1;
+            sorted[*place as usize] = record;
+            *place += 1;
+        }
+        // The records are in `sorted` now; their memory is scratch from here on.
+        let mut rest = &mut sorted[..];
+        let mut start = 0;
+        for &(_, number) in &order {
+            // The place of the next record is now the end of the segment.
+            let end = self.columns[number as usize].1;
+            let (segment, others) = rest.split_at_mut((end - start) as usize);
+            if segment.len() as u64 >= SORTED_RECORDS {
+                sort_by_pixel(segment, &mut self.records);
+            }
+            (rest, start) = (others, end);
+        }
+        self.records.clear();
+        self.numbers.clear();
+        self.columns.clear();
+        self.lookup.clear();
+        index.shrink_to_fit();
+        self.spare = store.add(sorted, index, cover)?;
+        Ok(())
+    }
+}
+
+/// Sorts many records by pixel, and by nothing else, by counting.
+fn sort_by_pixel(records: &mut [Record], scratch: &mut Vec<Record>) {
+    let mut next = [0u32; PATCH_AREA];
+    records.iter().for_each(|record| next[record.pixel()] += 1);
+    let mut start = 0;
+    for count in &mut next {
+        start += std::mem::replace(count, start);
+    }
+    scratch.clear();
+    scratch.extend_from_slice(records);
+    for &record in &*scratch {
+        let place = &mut next[record.pixel()];
+        records[*place as usize] = record;
+        *place += 1;
+    }
+}

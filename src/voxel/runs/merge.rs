@@ -1,0 +1,240 @@
+//! Merging runs: tile columns in archive order, each with the records that belong to it.
+
+use super::store::{Run, RunStorage, RunStore};
+use super::{SORTED_RECORDS, Segment, SegmentCoder};
+use crate::Result;
+use crate::voxel::record::{ColumnKey, PATCH_PIXELS, Record};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Read-ahead in the index of a run on disk, least and most.
+const INDEX_CHUNK_BYTES: (u64, u64) = (256, 4096);
+
+/// Reads the segments of one run from front to back.
+#[derive(Debug)]
+struct Cursor {
+    coder: SegmentCoder,
+    /// Index bytes at hand, and how many of them are used up.
+    chunk: Vec<u8>,
+    used: usize,
+    /// Next byte of the index to fetch, counted from its start.
+    fetched: u64,
+    segments_left: u64,
+    /// Most index bytes to fetch at once.
+    chunk_bytes: usize,
+    /// The segment at hand and the record where it begins.
+    segment: Option<Segment>,
+    first_record: u64,
+}
+
+impl Cursor {
+    fn new(run: &Run, store: &RunStore, chunk_bytes: usize) -> Result<Self> {
+        let mut cursor = Self {
+            coder: SegmentCoder::default(),
+            chunk: Vec::new(),
+            used: 0,
+            fetched: 0,
+            segments_left: run.columns,
+            chunk_bytes,
+            segment: None,
+            first_record: 0,
+        };
+        cursor.advance(run, store)?;
+        Ok(cursor)
+    }
+
+    fn advance(&mut self, run: &Run, store: &RunStore) -> Result<()> {
+        self.first_record += self.segment.map_or(0, |segment| u64::from(segment.records));
+        if self.segments_left == 0 {
+            self.segment = None;
+            return Ok(());
+        }
+        self.segments_left -= 1;
+        let Self { coder, chunk, used, fetched, chunk_bytes, .. } = self;
+        self.segment = Some(coder.decode(|| {
+            if *used == chunk.len() {
+                match &run.storage {
+                    RunStorage::Memory { index, .. } => {
+                        let end = index.len().min(*fetched as usize + *chunk_bytes);
+                        chunk.clear();
+                        chunk.extend_from_slice(&index[*fetched as usize..end]);
+                    }
+                    RunStorage::Disk { index_at, index_bytes, .. } => {
+                        chunk.resize(((index_bytes - *fetched) as usize).min(*chunk_bytes), 0);
+                        store.read(index_at + *fetched, chunk)?;
+                    }
+                }
+                *fetched += chunk.len() as u64;
+                *used = 0;
+            }
+            *used += 1;
+            Ok(chunk[*used - 1])
+        })?);
+        Ok(())
+    }
+}
+
+/// Records of one run that belong to a [`ColumnJob`]: a contiguous range.
+#[derive(Debug)]
+struct Stretch {
+    run: usize,
+    first_record: u64,
+    /// Position of a column in the job, and how many records follow for it.
+    columns: Vec<(u32, u32)>,
+}
+
+/// A few neighbouring tile columns to be worked on together, in archive order.
+#[derive(Debug, Default)]
+pub struct ColumnJob {
+    /// The tile columns and how many records each has.
+    pub columns: Vec<(ColumnKey, u64)>,
+    /// Sum of the records of all columns.
+    pub records: u64,
+    stretches: Vec<Stretch>,
+}
+
+/// Merges the runs: hands out jobs in archive order.
+#[derive(Debug)]
+pub struct Merge<'a> {
+    store: &'a RunStore,
+    pub(super) runs: Vec<Run>,
+}
+
+impl<'a> Merge<'a> {
+    /// Takes the runs out of `store`.
+    pub fn new(store: &'a RunStore) -> Self {
+        Self { store, runs: store.take_runs() }
+    }
+
+    /// Records of all runs.
+    pub fn records(&self) -> u64 {
+        self.runs.iter().map(|run| run.records).sum()
+    }
+
+    /// Calls `give` with one job after another, each of at most `max_columns` columns and `max_records` records, or of a
+    /// single column. Memory: up to 4 KiB per run and what the job lists.
+    pub fn jobs(
+        &self,
+        max_records: u64,
+        max_columns: u64,
+        mut give: impl FnMut(ColumnJob) -> Result<()>,
+    ) -> Result<()> {
+        let (least, most) = INDEX_CHUNK_BYTES;
+        let chunk_bytes = (self.store.retain_bytes / 8 / self.runs.len().max(1) as u64).clamp(least, most) as usize;
+        let cursor = |run| Cursor::new(run, self.store, chunk_bytes);
+        let mut cursors = self.runs.iter().map(cursor).collect::<Result<Vec<_>>>()?;
+        let key_of = |cursor: &Cursor| cursor.segment.map(|segment| segment.key);
+        let mut heap: BinaryHeap<_> =
+            cursors.iter().enumerate().filter_map(|(run, cursor)| Some(Reverse((key_of(cursor)?, run)))).collect();
+        let mut job = ColumnJob::default();
+        let mut part_of = vec![usize::MAX; self.runs.len()];
+        let mut same = Vec::new();
+        while let Some(&Reverse((key, _))) = heap.peek() {
+            same.clear();
+            while let Some(&Reverse((next, run))) = heap.peek()
+                && next == key
+            {
+                same.push(run);
+                heap.pop();
+            }
+            let segment_of = |run: usize, cursors: &[Cursor]| cursors[run].segment.map_or(0, |segment| segment.records);
+            let records: u64 = same.iter().map(|&run| u64::from(segment_of(run, &cursors))).sum();
+            let full = job.records + records > max_records || job.columns.len() as u64 >= max_columns;
+            if !job.columns.is_empty() && full {
+                part_of.fill(usize::MAX);
+                give(std::mem::take(&mut job))?;
+            }
+            let column = job.columns.len() as u32;
+            job.columns.push((key, records));
+            job.records += records;
+            for &run in &same {
+                if part_of[run] == usize::MAX {
+                    part_of[run] = job.stretches.len();
+                    job.stretches.push(Stretch { run, first_record: cursors[run].first_record, columns: Vec::new() });
+                }
+                job.stretches[part_of[run]].columns.push((column, segment_of(run, &cursors)));
+                cursors[run].advance(&self.runs[run], self.store)?;
+                heap.extend(key_of(&cursors[run]).map(|key| Reverse((key, run))));
+            }
+        }
+        if job.columns.is_empty() { Ok(()) } else { give(job) }
+    }
+
+    /// Puts the records of all columns of `job` into `records`, column after column.
+    pub fn load(&self, job: &ColumnJob, records: &mut Vec<Record>) -> Result<()> {
+        records.clear();
+        records.resize(job.records as usize, Record(0));
+        let mut next = Vec::with_capacity(job.columns.len());
+        let mut start = 0;
+        for &(_, count) in &job.columns {
+            next.push(start as usize);
+            start += count;
+        }
+        let mut buffer = Vec::new();
+        for stretch in &job.stretches {
+            let run = &self.runs[stretch.run];
+            let total: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
+            let first = stretch.first_record as usize;
+            let mut rest = match &run.storage {
+                RunStorage::Memory { records, .. } => &records[first..first + total],
+                RunStorage::Disk { .. } => {
+                    buffer.clear();
+                    buffer.resize(total, Record(0));
+                    self.store.read_records(run, stretch.first_record, &mut buffer)?;
+                    &buffer[..]
+                }
+            };
+            for &(column, count) in &stretch.columns {
+                let (own, others) = rest.split_at(count as usize);
+                let place = &mut next[column as usize];
+                records[*place..*place + own.len()].copy_from_slice(own);
+                *place += own.len();
+                rest = others;
+            }
+        }
+        Ok(())
+    }
+
+    /// Calls `take` with the records of a job's only column whose pixels lie in the `rows` (first and end) of its patch,
+    /// and maybe others, at most `chunk` records at a time, in no particular order, as long as it asks for more.
+    pub fn stream(
+        &self,
+        job: &ColumnJob,
+        rows: (u32, u32),
+        chunk: usize,
+        mut take: impl FnMut(&[Record]) -> Result<bool>,
+    ) -> Result<()> {
+        let mut buffer = Vec::new();
+        for stretch in &job.stretches {
+            let (mut first, mut end) = (0, stretch.columns.iter().map(|column| u64::from(column.1)).sum());
+            if end >= SORTED_RECORDS && stretch.columns.len() == 1 {
+                (first, end) = (self.row_begins(stretch, end, rows.0)?, self.row_begins(stretch, end, rows.1)?);
+            }
+            while first < end {
+                buffer.resize((end - first).min(chunk as u64) as usize, Record(0));
+                self.store.read_records(&self.runs[stretch.run], stretch.first_record + first, &mut buffer)?;
+                if !take(&buffer)? {
+                    return Ok(());
+                }
+                first += buffer.len() as u64;
+            }
+        }
+        Ok(())
+    }
+
+    /// Number of the first record of a sorted stretch of `records` that does not lie before `row`.
+    fn row_begins(&self, stretch: &Stretch, records: u64, row: u32) -> Result<u64> {
+        let (mut low, mut high) = (0, records);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let mut record = [Record(0)];
+            self.store.read_records(&self.runs[stretch.run], stretch.first_record + middle, &mut record)?;
+            if record[0].pixel() < row as usize * PATCH_PIXELS {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        Ok(low)
+    }
+}

@@ -1,0 +1,141 @@
+//! The fuzz targets as plain functions: any bytes in; a panic is a finding. The fuzzer and `tests/seeds.rs` call them.
+
+use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
+use slicewalk::codec::{Decoder, Encoder};
+use slicewalk::frame::Frame;
+use slicewalk::input::{InputOptions, InputSet, PointDecoder, quiet_decoder_panics};
+use slicewalk::mesh::{MeshOptions, MeshSet};
+use std::path::PathBuf;
+
+/// Points and triangles after which reading ends: a few bytes may stand for billions.
+const ENOUGH: usize = 1 << 20;
+
+/// A target, by the name under which the fuzzer and the seeds know it.
+pub type Target = (&'static str, fn(&[u8]));
+
+/// All targets.
+pub const TARGETS: &[Target] = &[
+    ("archive", archive),
+    ("page", page),
+    ("scan", scan),
+    ("obj", |bytes| mesh("obj", bytes)),
+    ("ply", |bytes| mesh("ply", bytes)),
+    ("stl", |bytes| mesh("stl", bytes)),
+    ("gltf", |bytes| mesh("gltf", bytes)),
+    ("glb", |bytes| mesh("glb", bytes)),
+    #[cfg(feature = "cli")]
+    ("plan", plan),
+];
+
+/// Opens, verifies and reads any bytes as an archive, as they are and with the head's and footer's checksums put right.
+pub fn archive(bytes: &[u8]) {
+    read_archive(bytes.to_vec());
+    if let Some(repaired) = repair(bytes) {
+        read_archive(repaired);
+    }
+}
+
+fn read_archive(bytes: Vec<u8>) {
+    let Ok(archive) = Archive::from_bytes(bytes) else { return };
+    let _ = archive.crs();
+    let summary = archive.verify(&NoMonitor, &mut |_| ()).expect("nobody asks to stop");
+    let sound = archive.entries().all(|entry| entry.and_then(|entry| archive.page(&entry)).is_ok());
+    assert!(sound || summary.findings > 0, "verify finds what reading refuses");
+}
+
+fn repair(bytes: &[u8]) -> Option<Vec<u8>> {
+    let mut bytes = bytes.to_vec();
+    let len = bytes.len();
+    let head_len = u32::from_le_bytes(bytes.get(12..16)?.try_into().ok()?) as usize;
+    bytes.get_mut(32..40)?.copy_from_slice(&(len as u64).to_le_bytes());
+    let end = head_len.checked_sub(4).filter(|_| head_len <= len)?;
+    let crc = crc32c::crc32c(&bytes[..end]).to_le_bytes();
+    bytes[end..head_len].copy_from_slice(&crc);
+    let footer = len.checked_sub(24).filter(|&at| at >= head_len)?;
+    bytes[footer..footer + 8].copy_from_slice(&(len as u64).to_le_bytes());
+    bytes[footer + 8..footer + 12].copy_from_slice(&crc);
+    let crc = crc32c::crc32c(&bytes[footer..footer + 12]).to_le_bytes();
+    bytes[footer + 12..footer + 16].copy_from_slice(&crc);
+    Some(bytes)
+}
+
+/// Decodes any bytes as an encoded page; what decodes must encode to bytes that decode to the same page.
+pub fn page(bytes: &[u8]) {
+    let mut decoder = Decoder::default();
+    if let (Ok(page), Ok(frame)) = (decoder.decode(bytes), Frame::new(0.05, 0.15)) {
+        let mut again = Vec::new();
+        Encoder::new(frame).encode(&page, &mut again);
+        assert_eq!(decoder.decode(&again).as_ref(), Ok(&page));
+    }
+}
+
+/// Opens any bytes as a LAS or LAZ file, as they are and behind a sound signature, and decodes what they seem to hold.
+pub fn scan(bytes: &[u8]) {
+    quiet_decoder_panics();
+    read_scan(bytes);
+    let mut signed = bytes.to_vec();
+    if signed.len() > 24 {
+        signed[..4].copy_from_slice(b"LASF");
+        signed[24] = 1;
+        read_scan(&signed);
+    }
+}
+
+fn read_scan(bytes: &[u8]) {
+    let file = File::new("laz", bytes);
+    let Ok(set) = InputSet::open(&[file.0.clone()], InputOptions::default(), &NoMonitor) else { return };
+    let mut decoder = PointDecoder::new();
+    let mut points = 0;
+    for chunk in set.chunks().take(64) {
+        let decoded = decoder.decode(&set, &chunk, &mut |batch| {
+            points += batch.len();
+            assert!(batch.x.iter().chain(&batch.y).chain(&batch.z).all(|v| v.abs() <= 1e12));
+            if points < ENOUGH { Ok(()) } else { Err(slicewalk::Error::Interrupted) }
+        });
+        if decoded.is_err() {
+            return;
+        }
+    }
+}
+
+/// Reads any bytes as a mesh of the format that `ending` names.
+pub fn mesh(ending: &str, bytes: &[u8]) {
+    let file = File::new(ending, bytes);
+    let options = MeshOptions { memory_bytes: 1 << 16, ..MeshOptions::default() };
+    let Ok(set) = MeshSet::open(&[file.0.clone()], options, &NoMonitor) else { return };
+    let (mut feed, mut batch, mut triangles) = (set.feed(), Vec::new(), 0);
+    while triangles < ENOUGH && feed.next(&mut batch, &NoMonitor).unwrap_or(false) {
+        assert!(batch.as_flattened().as_flattened().iter().all(|v| v.abs() <= 1e12));
+        triangles += batch.len().max(1);
+    }
+}
+
+/// Reads any bytes as a plan; what is read must be written as text that reads as the same.
+#[cfg(feature = "cli")]
+pub fn plan(bytes: &[u8]) {
+    use slicewalk::convert::plan_file;
+    let file = File::new("json", bytes);
+    if let Ok(job) = plan_file::read(&file.0) {
+        let again = File::new("json", plan_file::to_json(&job).to_string().as_bytes());
+        assert_eq!(plan_file::read(&again.0).expect("it was written"), job);
+    }
+}
+
+/// A file of its own for each thread, which goes with this.
+struct File(PathBuf);
+
+impl File {
+    fn new(ending: &str, bytes: &[u8]) -> Self {
+        let name = format!("slicewalk-fuzz-{}-{:?}.{ending}", std::process::id(), std::thread::current().id());
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, bytes).expect("a folder to write to");
+        Self(path)
+    }
+}
+
+impl Drop for File {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}

@@ -1,0 +1,103 @@
+//! The fuzz targets over seeds: as they are, and changed at random. No bytes make a decoder or a reader panic.
+//!
+//! `tests/fuzz/seeds/TARGET/` holds seeds and what fuzzing found, small and committed; the samples of the format are seeds
+//! too. `SLICEWALK_FUZZ_RUNS` sets how many changed inputs each target gets, `SLICEWALK_FUZZ_SEED` where their numbers begin.
+#![cfg(feature = "cli")]
+
+#[path = "fuzz/targets.rs"]
+mod targets;
+
+use std::path::Path;
+use targets::TARGETS;
+
+/// Numbers that look random and are the same everywhere (SplitMix64).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ z >> 31
+    }
+
+    fn below(&mut self, n: usize) -> usize {
+        (self.next() % n.max(1) as u64) as usize
+    }
+}
+
+/// Values at which checks of numbers end.
+const EDGES: [u64; 8] = [0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFF_FFFF, u64::MAX];
+
+/// One to four changes of the kinds that break formats: bits, numbers at their edges, pieces cut, doubled or taken from
+/// another seed.
+fn change(bytes: &mut Vec<u8>, others: &[Vec<u8>], random: &mut Random) {
+    for _ in 0..=random.below(4) {
+        let at = random.below(bytes.len());
+        let len = random.below(64).min(bytes.len() - at.min(bytes.len()));
+        match random.below(7) {
+            0 if !bytes.is_empty() => bytes[at] ^= 1 << random.below(8),
+            1 if !bytes.is_empty() => bytes[at] = random.next() as u8,
+            2 => {
+                let width = [1, 2, 4, 8][random.below(4)].min(bytes.len() - at.min(bytes.len()));
+                let value = EDGES[random.below(EDGES.len())].to_le_bytes();
+                bytes[at..at + width].copy_from_slice(&value[..width]);
+            }
+            3 => drop(bytes.drain(at..at + len)),
+            4 => {
+                let piece = bytes[at..at + len].to_vec();
+                bytes.splice(at..at, piece);
+            }
+            5 => bytes.truncate(at),
+            _ => {
+                let other = &others[random.below(others.len())];
+                let from = random.below(other.len());
+                let piece = &other[from..other.len().min(from + len)];
+                bytes.splice(at..at, piece.iter().copied());
+            }
+        }
+    }
+}
+
+fn seeds(target: &str) -> Vec<Vec<u8>> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut folders = vec![root.join("tests/fuzz/seeds").join(target)];
+    if target == "archive" {
+        folders.push(root.join("spec/samples"));
+    }
+    let mut paths: Vec<_> = folders
+        .iter()
+        .flat_map(|folder| std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display())))
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_none_or(|ending| target != "archive" || ending != "json"))
+        .collect();
+    paths.sort();
+    paths.iter().map(|path| std::fs::read(path).unwrap()).collect()
+}
+
+#[test]
+fn seeds_and_changed_seeds_make_no_target_panic() {
+    let number = |name: &str, default: u64| std::env::var(name).ok().map_or(default, |text| text.parse().unwrap());
+    let (runs, first) = (number("SLICEWALK_FUZZ_RUNS", 300), number("SLICEWALK_FUZZ_SEED", 1));
+    std::thread::scope(|scope| {
+        for &(name, target) in TARGETS {
+            scope.spawn(move || {
+                let seeds = seeds(name);
+                assert!(!seeds.is_empty(), "{name} has no seed");
+                seeds.iter().for_each(|seed| target(seed));
+                for seed in first..first + runs {
+                    let mut random = Random(seed);
+                    let mut bytes = seeds[random.below(seeds.len())].clone();
+                    change(&mut bytes, &seeds, &mut random);
+                    let done = std::panic::catch_unwind(|| target(&bytes));
+                    assert!(
+                        done.is_ok(),
+                        "{name}: the input of seed {seed} panics; SLICEWALK_FUZZ_SEED={seed} repeats it"
+                    );
+                }
+                println!("{name}: {} seeds, {runs} changed ones from number {first} on", seeds.len());
+            });
+        }
+    });
+}
