@@ -8,6 +8,7 @@
 //! monotone: `a ≤ b` in the world implies `pixel_of(a) ≤ pixel_of(b)`. Guarantee G1 (no missed point) rests on that
 //! alone and so holds at any coordinate, whatever the rounding error.
 
+use crate::text::number;
 use crate::{Error, Parameter, Result};
 
 /// Edge of a tile and of a page in pixels; one row of a tile is one `u64`.
@@ -38,7 +39,7 @@ impl Frame {
     pub fn new(pixel_m: f64, slice_m: f64) -> Result<Self> {
         for (what, value) in [(Parameter::PixelSize, pixel_m), (Parameter::SliceHeight, slice_m)] {
             if !(1e-6..=MAX_CELL_M).contains(&value) {
-                return Err(Error::parameter(what, format!("{value} m lies outside 0.000001 to 1000000 m")));
+                return Err(Error::parameter(what, format!("{} m lies outside 0.000001 to 1000000 m", number(value))));
             }
         }
         Ok(Self { pixel_m, slice_m, pixels_per_m: 1.0 / pixel_m, quanta_per_m: SLICE_QUANTA as f64 / slice_m })

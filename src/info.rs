@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::archive::{Archive, Header, Shard};
+use crate::plan::Plan;
 use crate::unit::{LengthUnit, unit_name};
 use serde_json::{Value, json};
 
@@ -16,16 +17,11 @@ pub fn info(archive: &Archive) -> Result<Value> {
 
 /// As [`info`], from a header, the text of the coordinate reference system, and the units of the inputs.
 pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
-    let plan = &header.plan;
     let bounds = header.bounds.map(|(min, max)| json!({ "min": min, "max": max }));
-    let classes = plan.options.exclude_classes.iter().collect::<Vec<_>>();
-    json!({
+    let facts = json!({
         "format_version": format!("{}.{}", header.version.0, header.version.1),
-        "pixel_size": plan.frame.pixel_m(),
-        "slice_height": plan.frame.slice_m(),
-        "height_quantum": plan.frame.quantum_m(),
-        "origin": [0.0, 0.0, 0.0],
         "bounds": bounds,
+        "empty": header.voxels.occupied == 0,
         "points_read": header.points_read,
         "points_kept": header.points_kept,
         "points_withheld": header.points_withheld,
@@ -42,27 +38,53 @@ pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
             "shared": header.pages.shared,
             "uniform": header.pages.uniform,
         },
-        "voxels": { "occupied": header.voxels.occupied, "obstacle": header.voxels.obstacle },
+        "voxels": { "occupied": header.voxels.occupied, "obstacle": header.voxels.obstacle, "inferred": 0 },
         "bytes": {
             "file": header.file_len,
             "tiles": header.bytes.pages,
             "directory": header.bytes.head + header.bytes.directory,
+            "levels": 0,
+            "colours": 0,
         },
+        "plan_hash": format!("{:032x}", header.plan_hash),
+        "crs": (!crs.is_empty()).then_some(crs),
+        "unit": unit_info(units),
+    });
+    let mut all = plan_info(&header.plan);
+    if let (Value::Object(all), Value::Object(facts)) = (&mut all, facts) {
+        all.extend(facts);
+    }
+    all
+}
+
+/// Grid and options.
+pub fn plan_info(plan: &Plan) -> Value {
+    json!({
+        "pixel_size": plan.frame.pixel_m(),
+        "slice_height": plan.frame.slice_m(),
+        "height_quantum": plan.frame.quantum_m(),
+        "origin": [0.0, 0.0, 0.0],
         "max_slope": plan.options.max_slope_deg,
         "tolerance": plan.options.tolerance_m,
         "classifier": plan.options.classifier.name(),
         "min_points": plan.options.min_points,
         "drop_isolated": plan.options.drop_isolated,
         "up": plan.options.up.name(),
-        "excluded_classes": classes,
-        "plan_hash": format!("{:032x}", header.plan_hash),
-        "crs": (!crs.is_empty()).then_some(crs),
-        "unit": unit_info(units),
+        "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
     })
 }
 
+/// Name of a reference system, whose text may be long: the first name in it, or its beginning. `None` if it is empty.
+pub fn crs_name(crs: &str) -> Option<String> {
+    const MOST: usize = 60;
+    let name = crs.split('"').nth(1).unwrap_or(crs);
+    let short: String = name.chars().take(MOST).collect();
+    let more = if name.chars().count() > MOST { "…" } else { "" };
+    (!crs.is_empty()).then(|| short + more)
+}
+
 /// Name and factor (m) of the unit in which the inputs came: null if unknown, `mixed` if there are several.
-fn unit_info(units: &[LengthUnit]) -> Value {
+pub fn unit_info(units: &[LengthUnit]) -> Value {
     let one = |factor: f64| json!({ "name": unit_name(factor), "factor": factor });
     let whole = |unit: &LengthUnit| {
         let mut facts = one(unit.horizontal_m);

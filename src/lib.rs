@@ -99,12 +99,14 @@ println!("{} voxels", report.header.voxels.occupied);
 //! | ask | [`query`], [`object`] |
 //! | walk | [`walk`] |
 //! | find out where one can walk, and the way | [`reach`] |
-//! | the grid, errors, progress | [`frame`], [`error`], [`monitor`] |
+//! | the grid, errors, progress, numbers as text | [`frame`], [`error`], [`monitor`], [`text`] |
 //!
 //! Without default features the crate only reads: no conversion, and nothing that a browser does not have.
 
 pub mod error;
 pub mod monitor;
+
+pub mod text;
 
 pub mod frame;
 
@@ -140,6 +142,9 @@ pub mod info;
 
 #[cfg(feature = "cli")]
 pub mod size;
+
+#[cfg(feature = "cli")]
+pub mod terminal;
 
 pub mod store;
 

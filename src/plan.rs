@@ -1,6 +1,7 @@
 //! The plan of an archive: grid and options that decide its content. Archives of one plan can be compared and merged.
 
 use crate::frame::{Frame, SLICE_QUANTA};
+use crate::text::number;
 use crate::{Error, Parameter, Result};
 use bitvec::array::BitArray;
 use bitvec::order::Lsb0;
@@ -205,11 +206,11 @@ impl PlanOptions {
     /// Refuses values outside the limits stated at the fields.
     pub fn check(&self) -> Result<()> {
         if !(0.0..=90.0).contains(&self.max_slope_deg) {
-            let reason = format!("{} is no angle between 0 and 90 degrees", self.max_slope_deg);
+            let reason = format!("{} is no angle between 0 and 90 degrees", number(self.max_slope_deg));
             return Err(Error::parameter(Parameter::MaxSlope, reason));
         }
         if !(0.0..=1e6).contains(&self.tolerance_m) {
-            let reason = format!("{} is no length between 0 and 1000000 m", self.tolerance_m);
+            let reason = format!("{} is no length between 0 and 1000000 m", number(self.tolerance_m));
             return Err(Error::parameter(Parameter::Tolerance, reason));
         }
         if self.min_points == 0 {

@@ -16,7 +16,11 @@ pub fn parse_size(text: &str) -> Result<u64, String> {
         other => return Err(format!("unknown unit {other:?}: expected B, KiB, MiB, GiB, KB, MB or GB")),
     };
     let value: f64 = digits.trim().parse().map_err(|_| "expected a size such as 512MiB".to_owned())?;
-    if (0.0..1e18).contains(&value) { Ok((value * unit as f64) as u64) } else { Err("out of range".into()) }
+    if (0.0..1e18).contains(&value) {
+        Ok((value * unit as f64) as u64)
+    } else {
+        Err("expected a size from 0 to less than 1e18 bytes".into())
+    }
 }
 
 #[cfg(test)]

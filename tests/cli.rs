@@ -5,6 +5,7 @@
 mod scans;
 
 use scans::{command, converts, names, points, refuses, sliceconv, verifies, write};
+use slicewalk::archive::Archive;
 use std::fs;
 use std::path::Path;
 use std::process::Stdio;
@@ -66,7 +67,7 @@ fn what_was_done_goes_to_standard_error_without_any_progress_in_a_pipe_and_quiet
     let out = sliceconv(folder.path(), &with(&["scan.laz"], &[]));
     assert!(out.status.success() && out.stdout.is_empty());
     let said = String::from_utf8(out.stderr).unwrap();
-    assert!(said.contains("a.slices: 3000 points"), "{said}");
+    assert!(said.contains("a.slices: 3,000 points → "), "{said}");
     assert!(!said.contains(['\r', '\u{1b}', '█']), "{said:?}");
     let out = sliceconv(folder.path(), &with(&["scan.laz"], &["--force", "--quiet"]));
     assert!(out.status.success() && out.stdout.is_empty() && out.stderr.is_empty());
@@ -195,6 +196,11 @@ fn wrong_usage_ends_with_2_and_says_what_was_expected() {
         (&["scan.las", "-o", "a.slices", "--tolerance", "-0.1"], "--tolerance"),
         (&["scan.las", "-o", "a.slices", "--classifier", "guess"], "thesis"),
         (&["scan.las", "-o", "a.slices", "--exclude-class", "256"], "--exclude-class"),
+        (&["scan.las", "-o", "a.slices", "--exclude-class", "64-7"], "such as 7,18,64-255"),
+        (&["scan.las", "-o", "a.slices", "--min-points", "x"], "a whole number from 1 to "),
+        (&["scan.las", "-o", "a.slices", "--max-slope", "steep"], "expected a number"),
+        (&["scan.las", "-o", "a.slices", "--pixel", "1", "--slice", "1e300"], "--slice: 1e300 m"),
+        (&["-", "-o", "a.slices"], "standard input"),
         (&["scan.las", "-o", "a.slices", "--min-points", "0"], "--min-points"),
         (&["scan.las", "-o", "a.slices", "--up", "x"], "--up"),
         (&["scan.las", "-o", "a.slices", "--no-such"], "--no-such"),
@@ -264,4 +270,149 @@ fn a_scan_without_points_is_an_empty_archive_and_a_warning() {
     let said = refuses(folder.path(), &["none.las", "-o", "b.slices"], 1);
     assert!(said.contains("--pixel"), "{said}");
     assert!(!Path::new(&folder.path().join("b.slices")).exists());
+}
+
+#[test]
+fn a_dry_run_says_what_would_be_read_and_writes_nothing() {
+    let folder = folder();
+    let at = folder.path();
+    let before = names(at);
+    let out = sliceconv(at, &["scan.las", "scan.laz", "--dry-run", "--units", "m", "--pixel", "0.1", "-o", "a.slices"]);
+    assert!(out.status.success() && out.stderr.is_empty(), "{}", String::from_utf8_lossy(&out.stderr));
+    let text = String::from_utf8(out.stdout).unwrap();
+    for words in [
+        "2 files",
+        "scan.las: 3,000 points",
+        "6,000 stated",
+        "1500 × 2020 × 500 m",
+        "not stated",
+        "pixels of 0.1 m",
+        "slices of 0.3 m",
+        "576 MiB",
+        "nothing expected on disk",
+    ] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    // Without an output, and with the pixel size that a conversion would choose.
+    let out = sliceconv(at, &["scan.las", "--dry-run", "--json", "--units", "m"]);
+    let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert!(out.status.success() && facts["dry_run"] == true, "{facts}");
+    assert_eq!((&facts["points_stated"], &facts["inputs"][0]["points_stated"]), (&3000.into(), &3000.into()));
+    assert_eq!(facts["unit"], serde_json::json!({ "name": "m", "factor": 1.0 }));
+    assert!(facts["crs"].is_null() && facts["temp_bytes"] == 0 && facts["memory_bytes"] == 512 << 20, "{facts}");
+    assert!(facts["extent"].as_array().unwrap().iter().all(|edge| edge.as_f64() > Some(100.0)), "{facts}");
+    assert_eq!(names(at), before);
+    converts(at, &["scan.las", "-o", "auto.slices", "--units", "m"]);
+    let archive = Archive::open(at.join("auto.slices")).unwrap();
+    assert_eq!(facts["pixel_size"].as_f64(), Some(archive.frame().pixel_m()));
+    // It fails where the conversion would.
+    let onto = ["scan.las", "--dry-run", "-o", "auto.slices", "--pixel", "0.1"];
+    assert!(refuses(at, &onto, 1).contains("--force"));
+    assert!(refuses(at, &["scan.las", "--dry-run", "-o", "scan.las", "--force"], 1).contains("scan.las"));
+    assert!(refuses(at, &["none.las", "--dry-run"], 1).contains("none.las"));
+    let said = refuses(at, &["scan.las", "--dry-run", "--temp-dir", "no/such"], 1);
+    assert!(said.contains("no/such: no such folder"), "{said}");
+    refuses(at, &["scan.las", "--dry-run", "--write-plan", "p.json"], 2);
+}
+
+#[test]
+fn classes_are_left_out_by_number_and_by_range() {
+    let folder = folder();
+    let at = folder.path();
+    let out = sliceconv(at, &with(&["scan.las"], &["--json", "--exclude-class", "7,18,64-255"]));
+    let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    let classes: Vec<u64> = facts["excluded_classes"].as_array().unwrap().iter().flat_map(|c| c.as_u64()).collect();
+    assert_eq!(classes, [7, 18].into_iter().chain(64..=255).collect::<Vec<_>>());
+    assert!(facts["points_kept"] == 3000 && facts["empty"] == false, "{facts}");
+}
+
+#[test]
+fn an_archive_of_points_that_are_all_left_out_is_no_silent_success() {
+    let folder = folder();
+    let at = folder.path();
+    for (option, words) in [
+        (["--min-points", "1000000"], "voxels have too few points"),
+        (["--exclude-class", "0-255"], "all 3,000 points are left out (3,000 by class"),
+    ] {
+        let out = sliceconv(at, &with(&["scan.las"], &["--json", "--force", option[0], option[1]]));
+        let said = String::from_utf8(out.stderr).unwrap();
+        let warnings: Vec<_> = said.lines().filter(|line| line.contains("warning: nothing is kept: ")).collect();
+        assert!(out.status.success() && warnings.len() == 1 && warnings[0].contains(words), "{said}");
+        let facts: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+        assert_eq!(facts["empty"], true);
+    }
+}
+
+#[test]
+fn a_plan_takes_its_own_inputs_alone_and_names_what_differs() {
+    let folder = folder();
+    let at = folder.path();
+    write(&at.join("other.las"), &points(2000));
+    converts(at, &["scan.las", "--units", "m", "--pixel", "0.1", "--write-plan", "plan.json"]);
+    converts(at, &["scan.las", "--plan", "plan.json", "-o", "planned.slices"]);
+    converts(at, &with(&["scan.las"], &[]));
+    assert!(fs::read(at.join("planned.slices")).unwrap() == fs::read(at.join("a.slices")).unwrap());
+    for more in [&[][..], &["--dry-run"], &["--shard", "1/2"]] {
+        let with_plan = |inputs: &[&'static str]| [inputs, &["--plan", "plan.json", "-o", "b.slices"], more].concat();
+        let said = refuses(at, &with_plan(&["other.las"]), 1);
+        assert!(said.contains("other.las") && said.contains("not among the files of the plan"), "{said}");
+        let said = refuses(at, &with_plan(&["scan.las", "other.las"]), 1);
+        assert!(said.contains("other.las"), "{said}");
+    }
+    assert!(!at.join("b.slices").exists());
+}
+
+#[test]
+fn the_summary_is_written_for_people() {
+    let folder = folder();
+    let said = converts(folder.path(), &with(&["scan.las"], &["--exclude-class", "7"]));
+    let lines: Vec<&str> = said.lines().collect();
+    assert!(lines[0].starts_with("a.slices: 3,000 points → ") && lines[0].contains(" obstacles), "), "{said}");
+    assert!(lines[0].ends_with(" slices of 0.3 m, 1500 × 2020 × 500 m"), "{said}");
+    let last = lines[lines.len() - 1];
+    assert!(last.contains(" kB → ") && last.contains(" %), ") && last.ends_with(" M points/s"), "{said}");
+}
+
+#[test]
+fn archives_and_plans_do_not_go_to_standard_output() {
+    let folder = folder();
+    let at = folder.path();
+    let said = refuses(at, &["scan.las", "-o", "-", "--pixel", "0.1"], 1);
+    assert!(said.contains("-: a slice archive is not written to standard output; name a file"), "{said}");
+    assert!(refuses(at, &["scan.las", "--write-plan", "-", "--pixel", "0.1"], 1).contains("standard output"));
+}
+
+#[cfg(unix)]
+#[test]
+fn no_name_of_a_file_reaches_the_terminal_with_control_characters() {
+    let folder = folder();
+    let at = folder.path();
+    let name = "bad\u{1b}]0;owned\u{7}\n.las";
+    fs::copy(at.join("scan.las"), at.join(name)).unwrap();
+    for arguments in [&[name, "-o", "b.slices", "--pixel", "0.1"][..], &[name, "--dry-run", "--pixel", "0.1"]] {
+        for json in [&[][..], &["--json"]] {
+            let out = sliceconv(at, &[arguments, json, &["--force"]].concat());
+            assert!(out.status.success());
+            for text in [out.stdout, out.stderr].map(|bytes| String::from_utf8(bytes).unwrap()) {
+                assert!(!text.contains(|c: char| c.is_control() && c != '\n'), "{text:?}");
+                assert!(!text.contains("owned") || text.contains("bad\\u001b]0;owned\\u0007"), "{text:?}");
+            }
+        }
+    }
+    let said = refuses(at, &["no\u{1b}[31m.las", "-o", "c.slices"], 1);
+    assert!(said.contains("no\\u001b[31m.las"), "{said:?}");
+}
+
+#[test]
+fn completions_and_the_manual_come_from_the_program() {
+    let folder = tempfile::tempdir().unwrap();
+    for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
+        let out = sliceconv(folder.path(), &["--completions", shell]);
+        let text = String::from_utf8(out.stdout).unwrap();
+        assert!(out.status.success() && text.contains("exclude-class") && text.contains("sliceconv"), "{shell}");
+    }
+    let out = sliceconv(folder.path(), &["--man"]);
+    let text = String::from_utf8(out.stdout).unwrap();
+    assert!(out.status.success() && text.contains(".TH sliceconv 1") && text.contains("exclude\\-class"), "{text}");
+    assert_eq!(sliceconv(folder.path(), &["--completions", "cmd"]).status.code(), Some(2));
 }

@@ -341,7 +341,8 @@ fn part(at: &Path, inputs: &[PathBuf], index: u32, job: &Job) -> slicewalk::Resu
     let mut options = ConvertOptions::new(inputs.to_vec(), output.clone());
     job.apply_to(&mut options);
     options.overwrite = true;
-    options.shard = Some(ShardOptions { index, count: 3, job: Some(job.clone()) });
+    options.job = Some(job.clone());
+    options.shard = Some(ShardOptions { index, count: 3 });
     convert(&options, &NoMonitor)?;
     Ok(output)
 }

@@ -125,3 +125,45 @@ fn different_systems_and_scenes_far_apart_are_warned_of_by_name() {
     let planned = converts(at, &["a.las", "far.las", "--pixel", "0.1", "--write-plan", "p.json"]);
     assert!(planned.contains("a.las and far.las lie 500 km apart"), "{planned}");
 }
+
+#[test]
+fn a_given_reference_system_completes_scans_that_state_none_and_contradicts_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    write(&at.join("plain.las"), &points(500));
+    scan(at, "named.las", METRES, 0.0);
+    let coded = METRES.replace("1]]", r#"1],AUTHORITY["EPSG","32633"]]"#);
+    scan(at, "coded.las", &coded, 0.0);
+    fs::write(at.join("floor.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").unwrap();
+    let run = |inputs: &[&str], crs: &str| {
+        let said = converts(at, &[inputs, &["--crs", crs], &OPTIONS[..], &["c.slices"]].concat());
+        let facts = info::info(&Archive::open(at.join("c.slices")).unwrap()).unwrap();
+        (facts["crs"].as_str().unwrap().to_owned(), facts["unit"]["name"].as_str().unwrap().to_owned(), said)
+    };
+    let (crs, unit, said) = run(&["plain.las"], "EPSG:25832");
+    assert_eq!((&crs[..], &unit[..]), ("EPSG:25832", "m"));
+    assert!(!said.contains("no unit of length"), "the system has one: {said}");
+    let (crs, unit, _) = run(&["plain.las"], "epsg:2277");
+    assert_eq!((&crs[..], &unit[..]), ("EPSG:2277", "us-ft"));
+    assert!(run(&["plain.las"], "EPSG:4326").2.contains("longitude and latitude"));
+    assert_eq!(run(&["floor.obj"], "EPSG:25832").0, "EPSG:25832");
+    // The scan's own text is kept where it says the same, or nothing that can be compared.
+    let (crs, _, said) = run(&["plain.las", "coded.las"], "EPSG:32633");
+    assert!(crs == coded && !said.contains("reference system"), "{said}");
+    let (crs, _, said) = run(&["named.las"], "EPSG:32633");
+    assert!(crs == METRES && said.contains("named.las: it states the reference system UTM 33N"), "{said}");
+    let both = [&["plain.las", "coded.las", "--crs", "EPSG:25832"], &OPTIONS[..], &["no.slices"]].concat();
+    let said = refuses(at, &both, 1);
+    assert!(said.contains("coded.las: ") && said.contains("expected EPSG:25832, found UTM 33N (EPSG:32633)"), "{said}");
+    assert!(!at.join("no.slices").exists());
+    for wrong in ["25832", "EPSG:", "EPSG:0", "EPSG:x", "ESRI:102100", "é"] {
+        let said = refuses(at, &["plain.las", "-o", "no.slices", "--crs", wrong], 2);
+        assert!(said.contains("--crs") && said.contains("EPSG:25832"), "{said}");
+    }
+    // A plan fixes it: parts must not differ.
+    converts(at, &["plain.las", "--pixel", "0.1", "--crs", "EPSG:25832", "--write-plan", "plan.json"]);
+    converts(at, &["plain.las", "--plan", "plan.json", "-o", "planned.slices"]);
+    assert_eq!(Archive::open(at.join("planned.slices")).unwrap().crs().unwrap(), "EPSG:25832");
+    let other = ["plain.las", "--plan", "plan.json", "--crs", "EPSG:25833", "-o", "no.slices"];
+    assert!(refuses(at, &other, 2).contains("--crs: contradicts the plan"));
+}

@@ -14,10 +14,14 @@ use super::shard::{InputRead, Shard};
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::{ByteSource, FileSource};
 use crate::output::Existing;
+use crate::text::ranges;
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
+
+/// Most ranges of missing parts that a message lists.
+const MOST_RANGES: usize = 8;
 
 /// What a merge did.
 #[derive(Debug, Clone)]
@@ -165,15 +169,11 @@ fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBu
             }
         }
     }
-    let missing: Vec<String> =
-        (1..=common.2).filter(|index| !ordered.contains_key(index)).map(|index| index.to_string()).collect();
+    let missing = (1..=common.2).filter(|index| !ordered.contains_key(index));
+    let missing = ranges(missing, MOST_RANGES);
     if !missing.is_empty() {
-        let reason = format!(
-            "missing of {}: {}; convert each with sliceconv --shard NUMBER/{}",
-            common.2,
-            missing.join(", "),
-            common.2
-        );
+        let count = common.2;
+        let reason = format!("missing of {count}: {missing}; convert each with sliceconv --shard NUMBER/{count}");
         return Err(Error::parameter("parts", reason));
     }
     let ordered: Vec<_> = ordered.into_values().collect();

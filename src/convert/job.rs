@@ -33,6 +33,8 @@ pub struct Job {
     pub plan: Plan,
     /// Unit of the input.
     pub units: Units,
+    /// EPSG code of the reference system of scans that state none.
+    pub epsg: Option<u32>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
     /// Point spacing found, if the pixel size was chosen from it (m).
@@ -53,7 +55,8 @@ impl Job {
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
-        let mut job = Self { plan, units: options.units, mesh: options.mesh, spacing_m: None, inputs };
+        let ConvertOptions { units, epsg, mesh, .. } = *options;
+        let mut job = Self { plan, units, epsg, mesh, spacing_m: None, inputs };
         job.sort_inputs();
         job
     }
@@ -80,6 +83,7 @@ impl Job {
             MeshMode::Sampled { step_m } => step_m.unwrap_or(0.0),
         };
         bytes.extend([unit, mesh].map(f64::to_le_bytes).concat());
+        bytes.extend(self.epsg.into_iter().flat_map(u32::to_le_bytes));
         for input in &self.inputs {
             bytes.extend(input.fingerprint.to_le_bytes());
             bytes.extend(input.points.to_le_bytes());
@@ -96,6 +100,7 @@ impl Job {
         options.slice_m = Some(self.plan.frame.slice_m());
         options.plan = self.plan.options.clone();
         options.units = self.units;
+        options.epsg = self.epsg;
         options.mesh = self.mesh;
     }
 
@@ -134,7 +139,7 @@ impl Job {
         if let Some(name) = missing(here, self) {
             return Err(Error::input(name, "plan", "it is a file of the plan, but not among the inputs; name it too"));
         }
-        if here.plan != self.plan || here.units != self.units || here.mesh != self.mesh {
+        if here.plan != self.plan || (here.units, here.epsg, here.mesh) != (self.units, self.epsg, self.mesh) {
             return Err(Error::parameter(
                 "plan",
                 "its options are not those of the conversion; apply it to them first",
@@ -165,6 +170,7 @@ mod tests {
         Job {
             plan,
             units: Units::Auto,
+            epsg: None,
             mesh: MeshMode::Exact,
             spacing_m: None,
             inputs: areas.iter().enumerate().map(facts).collect(),
@@ -219,13 +225,14 @@ mod tests {
         let mut renamed = one.clone();
         renamed.inputs[0].name = "other.las".into();
         assert_eq!(renamed.hash(), one.hash());
-        let mut changes = vec![one.clone(); 6];
+        let mut changes = vec![one.clone(); 7];
         changes[0].plan.options.max_slope_deg = 44.0;
         changes[1].units = Units::Factor(1.0);
         changes[2].inputs[0].fingerprint = 9;
         changes[3].inputs[1].bounds = None;
         changes[4].inputs.pop();
         changes[5].mesh = MeshMode::Sampled { step_m: None };
+        changes[6].epsg = Some(25832);
         for (number, changed) in changes.iter().enumerate() {
             assert_ne!(changed.hash(), one.hash(), "{number}");
         }

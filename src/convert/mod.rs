@@ -16,6 +16,7 @@ mod pages;
 #[cfg(feature = "cli")]
 pub mod plan_file;
 mod points;
+mod preview;
 mod scope;
 mod split;
 mod work;
@@ -23,6 +24,7 @@ mod work;
 pub use facts::InputFacts;
 pub use job::Job;
 pub use options::{ConvertOptions, PixelSize, ShardOptions};
+pub use preview::{Preview, PreviewInput, preview};
 
 use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Shard, Totals};
 use crate::frame::{Frame, MAX_CELL_M};
@@ -32,6 +34,7 @@ use crate::input::{InputOptions, InputSet, PointCounts, ScanFile};
 use crate::mesh::{MeshCounts, MeshOptions, MeshSet};
 use crate::output::{Existing, Output, OutputKind};
 use crate::plan::Plan;
+use crate::text::{counted, grouped};
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
@@ -64,6 +67,8 @@ pub struct Report {
     pub crs: String,
     /// Units in which the inputs came, each once.
     pub units: Vec<LengthUnit>,
+    /// Length of all input files (bytes).
+    pub input_bytes: u64,
     /// Bytes of temporary data written to disk.
     pub temp_bytes: u64,
     /// Points left out because a coordinate was not finite.
@@ -100,6 +105,7 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
     options.plan.check()?;
     let input_options = InputOptions {
         units: options.units,
+        epsg: options.epsg,
         up: options.plan.up,
         exclude_classes: options.plan.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads.max(1) as u64,
@@ -165,8 +171,7 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         let what = "different units of inputs (set one for all with --units)".into();
         return Err(Error::Limit { what, value: units.len().to_string(), max: MAX_UNITS.to_string() });
     }
-    let scope =
-        options.shard.as_ref().map(|shard| ShardScope::new(shard, &set, &plan, options, monitor)).transpose()?;
+    let scope = scope(options, &set, &plan, monitor)?;
     let mut writer = ArchiveWriter::on(output, &plan)?;
     if let Some(scope) = &scope {
         writer.set_shard(scope.shard);
@@ -212,12 +217,16 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         crs: set.crs().unwrap_or_default().to_owned(),
         units: units.clone(),
     })?;
+    if whole && header.points_read > 0 && header.voxels.occupied == 0 {
+        monitor.warn(&nothing_kept(&header, voxels_dropped));
+    }
     Ok(Report {
         header,
         shard: scope.map(|scope| scope.shard),
         crs: set.crs().unwrap_or_default().to_owned(),
         units,
         spacing,
+        input_bytes: set.bytes().saturating_add(meshes.bytes()),
         temp_bytes: store.temp_bytes(),
         points_not_finite,
         complete,
@@ -225,6 +234,33 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
         points_made: mesh_read.points_made,
         voxels_dropped,
     })
+}
+
+/// The part that the options ask for, if not the whole; refuses inputs that are not those of the options' job.
+fn scope(options: &ConvertOptions, set: &InputSet, plan: &Plan, monitor: &dyn Monitor) -> Result<Option<ShardScope>> {
+    if let Some(shard) = options.shard {
+        return ShardScope::new(shard, set, plan, options, monitor).map(Some);
+    }
+    if let Some(job) = &options.job {
+        job.check_same_inputs(&Job::of(InputFacts::of(set, monitor)?, plan.clone(), options))?;
+    }
+    Ok(None)
+}
+
+/// Why an archive of a scan with points is empty.
+fn nothing_kept(header: &Header, voxels_dropped: u64) -> String {
+    let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;
+    let why = match points_kept {
+        0 => format!(
+            "all {} are left out ({} by class, {} withheld, {} without a finite position)",
+            counted(points_read, "point"),
+            grouped(points_excluded),
+            grouped(points_withheld),
+            grouped(points_read - points_excluded - points_withheld)
+        ),
+        _ => format!("all {} have too few points or no neighbours", counted(voxels_dropped, "voxel")),
+    };
+    format!("nothing is kept: {why}; the archive is empty")
 }
 
 /// Memory of one worker's run under construction.
@@ -251,12 +287,21 @@ fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
     }
 }
 
-/// Refuses to begin what the disk will not hold. Headers may lie, so a count beyond one point per byte is not believed.
-fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
-    let parts = options.shard.as_ref().map_or(1, |shard| u64::from(shard.count.max(1)));
+/// Points that one run reads, and the temporary data that it then writes (bytes), as far as headers tell. These may lie,
+/// so a count beyond one point per byte is not believed.
+fn temp_bytes(options: &ConvertOptions, set: &InputSet) -> (u64, u64) {
+    let parts = options.shard.map_or(1, |shard| u64::from(shard.count.max(1)));
     let points = set.points_stated().min(set.bytes()) / parts;
-    let needed = (points * TEMP_BYTES_PER_POINT).saturating_sub(options.memory_bytes / 2);
+    (points, points.saturating_mul(TEMP_BYTES_PER_POINT).saturating_sub(options.memory_bytes / 2))
+}
+
+/// Refuses to begin what the disk will not hold.
+fn check_free_space(options: &ConvertOptions, set: &InputSet) -> Result<()> {
     let dir = &options.temp_dir;
+    if !dir.is_dir() {
+        return Err(Error::output(dir, "no such folder; temporary data needs one that exists"));
+    }
+    let (points, needed) = temp_bytes(options, set);
     let free = fs4::available_space(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
     if needed > free {
         let what = format!(

@@ -37,12 +37,16 @@ pub struct ConvertOptions {
     pub temp_dir: PathBuf,
     /// Unit of the input.
     pub units: Units,
+    /// EPSG code of the reference system of scans that state none; a scan that states another is refused.
+    pub epsg: Option<u32>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
     /// Whether input that can be read in part only is converted so, with warnings, instead of being refused.
     pub allow_incomplete: bool,
     /// Whether an existing slice archive may be replaced; another file never is.
     pub overwrite: bool,
+    /// The job whose conversion this is, applied to these options ([`Job::apply_to`]): other inputs than its own are refused.
+    pub job: Option<Job>,
     /// The part to convert; `None` for the whole.
     pub shard: Option<ShardOptions>,
 }
@@ -60,21 +64,21 @@ impl ConvertOptions {
             threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
             temp_dir: std::env::temp_dir(),
             units: Units::Auto,
+            epsg: None,
             mesh: MeshMode::Exact,
             allow_incomplete: false,
             overwrite: false,
+            job: None,
             shard: None,
         }
     }
 }
 
-/// What to convert of a scan, if not all.
-#[derive(Debug, Clone)]
+/// Which part of a conversion. Without a [`job`](ConvertOptions::job) it is made from the inputs, the same in every part.
+#[derive(Debug, Clone, Copy)]
 pub struct ShardOptions {
     /// Number of the part (1..=count).
     pub index: u32,
     /// Number of all parts [1..=65536].
     pub count: u32,
-    /// The job as a plan fixed it; made anew from the inputs if `None`, the same in every part.
-    pub job: Option<Job>,
 }

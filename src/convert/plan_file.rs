@@ -37,6 +37,7 @@ pub fn to_json(job: &Job) -> Value {
             Units::Auto => json!("auto"),
             Units::Factor(factor) => json!(factor),
         },
+        "crs": job.epsg.map(|code| format!("EPSG:{code}")),
         "mesh": match job.mesh {
             MeshMode::Exact => json!("exact"),
             MeshMode::Sampled { step_m: None } => json!("sampled"),
@@ -150,6 +151,14 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
         Some(factor) => Some(Units::Factor(factor)).filter(|_| factor.is_finite() && factor > 0.0),
         None => (v.as_str() == Some("auto")).then_some(Units::Auto),
     };
+    // Plans of earlier builds have none.
+    let epsg = match value.get("crs") {
+        None | Some(Value::Null) => None,
+        Some(text) => {
+            let code = text.as_str().and_then(|text| text.strip_prefix("EPSG:")?.parse().ok());
+            Some(code.ok_or_else(|| Wrong::new("crs", "EPSG:N or null"))?)
+        }
+    };
     let mesh = |v: &Value| match (v.as_str(), number(v)) {
         (Some("exact"), _) => Some(MeshMode::Exact),
         (Some("sampled"), _) => Some(MeshMode::Sampled { step_m: None }),
@@ -163,6 +172,7 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
     let mut job = Job {
         plan,
         units: field(value, "units", "auto or metres per unit", units)?,
+        epsg,
         mesh: field(value, "mesh", "exact, sampled, or a distance of points in metres", mesh)?,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
         inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
@@ -214,7 +224,7 @@ mod tests {
         #[test]
         fn plans_come_back_to_the_last_bit(
             sizes in (1e-4f64..1e3, 1e-4f64..1e3, 0.0f64..=90.0, 0.0f64..1.0), rule in 0usize..3, min_points in 1u32..,
-            flags: (bool, bool), classes: [u64; 4], units in proptest::option::of(1e-3f64..1e3),
+            flags: (bool, bool), classes: [u64; 4], units in proptest::option::of(1e-3f64..1e3), epsg: Option<u32>,
             spacing_m in proptest::option::of(1e-6f64..1e3), inputs in proptest::collection::vec(input(), 0..5)
         ) {
             let (pixel, slice, max_slope_deg, tolerance_m) = sizes;
@@ -230,7 +240,7 @@ mod tests {
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };
             let units = units.map_or(Units::Auto, Units::Factor);
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
-            let mut job = Job { plan, units, mesh, spacing_m, inputs };
+            let mut job = Job { plan, units, epsg, mesh, spacing_m, inputs };
             job.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
@@ -251,7 +261,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = to_json(&Job { plan, units: Units::Auto, mesh: MeshMode::Exact, spacing_m: None, inputs: Vec::new() }).to_string();
+            let good = to_json(&Job { plan, units: Units::Auto, epsg: None, mesh: MeshMode::Exact, spacing_m: None, inputs: Vec::new() }).to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

@@ -38,7 +38,7 @@ struct Role {
 impl ShardScope {
     /// The part that `options` ask for, of the inputs `set`, which must be those of its job.
     pub fn new(
-        shard: &ShardOptions,
+        shard: ShardOptions,
         set: &InputSet,
         plan: &Plan,
         options: &ConvertOptions,
@@ -47,7 +47,7 @@ impl ShardScope {
         let facts = InputFacts::of(set, monitor)?;
         let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();
         let here = Job::of(facts, plan.clone(), options);
-        let job = match &shard.job {
+        let job = match &options.job {
             Some(job) => {
                 job.check_same_inputs(&here)?;
                 job

@@ -18,6 +18,8 @@ use crate::Monitor;
 pub(super) struct Georeference {
     /// WKT, else `EPSG:n`, else the citation of the GeoTIFF keys.
     pub text: Option<String>,
+    /// EPSG codes of the system and of what it consists of, as far as it states them.
+    pub codes: Vec<u32>,
     /// Metres per unit of x and y, as stated: any number.
     pub horizontal: Option<f64>,
     /// Metres per unit of z, likewise.
@@ -36,6 +38,32 @@ impl Georeference {
     /// A stated unit that cannot be meant.
     pub(super) fn absurd_unit(&self) -> Option<f64> {
         [self.horizontal, self.vertical].into_iter().flatten().find(|unit| !BELIEVED_M.contains(unit))
+    }
+
+    /// Completes what the file says by the system `code`, if the file names none. Returns a note if the two cannot be
+    /// compared; refuses another one.
+    pub(super) fn complete(&mut self, code: u32) -> Result<Option<String>, String> {
+        match &self.text {
+            None => {
+                self.degrees |= epsg::is_geographic(code);
+                let unit = u16::try_from(code).ok().filter(|_| !self.degrees).and_then(epsg::projected);
+                self.horizontal = self.horizontal.or(unit);
+            }
+            Some(_) if self.codes.contains(&code) => {}
+            Some(text) if self.codes.is_empty() => {
+                let name = short_name(text);
+                return Ok(Some(format!("it states the reference system {name} without an EPSG code, which is kept")));
+            }
+            Some(text) => {
+                let stated = self.codes.iter().map(|code| format!("EPSG:{code}")).collect::<Vec<_>>().join(", ");
+                let name = short_name(text);
+                let stated = if name.starts_with("EPSG:") { name } else { format!("{name} ({stated})") };
+                return Err(format!(
+                    "the file states another one (expected EPSG:{code}, found {stated}); state that one, or none"
+                ));
+            }
+        }
+        Ok(None)
     }
 
     pub(super) fn read(records: &Records, says_wkt: bool) -> Self {
@@ -61,6 +89,9 @@ impl Georeference {
     }
 
     fn take(&mut self, node: &Node) {
+        if node.word.ends_with("CS") || node.word.ends_with("CRS") {
+            self.codes.extend(node.epsg_code());
+        }
         match node.word.as_str() {
             "PROJCS" | "PROJCRS" | "PROJECTEDCRS" => {
                 self.horizontal = self.horizontal.or(node.length_unit());
@@ -107,6 +138,7 @@ impl Georeference {
         let projected = code(3072).filter(|&c| epsg::projected(c).is_some());
         let geographic = code(2048).filter(|&c| c != 0 && c < 32767);
         let named = if found.degrees { geographic } else { projected.or(geographic) };
+        found.codes.extend(named.map(u32::from));
         let cited = citation(3073).or_else(|| citation(1026));
         found.text = named.map(|n| format!("EPSG:{n}")).or_else(|| cited.clone());
         if !found.degrees {
@@ -215,9 +247,14 @@ struct Node {
     numbers: Vec<f64>,
     /// Bare words such as axis directions, in lower case.
     bare: Vec<String>,
+    /// Whether a quoted text in it is `EPSG`, and the last quoted text that is a number: `AUTHORITY["EPSG","25832"]`.
+    is_epsg: bool,
+    quoted_number: Option<u32>,
     children: Vec<Node>,
 }
 
+/// Longest EPSG code (digits).
+const LONGEST_CODE: usize = 8;
 /// Deepest nesting that is followed; real texts have about eight.
 const DEEPEST: usize = 48;
 
@@ -229,8 +266,19 @@ impl Node {
         while let Some(c) = characters.next() {
             match c {
                 '"' => {
-                    // Content of quotes is never needed, but may hold brackets.
-                    while characters.next()? != '"' {}
+                    // Content of quotes may hold brackets; only that of an EPSG code is needed.
+                    let mut quoted = String::new();
+                    loop {
+                        match characters.next()? {
+                            '"' => break,
+                            c if quoted.len() <= LONGEST_CODE => quoted.push(c),
+                            _ => {}
+                        }
+                    }
+                    if let Some(node) = open.last_mut() {
+                        node.is_epsg |= quoted.eq_ignore_ascii_case("EPSG");
+                        node.quoted_number = quoted.parse().ok().or(node.quoted_number);
+                    }
                 }
                 '[' | '(' => {
                     if open.len() == DEEPEST {
@@ -261,6 +309,13 @@ impl Node {
             Err(_) if token.is_empty() => {}
             Err(_) => self.bare.push(token.to_ascii_lowercase()),
         }
+    }
+
+    /// Its own EPSG code: `AUTHORITY["EPSG","25832"]` (WKT 1) or `ID["EPSG",25832]` (WKT 2).
+    fn epsg_code(&self) -> Option<u32> {
+        let id = self.children.iter().find(|c| c.is_epsg && (c.word == "AUTHORITY" || c.word == "ID"))?;
+        let number = || id.numbers.first().filter(|number| (1.0..=1e6).contains(*number)).map(|&number| number as u32);
+        id.quoted_number.or_else(number)
     }
 
     fn unit(&self) -> Option<f64> {
@@ -305,6 +360,25 @@ mod tests {
             r#"COMPOUNDCRS["C",PROJCRS["P",BASEGEOGCRS["G",UNIT["degree",0.0174]],CONVERSION["c",PARAMETER["x",1,LENGTHUNIT["metre",1]]],CS[Cartesian,2],AXIS["(E)",east,ORDER[1],LENGTHUNIT["foot",0.3048]],AXIS["(N)",north,LENGTHUNIT["foot",0.3048]]],VERTCRS["V",VDATUM["D"],CS[vertical,1],AXIS["H",up,LENGTHUNIT["metre",1]]]]"#,
         );
         assert_eq!((found.horizontal, found.vertical), (Some(FOOT), Some(1.0)));
+    }
+
+    #[test]
+    fn codes_are_those_of_the_system_and_its_parts_and_not_of_what_these_rest_on() {
+        let found = wkt(
+            r#"PROJCRS["P",BASEGEOGCRS["G",ID["EPSG",4258]],CS[Cartesian,2],LENGTHUNIT["metre",1,ID["EPSG",9001]],ID["EPSG",25832]]"#,
+        );
+        assert_eq!(found.codes, [25832]);
+        let found = wkt(
+            r#"COMPD_CS["C",PROJCS["P",GEOGCS["G",AUTHORITY["EPSG","4269"]],UNIT["metre",1],AUTHORITY["EPSG","26917"]],VERT_CS["V",AUTHORITY["EPSG","5703"]]]"#,
+        );
+        assert_eq!(found.codes, [26917, 5703]);
+        for none in
+            [r#"PROJCS["P",AUTHORITY["ESRI","102100"]]"#, r#"PROJCS["EPSG","25832"]"#, r#"PROJCS["P",ID["EPSG",1e9]]"#]
+        {
+            assert_eq!(wkt(none).codes, [0; 0], "{none}");
+        }
+        let mut keyed = keys(&[[3072, 0, 1, 26915]], "", &[]);
+        assert!(keyed.complete(26915).is_ok() && keyed.complete(25832).is_err());
     }
 
     #[test]

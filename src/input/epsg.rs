@@ -29,6 +29,11 @@ pub(super) fn projected(code: u16) -> Option<f64> {
     }
 }
 
+/// Whether `code` is a well-known geographic system, whose coordinates are degrees. Others are taken as projected.
+pub(super) fn is_geographic(code: u32) -> bool {
+    matches!(code, 4171 | 4258 | 4267 | 4269 | 4283 | 4326 | 4490 | 4612 | 4937 | 4979 | 6318 | 6668 | 7844)
+}
+
 /// Metres per unit of vertical system `code`; `None` for codes that are no EPSG code.
 pub(super) fn vertical(code: u16) -> Option<f64> {
     match code {

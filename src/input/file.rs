@@ -92,6 +92,10 @@ impl ScanFile {
         let mut records = Records::read(&source, &header, bytes)?;
         findings.notes.append(&mut records.notes);
         let mut georeference = crs::Georeference::read(&records, header.says_wkt);
+        if let Some(code) = options.epsg {
+            let note = georeference.complete(code).map_err(|reason| Error::input(path, "reference system", reason))?;
+            findings.notes.extend(note);
+        }
         let mut reference = Reference { crs: georeference.text.take(), ..Reference::default() };
         let unit = match options.units {
             Units::Factor(factor) => [factor; 3],

@@ -37,6 +37,7 @@ use self::convert::{Filter, Layout};
 use self::file::Common;
 use self::losses::{Findings, Losses};
 use crate::plan::{ClassSet, Up};
+use crate::text::number;
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Monitor, Parameter, Result};
 
@@ -63,6 +64,8 @@ pub enum Units {
 pub struct InputOptions {
     /// Length of a file unit.
     pub units: Units,
+    /// EPSG code of the reference system of files that state none; a file that states another is refused.
+    pub epsg: Option<u32>,
     /// Which axis of the files points up.
     pub up: Up,
     /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.
@@ -79,6 +82,7 @@ impl Default for InputOptions {
     fn default() -> Self {
         Self {
             units: Units::Auto,
+            epsg: None,
             up: Up::Z,
             exclude_classes: ClassSet::default(),
             memory_bytes: 64 << 20,
@@ -184,7 +188,10 @@ impl InputSet {
         if let Units::Factor(factor) = options.units
             && !UNIT_RANGE_M.contains(&factor)
         {
-            return Err(Error::parameter(Parameter::Units, format!("{factor} is no number of metres per unit")));
+            return Err(Error::parameter(
+                Parameter::Units,
+                format!("{} is no number of metres per unit", number(factor)),
+            ));
         }
         let losses = Losses::default();
         let paths = expand::expand(inputs, options.allow_incomplete.then_some(&losses), monitor)?;
@@ -230,7 +237,7 @@ impl InputSet {
              --units",
             monitor,
         );
-        let crs = systems.common(&files, monitor);
+        let crs = systems.common(&files, monitor).or_else(|| options.epsg.map(epsg_text));
         let filters = [Layout::Old, Layout::Extended].map(|layout| Filter::new(layout, &options.exclude_classes));
         let hashes = Mutex::new(vec![0; if options.hash { files.len() } else { 0 }]);
         Ok(Self { files, meshes, options, crs, filters, losses, hashes })
@@ -246,7 +253,8 @@ impl InputSet {
         self.files.iter().map(ScanFile::bytes).fold(0, u64::saturating_add)
     }
 
-    /// The reference system of the scans; of several, the one whose text sorts first.
+    /// The reference system that the scans state; of several, the one whose text sorts first. The one of the options if they
+    /// state none.
     pub fn crs(&self) -> Option<&str> {
         self.crs.as_deref()
     }
@@ -312,6 +320,11 @@ impl InputSet {
     fn filter(&self, layout: Layout) -> &Filter {
         &self.filters[usize::from(layout == Layout::Extended)]
     }
+}
+
+/// An EPSG code as the text of a reference system.
+fn epsg_text(code: u32) -> String {
+    format!("EPSG:{code}")
 }
 
 /// Whether an error is about one input file, and not about the options or the machine.

@@ -8,6 +8,9 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 
+/// Name of standard output where descriptors have names.
+pub(super) const STANDARD_OUTPUT: &str = "/dev/fd/1";
+
 /// The calls, for tests that let one of them fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Call {
@@ -64,7 +67,20 @@ pub(super) fn open(path: &Path) -> io::Result<File> {
 
 /// Opens a pipe or device to be written; what standard output has been given already stays.
 pub(super) fn open_stream(path: &Path) -> io::Result<File> {
+    if path == Path::new(STANDARD_OUTPUT) {
+        return repeat(Call::Open, standard_output);
+    }
     repeat(Call::Open, || OpenOptions::new().append(true).open(path))
+}
+
+/// Standard output once more. By its name a socket could not be opened, and Windows has no such name.
+fn standard_output() -> io::Result<File> {
+    #[cfg(unix)]
+    return std::os::fd::AsFd::as_fd(&io::stdout()).try_clone_to_owned().map(File::from);
+    #[cfg(windows)]
+    return std::os::windows::io::AsHandle::as_handle(&io::stdout()).try_clone_to_owned().map(File::from);
+    #[cfg(not(any(unix, windows)))]
+    return Err(ErrorKind::Unsupported.into());
 }
 
 /// What is at `path`, links followed; `None` if nothing is.

@@ -10,7 +10,8 @@
 //!   on Windows), so hard links and symbolic links are seen through.
 //! - *Symbolic links stay.* The file that a link names is replaced, or made.
 //! - *Pipes, terminals and devices* take pictures, tables and exports: the complete bytes are written to them at the end.
-//!   They are never replaced or removed. Archives and plans are regular files, and no output goes to a disk's device.
+//!   They are never replaced or removed. Archives and plans are regular files, and no output goes to a disk's device. `-` is
+//!   standard output.
 //! - *Permissions.* A new file has those of any new file; one that replaces another is at most as open as that was.
 //!
 //! Files: `disk.rs` holds every call that changes the file system, `temporary.rs` the file in the making, `target.rs` what
@@ -23,7 +24,7 @@ mod temporary;
 pub(crate) use target::ARCHIVE_MAGIC;
 #[cfg(feature = "cli")]
 pub(crate) use target::PLAN_KEY;
-pub use target::{Existing, OutputKind, Protected};
+pub use target::{Existing, OutputKind, Protected, is_standard};
 pub(crate) use temporary::Temporary;
 
 use crate::bytes::read_exact_at;
@@ -53,6 +54,11 @@ pub struct Output {
     /// Where [`Write`] goes on.
     position: u64,
     failed: bool,
+}
+
+/// Refuses what [`Output::create`] would refuse under this name, and makes nothing.
+pub fn check(name: &Path, kind: OutputKind, protected: Protected) -> Result<()> {
+    Target::find(name, kind, &protected).map(drop)
 }
 
 impl Output {

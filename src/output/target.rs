@@ -116,6 +116,10 @@ impl Target {
         let about = disk::metadata(&path);
         let stream = about.as_ref().is_ok_and(|about| about.as_ref().is_some_and(is_stream));
         if is_descriptor || stream {
+            if kind != OutputKind::Result && is_standard(name) {
+                let reason = format!("{} is not written to standard output; name a file", kind.name());
+                return Err(Error::output(name, reason));
+            }
             if kind != OutputKind::Result {
                 let reason = format!("is no regular file, as {} has to be; choose another name", kind.name());
                 return Err(Error::output(name, reason));
@@ -135,8 +139,16 @@ impl Target {
     }
 }
 
+/// Whether `path` is `-`, which stands for standard output or standard input. A file of that name is `./-`.
+pub fn is_standard(path: &Path) -> bool {
+    path == Path::new("-")
+}
+
 /// Where the symbolic links of `name` lead, and whether that is something that the process has open (`/dev/stdout`).
 fn follow(name: &Path) -> Result<(PathBuf, bool)> {
+    if is_standard(name) {
+        return Ok((disk::STANDARD_OUTPUT.into(), true));
+    }
     let mut path = name.to_path_buf();
     for _ in 0..MOST_LINKS {
         if is_descriptor(&path) {

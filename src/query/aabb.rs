@@ -3,6 +3,7 @@
 use super::grid::sealed::{OnGrid, OnPixels};
 use super::grid::{Heights, Rect};
 use crate::frame::Frame;
+use crate::text::place;
 use crate::{Error, Result};
 use nalgebra::{Point3, Vector3};
 
@@ -22,7 +23,7 @@ impl Aabb {
         if (0..3).all(spans) {
             Ok(Self { min, max })
         } else {
-            Err(Error::parameter("box", format!("no box lies between {min} and {max}")))
+            Err(Error::parameter("box", format!("no box lies between {} and {}", place(min.into()), place(max.into()))))
         }
     }
 

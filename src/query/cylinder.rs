@@ -4,6 +4,7 @@ use super::disc::Disc;
 use super::grid::sealed::{OnGrid, OnPixels};
 use super::grid::{Heights, Rect, all_within_reach};
 use crate::frame::Frame;
+use crate::text::{number, place};
 use crate::{Error, Result};
 use nalgebra::Point3;
 
@@ -22,7 +23,12 @@ impl Cylinder {
         if all_within_reach(feet.iter().chain([&radius, &height])) && radius >= 0.0 && height >= 0.0 {
             Ok(Self { feet, radius, height })
         } else {
-            let reason = format!("no cylinder at {feet} has radius {radius} and height {height} (all within ±1e100 m)");
+            let reason = format!(
+                "no cylinder at {} has radius {} and height {} (all within ±1e100 m)",
+                place(feet.into()),
+                number(radius),
+                number(height)
+            );
             Err(Error::parameter("cylinder", reason))
         }
     }

@@ -14,6 +14,7 @@ use crate::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS, floor_index};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, PageSet, PageSlot};
 use crate::store::{Missing, note};
+use crate::text::{number, place};
 use crate::{Error, Result};
 use nalgebra::{Point3, Vector3};
 use std::ops::ControlFlow;
@@ -37,8 +38,13 @@ impl Ray {
         let scale = direction.amax();
         let fits = all_within_reach(&origin.coords) && direction.iter().all(|v| v.is_finite());
         if !fits || scale == 0.0 || max.is_nan() || max < 0.0 {
-            let reason = format!("no ray begins at {origin}, points along {direction} and is {max} m long");
-            return Err(Error::parameter("ray", reason.replace('\n', " ")));
+            let reason = format!(
+                "no ray begins at {}, points along {} and is {} m long",
+                place(origin.into()),
+                place(direction.into()),
+                number(max)
+            );
+            return Err(Error::parameter("ray", reason));
         }
         // Scaled first, so that the square of a tiny or huge length neither vanishes nor overflows.
         Ok(Self { origin, direction: (direction / scale).normalize(), max })

@@ -4,6 +4,7 @@ use super::disc::{Disc, lower, upper};
 use super::grid::sealed::{OnGrid, OnPixels};
 use super::grid::{Heights, Rect, all_within_reach};
 use crate::frame::Frame;
+use crate::text::{number, place};
 use crate::{Error, Result};
 use nalgebra::Point3;
 
@@ -20,7 +21,10 @@ impl Sphere {
         if all_within_reach(center.iter().chain([&radius])) && radius >= 0.0 {
             Ok(Self { center, radius })
         } else {
-            Err(Error::parameter("sphere", format!("no sphere at {center} has radius {radius} (all within ±1e100 m)")))
+            Err(Error::parameter(
+                "sphere",
+                format!("no sphere at {} has radius {} (all within ±1e100 m)", place(center.into()), number(radius)),
+            ))
         }
     }
 

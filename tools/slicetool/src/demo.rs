@@ -2,12 +2,12 @@
 
 use crate::{Failure, Outcome, show};
 use scangen::{Scene, Truth};
+use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
 use slicewalk::walk::{Config, Route, State, Walker};
-use slicewalk::{Monitor, NoMonitor};
 use std::collections::HashMap;
 use std::fmt::Write;
 use std::io::Read;
@@ -30,14 +30,6 @@ pub struct Arguments {
     /// Folder for the scan, the archive and the pictures
     #[arg(short, long, default_value = "demo-out")]
     output: PathBuf,
-}
-
-struct Warnings;
-
-impl Monitor for Warnings {
-    fn warn(&self, text: &str) {
-        eprintln!("slicetool: warning: {text}");
-    }
 }
 
 /// A small generator of uniform numbers in 0..1, the same everywhere.
@@ -65,19 +57,19 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
     let mut table = Table::default();
 
-    eprintln!("generating a scan of a three-storey house");
+    crate::say("generating a scan of a three-storey house");
     let started = Instant::now();
     let written = scangen::demo::write_demo(&scan, SEED)?;
     table.row("scan generated", format!("{} points in {:.2} s", written.points, started.elapsed().as_secs_f64()));
 
-    eprintln!("converting it");
+    crate::say("converting it");
     let mut options = ConvertOptions::new(vec![scan.clone()], output.clone());
     options.pixel = PixelSize::Metres(PIXEL_M);
     options.units = slicewalk::input::Units::Factor(1.0);
     options.overwrite = true;
     options.plan.exclude_classes.insert(NOISE_CLASS);
     let started = Instant::now();
-    let report = convert(&options, &Warnings)?;
+    let report = convert(&options, &crate::terminal())?;
     let seconds = started.elapsed().as_secs_f64();
     let header = &report.header;
     let laz_bytes = std::fs::metadata(&scan)?.len();
@@ -94,7 +86,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         ),
     );
 
-    eprintln!("verifying every byte");
+    crate::say("verifying every byte");
     let archive = Archive::open(&output)?;
     let mut findings = Vec::new();
     archive.verify(&NoMonitor, &mut |finding| findings.push(finding.to_string()))?;
@@ -113,11 +105,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
         ),
     );
 
-    eprintln!("asking {BOXES} boxes, against brute force over the points");
+    crate::say(&format!("asking {BOXES} boxes, against brute force over the points"));
     let points = Points::read(&scan)?;
     boxes(&store, &archive, &points, &mut table)?;
 
-    eprintln!("walking up the stairs");
+    crate::say("walking up the stairs");
     walk(&store, &mut table)?;
 
     let frame = *archive.frame();
@@ -125,7 +117,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         let slice = frame.slice_of(height);
         if header.slices.is_some_and(|(lowest, highest)| (lowest..=highest).contains(&slice)) {
             let path = dir.join(format!("slice-{name}.png"));
-            show::draw(&archive, &output, slice, &path)?;
+            show::draw(&archive, &output, slice, true, &path)?;
             table.row("picture", format!("{} (z = {height} m)", path.display()));
         }
     }

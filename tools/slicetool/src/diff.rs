@@ -4,6 +4,7 @@ use crate::{Failure, Outcome};
 use serde_json::json;
 use slicewalk::archive::{Archive, PageEntry, PageReader};
 use slicewalk::slice::{Page, Span};
+use slicewalk::text::grouped;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -78,18 +79,22 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
     if identical {
         writeln!(text, "content is identical")?;
     } else {
-        let Difference { pages_only_a, pages_only_b, pages_differing, .. } = difference;
-        writeln!(text, "pages: {pages_only_a} only in A, {pages_only_b} only in B, {pages_differing} differ")?;
-        writeln!(text, "voxels: {} only in A, {} only in B", difference.voxels_only_a, difference.voxels_only_b)?;
+        let Difference { pages_only_a, pages_only_b, pages_differing, .. } = &difference;
+        let [only_a, only_b, differing] = [*pages_only_a, *pages_only_b, *pages_differing].map(grouped);
+        writeln!(text, "pages: {only_a} only in A, {only_b} only in B, {differing} differ")?;
+        let [only_a, only_b] = [difference.voxels_only_a, difference.voxels_only_b].map(grouped);
+        writeln!(text, "voxels: {only_a} only in A, {only_b} only in B")?;
         writeln!(
             text,
-            "voxels in both: {}; obstacle only in A {}, only in B {}",
-            difference.voxels_in_both, difference.obstacle_only_a, difference.obstacle_only_b
+            "voxels in both: {}; {} are obstacles only in A, {} only in B",
+            grouped(difference.voxels_in_both),
+            grouped(difference.obstacle_only_a),
+            grouped(difference.obstacle_only_b)
         )?;
         writeln!(
             text,
-            "of other height: {} (bottoms by up to {bottom:.4} m, tops by up to {top:.4} m)",
-            difference.other_height
+            "voxels of other height: {} (bottoms by up to {bottom:.4} m, tops by up to {top:.4} m)",
+            grouped(difference.other_height)
         )?;
     }
     Ok(text)

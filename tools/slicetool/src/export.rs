@@ -3,7 +3,8 @@
 use crate::{Failure, Outcome};
 use slicewalk::archive::{Archive, PageReader};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
-use slicewalk::output::Output;
+use slicewalk::output::{Output, is_standard};
+use slicewalk::text::{counted, one_line};
 use std::io::{self, BufWriter, IntoInnerError, Seek, SeekFrom, Write};
 use std::mem::ManuallyDrop;
 use std::path::Path;
@@ -42,6 +43,7 @@ pub fn run(path: &Path, output: &Path) -> Outcome {
         "ply" => ply,
         "las" => |archive: &Archive, path: &Path, to: Output| las(archive, path, to, false),
         "laz" => |archive: &Archive, path: &Path, to: Output| las(archive, path, to, true),
+        _ if is_standard(output) => ply,
         _ => {
             let text = format!("{}: unknown format; name the file .ply, .las or .laz", output.display());
             return Err(Failure::Text(text));
@@ -55,7 +57,8 @@ pub fn run(path: &Path, output: &Path) -> Outcome {
         return Err(Failure::Text(format!("{}: {reason}; extract a region first", path.display())));
     }
     let count = write(&archive, path, crate::output(output, &archive, &[])?)?;
-    Ok(format!("{}: {count} points\n", output.display()))
+    let name = output.to_string_lossy();
+    crate::standard::written(output, &format!("{}: {}\n", one_line(&name), counted(count, "point")))
 }
 
 fn each_voxel(

@@ -1,14 +1,15 @@
 //! `slicetool extract`: a region as an archive of its own.
 
 use crate::Outcome;
-use slicewalk::NoMonitor;
 use slicewalk::archive::{Bounds, Extracted, extract};
+use slicewalk::text::{counted, file_size, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
 
 /// What to cut out.
 #[derive(clap::Args)]
 pub struct Arguments {
+    /// Slice archive
     archive: PathBuf,
     /// Archive to write
     #[arg(short, long, value_name = "OUT.slices")]
@@ -36,8 +37,12 @@ fn bounds(text: &str) -> Result<Bounds, String> {
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = crate::open(&arguments.archive)?;
     let Extracted { header, dropped } =
-        extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &NoMonitor)
+        extract(&archive, &arguments.bounds, &arguments.output, arguments.force, &crate::terminal())
             .map_err(|error| crate::broken(&arguments.archive, &error))?;
+    if header.voxels.occupied == 0 {
+        let (archive, output) = (arguments.archive.display(), arguments.output.display());
+        crate::say(&format!("warning: {archive}: nothing lies within --bounds; {output} is an empty archive"));
+    }
     if arguments.json {
         let about = archive.crs().and_then(|crs| Ok((crs, archive.units()?)));
         let (crs, units) = about.map_err(|error| crate::broken(&arguments.archive, &error))?;
@@ -45,11 +50,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
         facts["dropped"] = dropped.into();
         return Ok(format!("{facts:#}\n"));
     }
-    let (voxels, bytes) = (header.voxels.occupied, header.file_len);
+    let (voxels, bytes) = (counted(header.voxels.occupied, "voxel"), file_size(header.file_len));
     let mut text = String::new();
     for what in dropped {
         writeln!(text, "dropped: {what}")?;
     }
-    writeln!(text, "{}: {voxels} voxels, {bytes} bytes", arguments.output.display())?;
+    writeln!(text, "{}: {voxels}, {bytes}", one_line(&arguments.output.to_string_lossy()))?;
     Ok(text)
 }

@@ -5,6 +5,7 @@ use slicewalk::query::Answer;
 use slicewalk::reach::Pawn;
 use slicewalk::size::parse_size;
 use slicewalk::store::{Prefetch, Stream, StreamOptions, View};
+use slicewalk::text::finite_number;
 use slicewalk::walk::Body;
 use std::path::{Path, PathBuf};
 
@@ -15,10 +16,10 @@ pub struct Walks {
     #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8", value_parser = crate::walk::body)]
     pawn: Body,
     /// Highest step it climbs (m)
-    #[arg(long, default_value_t = 0.35, value_name = "METRES")]
+    #[arg(long, default_value_t = 0.35, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     climb: f64,
     /// Deepest drop it takes (m) [default: the climb height, so that every way can be walked back]
-    #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
     /// Memory for pages
     #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]

@@ -1,30 +1,175 @@
-//! `slicetool info`: what an archive says of itself.
+//! `slicetool info`: what archives say of themselves.
 
-use crate::Outcome;
+use crate::{Failure, Outcome, broken, say};
+use serde_json::Value;
+use slicewalk::NoMonitor;
+use slicewalk::archive::Header;
+use slicewalk::info::{crs_name, info, slice_count, units_in_words};
+use slicewalk::input::{InputOptions, InputSet};
+use slicewalk::text::{counted, extent, file_size, grouped, number, one_line, ranges, rounded};
 use std::fmt::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Facts of the archive at `path`, as JSON or as text.
-pub fn run(path: &Path, json: bool) -> Outcome {
-    let archive = crate::open(path)?;
-    let facts = slicewalk::info::info(&archive).map_err(|error| crate::broken(path, &error))?;
-    if json {
-        return Ok(format!("{facts:#}\n"));
+/// Facts of the archives at `paths`, as JSON or as text. One that cannot be read does not keep the others from being told.
+pub fn run(paths: &[PathBuf], json: bool) -> Outcome {
+    let mut texts = Vec::new();
+    let mut facts = Vec::new();
+    let mut failures = Vec::new();
+    for path in paths {
+        let told = match json {
+            true => as_json(path).map(|found| facts.push((path, found))),
+            false => as_text(path).map(|text| texts.push(text)),
+        };
+        failures.extend(told.err());
     }
-    let mut text = String::new();
-    if let serde_json::Value::Object(facts) = facts {
-        for (key, value) in facts {
-            let value = match value {
-                _ if key == "unit" => {
-                    let units = archive.units().map_err(|error| crate::broken(path, &error))?;
-                    format!("{}; the archive is in metres", slicewalk::info::units_in_words(&units))
+    let result = match (json, paths) {
+        (false, _) => texts.join("\n"),
+        (true, [_]) => facts.pop().map_or_else(String::new, |(_, facts)| format!("{facts:#}\n")),
+        (true, _) => {
+            let named = facts.into_iter().map(|(path, mut facts)| {
+                facts["archive"] = path.to_string_lossy().into();
+                facts
+            });
+            format!("{:#}\n", Value::from_iter(named))
+        }
+    };
+    match failures.pop() {
+        None => Ok(result),
+        Some(last) if paths.len() == 1 => Err(last),
+        Some(last) => {
+            for failure in failures.into_iter().chain([last]) {
+                match failure {
+                    Failure::Text(line) | Failure::Usage(line) | Failure::Result(line) => say(&line),
                 }
-                serde_json::Value::String(text) => text,
-                other => other.to_string(),
-            };
-            let key = if key == "crs" { "crs of the source" } else { &key };
-            writeln!(text, "{key:17} {value}")?;
+            }
+            Err(Failure::Result(result))
         }
     }
+}
+
+fn as_json(path: &Path) -> Result<Value, Failure> {
+    info(&crate::open(path)?).map_err(|error| broken(path, &error))
+}
+
+fn as_text(path: &Path) -> Result<String, Failure> {
+    let archive = crate::open(path)?;
+    let failed = |error| broken(path, &error);
+    let (crs, units, shard) =
+        (archive.crs().map_err(failed)?, archive.units().map_err(failed)?, archive.shard().map_err(failed)?);
+    let header = archive.header();
+    let frame = &header.plan.frame;
+    let mut rows = vec![("points", points(header))];
+    rows.push((
+        "voxels",
+        format!(
+            "{} ({}) in {}",
+            grouped(header.voxels.occupied),
+            counted(header.voxels.obstacle, "obstacle"),
+            counted(slice_count(header) as u64, "slice")
+        ),
+    ));
+    rows.extend(header.bounds.map(|(min, max)| {
+        let corner = |corner: [f64; 3]| corner.map(|value| rounded(value, frame.quantum_m())).join(", ");
+        let size = extent(min, max, frame.pixel_m());
+        ("extent", format!("{size}, from ({}) to ({})", corner(min), corner(max)))
+    }));
+    let heights = rounded(1000.0 * frame.quantum_m(), 1000.0 * frame.quantum_m() / 100.0);
+    let (pixel, slice) = (number(frame.pixel_m()), number(frame.slice_m()));
+    rows.push(("grid", format!("pixels of {pixel} m, slices of {slice} m, heights in steps of {heights} mm")));
+    rows.push(("options", options(header)));
+    let [occupied, stored, unique] = [header.tiles.occupied, header.tiles.stored, header.tiles.unique].map(grouped);
+    rows.push(("tiles", format!("{occupied} occupied, {stored} stored, {unique} unique")));
+    let directory = header.bytes.head + header.bytes.directory;
+    rows.push((
+        "bytes",
+        format!(
+            "{}: pages {}, directory {}",
+            grouped(header.file_len),
+            grouped(header.bytes.pages),
+            grouped(directory)
+        ),
+    ));
+    let unit = if units.is_empty() { "unknown".into() } else { format!("{} in the source", units_in_words(&units)) };
+    rows.push(("unit", format!("{unit}; the archive is in metres")));
+    rows.push(("crs", crs_name(&crs).unwrap_or_else(|| "unknown".into())));
+    rows.extend(
+        shard.map(|shard| ("part", format!("{} of {}", grouped(shard.index.into()), grouped(shard.count.into())))),
+    );
+    let (major, minor) = header.version;
+    let mut text = String::new();
+    writeln!(
+        text,
+        "{}",
+        one_line(&format!("{}: {}, format {major}.{minor}", path.display(), file_size(header.file_len)))
+    )?;
+    for (name, value) in rows {
+        writeln!(text, "  {name:8} {}", one_line(&value))?;
+    }
     Ok(text)
+}
+
+fn points(header: &Header) -> String {
+    let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;
+    if points_read == points_kept {
+        return format!("{} read, all kept", grouped(points_read));
+    }
+    let unusable =
+        points_read.saturating_sub(points_kept).saturating_sub(points_excluded).saturating_sub(points_withheld);
+    let reasons = [(points_excluded, "excluded by class"), (points_withheld, "withheld"), (unusable, "unusable")];
+    let reasons = reasons.iter().filter(|reason| reason.0 > 0).map(|(n, why)| format!("{} {why}", grouped(*n)));
+    let reasons = reasons.collect::<Vec<_>>().join(", ");
+    format!("{} read, {} kept ({reasons})", grouped(points_read), grouped(points_kept))
+}
+
+fn options(header: &Header) -> String {
+    let options = &header.plan.options;
+    let mut text = format!(
+        "classifier {}, slopes up to {}°, tolerance {} m",
+        options.classifier.name(),
+        number(options.max_slope_deg),
+        number(options.tolerance_m)
+    );
+    if options.min_points > 1 {
+        text += &format!(", at least {}", counted(options.min_points.into(), "point"));
+    }
+    if options.drop_isolated {
+        text += ", without isolated voxels";
+    }
+    if !options.exclude_classes.is_empty() {
+        text += &format!(", without classes {}", ranges(options.exclude_classes.iter().map(u32::from), 16));
+    }
+    text
+}
+
+/// What the file at `path` is, if it is something that a program knows but no archive, and what to do with it.
+pub fn other_file(path: &Path) -> Option<Failure> {
+    let mut start = Vec::new();
+    let file = std::fs::File::open(path).ok().filter(|file| file.metadata().is_ok_and(|about| about.is_file()))?;
+    std::io::Read::read_to_end(&mut std::io::Read::take(file, 4096), &mut start).ok()?;
+    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let name = path.display();
+    let convert = format!("convert it first: sliceconv {name} -o {}", path.with_extension("slices").display());
+    let (what, way_out) = match (&start[..], &ending[..]) {
+        (start, _) if start.starts_with(b"LASF") => (scan(path), convert),
+        (start, _) if start.starts_with(b"ply") || start.starts_with(b"glTF") => ("a mesh".into(), convert),
+        (_, "obj" | "stl" | "gltf") => ("a mesh".into(), convert),
+        (start, _) if String::from_utf8_lossy(start).contains("\"slicewalk_plan\"") => {
+            ("a plan".into(), format!("convert with it: sliceconv INPUT... --plan {name} -o OUT.slices"))
+        }
+        _ => return None,
+    };
+    Some(Failure::Text(format!("{name}: it is {what} and not a slice archive; {way_out}")))
+}
+
+/// A scan with what its header says, if that can be read.
+fn scan(path: &Path) -> String {
+    let Ok(set) = InputSet::open(&[path.to_path_buf()], InputOptions::default(), &NoMonitor) else {
+        return "a laser scan".into();
+    };
+    let of_file = |file: &slicewalk::input::ScanFile| {
+        let (major, minor) = file.version();
+        let kind = if file.compressed() { "LAZ" } else { "LAS" };
+        format!("a laser scan ({kind} {major}.{minor}, {})", counted(file.points_stated(), "point"))
+    };
+    set.files().first().map_or("a laser scan".into(), of_file)
 }

@@ -5,14 +5,17 @@ mod demo;
 mod diff;
 mod export;
 mod extract;
+mod figures;
 mod ground;
 mod info;
+mod manual;
 mod merge;
 mod query;
 mod reach;
 mod recover;
 mod route;
 mod show;
+mod standard;
 mod stats;
 mod verify;
 mod walk;
@@ -20,6 +23,8 @@ mod walk;
 use clap::{Parser, Subcommand};
 use slicewalk::archive::Archive;
 use slicewalk::output::{Output, OutputKind, Protected};
+use slicewalk::terminal::Terminal;
+use slicewalk::text::lines;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -30,6 +35,8 @@ pub enum Failure {
     Text(String),
     /// A result to print that nevertheless means failure, such as a list of findings.
     Result(String),
+    /// One line for standard error about options that cannot be meant.
+    Usage(String),
 }
 
 impl<E: std::error::Error> From<E> for Failure {
@@ -51,15 +58,18 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Print what an archive says of itself
+    /// Print what archives say of themselves
     Info {
-        archive: PathBuf,
-        /// Print JSON
+        /// Slice archives
+        #[arg(required = true, value_name = "ARCHIVE")]
+        archives: Vec<PathBuf>,
+        /// Print JSON: an object, of several archives a list of objects
         #[arg(long)]
         json: bool,
     },
-    /// Check every byte of an archive and list all findings
+    /// Check every byte of an archive and list all findings; exit code 1 if there are any
     Verify {
+        /// Slice archive
         archive: PathBuf,
         /// Print JSON
         #[arg(long)]
@@ -67,6 +77,7 @@ enum Command {
     },
     /// Count what the scene needed: how pages and tiles are stored, and bytes by part
     Stats {
+        /// Slice archive
         archive: PathBuf,
         /// Print JSON
         #[arg(long)]
@@ -76,22 +87,25 @@ enum Command {
     Show(show::Arguments),
     /// Compare what two archives of one grid hold, not their bytes; exit code 0 whether they differ or not
     Diff {
+        /// Slice archive
         a: PathBuf,
+        /// Slice archive on the same grid
         b: PathBuf,
         /// Print JSON
         #[arg(long)]
         json: bool,
     },
-    /// Write one point per occupied voxel as PLY or LAS/LAZ
+    /// Write one point per occupied voxel as PLY, LAS or LAZ
     Export {
+        /// Slice archive
         archive: PathBuf,
-        /// File to write; its ending (.ply, .las, .laz) decides the format
-        #[arg(short, long)]
+        /// File to write; its ending (.ply, .las, .laz) decides the format. `-` writes PLY to standard output
+        #[arg(short, long, value_name = "OUT")]
         output: PathBuf,
     },
     /// Join the parts that `sliceconv --shard` wrote, in any order, to the very bytes of a single run
     Merge(merge::Arguments),
-    /// Make an archive again from the sound pages of a damaged one
+    /// Rebuild an archive from the sound pages of a damaged one
     Recover(recover::Arguments),
     /// Cut a region out of an archive; queries inside it are answered as by the whole
     Extract(extract::Arguments),
@@ -99,17 +113,29 @@ enum Command {
     Query(query::Arguments),
     /// Walk a pawn along waypoints and write its path
     Walk(walk::Arguments),
-    /// Find out where a pawn can walk, how narrow it gets, and where it leaks
+    /// Find where a pawn can walk, how narrow it gets, and where it leaks
     Reach(reach::Arguments),
     /// Find the shortest way of a pawn between two places
     Route(route::Arguments),
     /// Generate a scan, convert it, verify, query against brute force, draw slices
     Demo(demo::Arguments),
+    /// Print completions for a shell
+    Completions {
+        /// Shell that will read them
+        #[arg(value_enum)]
+        shell: clap_complete::Shell,
+    },
+    /// Write manual pages, one for each command
+    Man {
+        /// Folder to write them to; made if it does not exist
+        folder: PathBuf,
+    },
 }
 
-/// The archive at `path`; what it breaks is told with its name.
+/// The archive at `path`; errors name it, and say what the file is if it is something else.
 pub fn open(path: &Path) -> Result<Archive, Failure> {
-    Archive::open(path).map_err(|error| broken(path, &error))
+    standard::refuse_archive(path)?;
+    Archive::open(path).map_err(|error| info::other_file(path).unwrap_or_else(|| broken(path, &error)))
 }
 
 /// A failure to read the archive at `path`: errors about its content name the part, but not the file.
@@ -139,14 +165,19 @@ pub fn cache_too_small(what: &str, cache: u64, needed: usize) -> Failure {
     ))
 }
 
-/// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.
-fn say(line: &str) {
-    let _ = writeln!(std::io::stderr(), "slicetool: {line}");
+/// Prints a line on standard error.
+pub fn say(line: &str) {
+    slicewalk::terminal::say(&format!("slicetool: {line}"));
+}
+
+/// Shows how long work goes on.
+pub fn terminal() -> Terminal {
+    Terminal::new("slicetool", false, Default::default())
 }
 
 fn main() -> ExitCode {
     let outcome = match Arguments::parse().command {
-        Command::Info { archive, json } => info::run(&archive, json),
+        Command::Info { archives, json } => info::run(&archives, json),
         Command::Verify { archive, json } => verify::run(&archive, json),
         Command::Stats { archive, json } => stats::run(&archive, json),
         Command::Show(arguments) => show::run(&arguments),
@@ -160,6 +191,8 @@ fn main() -> ExitCode {
         Command::Reach(arguments) => reach::run(&arguments),
         Command::Route(arguments) => route::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
+        Command::Completions { shell } => manual::completions(shell),
+        Command::Man { folder } => manual::write(&folder),
     };
     let (text, code) = match outcome {
         Ok(text) => (text, ExitCode::SUCCESS),
@@ -168,9 +201,13 @@ fn main() -> ExitCode {
             say(&text);
             return ExitCode::FAILURE;
         }
+        Err(Failure::Usage(text)) => {
+            say(&text);
+            return ExitCode::from(2);
+        }
     };
     // A closed pipe (`slicetool query … | head`) is the reader's choice, not a failure.
-    match std::io::stdout().write_all(text.as_bytes()) {
+    match std::io::stdout().write_all(lines(&text).as_bytes()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
             say(&format!("cannot write to standard output: {error}"));
             ExitCode::FAILURE

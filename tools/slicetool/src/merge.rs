@@ -1,8 +1,8 @@
 //! `slicetool merge`: the parts of a conversion, joined.
 
 use crate::Outcome;
-use slicewalk::NoMonitor;
 use slicewalk::archive::merge;
+use slicewalk::text::{counted, file_size, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -26,8 +26,8 @@ pub struct Arguments {
 /// Joins the parts; refuses missing, foreign and damaged ones by name.
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { shards, output, force, json } = arguments;
-    let merged = merge(shards, output, *force, &NoMonitor)?;
-    let copies: Vec<String> = merged.copies.iter().map(|path| path.display().to_string()).collect();
+    let merged = merge(shards, output, *force, &crate::terminal())?;
+    let copies: Vec<String> = merged.copies.iter().map(|path| one_line(&path.to_string_lossy()).into_owned()).collect();
     if *json {
         let mut facts = slicewalk::info::header_info(&merged.header, &merged.crs, &merged.units);
         facts["written"] = merged.written.into();
@@ -44,7 +44,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
         writeln!(text, "dropped: {what}")?;
     }
     let state = if merged.written { "written" } else { "was there already" };
-    let parts = shards.len() - copies.len();
-    writeln!(text, "{}: {state}, {parts} parts, {} bytes", output.display(), merged.header.file_len)?;
+    let parts = counted((shards.len() - copies.len()) as u64, "part");
+    let name = output.to_string_lossy();
+    writeln!(text, "{}: {state}, {parts}, {}", one_line(&name), file_size(merged.header.file_len))?;
     Ok(text)
 }

@@ -1,11 +1,11 @@
 //! `slicetool query`: boxes or rays from a CSV file, answers as CSV, line by line.
 
+use crate::standard::table;
 use crate::{Failure, Outcome, cache_too_small};
 use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
 use slicewalk::size::parse_size;
 use slicewalk::store::{Prefetch, Stream, StreamOptions, View};
 use std::fmt::Write as _;
-use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -16,11 +16,12 @@ const RAY_COLUMNS: [&str; 7] = ["x", "y", "z", "dx", "dy", "dz", "max"];
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("what").required(true))]
 pub struct Arguments {
+    /// Slice archive
     archive: PathBuf,
-    /// Boxes: columns xmin,ymin,zmin,xmax,ymax,zmax; adds hit,obstacle,floor_z
+    /// Boxes: columns xmin,ymin,zmin,xmax,ymax,zmax; adds hit,obstacle,floor_z. `-` reads standard input
     #[arg(long, value_name = "Q.csv", group = "what")]
     boxes: Option<PathBuf>,
-    /// Rays: columns x,y,z,dx,dy,dz,max; adds hit,distance,nx,ny,nz
+    /// Rays: columns x,y,z,dx,dy,dz,max; adds hit,distance,nx,ny,nz. `-` reads standard input
     #[arg(long, value_name = "R.csv", group = "what")]
     rays: Option<PathBuf>,
     /// Memory for pages
@@ -86,10 +87,11 @@ fn answer<const IN: usize>(
     answers: &str,
     mut ask: impl FnMut([f64; IN], &mut String) -> Result<(), Failure>,
 ) -> Outcome {
-    let failed = |line: usize, reason: String| Failure::Text(format!("{}: line {line}: {reason}", path.display()));
-    let unreadable = |error| Failure::Text(format!("{}: cannot read: {error}", path.display()));
+    let (table, name) = table(path)?;
+    let failed = |line: usize, reason: String| Failure::Text(format!("{name}: line {line}: {reason}"));
+    let unreadable = |error| Failure::Text(format!("{name}: cannot read: {error}"));
     let expected = columns.join(",");
-    let mut input = BufReader::new(File::open(path).map_err(unreadable)?);
+    let mut input = BufReader::new(table);
     let mut output = BufWriter::new(std::io::stdout().lock());
     let mut places: [usize; IN] = std::array::from_fn(|at| at);
     let (mut fields_expected, mut fields) = (None, Fields::new());
@@ -157,7 +159,7 @@ fn answer<const IN: usize>(
     }
     match fields_expected {
         Some(_) => Ok(String::new()),
-        None => Err(Failure::Text(format!("{}: it is empty; expected the columns {expected}", path.display()))),
+        None => Err(Failure::Text(format!("{name}: it is empty; expected the columns {expected}"))),
     }
 }
 

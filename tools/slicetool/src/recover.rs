@@ -2,9 +2,9 @@
 
 use crate::Outcome;
 use serde_json::json;
-use slicewalk::NoMonitor;
 use slicewalk::archive::{Pages, Recovered, recover};
 use slicewalk::convert::plan_file;
+use slicewalk::text::{counted, file_size, grouped, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -31,7 +31,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { archive, output, plan, force, json } = arguments;
     let plan = plan.as_deref().map(plan_file::read).transpose()?.map(|job| job.plan);
-    let recovered = recover(archive, plan.as_ref(), output, *force, &NoMonitor)?;
+    let recovered = recover(archive, plan.as_ref(), output, *force, &crate::terminal())?;
     if *json {
         let pages = |pages: Pages| json!({ "stored": pages.stored, "shared": pages.shared, "uniform": pages.uniform });
         let facts = json!({
@@ -52,12 +52,16 @@ pub fn run(arguments: &Arguments) -> Outcome {
 
 fn report(recovered: &Recovered, output: &std::path::Path) -> Outcome {
     let mut text = String::new();
-    let list = |pages: Pages| format!("{} stored, {} shared, {} uniform", pages.stored, pages.shared, pages.uniform);
+    let list = |pages: Pages| {
+        let [stored, shared, uniform] = [pages.stored, pages.shared, pages.uniform].map(grouped);
+        format!("{stored} stored, {shared} shared, {uniform} uniform")
+    };
     writeln!(text, "pages recovered: {}", list(recovered.found))?;
     match (recovered.lost, recovered.leaves) {
         (Some(lost), _) if lost.total() == 0 => writeln!(text, "pages lost: none")?,
         (Some(lost), Some((sound, all))) => {
-            writeln!(text, "pages lost: {} ({sound} of {all} directory leaves were sound)", list(lost))?;
+            let (sound, leaves) = (grouped(sound as u64), counted(all as u64, "directory leaf"));
+            writeln!(text, "pages lost: {} ({sound} of {leaves} were sound)", list(lost))?;
         }
         _ => writeln!(
             text,
@@ -65,11 +69,11 @@ fn report(recovered: &Recovered, output: &std::path::Path) -> Outcome {
         )?,
     }
     if recovered.metadata_lost {
-        writeln!(text, "metadata lost: the reference system is not known any more")?;
+        writeln!(text, "metadata lost: reference system and units are unknown")?;
     }
     for (word, list) in [("dropped", &recovered.dropped), ("mended", &recovered.mended)] {
         for what in list {
-            writeln!(text, "{word}: {what}")?;
+            writeln!(text, "{word}: {}", one_line(what))?;
         }
     }
     let state = match (recovered.is_complete(), recovered.identical) {
@@ -77,6 +81,7 @@ fn report(recovered: &Recovered, output: &std::path::Path) -> Outcome {
         (true, false) => "complete",
         _ => "with losses",
     };
-    writeln!(text, "{}: {state}", output.display())?;
+    let bytes = file_size(recovered.header.file_len);
+    writeln!(text, "{}: {state}, {bytes}", one_line(&output.to_string_lossy()))?;
     Ok(text)
 }

@@ -12,16 +12,17 @@ use std::time::Instant;
 /// From where to where, and who.
 #[derive(clap::Args)]
 pub struct Arguments {
+    /// Slice archive
     archive: PathBuf,
-    /// Where the way begins (m): the place below, with nothing between
+    /// Where the way begins (m); in the air, the floor below counts
     #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
     from: Point3<f64>,
-    /// Where it ends (m), likewise
+    /// Where the way ends (m), likewise
     #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
     to: Point3<f64>,
     #[command(flatten)]
     walks: Walks,
-    /// File to write: x,y,z of the places to reach one after the other; `walk --waypoints` takes it
+    /// File to write: x,y,z of the places to reach one after the other; `walk --waypoints` takes it. `-` is standard output
     #[arg(short, long, value_name = "ROUTE.csv")]
     output: Option<PathBuf>,
     /// Print a summary as JSON
@@ -31,6 +32,7 @@ pub struct Arguments {
 
 /// Finds the way; without an output and --json it is the result.
 pub fn run(arguments: &Arguments) -> Outcome {
+    crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;

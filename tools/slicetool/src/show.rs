@@ -1,10 +1,19 @@
 //! `slicetool show`: one slice as a picture in the thesis' colours.
 
-use crate::{Failure, Outcome};
+use crate::{Failure, Outcome, figures};
 use slicewalk::archive::{Archive, PageEntry};
-use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
+use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
+use slicewalk::info::slice_count;
+use slicewalk::text::{finite_number, grouped, number, one_line, rounded, whole_number};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+
+/// Colours in the blue channel of floors and obstacles.
+const BLUES: [u8; 2] = [26, 255];
+/// Around the parts of a legend, length of its ramps of colours, and its least width (pixels).
+const MARGIN: i64 = 8;
+const RAMP: i64 = 64;
+const LEGEND_WIDTH: i64 = 400;
 
 /// Widest or highest picture drawn (pixels): beyond it, viewers give up.
 const MAX_EDGE_PIXELS: i64 = 65_500;
@@ -13,16 +22,21 @@ const MAX_EDGE_PIXELS: i64 = 65_500;
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
 pub struct Arguments {
+    /// Slice archive
     archive: PathBuf,
     /// Slice by number, from 0 at the lowest
-    #[arg(long, value_name = "N", group = "which")]
+    #[arg(long, value_name = "N", group = "which", value_parser = whole_number(0u64, u64::MAX))]
     slice: Option<u64>,
     /// Slice by height in metres
-    #[arg(long, value_name = "Z", group = "which", allow_hyphen_values = true)]
+    #[arg(long, value_name = "Z", group = "which", allow_hyphen_values = true, value_parser = finite_number)]
     z: Option<f64>,
-    /// Picture to write
+    /// Picture to write (PNG); `-` is standard output
     #[arg(short, long, value_name = "S.png")]
     output: PathBuf,
+    /// Add a strip below with a scale bar and the colours of floors (left) and obstacles (right) from the bottom to the top of
+    /// the slice
+    #[arg(long)]
+    legend: bool,
 }
 
 /// Draws the slice that `arguments` name.
@@ -40,19 +54,30 @@ pub fn run(arguments: &Arguments) -> Outcome {
         return Err(Failure::Text(format!(
             "{}: no such slice; there are {}, --slice 0 to {}, --z {} to {}",
             arguments.archive.display(),
-            highest - lowest + 1,
+            grouped((highest - lowest) as u64 + 1),
             highest - lowest,
-            frame.bottom_of_slice(lowest),
-            frame.bottom_of_slice(highest + 1)
+            rounded(frame.bottom_of_slice(lowest), frame.quantum_m()),
+            rounded(frame.bottom_of_slice(highest + 1), frame.quantum_m())
         )));
     };
-    draw(&archive, &arguments.archive, slice, &arguments.output)?;
-    Ok(String::new())
+    let (width, height) = draw(&archive, &arguments.archive, slice, arguments.legend, &arguments.output)?;
+    let frame = archive.frame();
+    let [bottom, top] = [slice, slice + 1].map(|slice| rounded(frame.bottom_of_slice(slice), frame.quantum_m()));
+    let (number_of, all, pixel) =
+        (grouped((slice - lowest) as u64), slice_count(archive.header()), number(frame.pixel_m()));
+    let name = arguments.output.to_string_lossy();
+    let about = format!(
+        "{}: slice {number_of} of {}, z from {bottom} to {top} m, {width} × {height} pixels of {pixel} m\n",
+        one_line(&name),
+        grouped(all as u64)
+    );
+    crate::standard::written(&arguments.output, &about)
 }
 
 /// Draws slice `slice` (absolute) of `archive`, which lies at `path`, as a PNG `to`: one pixel per pixel of the archive,
-/// north up, over the bounds of all points. Memory: one row of tiles.
-pub fn draw(archive: &Archive, path: &Path, slice: i64, to: &Path) -> Result<(), Failure> {
+/// north up, over the bounds of all points, with a legend below if asked for; returns its width and height. Memory: one row
+/// of tiles.
+pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path) -> Result<(i64, i64), Failure> {
     let broken = |error| crate::broken(path, &error);
     let frame = archive.frame();
     let Some((min, max)) = archive.header().bounds else {
@@ -69,6 +94,8 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, to: &Path) -> Result<(),
         )));
     }
     let mut output = crate::output(to, archive, &[])?;
+    let strip = legend.then(|| Strip::new(frame, slice, width));
+    let (full_width, strip_height) = strip.as_ref().map_or((width, 0), |strip| (strip.width, strip.height()));
     let layer = slice.div_euclid(PAGE_SLICES) as i32;
     let in_page = slice.rem_euclid(PAGE_SLICES) as u32;
     let mut entries: Vec<PageEntry> = Vec::new();
@@ -82,12 +109,12 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, to: &Path) -> Result<(),
     entries.sort_unstable_by_key(|entry| (std::cmp::Reverse(entry.key.ty), entry.key.tx));
 
     let mut file = BufWriter::new(&mut output);
-    let mut encoder = png::Encoder::new(&mut file, width as u32, height as u32);
+    let mut encoder = png::Encoder::new(&mut file, full_width as u32, (height + strip_height) as u32);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     let mut writer = encoder.write_header()?;
     let mut stream = writer.stream_writer()?;
-    let mut rows = vec![0u8; width as usize * 3 * TILE_PIXELS as usize];
+    let mut rows = vec![0u8; full_width as usize * 3 * TILE_PIXELS as usize];
     let mut rest = &entries[..];
     for ty in (low.div_euclid(TILE_PIXELS)..=high.div_euclid(TILE_PIXELS)).rev() {
         rows.fill(0);
@@ -102,20 +129,73 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, to: &Path) -> Result<(),
                 if let Some(((_, top), obstacle)) = part
                     && (0..width).contains(&x)
                 {
-                    let at = (i64::from(py) * width + x) as usize * 3;
-                    rows[at..at + 3].copy_from_slice(&[top, 255, if obstacle { 255 } else { 26 }]);
+                    let at = (i64::from(py) * full_width + x) as usize * 3;
+                    rows[at..at + 3].copy_from_slice(&[top, 255, BLUES[usize::from(obstacle)]]);
                 }
             }
         }
         for py in (0..TILE_PIXELS).rev().filter(|py| (low..=high).contains(&(ty * TILE_PIXELS + py))) {
-            let at = (py * width * 3) as usize;
-            stream.write_all(&rows[at..at + width as usize * 3])?;
+            let at = (py * full_width * 3) as usize;
+            stream.write_all(&rows[at..at + full_width as usize * 3])?;
         }
+    }
+    if let Some(strip) = strip {
+        stream.write_all(strip.pixels.as_flattened())?;
     }
     stream.finish()?;
     writer.finish()?;
     file.flush()?;
     drop(file);
     output.publish()?;
-    Ok(())
+    Ok((full_width, height + strip_height))
+}
+
+/// The legend: a bar of a round length, then the colours of heights within the slice, each with its figures.
+struct Strip {
+    width: i64,
+    pixels: Vec<[u8; 3]>,
+}
+
+impl Strip {
+    const ROW: i64 = figures::HEIGHT + MARGIN;
+
+    fn new(frame: &Frame, slice: i64, width: i64) -> Self {
+        let width = width.max(LEGEND_WIDTH);
+        let mut strip = Self { width, pixels: vec![[0; 3]; (width * (2 * Self::ROW + MARGIN)) as usize] };
+        let length = figures::round_length(width as f64 / 3.0 * frame.pixel_m());
+        let end = (length / frame.pixel_m()).round() as i64;
+        strip.fill([MARGIN, MARGIN + figures::HEIGHT / 2], [end, 2], |_| [255; 3]);
+        strip.write([2 * MARGIN + end, MARGIN], &format!("{} m", number(length)));
+        let [bottom, top] = [slice, slice + 1].map(|slice| rounded(frame.bottom_of_slice(slice), frame.quantum_m()));
+        let row = MARGIN + Self::ROW;
+        let mut at = strip.write([MARGIN, row], &format!("z {bottom}"));
+        for blue in BLUES {
+            strip.fill([at, row], [RAMP, figures::HEIGHT], |x| [(x * 255 / (RAMP - 1)) as u8, 255, blue]);
+            at += RAMP + MARGIN;
+        }
+        strip.write([at, row], &format!("{top} m"));
+        strip
+    }
+
+    fn height(&self) -> i64 {
+        self.pixels.len() as i64 / self.width
+    }
+
+    fn set(&mut self, x: i64, y: i64, colour: [u8; 3]) {
+        if (0..self.width).contains(&x) && (0..self.height()).contains(&y) {
+            self.pixels[(y * self.width + x) as usize] = colour;
+        }
+    }
+
+    fn fill(&mut self, [x, y]: [i64; 2], [width, height]: [i64; 2], colour: impl Fn(i64) -> [u8; 3]) {
+        for (dx, dy) in (0..width).flat_map(|dx| (0..height).map(move |dy| (dx, dy))) {
+            self.set(x + dx, y + dy, colour(dx));
+        }
+    }
+
+    /// Writes figures; where the next part begins.
+    fn write(&mut self, [x, y]: [i64; 2], text: &str) -> i64 {
+        figures::figures(text, |dx, dy| self.set(x + dx, y + dy, [255; 3]));
+        x + text.len() as i64 * figures::WIDTH + MARGIN
+    }
 }

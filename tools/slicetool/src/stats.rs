@@ -3,6 +3,7 @@
 use crate::Outcome;
 use serde_json::{Map, Value, json};
 use slicewalk::stats::{Need, Stats};
+use slicewalk::text::{counted, grouped, memory_size};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -49,7 +50,7 @@ pub fn run(path: &Path, json: bool) -> Outcome {
             "bytes": {
                 "file": header.file_len,
                 "tiles": header.bytes.pages,
-                "directory": header.bytes.directory,
+                "directory": header.bytes.head + header.bytes.directory,
                 "per_voxel": bytes_per_voxel,
             },
             "resident_bytes": { "all": stats.memory_bytes, "per_voxel": memory_per_voxel },
@@ -59,39 +60,43 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     let mut text = String::new();
     writeln!(text, "{:10} {:>12} {:>12}", "stored as", "pages", "tiles")?;
     for (kind, name) in KINDS.iter().enumerate() {
-        writeln!(text, "{name:10} {:>12} {:>12}", stats.pages[kind], stats.tiles[kind])?;
+        writeln!(text, "{name:10} {:>12} {:>12}", grouped(stats.pages[kind]), grouped(stats.tiles[kind]))?;
     }
     writeln!(text, "\n{:10} {:>12} {:>12}  what the tile needed", "model", "tiles", "with walls")?;
     for (number, need) in Need::ALL.iter().enumerate() {
-        let (tiles, walls) = (stats.needs[number], stats.wall_needs[number]);
+        let (tiles, walls) = (grouped(stats.needs[number]), grouped(stats.wall_needs[number]));
         writeln!(text, "{:10} {tiles:>12} {walls:>12}  {}", need.name(), NEEDS[number])?;
     }
     writeln!(text, "\n{:10} {:>12}", "spans", "pixels")?;
     for (index, count) in stats.columns_by_spans.iter().enumerate() {
         let name = if index == 4 { "5 or more".to_owned() } else { (index + 1).to_string() };
-        writeln!(text, "{name:10} {count:>12}")?;
+        writeln!(text, "{name:10} {:>12}", grouped(*count))?;
     }
     writeln!(
         text,
-        "\nThe scene needed {} of {slices} slices and {} of {} tiles; {:.1} % of the tiles take neither bytes nor a read.",
-        stats.distinct_slices,
-        sum(&stats.needs) - free_tiles,
-        sum(&stats.needs),
+        "\nThe scene needed {} of {} and {} of {}; {:.1} % of the tiles take neither bytes nor a read.",
+        grouped(stats.distinct_slices),
+        counted(slices, "slice"),
+        grouped(sum(&stats.needs) - free_tiles),
+        counted(sum(&stats.needs), "tile"),
         100.0 * per(free_tiles, sum(&stats.needs))
     )?;
     writeln!(
         text,
-        "{} voxels ({} obstacle) are {} spans ({} obstacle); {:.1} % of the voxels lie inside a span and store no height",
-        stats.voxels,
-        stats.obstacle_voxels,
-        stats.spans,
-        stats.obstacle_spans,
+        "{} ({}) form {} ({}); {:.1} % of the voxels lie inside a span and store no height.",
+        counted(stats.voxels, "voxel"),
+        counted(stats.obstacle_voxels, "obstacle"),
+        counted(stats.spans, "span"),
+        counted(stats.obstacle_spans, "obstacle"),
         100.0 * per(stats.inner_voxels, stats.voxels)
     )?;
     writeln!(
         text,
-        "file {} bytes ({bytes_per_voxel:.2} per voxel): pages {}, directory {}; resident {} bytes ({memory_per_voxel:.2} per voxel)",
-        header.file_len, header.bytes.pages, header.bytes.directory, stats.memory_bytes
+        "The file has {} ({bytes_per_voxel:.2} a voxel): pages {}, directory {}. In memory it takes {} ({memory_per_voxel:.2} bytes a voxel).",
+        counted(header.file_len, "byte"),
+        grouped(header.bytes.pages),
+        grouped(header.bytes.head + header.bytes.directory),
+        memory_size(stats.memory_bytes)
     )?;
     Ok(text)
 }

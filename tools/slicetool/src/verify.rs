@@ -2,17 +2,18 @@
 
 use crate::{Failure, Outcome};
 use serde_json::json;
-use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, LISTED};
+use slicewalk::text::{counted, one_line};
 use std::fmt::Write;
 use std::path::Path;
 
 /// Checks the archive at `path`. Findings are the result, and a failure.
 pub fn run(path: &Path, json: bool) -> Outcome {
+    crate::standard::refuse_archive(path)?;
     let mut findings = Vec::new();
     let summary = match Archive::open(path) {
         Ok(archive) => {
-            let summary = archive.verify(&NoMonitor, &mut |finding| findings.push(finding.to_string()));
+            let summary = archive.verify(&crate::terminal(), &mut |finding| findings.push(finding.to_string()));
             Some(summary.map_err(|error| crate::broken(path, &error))?)
         }
         // What keeps an archive from opening is a finding like any other; a file that cannot be read is not.
@@ -32,19 +33,20 @@ pub fn run(path: &Path, json: bool) -> Outcome {
         format!("{facts:#}\n")
     } else {
         let mut text = String::new();
+        let name = path.display().to_string();
+        let name = one_line(&name);
         for finding in &findings {
-            writeln!(text, "{}: {finding}", path.display())?;
+            writeln!(text, "{name}: {}", one_line(finding))?;
         }
         match summary {
             Some(summary) if findings.is_empty() => {
-                writeln!(text, "{}: ok, {} pages, {} bytes", path.display(), summary.pages.total(), summary.bytes)?;
+                let (pages, bytes) = (counted(summary.pages.total(), "page"), counted(summary.bytes, "byte"));
+                writeln!(text, "{name}: ok, {pages}, {bytes}")?;
             }
             _ => {
-                let all = findings.len() as u64 + rest;
-                let noun = if all == 1 { "finding" } else { "findings" };
                 let listed =
                     if rest > 0 { format!(", of each rule the first {LISTED} are listed") } else { String::new() };
-                writeln!(text, "{}: {all} {noun}{listed}", path.display())?;
+                writeln!(text, "{name}: {}{listed}", counted(findings.len() as u64 + rest, "finding"))?;
             }
         }
         text

@@ -5,6 +5,7 @@ use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
 use slicewalk::size::parse_size;
 use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
+use slicewalk::text::finite_number;
 use slicewalk::walk::{Body, Config, Response, Route, State, Walker};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -16,24 +17,25 @@ const BLOCKED_S: f64 = 2.0;
 /// Where to walk, and how.
 #[derive(clap::Args)]
 pub struct Arguments {
+    /// Slice archive
     archive: PathBuf,
     /// Where the feet stand first (m); if in the air, the pawn falls
     #[arg(long, value_name = "X,Y,Z", value_parser = point, allow_hyphen_values = true)]
     start: Point3<f64>,
-    /// Places to reach one after the other: columns x,y or x,y,z (a header is optional)
+    /// Places to reach one after the other: columns x,y or x,y,z (a header is optional). `-` reads standard input
     #[arg(long, value_name = "W.csv")]
     waypoints: PathBuf,
     /// The pawn: box:WIDTHxDEPTHxHEIGHT or cylinder:RADIUSxHEIGHT (m)
     #[arg(long, value_name = "SHAPE", default_value = "box:0.5x0.5x1.8", value_parser = body)]
     pawn: Body,
     /// Walking speed (m/s)
-    #[arg(long, default_value_t = 1.4, value_name = "M/S")]
+    #[arg(long, default_value_t = 1.4, value_name = "M/S", allow_negative_numbers = true, value_parser = finite_number)]
     speed: f64,
     /// Highest step it climbs (m)
-    #[arg(long, default_value_t = 0.35, value_name = "METRES")]
+    #[arg(long, default_value_t = 0.35, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     climb: f64,
     /// Stop before ledges deeper than this, and before the edge of the scan (m); else it falls, as with --response thesis
-    #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
     /// Frames per second
     #[arg(long, default_value_t = 60.0, value_name = "HZ", value_parser = rate)]
@@ -44,13 +46,13 @@ pub struct Arguments {
     /// Load pages ahead of the pawn, or only when it misses them
     #[arg(long, value_enum, default_value_t = Switch::On)]
     prefetch: Switch,
-    /// How it answers what is in its way: exact sweeps, or the steps of the thesis
+    /// Response to what is in its way: exact sweeps, or the steps of the thesis
     #[arg(long, value_enum, default_value_t = Rule::Slide)]
     response: Rule,
-    /// End after so much time
+    /// End after this many seconds
     #[arg(long, default_value_t = 300.0, value_name = "S", value_parser = seconds)]
     max_seconds: f64,
-    /// File to write: t,x,y,z,state,frame_us,missing
+    /// File to write: t,x,y,z,state,frame_us,missing. `-` is standard output
     #[arg(short, long, value_name = "path.csv")]
     output: PathBuf,
     /// Print a summary as JSON
@@ -110,6 +112,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 /// Walks; the path appears whole, or not at all.
 pub fn run(arguments: &Arguments) -> Outcome {
+    crate::standard::refuse_two(Some(&arguments.output), arguments.json)?;
     let config = Config {
         speed: arguments.speed,
         climb: arguments.climb,
@@ -238,14 +241,14 @@ fn step(stream: &Stream, walker: &mut Walker, route: &mut Route, frame_s: f64, c
 
 /// Reads columns x,y: by their names if there is a header, else the first two.
 fn waypoints(path: &Path) -> Result<Vec<Point2<f64>>, Failure> {
-    let failed = |at: String, reason: String| Failure::Text(format!("{}: {at}: {reason}", path.display()));
+    let (table, name) = crate::standard::table(path)?;
+    let failed = |at: String, reason: String| Failure::Text(format!("{name}: {at}: {reason}"));
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
         .trim(csv::Trim::All)
         .comment(Some(b'#'))
-        .from_path(path)
-        .map_err(|e| failed("cannot open".into(), e.to_string()))?;
+        .from_reader(table);
     let (mut places, mut columns) = (Vec::new(), None);
     for row in reader.records() {
         let row = row.map_err(|e| failed("cannot read".into(), e.to_string()))?;

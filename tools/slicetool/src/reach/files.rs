@@ -3,7 +3,7 @@
 use super::{Reach, geojson, map};
 use crate::Failure;
 use crate::ground::Loader;
-use slicewalk::output::Output;
+use slicewalk::output::{Output, is_standard};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
@@ -20,6 +20,7 @@ pub fn writer(output: &Path) -> Result<Writer, Failure> {
         "csv" => Ok(csv),
         "ply" => Ok(ply),
         "geojson" => Ok(geojson::write),
+        _ if is_standard(output) => Ok(csv),
         _ => {
             let text = format!("{}: unknown format; name the file .png, .csv, .ply or .geojson", output.display());
             Err(Failure::Text(text))

@@ -7,6 +7,7 @@
 use super::Reach;
 use super::files::Out;
 use crate::Failure;
+use crate::figures::{figures, round_length};
 use crate::ground::Loader;
 use nalgebra::Point3;
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
@@ -192,8 +193,7 @@ impl Map {
     fn bar(&mut self, pixel_m: f64) {
         let metre = self.enlarge as f64 / (self.reduce as f64 * pixel_m);
         let most = self.panel[0].max(200) as f64 / 3.0 / metre;
-        let power = 10f64.powf(most.log10().floor());
-        let length = [5.0, 2.0, 1.0].into_iter().map(|n| n * power).find(|length| *length <= most).unwrap_or(power);
+        let length = round_length(most);
         let (row, end) = (self.height - MARGIN - 8, (length * metre).round() as i64);
         for x in 0..=end {
             for y in 0..3 {
@@ -207,37 +207,8 @@ impl Map {
         self.write([MARGIN + end + 8, row - 6], &format!("{length} m"));
     }
 
-    /// Text of figures, 15 pixels high.
-    fn write(&mut self, [mut x, y]: [i64; 2], text: &str) {
-        for character in text.chars() {
-            let glyph = glyph(character);
-            for (row, bits) in (0..).zip(glyph) {
-                for column in (0..3).filter(|column| bits >> (2 - column) & 1 == 1) {
-                    self.square([x + 3 * column, y + 3 * row], 3, INK);
-                }
-            }
-            x += 12;
-        }
-    }
-}
-
-/// Rows of three bits.
-fn glyph(character: char) -> [u8; 5] {
-    match character {
-        '0' => [7, 5, 5, 5, 7],
-        '1' => [2, 6, 2, 2, 7],
-        '2' => [7, 1, 7, 4, 7],
-        '3' => [7, 1, 3, 1, 7],
-        '4' => [5, 5, 7, 1, 1],
-        '5' => [7, 4, 7, 1, 7],
-        '6' => [7, 4, 7, 5, 7],
-        '7' => [7, 1, 2, 2, 2],
-        '8' => [7, 5, 7, 5, 7],
-        '9' => [7, 5, 7, 1, 7],
-        '.' => [0, 0, 0, 0, 2],
-        '-' => [0, 0, 7, 0, 0],
-        'm' => [0, 5, 7, 5, 5],
-        'z' => [0, 7, 3, 6, 7],
-        _ => [0; 5],
+    /// Text of figures.
+    fn write(&mut self, [x, y]: [i64; 2], text: &str) {
+        figures(text, |dx, dy| self.set([x + dx, y + dy], INK));
     }
 }

@@ -16,13 +16,15 @@ use std::time::Instant;
 /// Where from, who, and what to write.
 #[derive(clap::Args)]
 pub struct Arguments {
+    /// Slice archive
     archive: PathBuf,
-    /// Where the feet stand (m): the place below, with nothing between
+    /// Where the feet stand (m); in the air, the floor below counts
     #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
     from: nalgebra::Point3<f64>,
     #[command(flatten)]
     walks: Walks,
-    /// File to write: a map (.png), x,y,z,clearance of each standing place (.csv, .ply), or areas and leaks (.geojson)
+    /// File to write: a map (.png), x,y,z,clearance of each standing place (.csv, .ply), or areas and leaks (.geojson). `-`
+    /// writes CSV to standard output
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Print a summary as JSON
@@ -40,6 +42,7 @@ struct Reach {
 
 /// Finds all that can be reached; a file appears whole, or not at all.
 pub fn run(arguments: &Arguments) -> Outcome {
+    crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
@@ -65,7 +68,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
     let seconds = started.elapsed().as_secs_f64();
     let memory = own + loader.memory_bytes();
-    Ok(if arguments.json { json(&reach, memory, seconds)? } else { text(&reach, memory, seconds)? })
+    if arguments.json {
+        return json(&reach, memory, seconds);
+    }
+    let text = text(&reach, memory, seconds)?;
+    arguments.output.as_deref().map_or(Ok(text.clone()), |output| crate::standard::written(output, &text))
 }
 
 fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {

@@ -1,49 +1,58 @@
 //! Converts scans and meshes into one slice archive: arguments, one call, printing, exit code.
 
+mod report;
+mod values;
+
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::{consts, flag};
-use slicewalk::convert::plan_file;
-use slicewalk::convert::{ConvertOptions, PixelSize, Report, convert};
-use slicewalk::convert::{Job, ShardOptions};
+use slicewalk::convert::{ConvertOptions, PixelSize, Preview, Report, convert, preview};
+use slicewalk::convert::{Job, ShardOptions, plan_file};
 use slicewalk::input::Units;
 use slicewalk::mesh::MeshMode;
-use slicewalk::output::{Existing, Output, OutputKind};
+use slicewalk::output::{Existing, Output, OutputKind, is_standard};
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::size::parse_size;
+use slicewalk::terminal::{Terminal, say};
+use slicewalk::text::{finite_number, whole_number};
 use slicewalk::{Error, Monitor, Parameter};
-use std::io::Write;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::Instant;
+use values::{classes, epsg, length, part, pixel_size, units};
 
 /// Converts scans (LAS, LAZ) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
 ///
-/// Numbers in input units are metres. The archive appears complete under its name, or not at all.
+/// Lengths are in metres. The archive appears complete under its name, or not at all.
 ///
 /// A scan can be converted in parts, on several machines: `sliceconv INPUT... --write-plan plan.json` fixes grid and
-/// options, `sliceconv INPUT... --plan plan.json --shard 1/8 -o 1.slices` converts one part (all inputs are named, the
-/// files that the part meets are read), and `slicetool merge *.slices -o OUT.slices` joins the parts to the very bytes of
-/// a single run.
+/// options, `sliceconv INPUT... --plan plan.json --shard 1/8 -o 1.slices` converts one part (name all inputs; it reads the
+/// files that the part needs), and `slicetool merge *.slices -o OUT.slices` joins the parts to the very bytes of a single
+/// run.
 #[derive(Parser)]
-#[command(name = "sliceconv", version, max_term_width = 110)]
+#[command(
+    name = "sliceconv",
+    version,
+    max_term_width = 110,
+    override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]"
+)]
 struct Arguments {
     /// Scans and meshes: files, folders of scans, or glob patterns in quotes
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// Archive to write
-    #[arg(short, long, required_unless_present = "write_plan", value_name = "OUT.slices")]
+    #[arg(short, long, required_unless_present_any = ["write_plan", "dry_run"], value_name = "OUT.slices")]
     output: Option<PathBuf>,
     /// Convert nothing; write grid, options and inputs to a plan. Reads headers only, unless the pixel size is `auto`
     #[arg(long, conflicts_with_all = ["output", "plan", "shard"], value_name = "PLAN.json")]
     write_plan: Option<PathBuf>,
-    /// Take grid and options from a plan; options that contradict it are refused
+    /// Take grid and options from a plan; options that contradict it, and other inputs than its own, are refused
     #[arg(long, value_name = "PLAN.json")]
     plan: Option<PathBuf>,
-    /// Convert part I of N only, to be joined by `slicetool merge`
+    /// Convert part I of N only; `slicetool merge` joins the parts
     #[arg(long, value_name = "I/N", value_parser = part)]
     shard: Option<(u32, u32)>,
     /// Edge of a pixel in metres, or `auto`: four times the scan's point spacing; of meshes alone, a 700th of their extent
@@ -53,38 +62,41 @@ struct Arguments {
     #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
     slice: Option<f64>,
     /// Steepest slope that can be stood on, in degrees
-    #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_name = "DEG")]
+    #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_name = "DEG", value_parser = finite_number)]
     max_slope: f64,
-    /// How far heights may be coarsened, always outwards, in metres
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_name = "METRES")]
+    /// Coarsen heights by up to this much, always outwards, in metres
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_name = "METRES", value_parser = finite_number)]
     tolerance: f64,
-    /// How floors and obstacles are told apart
+    /// How floors and obstacles are distinguished
     #[arg(long, value_enum, default_value_t = Rule::Plane)]
     classifier: Rule,
     /// Memory to use, at least 64MiB
     #[arg(long, default_value = "512MiB", value_name = "SIZE", value_parser = parse_size)]
     memory: u64,
     /// Worker threads [default: all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = whole_number(1u16, 1024))]
     threads: Option<u16>,
     /// Folder for temporary data [default: the system's]
     #[arg(long, value_name = "DIR")]
     temp_dir: Option<PathBuf>,
-    /// LAS classes to leave out, e.g. 7,18 for noise
-    #[arg(long, value_name = "CLASSES", value_delimiter = ',')]
-    exclude_class: Vec<u8>,
-    /// Drop voxels of fewer points (their points may then be missed)
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// LAS classes to leave out: numbers and ranges, for example 7,18,64-255 (7 and 18 are noise)
+    #[arg(long, value_name = "CLASSES", value_delimiter = ',', value_parser = classes)]
+    exclude_class: Vec<RangeInclusive<u8>>,
+    /// Drop voxels with fewer points; queries may then miss these points
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = whole_number(1u32, u32::MAX))]
     min_points: u32,
-    /// Drop voxels without matter in any of the 26 around them (their points may then be missed)
+    /// Drop voxels whose 26 neighbours are all empty; queries may then miss their points
     #[arg(long)]
     drop_isolated: bool,
-    /// Axis of the input that points up (glTF says itself)
+    /// Axis of the input that points up (glTF files state theirs)
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
-    /// Unit of the input: from its CRS, metres, feet, US survey feet, or metres per unit
+    /// Unit of the input: `auto` takes it from the CRS; else metres, feet, US survey feet, or metres per unit
     #[arg(long, default_value = "auto", allow_negative_numbers = true, value_name = "auto|m|ft|us-ft|FACTOR", value_parser = units)]
     units: Units,
+    /// Coordinate reference system of scans that state none; a scan that states another is refused
+    #[arg(long, value_name = "EPSG:N", value_parser = epsg)]
+    crs: Option<u32>,
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
     mesh: Surfaces,
@@ -92,15 +104,25 @@ struct Arguments {
     /// of refusing it
     #[arg(long)]
     allow_incomplete: bool,
+    /// Convert nothing; print what would be read, the grid, the memory and the temporary space. Reads headers and meshes only,
+    /// unless the pixel size is `auto`
+    #[arg(long, conflicts_with = "write_plan")]
+    dry_run: bool,
     /// Replace an existing slice archive (or plan); nothing else is ever replaced
     #[arg(long)]
     force: bool,
-    /// No progress and no warnings
+    /// Print no progress, no summary and no warnings
     #[arg(long, short)]
     quiet: bool,
     /// Print what was done as JSON on standard output
     #[arg(long)]
     json: bool,
+    /// Print completions for a shell and exit
+    #[arg(long, exclusive = true, value_enum, value_name = "SHELL")]
+    completions: Option<clap_complete::Shell>,
+    /// Print the manual page and exit
+    #[arg(long, exclusive = true)]
+    man: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -127,84 +149,12 @@ enum Axis {
     Y,
 }
 
-fn length(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
-        _ => Err("expected a length in metres above 0".into()),
-    }
-}
-
-fn pixel_size(text: &str) -> Result<PixelSize, String> {
-    if text == "auto" { Ok(PixelSize::Auto) } else { length(text).map(PixelSize::Metres) }
-}
-
-fn units(text: &str) -> Result<Units, String> {
-    Ok(match text {
-        "auto" => Units::Auto,
-        "m" => Units::Factor(1.0),
-        "ft" => Units::Factor(0.3048),
-        "us-ft" => Units::Factor(1200.0 / 3937.0),
-        factor => match factor.parse::<f64>() {
-            Ok(value) if value > 0.0 && value.is_finite() => Units::Factor(value),
-            _ => return Err("expected auto, m, ft, us-ft, or metres per unit above 0".into()),
-        },
-    })
-}
-
-fn part(text: &str) -> Result<(u32, u32), String> {
-    let numbers = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
-    numbers
-        .filter(|&(index, count)| (1..=count).contains(&index) && count <= slicewalk::archive::MAX_SHARDS)
-        .ok_or_else(|| format!("expected a part and their number, from 1/1 to {0}/{0}", slicewalk::archive::MAX_SHARDS))
-}
-
-/// Shows progress on a terminal and prints warnings on standard error.
-struct Terminal {
-    quiet: bool,
-    /// The signal that asked to stop, 0 if none did.
-    signal: Arc<AtomicUsize>,
-    bar: Mutex<ProgressBar>,
-}
-
-impl Terminal {
-    fn bar(&self) -> std::sync::MutexGuard<'_, ProgressBar> {
-        self.bar.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-    }
-}
-
-impl Monitor for Terminal {
-    fn stage(&self, name: &str, total: u64, unit: &str) {
-        if self.quiet {
-            return;
-        }
-        let bar = if total > 0 { ProgressBar::new(total) } else { ProgressBar::new_spinner() };
-        let template = format!("{{msg:16}} {{wide_bar}} {{human_pos}}/{{human_len}} {unit} {{per_sec}} {{eta}}");
-        if let Ok(style) = ProgressStyle::with_template(&template) {
-            bar.set_style(style);
-        }
-        bar.set_message(name.to_owned());
-        std::mem::replace(&mut *self.bar(), bar).finish_and_clear();
-    }
-
-    fn advance(&self, amount: u64) {
-        self.bar().inc(amount);
-    }
-
-    fn warn(&self, text: &str) {
-        if !self.quiet {
-            self.bar().suspend(|| say(&format!("sliceconv: warning: {text}")));
-        }
-    }
-
-    fn cancelled(&self) -> bool {
-        self.signal.load(Ordering::Relaxed) != 0
-    }
-}
-
 /// What was done.
 enum Done {
     Archive(Box<Report>),
     Plan(Box<Job>),
+    /// Nothing: what would be done.
+    Preview(Box<Preview>),
 }
 
 fn main() -> ExitCode {
@@ -213,22 +163,29 @@ fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => error.exit(),
     };
+    if let Some(written) = describe_program(&arguments) {
+        return written;
+    }
     slicewalk::input::quiet_decoder_panics();
     let signal = Arc::new(AtomicUsize::new(0));
-    let terminal = Terminal { quiet: arguments.quiet, signal: signal.clone(), bar: Mutex::new(ProgressBar::hidden()) };
+    let terminal = Terminal::new("sliceconv", arguments.quiet, signal.clone());
     if let Err(error) = listen(&signal) {
         terminal.warn(&format!("cannot listen for Ctrl-C: {error}"));
     }
     let started = Instant::now();
     let result = run(&arguments, &given, &terminal);
-    terminal.bar().finish_and_clear();
+    drop(terminal);
     match result {
         Ok(Done::Archive(report)) => {
-            print_report(&arguments, &report, started.elapsed().as_secs_f64());
+            report::of_conversion(&arguments, &report, started.elapsed().as_secs_f64());
             ExitCode::SUCCESS
         }
         Ok(Done::Plan(job)) => {
-            print_plan(&arguments, &job);
+            report::of_plan(&arguments, &job);
+            ExitCode::SUCCESS
+        }
+        Ok(Done::Preview(preview)) => {
+            report::of_preview(&arguments, &preview);
             ExitCode::SUCCESS
         }
         Err(failed) => {
@@ -237,6 +194,19 @@ fn main() -> ExitCode {
             code
         }
     }
+}
+
+/// Writes completions or the manual page, if they are asked for.
+fn describe_program(arguments: &Arguments) -> Option<ExitCode> {
+    let mut text = Vec::new();
+    match arguments.completions {
+        Some(shell) => clap_complete::generate(shell, &mut Arguments::command(), "sliceconv", &mut text),
+        None if arguments.man => clap_mangen::Man::new(Arguments::command()).render(&mut text).ok()?,
+        None => return None,
+    }
+    // A closed pipe is the reader's choice.
+    let _ = std::io::Write::write_all(&mut std::io::stdout(), &text);
+    Some(ExitCode::SUCCESS)
 }
 
 /// Notes the signals that ask to stop. A second one ends the process at once: temporary data vanish with it or are
@@ -306,12 +276,12 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
     })
 }
 
-/// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.
-fn say(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
-}
-
 fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Result<Done, Failure> {
+    if arguments.inputs.iter().any(|input| is_standard(input)) {
+        return Err(Failure::Usage(
+            "-: scans are read in pieces from everywhere, not from standard input; name a file".into(),
+        ));
+    }
     let mut options = ConvertOptions::new(arguments.inputs.clone(), arguments.output.clone().unwrap_or_default());
     options.pixel = arguments.pixel;
     options.slice_m = arguments.slice;
@@ -325,7 +295,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.memory_bytes = arguments.memory;
     options.threads = arguments.threads.map_or(options.threads, usize::from);
     options.temp_dir = arguments.temp_dir.clone().unwrap_or(options.temp_dir);
-    options.plan.exclude_classes = arguments.exclude_class.iter().copied().collect();
+    options.plan.exclude_classes = arguments.exclude_class.iter().cloned().flatten().collect();
     options.plan.min_points = arguments.min_points;
     options.plan.drop_isolated = arguments.drop_isolated;
     options.plan.up = match arguments.up {
@@ -333,6 +303,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         Axis::Y => Up::Y,
     };
     options.units = arguments.units;
+    options.epsg = arguments.crs;
     options.mesh = match arguments.mesh {
         Surfaces::Exact => MeshMode::Exact,
         Surfaces::Sampled => MeshMode::Sampled { step_m: None },
@@ -352,7 +323,11 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         job.apply_to(&mut options);
         refuse_contradictions(given, &wanted, &options)?;
     }
-    options.shard = arguments.shard.map(|(index, count)| ShardOptions { index, count, job });
+    options.job = job;
+    options.shard = arguments.shard.map(|(index, count)| ShardOptions { index, count });
+    if arguments.dry_run {
+        return Ok(Done::Preview(Box::new(preview(&options, monitor)?)));
+    }
     Ok(Done::Archive(Box::new(convert(&options, monitor)?)))
 }
 
@@ -369,6 +344,7 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("drop_isolated", "--drop-isolated", wanted.plan.drop_isolated == planned.plan.drop_isolated),
         ("up", "--up", wanted.plan.up == planned.plan.up),
         ("units", "--units", wanted.units == planned.units),
+        ("crs", "--crs", wanted.epsg == planned.epsg),
         ("mesh", "--mesh", wanted.mesh == planned.mesh),
     ];
     for (id, name, same) in options {
@@ -378,73 +354,4 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         }
     }
     Ok(())
-}
-
-fn print_plan(arguments: &Arguments, job: &Job) {
-    if arguments.json {
-        let _ = writeln!(std::io::stdout(), "{:#}", plan_file::to_json(job));
-    } else if !arguments.quiet {
-        let frame = &job.plan.frame;
-        let inputs = job.inputs.len();
-        say(&format!("plan: pixel {} m, slice {} m, {inputs} inputs", frame.pixel_m(), frame.slice_m()));
-    }
-}
-
-fn print_report(arguments: &Arguments, report: &Report, seconds: f64) {
-    let header = &report.header;
-    if arguments.json {
-        let mut facts = slicewalk::info::header_info(header, &report.crs, &report.units);
-        facts["points_not_finite"] = report.points_not_finite.into();
-        facts["complete"] = report.complete.into();
-        facts["triangles_read"] = report.triangles.read.into();
-        facts["triangles_left_out"] = report.triangles.left_out.into();
-        facts["points_made"] = report.points_made.into();
-        facts["voxels_dropped"] = report.voxels_dropped.into();
-        facts["temp_bytes"] = report.temp_bytes.into();
-        facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
-        if let Some(shard) = &report.shard {
-            facts["shard"] = slicewalk::info::shard_info(shard);
-        }
-        facts["seconds"] = seconds.into();
-        // The archive is written; that nobody reads about it is no failure.
-        let _ = writeln!(std::io::stdout(), "{facts:#}");
-    }
-    if arguments.quiet || arguments.json {
-        return;
-    }
-    let frame = &header.plan.frame;
-    if let Some(spacing) = &report.spacing {
-        say(&format!(
-            "pixel size {} m: 4 × the point spacing of {:.4} m (median over {} sampled points)",
-            frame.pixel_m(),
-            spacing.spacing_m,
-            spacing.sampled
-        ));
-    }
-    let left_out = header.points_read - header.points_kept;
-    let what = match report.triangles.read {
-        0 => "points",
-        all if all == header.points_read => "triangles",
-        _ => "points and triangles",
-    };
-    say(&format!(
-        "{}: {} {what} ({left_out} left out), {} voxels ({} obstacle) in {} slices of {} m",
-        arguments.output.clone().unwrap_or_default().display(),
-        header.points_kept,
-        header.voxels.occupied,
-        header.voxels.obstacle,
-        slicewalk::info::slice_count(header),
-        frame.slice_m()
-    ));
-    say(&format!("unit of the source: {}; the archive is in metres", slicewalk::info::units_in_words(&report.units)));
-    if report.voxels_dropped > 0 {
-        let dropped = report.voxels_dropped;
-        say(&format!("{dropped} voxels of too few points or without neighbours dropped, and their points"));
-    }
-    say(&format!(
-        "{} bytes, {} bytes of temporary data, {seconds:.2} s, {:.2} M {what}/s",
-        header.file_len,
-        report.temp_bytes,
-        header.points_read as f64 / seconds / 1e6
-    ));
 }

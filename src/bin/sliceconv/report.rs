@@ -1,0 +1,175 @@
+//! What was done, or would be, in words and as JSON.
+
+use crate::Arguments;
+use serde_json::json;
+use slicewalk::archive::Header;
+use slicewalk::convert::{Job, Preview, Report, plan_file};
+use slicewalk::info::{crs_name, header_info, plan_info, shard_info, slice_count, unit_info, units_in_words};
+use slicewalk::input::spacing::Spacing;
+use slicewalk::terminal::say;
+use slicewalk::text::{counted, extent, file_size, grouped, lines, memory_size, number, one_line, rounded};
+use std::fmt::Display;
+use std::io::Write;
+
+/// Files that a preview lists by name; there may be thousands.
+const MOST_LISTED: usize = 10;
+/// What conversions may take beside `--memory` (bytes).
+const BESIDE_MEMORY: u64 = 64 << 20;
+
+/// Prints a result on standard output. The work is done: that nobody reads about it is no failure.
+pub fn print(result: impl Display) {
+    let _ = writeln!(std::io::stdout(), "{}", lines(&result.to_string()));
+}
+
+pub fn of_plan(arguments: &Arguments, job: &Job) {
+    if arguments.json {
+        print(format!("{:#}", plan_file::to_json(job)));
+    } else if !arguments.quiet {
+        let frame = &job.plan.frame;
+        let (pixel, slice) = (number(frame.pixel_m()), number(frame.slice_m()));
+        say(&format!("plan: pixels of {pixel} m, slices of {slice} m, {}", counted(job.inputs.len() as u64, "input")));
+    }
+}
+
+/// Where an automatic pixel size comes from.
+fn from_spacing(spacing: &Spacing) -> String {
+    let Spacing { spacing_m, sampled, .. } = *spacing;
+    format!("4 × the point spacing of {spacing_m:.4} m (median of {})", counted(sampled, "sampled point"))
+}
+
+pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) {
+    let header = &report.header;
+    if arguments.json {
+        let mut facts = header_info(header, &report.crs, &report.units);
+        facts["points_not_finite"] = report.points_not_finite.into();
+        facts["complete"] = report.complete.into();
+        facts["triangles_read"] = report.triangles.read.into();
+        facts["triangles_left_out"] = report.triangles.left_out.into();
+        facts["points_made"] = report.points_made.into();
+        facts["voxels_dropped"] = report.voxels_dropped.into();
+        facts["input_bytes"] = report.input_bytes.into();
+        facts["temp_bytes"] = report.temp_bytes.into();
+        facts["point_spacing"] = report.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
+        if let Some(shard) = &report.shard {
+            facts["shard"] = shard_info(shard);
+        }
+        facts["seconds"] = seconds.into();
+        print(format!("{facts:#}"));
+    } else if !arguments.quiet {
+        summary(arguments, report, seconds);
+    }
+}
+
+/// A few lines for people.
+fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
+    let header = &report.header;
+    let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;
+    let frame = &header.plan.frame;
+    let (one, many) = match report.triangles.read {
+        0 => ("point", "points"),
+        all if all == points_read => ("triangle", "triangles"),
+        _ => ("points and triangles", "points and triangles"),
+    };
+    let things = |number: u64| format!("{} {}", grouped(number), if number == 1 { one } else { many });
+    let size = header.bounds.map_or_else(String::new, |(min, max)| format!(", {}", extent(min, max, frame.pixel_m())));
+    say(&format!(
+        "{}: {} → {} ({}), {} of {} m{size}",
+        arguments.output.clone().unwrap_or_default().display(),
+        things(points_kept),
+        counted(header.voxels.occupied, "voxel"),
+        counted(header.voxels.obstacle, "obstacle"),
+        counted(slice_count(header) as u64, "slice"),
+        number(frame.slice_m())
+    ));
+    if points_read > points_kept {
+        let unusable = points_read - points_kept - points_excluded - points_withheld;
+        let reasons = [(points_excluded, "by class"), (points_withheld, "withheld"), (unusable, "unusable")];
+        let reasons = reasons.iter().filter(|reason| reason.0 > 0).map(|(n, why)| format!("{} {why}", grouped(*n)));
+        let left_out = things(points_read - points_kept);
+        say(&format!("left out: {left_out} ({})", reasons.collect::<Vec<_>>().join(", ")));
+    }
+    if report.voxels_dropped > 0 {
+        let dropped = counted(report.voxels_dropped, "voxel");
+        say(&format!("dropped: {dropped} with too few points or without neighbours, and their points"));
+    }
+    if let Some(spacing) = &report.spacing {
+        say(&format!("pixel size {} m: {}", number(frame.pixel_m()), from_spacing(spacing)));
+    }
+    say(&format!("unit of the source: {}; the archive is in metres", units_in_words(&report.units)));
+    // A part reads only some of the input.
+    let sizes = match report.shard {
+        None if report.input_bytes > 0 => {
+            let share = 100.0 * header.file_len as f64 / report.input_bytes as f64;
+            let (input, output) = (file_size(report.input_bytes), file_size(header.file_len));
+            format!("{input} → {output} ({} %)", rounded(share, if share < 10.0 { 0.1 } else { 1.0 }))
+        }
+        _ => file_size(header.file_len),
+    };
+    let temporary = match report.temp_bytes {
+        0 => String::new(),
+        bytes => format!(", {} of temporary data", file_size(bytes)),
+    };
+    say(&format!("{sizes}{temporary}, {seconds:.2} s, {:.2} M {many}/s", points_read as f64 / seconds / 1e6));
+}
+
+pub fn of_preview(arguments: &Arguments, preview: &Preview) {
+    let bytes: u64 = preview.inputs.iter().map(|input| input.bytes).sum();
+    let points = preview.inputs.iter().filter_map(|input| input.points).fold(0, u64::saturating_add);
+    let temp_dir = arguments.temp_dir.clone().unwrap_or_else(std::env::temp_dir);
+    if arguments.json {
+        let mut facts = json!({ "dry_run": true });
+        let inputs = preview.inputs.iter().map(|input| {
+            json!({ "path": input.path.to_string_lossy(), "bytes": input.bytes, "points_stated": input.points })
+        });
+        facts["inputs"] = inputs.collect();
+        facts["input_bytes"] = bytes.into();
+        facts["points_stated"] = points.into();
+        facts["bounds"] = preview.bounds.map(|(min, max)| json!({ "min": min, "max": max })).into();
+        let size = preview.bounds.map(|(min, max)| [0, 1, 2].map(|axis| max[axis] - min[axis]));
+        facts["extent"] = json!(size);
+        facts["crs"] = Some(&preview.crs[..]).filter(|crs| !crs.is_empty()).into();
+        facts["unit"] = unit_info(&preview.units);
+        if let (Some(facts), Some(plan)) = (facts.as_object_mut(), plan_info(&preview.plan).as_object()) {
+            facts.extend(plan.clone());
+        }
+        facts["point_spacing"] = preview.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
+        facts["memory_bytes"] = arguments.memory.into();
+        facts["temp_bytes"] = preview.temp_bytes.into();
+        facts["temp_dir"] = temp_dir.to_string_lossy().into();
+        return print(format!("{facts:#}"));
+    }
+    let frame = &preview.plan.frame;
+    let (pixel, slice) = (number(frame.pixel_m()), number(frame.slice_m()));
+    let spacing = preview.spacing.as_ref().map_or_else(String::new, |spacing| format!(", {}", from_spacing(spacing)));
+    let files = preview.inputs.len();
+    let mut rows = vec![("files", format!("{}, {}", counted(files as u64, "file"), file_size(bytes)))];
+    for input in preview.inputs.iter().take(MOST_LISTED) {
+        let holds = input.points.map_or("a mesh".into(), |points| counted(points, "point"));
+        rows.push(("", format!("{}: {holds}, {}", input.path.display(), file_size(input.bytes))));
+    }
+    if files > MOST_LISTED {
+        rows.push(("", format!("and {} more", grouped((files - MOST_LISTED) as u64))));
+    }
+    rows.push(("points", format!("{} stated", grouped(points))));
+    rows.push((
+        "extent",
+        preview.bounds.map_or("unknown".into(), |(min, max)| {
+            let corner = |corner: [f64; 3]| corner.map(|value| rounded(value, frame.quantum_m())).join(", ");
+            format!("{}, from ({}) to ({})", extent(min, max, frame.pixel_m()), corner(min), corner(max))
+        }),
+    ));
+    rows.push(("crs", crs_name(&preview.crs).unwrap_or_else(|| "not stated".into())));
+    rows.push(("unit", units_in_words(&preview.units)));
+    rows.push(("grid", format!("pixels of {pixel} m{spacing}; slices of {slice} m")));
+    let most = memory_size(arguments.memory + BESIDE_MEMORY);
+    rows.push(("memory", format!("at most {most} (--memory {} and 64 MiB more)", memory_size(arguments.memory))));
+    rows.push((
+        "temporary",
+        match preview.temp_bytes {
+            0 => "nothing expected on disk".into(),
+            bytes => format!("about {} in {}", file_size(bytes), temp_dir.display()),
+        },
+    ));
+    let rows = rows.iter().map(|(name, value)| one_line(format!("{name:10}{value}").trim_end()).into_owned());
+    print(rows.collect::<Vec<_>>().join("\n"));
+}

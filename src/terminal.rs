@@ -1,0 +1,149 @@
+//! What a terminal shows of long work: progress, warnings, messages.
+
+use crate::Monitor;
+use crate::text::{grouped, one_line};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
+use std::io::Write as _;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Prints a line on standard error. Unlike `eprintln!` it does not panic when nobody reads there any more.
+pub fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{}", one_line(line));
+}
+
+/// Shows progress where standard error is a terminal, and prints warnings there in any case. Progress vanishes when this is
+/// dropped.
+#[derive(Debug)]
+pub struct Terminal {
+    program: &'static str,
+    quiet: bool,
+    /// The signal that asked to stop, 0 if none did.
+    signal: Arc<AtomicUsize>,
+    bar: Mutex<ProgressBar>,
+}
+
+impl Terminal {
+    /// For `program`, whose name begins every line. Work stops when `signal` is set to the number of a signal.
+    pub fn new(program: &'static str, quiet: bool, signal: Arc<AtomicUsize>) -> Self {
+        Self { program, quiet, signal, bar: Mutex::new(ProgressBar::hidden()) }
+    }
+
+    fn bar(&self) -> MutexGuard<'_, ProgressBar> {
+        self.bar.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        self.bar().finish_and_clear();
+    }
+}
+
+impl Monitor for Terminal {
+    fn stage(&self, name: &str, total: u64, unit: &str) {
+        if self.quiet {
+            return;
+        }
+        let bar = if total > 0 { ProgressBar::new(total) } else { ProgressBar::new_spinner() };
+        if let Some(style) = style(total, unit) {
+            bar.set_style(style);
+        }
+        bar.set_message(name.to_owned());
+        std::mem::replace(&mut *self.bar(), bar).finish_and_clear();
+    }
+
+    fn advance(&self, amount: u64) {
+        self.bar().inc(amount);
+    }
+
+    fn warn(&self, text: &str) {
+        if !self.quiet {
+            self.bar().suspend(|| say(&format!("{}: warning: {text}", self.program)));
+        }
+    }
+
+    fn cancelled(&self) -> bool {
+        self.signal.load(Ordering::Relaxed) != 0
+    }
+}
+
+/// `reading ━━━━━   1,234,567/20,000,000 points, 3,123,456/s, 1s passed, 6s left`
+fn style(total: u64, unit: &str) -> Option<ProgressStyle> {
+    let template = match total {
+        0 => format!("{{msg}} {{spinner}} {{human_pos}} {unit}, {{rate}}/s, {{elapsed}} passed"),
+        _ => format!(
+            "{{msg}} {{wide_bar}} {{human_pos}}/{{human_len}} {unit}, {{rate}}/s, {{elapsed}} passed, {{eta}} left"
+        ),
+    };
+    let rate = |state: &ProgressState, out: &mut dyn std::fmt::Write| {
+        let _ = out.write_str(&grouped(state.per_sec() as u64));
+    };
+    Some(ProgressStyle::with_template(&template).ok()?.with_key("rate", rate))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use indicatif::{ProgressDrawTarget, TermLike};
+    use std::fmt::Write as _;
+    use std::io;
+
+    /// A terminal 120 columns wide that remembers what was written to it.
+    #[derive(Debug, Clone, Default)]
+    struct Paper(Arc<Mutex<String>>);
+
+    impl TermLike for Paper {
+        fn width(&self) -> u16 {
+            120
+        }
+
+        fn move_cursor_up(&self, _: usize) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn move_cursor_down(&self, _: usize) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn move_cursor_right(&self, _: usize) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn move_cursor_left(&self, _: usize) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn write_line(&self, line: &str) -> io::Result<()> {
+            writeln!(self.0.lock().unwrap(), "{line}").map_err(io::Error::other)
+        }
+
+        fn write_str(&self, text: &str) -> io::Result<()> {
+            self.0.lock().unwrap().write_str(text).map_err(io::Error::other)
+        }
+
+        fn clear_line(&self) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn flush(&self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn the_bar_groups_digits_and_labels_its_times() {
+        let paper = Paper::default();
+        let bar =
+            ProgressBar::with_draw_target(Some(20_000_000), ProgressDrawTarget::term_like(Box::new(paper.clone())));
+        bar.set_style(style(20_000_000, "points").unwrap());
+        bar.set_message("reading");
+        bar.set_position(1_234_567);
+        bar.abandon();
+        let text = paper.0.lock().unwrap().clone();
+        let words = ["reading ", "1,234,567/20,000,000 points, ", "/s, ", " passed, ", " left"];
+        assert!(words.iter().all(|words| text.contains(words)), "{text:?}");
+        let rate = text.rsplit("points, ").next().and_then(|rest| rest.split("/s").next()).unwrap();
+        assert!(rate.chars().all(|c| c.is_ascii_digit() || c == ','), "{rate:?}");
+    }
+}

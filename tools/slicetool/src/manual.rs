@@ -1,0 +1,33 @@
+//! Completions of shells and manual pages, made from the arguments themselves.
+
+use crate::{Arguments, Failure, Outcome};
+use clap::CommandFactory;
+use slicewalk::output::{Output, OutputKind, Protected};
+use slicewalk::text::counted;
+use std::path::Path;
+
+/// Completions for `shell`.
+pub fn completions(shell: clap_complete::Shell) -> Outcome {
+    let mut text = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "slicetool", &mut text);
+    Ok(String::from_utf8_lossy(&text).into_owned())
+}
+
+/// A manual page for the program and one for each command, `slicetool-info.1` and so on, in `folder`.
+pub fn write(folder: &Path) -> Outcome {
+    let failed = |error| Failure::Text(format!("{}: cannot create: {error}", folder.display()));
+    std::fs::create_dir_all(folder).map_err(failed)?;
+    let mut program = Arguments::command().disable_help_subcommand(true);
+    program.build();
+    let pages: Vec<_> = program.get_subcommands().chain([&program]).collect();
+    for &page in &pages {
+        let path = folder.join(format!("{}.1", page.get_display_name().unwrap_or(page.get_name())));
+        let mut text = Vec::new();
+        let source = concat!("slicewalk ", env!("CARGO_PKG_VERSION"));
+        clap_mangen::Man::new(page.clone()).source(source).manual("Slicewalk").render(&mut text)?;
+        let mut output = Output::create(&path, OutputKind::Result, Protected::default())?;
+        output.write_at(0, &text)?;
+        output.publish()?;
+    }
+    Ok(format!("{}: {}\n", folder.display(), counted(pages.len() as u64, "manual page")))
+}

@@ -1,0 +1,42 @@
+//! `-` in place of a file: standard input for tables, standard output for tables and PLY.
+
+use crate::{Failure, Outcome, say};
+use slicewalk::output::is_standard;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// A table to read, and what messages call it.
+pub fn table(path: &Path) -> Result<(Box<dyn Read>, String), Failure> {
+    if is_standard(path) {
+        return Ok((Box::new(std::io::stdin().lock()), "standard input".into()));
+    }
+    let name = path.display().to_string();
+    let file = File::open(path).map_err(|error| Failure::Text(format!("{name}: cannot read: {error}")))?;
+    Ok((Box::new(file), name))
+}
+
+/// An archive is read in pieces from everywhere, which a stream does not allow.
+pub fn refuse_archive(path: &Path) -> Result<(), Failure> {
+    match is_standard(path) {
+        true => Err(Failure::Usage("-: an archive is not read from standard input; name a file".into())),
+        false => Ok(()),
+    }
+}
+
+/// JSON and a table cannot both go to standard output.
+pub fn refuse_two(output: Option<&Path>, json: bool) -> Result<(), Failure> {
+    match output.is_some_and(is_standard) && json {
+        true => Err(Failure::Usage("-o - and --json both write to standard output; name a file for -o".into())),
+        false => Ok(()),
+    }
+}
+
+/// What is said about a file that was written: the result, or, if the file itself went to standard output, a message.
+pub fn written(output: &Path, about: &str) -> Outcome {
+    if is_standard(output) {
+        about.lines().for_each(say);
+        return Ok(String::new());
+    }
+    Ok(about.to_owned())
+}
