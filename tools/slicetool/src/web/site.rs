@@ -5,7 +5,7 @@
 use super::page::INDEX;
 use super::{Show, ShowArguments, Shown, TABLE};
 use crate::{Failure, Outcome};
-use slicewalk::output::{Existing, Kind, Output, Protected};
+use slicewalk::output::{Existing, Output, OutputKind, Protected};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -37,7 +37,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let write = |name: &str, bytes: &[u8]| -> Result<(), Failure> {
         let path = folder.join(name);
         path.parent().map_or(Ok(()), create)?;
-        let mut output = Output::create(&path, Kind::Result, protected.clone())?;
+        let mut output = Output::create(&path, OutputKind::Result, protected.clone())?;
         output.write_at(0, bytes)?;
         output.publish()?;
         Ok(())
@@ -58,7 +58,7 @@ fn create(folder: &Path) -> Result<(), Failure> {
 /// Copies an archive or a cloud. An archive that is there already stays if it is the same.
 fn copy(file: &Shown, to: &Path, force: bool, protected: &Protected) -> Result<(), Failure> {
     let existing = if force { Existing::Replace } else { Existing::KeepSame };
-    let kind = if file.archive.is_some() { Kind::Archive(existing) } else { Kind::Result };
+    let kind = if file.archive.is_some() { OutputKind::Archive(existing) } else { OutputKind::Result };
     let mut output = Output::create(to, kind, protected.clone())?;
     let mut writer = std::io::BufWriter::with_capacity(1 << 20, &mut output);
     let failed = |error: std::io::Error| {
