@@ -100,6 +100,7 @@ describe("walking", () => {
     const before = await hold(page, ["w"], "blocked", ({ ground }) => ground === "blocked");
     // Half the pawn and at most a pixel of matter before the wall.
     assert.ok(before.at[0] >= 0.25 && before.at[0] <= 0.25 + 2 * 0.05, `x = ${before.at[0]}`);
+    await page.locator("details.status").evaluate((panel) => (panel.open = true));
     await page.keyboard.down("w");
     await page.getByText("stopped by a wall").waitFor();
     await page.keyboard.up("w");
