@@ -11,7 +11,7 @@ use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey};
 use slicewalk::nalgebra::Point3;
 use slicewalk::store::{
-    BodyId, Decode, FetchId, Loader, LoaderOptions, Motion, Next, PageSet, PageSlot, RequestId, Time, View,
+    BodyId, Decode, FetchId, Loader, LoaderOptions, Next, Outlook, PageSet, PageSlot, RequestId, Time, View,
 };
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -69,7 +69,7 @@ impl<T> Named<T> {
 struct Moving<T> {
     thing: T,
     body: BodyId,
-    hinted: Option<Motion>,
+    hinted: Option<Outlook>,
 }
 
 #[wasm_bindgen]
@@ -367,10 +367,10 @@ impl Engine {
         let at = point(at)?;
         if let Some(scene) = self.scenes.get_mut(scene) {
             scene.thing.look(at);
-            let motion = scene.thing.motion();
-            if scene.hinted != Some(motion) {
-                scene.hinted = Some(motion);
-                self.loader.hint(scene.body, &motion);
+            let outlook = scene.thing.outlook();
+            if scene.hinted != Some(outlook) {
+                scene.hinted = Some(outlook);
+                self.loader.hint(scene.body, &outlook);
             }
         }
         Ok(())
@@ -431,11 +431,11 @@ impl Engine {
     fn hint(&mut self, pawn: u32) -> Result<(), String> {
         let frame = *self.view()?.frame();
         if let Some(pawn) = self.pawns.get_mut(pawn) {
-            let motion = pawn.thing.walker().outlook(&frame);
+            let outlook = pawn.thing.walker().outlook(&frame);
             let missing = pawn.thing.missing();
-            if pawn.hinted != Some(motion) || missing.is_some() {
-                pawn.hinted = Some(motion);
-                self.loader.hint(pawn.body, &motion);
+            if pawn.hinted != Some(outlook) || missing.is_some() {
+                pawn.hinted = Some(outlook);
+                self.loader.hint(pawn.body, &outlook);
                 missing.into_iter().for_each(|missing| self.loader.need(pawn.body, missing));
             }
         }

@@ -6,7 +6,7 @@ use crate::geometry::{COARSEST, Geometry};
 use crate::map::columns;
 use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::nalgebra::{Point3, Vector3};
-use slicewalk::store::{Motion, PageSet, PageSlot};
+use slicewalk::store::{Outlook, PageSet, PageSlot};
 use std::collections::HashMap;
 
 /// A loader looks so far ahead (s).
@@ -88,8 +88,8 @@ impl Scene {
     }
 
     /// What a loader needs to know to have the pages there, the nearest first.
-    pub fn motion(&self) -> Motion {
-        Motion {
+    pub fn outlook(&self) -> Outlook {
+        Outlook {
             min: self.at,
             max: self.at,
             velocity: Vector3::zeros(),

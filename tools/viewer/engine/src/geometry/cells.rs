@@ -32,7 +32,7 @@ impl Cells {
         let mut spans: Vec<Span> = Vec::new();
         for number in 0..edge * edge {
             spans.clear();
-            let (x, y) = (number % edge << coarseness, number / edge << coarseness);
+            let (x, y) = ((number % edge) << coarseness, (number / edge) << coarseness);
             for (px, py) in (0..1 << coarseness).flat_map(|dy| (0..1 << coarseness).map(move |dx| (x + dx, y + dy))) {
                 page.column(px, py).iter().for_each(|span| put(&mut spans, *span));
             }

@@ -107,7 +107,7 @@ struct Side {
 pub(super) fn sides(cells: &Cells, faces: &mut Faces) {
     let edge = cells.edge as isize;
     // Sides that end in the cell before, each with its first cell.
-    let (mut open, mut now): (Vec<(Side, u16)>, Vec<(Side, u16)>) = Default::default();
+    let (mut open, mut now) = (Vec::<(Side, u16)>::new(), Vec::new());
     for along_y in [true, false] {
         for plane in 0..=edge {
             for at in 0..=edge {
@@ -130,15 +130,8 @@ pub(super) fn sides(cells: &Cells, faces: &mut Faces) {
     }
 }
 
-fn side_quad(
-    faces: &mut Faces,
-    along_y: bool,
-    up: bool,
-    plane: u16,
-    [a, b]: [u16; 2],
-    [z0, z1]: [u16; 2],
-    obstacle: bool,
-) {
+fn side_quad(faces: &mut Faces, along_y: bool, side: Side, plane: u16, [a, b]: [u16; 2]) {
+    let Side { bottom: z0, top: z1, obstacle, up } = side;
     let corner = |along: u16, z: u16| if along_y { [plane, along, z] } else { [along, plane, z] };
     let corners = [corner(a, z0), corner(b, z0), corner(b, z1), corner(a, z1)];
     let way = if up { 127 } else { -127 };

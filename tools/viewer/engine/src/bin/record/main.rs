@@ -140,15 +140,22 @@ fn serve(engine: &mut Engine, bytes: &[u8], now: f64) -> Result<(), String> {
     }
 }
 
+/// Bytes on their way, and when they arrive (ms).
+struct Coming {
+    at: f64,
+    name: u32,
+    range: std::ops::Range<usize>,
+}
+
 /// A walk over a link of 40 ms and 20 Mbit/s in virtual time: the ranges asked for, and the states, in their order.
 fn streamed(bytes: &[u8], inputs: &[[f64; 6]]) -> Result<Vec<f64>, String> {
     let mut engine = Engine::new(bytes.len() as f64, (64 << 20) as f64, 4);
-    let (mut words, mut link, mut pawn) = (Vec::<f64>::new(), Vec::new(), None);
+    let (mut words, mut link, mut pawn) = (Vec::<f64>::new(), Vec::<Coming>::new(), None);
     let (mut free_at, mut now) = (0.0f64, 0.0);
     for input in inputs {
-        let arrived: Vec<_> = link.extract_if(.., |answer| answer.0 <= now).collect();
-        for (_, name, start, end) in arrived {
-            engine.given(name, bytes[start as usize..end as usize].to_vec(), now);
+        let arrived: Vec<_> = link.extract_if(.., |coming| coming.at <= now).collect();
+        for Coming { name, range, .. } in arrived {
+            engine.given(name, bytes[range].to_vec(), now);
             while engine.decode(now) {}
         }
         if engine.is_open() {
@@ -166,11 +173,11 @@ fn streamed(bytes: &[u8], inputs: &[[f64; 6]]) -> Result<Vec<f64>, String> {
                     let (start, end) = (todo[at + 2], todo[at + 3]);
                     words.extend([start, end]);
                     free_at = free_at.max(now + 40.0) + (end - start) / 2500.0;
-                    link.push((free_at, todo[at + 1] as u32, start, end));
+                    link.push(Coming { at: free_at, name: todo[at + 1] as u32, range: start as usize..end as usize });
                     at += 4;
                 }
                 2.0 => {
-                    link.retain(|answer| f64::from(answer.1) != todo[at + 1]);
+                    link.retain(|coming| f64::from(coming.name) != todo[at + 1]);
                     at += 2;
                 }
                 _ => at += 2,
