@@ -8,7 +8,7 @@ use slicewalk::slice::{PageBuilder, Span};
 use std::collections::BTreeMap;
 
 /// Half of the hall's width (m).
-const HALF: f64 = 4.5;
+const HALF: f64 = 9.0;
 const STEPS: f64 = 17.0;
 const GALLERY: f64 = 3.0;
 /// Edge of the squares on which a block may stand (m).
