@@ -10,6 +10,8 @@ import { crsName } from "./ui/status";
 
 /** Around a pawn, what is loaded before a place counts as loaded (m). */
 const AROUND_M = 0.3;
+/** A step after a jump to another place is waited for so long. */
+const PATIENCE_MS = 10_000;
 /** Above the middle of a scan without a place to stand. */
 const HOVER_M = 2;
 
@@ -80,6 +82,16 @@ export class Session {
     if (!at.every(Number.isFinite)) throw new SlicewalkError("invalid", "a place is three finite numbers");
     await this.pawn.place(at);
     await this.archive.load(around(at, settings));
+    await this.#stands();
+  }
+
+  /** Resolves when a step no longer waits for pages, or when none is answered: the page may be in the background. */
+  async #stands(): Promise<void> {
+    const { steps } = this.pawn.state;
+    const end = performance.now() + PATIENCE_MS;
+    while ((this.pawn.state.steps === steps || this.pawn.state.missing > 0) && performance.now() < end) {
+      await new Promise((resolve) => setTimeout(resolve, 10));
+    }
   }
 
   close(): void {
