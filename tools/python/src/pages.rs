@@ -419,7 +419,6 @@ impl Pages {
     /// >>> route.found, round(route.length, 1)
     /// (True, 7.2)
     #[pyo3(signature = (start, goal, *, pawn=None, climb=0.35, max_drop=None, progress=None))]
-    #[expect(clippy::too_many_arguments, reason = "they have names in Python")]
     fn route<'py>(
         &self,
         start: &Bound<'py, PyAny>,

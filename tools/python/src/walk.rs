@@ -202,7 +202,8 @@ impl Walker {
         hz: f64,
         max_seconds: f64,
     ) -> PyResult<Bound<'py, PyAny>> {
-        if !(0.1..=1e5).contains(&hz) || !(max_seconds > 0.0 && max_seconds <= 1e6) {
+        let fits = (0.1..=1e5).contains(&hz) && max_seconds > 0.0 && max_seconds <= 1e6;
+        if !fits {
             return Err(refuse("hz, max_seconds", "expected 0.1 to 100000 frames per second, and up to 1000000 s"));
         }
         let mut route = Route::new(places(waypoints)?).map_err(Failure::from)?;
