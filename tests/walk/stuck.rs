@@ -22,7 +22,7 @@ fn rough_walls(random: &mut Random) -> BTreeSet<(i64, i64)> {
     let mut pixels = BTreeSet::new();
     for _ in 0..3 {
         let (middle, angle) =
-            (Point2::new(random.between(0.7, 1.5), random.between(-0.8, 0.8)), random.between(0.0, 3.14));
+            (Point2::new(random.between(0.7, 1.5), random.between(-0.8, 0.8)), random.between(0.0, 180.0).to_radians());
         let half = random.between(0.3, 1.2);
         let steps = (half / T * 4.0) as i64;
         for n in -steps..=steps {
@@ -88,12 +88,13 @@ fn a_step_is_bounded_and_gives_the_rest_back() {
 
 #[test]
 fn numbers_beyond_their_limits_are_refused_and_no_pawn_gets_farther_than_its_world() {
-    let with = |change: fn(&mut Config)| {
+    type Change = fn(&mut Config);
+    let with = |change: Change| {
         let mut config = config(BOX);
         change(&mut config);
         Walker::new(config, Point3::origin()).map_err(|error| error.to_string())
     };
-    let wrong: [(&str, fn(&mut Config)); 9] = [
+    let wrong: [(&str, Change); 9] = [
         ("speed: 2000", |c| c.speed = 2000.0),
         ("speed: NaN", |c| c.speed = f64::NAN),
         ("climb height: 1.8", |c| c.climb = 1.8),

@@ -191,7 +191,10 @@ pub fn broken(path: &Path, error: &slicewalk::Error) -> Failure {
         slicewalk::Error::Format { .. } => {
             Failure::Text(format!("{}: {error}; convert the scan again, or fetch the archive again", path.display()))
         }
-        slicewalk::Error::Limit { .. } => Failure::Text(format!("{}: {error}", path.display())),
+        slicewalk::Error::Limit { .. } => match of_library(error) {
+            Failure::Text(text) => Failure::Text(format!("{}: {text}", path.display())),
+            other => other,
+        },
         _ => of_library(error),
     }
 }
