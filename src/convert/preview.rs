@@ -2,8 +2,8 @@
 
 use super::options::ConvertOptions;
 use super::{Limits, check_free_space, open_inputs, plan, scope, temp_bytes};
-use crate::disk::Files;
 use crate::archive::Bounds;
+use crate::disk::Files;
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::Spacing;
 use crate::input::{ScanFile, StatedBounds};

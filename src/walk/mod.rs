@@ -13,8 +13,8 @@
 //! section 3.2.2, for comparison.
 
 mod body;
-mod config;
 mod change;
+mod config;
 mod crowd;
 mod follow;
 mod progress;

@@ -40,6 +40,9 @@ pub fn run(paths: &[PathBuf], json: bool) -> Outcome {
             for failure in failures.into_iter().chain([last]) {
                 match failure {
                     Failure::Text(line) | Failure::Usage(line) | Failure::Result(line) => say(&line),
+                    // Nothing that `info` does is interrupted.
+                    #[cfg(feature = "serve")]
+                    Failure::Interrupted(_) => {}
                 }
             }
             Err(Failure::Result(result))
