@@ -202,8 +202,8 @@ impl Layers {
             same
         });
         if self.0.len() > Self::MOST {
-            let what = "layers of 64 slices with matter (cut out a region with slicetool extract)".into();
-            return Err(Error::Limit { what, value: "more".into(), max: Self::MOST.to_string() });
+            let what = "layers of 64 slices with matter (cut out a region with slicetool extract)";
+            return Err(Error::limit(what, "more", Self::MOST));
         }
         Ok(())
     }

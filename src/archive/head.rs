@@ -143,7 +143,7 @@ impl Header {
                 "pages without bytes of their own, in an archive of {} bytes (convert the scan again with larger pixels)",
                 self.file_len
             );
-            return Err(Error::Limit { what, value: repeats.to_string(), max: most.to_string() });
+            return Err(Error::limit(what, repeats, most));
         }
         Ok(())
     }

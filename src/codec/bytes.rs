@@ -71,6 +71,12 @@ impl<'a> ByteReader<'a> {
         self.rest.len()
     }
 
+    /// Whether nothing is left.
+    #[cfg(feature = "convert")]
+    pub fn is_empty(&self) -> bool {
+        self.rest.is_empty()
+    }
+
     fn start(&self) -> &[u8] {
         &self.rest[..self.rest.len().min(MAX_VARINT)]
     }

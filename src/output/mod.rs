@@ -54,7 +54,7 @@ pub struct Output {
 
 /// Refuses what [`Output::create`] would refuse under this name, and makes nothing.
 pub fn check(name: &Path, kind: OutputKind, protected: Protected) -> Result<()> {
-    Target::find(name, kind, &protected).map(drop)
+    Target::find(&Files::current(), name, kind, &protected).map(drop)
 }
 
 impl Output {

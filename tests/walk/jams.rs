@@ -144,7 +144,7 @@ fn who_falls_upon_another_stands_on_its_head() {
     for (height, aside) in [(8.0, 0.0), (8.0, 0.2), (8.0, 0.3), (6.0, 0.45)] {
         let mut crowd =
             Crowd::new(vec![walker(BOX, [0.0, 0.0, 0.03]), walker(CYLINDER, [aside, 0.1, height])]).unwrap();
-        let mut frame = |crowd: &mut Crowd, way: Vector2<f64>| {
+        let frame = |crowd: &mut Crowd, way: Vector2<f64>| {
             crowd.step(&store, TICK, |n, _| if n == 0 { Wish::Direction(way) } else { Wish::Stay });
             assert_eq!(pairs_inside(crowd), 0, "{height} m, {aside} m aside");
         };

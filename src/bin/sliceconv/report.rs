@@ -4,7 +4,7 @@ use crate::Arguments;
 use serde_json::json;
 use slicewalk::archive::Header;
 use slicewalk::convert::{Job, Preview, Report, plan_file};
-use slicewalk::info::{crs_name, header_info, plan_info, shard_info, slice_count, unit_info, units_in_words};
+use slicewalk::info::{crs_name, plan_info, slice_count, unit_info, units_in_words};
 use slicewalk::input::spacing::Spacing;
 use slicewalk::terminal::say;
 use slicewalk::text::{counted, extent, file_size, grouped, lines, memory_size, number, one_line, rounded};
@@ -38,7 +38,6 @@ fn from_spacing(spacing: &Spacing) -> String {
 }
 
 pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) {
-    let header = &report.header;
     if arguments.json {
         let mut facts = report.info();
         facts["seconds"] = seconds.into();

@@ -156,7 +156,7 @@ fn parts_of_a_conversion_go_on_and_merge_to_the_same_bytes() {
     let mut job = Job::new();
     let mut parts = Vec::new();
     for index in 1..=2 {
-        job.options.shard = Some(ShardOptions { index, count: 2, job: None });
+        job.options.shard = Some(ShardOptions { index, count: 2 });
         job.options.output = job.folder.path().join(format!("part{index}.slices"));
         // Once while points are read, and once after that.
         assert!(job.convert(true, &Stops::after(POINTS as u64 / 2)).is_err());
