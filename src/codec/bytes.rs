@@ -72,7 +72,7 @@ impl<'a> ByteReader<'a> {
     }
 
     /// Whether nothing is left.
-    #[cfg(feature = "convert")]
+    #[cfg(any(test, feature = "convert"))]
     pub fn is_empty(&self) -> bool {
         self.rest.is_empty()
     }
@@ -123,7 +123,7 @@ mod tests {
             put_varint(&mut bytes, value);
             let mut reader = ByteReader::new(&bytes, "D3");
             prop_assert_eq!(reader.varint(), Ok(value));
-            prop_assert!(reader.len() == 0 && bytes.len() <= MAX_VARINT);
+            prop_assert!(reader.is_empty() && bytes.len() <= MAX_VARINT);
             prop_assert_eq!(unzigzag(zigzag(value as i64)), value as i64);
         }
 

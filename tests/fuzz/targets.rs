@@ -84,7 +84,7 @@ pub fn scan(bytes: &[u8]) {
 
 fn read_scan(bytes: &[u8]) {
     let file = File::new("laz", bytes);
-    let Ok(set) = InputSet::open(&[file.0.clone()], InputOptions::default(), &NoMonitor) else { return };
+    let Ok(set) = InputSet::open(std::slice::from_ref(&file.0), InputOptions::default(), &NoMonitor) else { return };
     let mut decoder = PointDecoder::new();
     let mut points = 0;
     for chunk in set.chunks().take(64) {
@@ -103,7 +103,7 @@ fn read_scan(bytes: &[u8]) {
 pub fn mesh(ending: &str, bytes: &[u8]) {
     let file = File::new(ending, bytes);
     let options = MeshOptions { memory_bytes: 1 << 16, ..MeshOptions::default() };
-    let Ok(set) = MeshSet::open(&[file.0.clone()], options, &NoMonitor) else { return };
+    let Ok(set) = MeshSet::open(std::slice::from_ref(&file.0), options, &NoMonitor) else { return };
     let (mut feed, mut batch, mut triangles) = (set.feed(), Vec::new(), 0);
     while triangles < ENOUGH && feed.next(&mut batch, &NoMonitor).unwrap_or(false) {
         assert!(batch.as_flattened().as_flattened().iter().all(|v| v.abs() <= 1e12));

@@ -50,7 +50,7 @@ fn faulty(disk: Arc<ModelDisk>, fault: Fault, strikes: u64, lasts: bool) -> (Arc
         let Some(verdict) = fault.meets(call) else { return Verdict::Done };
         let number = counted.fetch_add(1, Ordering::Relaxed);
         // Signals do not end work: they come between its steps.
-        let again = lasts && (fault != Fault::Interrupted || (number - strikes.min(number)) % 2 == 0);
+        let again = lasts && (fault != Fault::Interrupted || (number - strikes.min(number)).is_multiple_of(2));
         if number == strikes || number > strikes && again { verdict } else { Verdict::Done }
     };
     (Hooked::new(disk, hook), calls)

@@ -12,9 +12,12 @@ pub(super) struct Cover {
     pub points: u64,
 }
 
+/// Appends what is to be noted of a chunk.
+pub(super) type Note = Box<dyn FnMut(&mut Vec<u8>) + Send>;
+
 /// Writes down what a builder's runs stand for.
 pub(super) struct Covering {
-    note: Box<dyn FnMut(&mut Vec<u8>) + Send>,
+    note: Note,
     cover: Cover,
     chunk: u64,
     /// Points of the chunk that earlier pieces stand for, and those so far.
@@ -35,7 +38,7 @@ impl Cover {
 }
 
 impl Covering {
-    pub fn new(note: Box<dyn FnMut(&mut Vec<u8>) + Send>) -> Self {
+    pub fn new(note: Note) -> Self {
         Self { note, cover: Cover::default(), chunk: 0, from: 0, at: 0 }
     }
 
