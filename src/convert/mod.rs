@@ -34,7 +34,7 @@ pub use resume::Resumed;
 pub use writer::PointWriter;
 
 use crate::archive::{ArchiveWriter, Header, MAX_UNITS};
-use crate::disk::{FileKind, Files};
+use crate::disk::Files;
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, estimate_spacing};
@@ -52,6 +52,7 @@ use pages::write_columns;
 use points::{Reading, read_points};
 use resume::{Earlier, Identity, Progress, TakenOver};
 use scope::ShardScope;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Least memory budget (bytes).
@@ -175,6 +176,7 @@ impl Limits {
 /// full disk, interruption by `monitor`. With [`ConvertOptions::resume`] an error may leave temporary data, from which a
 /// later call goes on: [`Error::Resumable`] says where.
 pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
+    options.check()?;
     convert_within(options, Limits::of(options), monitor)
 }
 
@@ -370,10 +372,10 @@ fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u
 /// Refuses to begin what the disk will not hold.
 fn check_free_space(options: &ConvertOptions, files: &Files, needed: u64) -> Result<()> {
     let dir = &options.temp_dir;
-    if !files.about(dir).is_ok_and(|about| about.is_some_and(|about| about.kind == FileKind::Folder)) {
-        return Err(Error::output(dir, "no such folder; temporary data needs one that exists"));
-    }
-    let free = files.free_bytes(dir).map_err(|e| Error::io(dir, "ask for its free space", e))?;
+    let free = files.free_bytes(dir).map_err(|error| match error.kind() {
+        ErrorKind::NotFound => Error::output(dir, "no such folder; temporary data needs one that exists"),
+        _ => Error::io(dir, "ask for its free space", error),
+    })?;
     if needed > free {
         let points = needed / TEMP_BYTES_PER_POINT;
         let what = format!("temporary data for {points} points in {} (bytes; more memory needs less)", dir.display());

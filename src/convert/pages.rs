@@ -97,7 +97,7 @@ pub(super) fn write_columns(
 }
 
 fn no_thread(error: std::io::Error) -> Error {
-    Error::io("--threads", "start a thread (end other programs, or raise the limit of processes)", error)
+    Error::io("worker threads", "start a thread (end other programs, or raise the limit of processes)", error)
 }
 
 fn write_in_order(

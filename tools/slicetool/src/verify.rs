@@ -19,7 +19,11 @@ pub fn run(path: &Path, json: bool) -> Outcome {
         // What keeps an archive from opening is a finding like any other; a file that cannot be read is not.
         Err(error @ slicewalk::Error::Io { .. }) => return Err(error.into()),
         Err(error) => {
-            findings.push(error.to_string());
+            findings.push(match error {
+                // Every line names the file already.
+                slicewalk::Error::Input { reason, .. } => reason,
+                error => error.to_string(),
+            });
             None
         }
     };
