@@ -115,13 +115,14 @@ fn an_archive_that_appears_meanwhile_stays_and_the_new_one_is_kept_beside_it() {
     let folder = folder();
     let at = folder.path();
     write(&at.join("large.las"), &points(400_000));
+    // Before the other begins: that one may be done soon.
+    converts(at, &with(&["scan.las"], &["-o", "b.slices"]));
     let mut conversion = command(at);
     conversion.args(["large.las", "-o", "a.slices", "--pixel", "0.02", "--units", "m", "--quiet"]);
     let child = conversion.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     while !names(at).iter().any(|name| name.ends_with(".part")) {
         std::thread::yield_now();
     }
-    converts(at, &with(&["scan.las"], &["-o", "b.slices"]));
     fs::rename(at.join("b.slices"), at.join("a.slices")).unwrap();
     let appeared = fs::read(at.join("a.slices")).unwrap();
     let out = child.wait_with_output().unwrap();

@@ -199,7 +199,7 @@ fn without_a_head_the_plan_must_be_given_and_bounds_come_from_the_pages() {
     bad[130] ^= 1;
     fs::write(&from, &bad).unwrap();
     let error = recover(&from, None, &to, false, &NoMonitor).unwrap_err().to_string();
-    assert!(error.contains("a.slices") && error.contains("--plan"), "{error}");
+    assert!(error.contains("a.slices") && error.contains("give its plan"), "{error}");
     assert!(!to.exists());
     let recovered = recovers(folder.path(), &good, &bad).unwrap();
     assert!(recovered.lost.is_none() && recovered.leaves.is_none() && !recovered.is_complete());
