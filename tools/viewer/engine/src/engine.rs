@@ -225,13 +225,14 @@ impl Engine {
         Ok(self.request(&keys))
     }
 
-    /// Asks for the pages that the last batch needed; the name of the request, or 0 if it needed none.
+    /// Asks for the pages that batches needed since [`forget_missing`](Self::forget_missing); the name of the request, or 0 if
+    /// they needed none.
     pub fn load_missing(&mut self) -> u32 {
-        let keys = std::mem::take(&mut self.lacks.0);
+        let keys = self.lacks.0.clone();
         if keys.is_empty() { 0 } else { self.request(&keys) }
     }
 
-    /// Forgets what the last batch needed.
+    /// Forgets what batches needed.
     pub fn forget_missing(&mut self) {
         self.lacks.0.clear();
     }

@@ -209,27 +209,35 @@ export class Host {
     let left: Uint32Array = await this.ask(kind, rows, null, out, signal);
     while (load && left.length > 0) {
       const before = left.length;
-      const noRoom = await this.outcome(this.ready().load_missing(), signal);
+      await this.outcome(this.ready().load_missing(), signal);
+      this.ready().forget_missing();
       left = await this.ask(kind, rows, left, out, signal);
-      if (left.length < before || noRoom === 0) {
-        continue;
+      if (left.length === before) {
+        // Pages drive each other out: one row alone, until it has all that it ever needed.
+        await this.answerAlone(kind, rows, left.slice(0, 1), out, signal);
+        left = left.slice(1);
       }
-      // Not all has room at once: one row then, and what it needs.
-      const first = left.slice(0, 1);
-      for (let alone: Uint32Array = first; alone.length > 0; alone = await this.ask(kind, rows, alone, out, signal)) {
-        // What the others lacked is forgotten.
-        this.ready().forget_missing();
-        await this.ask(kind, rows, alone, out, signal);
-        if ((await this.outcome(this.ready().load_missing(), signal)) > 0) {
-          throw new SlicewalkError(
-            "out-of-memory",
-            `the budget has no room for the pages that row ${first[0]} needs; give it more`,
-          );
-        }
-      }
-      left = left.slice(1);
     }
+    this.engine?.forget_missing();
     return out;
+  }
+
+  private async answerAlone(
+    kind: keyof typeof SHAPES,
+    rows: Float64Array,
+    row: Uint32Array,
+    out: Uint8Array | Float64Array,
+    signal: AbortSignal,
+  ): Promise<void> {
+    this.ready().forget_missing();
+    while ((await this.ask(kind, rows, row, out, signal)).length > 0) {
+      if ((await this.outcome(this.ready().load_missing(), signal)) > 0) {
+        throw new SlicewalkError(
+          "out-of-memory",
+          `the budget has no room for the pages that row ${row[0]} needs; give it more`,
+        );
+      }
+    }
   }
 
   /** Answers these rows, or all; those that are not known. */
