@@ -39,6 +39,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     drop_isolated: drop voxels without matter in any of the 26 around them
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
+///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused
 ///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
 ///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it
 ///     force: replace an existing archive
@@ -68,8 +69,8 @@ pub fn convert<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = inputs.py();
-    Asked::refuse(options, &["crs"])?;
     let asked = Asked::new(paths(inputs)?, output, options)?;
+    asked.check_code()?;
     let started = Instant::now();
     let audience = Audience { progress, quiet: asked.quiet };
     let report = attended(py, &audience, None, |monitor| Ok(slicewalk::convert::convert(&asked.options, monitor)?))?;
@@ -101,8 +102,9 @@ pub fn write_plan<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = inputs.py();
-    Asked::refuse(options, &["crs", "plan", "shard"])?;
+    Asked::refuse(options, &["plan", "shard"])?;
     let asked = Asked::new(paths(inputs)?, PathBuf::new(), options)?;
+    asked.check_code()?;
     let audience = Audience { progress, quiet: asked.quiet };
     let plan = attended(py, &audience, None, |monitor| {
         let kind = OutputKind::Plan(Existing::replaced_if(asked.options.overwrite));

@@ -62,7 +62,7 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// Reads options by their names on the command line, with underscores; those that only `Writer` has are `crs` alone.
+    /// Reads options by their names on the command line, with underscores.
     pub fn new(inputs: Vec<PathBuf>, output: PathBuf, given: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let mut options = ConvertOptions::new(inputs, output);
         let (mut crs, mut quiet, mut plan, mut shard) = (String::new(), false, None, None);
@@ -98,7 +98,11 @@ impl Asked {
                 "plan" => plan = Some(value.extract::<PathBuf>()?),
                 "shard" => shard = Some(part(&value)?),
                 "quiet" => quiet = value.extract()?,
-                "crs" => crs = value.extract()?,
+                "crs" => {
+                    crs = value.extract::<String>()?;
+                    let code = crs.strip_prefix("EPSG:").and_then(|code| code.parse().ok());
+                    options.epsg = code.filter(|code| (1..1_000_000).contains(code));
+                }
                 other => {
                     let text =
                         format!("got an unexpected keyword argument {other:?}; help(slicewalk.convert) lists all");
@@ -113,8 +117,17 @@ impl Asked {
             job.apply_to(&mut options);
             refuse_contradictions(&named, &wanted, &options)?;
         }
-        options.shard = shard.map(|(index, count)| ShardOptions { index, count, job });
+        options.job = job;
+        options.shard = shard.map(|(index, count)| ShardOptions { index, count });
         Ok(Self { options, crs, quiet })
+    }
+
+    /// Refuses a reference system that is no EPSG code: scans have theirs, and the code is for those that state none.
+    pub fn check_code(&self) -> PyResult<()> {
+        if self.crs.is_empty() || self.options.epsg.is_some() {
+            return Ok(());
+        }
+        Err(refuse("crs", format!("expected a code such as \"EPSG:25832\", found {:?}", self.crs)))
     }
 
     /// Refuses options that have no meaning here.
@@ -134,6 +147,7 @@ fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &Co
         "pixel" => wanted.pixel != planned.pixel,
         "slice" => wanted.slice_m != planned.slice_m,
         "units" => wanted.units != planned.units,
+        "crs" => wanted.epsg != planned.epsg,
         "mesh" => wanted.mesh != planned.mesh,
         "max_slope" => wanted.plan.max_slope_deg != planned.plan.max_slope_deg,
         "tolerance" => wanted.plan.tolerance_m != planned.plan.tolerance_m,

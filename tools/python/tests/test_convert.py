@@ -51,6 +51,7 @@ def test_options_are_those_of_the_command_line(las, tmp_path):
     assert converted(pixel=0.2, up="y")["up"] == "y"
     assert converted(pixel=0.2, units="ft")["unit"]["name"] == "ft"
     assert converted(pixel=0.2, units=2)["unit"]["factor"] == 2
+    assert "25832" in str(converted(pixel=0.2, crs="EPSG:25832")["crs"])
     assert converted(pixel=0.2, mesh="sampled", allow_incomplete=True, quiet=True)["complete"]
     assert converted(pixel=0.2, slice=None, threads=None)["points_kept"] == 6000
 
@@ -67,7 +68,7 @@ def test_options_are_those_of_the_command_line(las, tmp_path):
         ({"pixel": 0.2, "exclude_class": [256]}, OverflowError, None),
         ({"pixel": [1]}, TypeError, None),
         ({"pixels": 0.2}, TypeError, "unexpected keyword argument"),
-        ({"crs": "EPSG:1"}, TypeError, "unexpected keyword argument"),
+        ({"pixel": 0.2, "crs": "local"}, slicewalk.ParameterError, "EPSG:25832"),
         ({"pixel": 0.2, "shard": "3"}, slicewalk.ParameterError, "2/8"),
         ({"pixel": 0.2, "shard": (9, 8)}, slicewalk.ParameterError, "9/8"),
         ({"pixel": 0.2, "plan": "nowhere.json"}, FileNotFoundError, "nowhere.json"),

@@ -42,6 +42,7 @@ class PlanOptions(TypedDict, total=False):
     drop_isolated: bool
     up: Literal["z", "y"]
     units: float | Literal["auto", "m", "ft", "us-ft"]
+    crs: str | None
     mesh: Literal["exact", "sampled"]
     allow_incomplete: bool
     force: bool
