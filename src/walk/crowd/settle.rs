@@ -9,7 +9,7 @@ pub(super) const NEARER_M: f64 = 0.02;
 /// It settles behind another one when it has got no nearer for the first time (s), and outside of the disc, or where
 /// nobody has settled, after the second.
 pub(super) const SETTLES_S: f64 = 0.25;
-pub(super) const GIVES_UP_S: f64 = 20.0;
+pub(super) const GIVES_UP_S: f64 = 10.0;
 /// So close (m) to one that has settled is behind it.
 pub(super) const BEHIND_M: f64 = 0.1;
 
