@@ -358,11 +358,15 @@ def show(head, crs, part, units):
         "lowest_slice": head.slice_first if head.pages else None,
         "tiles": named("tiles", "occupied", "stored", "unique"),
         "pages": named("pages", "stored", "shared", "uniform"),
-        "voxels": named("voxels", "occupied", "obstacle"),
+        "empty": head.voxels_occupied == 0,
+        # What this version of the format does not hold.
+        "voxels": {**named("voxels", "occupied", "obstacle"), "inferred": 0},
         "bytes": {
             "file": head.file_len,
             "tiles": head.pages_len,
             "directory": len(head.bytes) + head.directory_len,
+            "levels": 0,
+            "colours": 0,
         },
         "max_slope": head.max_slope,
         "tolerance": head.tolerance,

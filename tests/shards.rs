@@ -197,7 +197,7 @@ fn any_order_and_copies_merge_and_what_is_there_already_is_left_alone() {
     let again = merge(&parts, &output, false, &NoMonitor).unwrap();
     assert!(!again.written && again.header == merged.header);
     fs::copy(&parts[0], &output).unwrap();
-    refused(&parts, &output, &["merged.slices", "--force"]);
+    refused(&parts, &output, &["merged.slices", "allow it to be replaced"]);
     assert!(merge(&parts, &output, true, &NoMonitor).unwrap().written);
     assert!(fs::read(&output).unwrap() == bytes);
     fs::write(&output, "something else").unwrap();
@@ -212,7 +212,7 @@ fn missing_foreign_overlapping_and_damaged_parts_are_refused_by_name() {
     let (folder, parts) = job();
     let at = folder.path();
     let output = at.join("merged.slices");
-    refused(&parts[..1], &output, &["missing of 3: 2, 3", "--shard NUMBER/3"]);
+    refused(&parts[..1], &output, &["missing of 3: 2-3", "convert these too"]);
     refused(&[], &output, &["no part"]);
     let whole = at.join("whole.slices");
     refused(&[&parts[..], std::slice::from_ref(&whole)].concat(), &output, &["whole.slices", "no part of one"]);

@@ -100,7 +100,7 @@ fn numbers_beyond_their_limits_are_refused_and_no_pawn_gets_farther_than_its_wor
         ("climb height: 1.8", |c| c.climb = 1.8),
         ("gravity: -1", |c| c.gravity = -1.0),
         ("terminal speed: 0", |c| c.terminal = 0.0),
-        ("tick: 0.000001", |c| c.tick_s = 1e-6),
+        ("tick: 1e-6", |c| c.tick_s = 1e-6),
         ("tick: 2", |c| c.tick_s = 2.0),
         ("pawn's width: 2000", |c| c.body = Body::Cylinder { radius: 1000.0, height: 2.0 }),
         ("pawn's height: 0", |c| c.body = Body::Box { x: 1.0, y: 1.0, height: 0.0 }),
