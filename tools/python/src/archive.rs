@@ -294,7 +294,7 @@ impl Archive {
             Ok(findings)
         })?;
         let error = |finding: Finding| {
-            let Finding { rule, part, offset, expected, found } = finding;
+            let Finding { rule, part, offset, expected, found, .. } = finding;
             Failure::from(Error::Format { rule, part, offset, expected, found }).raise(py, name)
         };
         Ok(findings.into_iter().map(error).collect())

@@ -42,6 +42,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused
 ///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
 ///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it
+///     resume: go on from what an interrupted conversion left, and leave it if this one is interrupted
 ///     force: replace an existing archive
 ///     plan: take grid and options from this plan; those that contradict it are refused
 ///     shard: convert one part only, ``"2/8"`` or ``(2, 8)``

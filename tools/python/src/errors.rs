@@ -2,9 +2,9 @@
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use slicewalk::Error;
 use slicewalk::frame::PageKey;
 use slicewalk::store::Missing;
+use slicewalk::{Error, Parameter};
 
 /// Why something could not be done.
 pub enum Failure {
@@ -33,6 +33,21 @@ impl Failure {
     }
 }
 
+/// What to do, in the names that Python has for it.
+fn way_out(parameter: &Parameter) -> Option<&'static str> {
+    Some(match parameter {
+        Parameter::PixelSize => "give a larger pixel, or the units",
+        Parameter::Units => "set the units",
+        Parameter::Memory => "give more memory",
+        Parameter::TempDir => "choose a temp_dir with space",
+        Parameter::Cache => "give a larger budget",
+        Parameter::Incomplete => "or pass allow_incomplete=True, to take what can be read",
+        Parameter::Overwrite => "force=True replaces it",
+        Parameter::Plan => "pass its plan",
+        _ => return None,
+    })
+}
+
 /// The exception for a row of the array `what`.
 pub fn of_row(py: Python<'_>, what: &str, row: usize, error: Error) -> PyErr {
     exception(py, error.into(), None, Some((what, row))).unwrap_or_else(|error| error)
@@ -50,7 +65,8 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
             return made(py, "NotLoadedError", &format!("pages that are not in memory are needed: {pages:?}"), &facts);
         }
     };
-    let mut text = error.to_string();
+    let mut text = error.told(way_out);
+    facts.set_item("hint", error.way_out().and_then(way_out))?;
     if let Some((what, row)) = row {
         facts.set_item("row", row)?;
         text = format!("{what}: row {row}: {text}");
@@ -60,8 +76,13 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
         facts.set_item("errno", source.raw_os_error())?;
         facts.set_item("strerror", source.to_string())
     };
-    let class = match &error {
-        Error::Io { path, action, source } => {
+    // Of a conversion that another one can go on from, the reason says more.
+    let about = match &error {
+        Error::Resumable { source, .. } => &**source,
+        error => error,
+    };
+    let class = match about {
+        Error::Io { path, action, source, .. } => {
             set_io(path, source)?;
             facts.set_item("action", action)?;
             match source.kind() {
@@ -69,7 +90,7 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
                 _ => "FileError",
             }
         }
-        Error::Input { path, at, reason } => {
+        Error::Input { path, at, reason, .. } => {
             facts.set_item("path", path.to_string_lossy())?;
             facts.set_item("at", at)?;
             facts.set_item("reason", in_python(reason))?;
@@ -84,7 +105,7 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
             text = path.map_or(text.clone(), |path| format!("{path}: {text}"));
             "FormatError"
         }
-        Error::Limit { what, value, max } => {
+        Error::Limit { what, value, max, .. } => {
             facts.set_item("reason", in_python(what))?;
             facts.set_item("expected", max)?;
             facts.set_item("found", value)?;
@@ -100,7 +121,7 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
             facts.set_item("reason", in_python(reason))?;
             "ParameterError"
         }
-        Error::Output { path, reason } => {
+        Error::Output { path, reason, .. } => {
             facts.set_item("path", path.to_string_lossy())?;
             facts.set_item("reason", in_python(reason))?;
             "OutputError"

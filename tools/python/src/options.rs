@@ -94,6 +94,7 @@ impl Asked {
                     options.mesh = one_of("mesh", &value, &all)?;
                 }
                 "allow_incomplete" => options.allow_incomplete = value.extract()?,
+                "resume" => options.resume = value.extract()?,
                 "force" => options.overwrite = value.extract()?,
                 "plan" => plan = Some(value.extract::<PathBuf>()?),
                 "shard" => shard = Some(part(&value)?),

@@ -212,8 +212,7 @@ pub fn region<'py, S: PageSet + Sync>(
     let voxels = count.iter().try_fold(1i64, |product, count| product.checked_mul(*count));
     if voxels.is_none_or(|voxels| voxels > MOST_VOXELS) {
         let value = format!("{} × {} × {}", count[0], count[1], count[2]);
-        let what = "voxels of a region (take a smaller one)".into();
-        return Err(wrong(Error::Limit { what, value, max: MOST_VOXELS.to_string() }));
+        return Err(wrong(Error::limit("voxels of a region (take a smaller one)", value, MOST_VOXELS)));
     }
     let shape = count.map(|count| count as usize);
     let filled = py.detach(|| {

@@ -323,9 +323,8 @@ fn follow_loading(walker: &mut Pawn3, stream: &Inner, mut dt: f64, route: &mut R
         if loaded.left_out > 0 {
             let around: &Outlook = &walker.outlook(stream.archive().frame());
             let bytes = stream.load_around(around)?.needed_bytes.max(loaded.needed_bytes);
-            let what = "budget of the stream for one step (bytes)".into();
-            let value = stream.counters().budget_bytes.to_string();
-            return Err(Error::Limit { what, value, max: format!("at least {bytes}") }.into());
+            let (what, given) = ("budget of the stream for one step (bytes)", stream.counters().budget_bytes);
+            return Err(Error::limit(what, given, format!("at least {bytes}")).into());
         }
         dt = report.unspent;
     }

@@ -59,7 +59,7 @@ impl Writer {
         pixel: &Bound<'_, PyAny>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        let of_files = ["exclude_class", "units", "mesh", "allow_incomplete", "plan", "shard", "quiet"];
+        let of_files = ["exclude_class", "units", "mesh", "allow_incomplete", "resume", "plan", "shard", "quiet"];
         Asked::refuse(options, &of_files)?;
         let options = options.map_or_else(|| Ok(PyDict::new(py)), |options| options.copy())?;
         options.set_item("pixel", pixel)?;

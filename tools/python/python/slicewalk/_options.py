@@ -53,4 +53,5 @@ class ConvertOptions(PlanOptions, total=False):
     """Options of `convert`."""
 
     plan: StrPath | None
+    resume: bool
     shard: str | tuple[int, int] | None
