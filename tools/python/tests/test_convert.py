@@ -45,7 +45,8 @@ def test_options_are_those_of_the_command_line(las, tmp_path):
     assert converted(pixel=0.2, classifier="span")["classifier"] == "span"
     assert converted(pixel=0.2, memory="64MiB", threads=1)["points_kept"] == 6000
     assert converted(pixel=0.2, memory=64 << 20, temp_dir=tmp_path)["points_kept"] == 6000
-    assert converted(pixel=0.2, exclude_class=[0])["points_excluded"] == 6000
+    with pytest.warns(slicewalk.errors.SlicewalkWarning, match="nothing is kept"):
+        assert converted(pixel=0.2, exclude_class=[0])["points_excluded"] == 6000
     assert converted(pixel=0.2, min_points=2)["voxels_dropped"] > 0
     assert converted(pixel=0.2, drop_isolated=True)["drop_isolated"]
     assert converted(pixel=0.2, up="y")["up"] == "y"

@@ -66,19 +66,23 @@ describe("hosts", () => {
     }
   });
 
-  it("draws a point cloud over the archive", {
-    skip: cloud() === null ? "SLICEWALK_DATA has no COPC file" : false,
-  }, async () => {
-    const server = await serve(house(), "--cloud", cloud());
-    try {
-      await walkIn(page, server.address);
-      await page.getByRole("button", { name: "Colours" }).click();
-      await page.getByLabel("Point cloud").check();
-      await page.getByText(/Point cloud: [\d,]+ points drawn/).waitFor();
-    } finally {
-      await server.stop();
-    }
-  });
+  it(
+    "draws a point cloud over the archive",
+    {
+      skip: cloud() === null ? "SLICEWALK_DATA has no COPC file" : false,
+    },
+    async () => {
+      const server = await serve(house(), "--cloud", cloud());
+      try {
+        await walkIn(page, server.address);
+        await page.getByRole("button", { name: "Colours" }).click();
+        await page.getByLabel("Point cloud").check();
+        await page.getByText(/Point cloud: [\d,]+ points drawn/).waitFor();
+      } finally {
+        await server.stop();
+      }
+    },
+  );
 
   it("walks in a site below any path, which names the licences of all its parts", async () => {
     program("slicetool", "site", house(), "-o", join(folder, "below/this"), "--page", DIST);

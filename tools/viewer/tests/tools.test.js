@@ -167,7 +167,7 @@ describe("tools", () => {
     // At the foot of the stairs: a riser of 3 m / 17.
     await page.evaluate(() => window.slicewalk.goto({ at: [13.45, 0.6, 0], look: [0, -50] }));
     const end = Date.now() + 30_000;
-    for (let step = NaN; !(Math.abs(step - 3 / 17) < 0.02); ) {
+    for (let step = NaN; !(Math.abs(step - 3 / 17) < 0.02);) {
       assert.ok(Date.now() < end, `a step of ${step} m`);
       await page.mouse.move(middle.x, middle.y - Math.random() * 20);
       await page.waitForTimeout(200);

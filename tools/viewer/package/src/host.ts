@@ -365,7 +365,7 @@ export class Host {
   private poll(engine: Engine): number {
     const todo = engine.poll(this.outside.now());
     let wait = Number.POSITIVE_INFINITY;
-    for (let at = 0; at < todo.length; ) {
+    for (let at = 0; at < todo.length;) {
       const [what = 0, a = 0, b = 0, c = 0] = todo.subarray(at, at + 4);
       if (what === 1) {
         void this.fetch(engine, a, b, c);

@@ -35,15 +35,7 @@ export const NOT_LOADED = 2;
  * - `engine`: a defect of the engine, or its worker cannot start.
  */
 export type ErrorKind =
-  | "not-an-archive"
-  | "damaged"
-  | "replaced"
-  | "network"
-  | "no-ranges"
-  | "out-of-memory"
-  | "aborted"
-  | "invalid"
-  | "engine";
+  "not-an-archive" | "damaged" | "replaced" | "network" | "no-ranges" | "out-of-memory" | "aborted" | "invalid" | "engine";
 
 /** The only error that the package throws or rejects with. */
 export class SlicewalkError extends Error {

@@ -101,7 +101,7 @@ test("a walk over a slow link asks for the same bytes at the same times", () => 
       words.push(...play(engine, pawn, inputs.subarray(row, row + 6)));
     }
     const todo = engine.poll(now);
-    for (let at = 0; at < todo.length; ) {
+    for (let at = 0; at < todo.length;) {
       const [what, name, start, end] = todo.subarray(at, at + 4);
       if (what === 1) {
         words.push(start, end);
