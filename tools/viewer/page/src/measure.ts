@@ -29,6 +29,7 @@ const PICK_M = 5000;
 const NEAR_M = 60;
 const GAP_PIXELS = 4;
 const HEADROOM_M = 60;
+const PLATE_M = 0.01;
 const WIDTH_M = 20;
 /** Widths count between these heights above the floor, from shins to shoulders. */
 const BODY_M = [0.3, 1.4] as const;
@@ -82,10 +83,13 @@ export async function surroundings(archive: Archive, at: Vec3, signal: AbortSign
   const [t, q] = [pixelError(archive), heightError(archive)];
   const above = Math.max(0.05, 2 * q);
   const options = { load: true, signal };
-  const up = [at[0], at[1], at[2] + above, 0, 0, 1, HEADROOM_M];
-  const room = (await archive.cast(new Float64Array(up), options))[0] ?? NaN;
-  // A thin post is swept away from the place in every direction: unlike a ray it does not slip through sparse walls.
   const post = archive.info.pixelSize;
+  // A plate of two pixels is swept up: unlike a ray it does not slip through sparse lintels and ceilings.
+  const [low, high] = [at[2] + above, at[2] + above + PLATE_M];
+  const plate = [at[0] - post, at[1] - post, low, at[0] + post, at[1] + post, high, 0, 0, HEADROOM_M];
+  const share = (await archive.sweep(new Float64Array(plate), options))[0] ?? NaN;
+  const room = share < 1 ? share * HEADROOM_M + PLATE_M : Infinity;
+  // A thin post is swept away from the place in every direction: unlike a ray it does not slip through sparse walls.
   const turns = Array.from({ length: 2 * DIRECTIONS }, (_, n) => (n * 180) / DIRECTIONS);
   const sweeps = turns.flatMap((heading) => {
     const way = direction({ heading, pitch: 0 });
