@@ -6,7 +6,7 @@
 //! are grown by a margin, so a ray along an edge or through a corner looks at the cells on both sides.
 
 use super::answer::Answer;
-use super::blocks::{local, local_heights, slices_between, touches_union};
+use super::blocks::{local, local_heights, slices_between, slices_of, touches_union};
 use super::disc::SLACK;
 use super::footprint::{floor_of, layers};
 use super::grid::{Heights, Rect, all_within_reach};
@@ -113,24 +113,32 @@ pub struct RayHit {
 /// # Ok::<(), slicewalk::Error>(())
 /// ```
 pub fn cast<S: PageSet>(set: &S, ray: &Ray) -> Answer<Option<RayHit>> {
+    search(set, ray, false)
+}
+
+/// As [`cast`]; a `thorough` search skips nothing.
+#[inline]
+fn search<S: PageSet>(set: &S, ray: &Ray, thorough: bool) -> Answer<Option<RayHit>> {
     let Some(bounds) = set.bounds() else { return Answer::Known(None) };
     let line = Line::new(set.frame(), ray);
-    let mut search = Search { line, best: None, missing: None };
+    let mut search = Search { line, best: None, missing: None, thorough };
     if let Some((t0, t1)) = line.within(&bounds) {
         let region = |axis: usize| (i64::from(bounds.min[axis] >> 6), i64::from(bounds.max[axis] >> 6));
         let tile = |axis: usize| (i64::from(bounds.min[axis]), i64::from(bounds.max[axis]));
         let tiles = Rect { i0: tile(0).0, i1: tile(0).1, j0: tile(1).0, j1: tile(1).1 };
         let regions = Rect { i0: region(0).0, i1: region(0).1, j0: region(1).0, j1: region(1).1 };
-        let _ = line.cells(6 + 6, regions, t0, t1, |rx, ry, t0, t1| {
+        let mut each_region = Each(|rx: i64, ry: i64, t0, t1| {
             search.go_on(t0)?;
             if set.has_region(rx as i32, ry as i32) {
                 // An end here is none of the region on the other side of an edge.
-                let _ = line.cells(6, tiles.part(rx << 6, ry << 6, 64), t0, t1, |tx, ty, t0, t1| {
+                let mut each_tile = Each(|tx: i64, ty: i64, t0, t1| {
                     search.tile(set.column(tx as i32, ty as i32), tx as i32, ty as i32, t0, t1)
                 });
+                let _ = line.cells(6, tiles.part(rx << 6, ry << 6, 64), t0, t1, &mut each_tile);
             }
             ControlFlow::Continue(())
         });
+        let _ = line.cells(6 + 6, regions, t0, t1, &mut each_region);
     }
     let hit = search.best.map(|(distance, normal, obstacle)| RayHit { distance, normal, obstacle });
     Answer::new(hit, search.missing)
@@ -187,17 +195,10 @@ impl Line {
         (t0 <= t1).then_some((t0, t1))
     }
 
-    /// Calls `f` for the cells of `1 << shift` pixels in `area` that the ray meets between `t0` and `t1`, in its order,
-    /// with the part in which it does.
+    /// Shows `visit` the cells of `1 << shift` pixels in `area` that the ray meets between `t0` and `t1`, in its order,
+    /// with the part in which it does, but for those that it skips.
     #[inline]
-    fn cells(
-        &self,
-        shift: u32,
-        area: Rect,
-        t0: f64,
-        t1: f64,
-        mut f: impl FnMut(i64, i64, f64, f64) -> ControlFlow<()>,
-    ) -> ControlFlow<()> {
+    fn cells(&self, shift: u32, area: Rect, t0: f64, t1: f64, visit: &mut impl Visit) -> ControlFlow<()> {
         let size = (1u64 << shift) as f64;
         let minor = 1 - self.major;
         let bounds = [(area.i0, area.i1), (area.j0, area.j1)];
@@ -215,15 +216,21 @@ impl Line {
             (first..=last).map(move |n| if backward { first + last - n } else { n })
         };
         for a in each(run(self.major, t0, t1)) {
+            if visit.skips_row(a) {
+                continue;
+            }
             let (s0, s1) = self.clip(self.major, a as f64 * size, (a + 1) as f64 * size, t0, t1);
-            if s0 > s1 {
+            if s0 > s1 || visit.skips_row_between(s0, s1) {
                 continue;
             }
             for b in each(run(minor, s0, s1)) {
+                let (i, j) = if self.major == 0 { (a, b) } else { (b, a) };
+                if visit.skips(i, j) {
+                    continue;
+                }
                 let (u0, u1) = self.clip(minor, b as f64 * size, (b + 1) as f64 * size, s0, s1);
                 if u0 <= u1 {
-                    let (i, j) = if self.major == 0 { (a, b) } else { (b, a) };
-                    f(i, j, u0, u1)?;
+                    visit.cell(i, j, u0, u1)?;
                 }
             }
         }
@@ -269,11 +276,145 @@ fn square(i: i64, j: i64) -> Rect {
     Rect { i0: i, i1: i + 7, j0: j, j1: j + 7 }
 }
 
+/// Row `n` [0..8] of a square of 8 × 8 cells across axis `major`, as a mask of its cells: bit `8·y + x`.
+#[inline]
+fn row_of(major: usize, n: i64) -> u64 {
+    if major == 0 { 0x0101_0101_0101_0101 << (n & 7) } else { 0xFF << (8 * (n & 7)) }
+}
+
+/// Who looks at the cells on the way of a ray. Until something is hit, cells without matter may be skipped before it is
+/// known where the ray meets them; after that each of them can end the search.
+trait Visit {
+    /// Whether the cells of row `a`, across the ray's major axis, hold nothing.
+    #[inline]
+    fn skips_row(&mut self, _a: i64) -> bool {
+        false
+    }
+
+    /// Whether those of the same row hold nothing at the heights of the ray between `t0` and `t1`.
+    #[inline]
+    fn skips_row_between(&mut self, _t0: f64, _t1: f64) -> bool {
+        false
+    }
+
+    /// Whether the cell (`i`, `j`) of that row holds nothing there.
+    #[inline]
+    fn skips(&self, _i: i64, _j: i64) -> bool {
+        false
+    }
+
+    /// The cell (`i`, `j`), which the ray meets between `t0` and `t1`.
+    fn cell(&mut self, i: i64, j: i64, t0: f64, t1: f64) -> ControlFlow<()>;
+}
+
+/// Every cell.
+struct Each<F>(F);
+
+impl<F: FnMut(i64, i64, f64, f64) -> ControlFlow<()>> Visit for Each<F> {
+    #[inline]
+    fn cell(&mut self, i: i64, j: i64, t0: f64, t1: f64) -> ControlFlow<()> {
+        self.0(i, j, t0, t1)
+    }
+}
+
+/// The blocks of a page whose first one is (`i`, `j`) and whose floor lies at `base` (quanta).
+struct Blocks<'a> {
+    search: &'a mut Search,
+    page: &'a Page,
+    base: i64,
+    i: i64,
+    j: i64,
+    /// Blocks with matter at the heights of the ray in the page; those of them in the row at hand, at its heights.
+    all: u64,
+    row: u64,
+}
+
+impl Blocks<'_> {
+    /// Blocks with matter at the heights of the ray between `t0` and `t1`.
+    #[inline]
+    fn between(&self, t0: f64, t1: f64) -> u64 {
+        let heights = self.search.line.heights(t0, t1);
+        // Heights of parts are rounded by themselves, and may lie outside of those of the whole by one.
+        let heights = Heights { low: heights.low - 1, high: heights.high + 1 };
+        local_heights(heights, self.base).map_or(0, |(low, high)| {
+            let (first, last) = slices_of(low, high);
+            self.page.blocks_in(first, last)
+        })
+    }
+}
+
+impl Visit for Blocks<'_> {
+    #[inline]
+    fn skips_row(&mut self, a: i64) -> bool {
+        let major = self.search.line.major;
+        self.row = self.all & row_of(major, a);
+        self.search.may_skip() && self.row == 0
+    }
+
+    #[inline]
+    fn skips_row_between(&mut self, t0: f64, t1: f64) -> bool {
+        if !self.search.may_skip() {
+            return false;
+        }
+        self.row &= self.between(t0, t1);
+        self.row == 0
+    }
+
+    #[inline]
+    fn skips(&self, i: i64, j: i64) -> bool {
+        self.search.may_skip() && self.row >> (8 * (j - self.j) + (i - self.i)) & 1 == 0
+    }
+
+    #[inline]
+    fn cell(&mut self, i: i64, j: i64, t0: f64, t1: f64) -> ControlFlow<()> {
+        self.search.go_on(t0)?;
+        let block = self.page.block((i - self.i) as u32, (j - self.j) as u32);
+        let heights = local_heights(self.search.line.heights(t0, t1), self.base);
+        if heights.is_some_and(|(low, high)| touches_union(block, low, high)) {
+            self.search.block(block, i * 8, j * 8, self.base, t0, t1);
+        }
+        ControlFlow::Continue(())
+    }
+}
+
+/// The pixels of a block whose first one is (`i`, `j`).
+struct Pixels<'a> {
+    search: &'a mut Search,
+    block: BlockView<'a>,
+    base: i64,
+    i: i64,
+    j: i64,
+}
+
+impl Visit for Pixels<'_> {
+    #[inline]
+    fn skips_row(&mut self, a: i64) -> bool {
+        self.search.may_skip() && self.block.pixels() & row_of(self.search.line.major, a) == 0
+    }
+
+    #[inline]
+    fn skips(&self, i: i64, j: i64) -> bool {
+        self.search.may_skip() && self.block.pixels() >> (8 * (j - self.j) + (i - self.i)) & 1 == 0
+    }
+
+    #[inline]
+    fn cell(&mut self, i: i64, j: i64, t0: f64, t1: f64) -> ControlFlow<()> {
+        self.search.go_on(t0)?;
+        let spans = self.block.column((j - self.j) as u32 * 8 + (i - self.i) as u32);
+        if !spans.is_empty() {
+            self.search.pixel(spans, i, j, self.base, t0, t1);
+        }
+        ControlFlow::Continue(())
+    }
+}
+
 /// The nearest hit so far and the pages that are missing before it.
 struct Search {
     line: Line,
     best: Option<(f64, Vector3<f64>, bool)>,
     missing: Option<Missing>,
+    /// Looks at every cell: what tests compare with.
+    thorough: bool,
 }
 
 impl Search {
@@ -285,6 +426,12 @@ impl Search {
             Some((distance, ..)) if distance < t => ControlFlow::Break(()),
             _ => ControlFlow::Continue(()),
         }
+    }
+
+    /// Whether cells without matter may be left out: they end nothing as long as nothing is hit.
+    #[inline]
+    fn may_skip(&self) -> bool {
+        self.best.is_none() && !self.thorough
     }
 
     fn tile<T: PageSlot>(&mut self, slots: &[T], tx: i32, ty: i32, t0: f64, t1: f64) -> ControlFlow<()> {
@@ -312,29 +459,17 @@ impl Search {
 
     fn page(&mut self, page: &Page, tx: i32, ty: i32, base: i64, t0: f64, t1: f64) {
         let line = self.line;
-        let (bi, bj) = (i64::from(tx) * 8, i64::from(ty) * 8);
-        let _ = line.cells(3, square(bi, bj), t0, t1, |i, j, t0, t1| {
-            self.go_on(t0)?;
-            let block = page.block((i - bi) as u32, (j - bj) as u32);
-            let heights = local_heights(line.heights(t0, t1), base);
-            if heights.is_some_and(|(low, high)| touches_union(block, low, high)) {
-                self.block(block, i * 8, j * 8, base, t0, t1);
-            }
-            ControlFlow::Continue(())
-        });
+        let (i, j) = (i64::from(tx) * 8, i64::from(ty) * 8);
+        let mut blocks = Blocks { search: self, page, base, i, j, all: u64::MAX, row: u64::MAX };
+        blocks.all = blocks.between(t0, t1);
+        if blocks.all != 0 || blocks.search.thorough {
+            let _ = line.cells(3, square(i, j), t0, t1, &mut blocks);
+        }
     }
 
-    fn block(&mut self, block: BlockView<'_>, i0: i64, j0: i64, base: i64, t0: f64, t1: f64) {
+    fn block(&mut self, block: BlockView<'_>, i: i64, j: i64, base: i64, t0: f64, t1: f64) {
         let line = self.line;
-        let pixels = block.pixels();
-        let _ = line.cells(0, square(i0, j0), t0, t1, |i, j, t0, t1| {
-            self.go_on(t0)?;
-            let bit = (j - j0) as u32 * 8 + (i - i0) as u32;
-            if pixels >> bit & 1 == 1 {
-                self.pixel(block.column(bit), i, j, base, t0, t1);
-            }
-            ControlFlow::Continue(())
-        });
+        let _ = line.cells(0, square(i, j), t0, t1, &mut Pixels { search: self, block, base, i, j });
     }
 
     fn pixel(&mut self, spans: &[Span], i: i64, j: i64, base: i64, t0: f64, t1: f64) {
@@ -362,5 +497,75 @@ impl Search {
                 self.best = Some((distance, normal, span.is_obstacle()));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slice::PageBuilder;
+    use crate::store::Store;
+
+    /// SplitMix64 (Steele, Lea and Flood 2014).
+    struct Random(u64);
+
+    impl Random {
+        fn below(&mut self, end: u64) -> u64 {
+            self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+            let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+            (z ^ (z >> 31)) % end
+        }
+
+        /// From -1 to 1; a third of them multiples of an eighth.
+        fn unit(&mut self) -> f64 {
+            let steps = if self.below(3) == 0 { 8 } else { 1 << 40 };
+            self.below(2 * steps + 1) as f64 / steps as f64 - 1.0
+        }
+    }
+
+    /// Pages about the origin, sparse or dense, with ends of spans on and next to ends of slices.
+    fn store(random: &mut Random) -> Store {
+        let dense = [2, 60, 2000][random.below(3) as usize];
+        let keys =
+            (-2..2).flat_map(|tx| (-2..2).flat_map(move |ty| (-1..1).map(move |layer| PageKey { tx, ty, layer })));
+        let pages = keys.map(|key| {
+            let mut builder = PageBuilder::default();
+            for _ in 0..=random.below(dense) {
+                let end = |random: &mut Random| random.below(64) * 255 + [0, 1, 2, 100][random.below(4) as usize];
+                let (a, b) = (end(random) as u32, end(random) as u32);
+                let (px, py) = (random.below(64) as u32, random.below(64) as u32);
+                let bottom = a.min(b).max(a.max(b).saturating_sub(random.below(600) as u32));
+                if let Some(span) = Span::new(bottom, a.max(b).min(16320), random.below(2) == 0) {
+                    let _ = builder.set_column(px, py, &[span]);
+                }
+            }
+            (key, builder)
+        });
+        let built = pages.filter(|(_, builder)| !builder.is_empty()).map(|(key, builder)| (key, builder.build()));
+        Store::from_pages(Frame::new(0.5, 1.5).unwrap(), built.collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn what_is_skipped_changes_no_bit_of_an_answer() {
+        let mut random = Random(7);
+        let (mut hits, mut rays) = (0, 0);
+        for _ in 0..60 {
+            let store = store(&mut random);
+            for _ in 0..2000 {
+                let along = [random.unit(), random.unit(), [1.0, 0.1, 0.0][random.below(3) as usize] * random.unit()];
+                let from = Point3::new(64.0 * random.unit(), 64.0 * random.unit(), 100.0 * random.unit());
+                let max = [20.0, 300.0, f64::INFINITY][random.below(3) as usize];
+                let Ok(ray) = Ray::new(from, Vector3::from(along), max) else { continue };
+                let bits = |thorough: bool| {
+                    let Answer::Known(hit) = search(&store, &ray, thorough) else { panic!("all is in memory") };
+                    hit.map(|hit| (hit.distance.to_bits(), hit.normal.map(f64::to_bits), hit.obstacle))
+                };
+                assert_eq!(bits(false), bits(true), "{ray:?}");
+                hits += u32::from(bits(true).is_some());
+                rays += 1;
+            }
+        }
+        assert!(hits > rays / 10 && hits < rays / 10 * 9, "{hits} of {rays}");
     }
 }
