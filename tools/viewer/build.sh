@@ -16,6 +16,8 @@ fi
 variables=$("$viewer/toolchain.sh" "${SLICEWALK_WASM_TOOLCHAIN:-$target/wasm-toolchain}")
 (
     eval "$variables"
+    # The smaller of zstd's decoders: only directories and metadata are compressed with it.
+    export CFLAGS_wasm32_unknown_unknown="-DHUF_FORCE_DECOMPRESS_X1 -DZSTD_FORCE_DECOMPRESS_SEQUENCES_SHORT"
     # A folder of its own: another compiler would make cargo build everything else again.
     # shellcheck disable=SC2086
     cargo build --quiet -p slicewalk-engine --lib --profile wasm --target wasm32-unknown-unknown --target-dir "$target/wasm" $WASM_FLAGS
