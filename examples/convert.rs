@@ -1,7 +1,7 @@
 //! Converts scans or meshes into an archive, with progress on standard error: `convert INPUT... OUT.slices`.
 
-use slicewalk::Monitor;
 use slicewalk::convert::{ConvertOptions, convert};
+use slicewalk::{Monitor, Warning};
 use std::path::PathBuf;
 
 /// Prints stages and warnings.
@@ -12,8 +12,8 @@ impl Monitor for Progress {
         eprintln!("{name} ({total} {unit})");
     }
 
-    fn warn(&self, text: &str) {
-        eprintln!("warning: {text}");
+    fn warn(&self, warning: &Warning) {
+        eprintln!("warning: {warning}");
     }
 }
 

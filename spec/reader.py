@@ -179,7 +179,7 @@ def read_metadata(data, crc):
         numbers = 1 <= count <= 1 << 16 and 1 <= index <= count and first <= last
         ends = (first == 0) == (index == 1) and (last == U64) == (index == count)
         need(numbers and ends, "M4", f"part {index} of {count} with columns {first} to {last}")
-        part = {"index": index, "count": count, "first": first, "last": last, "job": record[:23:-1].hex()}
+        part = {"index": index, "count": count, "first": first, "last": last, "plan_file": record[:23:-1].hex()}
     if b"UNIT" in records:
         record = records[b"UNIT"]
         need(len(record) % 16 == 0 and 16 <= len(record) <= 4096, "M5", f"units in {len(record)} bytes")
@@ -383,7 +383,7 @@ def show(head, crs, part, units):
         facts[f"points_{name}"] = getattr(head, f"points_{name}")
     if part:
         columns = {f"{end}_column": f"{part[end]:016x}" for end in ("first", "last")}
-        facts["shard"] = {"index": part["index"], "count": part["count"], "job": part["job"], **columns}
+        facts["shard"] = {"index": part["index"], "count": part["count"], "plan_file": part["job"], **columns}
     return facts
 
 

@@ -197,7 +197,7 @@ impl std::fmt::Display for Parameter {
 
 impl Parameter {
     /// How a library's caller helps by it, as the end of a sentence.
-    fn advice(&self) -> String {
+    pub(crate) fn advice(&self) -> String {
         match self {
             Self::PixelSize => "give a larger pixel size, or the unit of the input".into(),
             Self::Units => "set the unit of the input".into(),

@@ -125,7 +125,7 @@ pub fn shard_info(shard: &Shard) -> Value {
         "count": shard.count,
         "first_column": format!("{:016x}", shard.first),
         "last_column": format!("{:016x}", shard.last),
-        "job": format!("{:032x}", shard.job),
+        "plan_file": format!("{:032x}", shard.plan_file),
     })
 }
 

@@ -162,7 +162,7 @@ pub mod walk;
 pub mod reach;
 
 pub use error::{Error, Parameter, Result};
-pub use monitor::{Monitor, NoMonitor};
+pub use monitor::{Monitor, NoMonitor, Warning};
 pub use nalgebra;
 
 /// Compiles the examples of the pages.

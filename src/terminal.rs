@@ -1,7 +1,7 @@
 //! What a terminal shows of long work: progress, warnings, messages.
 
-use crate::Monitor;
 use crate::text::{grouped, one_line};
+use crate::{Monitor, Parameter, Warning};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use std::io::Write as _;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -18,15 +18,23 @@ pub fn say(line: &str) {
 pub struct Terminal {
     program: &'static str,
     quiet: bool,
+    /// Names the program's option for a parameter.
+    option: fn(&Parameter) -> Option<&'static str>,
     /// The signal that asked to stop, 0 if none did.
     signal: Arc<AtomicUsize>,
     bar: Mutex<ProgressBar>,
 }
 
 impl Terminal {
-    /// For `program`, whose name begins every line. Work stops when `signal` is set to the number of a signal.
-    pub fn new(program: &'static str, quiet: bool, signal: Arc<AtomicUsize>) -> Self {
-        Self { program, quiet, signal, bar: Mutex::new(ProgressBar::hidden()) }
+    /// For `program`, whose name begins every line and whose `option` for a parameter warnings name. Work stops when `signal`
+    /// is set to the number of a signal.
+    pub fn new(
+        program: &'static str,
+        quiet: bool,
+        option: fn(&Parameter) -> Option<&'static str>,
+        signal: Arc<AtomicUsize>,
+    ) -> Self {
+        Self { program, quiet, option, signal, bar: Mutex::new(ProgressBar::hidden()) }
     }
 
     fn bar(&self) -> MutexGuard<'_, ProgressBar> {
@@ -57,8 +65,9 @@ impl Monitor for Terminal {
         self.bar().inc(amount);
     }
 
-    fn warn(&self, text: &str) {
+    fn warn(&self, warning: &Warning) {
         if !self.quiet {
+            let text = warning.told(self.option);
             self.bar().suspend(|| say(&format!("{}: warning: {text}", self.program)));
         }
     }

@@ -17,7 +17,7 @@ use slicewalk::frame::PageKey;
 use slicewalk::object::{Model, Object, touches, touches_box, touches_scene, touches_sphere};
 use slicewalk::query::*;
 use slicewalk::store::{PageSet, Prefetch, Stream, StreamOptions};
-use slicewalk::walk::{Body, Config, Crowd, Response, Route, Walker, Wish};
+use slicewalk::walk::{Body, Config, Crowd, Response, Walker, Waypoints, Wish};
 use std::hint::black_box;
 use std::sync::LazyLock;
 use std::time::Duration;
@@ -80,7 +80,7 @@ fn walkers() -> Vec<Walker> {
 }
 
 /// Walks around and off the edge of the shaft; returns how often a walker had to wait.
-fn walk<S: PageSet>(set: &S, walkers: &mut [Walker], route: &mut Route) -> u32 {
+fn walk<S: PageSet>(set: &S, walkers: &mut [Walker], route: &mut Waypoints) -> u32 {
     let mut waits = 0;
     for frame in 0..240 {
         let angle = f64::from(frame / 20);
@@ -106,7 +106,7 @@ fn no_walker_and_no_crowd_allocates() {
 
 /// Walks all walkers, alone and as a crowd, allocating nothing; how often one had to wait.
 fn walkers_and_a_crowd<S: PageSet>(store: &S) -> u32 {
-    let mut route = Route::new(vec![[0.0, 0.0].into(), [3.0, 2.0].into()]).unwrap();
+    let mut route = Waypoints::new(vec![[0.0, 0.0].into(), [3.0, 2.0].into()]).unwrap();
     let (mut walkers, mut waits) = (walkers(), 0);
     assert_eq!(allocations(|| waits = walk(store, &mut walkers, &mut route)), 0);
     let mut crowd = Crowd::new(walkers).unwrap();

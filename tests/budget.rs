@@ -1,39 +1,16 @@
 //! The budget of a loader is what it takes: the heap is counted, byte by byte (guarantee G5).
 
+#[path = "common/heap.rs"]
+mod heap;
 #[path = "stream/tower.rs"]
 mod tower;
 
+use heap::measured;
 use slicewalk::archive::Archive;
 use slicewalk::bytes::MemorySource;
 use slicewalk::store::{Loader, LoaderOptions, Next};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::time::Duration;
 use tower::{Body, Random};
-
-/// Counts the bytes that are allocated.
-struct Heap;
-
-static USED: AtomicUsize = AtomicUsize::new(0);
-static PEAK: AtomicUsize = AtomicUsize::new(0);
-
-// SAFETY: hands every call on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Heap {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        PEAK.fetch_max(USED.fetch_add(layout.size(), Relaxed) + layout.size(), Relaxed);
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        USED.fetch_sub(layout.size(), Relaxed);
-        // SAFETY: as above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static HEAP: Heap = Heap;
 
 /// The one test of this file: others would allocate beside it.
 #[test]
@@ -41,37 +18,36 @@ fn the_heap_never_holds_more_than_the_budget() {
     let bytes = tower::tower(4.0, 60.0, 1);
     let source = MemorySource::new(&bytes[..]);
     for (budget, fetches) in [(1 << 20, 1), (2 << 20, 4), (4 << 20, 8)] {
-        let before = USED.load(Relaxed);
-        PEAK.store(before, Relaxed);
-        let catalog = Archive::from_source(Box::new(source.clone())).unwrap().catalog().clone();
-        let options = LoaderOptions { fetches, ..LoaderOptions::new(budget) };
-        let mut loader = Loader::new(catalog, options).unwrap();
-        let pawn = loader.body();
-        let mut random = Random(budget as u64);
-        let (mut flying, mut now) = (Vec::new(), Duration::ZERO);
-        for _ in 0..1500 {
-            now += Duration::from_millis(20);
-            let at = [random.in_range(-4.0, 4.0), random.in_range(-4.0, 4.0), random.in_range(0.0, 60.0)];
-            if random.below(10) == 0 {
-                loader.hint(pawn, &Body::at(at[0], at[1], at[2]).motion());
-            }
-            loop {
-                match loader.poll(now).unwrap() {
-                    Next::Fetch(fetch) => {
-                        flying.push((fetch.id, bytes[fetch.range.start as usize..fetch.range.end as usize].to_vec()))
+        let (counters, peak) = measured(|| {
+            let catalog = Archive::from_source(Box::new(source.clone())).unwrap().catalog().clone();
+            let options = LoaderOptions { fetches, ..LoaderOptions::new(budget) };
+            let mut loader = Loader::new(catalog, options).unwrap();
+            let pawn = loader.body();
+            let mut random = Random(budget as u64);
+            let (mut flying, mut now) = (Vec::new(), Duration::ZERO);
+            for _ in 0..1500 {
+                now += Duration::from_millis(20);
+                let at = [random.in_range(-4.0, 4.0), random.in_range(-4.0, 4.0), random.in_range(0.0, 60.0)];
+                if random.below(10) == 0 {
+                    loader.hint(pawn, &Body::at(at[0], at[1], at[2]).motion());
+                }
+                loop {
+                    match loader.poll(now).unwrap() {
+                        Next::Fetch(fetch) => flying
+                            .push((fetch.id, bytes[fetch.range.start as usize..fetch.range.end as usize].to_vec())),
+                        Next::Cancel(cancelled) => flying.retain(|(id, _)| *id != cancelled),
+                        Next::Report(report) => panic!("{report:?}"),
+                        Next::Wait(_) => break,
                     }
-                    Next::Cancel(cancelled) => flying.retain(|(id, _)| *id != cancelled),
-                    Next::Report(report) => panic!("{report:?}"),
-                    Next::Wait(_) => break,
+                }
+                if !flying.is_empty() {
+                    let (id, bytes) = flying.swap_remove(random.below(flying.len() as u64) as usize);
+                    let job = loader.given(id, bytes, now);
+                    job.map(|job| loader.loaded(job.run(), now));
                 }
             }
-            if !flying.is_empty() {
-                let (id, bytes) = flying.swap_remove(random.below(flying.len() as u64) as usize);
-                let job = loader.given(id, bytes, now);
-                job.map(|job| loader.loaded(job.run(), now));
-            }
-        }
-        let (peak, counters) = (PEAK.load(Relaxed) - before, loader.counters());
+            loader.counters()
+        });
         println!("budget {budget}: {peak} bytes at most on the heap, {counters:?}");
         assert!(counters.evicted > 20 && counters.peak_bytes <= budget, "{counters:?}");
         assert!(counters.peak_bytes > budget * 3 / 4, "{counters:?}");

@@ -389,7 +389,7 @@ fn findings_beyond_the_first_are_counted() {
     // Pages of another part.
     let content = common::page([((1, 2), vec![Span::new(3, 4, false).unwrap()])]);
     let pages = (0..1500).map(|layer| (common::key(0, 0, layer), content.clone())).collect();
-    let shard = Shard { index: 1, count: 2, first: 0, last: 3 << 62, job: 0 };
+    let shard = Shard { index: 1, count: 2, first: 0, last: 3 << 62, plan_file: 0 };
     let mut part = common::archive_of(&plan(), &(pages, Totals::default()), Some(shard));
     let at = part.windows(4).position(|bytes| bytes == b"SHRD").unwrap();
     put(&mut part, at + 8 + 16, (3 << 62) - 1, 8);

@@ -9,8 +9,8 @@ mod scans;
 use scangen::{Chunks, WriteSpec, write_las};
 use scans::{command, converts, points, refuses, sliceconv, text, verifies, write};
 use slicewalk::archive::{Archive, merge};
-use slicewalk::convert::{ConvertOptions, Job, PixelSize, ShardOptions, convert, plan_file};
-use slicewalk::{Monitor, NoMonitor};
+use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions, convert};
+use slicewalk::{Monitor, NoMonitor, Warning};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -240,8 +240,8 @@ impl<F: Fn() + Sync> Monitor for Meddler<F> {
         }
     }
 
-    fn warn(&self, text: &str) {
-        self.heard.lock().unwrap().push(text.to_owned());
+    fn warn(&self, warning: &Warning) {
+        self.heard.lock().unwrap().push(warning.to_string());
     }
 }
 
@@ -336,12 +336,12 @@ fn chunks(file: &[u8]) -> Vec<usize> {
 }
 
 /// Converts part `index` of three.
-fn part(at: &Path, inputs: &[PathBuf], index: u32, job: &Job) -> slicewalk::Result<PathBuf> {
+fn part(at: &Path, inputs: &[PathBuf], index: u32, file: &PlanFile) -> slicewalk::Result<PathBuf> {
     let output = at.join(format!("{index}.slices"));
     let mut options = ConvertOptions::new(inputs.to_vec(), output.clone());
-    job.apply_to(&mut options);
+    file.apply_to(&mut options);
     options.overwrite = true;
-    options.job = Some(job.clone());
+    options.plan_file = Some(file.clone());
     options.shard = Some(ShardOptions { index, count: 3 });
     convert(&options, &NoMonitor)?;
     Ok(output)
@@ -358,9 +358,9 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
         inputs.push(at.join("floor.obj"));
         let mut options = ConvertOptions::new(inputs.clone(), at.join("unused"));
         options.pixel = PixelSize::Metres(0.1);
-        let job = Job::new(&options, &NoMonitor).unwrap();
-        plan_file::write(&job, &at.join("plan.json"), false).unwrap();
-        let good = [1, 2, 3].map(|index| part(at, &inputs, index, &job).unwrap());
+        let file = PlanFile::new(&options, &NoMonitor).unwrap();
+        file.write(&at.join("plan.json"), false).unwrap();
+        let good = [1, 2, 3].map(|index| part(at, &inputs, index, &file).unwrap());
         let merged = at.join("merged.slices");
         merge(&good, &merged, false, &NoMonitor).unwrap();
         let whole = at.join("whole.slices");
@@ -379,22 +379,22 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
             let mut after = before.clone();
             after[place.unwrap()] ^= 1;
             fs::write(name, &after).unwrap();
-            let second = part(at, &inputs, 2, &job).unwrap();
+            let second = part(at, &inputs, 2, &file).unwrap();
             fs::write(name, before).unwrap();
             let parts = [good[0].clone(), second, good[2].clone()];
             let error = merge(&parts, &at.join("bad.slices"), false, &NoMonitor);
             let error = error.unwrap_err().to_string();
-            let file = name.file_name().unwrap().to_str().unwrap();
-            assert!(error.starts_with(&format!("{file}: content: it changed between two parts")), "{changed}: {error}");
+            let input = name.file_name().unwrap().to_str().unwrap();
+            assert!(error.starts_with(&format!("{input}: content: it changed between two parts")), "{changed}: {error}");
             assert!(!at.join("bad.slices").exists());
-            part(at, &inputs, 2, &job).unwrap();
+            part(at, &inputs, 2, &file).unwrap();
         }
         // A change of most of it shows in the samples, before any work is done.
         let mut after = fs::read(&inputs[0]).unwrap();
         let len = after.len();
         after[len / 10..len * 9 / 10].iter_mut().for_each(|byte| *byte ^= 1);
         fs::write(&inputs[0], after).unwrap();
-        let error = part(at, &inputs, 2, &job).unwrap_err().to_string();
+        let error = part(at, &inputs, 2, &file).unwrap_err().to_string();
         assert!(error.contains("has changed since"), "{error}");
     }
 }

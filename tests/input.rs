@@ -16,16 +16,17 @@ use laz::{LasZipCompressor, LazVlrBuilder};
 use slicewalk::input::spacing::estimate_spacing;
 use slicewalk::input::{BATCH_POINTS, InputOptions, InputSet, PointChunk, PointCounts, PointDecoder, Units};
 use slicewalk::plan::Up;
-use slicewalk::{Error, Monitor, NoMonitor, Result};
+use slicewalk::{Error, Monitor, NoMonitor, Result, Warning};
 
 /// Keeps warnings.
 #[derive(Default)]
 struct Heard(Mutex<Vec<String>>);
 
 impl Monitor for Heard {
-    fn warn(&self, text: &str) {
+    fn warn(&self, warning: &Warning) {
+        let text = warning.to_string();
         assert!(!text.contains('\n'));
-        self.0.lock().unwrap().push(text.to_string());
+        self.0.lock().unwrap().push(text);
     }
 }
 

@@ -88,7 +88,7 @@ proptest! {
         let count = firsts.len();
         let parts: Vec<PathBuf> = (0..count).map(|index| {
             let last = firsts.get(index + 1).map_or(u64::MAX, |next| next - 1);
-            let shard = Shard { index: index as u32 + 1, count: count as u32, first: firsts[index], last, job: 7 };
+            let shard = Shard { index: index as u32 + 1, count: count as u32, first: firsts[index], last, plan_file: 7 };
             let name = path(&format!("{index}.slices"));
             write(&name, &pages, totals(index as u64), Some(shard));
             name
@@ -363,7 +363,7 @@ fn unknown_metadata_is_copied_or_told_of() {
     let names: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
         .map(|(index, first, last)| {
             let name = path(&format!("{index}.slices"));
-            write(&name, &scene().0, totals(1), Some(Shard { index, count: 2, first, last, job: 7 }));
+            write(&name, &scene().0, totals(1), Some(Shard { index, count: 2, first, last, plan_file: 7 }));
             let mut parts = Parts::of(&fs::read(&name).unwrap());
             parts.metadata = [b"AAAA\x03\0\0\0abc", &parts.metadata[..], b"zzzz\x01\0\0\0", &[index as u8]].concat();
             fs::write(&name, parts.build(|_| ())).unwrap();
@@ -406,7 +406,7 @@ proptest! {
 
 /// The scene as the only part of a conversion.
 fn only_part(made: &(Pages, Totals)) -> Vec<u8> {
-    common::archive_of(&plan(), made, Some(Shard { index: 1, count: 1, first: 0, last: u64::MAX, job: 9 }))
+    common::archive_of(&plan(), made, Some(Shard { index: 1, count: 1, first: 0, last: u64::MAX, plan_file: 9 }))
 }
 
 #[test]

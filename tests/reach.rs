@@ -18,7 +18,7 @@ mod world;
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Flood, Ground, Pawn, Region, Route, Search, Spot};
+use slicewalk::reach::{Flood, Pawn, Region, Route, Search, Spot, StandingPlaces};
 use slicewalk::store::PageSet;
 
 /// The value of an answer of a set whose pages are all in memory.
@@ -29,29 +29,29 @@ fn known<T>(answer: Answer<T>) -> T {
     }
 }
 
-fn grown<S: PageSet>(ground: &mut Ground, set: &S, mut flood: Flood) -> Region {
-    known(flood.grow(ground, set, &NoMonitor).unwrap());
-    flood.region(ground)
+fn grown<S: PageSet>(standing: &mut StandingPlaces, set: &S, mut flood: Flood) -> Region {
+    known(flood.grow(standing, set, &NoMonitor).unwrap());
+    flood.region(standing)
 }
 
 /// All that can be reached from a place.
-fn reached<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3]) -> (Ground, Region) {
-    let mut ground = Ground::new(set, pawn).unwrap();
-    let start = known(ground.spot(set, from.into())).unwrap_or_else(|| panic!("{from:?} is no place to stand"));
-    let region = grown(&mut ground, set, Flood::from(start));
-    (ground, region)
+fn reached<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3]) -> (StandingPlaces, Region) {
+    let mut standing = StandingPlaces::new(set, pawn).unwrap();
+    let start = known(standing.spot(set, from.into())).unwrap_or_else(|| panic!("{from:?} is no place to stand"));
+    let region = grown(&mut standing, set, Flood::from(start));
+    (standing, region)
 }
 
 /// All standing places.
-fn everywhere<S: PageSet>(set: &S, pawn: Pawn) -> (Ground, Region) {
-    let mut ground = Ground::new(set, pawn).unwrap();
-    let flood = known(Flood::everywhere(&mut ground, set));
-    let region = grown(&mut ground, set, flood);
-    (ground, region)
+fn everywhere<S: PageSet>(set: &S, pawn: Pawn) -> (StandingPlaces, Region) {
+    let mut standing = StandingPlaces::new(set, pawn).unwrap();
+    let flood = known(Flood::everywhere(&mut standing, set));
+    let region = grown(&mut standing, set, flood);
+    (standing, region)
 }
 
-fn spot<S: PageSet>(ground: &mut Ground, set: &S, at: Point3<f64>) -> Option<Spot> {
-    known(ground.spot(set, at))
+fn spot<S: PageSet>(standing: &mut StandingPlaces, set: &S, at: Point3<f64>) -> Option<Spot> {
+    known(standing.spot(set, at))
 }
 
 fn way(search: &mut Search, region: &Region, from: &Spot, to: &Spot) -> Option<Route> {

@@ -79,7 +79,7 @@ impl<'a> OpenShard<'a> {
 
     /// What parts must have in common to belong together.
     fn family(&self) -> (u128, u128, u32) {
-        (self.header.plan_hash, self.shard.job, self.shard.count)
+        (self.header.plan_hash, self.shard.plan_file, self.shard.count)
     }
 
     fn refuse<T>(&self, reason: String) -> Result<T> {
@@ -99,7 +99,7 @@ fn named(path: &Path, error: Error) -> Error {
 }
 
 /// Joins the archives `shards`, given in any order, into `output`: byte for byte what one run over the whole input
-/// writes. All parts of one job must be there; what is missing, foreign or damaged is refused by name. Where `output`
+/// writes. All parts of one plan file must be there; what is missing, foreign or damaged is refused by name. Where `output`
 /// has the right bytes already it is left alone; another archive is replaced only if `overwrite` says so, a part never.
 ///
 /// Cost: every page is read and decoded once. Nothing appears under the name before all of it is right.
@@ -150,8 +150,8 @@ fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBu
     let mut copies = Vec::new();
     for part in parts {
         if part.family() != common {
-            let (plan, job, count) = part.family();
-            let what = match (plan == common.0, job == common.1, count == common.2) {
+            let (plan, plan_file, count) = part.family();
+            let what = match (plan == common.0, plan_file == common.1, count == common.2) {
                 (false, ..) => format!("its plan {plan:032x} is not that of the other parts, {:032x}", common.0),
                 (_, false, _) => "it was converted from other inputs than the other parts".to_owned(),
                 _ => format!("the other parts are of {}", common.2),

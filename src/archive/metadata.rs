@@ -176,10 +176,10 @@ mod tests {
             mut unknown in proptest::collection::btree_map(any::<Tag>(), proptest::collection::vec(any::<u8>(), 0..9), 0..4)
         ) {
             unknown.retain(|tag, _| ![CRS, READ, SHARD, UNIT].contains(tag));
-            let shard = part.map(|(index, job)| {
+            let shard = part.map(|(index, plan_file)| {
                 let first = u64::from(index) << 60;
                 let last = if index == 4 { u64::MAX } else { first + (1 << 60) - 1 };
-                Shard { index: index + 1, count: 5, first, last, job }
+                Shard { index: index + 1, count: 5, first, last, plan_file }
             });
             let units = units.into_iter().map(|(horizontal_m, vertical_m)| LengthUnit { horizontal_m, vertical_m });
             let read = inputs.into_iter().map(|(input, (hash, name))| InputRead { input, hash, name }).collect();

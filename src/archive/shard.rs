@@ -8,7 +8,7 @@ pub const MAX_SHARDS: u32 = 1 << 16;
 /// Length of the record's content (bytes).
 const LEN: usize = 40;
 
-/// Which part of a conversion an archive holds. Parts of the same job and count make a whole: their columns follow one
+/// Which part of a conversion an archive holds. Parts of the same plan file and count make a whole: their columns follow one
 /// another from the first tile column of the grid to the last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
@@ -20,8 +20,8 @@ pub struct Shard {
     pub first: u64,
     /// Last tile column of the part; all matter of the input between the two is in it.
     pub last: u64,
-    /// Identity of plan and inputs: parts of different jobs are never merged.
-    pub job: u128,
+    /// Identity of the plan file (plan, unit, inputs): parts of different ones are never merged.
+    pub plan_file: u128,
 }
 
 impl Shard {
@@ -44,7 +44,7 @@ impl Shard {
         out[4..8].copy_from_slice(&self.count.to_le_bytes());
         out[8..16].copy_from_slice(&self.first.to_le_bytes());
         out[16..24].copy_from_slice(&self.last.to_le_bytes());
-        out[24..].copy_from_slice(&self.job.to_le_bytes());
+        out[24..].copy_from_slice(&self.plan_file.to_le_bytes());
         out
     }
 
@@ -54,7 +54,7 @@ impl Shard {
         }
         let mut reader = ByteReader::new(content, "M4");
         let (index, count, first, last) = (reader.u32()?, reader.u32()?, reader.u64()?, reader.u64()?);
-        let shard = Self { index, count, first, last, job: u128::from_le_bytes(reader.array()?) };
+        let shard = Self { index, count, first, last, plan_file: u128::from_le_bytes(reader.array()?) };
         if shard.is_sound() {
             return Ok(shard);
         }
@@ -72,7 +72,7 @@ impl std::fmt::Display for Shard {
 /// What a part read of an input that other parts read too: by this `merge` finds parts of different versions of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InputRead {
-    /// Number of the input in the job.
+    /// Number of the input in the plan file.
     pub input: u32,
     /// Hash of all that was read of it, in whatever order.
     pub hash: u128,
@@ -155,9 +155,9 @@ mod tests {
 
     #[test]
     fn parts_round_trip_and_impossible_ones_are_refused() {
-        let good = Shard { index: 2, count: 3, first: 9, last: 70, job: 1 << 100 };
+        let good = Shard { index: 2, count: 3, first: 9, last: 70, plan_file: 1 << 100 };
         assert_eq!(Shard::decode(&good.encode()), Ok(good));
-        let whole = Shard { index: 1, count: 1, first: 0, last: u64::MAX, job: 0 };
+        let whole = Shard { index: 1, count: 1, first: 0, last: u64::MAX, plan_file: 0 };
         assert_eq!(Shard::decode(&whole.encode()), Ok(whole));
         for bad in [
             Shard { index: 0, ..good },

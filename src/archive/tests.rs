@@ -153,7 +153,12 @@ fn a_large_archive_has_a_padded_head_many_leaves_and_opens_with_two_reads() {
     let mut encoder = PageEncoder::new(plan().frame);
     let key = |at: u64| PageKey::from_column((3 << 62) | (at / 7), (at % 7) as i32 - 3);
     let count = 40_000u64;
+    // Seven of eight pages are uniform and take an entry only: stored ones cost a hundred times as much to write and check.
+    let filled = [3, 70, 500].map(|height| uniform(Span::new(height, height + 9, false).unwrap()));
     let page = |at: u64| {
+        if !at.is_multiple_of(8) {
+            return filled[at as usize % filled.len()].clone();
+        }
         let mut builder = PageBuilder::default();
         let spans = [Span::new(at as u32 % 16000, 16100, at.is_multiple_of(2)).unwrap()];
         // Every 100th page equals others; the rest differ by their pixels.
@@ -255,9 +260,9 @@ fn an_archive_has_the_permissions_of_any_new_file() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(ProptestConfig::with_cases(16))]
     #[test]
-    fn what_is_put_comes_back(pages in proptest::collection::btree_map((-2i32..2, -2i32..2, -3i32..3), pages(), 0..12)) {
+    fn what_is_put_comes_back(pages in proptest::collection::btree_map((-2i32..2, -2i32..2, -3i32..3), pages(), 0..8)) {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("a.slices");
         let key = |(tx, ty, layer)| PageKey { tx, ty, layer };

@@ -9,11 +9,10 @@
 //! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
 
 mod facts;
-mod job;
 mod meshes;
 mod options;
 mod pages;
-pub mod plan_file;
+mod plan_file;
 mod points;
 mod preview;
 mod report;
@@ -26,8 +25,8 @@ mod work;
 mod writer;
 
 pub use facts::InputFacts;
-pub use job::Job;
 pub use options::{ConvertOptions, PixelSize, ShardOptions};
+pub use plan_file::PlanFile;
 pub use preview::{Preview, PreviewInput, preview};
 pub use report::Report;
 pub use resume::Resumed;
@@ -230,13 +229,13 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     }
 }
 
-/// The part that the options ask for, if not the whole; refuses inputs that are not those of the options' job.
+/// The part that the options ask for, if not the whole; refuses inputs that are not those of the options' plan file.
 fn scope(options: &ConvertOptions, set: &InputSet, plan: &Plan, monitor: &dyn Monitor) -> Result<Option<ShardScope>> {
     if let Some(shard) = options.shard {
         return ShardScope::new(shard, set, plan, options, monitor).map(Some);
     }
-    if let Some(job) = &options.job {
-        job.check_same_inputs(&Job::of(InputFacts::of(set, monitor)?, plan.clone(), options))?;
+    if let Some(file) = &options.plan_file {
+        file.check_same_inputs(&PlanFile::of(InputFacts::of(set, monitor)?, plan.clone(), options))?;
     }
     Ok(None)
 }
@@ -310,19 +309,19 @@ impl Conversion<'_> {
         let complete = set.is_complete() && meshes.is_complete() && mesh_read.complete;
         if whole {
             let scenes: Vec<Scene> = points::scenes(set, &of_files).chain(mesh_read.scenes).collect();
-            far_apart(&scenes).inspect(|text| monitor.warn(text));
+            far_apart(&scenes).inspect(|warning| monitor.warn(warning));
         }
         if whole && read.counts.read == 0 {
             if !complete {
                 return Err(Error::parameter("INPUT", "nothing of it can be read; fetch or write it again"));
             }
-            monitor.warn("the input holds no points: the archive is empty");
+            monitor.warn(&"the input holds no points: the archive is empty".into());
         }
         let voxels_dropped = write_columns(plan, store, options.memory_bytes, threads, &mut writer, monitor)?;
         let crs = set.crs().unwrap_or_default().to_owned();
         let header = writer.finish(read.own.totals(&crs, &units))?;
         if whole && header.points_read > 0 && header.voxels.occupied == 0 {
-            monitor.warn(&nothing_kept(&header, voxels_dropped));
+            monitor.warn(&nothing_kept(&header, voxels_dropped).into());
         }
         Ok(Report {
             header,

@@ -1,6 +1,6 @@
 //! What to convert, and how.
 
-use super::job::Job;
+use super::plan_file::PlanFile;
 use crate::input::Units;
 use crate::mesh::MeshMode;
 use crate::plan::PlanOptions;
@@ -60,8 +60,8 @@ pub struct ConvertOptions {
     pub allow_incomplete: bool,
     /// Whether an existing slice archive may be replaced; another file never is.
     pub overwrite: bool,
-    /// The job whose conversion this is, applied to these options ([`Job::apply_to`]): other inputs than its own are refused.
-    pub job: Option<Job>,
+    /// The plan file whose conversion this is, applied to these options ([`PlanFile::apply_to`]): other inputs than its own are refused.
+    pub plan_file: Option<PlanFile>,
     /// Whether to go on from the temporary data that an earlier run of the same conversion left in
     /// [`temp_dir`](Self::temp_dir), and to leave them if this run fails. Where there are none, the conversion begins anew.
     pub resume: bool,
@@ -86,14 +86,14 @@ impl ConvertOptions {
             mesh: MeshMode::Exact,
             allow_incomplete: false,
             overwrite: false,
-            job: None,
+            plan_file: None,
             resume: false,
             shard: None,
         }
     }
 }
 
-/// Which part of a conversion. Without a [`job`](ConvertOptions::job) it is made from the inputs, the same in every part.
+/// Which part of a conversion. Without a [`plan_file`](ConvertOptions::plan_file) it is made from the inputs, the same in every part.
 #[derive(Debug, Clone, Copy)]
 pub struct ShardOptions {
     /// Number of the part (1..=count).

@@ -237,12 +237,13 @@ fn warn_of_bounds(set: &InputSet, of_files: &[OfFile], monitor: &dyn Monitor) {
             0 => String::new(),
             more => format!(" and {more} more"),
         };
-        monitor.warn(&format!(
+        let text = format!(
             "{}{others}: the bounds in the header are not those of the points; using the latter: {:?} to {:?}",
             file.path().display(),
             read.min,
             read.max
-        ));
+        );
+        monitor.warn(&text.into());
     }
 }
 

@@ -60,7 +60,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     let (set, meshes) = (&opened.scans, &opened.meshes);
     scope(options, set, &plan, monitor)?;
     let scenes: Vec<Scene> = set.files().iter().filter_map(ScanFile::scene_stated).collect();
-    far_apart(&scenes).inspect(|text| monitor.warn(text));
+    far_apart(&scenes).inspect(|warning| monitor.warn(warning));
     let scans = set.files().iter().filter(|file| file.points_expected() > 0).filter_map(ScanFile::bounds_stated);
     let scans = scans.map(|StatedBounds { min, max }| (min, max));
     let bounds = scans.chain(meshes.bounds(monitor)?).reduce(|(min, max), (other_min, other_max)| {

@@ -105,8 +105,8 @@ impl Identity {
         });
         put(spacing.as_ref().map_or(&[][..], |spacing| spacing.as_flattened()));
         put(self.numbers.map(f64::to_le_bytes).as_flattened());
-        let shard = self.shard.map(|Shard { index, count, first, last, job }| {
-            let numbers = [u64::from(index), u64::from(count), first, last, job as u64, (job >> 64) as u64];
+        let shard = self.shard.map(|Shard { index, count, first, last, plan_file }| {
+            let numbers = [u64::from(index), u64::from(count), first, last, plan_file as u64, (plan_file >> 64) as u64];
             numbers.map(u64::to_le_bytes)
         });
         put(shard.as_ref().map_or(&[][..], |shard| shard.as_flattened()));
@@ -147,7 +147,7 @@ impl Identity {
                 count: count as u32,
                 first,
                 last,
-                job: u128::from(high) << 64 | u128::from(low),
+                plan_file: u128::from(high) << 64 | u128::from(low),
             }),
             _ => return None,
         };

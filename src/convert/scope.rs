@@ -1,8 +1,8 @@
 //! One part of a conversion: which files it reads, and which points count in it.
 
 use super::facts::{InputFacts, name_of};
-use super::job::Job;
 use super::options::{ConvertOptions, ShardOptions};
+use super::plan_file::PlanFile;
 use super::split::{QuadCell, tiles};
 use crate::archive::{InputRead, Shard};
 use crate::frame::{Frame, TILE_PIXELS, morton};
@@ -30,13 +30,13 @@ struct Role {
     owns: bool,
     /// Other parts read it too.
     shared: bool,
-    /// Its number in the job; of equal files, that of the first.
+    /// Its number in the plan file; of equal files, that of the first.
     number: u32,
     bounds: Option<StatedBounds>,
 }
 
 impl ShardScope {
-    /// The part that `options` ask for, of the inputs `set`, which must be those of its job.
+    /// The part that `options` ask for, of the inputs `set`, which must be those of its plan file.
     pub fn new(
         shard: ShardOptions,
         set: &InputSet,
@@ -46,18 +46,18 @@ impl ShardScope {
     ) -> Result<Self> {
         let facts = InputFacts::of(set, monitor)?;
         let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();
-        let here = Job::of(facts, plan.clone(), options);
-        let job = match &options.job {
-            Some(job) => {
-                job.check_same_inputs(&here)?;
-                job
+        let here = PlanFile::of(facts, plan.clone(), options);
+        let file = match &options.plan_file {
+            Some(file) => {
+                file.check_same_inputs(&here)?;
+                file
             }
             None => &here,
         };
-        let shard = job.shard(shard.index, shard.count)?;
+        let shard = file.shard(shard.index, shard.count)?;
         // Files of equal fingerprint may differ in the bounds that a person put into the plan.
         let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
-        job.inputs.iter().for_each(|input| inputs.entry(input.fingerprint).or_default().push(input));
+        file.inputs.iter().for_each(|input| inputs.entry(input.fingerprint).or_default().push(input));
         let role = |fingerprint: &u128| {
             let input = inputs.get_mut(fingerprint).and_then(Vec::pop)?;
             let meets = |first, last| match &input.bounds {
@@ -67,10 +67,10 @@ impl ShardScope {
             let reads = meets(shard.first, shard.last);
             let before = shard.first > 0 && meets(0, shard.first - 1);
             let behind = shard.last < u64::MAX && meets(shard.last + 1, u64::MAX);
-            let number = job.number_of(*fingerprint) as u32;
+            let number = file.number_of(*fingerprint) as u32;
             Some(Role { reads, owns: reads && !before, shared: before || behind, number, bounds: input.bounds })
         };
-        // All are there: the inputs are those of the job.
+        // All are there: the inputs are those of the plan file.
         let roles: Vec<Role> = fingerprints.iter().filter_map(role).collect();
         let shared = roles.iter().filter(|role| role.reads && role.shared).count();
         if shared > InputRead::MOST {

@@ -204,12 +204,13 @@ impl Systems {
         let (text, those) = self.least?;
         if let Some((name, others)) = &self.other {
             let named = |those: &Those, name: &str| format!("{} ({name})", those.names(files).unwrap_or_default());
-            monitor.warn(&format!(
+            let text = format!(
                 "{} and {} state different reference systems: coordinates are taken as they are, and the archive names the \
                  former system; bring the scans into one system first",
                 named(&those, &short_name(&text)),
                 named(others, name)
-            ));
+            );
+            monitor.warn(&text.into());
         }
         Some(text)
     }

@@ -47,7 +47,7 @@ pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn 
             Some((id, first)) => {
                 seen.insert(id, first);
                 let first = once[first].display();
-                monitor.warn(&format!("{}: the same file as {first}; it is read once", path.display()));
+                monitor.warn(&format!("{}: the same file as {first}; it is read once", path.display()).into());
             }
             None => once.push(path),
         }
@@ -59,7 +59,7 @@ pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn 
 fn tell(losses: Option<&Losses>, error: &Error, monitor: &dyn Monitor) {
     if let Some(losses) = losses {
         losses.note();
-        monitor.warn(&format!("incomplete: left out: {error}"));
+        monitor.warn(&format!("incomplete: left out: {error}").into());
     }
 }
 

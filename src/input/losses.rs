@@ -21,7 +21,7 @@ pub(crate) fn incomplete(path: &Path, at: &str, what: impl Display) -> Error {
 
 /// Tells `monitor` that a file was read in part only.
 pub(crate) fn warn_incomplete(path: &Path, what: impl Display, monitor: &dyn Monitor) {
-    monitor.warn(&format!("{}: incomplete: {what}", path.display()));
+    monitor.warn(&format!("{}: incomplete: {what}", path.display()).into());
 }
 
 /// What opening a file finds wrong.

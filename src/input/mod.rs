@@ -40,7 +40,7 @@ use self::losses::{Findings, Losses};
 use crate::plan::{ClassSet, Up};
 use crate::text::number;
 use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
-use crate::{Error, Monitor, Parameter, Result};
+use crate::{Error, Monitor, Parameter, Result, Warning};
 
 pub(crate) use self::convert::FARTHEST_M;
 pub use self::decode::{PointChunk, PointDecoder};
@@ -240,7 +240,7 @@ impl InputSet {
             let allow_incomplete = options.allow_incomplete;
             let mut findings = Findings { path: &path, allow_incomplete, notes: Vec::new(), lost: Vec::new() };
             let opened = ScanFile::open(&path, &options, &mut common, &mut findings);
-            findings.notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display())));
+            findings.notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display()).into()));
             findings.lost.iter().for_each(|lost| warn_incomplete(&path, lost, monitor));
             if !findings.lost.is_empty() {
                 losses.note();
@@ -253,7 +253,7 @@ impl InputSet {
                     files.push(file);
                 }
                 Err(error) if options.allow_incomplete && is_of_input(&error) => {
-                    monitor.warn(&format!("incomplete: left out: {error}"));
+                    monitor.warn(&format!("incomplete: left out: {error}").into());
                     losses.note();
                     left_out = Some(error);
                 }
@@ -263,15 +263,11 @@ impl InputSet {
         if let Some(error) = left_out.filter(|_| files.is_empty() && meshes.is_empty()) {
             return Err(error);
         }
-        no_unit.tell(
-            &files,
-            "no unit of length is stated; metres are assumed; set the unit of the input if it is another",
-            monitor,
-        );
+        no_unit.tell(&files, "no unit of length is stated; metres are assumed", Some(Parameter::Units), monitor);
         degrees.tell(
             &files,
-            "x and y are longitude and latitude in degrees, which are taken as metres; project the scan first, or set \
-             the unit of the input",
+            "x and y are longitude and latitude in degrees, which are taken as metres; project the scan first",
+            None,
             monitor,
         );
         let crs = systems.common(&files, monitor).or_else(|| options.epsg.map(epsg_text));
@@ -396,9 +392,13 @@ impl Those {
         Some(if self.count > 1 { format!("{first} and {} more", self.count - 1) } else { first.to_string() })
     }
 
-    fn tell(&self, files: &[ScanFile], what: &str, monitor: &dyn Monitor) {
+    fn tell(&self, files: &[ScanFile], what: &str, way_out: Option<Parameter>, monitor: &dyn Monitor) {
         if let Some(names) = self.names(files) {
-            monitor.warn(&format!("{names}: {what}"));
+            let warning = Warning::from(format!("{names}: {what}"));
+            monitor.warn(&match way_out {
+                Some(parameter) => warning.with_way_out(parameter),
+                None => warning,
+            });
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Whether the files of one run can belong together.
 
+use crate::Warning;
 use std::path::Path;
 
 /// Least distance that is worth a warning (m): parts of one scene, and models placed in it, lie closer.
@@ -23,7 +24,7 @@ impl Scene<'_> {
 
 /// A warning if the scenes fall into groups with a gap along an axis that is far wider than any of them: then they
 /// probably come in different reference systems or units. Cost: n log n.
-pub(crate) fn far_apart(scenes: &[Scene]) -> Option<String> {
+pub(crate) fn far_apart(scenes: &[Scene]) -> Option<Warning> {
     let size = scenes.iter().map(Scene::diagonal).fold(0.0, f64::max);
     let mut widest: Option<(f64, &Path, &Path)> = None;
     let mut order: Vec<&Scene> = scenes.iter().collect();
@@ -41,14 +42,15 @@ pub(crate) fn far_apart(scenes: &[Scene]) -> Option<String> {
         }
     }
     let (gap, a, b) = widest?;
-    Some(format!(
+    let text = format!(
         "{} and {} lie {:.0} km apart, and no file is larger than {:.1} km: they may come in different reference systems \
          or units; convert them apart, or bring them into one system first",
         a.display(),
         b.display(),
         gap / 1000.0,
         size / 1000.0
-    ))
+    );
+    Some(text.into())
 }
 
 #[cfg(test)]
@@ -68,7 +70,7 @@ mod tests {
         let (here, tile) = (([0.0; 3], 100.0), |x: f64, y: f64| ([x, y, 0.0], 100.0));
         assert_eq!(found([here, tile(500.0, 0.0), tile(900.0, 900.0)]), None);
         assert_eq!(found([here, tile(20_000.0, 0.0), ([0.0; 3], 9_000.0)]), None, "11 km beside a scene of 16 km");
-        let told = found([tile(0.0, 500_000.0), tile(0.0, 300.0), here]).unwrap();
+        let told = found([tile(0.0, 500_000.0), tile(0.0, 300.0), here]).unwrap().to_string();
         assert!(told.starts_with("b and a lie 500 km apart, and no file is larger than 0.2 km"), "{told}");
         // One that hides another: the gap begins where the longer one ends.
         assert_eq!(found([([0.0; 3], 50_000.0), tile(1.0, 1.0), tile(51_000.0, 0.0)]), None);

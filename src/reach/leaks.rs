@@ -10,8 +10,8 @@
 //!
 //! What is narrower than half of the pawn is no leak: a walker passes over it, and a scan has many such gaps.
 
-use super::ground::{Block, Ground, Kind};
 use super::region::{Region, WAYS, middle};
+use super::standing::{Block, Kind, StandingPlaces};
 use super::{Needs, answer};
 use crate::query::{Aabb, Answer, top_under};
 use crate::store::PageSet;
@@ -74,14 +74,14 @@ enum There {
 
 impl Region {
     /// All leaks, by place (y, x, z). Needs pages around the rim, and in the tiles that the open pixels lie in.
-    pub fn leaks<S: PageSet>(&self, ground: &mut Ground, set: &S) -> Answer<Vec<Leak>> {
-        answer(Survey { region: self, ground, set, seen: HashMap::new() }.leaks())
+    pub fn leaks<S: PageSet>(&self, standing: &mut StandingPlaces, set: &S) -> Answer<Vec<Leak>> {
+        answer(Survey { region: self, standing, set, seen: HashMap::new() }.leaks())
     }
 }
 
 struct Survey<'a, S> {
     region: &'a Region,
-    ground: &'a mut Ground,
+    standing: &'a mut StandingPlaces,
     set: &'a S,
     /// What has been found out about pixels at heights.
     seen: HashMap<([i32; 2], i32), There>,
@@ -110,7 +110,7 @@ impl<S: PageSet> Survey<'_, S> {
             let level = tops[tops.len() / 2];
             let opening = self.opening(&rim, level, &wide)?;
             let is_known = |pixel: &[i32; 2]| {
-                holes.get(pixel).is_some_and(|known| (known - level).abs() < self.ground.grid.height)
+                holes.get(pixel).is_some_and(|known| (known - level).abs() < self.standing.grid.height)
             };
             if opening.pixels.is_empty() || opening.pixels.iter().any(is_known) || self.is_narrow(&opening) {
                 continue;
@@ -118,7 +118,7 @@ impl<S: PageSet> Survey<'_, S> {
             let leak = self.leak(&rim, level, &opening)?;
             let seen = if leak.kind == LeakKind::Hole { &mut holes } else { &mut wide };
             seen.extend(opening.pixels.iter().map(|pixel| (*pixel, level)));
-            if leak.kind == LeakKind::Hole || leak.width >= self.ground.grid.pawn.body.half().min() {
+            if leak.kind == LeakKind::Hole || leak.width >= self.standing.grid.pawn.body.half().min() {
                 leaks.push(leak);
             }
         }
@@ -161,7 +161,7 @@ impl<S: PageSet> Survey<'_, S> {
                     (i - TOGETHER..=i + TOGETHER).flat_map(|x| (j - TOGETHER..=j + TOGETHER).map(move |y| (x, y)))
                 {
                     for &other in rim.get(&[x, y]).map_or(&[][..], Vec::as_slice) {
-                        let is_level = (self.region.tops[other as usize] - level).abs() <= self.ground.grid.up;
+                        let is_level = (self.region.tops[other as usize] - level).abs() <= self.standing.grid.up;
                         if is_level && taken.insert(other) {
                             own.push(other);
                         }
@@ -183,14 +183,14 @@ impl<S: PageSet> Survey<'_, S> {
     }
 
     fn look(&mut self, pixel: [i32; 2], level: i32) -> Needs<There> {
-        if !self.ground.grid.is_inside(pixel) {
+        if !self.standing.grid.is_inside(pixel) {
             // A margin of a tile: the end of the scan may lie just at the end of a tile.
-            let near = |axis: usize| (-64..64 * (self.ground.grid.tiles[axis] + 1)).contains(&pixel[axis]);
+            let near = |axis: usize| (-64..64 * (self.standing.grid.tiles[axis] + 1)).contains(&pixel[axis]);
             return ControlFlow::Continue(if near(0) && near(1) { There::Open(None) } else { There::Outside });
         }
-        let tile = self.ground.tile(self.set, pixel)?;
-        let grid = &self.ground.grid;
-        let column: &[Block] = self.ground.tiles[tile].column(pixel);
+        let tile = self.standing.tile(self.set, pixel)?;
+        let grid = &self.standing.grid;
+        let column: &[Block] = self.standing.tiles[tile].column(pixel);
         let (below, above) = column.split_at(column.partition_point(|block| block.top <= level + grid.up));
         let feet = below.last().map_or(level, |block| block.top.max(level));
         if above.first().is_some_and(|block| block.bottom - feet < grid.height) {
@@ -200,13 +200,13 @@ impl<S: PageSet> Survey<'_, S> {
             return ControlFlow::Continue(There::Floor);
         }
         let under = self.under_foot(pixel, level)?;
-        let is_deep = under.is_none_or(|drop| drop > self.ground.grid.drop);
+        let is_deep = under.is_none_or(|drop| drop > self.standing.grid.drop);
         ControlFlow::Continue(if is_deep { There::Open(under) } else { There::Floor })
     }
 
     /// How far below `level` the highest matter under the middle of the feet lies (quanta).
     fn under_foot(&self, pixel: [i32; 2], level: i32) -> Needs<Option<i32>> {
-        let grid = &self.ground.grid;
+        let grid = &self.standing.grid;
         let edge = (2.0 * f64::from(grid.foot) + 0.5) * grid.frame.pixel_m();
         let at = Point3::new(grid.middle(pixel[0], 0), grid.middle(pixel[1], 1), 0.0);
         // Sizes of a pixel, at places inside the set: it is a box.
@@ -223,7 +223,7 @@ impl<S: PageSet> Survey<'_, S> {
     fn opening(&mut self, rim: &[u32], level: i32, wide: &HashMap<[i32; 2], i32>) -> Needs<Opening> {
         let mut opening = Opening { pixels: Vec::new(), drops: Vec::new(), floor: 0, matter: 0, is_closed: true };
         let mut seen: HashSet<[i32; 2]> = HashSet::new();
-        let near = |place: &&u32| (self.region.tops[**place as usize] - level).abs() <= self.ground.grid.up;
+        let near = |place: &&u32| (self.region.tops[**place as usize] - level).abs() <= self.standing.grid.up;
         let mut queue: VecDeque<[i32; 2]> =
             rim.iter().filter(near).map(|place| self.region.pixels[*place as usize]).collect();
         let mut is_rim = queue.len();
@@ -241,7 +241,7 @@ impl<S: PageSet> Survey<'_, S> {
                         opening.pixels.push(to);
                         opening.drops.push(drop);
                         queue.push_back(to);
-                        let is_wide = |known: &i32| (known - level).abs() < self.ground.grid.height;
+                        let is_wide = |known: &i32| (known - level).abs() < self.standing.grid.height;
                         opening.is_closed &= !wide.get(&to).is_some_and(is_wide);
                     }
                     There::Outside => opening.is_closed = false,
@@ -273,18 +273,18 @@ impl<S: PageSet> Survey<'_, S> {
                 (low[axis], high[axis]) = (low[axis].min(pixel[axis]), high[axis].max(pixel[axis]));
             }
         }
-        [0, 1].map(|axis| f64::from(high[axis] - low[axis] + 1 + 2 * beyond) * self.ground.grid.frame.pixel_m())
+        [0, 1].map(|axis| f64::from(high[axis] - low[axis] + 1 + 2 * beyond) * self.standing.grid.frame.pixel_m())
     }
 
     fn is_narrow(&self, opening: &Opening) -> bool {
         if !opening.is_closed {
             return false;
         }
-        let pixel = self.ground.grid.frame.pixel_m();
+        let pixel = self.standing.grid.frame.pixel_m();
         let longest = self.extent(opening.pixels.iter().copied(), 0).into_iter().fold(0.0, f64::max);
         let mean =
-            opening.pixels.len() as f64 * pixel * pixel / longest + 2.0 * f64::from(self.ground.grid.foot) * pixel;
-        mean < self.ground.grid.pawn.body.half().min()
+            opening.pixels.len() as f64 * pixel * pixel / longest + 2.0 * f64::from(self.standing.grid.foot) * pixel;
+        mean < self.standing.grid.pawn.body.half().min()
     }
 
     /// Extent of a rim; where it ends at matter the way goes on beside the middle of the pawn (m).
@@ -300,10 +300,10 @@ impl<S: PageSet> Survey<'_, S> {
             let Some(&end) = end else { continue };
             let ([i, j], level) = (self.region.pixels[end as usize], self.region.tops[end as usize]);
             if self.there([i + WAYS[way][0], j + WAYS[way][1]], level)? == There::Matter {
-                beside += self.ground.grid.half[axis];
+                beside += self.standing.grid.half[axis];
             }
         }
-        ControlFlow::Continue(extent[axis] + f64::from(beside) * self.ground.grid.frame.pixel_m())
+        ControlFlow::Continue(extent[axis] + f64::from(beside) * self.standing.grid.frame.pixel_m())
     }
 
     fn leak(&mut self, rim: &[u32], level: i32, opening: &Opening) -> Needs<Leak> {
@@ -315,7 +315,7 @@ impl<S: PageSet> Survey<'_, S> {
             _ => LeakKind::Ledge,
         };
         let (width, at) = if kind == LeakKind::Hole {
-            let extent = self.extent(opening.pixels.iter().copied(), self.ground.grid.foot);
+            let extent = self.extent(opening.pixels.iter().copied(), self.standing.grid.foot);
             (extent[0].max(extent[1]), middle(&opening.pixels, |pixel| *pixel))
         } else {
             let pixel = |place: &u32| self.region.pixels[*place as usize];
@@ -328,7 +328,7 @@ impl<S: PageSet> Survey<'_, S> {
         }
         drops.sort_unstable();
         let drop = drops.get(drops.len() / 2).filter(|_| !is_void);
-        let grid = &self.ground.grid;
+        let grid = &self.standing.grid;
         ControlFlow::Continue(Leak {
             at: Point3::new(grid.middle(i, 0), grid.middle(j, 1), grid.z(level)),
             width,

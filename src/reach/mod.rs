@@ -1,11 +1,11 @@
 //! Where a pawn can walk: standing places, what can be reached on foot, the way, and every leak.
 //!
-//! In: a [`PageSet`](crate::store::PageSet) and a [`Pawn`]. Out: [`Ground`], the standing places of tile after tile;
+//! In: a [`PageSet`](crate::store::PageSet) and a [`Pawn`]. Out: [`StandingPlaces`], the standing places of tile after tile;
 //! [`Region`], those that can be reached from one of them, with area, clearance, [passages](Region::passages) and
 //! [leaks](Leak); and routes ([`Search`]). Nothing is precomputed: each pawn gets its own places from the spans.
 //!
 //! ```text
-//! spans → Ground (intervals that block the pawn, per pixel) → Region (flood, clearance) ┬→ storeys, passages, leaks
+//! spans → StandingPlaces (intervals that block the pawn, per pixel) → Region (flood, clearance) ┬→ storeys, passages, leaks
 //!                                                                                        └→ Search → Route
 //! ```
 //!
@@ -28,26 +28,26 @@
 //!
 //! # Memory
 //!
-//! [`Ground`] holds 16 KiB for each tile (64 × 64 pixels) that the search touches and 12 bytes for each place in it;
+//! [`StandingPlaces`] holds 16 KiB for each tile (64 × 64 pixels) that the search touches and 12 bytes for each place in it;
 //! [`Region`] holds 33 bytes for each place that it reaches; [`Search`] another 12. Pages are needed only while their tile is
 //! computed.
 
 mod distance;
-mod ground;
 mod intervals;
 mod leaks;
 mod passages;
 mod pawn;
 mod region;
 mod route;
+mod standing;
 mod storeys;
 
-pub use ground::{Ground, Spot};
 pub use leaks::{Leak, LeakKind};
 pub use passages::Passage;
 pub use pawn::Pawn;
 pub use region::{Flood, Place, Region};
 pub use route::{Refusal, Route, Search};
+pub use standing::{Spot, StandingPlaces};
 pub use storeys::{Storey, Storeys};
 
 use crate::query::Answer;

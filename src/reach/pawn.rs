@@ -113,7 +113,7 @@ impl Grid {
             // Floors are stored to a quantum, so a step of just the climb height may seem to be one higher.
             up: quanta(pawn.climb) + 1,
             drop: quanta(pawn.max_drop) + 1,
-            near: quanta(FLOOR_NEAR_M).clamp(1, i32::from(super::ground::NO_FLOOR) - 1),
+            near: quanta(FLOOR_NEAR_M).clamp(1, i32::from(super::standing::NO_FLOOR) - 1),
         })
     }
 

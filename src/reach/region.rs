@@ -1,8 +1,8 @@
 //! What can be reached on foot from one place.
 
 use super::distance::nearest_ends;
-use super::ground::{Ground, Kind, Spot, Step};
 use super::pawn::{Grid, Pawn};
+use super::standing::{Kind, Spot, StandingPlaces, Step};
 use super::{Needs, answer};
 use crate::frame::PageKey;
 use crate::query::Answer;
@@ -25,7 +25,7 @@ const BETWEEN_LOOKS: usize = 1 << 14;
 /// use slicewalk::NoMonitor;
 /// use slicewalk::frame::{Frame, PageKey};
 /// use slicewalk::query::Answer;
-/// use slicewalk::reach::{Flood, Ground, Pawn};
+/// use slicewalk::reach::{Flood, StandingPlaces, Pawn};
 /// use slicewalk::slice::{PageBuilder, Span};
 /// use slicewalk::store::Store;
 /// use slicewalk::walk::Body;
@@ -37,11 +37,11 @@ const BETWEEN_LOOKS: usize = 1 << 14;
 /// let key = PageKey { tx: 0, ty: 0, layer: 0 };
 /// let store = Store::from_pages(Frame::new(0.05, 0.15)?, [(key, builder.build())]);
 ///
-/// let mut ground = Ground::new(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }))?;
-/// let Answer::Known(Some(start)) = ground.spot(&store, Point3::new(1.0, 1.0, 0.1)) else { panic!("it is all floor") };
+/// let mut standing = StandingPlaces::new(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }))?;
+/// let Answer::Known(Some(start)) = standing.spot(&store, Point3::new(1.0, 1.0, 0.1)) else { panic!("it is all floor") };
 /// let mut flood = Flood::from(start);
-/// assert_eq!(flood.grow(&mut ground, &store, &NoMonitor)?, Answer::Known(()));
-/// let region = flood.region(&ground);
+/// assert_eq!(flood.grow(&mut standing, &store, &NoMonitor)?, Answer::Known(()));
+/// let region = flood.region(&standing);
 /// assert!((region.area_m2() - 3.2 * 3.2).abs() < 1e-9);
 /// # Ok::<(), slicewalk::Error>(())
 /// ```
@@ -65,19 +65,19 @@ impl Flood {
 
     /// A flood from all standing places of the set at once: what routes between any two of them need. Load what is missing, and
     /// call again.
-    pub fn everywhere<S: PageSet>(ground: &mut Ground, set: &S) -> Answer<Self> {
-        answer(Self::all(ground, set))
+    pub fn everywhere<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Answer<Self> {
+        answer(Self::all(standing, set))
     }
 
-    fn all<S: PageSet>(ground: &mut Ground, set: &S) -> Needs<Self> {
+    fn all<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Needs<Self> {
         let mut open = Vec::new();
         for number in 0..set.column_count() {
             let (tx, ty, _) = set.column_at(number);
-            let corner = [64 * (tx - ground.grid.origin[0]), 64 * (ty - ground.grid.origin[1])];
-            let tile = ground.tile(set, corner)?;
+            let corner = [64 * (tx - standing.grid.origin[0]), 64 * (ty - standing.grid.origin[1])];
+            let tile = standing.tile(set, corner)?;
             for cell in 0..64 * 64 {
                 let pixel = [corner[0] + (cell & 63), corner[1] + (cell >> 6)];
-                let blocks = ground.tiles[tile].column(pixel).iter().enumerate();
+                let blocks = standing.tiles[tile].column(pixel).iter().enumerate();
                 open.extend(blocks.filter(|block| block.1.kind == Kind::Standing).map(|block| (pixel, block.0)));
             }
         }
@@ -97,7 +97,12 @@ impl Flood {
     }
 
     /// Goes on until all is reached, or pages are missing: load them and call again.
-    pub fn grow<S: PageSet>(&mut self, ground: &mut Ground, set: &S, monitor: &dyn Monitor) -> Result<Answer<()>> {
+    pub fn grow<S: PageSet>(
+        &mut self,
+        standing: &mut StandingPlaces,
+        set: &S,
+        monitor: &dyn Monitor,
+    ) -> Result<Answer<()>> {
         let mut steps = 0;
         while let Some(place) = self.open.pop() {
             steps += 1;
@@ -107,7 +112,7 @@ impl Flood {
                 }
                 monitor.advance(BETWEEN_LOOKS as u64);
             }
-            if let ControlFlow::Break(missing) = self.spread(ground, set, place) {
+            if let ControlFlow::Break(missing) = self.spread(standing, set, place) {
                 self.open.push(place);
                 return Ok(Answer::NotLoaded(missing));
             }
@@ -115,22 +120,27 @@ impl Flood {
         Ok(Answer::Known(()))
     }
 
-    fn spread<S: PageSet>(&mut self, ground: &mut Ground, set: &S, (pixel, place): ([i32; 2], usize)) -> Needs<()> {
-        if !self.is_near(&ground.grid, pixel) {
+    fn spread<S: PageSet>(
+        &mut self,
+        standing: &mut StandingPlaces,
+        set: &S,
+        (pixel, place): ([i32; 2], usize),
+    ) -> Needs<()> {
+        if !self.is_near(&standing.grid, pixel) {
             self.parked.push((pixel, place));
             return ControlFlow::Continue(());
         }
-        let tile = ground.tile(set, pixel)?;
-        self.mark(ground, tile, pixel, place);
+        let tile = standing.tile(set, pixel)?;
+        self.mark(standing, tile, pixel, place);
         for (number, way) in WAYS.into_iter().enumerate() {
             let to = [pixel[0] + way[0], pixel[1] + way[1]];
-            if !ground.grid.is_inside(to) {
+            if !standing.grid.is_inside(to) {
                 continue;
             }
-            let other = ground.tile(set, to)?;
-            let (column, next) = (ground.tiles[tile].column(pixel), ground.tiles[other].column(to));
-            if let Step::To(reached) = ground.step(column, place, next, number & 1)
-                && self.mark(ground, other, to, reached)
+            let other = standing.tile(set, to)?;
+            let (column, next) = (standing.tiles[tile].column(pixel), standing.tiles[other].column(to));
+            if let Step::To(reached) = standing.step(column, place, next, number & 1)
+                && self.mark(standing, other, to, reached)
             {
                 self.open.push((to, reached));
             }
@@ -152,11 +162,11 @@ impl Flood {
     }
 
     /// Whether the place was not reached before.
-    fn mark(&mut self, ground: &Ground, tile: usize, pixel: [i32; 2], place: usize) -> bool {
+    fn mark(&mut self, standing: &StandingPlaces, tile: usize, pixel: [i32; 2], place: usize) -> bool {
         if self.reached.len() <= tile {
-            self.reached.resize_with(ground.tiles.len(), Vec::new);
+            self.reached.resize_with(standing.tiles.len(), Vec::new);
         }
-        let own = &ground.tiles[tile];
+        let own = &standing.tiles[tile];
         let bits = &mut self.reached[tile];
         if bits.is_empty() {
             bits.resize(own.blocks.len().div_ceil(64), 0);
@@ -174,11 +184,11 @@ impl Flood {
     }
 
     /// All that has been reached, as a graph.
-    pub fn region(&self, ground: &Ground) -> Region {
+    pub fn region(&self, standing: &StandingPlaces) -> Region {
         let mut order: Vec<usize> = (0..self.reached.len()).filter(|tile| !self.reached[*tile].is_empty()).collect();
-        order.sort_unstable_by_key(|tile| [ground.tiles[*tile].at[1], ground.tiles[*tile].at[0]]);
+        order.sort_unstable_by_key(|tile| [standing.tiles[*tile].at[1], standing.tiles[*tile].at[0]]);
         let mut region = Region {
-            grid: ground.grid.clone(),
+            grid: standing.grid.clone(),
             pixels: Vec::new(),
             tops: Vec::new(),
             standing: Vec::new(),
@@ -190,7 +200,7 @@ impl Flood {
         // Per tile the number of each block's place.
         let mut numbers: Vec<Vec<u32>> = vec![Vec::new(); self.reached.len()];
         for &tile in &order {
-            let (own, bits) = (&ground.tiles[tile], &self.reached[tile]);
+            let (own, bits) = (&standing.tiles[tile], &self.reached[tile]);
             numbers[tile] = vec![NO_PLACE; own.blocks.len()];
             for cell in 0..64 * 64 {
                 let pixel = [own.at[0] * 64 + (cell & 63), own.at[1] * 64 + (cell >> 6)];
@@ -208,10 +218,12 @@ impl Flood {
         }
         let tile_of = |pixel: [i32; 2]| {
             let at = pixel.map(|pixel| pixel >> 6);
-            order.binary_search_by_key(&[at[1], at[0]], |tile| [ground.tiles[*tile].at[1], ground.tiles[*tile].at[0]])
+            order.binary_search_by_key(&[at[1], at[0]], |tile| {
+                [standing.tiles[*tile].at[1], standing.tiles[*tile].at[0]]
+            })
         };
         for &tile in &order {
-            let own = &ground.tiles[tile];
+            let own = &standing.tiles[tile];
             for cell in 0..64 * 64 {
                 let pixel = [own.at[0] * 64 + (cell & 63), own.at[1] * 64 + (cell >> 6)];
                 let first = own.starts[cell as usize] as usize;
@@ -235,11 +247,11 @@ impl Flood {
                                 Err(_) => return NO_PLACE,
                             }
                         };
-                        let next = ground.tiles[other].column(to);
-                        match ground.step(column, place, next, number & 1) {
+                        let next = standing.tiles[other].column(to);
+                        match standing.step(column, place, next, number & 1) {
                             Step::To(reached) => {
                                 let cell = (((to[1] & 63) << 6) | (to[0] & 63)) as usize;
-                                numbers[other][ground.tiles[other].starts[cell] as usize + reached]
+                                numbers[other][standing.tiles[other].starts[cell] as usize + reached]
                             }
                             _ => NO_PLACE,
                         }

@@ -8,8 +8,8 @@
 //! Steps next to the end of the region count 2 % more and bridges three times, so that the way keeps a pixel away from walls
 //! and does not lead along gaps.
 
-use super::ground::Spot;
 use super::region::{NO_PLACE, Region};
+use super::standing::Spot;
 use crate::{Error, Monitor, Result};
 use nalgebra::Point3;
 use std::cmp::Reverse;

@@ -16,15 +16,15 @@ mod body;
 mod change;
 mod config;
 mod crowd;
-mod follow;
 mod progress;
 mod slide;
 mod thesis;
+mod waypoints;
 
 pub use body::Body;
 pub use config::{Config, Response};
 pub use crowd::{Crowd, CrowdReport};
-pub use follow::Route;
+pub use waypoints::Waypoints;
 
 use crate::frame::Frame;
 use crate::query::Answer;
@@ -45,7 +45,7 @@ pub enum State {
     /// On its feet, wants to go on and makes no progress: it stands still, or has walked for a second and is still
     /// where it was.
     Blocked,
-    /// At the end of its route.
+    /// At the last waypoint.
     Arrived,
 }
 
@@ -332,10 +332,10 @@ impl Walker {
         self.run(set, dt, |_| Some(wish))
     }
 
-    /// As [`step`](Self::step) while the pawn follows `route`; it has [`Arrived`](State::Arrived) when it is on its
+    /// As [`step`](Self::step) while the pawn follows `waypoints`; it has [`Arrived`](State::Arrived) when it is on its
     /// feet at the end.
-    pub fn follow<S: PageSet>(&mut self, set: &S, dt: f64, route: &mut Route) -> StepReport {
-        self.run(set, dt, |feet| route.wish(feet))
+    pub fn follow<S: PageSet>(&mut self, set: &S, dt: f64, waypoints: &mut Waypoints) -> StepReport {
+        self.run(set, dt, |feet| waypoints.wish(feet))
     }
 
     /// Ticks, each with the wish for it; `None` at the end of the way.

@@ -114,11 +114,11 @@ pub fn mesh(ending: &str, bytes: &[u8]) {
 /// Reads any bytes as a plan; what is read must be written as text that reads as the same.
 #[cfg(feature = "cli")]
 pub fn plan(bytes: &[u8]) {
-    use slicewalk::convert::plan_file;
+    use slicewalk::convert::PlanFile;
     let file = File::new("json", bytes);
-    if let Ok(job) = plan_file::read(&file.0) {
-        let again = File::new("json", plan_file::to_json(&job).to_string().as_bytes());
-        assert_eq!(plan_file::read(&again.0).expect("it was written"), job);
+    if let Ok(plan) = PlanFile::read(&file.0) {
+        let again = File::new("json", plan.to_json().to_string().as_bytes());
+        assert_eq!(PlanFile::read(&again.0).expect("it was written"), plan);
     }
 }
 

@@ -11,8 +11,8 @@ fn pawn() -> Pawn {
 }
 
 fn leaks_with(store: &Store, pawn: Pawn) -> (Region, Vec<Leak>) {
-    let (mut ground, region) = reached(store, pawn, [0.5, 0.5, FLOOR]);
-    let leaks = known(region.leaks(&mut ground, store));
+    let (mut standing, region) = reached(store, pawn, [0.5, 0.5, FLOOR]);
+    let leaks = known(region.leaks(&mut standing, store));
     (region, leaks)
 }
 

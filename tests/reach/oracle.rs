@@ -4,7 +4,7 @@ use super::{everywhere, flat, grown, known};
 use crate::common::part::Part;
 use crate::common::{Random, key};
 use slicewalk::frame::{Frame, SLICE_QUANTA};
-use slicewalk::reach::{Flood, Ground, Pawn};
+use slicewalk::reach::{Flood, Pawn, StandingPlaces};
 use slicewalk::slice::Span;
 use slicewalk::store::{PageSet, PageSlot, Store};
 use slicewalk::walk::Body;
@@ -143,13 +143,13 @@ fn the_order_of_tiles_and_pages_does_not_show() {
     let (_, expected) = everywhere(&whole, pawn);
     let mut random = Random(5);
     for _ in 0..4 {
-        let mut ground = Ground::new(&whole, pawn).unwrap();
+        let mut standing = StandingPlaces::new(&whole, pawn).unwrap();
         for _ in 0..5 {
             let [x, y] = [0, 1].map(|_| f64::from(random.below(128)) * T);
-            known(ground.spot(&whole, [x, y, 1.0].into()));
+            known(standing.spot(&whole, [x, y, 1.0].into()));
         }
-        let flood = known(Flood::everywhere(&mut ground, &whole));
-        let region = grown(&mut ground, &whole, flood);
+        let flood = known(Flood::everywhere(&mut standing, &whole));
+        let region = grown(&mut standing, &whole, flood);
         assert_eq!(region.len(), expected.len());
         assert!(region.places().eq(expected.places()));
         assert_eq!(region.passages(), expected.passages());
@@ -162,29 +162,29 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     let world = random_world(0);
     let whole = store(&world);
     let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.2 });
-    let (mut ground, region) = everywhere(&whole, pawn);
-    let leaks = known(region.leaks(&mut ground, &whole));
+    let (mut standing, region) = everywhere(&whole, pawn);
+    let leaks = known(region.leaks(&mut standing, &whole));
     let mut partly = nothing_of(&whole);
-    let mut ground = Ground::new(&partly, pawn).unwrap();
+    let mut standing = StandingPlaces::new(&partly, pawn).unwrap();
     let mut waits = 0;
     let mut load = |partly: &mut Part, missing: slicewalk::store::Missing| {
         waits += 1;
         assert_eq!(partly.load(&missing.keys()[..1]), 1);
     };
     let mut flood = loop {
-        match Flood::everywhere(&mut ground, &partly) {
+        match Flood::everywhere(&mut standing, &partly) {
             slicewalk::query::Answer::Known(flood) => break flood,
             slicewalk::query::Answer::NotLoaded(missing) => load(&mut partly, missing),
         }
     };
     while let slicewalk::query::Answer::NotLoaded(missing) =
-        flood.grow(&mut ground, &partly, &slicewalk::NoMonitor).unwrap()
+        flood.grow(&mut standing, &partly, &slicewalk::NoMonitor).unwrap()
     {
         load(&mut partly, missing);
     }
-    let found = flood.region(&ground);
+    let found = flood.region(&standing);
     assert!(found.places().eq(region.places()));
-    assert_eq!(known(found.leaks(&mut ground, &partly)), leaks);
+    assert_eq!(known(found.leaks(&mut standing, &partly)), leaks);
     assert_eq!(waits, 4, "four pages, one at a time");
 }
 

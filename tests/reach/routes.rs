@@ -49,11 +49,11 @@ fn a_route_is_found_just_where_exhaustive_search_finds_one() {
         let walls = random_walls(seed, edge, 700);
         let free = |(i, j): (usize, usize)| i > 0 && j > 0 && i < edge - 1 && j < edge - 1 && !walls.contains(&(i, j));
         let store = room(edge, edge, |i, j| walls.contains(&(i, j)).then_some(b'#'));
-        let (mut ground, region) = everywhere(&store, thin());
+        let (mut standing, region) = everywhere(&store, thin());
         let (mut random, mut search) = (Random(seed), Search::new());
         for _ in 0..40 {
             let [from, to] = [0, 1].map(|_| (random.below(70) as usize, random.below(70) as usize));
-            let [a, b] = [from, to].map(|pixel| spot(&mut ground, &store, at(pixel)));
+            let [a, b] = [from, to].map(|pixel| spot(&mut standing, &store, at(pixel)));
             assert_eq!([a.is_some(), b.is_some()], [free(from), free(to)], "seed {seed}");
             let (Some(a), Some(b)) = (a, b) else { continue };
             let route = way(&mut search, &region, &a, &b);
@@ -121,11 +121,11 @@ fn routes_are_at_most_a_twentieth_longer_than_the_shortest_way() {
         let walls = random_walls(100 + seed, edge, 45);
         let free = |(i, j): (usize, usize)| i > 0 && j > 0 && i < edge - 1 && j < edge - 1 && !walls.contains(&(i, j));
         let store = room(edge, edge, |i, j| walls.contains(&(i, j)).then_some(b'#'));
-        let (mut ground, region) = everywhere(&store, thin());
+        let (mut standing, region) = everywhere(&store, thin());
         let (mut random, mut search) = (Random(seed), Search::new());
         for _ in 0..12 {
             let [from, to] = [0, 1].map(|_| (random.below(30) as usize, random.below(30) as usize));
-            let [a, b] = [from, to].map(|pixel| spot(&mut ground, &store, at(pixel)));
+            let [a, b] = [from, to].map(|pixel| spot(&mut standing, &store, at(pixel)));
             let (Some(a), Some(b)) = (a, b) else { continue };
             let route = way(&mut search, &region, &a, &b);
             let best = optimum(&free, edge, from, to);
@@ -155,8 +155,8 @@ fn a_search_stops_when_it_is_asked_to() {
         }
     }
     let store = room(190, 190, |_, _| None);
-    let (mut ground, region) = everywhere(&store, thin());
-    let [a, b] = [(2, 2), (187, 180)].map(|pixel| spot(&mut ground, &store, at(pixel)).unwrap());
+    let (mut standing, region) = everywhere(&store, thin());
+    let [a, b] = [(2, 2), (187, 180)].map(|pixel| spot(&mut standing, &store, at(pixel)).unwrap());
     // A free view is found at once; behind a wall without a door there is much to look at.
     let walled = room(190, 190, |i, _| (i == 100).then_some(b'#'));
     let (mut other, halves) = everywhere(&walled, thin());

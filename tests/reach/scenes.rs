@@ -7,7 +7,7 @@ use nalgebra::{Point2, Point3};
 use scangen::{Params, Scene};
 use slicewalk::reach::{Pawn, Search};
 use slicewalk::store::Store;
-use slicewalk::walk::{Body, Config, Route, State, Walker};
+use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 
 fn named(name: &str, params: &[(&str, f64)]) -> Store {
     let params = params.iter().fold(Params::new(), |params, (name, value)| params.with(name, *value));
@@ -16,8 +16,9 @@ fn named(name: &str, params: &[(&str, f64)]) -> Store {
 
 /// Whether a route leads between two places.
 fn connects(store: &Store, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> bool {
-    let (mut ground, region) = reached(store, pawn, from);
-    let [a, b] = [from, to].map(|at| spot(&mut ground, store, at.into()).unwrap_or_else(|| panic!("{at:?}: no place")));
+    let (mut standing, region) = reached(store, pawn, from);
+    let [a, b] =
+        [from, to].map(|at| spot(&mut standing, store, at.into()).unwrap_or_else(|| panic!("{at:?}: no place")));
     way(&mut Search::new(), &region, &a, &b).is_some()
 }
 
@@ -86,10 +87,10 @@ fn ramps_can_be_walked_up_to_the_slope_limit() {
 #[test]
 fn a_floor_without_walls_is_all_standing_and_ends_at_one_edge() {
     let store = named("plane", &[("size", 6.0)]);
-    let (mut ground, region) = reached(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }), [0.0; 3]);
+    let (mut standing, region) = reached(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }), [0.0; 3]);
     // A pixel at each border more at most.
     assert!((36.0..=(6.0 + 4.0 * T).powi(2)).contains(&region.area_m2()), "{}", region.area_m2());
-    let leaks = known(region.leaks(&mut ground, &store));
+    let leaks = known(region.leaks(&mut standing, &store));
     assert_eq!(leaks.len(), 1, "{leaks:?}");
     assert_eq!((leaks[0].kind.name(), leaks[0].drop), ("edge", None));
     assert!((leaks[0].width - 6.0).abs() < 4.0 * T);
@@ -100,7 +101,7 @@ fn arrives(store: &Store, body: Body, route: &slicewalk::reach::Route) -> bool {
     let config = Config { tick_s: 1.0 / 60.0, ..Config::new(body) };
     let mut walker = Walker::new(config, route.points[0]).unwrap();
     let places: Vec<Point2<f64>> = route.points.iter().map(|point| point.xy()).collect();
-    let mut way = Route::new(places).unwrap();
+    let mut way = Waypoints::new(places).unwrap();
     for _ in 0..(2.0 * route.length_m / 1.4 * 60.0) as usize + 120 {
         walker.follow(store, 1.0 / 60.0, &mut way);
         if walker.state() == State::Arrived {
@@ -115,7 +116,7 @@ fn arrives(store: &Store, body: Body, route: &slicewalk::reach::Route) -> bool {
 fn the_walker_arrives_along_routes_through_a_house_of_three_storeys() {
     let store = named("house", &[]);
     for body in [Body::Box { x: 0.5, y: 0.5, height: 1.8 }, Body::Cylinder { radius: 0.25, height: 1.8 }] {
-        let (mut ground, region) = reached(&store, Pawn::new(body), [1.5, 2.0, 0.0]);
+        let (mut standing, region) = reached(&store, Pawn::new(body), [1.5, 2.0, 0.0]);
         let storeys = region.storeys();
         assert!(storeys.all.len() == 3, "{:?}", storeys.all);
         for (storey, z) in storeys.all.iter().zip([0.0, 3.0, 6.0]) {
@@ -128,7 +129,7 @@ fn the_walker_arrives_along_routes_through_a_house_of_three_storeys() {
         let (mut lost, pairs) = (Vec::new(), 120);
         for _ in 0..pairs {
             let [from, to] = [0, 1].map(|_| places[random.below(places.len() as u32) as usize]);
-            let [a, b] = [from, to].map(|at| spot(&mut ground, &store, at).unwrap());
+            let [a, b] = [from, to].map(|at| spot(&mut standing, &store, at).unwrap());
             let route = way(&mut search, &region, &a, &b).unwrap();
             looked_at.push(search.looked_at());
             if !arrives(&store, body, &route) {

@@ -196,7 +196,7 @@ fn options() -> Plan {
 
 /// All columns from that of page (0, 0).
 fn part() -> Shard {
-    Shard { index: 3, count: 3, first: 3 << 62, last: u64::MAX, job: 0x0123_4567_89AB_CDEF_0011_2233_4455_6677 }
+    Shard { index: 3, count: 3, first: 3 << 62, last: u64::MAX, plan_file: 0x0123_4567_89AB_CDEF_0011_2233_4455_6677 }
 }
 
 /// A part that shares two of its inputs with others.

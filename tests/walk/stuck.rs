@@ -48,7 +48,7 @@ fn a_pawn_that_gets_nowhere_is_blocked() {
         let body = [CYLINDER, BOX][n % 3 % 2];
         let goal = Point2::new(2.6, random.between(-0.6, 0.6));
         let mut walker = Walker::new(config(body), Point3::new(0.0, 0.0, 0.03)).unwrap();
-        let mut route = Route::new(vec![goal]).unwrap();
+        let mut route = Waypoints::new(vec![goal]).unwrap();
         let (mut frames, mut still) = (0, 0);
         while walker.state() != State::Arrived && still < 120 {
             let report = walker.follow(&store, 1.0 / 60.0, &mut route);

@@ -12,7 +12,7 @@ use slicewalk::frame::{Frame, PageKey};
 use slicewalk::input::Units;
 use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{PageSet, Store};
-use slicewalk::walk::{Body, Config, Route, State, StepReport, Walker};
+use slicewalk::walk::{Body, Config, State, StepReport, Walker, Waypoints};
 
 pub const T: f64 = 0.05;
 pub const BOX: Body = Body::Box { x: 0.5, y: 0.5, height: 1.8 };
@@ -88,8 +88,8 @@ pub fn config(body: Body) -> Config {
     Config::new(body)
 }
 
-pub fn route(places: &[[f64; 2]]) -> Route {
-    Route::new(places.iter().map(|place| Point2::from(*place)).collect()).unwrap()
+pub fn route(places: &[[f64; 2]]) -> Waypoints {
+    Waypoints::new(places.iter().map(|place| Point2::from(*place)).collect()).unwrap()
 }
 
 /// A walk: where the pawn was after every frame.

@@ -7,7 +7,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use signal_hook::{consts, flag};
 use slicewalk::convert::{ConvertOptions, PixelSize, Preview, Report, convert, preview};
-use slicewalk::convert::{Job, ShardOptions, plan_file};
+use slicewalk::convert::{PlanFile, ShardOptions};
 use slicewalk::input::Units;
 use slicewalk::mesh::MeshMode;
 use slicewalk::output::{Existing, Output, OutputKind, is_standard};
@@ -156,7 +156,7 @@ enum Axis {
 /// What was done.
 enum Done {
     Archive(Box<Report>),
-    Plan(Box<Job>),
+    Plan(Box<PlanFile>),
     /// Nothing: what would be done.
     Preview(Box<Preview>),
 }
@@ -172,9 +172,9 @@ fn main() -> ExitCode {
     }
     slicewalk::input::quiet_decoder_panics();
     let signal = Arc::new(AtomicUsize::new(0));
-    let terminal = Terminal::new("sliceconv", arguments.quiet, signal.clone());
+    let terminal = Terminal::new("sliceconv", arguments.quiet, way_out, signal.clone());
     if let Err(error) = listen(&signal) {
-        terminal.warn(&format!("cannot listen for Ctrl-C: {error}"));
+        terminal.warn(&format!("cannot listen for Ctrl-C: {error}").into());
     }
     let started = Instant::now();
     let result = run(&arguments, &given, &terminal);
@@ -184,8 +184,8 @@ fn main() -> ExitCode {
             report::of_conversion(&arguments, &report, started.elapsed().as_secs_f64());
             ExitCode::SUCCESS
         }
-        Ok(Done::Plan(job)) => {
-            report::of_plan(&arguments, &job);
+        Ok(Done::Plan(file)) => {
+            report::of_plan(&arguments, &file);
             ExitCode::SUCCESS
         }
         Ok(Done::Preview(preview)) => {
@@ -278,7 +278,7 @@ fn failure_of(error: &Error, signal: usize) -> (String, ExitCode) {
 fn way_out(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::PixelSize => "give a larger --pixel, or the unit by --units",
-        Parameter::Units => "give the right one with --units",
+        Parameter::Units => "set the unit with --units",
         Parameter::Memory => "give more --memory",
         Parameter::TempDir => "choose a folder with space by --temp-dir",
         Parameter::Incomplete => "or take what can be read with --allow-incomplete",
@@ -342,17 +342,17 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     if let Some(path) = &arguments.write_plan {
         let kind = OutputKind::Plan(Existing::replaced_if(arguments.force));
         let output = Output::create(path, kind, arguments.inputs.iter().collect())?;
-        let job = Job::new(&options, monitor)?;
-        plan_file::write_to(&job, output)?;
-        return Ok(Done::Plan(Box::new(job)));
+        let file = PlanFile::new(&options, monitor)?;
+        file.write_to(output)?;
+        return Ok(Done::Plan(Box::new(file)));
     }
-    let job = arguments.plan.as_deref().map(plan_file::read).transpose()?;
-    if let Some(job) = &job {
+    let plan_file = arguments.plan.as_deref().map(PlanFile::read).transpose()?;
+    if let Some(file) = &plan_file {
         let wanted = options.clone();
-        job.apply_to(&mut options);
+        file.apply_to(&mut options);
         refuse_contradictions(given, &wanted, &options)?;
     }
-    options.job = job;
+    options.plan_file = plan_file;
     options.shard = arguments.shard.map(|(index, count)| ShardOptions { index, count });
     if arguments.dry_run {
         return Ok(Done::Preview(Box::new(preview(&options, monitor)?)));

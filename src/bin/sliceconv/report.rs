@@ -3,7 +3,7 @@
 use crate::Arguments;
 use serde_json::json;
 use slicewalk::archive::Header;
-use slicewalk::convert::{Job, Preview, Report, plan_file};
+use slicewalk::convert::{PlanFile, Preview, Report};
 use slicewalk::info::{crs_name, plan_info, slice_count, unit_info, units_in_words};
 use slicewalk::input::spacing::Spacing;
 use slicewalk::terminal::say;
@@ -21,13 +21,13 @@ pub fn print(result: impl Display) {
     let _ = writeln!(std::io::stdout(), "{}", lines(&result.to_string()));
 }
 
-pub fn of_plan(arguments: &Arguments, job: &Job) {
+pub fn of_plan(arguments: &Arguments, file: &PlanFile) {
     if arguments.json {
-        print(format!("{:#}", plan_file::to_json(job)));
+        print(format!("{:#}", file.to_json()));
     } else if !arguments.quiet {
-        let frame = &job.plan.frame;
+        let frame = &file.plan.frame;
         let (pixel, slice) = (number(frame.pixel_m()), number(frame.slice_m()));
-        say(&format!("plan: pixels of {pixel} m, slices of {slice} m, {}", counted(job.inputs.len() as u64, "input")));
+        say(&format!("plan: pixels of {pixel} m, slices of {slice} m, {}", counted(file.inputs.len() as u64, "input")));
     }
 }
 

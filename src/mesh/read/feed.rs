@@ -141,7 +141,8 @@ impl<'a> MeshFeed<'a> {
         self.complete &= lost.is_empty();
         if left_out > far {
             let flat = left_out - far;
-            monitor.warn(&format!("{}: {flat} of {read} triangles left out: they have no area", file.path.display()));
+            let text = format!("{}: {flat} of {read} triangles left out: they have no area", file.path.display());
+            monitor.warn(&text.into());
         }
         self.total += counts;
         self.found[self.next].1 = digest.value();

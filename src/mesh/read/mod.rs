@@ -17,7 +17,7 @@ use crate::bytes::{Stamp, open_regular};
 use crate::input::{Units, is_of_input};
 use crate::plan::Up;
 use crate::unit::LengthUnit;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result, Warning};
 use std::path::{Path, PathBuf};
 
 use self::feed::Bounds;
@@ -127,7 +127,7 @@ impl MeshSet {
             match MeshFile::open(path) {
                 Ok(file) => files.push(file),
                 Err(error) if options.allow_incomplete && is_of_input(&error) => {
-                    monitor.warn(&format!("incomplete: left out: {error}"));
+                    monitor.warn(&format!("incomplete: left out: {error}").into());
                     left_out = Some(error);
                 }
                 Err(error) => return Err(error),
@@ -143,10 +143,9 @@ impl MeshSet {
                 0 => String::new(),
                 more => format!(" and {more} more"),
             };
-            monitor.warn(&format!(
-                "{}{others}: meshes of this format state no unit; metres are assumed; set the unit of the input if it is another",
-                first.path.display()
-            ));
+            let text =
+                format!("{}{others}: meshes of this format state no unit; metres are assumed", first.path.display());
+            monitor.warn(&Warning::from(text).with_way_out(Parameter::Units));
         }
         Ok(Self { files, options, complete })
     }

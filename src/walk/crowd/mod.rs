@@ -23,7 +23,7 @@ mod outline;
 mod room;
 mod settle;
 
-use super::follow::REACH_M;
+use super::waypoints::REACH_M;
 use super::{BLOCKED_BELOW, Ground, MOST_TICKS, Motion, State, Walker, Wish};
 use crate::store::Missing;
 use crate::store::PageSet;

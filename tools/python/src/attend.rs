@@ -3,9 +3,9 @@
 //! Callbacks and warnings run on the calling thread alone, so no other thread ever waits for the interpreter, and what
 //! they raise ends the work.
 
-use crate::errors::{Failure, in_python};
+use crate::errors::{Failure, in_python, way_out};
 use pyo3::prelude::*;
-use slicewalk::Monitor;
+use slicewalk::{Monitor, Warning};
 use std::collections::VecDeque;
 use std::ffi::CString;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -51,8 +51,8 @@ impl Monitor for News {
         self.done.fetch_add(amount, Ordering::Relaxed);
     }
 
-    fn warn(&self, text: &str) {
-        lock(&self.warnings).push(text.to_owned());
+    fn warn(&self, warning: &Warning) {
+        lock(&self.warnings).push(warning.told(way_out));
     }
 
     fn cancelled(&self) -> bool {

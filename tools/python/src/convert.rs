@@ -6,7 +6,7 @@ use crate::options::{Asked, paths};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::Value;
-use slicewalk::convert::{Job, plan_file};
+use slicewalk::convert::PlanFile;
 use slicewalk::output::{Existing, Output, OutputKind};
 use std::path::PathBuf;
 use std::time::Instant;
@@ -110,9 +110,9 @@ pub fn write_plan<'py>(
     let plan = attended(py, &audience, None, |monitor| {
         let kind = OutputKind::Plan(Existing::replaced_if(asked.options.overwrite));
         let output = Output::create(&path, kind, asked.options.inputs.iter().collect())?;
-        let job = Job::new(&asked.options, monitor)?;
-        plan_file::write_to(&job, output)?;
-        Ok::<_, Failure>(plan_file::to_json(&job))
+        let file = PlanFile::new(&asked.options, monitor)?;
+        file.write_to(output)?;
+        Ok::<_, Failure>(file.to_json())
     })?;
     dictionary(py, &plan)
 }

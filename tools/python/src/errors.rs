@@ -34,7 +34,7 @@ impl Failure {
 }
 
 /// What to do, in the names that Python has for it.
-fn way_out(parameter: &Parameter) -> Option<&'static str> {
+pub fn way_out(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::PixelSize => "give a larger pixel, or the units",
         Parameter::Units => "set the units",

@@ -4,7 +4,7 @@ use crate::errors::Failure;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use slicewalk::convert::{ConvertOptions, PixelSize, ShardOptions, plan_file};
+use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions};
 use slicewalk::input::Units;
 use slicewalk::mesh::MeshMode;
 use slicewalk::plan::{Classifier, Up};
@@ -112,13 +112,13 @@ impl Asked {
             }
             named.push(name);
         }
-        let job = plan.map(|path| plan_file::read(&path)).transpose().map_err(Failure::from)?;
-        if let Some(job) = &job {
+        let plan_file = plan.map(|path| PlanFile::read(&path)).transpose().map_err(Failure::from)?;
+        if let Some(file) = &plan_file {
             let wanted = options.clone();
-            job.apply_to(&mut options);
+            file.apply_to(&mut options);
             refuse_contradictions(&named, &wanted, &options)?;
         }
-        options.job = job;
+        options.plan_file = plan_file;
         options.shard = shard.map(|(index, count)| ShardOptions { index, count });
         Ok(Self { options, crs, quiet })
     }

@@ -9,7 +9,7 @@ use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 use slicewalk::nalgebra::Point3;
-use slicewalk::reach::{Flood, Ground, Pawn, Place, Refusal, Region, Route, Search};
+use slicewalk::reach::{Flood, Pawn, Place, Refusal, Region, Route, Search, StandingPlaces};
 use slicewalk::store::PageSet;
 use slicewalk::walk::Body;
 use slicewalk::{Error, Monitor};
@@ -38,8 +38,8 @@ struct Found {
 }
 
 fn survey<S: PageSet>(set: &S, pawn: Pawn, start: [f64; 3], monitor: &dyn Monitor) -> Result<Found, Failure> {
-    let mut ground = Ground::new(set, pawn)?;
-    let Some(spot) = needs(ground.spot(set, start.into()))? else {
+    let mut standing = StandingPlaces::new(set, pawn)?;
+    let Some(spot) = needs(standing.spot(set, start.into()))? else {
         let [x, y, z] = start;
         let reason = format!(
             "the pawn cannot stand at {x}, {y}, {z} (expected floor below it and room for its whole body); choose another \
@@ -49,9 +49,9 @@ fn survey<S: PageSet>(set: &S, pawn: Pawn, start: [f64; 3], monitor: &dyn Monito
     };
     let mut flood = Flood::from(spot);
     monitor.stage("reach", 0, "places");
-    needs(flood.grow(&mut ground, set, monitor)?)?;
-    let region = flood.region(&ground);
-    let leaks = needs(region.leaks(&mut ground, set))?;
+    needs(flood.grow(&mut standing, set, monitor)?)?;
+    let region = flood.region(&standing);
+    let leaks = needs(region.leaks(&mut standing, set))?;
     Ok(Found {
         storeys: region.storeys().all.iter().map(|storey| (storey.z, storey.area_m2)).collect(),
         passages: region.passages().iter().map(|passage| (passage.at.into(), passage.width)).collect(),
@@ -122,9 +122,9 @@ fn find<S: PageSet>(
     ends: [Point3<f64>; 2],
     monitor: &dyn Monitor,
 ) -> Result<Result<Route, Refusal>, Failure> {
-    let mut ground = Ground::new(set, pawn)?;
-    let Some(from) = needs(ground.spot(set, ends[0]))? else { return Ok(Err(Refusal::NotStandingFrom)) };
-    let Some(to) = needs(ground.spot(set, ends[1]))? else { return Ok(Err(Refusal::NotStandingTo)) };
+    let mut standing = StandingPlaces::new(set, pawn)?;
+    let Some(from) = needs(standing.spot(set, ends[0]))? else { return Ok(Err(Refusal::NotStandingFrom)) };
+    let Some(to) = needs(standing.spot(set, ends[1]))? else { return Ok(Err(Refusal::NotStandingTo)) };
     let (mut flood, mut search) = (Flood::from(from), Search::new());
     let places = ends.map(|end| end.xy());
     // What a way of this length can touch; a shorter way lies in it whole.
@@ -132,8 +132,8 @@ fn find<S: PageSet>(
     monitor.stage("route", 0, "places");
     loop {
         flood.within(places, length);
-        needs(flood.grow(&mut ground, set, monitor)?)?;
-        let region = flood.region(&ground);
+        needs(flood.grow(&mut standing, set, monitor)?)?;
+        let region = flood.region(&standing);
         match search.route(&region, &from, &to, monitor)? {
             Some(route) if route.length_m <= length || flood.is_whole() => return Ok(Ok(route)),
             Some(route) => length = route.length_m,

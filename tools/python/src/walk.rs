@@ -12,7 +12,7 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use slicewalk::nalgebra::{Point2, Vector2};
 use slicewalk::store::{Outlook, PageSet, PawnHandle, Stream as Inner};
-use slicewalk::walk::{Config, Response, Route, State, StepReport, Stop, Walker as Pawn3, Wish};
+use slicewalk::walk::{Config, Response, State, StepReport, Stop, Walker as Pawn3, Waypoints, Wish};
 use slicewalk::{Error, Monitor};
 use std::sync::Arc;
 use std::time::Duration;
@@ -206,7 +206,7 @@ impl Walker {
         if !fits {
             return Err(refuse("hz, max_seconds", "expected 0.1 to 100000 frames per second, and up to 1000000 s"));
         }
-        let mut route = Route::new(places(waypoints)?).map_err(Failure::from)?;
+        let mut route = Waypoints::new(places(waypoints)?).map_err(Failure::from)?;
         let most = (max_seconds * hz).ceil().max(1.0) as u64;
         let walk = Walk { frame_s: 1.0 / hz, most };
         let frames = match &pages {
@@ -305,12 +305,12 @@ impl Walk {
     }
 }
 
-fn follow<S: PageSet>(walker: &mut Pawn3, set: &S, dt: f64, route: &mut Route) -> Result<(), Failure> {
+fn follow<S: PageSet>(walker: &mut Pawn3, set: &S, dt: f64, route: &mut Waypoints) -> Result<(), Failure> {
     walker.follow(set, dt, route).missing.map_or(Ok(()), |missing| Err(missing.into()))
 }
 
 /// One frame; pages that it lacks are loaded on the spot, and stay until they were used.
-fn follow_loading(walker: &mut Pawn3, stream: &Inner, mut dt: f64, route: &mut Route) -> Result<(), Failure> {
+fn follow_loading(walker: &mut Pawn3, stream: &Inner, mut dt: f64, route: &mut Waypoints) -> Result<(), Failure> {
     let mut needed = Vec::new();
     loop {
         let report = walker.follow(&stream.view(), dt, route);

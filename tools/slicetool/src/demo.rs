@@ -7,7 +7,7 @@ use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
-use slicewalk::walk::{Config, Route, State, Walker};
+use slicewalk::walk::{Config, State, Walker, Waypoints};
 use std::collections::HashMap;
 use std::fmt::Write;
 use std::io::Read;
@@ -232,7 +232,7 @@ fn walk(store: &Store, table: &mut Table) -> Result<(), Failure> {
     let scene = Scene::demo();
     let Some(way) = scene.walk() else { return Ok(()) };
     let mut pawn = Walker::new(Config::default(), way.start.into())?;
-    let mut route = Route::new(way.waypoints.iter().map(|&place| place.into()).collect())?;
+    let mut route = Waypoints::new(way.waypoints.iter().map(|&place| place.into()).collect())?;
     let mut frame_us = Vec::new();
     // Only where the pawn's whole footprint lies on one level floor is the height of its feet one true number.
     let (mut level, mut squares, mut greatest) = (0u32, 0.0, 0.0f64);

@@ -64,14 +64,17 @@ fn of_library(error: &slicewalk::Error) -> Failure {
             _ => format!("{option}: {reason}"),
         });
     }
-    Failure::Text(error.told(|parameter| {
-        Some(match parameter {
-            Parameter::Overwrite => "--force replaces it",
-            Parameter::Plan => "give them with --plan (sliceconv --write-plan makes one)",
-            Parameter::Cache => "give more --cache",
-            _ => return None,
-        })
-    }))
+    Failure::Text(error.told(way_out))
+}
+
+/// How to help by an option.
+fn way_out(parameter: &Parameter) -> Option<&'static str> {
+    Some(match parameter {
+        Parameter::Overwrite => "--force replaces it",
+        Parameter::Plan => "give them with --plan (sliceconv --write-plan makes one)",
+        Parameter::Cache => "give more --cache",
+        _ => return None,
+    })
 }
 
 /// The option whose value is wrong, whatever the archive holds.
@@ -222,7 +225,7 @@ pub fn say(line: &str) {
 
 /// Shows how long work goes on.
 pub fn terminal() -> Terminal {
-    Terminal::new("slicetool", false, Default::default())
+    Terminal::new("slicetool", false, way_out, Default::default())
 }
 
 fn main() -> ExitCode {

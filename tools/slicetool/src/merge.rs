@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// What to join.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Archives that `sliceconv --shard` wrote: all parts of one job, in any order
+    /// Archives that `sliceconv --shard` wrote: all parts of one plan, in any order
     #[arg(required = true, value_name = "SHARD")]
     shards: Vec<PathBuf>,
     /// Archive to write; one that has the right bytes already is left alone

@@ -3,7 +3,7 @@
 use crate::Outcome;
 use serde_json::json;
 use slicewalk::archive::{Pages, Recovered, recover};
-use slicewalk::convert::plan_file;
+use slicewalk::convert::PlanFile;
 use slicewalk::text::{counted, file_size, grouped, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -30,7 +30,7 @@ pub struct Arguments {
 /// Writes what is sound; that something is lost is told, and no failure as long as there is something to write.
 pub fn run(arguments: &Arguments) -> Outcome {
     let Arguments { archive, output, plan, force, json } = arguments;
-    let plan = plan.as_deref().map(plan_file::read).transpose()?.map(|job| job.plan);
+    let plan = plan.as_deref().map(PlanFile::read).transpose()?.map(|file| file.plan);
     let recovered = recover(archive, plan.as_ref(), output, *force, &crate::terminal())?;
     if *json {
         let pages = |pages: Pages| json!({ "stored": pages.stored, "shared": pages.shared, "uniform": pages.uniform });

@@ -4,7 +4,7 @@ use crate::ground::{Loader, Walks};
 use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, Ground, Refusal, Route, Search, Spot};
+use slicewalk::reach::{Flood, Refusal, Route, Search, Spot, StandingPlaces};
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -63,9 +63,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
 }
 
 fn find(arguments: &Arguments, loader: &Loader) -> Result<Result<Route, Refusal>, Failure> {
-    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn())?;
+    let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
     let mut spot =
-        |at: Point3<f64>| -> Result<Option<Spot>, Failure> { loader.known(|view| Ok(ground.spot(view, at))) };
+        |at: Point3<f64>| -> Result<Option<Spot>, Failure> { loader.known(|view| Ok(standing.spot(view, at))) };
     let Some(from) = spot(arguments.from)? else { return Ok(Err(Refusal::NotStandingFrom)) };
     let Some(to) = spot(arguments.to)? else { return Ok(Err(Refusal::NotStandingTo)) };
     let mut flood = Flood::from(from);
@@ -75,8 +75,8 @@ fn find(arguments: &Arguments, loader: &Loader) -> Result<Result<Route, Refusal>
     let mut length = 1.5 * (ends[1] - ends[0]).norm() + 10.0;
     loop {
         flood.within(ends, length);
-        loader.known(|view| flood.grow(&mut ground, view, &NoMonitor))?;
-        let region = flood.region(&ground);
+        loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
+        let region = flood.region(&standing);
         match search.route(&region, &from, &to, &NoMonitor)? {
             Some(route) if route.length_m <= length || flood.is_whole() => return Ok(Ok(route)),
             Some(route) => length = route.length_m,

@@ -6,7 +6,7 @@ use nalgebra::{Point2, Point3};
 use slicewalk::size::parse_size;
 use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
 use slicewalk::text::finite_number;
-use slicewalk::walk::{Body, Config, Response, Route, State, Stop, Walker};
+use slicewalk::walk::{Body, Config, Response, State, Stop, Walker, Waypoints};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -110,7 +110,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         ..Config::new(arguments.pawn)
     };
     let mut walker = Walker::new(config, arguments.start)?;
-    let mut route = Route::new(waypoints(&arguments.waypoints)?)?;
+    let mut route = Waypoints::new(waypoints(&arguments.waypoints)?)?;
     let stream = stream(arguments)?;
     let mut output = crate::output(&arguments.output, stream.archive(), &[&arguments.waypoints])?;
     let frame_s = 1.0 / arguments.hz;
@@ -227,7 +227,7 @@ fn prepare(stream: &Stream, outlook: &Outlook, frame: u64, frame_s: f64) -> Resu
 fn step(
     stream: &Stream,
     walker: &mut Walker,
-    route: &mut Route,
+    route: &mut Waypoints,
     frame_s: f64,
     cache: u64,
 ) -> Result<(usize, Option<Stop>), Failure> {

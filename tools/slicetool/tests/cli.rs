@@ -463,8 +463,8 @@ fn recover_writes_what_is_left_and_says_what_is_not() {
     assert!(refuses(at, &["recover", "tail.slices", "-o", "t.slices"]).contains("--plan"));
     let mut options = ConvertOptions::new(vec![at.join("scan.las")], at.join("unused"));
     options.pixel = PixelSize::Metres(0.02);
-    let job = slicewalk::convert::Job::new(&options, &NoMonitor).unwrap();
-    slicewalk::convert::plan_file::write(&job, &at.join("plan.json"), false).unwrap();
+    let file = slicewalk::convert::PlanFile::new(&options, &NoMonitor).unwrap();
+    file.write(&at.join("plan.json"), false).unwrap();
     let recover = ["recover", "tail.slices", "-o", "t.slices", "--plan", "plan.json"];
     assert!(done(at, &recover).contains("pages lost: unknown"));
     assert!(json(&done(at, &["diff", "whole.slices", "t.slices", "--json"]))["identical"] == true);

@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector2, Vector3};
 use rapier3d::control::{CharacterAutostep, CharacterLength, KinematicCharacterController};
 use rapier3d::prelude::*;
 use slicewalk::store::Store;
-use slicewalk::walk::{Config, Route, State, Walker};
+use slicewalk::walk::{Config, State, Walker, Waypoints};
 use std::time::Instant;
 
 /// Length of a frame (s).
@@ -49,7 +49,7 @@ impl Walked {
 
 pub fn ours(store: &Store, tick_s: f64) -> Result<Walked> {
     let mut walker = Walker::new(Config { tick_s, ..Config::new(ROUND) }, START.into())?;
-    let mut route = Route::new(route()?)?;
+    let mut route = Waypoints::new(route()?)?;
     let (mut times, mut feet) = (Vec::new(), Vec::new());
     while walker.state() != State::Arrived && times.len() < FRAMES {
         let start = Instant::now();

@@ -8,7 +8,7 @@ use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::query::{Aabb, Ray};
 use slicewalk::store::Store;
-use slicewalk::walk::{Body, Config, Route, State, Walker};
+use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use std::path::{Path, PathBuf};
 
 /// Width, depth and height of the pawn (m): it fits under the flights of the scan's stairs.
@@ -72,7 +72,7 @@ impl Workload {
         });
         let anywhere: Vec<_> = anywhere.collect::<std::result::Result<_, _>>()?;
         let config = Config { tick_s: 1.0 / 600.0, ..Config::new(ROUND) };
-        let (mut walker, mut route) = (Walker::new(config, START.into())?, Route::new(route()?)?);
+        let (mut walker, mut route) = (Walker::new(config, START.into())?, Waypoints::new(route()?)?);
         let mut walk = Vec::new();
         while walker.state() != State::Arrived && walk.len() < 60_000 {
             walker.follow(store, 1.0 / 600.0, &mut route);

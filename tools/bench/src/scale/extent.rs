@@ -11,7 +11,7 @@ use slicewalk::archive::Archive;
 use slicewalk::bytes::FileSource;
 use slicewalk::bytes::testing::SlowSource;
 use slicewalk::store::{Prefetch, Stream, StreamOptions};
-use slicewalk::walk::{Config, Route, State, Walker};
+use slicewalk::walk::{Config, State, Walker, Waypoints};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -116,7 +116,7 @@ fn walk(path: &Path, size: [f64; 2], prefetch: Prefetch) -> Result<Walked> {
     let mut pawn = stream.pawn();
     let (feet, places) = route(size);
     let mut walker = Walker::new(Config::default(), feet.into())?;
-    let mut route = Route::new(places)?;
+    let mut route = Waypoints::new(places)?;
     stream.load_around(&walker.outlook(stream.archive().frame()))?;
     let (mut metres, mut frames, mut missed) = (0.0, 0, 0);
     // Twice the way at its speed, at most.

@@ -6,13 +6,14 @@
 mod noise;
 mod octree;
 pub(crate) mod pictures;
+mod planes;
 mod reads;
 
 use crate::stability::Result;
 use crate::stability::table::{Table, number, percent};
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
-use slicewalk::archive::{Archive, PageDecoder};
+use slicewalk::archive::{Archive, PageDecoder, Storage};
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::input::Units;
 use slicewalk::stats::{Need, Stats};
@@ -98,8 +99,17 @@ pub fn run(out: &Path, quick: bool) -> Result<()> {
         "archive, a span (bits)",
         "1/4 of PNG, both, a span",
     ]);
-    let mut times =
-        Table::new(["scan", "open (us)", "pages", "decode (ms)", "us a page", "ns a span", "raster (GB/s)"]);
+    let mut times = Table::new([
+        "scan",
+        "open (us)",
+        "pages",
+        "decode (ms)",
+        "us a page",
+        "ns a span",
+        "raster (GB/s)",
+        "byte planes, of the pages",
+        "ns a span",
+    ]);
     let mut walks = Table::new(["scan", "pages read", "tiles walked through", "pages to tiles"]);
     for case in &cases {
         eprintln!("{}", case.name);
@@ -242,7 +252,19 @@ fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {
     std::fs::write(&path, &bytes)?;
     let mut open = Vec::new();
     let mut decode = Vec::new();
-    let mut decoder = PageDecoder::new();
+    let (mut decoder, mut planes) = (PageDecoder::new(), planes::Planes::new()?);
+    let (mut packed, mut in_planes) = (Vec::new(), 0);
+    for entry in made.archive.entries() {
+        let entry = entry?;
+        let page = made.archive.page_with(&entry, &mut decoder)?;
+        packed.push(planes.pack(&page)?);
+        if matches!(entry.storage, Storage::Stored(_)) {
+            in_planes += packed[packed.len() - 1].len();
+        }
+        let again = planes.unpack(&packed[packed.len() - 1])?;
+        assert!(page.columns().eq(again.columns()), "byte planes lost something");
+    }
+    let mut unpack = Vec::new();
     for _ in 0..RUNS {
         let start = Instant::now();
         let archive = Archive::open(&path)?;
@@ -252,12 +274,17 @@ fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {
             std::hint::black_box(archive.page_with(&entry?, &mut decoder)?);
         }
         decode.push(start.elapsed().as_secs_f64());
+        let start = Instant::now();
+        for page in &packed {
+            std::hint::black_box(planes.unpack(page)?);
+        }
+        unpack.push(start.elapsed().as_secs_f64());
     }
     let median = |times: &mut Vec<f64>| {
         times.sort_by(f64::total_cmp);
         times[times.len() / 2]
     };
-    let (open, decode) = (median(&mut open), median(&mut decode));
+    let (open, decode, unpack) = (median(&mut open), median(&mut decode), median(&mut unpack));
     let pages = made.stats.pages.iter().sum::<u64>();
     // What a program that keeps rasters would hold: bottom, top and a bit of kind in each pixel of each tile.
     let raster = made.stats.needs.iter().sum::<u64>() as f64 * 4096.0 * 2.125;
@@ -269,5 +296,7 @@ fn time_row(case: &Case, made: &Made) -> Result<Vec<String>> {
         number(decode * 1e6 / pages.max(1) as f64, 0),
         number(decode * 1e9 / made.stats.spans.max(1) as f64, 0),
         number(raster / decode / 1e9, 2),
+        number(in_planes as f64 / made.archive.header().bytes.pages as f64, 2),
+        number(unpack * 1e9 / made.stats.spans.max(1) as f64, 0),
     ])
 }

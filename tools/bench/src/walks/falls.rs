@@ -11,7 +11,7 @@ use slicewalk::bytes::MemorySource;
 use slicewalk::bytes::testing::SlowSource;
 use slicewalk::plan::Classifier;
 use slicewalk::store::{Counters, Prefetch, Stream, StreamOptions};
-use slicewalk::walk::{Config, Route, State, Walker};
+use slicewalk::walk::{Config, State, Walker, Waypoints};
 use std::time::{Duration, Instant};
 
 /// Time of a frame (s) and of a read.
@@ -92,7 +92,7 @@ fn fall(bytes: &[u8], way: &Walk, prefetch: Prefetch) -> Result<Fall> {
     let mut fall = Fall { frames: 0, missing: [0; 2], times: Vec::new(), counters: Counters::default() };
     stream.load_around(&walker.outlook(stream.archive().frame()))?;
     let clock = Instant::now();
-    let mut route = Route::new(way.waypoints.iter().map(|place| Point2::from(*place)).collect())?;
+    let mut route = Waypoints::new(way.waypoints.iter().map(|place| Point2::from(*place)).collect())?;
     while walker.state() != State::Arrived && fall.frames < 3600 {
         pawn.hint(&walker.outlook(stream.archive().frame()));
         let started = Instant::now();

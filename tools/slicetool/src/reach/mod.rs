@@ -7,7 +7,7 @@ mod map;
 use crate::ground::{Loader, Walks};
 use crate::{Failure, Outcome};
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, Ground, Leak, Passage, Region, Storeys};
+use slicewalk::reach::{Flood, Leak, Passage, Region, StandingPlaces, Storeys};
 use std::fmt::Write;
 use std::io::{BufWriter, IntoInnerError};
 use std::path::PathBuf;
@@ -47,8 +47,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
-    let mut ground = Ground::new(&loader.view(), arguments.walks.pawn())?;
-    let Some(start) = loader.known(|view| Ok(ground.spot(view, arguments.from)))? else {
+    let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
+    let Some(start) = loader.known(|view| Ok(standing.spot(view, arguments.from)))? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
         return Err(Failure::Text(format!(
             "--from {x},{y},{z}: the pawn cannot stand there (expected floor below it and room for its whole body); choose \
@@ -56,10 +56,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
         )));
     };
     let mut flood = Flood::from(start);
-    loader.known(|view| flood.grow(&mut ground, view, &NoMonitor))?;
-    let region = flood.region(&ground);
-    let leaks = loader.known(|view| Ok(region.leaks(&mut ground, view)))?;
-    let own = ground.memory_bytes() + flood.memory_bytes() + region.memory_bytes();
+    loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
+    let region = flood.region(&standing);
+    let leaks = loader.known(|view| Ok(region.leaks(&mut standing, view)))?;
+    let own = standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes();
     let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, region };
     if let (Some(write), Some(output)) = (write, output) {
         let mut out = BufWriter::new(output);

@@ -1,7 +1,7 @@
 //! Converting a scan in parts, on several machines or one after the other.
 //!
-//! A *job* is a conversion fixed in advance: plan, unit and inputs. It is cut into parts by tile columns: part `k` of `n`
-//! has a range of columns in archive order, balanced by the bounds and point counts that headers state. What decides a
+//! A plan file fixes a conversion in advance: grid, options, unit and inputs. It is cut into parts by tile columns: part `k`
+//! of `n` has a range of columns in archive order, balanced by the bounds and point counts that headers state. What decides a
 //! voxel reaches one pixel beyond its column, and the voxel pass gives each column copies of the points there; so a part
 //! that keeps the records of its own columns, and no others, makes the very pages of a single run.
 //!
@@ -13,6 +13,8 @@
 //! A file that changes between two parts would be in the whole in two versions. The plan knows files by samples of their
 //! bytes; beyond that each part records a hash of all that it read of files that other parts read too, made while they are
 //! decoded, and the merge compares them.
+
+mod json;
 
 use super::facts::InputFacts;
 use super::options::{ConvertOptions, PixelSize};
@@ -26,9 +28,9 @@ use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use xxhash_rust::xxh3::xxh3_128;
 
-/// A conversion fixed before any point is converted; [`plan_file`](super::plan_file) writes and reads it.
+/// A conversion fixed before any point is converted. Machines that convert its parts read it from a file in JSON.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Job {
+pub struct PlanFile {
     /// Grid and options.
     pub plan: Plan,
     /// Unit of the input.
@@ -43,22 +45,22 @@ pub struct Job {
     pub inputs: Vec<InputFacts>,
 }
 
-impl Job {
-    /// The job that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
+impl PlanFile {
+    /// The plan file that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let inputs = super::open_inputs(options, monitor)?;
         let (plan, spacing) = super::plan(options, &inputs, None, monitor)?;
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
-        far_apart(&scenes).inspect(|text| monitor.warn(text));
-        let job = Self::of(InputFacts::of(&inputs.scans, monitor)?, plan, options);
-        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..job })
+        far_apart(&scenes).inspect(|warning| monitor.warn(warning));
+        let file = Self::of(InputFacts::of(&inputs.scans, monitor)?, plan, options);
+        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..file })
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
         let ConvertOptions { units, epsg, mesh, .. } = *options;
-        let mut job = Self { plan, units, epsg, mesh, spacing_m: None, inputs };
-        job.sort_inputs();
-        job
+        let mut file = Self { plan, units, epsg, mesh, spacing_m: None, inputs };
+        file.sort_inputs();
+        file
     }
 
     /// Number of the first input of this fingerprint.
@@ -71,7 +73,7 @@ impl Job {
         self.inputs.sort_by(|a, b| (a.fingerprint, &a.name).cmp(&(b.fingerprint, &b.name)));
     }
 
-    /// Identity of the job: of everything that decides what its parts hold.
+    /// Identity of the plan file: of everything that decides what its parts hold.
     pub fn hash(&self) -> u128 {
         let mut bytes = self.plan.hash().to_le_bytes().to_vec();
         let unit = match self.units {
@@ -94,7 +96,7 @@ impl Job {
         xxh3_128(&bytes)
     }
 
-    /// Sets the options that the job fixes.
+    /// Sets the options that the plan file fixes.
     pub fn apply_to(&self, options: &mut ConvertOptions) {
         options.pixel = PixelSize::Metres(self.plan.frame.pixel_m());
         options.slice_m = Some(self.plan.frame.slice_m());
@@ -114,10 +116,10 @@ impl Job {
         }
         let firsts = split(&self.plan.frame, &self.inputs, count);
         let last = firsts.get(index as usize).map_or(u64::MAX, |next| next - 1);
-        Ok(Shard { index, count, first: firsts[index as usize - 1], last, job: self.hash() })
+        Ok(Shard { index, count, first: firsts[index as usize - 1], last, plan_file: self.hash() })
     }
 
-    /// Refuses inputs that are not those of the job.
+    /// Refuses inputs that are not those of the plan file.
     pub(super) fn check_same_inputs(&self, here: &Self) -> Result<()> {
         let missing = |from: &Self, of: &Self| {
             let mut rest: HashMap<u128, usize> = HashMap::new();
@@ -158,7 +160,7 @@ mod tests {
     use crate::voxel::record::HALO_PIXELS;
     use proptest::prelude::*;
 
-    fn job(areas: &[([f64; 2], [f64; 2], u64)]) -> Job {
+    fn plan_file(areas: &[([f64; 2], [f64; 2], u64)]) -> PlanFile {
         let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
         let facts = |(number, &(min, size, points)): (usize, &([f64; 2], [f64; 2], u64))| InputFacts {
             name: format!("{number}.las"),
@@ -167,7 +169,7 @@ mod tests {
             fingerprint: number as u128,
             bounds: Some(StatedBounds { min: [min[0], min[1], 0.0], max: [min[0] + size[0], min[1] + size[1], 1.0] }),
         };
-        Job {
+        PlanFile {
             plan,
             units: Units::Auto,
             epsg: None,
@@ -184,14 +186,14 @@ mod tests {
                 (prop::array::uniform2(-1e4f64..1e4), prop::array::uniform2(0.0f64..3e3), 0u64..1_000_000), 0..6),
             count in 1u32..9
         ) {
-            let job = job(&areas);
-            let parts: Vec<Shard> = (1..=count).map(|index| job.shard(index, count).unwrap()).collect();
+            let file = plan_file(&areas);
+            let parts: Vec<Shard> = (1..=count).map(|index| file.shard(index, count).unwrap()).collect();
             prop_assert_eq!((parts[0].first, parts[count as usize - 1].last), (0, u64::MAX));
             for pair in parts.windows(2) {
                 prop_assert!(pair[0].first <= pair[0].last && pair[0].last + 1 == pair[1].first);
             }
-            for input in &job.inputs {
-                let area = tiles(&job.plan.frame, &input.bounds.unwrap(), HALO_PIXELS);
+            for input in &file.inputs {
+                let area = tiles(&file.plan.frame, &input.bounds.unwrap(), HALO_PIXELS);
                 let met = |first, last| QuadCell::WHOLE.meets(&area, first, last);
                 let owners = parts.iter().filter(|p| met(p.first, p.last) && (p.first == 0 || !met(0, p.first - 1)));
                 prop_assert_eq!(owners.count(), 1);
@@ -207,10 +209,10 @@ mod tests {
 
     #[test]
     fn parts_of_an_even_scan_are_about_equal() {
-        let job = job(&[([-100.0, -50.0], [200.0, 100.0], 1_000_000)]);
-        let area = tiles(&job.plan.frame, &job.inputs[0].bounds.unwrap(), 0);
+        let file = plan_file(&[([-100.0, -50.0], [200.0, 100.0], 1_000_000)]);
+        let area = tiles(&file.plan.frame, &file.inputs[0].bounds.unwrap(), 0);
         let all = area.common(&area);
-        for part in (1..=4).map(|index| job.shard(index, 4).unwrap()) {
+        for part in (1..=4).map(|index| file.shard(index, 4).unwrap()) {
             let own = |tx: i64| {
                 (area.y.0..=area.y.1).filter(move |&ty| part.columns().contains(&morton(tx as i32, ty as i32)))
             };
@@ -221,7 +223,7 @@ mod tests {
 
     #[test]
     fn jobs_differ_by_what_decides_their_parts_and_not_by_names() {
-        let one = job(&[([0.0; 2], [9.0; 2], 10), ([5.0; 2], [9.0; 2], 20)]);
+        let one = plan_file(&[([0.0; 2], [9.0; 2], 10), ([5.0; 2], [9.0; 2], 20)]);
         let mut renamed = one.clone();
         renamed.inputs[0].name = "other.las".into();
         assert_eq!(renamed.hash(), one.hash());

@@ -1,4 +1,4 @@
-//! Routes: places to reach one after the other.
+//! Waypoints: places to reach one after the other.
 
 use super::Wish;
 use crate::{Error, Result};
@@ -9,12 +9,12 @@ pub(super) const REACH_M: f64 = 0.01;
 
 /// Places to reach one after the other, in x and y (m).
 #[derive(Debug, Clone, PartialEq)]
-pub struct Route {
+pub struct Waypoints {
     places: Vec<Point2<f64>>,
     next: usize,
 }
 
-impl Route {
+impl Waypoints {
     /// The way over these places (m, finite). None at all is refused.
     pub fn new(places: Vec<Point2<f64>>) -> Result<Self> {
         if places.is_empty() || !places.iter().all(|place| place.iter().all(|v| v.is_finite())) {

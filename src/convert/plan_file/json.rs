@@ -1,7 +1,7 @@
-//! Plan files: a job as JSON, so that every machine that converts a part of a scan works to the same plan.
+//! Plan files as JSON.
 
+use super::{InputFacts, PlanFile};
 use crate::bytes::open_regular;
-use crate::convert::{InputFacts, Job};
 use crate::frame::Frame;
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
@@ -17,35 +17,68 @@ pub const VERSION: u64 = 2;
 /// Greatest length of a plan file that is read (bytes): some hundred thousand inputs.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// `job` as a plan file.
-pub fn to_json(job: &Job) -> Value {
-    let plan = &job.plan;
-    let inputs: Vec<Value> = job.inputs.iter().map(input_to_json).collect();
-    json!({
-        (PLAN_KEY): VERSION,
-        "pixel_size": plan.frame.pixel_m(),
-        "slice_height": plan.frame.slice_m(),
-        "max_slope": plan.options.max_slope_deg,
-        "tolerance": plan.options.tolerance_m,
-        "classifier": plan.options.classifier.name(),
-        "min_points": plan.options.min_points,
-        "drop_isolated": plan.options.drop_isolated,
-        "up": plan.options.up.name(),
-        "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
-        "plan_hash": format!("{:032x}", plan.hash()),
-        "units": match job.units {
-            Units::Auto => json!("auto"),
-            Units::Factor(factor) => json!(factor),
-        },
-        "crs": job.epsg.map(|code| format!("EPSG:{code}")),
-        "mesh": match job.mesh {
-            MeshMode::Exact => json!("exact"),
-            MeshMode::Sampled { step_m: None } => json!("sampled"),
-            MeshMode::Sampled { step_m: Some(step_m) } => json!(step_m),
-        },
-        "point_spacing": job.spacing_m,
-        "inputs": inputs,
-    })
+impl PlanFile {
+    /// The plan file as JSON.
+    pub fn to_json(&self) -> Value {
+        let plan = &self.plan;
+        let inputs: Vec<Value> = self.inputs.iter().map(input_to_json).collect();
+        json!({
+            (PLAN_KEY): VERSION,
+            "pixel_size": plan.frame.pixel_m(),
+            "slice_height": plan.frame.slice_m(),
+            "max_slope": plan.options.max_slope_deg,
+            "tolerance": plan.options.tolerance_m,
+            "classifier": plan.options.classifier.name(),
+            "min_points": plan.options.min_points,
+            "drop_isolated": plan.options.drop_isolated,
+            "up": plan.options.up.name(),
+            "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
+            "plan_hash": format!("{:032x}", plan.hash()),
+            "units": match self.units {
+                Units::Auto => json!("auto"),
+                Units::Factor(factor) => json!(factor),
+            },
+            "crs": self.epsg.map(|code| format!("EPSG:{code}")),
+            "mesh": match self.mesh {
+                MeshMode::Exact => json!("exact"),
+                MeshMode::Sampled { step_m: None } => json!("sampled"),
+                MeshMode::Sampled { step_m: Some(step_m) } => json!(step_m),
+            },
+            "point_spacing": self.spacing_m,
+            "inputs": inputs,
+        })
+    }
+
+    /// Writes the plan file to `path`, all of it or nothing; an older plan is replaced if `overwrite` says so.
+    pub fn write(&self, path: &Path, overwrite: bool) -> Result<()> {
+        self.write_to(Output::create(path, OutputKind::Plan(Existing::replaced_if(overwrite)), Protected::default())?)
+    }
+
+    /// Writes the plan file to an output that was begun before the inputs were read, so that what must not be replaced was
+    /// refused then.
+    pub fn write_to(&self, mut output: Output) -> Result<()> {
+        output.write_at(0, format!("{:#}\n", self.to_json()).as_bytes())?;
+        output.publish().map(drop)
+    }
+
+    /// Reads the plan file at `path`.
+    pub fn read(path: &Path) -> Result<Self> {
+        let (mut file, about) = open_regular(path).map_err(|error| Error::io(path, "open", error))?;
+        if about.len() > MAX_BYTES {
+            let what = format!("bytes of the plan file {}", path.display());
+            return Err(Error::limit(what, about.len(), MAX_BYTES));
+        }
+        let mut text = String::new();
+        file.read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let value: Value = serde_json::from_str(text).map_err(|error| {
+            Error::input(path, format!("line {}", error.line()), format!("no plan in JSON: {error}; write it again"))
+        })?;
+        from_json(&value).map_err(|wrong| {
+            let Wrong { at, expected } = wrong;
+            Error::input(path, at, format!("expected {expected}; write the plan again"))
+        })
+    }
 }
 
 fn input_to_json(input: &InputFacts) -> Value {
@@ -55,36 +88,6 @@ fn input_to_json(input: &InputFacts) -> Value {
         "points": input.points,
         "fingerprint": format!("{:032x}", input.fingerprint),
         "bounds": input.bounds.map(|bounds| json!({ "min": bounds.min, "max": bounds.max })),
-    })
-}
-
-/// Writes `job` to `path`, all of it or nothing; an older plan is replaced if `overwrite` says so.
-pub fn write(job: &Job, path: &Path, overwrite: bool) -> Result<()> {
-    write_to(job, Output::create(path, OutputKind::Plan(Existing::replaced_if(overwrite)), Protected::default())?)
-}
-
-/// Writes `job` to an output that was begun before the job was made, so that what must not be replaced was refused then.
-pub fn write_to(job: &Job, mut output: Output) -> Result<()> {
-    output.write_at(0, format!("{:#}\n", to_json(job)).as_bytes())?;
-    output.publish().map(drop)
-}
-
-/// The job in the plan file at `path`.
-pub fn read(path: &Path) -> Result<Job> {
-    let (mut file, about) = open_regular(path).map_err(|error| Error::io(path, "open", error))?;
-    if about.len() > MAX_BYTES {
-        let what = format!("bytes of the plan file {}", path.display());
-        return Err(Error::limit(what, about.len(), MAX_BYTES));
-    }
-    let mut text = String::new();
-    file.read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
-    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
-    let value: Value = serde_json::from_str(text).map_err(|error| {
-        Error::input(path, format!("line {}", error.line()), format!("no plan in JSON: {error}; write it again"))
-    })?;
-    from_json(&value).map_err(|wrong| {
-        let Wrong { at, expected } = wrong;
-        Error::input(path, at, format!("expected {expected}; write the plan again"))
     })
 }
 
@@ -118,7 +121,7 @@ fn number(value: &Value) -> Option<f64> {
     value.as_f64().filter(|number| number.is_finite())
 }
 
-fn from_json(value: &Value) -> Result<Job, Wrong> {
+fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
     field(value, PLAN_KEY, "version 2 of a plan", |v| v.as_u64().filter(|&version| version == VERSION))?;
     let frame = Frame::new(
         field(value, "pixel_size", "a length in metres", number)?,
@@ -169,7 +172,7 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
     let inputs = field(value, "inputs", "a list of files", Value::as_array)?;
     let input =
         |(at, value)| input_from_json(value).map_err(|w| Wrong::new(format!("inputs[{at}].{}", w.at), w.expected));
-    let mut job = Job {
+    let mut file = PlanFile {
         plan,
         units: field(value, "units", "auto or metres per unit", units)?,
         epsg,
@@ -177,8 +180,8 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
         inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
     };
-    job.sort_inputs();
-    Ok(job)
+    file.sort_inputs();
+    Ok(file)
 }
 
 fn input_from_json(value: &Value) -> Result<InputFacts, Wrong> {
@@ -240,14 +243,14 @@ mod tests {
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };
             let units = units.map_or(Units::Auto, Units::Factor);
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
-            let mut job = Job { plan, units, epsg, mesh, spacing_m, inputs };
-            job.sort_inputs();
+            let mut file = PlanFile { plan, units, epsg, mesh, spacing_m, inputs };
+            file.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
-            write(&job, &path, false).unwrap();
-            let again = read(&path).unwrap();
-            prop_assert_eq!(again.hash(), job.hash());
-            prop_assert_eq!(again, job);
+            file.write(&path, false).unwrap();
+            let again = PlanFile::read(&path).unwrap();
+            prop_assert_eq!(again.hash(), file.hash());
+            prop_assert_eq!(again, file);
         }
 
         #[test]
@@ -256,12 +259,12 @@ mod tests {
             let path = folder.path().join("plan.json");
             let refused = |text: &str| {
                 std::fs::write(&path, text).unwrap();
-                let error = read(&path).unwrap_err().to_string();
+                let error = PlanFile::read(&path).unwrap_err().to_string();
                 error.lines().count() == 1 && error.contains("plan.json")
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = to_json(&Job { plan, units: Units::Auto, epsg: None, mesh: MeshMode::Exact, spacing_m: None, inputs: Vec::new() }).to_string();
+            let good = PlanFile { plan, units: Units::Auto, epsg: None, mesh: MeshMode::Exact, spacing_m: None, inputs: Vec::new() }.to_json().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

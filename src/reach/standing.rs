@@ -64,7 +64,7 @@ pub(super) enum Step {
     Open,
 }
 
-/// A standing place of a [`Ground`].
+/// A standing place of a [`StandingPlaces`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Spot {
     pub(super) pixel: [i32; 2],
@@ -77,14 +77,14 @@ pub struct Spot {
 ///
 /// Many regions and routes share it. Memory: see the [module text](super).
 #[derive(Debug)]
-pub struct Ground {
+pub struct StandingPlaces {
     pub(super) grid: Grid,
     pub(super) tiles: Vec<Tile>,
     numbers: HashMap<[i32; 2], usize>,
 }
 
-impl Ground {
-    /// The ground of `set` for `pawn`; no tile is computed yet. Fails for a pawn that is none, and for a set of pages larger than
+impl StandingPlaces {
+    /// The standing places of `pawn` in `set`; no tile is computed yet. Fails for a pawn that is none, and for a set of pages larger than
     /// 2²⁴ tiles or 2¹⁶ layers.
     pub fn new<S: PageSet>(set: &S, pawn: Pawn) -> Result<Self> {
         Ok(Self { grid: Grid::new(set, pawn)?, tiles: Vec::new(), numbers: HashMap::new() })
