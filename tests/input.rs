@@ -763,14 +763,12 @@ fn flipped_bytes_give_points_or_one_line_and_never_a_panic() {
     ];
     for (index, good) in scans.iter().enumerate() {
         for at in (0..good.len()).filter(|at| *at < 700 || at % 5 == 0 || *at + 80 > good.len()) {
-            for flip in [0x01, 0x80, 0xFF] {
-                let mut bad = good.clone();
-                bad[at] ^= flip;
-                let path = folder.file("flip.laz", &bad);
-                if let Err(error) = read_one(&path) {
-                    let text = error.to_string();
-                    assert!(text.starts_with(path.to_str().unwrap()) && !text.contains('\n'), "scan {index}: {text}");
-                }
+            let mut bad = good.clone();
+            bad[at] ^= [0x01, 0x80, 0xFF][(at + index) % 3];
+            let path = folder.file("flip.laz", &bad);
+            if let Err(error) = read_one(&path) {
+                let text = error.to_string();
+                assert!(text.starts_with(path.to_str().unwrap()) && !text.contains('\n'), "scan {index}: {text}");
             }
         }
     }

@@ -5,7 +5,7 @@
 //! all of them alike; the figure is the median, with the fastest and slowest behind it.
 //!
 //! Real scans, where they are at hand, follow at the pixel size that `sliceconv` chooses. `SLICEWALK_BENCH_LAS` and
-//! `SLICEWALK_BENCH_LAZ` name files to use instead of generated ones. `--test` runs each contestant once on little data.
+//! `SLICEWALK_BENCH_LAZ` name files to use instead of generated ones. `cargo test` runs each contestant once on little data.
 
 use bench::reading::read_las;
 use laz::{LazVlr, ParLasZipDecompressor};
@@ -25,7 +25,8 @@ const RUNS: usize = 7;
 const SCANS: [&str; 3] = ["autzen_stadium.laz", "delft_city_block_ahn3.laz", "indoor_two_storey_zup.laz"];
 
 fn main() {
-    let smoke = std::env::args().any(|argument| argument == "--test");
+    // Only `cargo bench` says so.
+    let smoke = std::env::args().all(|argument| argument != "--bench");
     let dir = tempfile::tempdir().expect("a temporary folder");
     let (las_points, laz_points, runs) = if smoke { (200_000, 100_000, 1) } else { (20_000_000, 3_000_000, RUNS) };
     let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
