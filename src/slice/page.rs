@@ -158,9 +158,12 @@ impl Page {
 
     /// All pixels with matter in row order (y, then x): `(px, py, spans)`.
     pub fn columns(&self) -> impl Iterator<Item = (u32, u32, &[Span])> {
-        (0..TILE_PIXELS as u32)
-            .flat_map(|py| (0..TILE_PIXELS as u32).map(move |px| (px, py)))
-            .filter_map(|(px, py)| Some((px, py, self.column(px, py))).filter(|(_, _, spans)| !spans.is_empty()))
+        (0..TILE_PIXELS as u32).flat_map(move |py| {
+            (0..TILE_PIXELS as u32 / BLOCK_PIXELS).flat_map(move |bx| {
+                let row = self.block(bx, py >> 3).rows(py & 7, py & 7);
+                row.chunk_by(|a, b| a.lane() == b.lane()).map(move |spans| (bx << 3 | spans[0].lane(), py, spans))
+            })
+        })
     }
 
     /// Slices of the page with matter, as a mask.
