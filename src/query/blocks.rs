@@ -152,6 +152,18 @@ pub(super) fn touches_union(block: BlockView<'_>, low: u32, high: u32) -> bool {
     kinds_by_unions(block, low, high) != 0
 }
 
+/// Heights from the lowest to the highest end of the block's unions that meet `low..=high`; `None` if none does.
+#[inline(always)]
+pub(super) fn union_heights(block: BlockView<'_>, low: u32, high: u32) -> Option<(u32, u32)> {
+    let (first, more) = block.union_quads();
+    if !touches_union(block, low, high) {
+        return None;
+    }
+    let quads = std::iter::once(first).chain(more);
+    let met = quads.flatten().filter(|union| union.meets(low, high));
+    Some(met.fold((u32::MAX, 0), |(bottom, top), union| (bottom.min(union.bottom()), top.max(union.top()))))
+}
+
 /// Rows `y0..=y1` of a block between lanes `x0..=x1`.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Strip {

@@ -38,14 +38,14 @@ fn gather(
 
 #[inline(always)]
 fn quad(spans: &[Span; 4], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32) -> u32) -> u32 {
-    let [a, b, c, d] = [value(spans[0]), value(spans[1]), value(spans[2]), value(spans[3])];
-    join(join(a, b), join(c, d))
+    join(join(value(spans[0]), value(spans[1])), join(value(spans[2]), value(spans[3])))
 }
 
 #[inline(always)]
 fn eight(spans: &[Span; 8], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32) -> u32) -> u32 {
-    let [a, b, c, d] = [0, 1, 2, 3].map(|n| join(value(spans[n]), value(spans[n + 4])));
-    join(join(a, b), join(c, d))
+    // Not `map`: it is inlined at times only, too.
+    let pair = |n: usize| join(value(spans[n]), value(spans[n + 4]));
+    join(join(pair(0), pair(1)), join(pair(2), pair(3)))
 }
 
 /// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`, at least until one is in `until`.
@@ -69,10 +69,8 @@ pub(super) fn top_in_lanes(spans: &[Span], x0: u32, x1: u32, limit: u32, bound: 
 /// `kinds`, and the kinds of those spans that meet `low..=high`.
 #[inline(always)]
 pub(super) fn meeting(quads: &[[Span; 4]], kinds: Kinds, low: u32, high: u32) -> Kinds {
-    quads.iter().fold(kinds, |kinds, quad| {
-        let each = quad.map(|span| span.kinds() & select(meets(span, low, high)));
-        kinds | each[0] | each[1] | each[2] | each[3]
-    })
+    let met = |span: Span| span.kinds() & select(meets(span, low, high));
+    quads.iter().fold(kinds, |kinds, group| kinds | quad(group, met, |a, b| a | b))
 }
 
 /// Signed comparisons of values below 2³¹: the plain x86-64 instruction set has no others for vectors.

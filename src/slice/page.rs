@@ -113,8 +113,11 @@ impl<'a> BlockView<'a> {
         }
         let (x, y) = (bit & 7, bit >> 3);
         let row = self.rows(y, y);
-        let first = row.iter().take_while(|span| span.lane() < x).count();
-        let count = row[first..].iter().take_while(|span| span.lane() == x).count();
+        // A span at least for each pixel before this one.
+        let before = (self.pixels() >> (8 * y) & ((1 << x) - 1)).count_ones() as usize;
+        let row = row.get(before..).unwrap_or(&[]);
+        let first = row.iter().position(|span| span.lane() >= x).unwrap_or(row.len());
+        let count = row[first..].iter().position(|span| span.lane() > x).unwrap_or(row.len() - first);
         &row[first..first + count]
     }
 }
