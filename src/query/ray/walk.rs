@@ -344,8 +344,8 @@ impl<'a, S: PageSet> Walk<'a, S> {
         }
         // From here to there the ray is in the pixel beyond doubt.
         let (mut here, mut there) = (t0, t1);
-        for n in 0..2 {
-            let origin = pixel[n] as f64 - self.origin[n];
+        for (n, &cell) in pixel.iter().enumerate() {
+            let origin = cell as f64 - self.origin[n];
             here = greater(here, (origin + SLACK) * self.inverse[n]);
             there = lesser(there, (origin + 1.0 - SLACK) * self.inverse[n]);
         }
