@@ -46,7 +46,7 @@ pub(super) fn floor_of(layer: i32) -> i64 {
 
 /// Calls `f` for every tile column of `set` that `rect` meets, until it breaks. Never visits more tiles than the set
 /// has columns, however large the rectangle.
-#[inline]
+#[inline(always)]
 pub(super) fn for_each_column<S: PageSet>(
     set: &S,
     rect: Rect,
@@ -100,7 +100,7 @@ fn among_all_columns<S: PageSet>(
 }
 
 /// Those of `slots` whose pages can hold matter that meets `heights`; a top on a page's floor lies in the page below.
-#[inline]
+#[inline(always)]
 pub(super) fn layers<T: PageSlot>(slots: &[T], heights: Heights) -> impl DoubleEndedIterator<Item = &T> + Clone {
     let below = move |slot: &T| floor_of(slot.layer()) + PAGE_QUANTA < heights.low;
     let above = move |slot: &T| floor_of(slot.layer()) > heights.high;
@@ -134,7 +134,7 @@ impl Touch {
     }
 
     /// The pages of one tile column; breaks when one of the wanted kinds is found.
-    #[inline]
+    #[inline(always)]
     pub fn column<G: OnPixels, T: PageSlot>(
         &mut self,
         shape: &G,

@@ -1,4 +1,7 @@
 //! Loops over runs of spans, shaped so that the compiler makes vector instructions of them.
+//!
+//! Always inlined: whether the compiler does so by itself changes with unrelated code, and a box takes a tenth longer
+//! without.
 
 use super::blocks::Kinds;
 use crate::slice::Span;
@@ -7,25 +10,17 @@ use crate::slice::Span;
 ///
 /// Eight spans at a time, the last eight overlapping: no loop over a rest. The way out in the middle keeps the compiler
 /// from vectorising across groups of eight, which costs more than it gains on runs of 10 to 60 spans.
-#[inline]
+#[inline(always)]
 fn gather(
     spans: &[Span],
     value: impl Fn(Span) -> u32,
     join: impl Fn(u32, u32) -> u32,
     done: impl Fn(u32) -> bool,
 ) -> u32 {
-    let quad = |s: &[Span; 4]| {
-        let [a, b, c, d] = s.map(&value);
-        join(join(a, b), join(c, d))
-    };
-    let eight = |s: &[Span; 8]| {
-        let [a, b, c, d, e, f, g, h] = s.map(&value);
-        join(join(join(a, e), join(b, f)), join(join(c, g), join(d, h)))
-    };
     let (eights, rest) = spans.as_chunks::<8>();
     let mut all = 0;
     for group in eights {
-        all = join(all, eight(group));
+        all = join(all, eight(group, &value, &join));
         if done(all) {
             return all;
         }
@@ -33,16 +28,28 @@ fn gather(
     if rest.is_empty() {
         all
     } else if let Some(last) = spans.last_chunk() {
-        join(all, eight(last))
+        join(all, eight(last, &value, &join))
     } else if let (Some(first), Some(last)) = (spans.first_chunk(), spans.last_chunk()) {
-        join(quad(first), quad(last))
+        join(quad(first, &value, &join), quad(last, &value, &join))
     } else {
         spans.iter().fold(0, |all, &span| join(all, value(span)))
     }
 }
 
+#[inline(always)]
+fn quad(spans: &[Span; 4], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32) -> u32) -> u32 {
+    join(join(value(spans[0]), value(spans[1])), join(value(spans[2]), value(spans[3])))
+}
+
+#[inline(always)]
+fn eight(spans: &[Span; 8], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32) -> u32) -> u32 {
+    // Not `map`: it is inlined at times only, too.
+    let pair = |n: usize| join(value(spans[n]), value(spans[n + 4]));
+    join(join(pair(0), pair(1)), join(pair(2), pair(3)))
+}
+
 /// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`, at least until one is in `until`.
-#[inline]
+#[inline(always)]
 pub(super) fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high: u32, until: Kinds) -> Kinds {
     let kinds = |span: Span| span.kinds() & select(meets(span, low, high) & in_lanes(span, x0, x1));
     gather(spans, kinds, |a, b| a | b, |all| all & until != 0)
@@ -50,7 +57,7 @@ pub(super) fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high:
 
 /// Highest top up to `limit` of a floor span of lanes `x0..=x1`, plus 1; 0 if there is none. Ends when it reaches
 /// `bound`.
-#[inline]
+#[inline(always)]
 pub(super) fn top_in_lanes(spans: &[Span], x0: u32, x1: u32, limit: u32, bound: u32) -> u32 {
     let top = |span: Span| {
         let counts = !span.is_obstacle() & (span.top() as i32 <= limit as i32) & in_lanes(span, x0, x1);
@@ -60,27 +67,25 @@ pub(super) fn top_in_lanes(spans: &[Span], x0: u32, x1: u32, limit: u32, bound: 
 }
 
 /// `kinds`, and the kinds of those spans that meet `low..=high`.
-#[inline]
+#[inline(always)]
 pub(super) fn meeting(quads: &[[Span; 4]], kinds: Kinds, low: u32, high: u32) -> Kinds {
-    quads.iter().fold(kinds, |kinds, quad| {
-        let each = quad.map(|span| span.kinds() & select(meets(span, low, high)));
-        kinds | each[0] | each[1] | each[2] | each[3]
-    })
+    let met = |span: Span| span.kinds() & select(meets(span, low, high));
+    quads.iter().fold(kinds, |kinds, group| kinds | quad(group, met, |a, b| a | b))
 }
 
 /// Signed comparisons of values below 2³¹: the plain x86-64 instruction set has no others for vectors.
-#[inline]
+#[inline(always)]
 fn meets(span: Span, low: u32, high: u32) -> bool {
     (span.bottom() as i32 <= high as i32) & (span.top() as i32 >= low as i32)
 }
 
-#[inline]
+#[inline(always)]
 fn in_lanes(span: Span, x0: u32, x1: u32) -> bool {
     (span.lane() as i32 >= x0 as i32) & (span.lane() as i32 <= x1 as i32)
 }
 
 /// All bits if `condition`, else none.
-#[inline]
+#[inline(always)]
 pub(super) fn select(condition: bool) -> u32 {
     u32::from(condition).wrapping_neg()
 }

@@ -113,8 +113,11 @@ impl<'a> BlockView<'a> {
         }
         let (x, y) = (bit & 7, bit >> 3);
         let row = self.rows(y, y);
-        let first = row.iter().take_while(|span| span.lane() < x).count();
-        let count = row[first..].iter().take_while(|span| span.lane() == x).count();
+        // A span at least for each pixel before this one.
+        let before = (self.pixels() >> (8 * y) & ((1 << x) - 1)).count_ones() as usize;
+        let row = row.get(before..).unwrap_or(&[]);
+        let first = row.iter().position(|span| span.lane() >= x).unwrap_or(row.len());
+        let count = row[first..].iter().position(|span| span.lane() > x).unwrap_or(row.len() - first);
         &row[first..first + count]
     }
 }
@@ -158,9 +161,12 @@ impl Page {
 
     /// All pixels with matter in row order (y, then x): `(px, py, spans)`.
     pub fn columns(&self) -> impl Iterator<Item = (u32, u32, &[Span])> {
-        (0..TILE_PIXELS as u32)
-            .flat_map(|py| (0..TILE_PIXELS as u32).map(move |px| (px, py)))
-            .filter_map(|(px, py)| Some((px, py, self.column(px, py))).filter(|(_, _, spans)| !spans.is_empty()))
+        (0..TILE_PIXELS as u32).flat_map(move |py| {
+            (0..TILE_PIXELS as u32 / BLOCK_PIXELS).flat_map(move |bx| {
+                let row = self.block(bx, py >> 3).rows(py & 7, py & 7);
+                row.chunk_by(|a, b| a.lane() == b.lane()).map(move |spans| (bx << 3 | spans[0].lane(), py, spans))
+            })
+        })
     }
 
     /// Slices of the page with matter, as a mask.

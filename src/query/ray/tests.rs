@@ -1,0 +1,175 @@
+//! The quick search against the exact one: equal to the last bit, and hardly ever in doubt.
+
+use super::line::Line;
+use super::*;
+use crate::frame::{Frame, PageKey};
+use crate::query::Answer;
+use crate::slice::{Page, PageBuilder, Span};
+use crate::store::{KeyBounds, PageSlot, Store};
+
+/// SplitMix64 (Steele, Lea and Flood 2014).
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, end: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        (z ^ (z >> 31)) % end
+    }
+
+    /// From -1 to 1; with `coarse` a multiple of an eighth.
+    fn unit(&mut self, coarse: bool) -> f64 {
+        let steps = if coarse { 8 } else { 1 << 40 };
+        self.below(2 * steps + 1) as f64 / steps as f64 - 1.0
+    }
+}
+
+/// A store of which some pages are not in memory.
+struct Part<'a> {
+    whole: &'a Store,
+    columns: std::collections::HashMap<(i32, i32), Vec<PartSlot<'a>>>,
+}
+
+struct PartSlot<'a> {
+    layer: i32,
+    slices: u64,
+    page: Option<&'a Page>,
+}
+
+impl PageSlot for PartSlot<'_> {
+    fn layer(&self) -> i32 {
+        self.layer
+    }
+
+    fn slices(&self) -> u64 {
+        self.slices
+    }
+
+    fn page(&self) -> Option<&Page> {
+        self.page
+    }
+}
+
+impl<'a> Part<'a> {
+    fn of(whole: &'a Store, mut is_loaded: impl FnMut() -> bool) -> Self {
+        let columns = (0..whole.column_count()).map(|number| {
+            let (tx, ty, slots) = whole.column_at(number);
+            let slot = |slot: &'a <Store as PageSet>::Slot| PartSlot {
+                layer: slot.layer(),
+                slices: slot.slices(),
+                page: slot.page().filter(|_| is_loaded()),
+            };
+            ((tx, ty), slots.iter().map(slot).collect())
+        });
+        Self { whole, columns: columns.collect() }
+    }
+}
+
+impl<'a> PageSet for Part<'a> {
+    type Slot = PartSlot<'a>;
+
+    fn frame(&self) -> &Frame {
+        self.whole.frame()
+    }
+
+    fn bounds(&self) -> Option<KeyBounds> {
+        self.whole.bounds()
+    }
+
+    fn column(&self, tx: i32, ty: i32) -> &[PartSlot<'a>] {
+        self.columns.get(&(tx, ty)).map_or(&[], |slots| slots)
+    }
+
+    fn has_region(&self, rx: i32, ry: i32) -> bool {
+        self.whole.has_region(rx, ry)
+    }
+
+    fn column_count(&self) -> usize {
+        self.whole.column_count()
+    }
+
+    fn column_at(&self, number: usize) -> (i32, i32, &[PartSlot<'a>]) {
+        let (tx, ty, _) = self.whole.column_at(number);
+        (tx, ty, self.column(tx, ty))
+    }
+}
+
+/// Pages about the origin, sparse or dense, with ends of spans on and next to ends of slices.
+fn scene(random: &mut Random) -> Store {
+    let most = [2, 60, 2000, 6000][random.below(4) as usize];
+    let keys = (-2..2).flat_map(|tx| (-2..2).flat_map(move |ty| (-1..1).map(move |layer| PageKey { tx, ty, layer })));
+    let pages = keys.filter_map(|key| {
+        let mut builder = PageBuilder::default();
+        for _ in 0..=random.below(most) {
+            let end = |random: &mut Random| random.below(64) * 255 + [0, 1, 2, 100][random.below(4) as usize];
+            let (a, b) = (end(random) as u32, end(random) as u32);
+            let (px, py) = (random.below(64) as u32, random.below(64) as u32);
+            let bottom = a.min(b).max(a.max(b).saturating_sub(random.below(600) as u32));
+            if let Some(span) = Span::new(bottom, a.max(b).min(16320), random.below(2) == 0) {
+                let _ = builder.set_column(px, py, &[span]);
+            }
+        }
+        (!builder.is_empty()).then(|| (key, builder.build()))
+    });
+    let pages: Vec<_> = pages.collect();
+    Store::from_pages(Frame::new(0.5, 1.5).unwrap(), pages)
+}
+
+/// Any ray about the scene, some along and through edges of pixels, tiles, pages and slices.
+fn ray(random: &mut Random) -> Option<Ray> {
+    let coarse = random.below(3) == 0;
+    let along = [(); 3].map(|()| [1.0, 1.0, 0.1, 0.0][random.below(4) as usize] * random.unit(coarse));
+    let coarse = random.below(3) == 0;
+    let from = [64.0, 64.0, 100.0].map(|far| {
+        let at = far * random.unit(coarse);
+        if random.below(40) == 0 { at * 1e3 } else { at }
+    });
+    let max = [0.0, 1.0, 20.0, 300.0, f64::INFINITY][random.below(5) as usize];
+    Ray::new(from.into(), along.into(), max).ok()
+}
+
+/// Compares the searches, and says whether the quick one knew the answer, and whether something was hit.
+fn agree<S: PageSet>(set: &S, ray: &Ray) -> (bool, bool) {
+    let bounds = set.bounds().unwrap();
+    let line = Line::new(set.frame(), ray);
+    let exact = exact::search(set, line, &bounds);
+    let quick = walk::first_hit(set, &line, &bounds);
+    let known = quick.is_ok();
+    let bits = |hit: RayHit| (hit.distance.to_bits(), hit.normal.map(f64::to_bits), hit.obstacle);
+    if let Ok(hit) = quick {
+        let Answer::Known(expected) = exact else { panic!("{ray:?}: {hit:?}, expected {exact:?}") };
+        assert_eq!(hit.map(bits), expected.map(bits), "{ray:?}: {hit:?}, expected {expected:?}");
+    }
+    (known, matches!(exact, Answer::Known(Some(_))))
+}
+
+#[test]
+fn both_searches_agree_to_the_last_bit() {
+    let mut random = Random(7);
+    let (mut rays, mut known, mut hits) = (0, 0, 0);
+    for _ in 0..60 {
+        let store = scene(&mut random);
+        let part = Part::of(&store, || random.below(4) != 0);
+        for _ in 0..3000 {
+            let Some(ray) = ray(&mut random) else { continue };
+            let (was_known, was_hit) = agree(&store, &ray);
+            agree(&part, &ray);
+            (rays, known, hits) = (rays + 1, known + u32::from(was_known), hits + u32::from(was_hit));
+        }
+    }
+    assert!(hits > rays / 10 && hits < rays / 10 * 9, "{hits} hits of {rays} rays");
+    assert!(known > rays / 2 && known < rays, "{known} known of {rays} rays");
+}
+
+#[test]
+fn rays_in_general_position_are_no_matter_of_doubt() {
+    let mut random = Random(8);
+    let store = scene(&mut random);
+    let doubtful = (0..5000).filter(|_| {
+        let [from, along] = [(); 2].map(|()| [(); 3].map(|()| random.unit(false)));
+        let ray = Ray::new(Point3::from(from) * 50.0, along.into(), 200.0).unwrap();
+        !agree(&store, &ray).0
+    });
+    assert!(doubtful.count() <= 25);
+}
