@@ -114,6 +114,9 @@ pub fn extract(
     let mut protected = Protected::default();
     protected.add_source(archive.source());
     let mut writer = ArchiveWriter::begin(output, archive.plan(), Existing::replaced_if(overwrite), protected)?;
+    if header.levels.is_some() {
+        writer.set_levels();
+    }
     let (mut decoder, mut encoder, mut builder) =
         (PageDecoder::new(), PageEncoder::new(*frame), PageBuilder::default());
     let mut copier = Copier::new();

@@ -112,6 +112,9 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
     let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing, shards.iter().collect())?;
+    if first.header.levels.is_some() {
+        writer.set_levels();
+    }
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), ..Totals::default() };
     for part in &parts {
         copy(part, &mut writer, monitor)?;
@@ -180,6 +183,10 @@ fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBu
     for pair in ordered.windows(2) {
         if pair[0].shard.last.checked_add(1) != Some(pair[1].shard.first) {
             return pair[1].refuse(format!("its columns do not follow those of {}", pair[0].path.display()));
+        }
+        if pair[0].header.levels.is_some() != pair[1].header.levels.is_some() {
+            let reason = format!("only one of it and {} has overview levels", pair[0].path.display());
+            return pair[1].refuse(format!("{reason}; convert both with the same --levels"));
         }
         if pair[0].crs != pair[1].crs {
             return pair[1].refuse(format!("its reference system is not that of {}", pair[0].path.display()));

@@ -24,6 +24,7 @@ use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 /// What a recovery found.
 #[derive(Debug, Clone)]
@@ -70,7 +71,7 @@ pub fn recover(
 ) -> Result<Recovered> {
     let source = FileSource::open(path)?;
     let old = sound_head(&source).map(|catalog| {
-        let archive = Archive::from_parts(Box::new(FileSource::open(path)?), catalog);
+        let archive = Archive::from_parts(Arc::new(FileSource::open(path)?), catalog);
         Ok::<_, Error>(archive)
     });
     let old = old.transpose()?;
@@ -100,6 +101,9 @@ pub fn recover(
         encoded_anew: 0,
         entries_wrong: 0,
     };
+    if old.as_ref().is_some_and(|archive| archive.header().levels.is_some()) {
+        rescue.writer.set_levels();
+    }
     let leaves = match &old {
         Some(archive) => Some((rescue.by_directory(archive)?, archive.leaf_count())),
         None => {
@@ -172,7 +176,7 @@ impl Rescue<'_> {
                 let end = sound.map(|sound| archive.leaf_first(sound));
                 let to = match sound.and_then(|sound| places[sound].as_ref()) {
                     Some(place) => place.start,
-                    None if in_place => header.directory_offset(),
+                    None if in_place => header.levels_offset(),
                     None => self.source.len(),
                 };
                 let inside = |key| first <= key && end.is_none_or(|end| key < end);
@@ -180,7 +184,7 @@ impl Rescue<'_> {
             }
             let Some(sound) = sound else { break };
             let place = places[sound].clone().unwrap_or(from..from);
-            let next = places[sound + 1..].iter().flatten().next().map_or(header.directory_offset(), |next| next.start);
+            let next = places[sound + 1..].iter().flatten().next().map_or(header.levels_offset(), |next| next.start);
             let displaced = self.displaced(archive, sound, place.start..next)?;
             for entry in archive.open_leaf(sound)? {
                 let entry = entry?;

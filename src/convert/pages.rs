@@ -22,7 +22,7 @@ const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
 const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
 /// Memory of a small page that waits to be written, beyond its bytes.
-const PAGE_BYTES: u64 = 256;
+const PAGE_BYTES: u64 = 320;
 /// Jobs that may be finished before the oldest unfinished one.
 const JOBS_AHEAD_PER_THREAD: usize = 8;
 

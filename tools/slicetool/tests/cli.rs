@@ -82,6 +82,10 @@ fn info_verify_and_stats_say_the_same_as_json_and_as_text() {
     let stats = json(&done(at, &["stats", "a.slices", "--json"]));
     assert_eq!(stats["voxels"]["occupied"], info["voxels"]["occupied"]);
     assert_eq!(stats["bytes"]["file"], info["bytes"]["file"]);
+    assert_eq!(stats["bytes"]["levels"], info["bytes"]["levels"]);
+    let (levels, pages) = (stats["levels"].as_array().unwrap(), |level: &serde_json::Value| level["pages"].as_u64());
+    assert!(levels.windows(2).all(|pair| pages(&pair[0]) >= pages(&pair[1])), "{levels:?}");
+    assert!(levels.first().is_none_or(|first| first["pixel_size"] == 0.4), "{levels:?}");
     assert!(done(at, &["stats", "a.slices"]).contains("voxels"));
 }
 
@@ -453,7 +457,7 @@ fn recover_writes_what_is_left_and_says_what_is_not() {
     assert!(fs::read(at.join("r.slices")).unwrap() == whole);
     assert!(refuses(at, &["recover", "cut.slices", "-o", "r.slices"]).contains("--force"));
     let header = slicewalk::archive::Archive::open(at.join("whole.slices")).unwrap().header().clone();
-    cut(header.directory_offset() as usize - 1);
+    cut(header.levels_offset() as usize - 1);
     let facts = json(&done(at, &["recover", "cut.slices", "-o", "r.slices", "--force", "--json"]));
     assert!(facts["complete"] == false && facts["head"] == true, "{facts}");
     assert_eq!(facts["pages"]["lost"]["stored"], 1, "{facts}");
