@@ -6,10 +6,12 @@ mod common;
 use common::forge::{Parts, put, word};
 use common::{Pages, Random, archive_of, archive_with_levels, key, page, plan};
 use slicewalk::NoMonitor;
-use slicewalk::archive::{Archive, Shard, Totals, extract, merge, recover};
+use slicewalk::archive::{
+    Archive, ArchiveWriter, Opened, Opening, PageEncoder, Shard, Totals, extract, merge, recover,
+};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::slice::Span;
-use slicewalk::store::{Prefetch, Store, Stream, StreamOptions};
+use slicewalk::store::{Loader, LoaderOptions, Next, Prefetch, Store, Stream, StreamOptions, Time};
 use std::fs;
 
 /// Floors and walls in pages near and far; most are alike.
@@ -114,6 +116,63 @@ fn a_level_streams_like_an_archive() {
     let report = stream.load(&keys, keys[0]).unwrap();
     assert_eq!((report.loaded, report.left_out), (keys.len(), 0));
     assert!(archive.level(0).is_err() && archive.level(4).unwrap_err().to_string().contains("levels 1 to 3"));
+}
+
+/// All pages of an archive.
+fn pages_of(archive: &Archive) -> Pages {
+    let entries = archive.entries().map(Result::unwrap);
+    entries.map(|entry| (entry.key, archive.page(&entry).unwrap())).collect()
+}
+
+#[test]
+fn a_level_opens_from_the_end_of_the_section_or_by_ranges_without_a_file() {
+    let bytes = with_levels(city());
+    let archive = Archive::from_bytes(bytes.clone()).unwrap();
+    let fetch = |range: std::ops::Range<u64>| bytes[range.start as usize..range.end as usize].to_vec();
+    // Head and footer, table, level: no other byte is looked at.
+    let mut opening = Opening::new(Some(bytes.len() as u64));
+    let catalog = loop {
+        match opening.next().unwrap() {
+            Opened::Wants(ranges) => ranges.into_iter().for_each(|range| opening.give(range.start, &fetch(range.clone()))),
+            Opened::Ready(catalog) => break catalog,
+        }
+    };
+    let (section, table) = (catalog.levels_section().unwrap(), catalog.levels_range().unwrap());
+    let levels = catalog.decode_levels(&fetch(table.clone())).unwrap();
+    assert_eq!(levels, archive.levels().unwrap());
+    assert_eq!((levels[0].bytes().start, levels.last().unwrap().bytes().end, table.end), (section.start, table.start, section.end));
+    assert!(catalog.decode_levels(&fetch(table.start..table.end - 1)).is_err());
+    for level in &levels {
+        let range = level.bytes();
+        let alone = Archive::of_level(level, fetch(range.clone())).unwrap();
+        assert_eq!(pages_of(&alone), pages_of(&archive.level(level.number()).unwrap()));
+        assert!(alone.levels().unwrap().is_empty() && alone.crs().unwrap().is_empty());
+        assert!(Archive::of_level(level, fetch(range.start..range.end - 1)).is_err());
+        assert!(alone.source().read_at(range.start - 1, &mut [0]).is_err());
+        // As a page in the browser loads it.
+        let mut loader = Loader::new(level.catalog().clone(), LoaderOptions::new(16 << 20)).unwrap();
+        let keys: Vec<_> = pages_of(&alone).into_keys().collect();
+        let request = loader.request(&keys, keys[0]);
+        while let Next::Fetch(asked) = loader.poll(Time::ZERO).unwrap() {
+            assert!(range.start <= asked.range.start && asked.range.end <= range.end, "{:?}", asked.range);
+            let job = loader.given(asked.id, fetch(asked.range), Time::ZERO);
+            job.map(|job| loader.loaded(job.run(), Time::ZERO));
+        }
+        assert_eq!(loader.outcome(request).unwrap().unwrap().loaded, keys.len());
+    }
+    let without = Archive::from_bytes(archive_of(&plan(), &(city(), totals()), None)).unwrap();
+    assert_eq!((without.catalog().levels_section(), without.catalog().levels_range()), (None, None));
+    assert!(without.catalog().decode_levels(&[]).unwrap().is_empty());
+}
+
+#[test]
+fn pages_that_were_not_prepared_for_levels_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = ArchiveWriter::create(&folder.path().join("a.slices"), &plan(), false).unwrap();
+    writer.set_levels();
+    let (key, page) = city().pop_first().unwrap();
+    let encoded = PageEncoder::new(plan().frame).for_levels(false).encode(key, &page);
+    assert!(writer.put(key, encoded).unwrap_err().to_string().contains("without overview levels"));
 }
 
 #[test]

@@ -97,7 +97,13 @@ impl Catalog {
         Ok(unpacker.into_content())
     }
 
-    /// Where the table of overview levels lies: at most 1 MiB; `None` if there are no levels.
+    /// Where all overview levels lie, the finest first, their table last; `None` if there are none. A program that fetches the
+    /// end of it gets the table and the coarsest levels at once.
+    pub fn levels_section(&self) -> Option<Range<u64>> {
+        Some(self.header.levels_offset()..self.levels_range()?.end)
+    }
+
+    /// Where the table of overview levels lies: at most 300 kB, mostly some hundred bytes; `None` if there are no levels.
     pub fn levels_range(&self) -> Option<Range<u64>> {
         let levels = self.header.levels.filter(|levels| levels.count > 0)?;
         let end = self.header.directory_offset();

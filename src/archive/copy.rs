@@ -27,7 +27,7 @@ pub(super) struct Copier<K> {
 struct Known {
     /// `None` for content that is left out.
     placed: Option<Placed>,
-    /// What it gives to overview levels, if there are any; `None` where that is forgotten.
+    /// What it gives to overview levels; `None` where that is forgotten. Empty where there are no levels.
     coarse: Option<Arc<[CoarseSpan]>>,
 }
 
@@ -53,7 +53,7 @@ impl<K: Copy + Eq + Hash> Copier<K> {
             _ => {}
         }
         let page = make()?;
-        let coarse = page.as_ref().filter(|_| writer.has_levels()).map(|page| page.coarse.clone()).unwrap_or_default();
+        let coarse = page.as_ref().and_then(|page| page.coarse.clone()).unwrap_or_default();
         let placed = page.map(|page| writer.put_placed(key, &page)).transpose()?;
         self.coarse_kept += coarse.len();
         if self.coarse_kept > COARSE_KEPT {

@@ -248,6 +248,7 @@ fn same_bytes(a: &OpenShard<'_>, b: &OpenShard<'_>) -> Result<bool> {
 /// Puts all pages of `part` into `writer`.
 fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
     let archive = part.reopen()?;
+    let levels = writer.has_levels();
     let (mut decoder, mut copier) = (PageDecoder::new(), Copier::new());
     let (mut tiles, mut voxels, mut pages, mut matter) = (0, Voxels::default(), 0, Matter::default());
     for entry in archive.entries() {
@@ -260,7 +261,7 @@ fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor)
         }
         let placed = copier.put(writer, entry.key, entry.content(), || {
             let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
-            Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page)))
+            Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page, levels)))
         })?;
         if let Some(placed) = placed {
             tiles += u64::from(placed.slices.count_ones());

@@ -35,8 +35,8 @@ pub struct EncodedPage {
     pub(super) bounds: Option<PageBounds>,
     /// Number of voxels with matter, and how many of them hold obstacle.
     pub voxels: (u64, u64),
-    /// What the page gives to overview levels.
-    pub(super) coarse: Arc<[CoarseSpan]>,
+    /// What the page gives to overview levels, if it is to give anything.
+    pub(super) coarse: Option<Arc<[CoarseSpan]>>,
 }
 
 impl EncodedPage {
@@ -50,18 +50,19 @@ impl EncodedPage {
     }
 
     /// A page of one archive, to be put into another under `key`: `bytes` are those of its extent, `page` what they
-    /// hold. The body stays as it is; of a shared page the leader names another key and is made anew.
-    pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page) -> Self {
+    /// hold. The body stays as it is; of a shared page the leader names another key and is made anew. `levels`: whether the
+    /// other archive has overview levels.
+    pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page, levels: bool) -> Self {
         let Some(body) = bytes.get(LEADER..).filter(|body| !body.is_empty()) else {
-            return Self { uniform: uniform_span(page), ..Self::without_bytes(key, page) };
+            return Self { uniform: uniform_span(page), ..Self::without_bytes(key, page, levels) };
         };
         let mut bytes = leader(MAGIC, key);
         bytes.extend_from_slice(body);
         seal(&mut bytes);
-        Self { hash: xxh3_64(body), bytes, ..Self::without_bytes(key, page) }
+        Self { hash: xxh3_64(body), bytes, ..Self::without_bytes(key, page, levels) }
     }
 
-    fn without_bytes(key: PageKey, page: &Page) -> Self {
+    fn without_bytes(key: PageKey, page: &Page, levels: bool) -> Self {
         Self {
             bytes: Vec::new(),
             uniform: None,
@@ -71,7 +72,7 @@ impl EncodedPage {
             size: page.size(),
             bounds: page.bounds(),
             voxels: page.voxel_counts(),
-            coarse: coarse(page).into(),
+            coarse: levels.then(|| coarse(page).into()),
         }
     }
 
@@ -119,18 +120,31 @@ fn seal(bytes: &mut [u8]) {
 pub struct PageEncoder {
     encoder: Encoder,
     magic: [u8; 4],
+    /// Whether pages are prepared for overview levels above them.
+    levels: bool,
     body: Vec<u8>,
 }
 
 impl PageEncoder {
     /// An encoder for pages of an archive with this grid, with its own scratch memory (about 2 MiB once used).
     pub fn new(frame: Frame) -> Self {
-        Self { encoder: Encoder::new(frame), magic: MAGIC, body: Vec::new() }
+        Self { encoder: Encoder::new(frame), magic: MAGIC, levels: true, body: Vec::new() }
+    }
+
+    /// Whether pages are prepared for overview levels, as they are unless this says otherwise. An archive without levels costs
+    /// less if they are not; one with levels refuses pages that are not.
+    pub fn for_levels(self, levels: bool) -> Self {
+        Self { levels, ..self }
+    }
+
+    /// See [`EncodedPage::copied`].
+    pub(super) fn copied(&self, key: PageKey, bytes: &[u8], page: &Page) -> EncodedPage {
+        EncodedPage::copied(key, bytes, page, self.levels)
     }
 
     /// An encoder for pages of overview levels.
     pub(super) fn of_levels() -> Self {
-        Self { encoder: Encoder::of_levels(), magic: LEVEL_MAGIC, body: Vec::new() }
+        Self { encoder: Encoder::of_levels(), magic: LEVEL_MAGIC, levels: false, body: Vec::new() }
     }
 
     /// See [`Encoder::simplify`].
@@ -147,7 +161,7 @@ impl PageEncoder {
 
     /// Encodes `page` under `key`.
     pub fn encode(&mut self, key: PageKey, page: &Page) -> EncodedPage {
-        let encoded = EncodedPage { uniform: uniform_span(page), ..EncodedPage::without_bytes(key, page) };
+        let encoded = EncodedPage { uniform: uniform_span(page), ..EncodedPage::without_bytes(key, page, self.levels) };
         if encoded.uniform.is_some() || encoded.bounds.is_none() {
             return encoded;
         }

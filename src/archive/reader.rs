@@ -86,9 +86,25 @@ impl Archive {
     pub fn level(&self, number: u32) -> Result<Self> {
         let levels = self.levels()?;
         let level = levels.iter().find(|level| level.number() == number).ok_or_else(|| {
-            Error::parameter(format!("level {number}"), format!("the archive has levels 1 to {}", levels.len()))
+            let reason = match levels.len() {
+                0 => "the archive has no overview levels".to_string(),
+                count => format!("the archive has levels 1 to {count}"),
+            };
+            Error::parameter(format!("level {number}"), reason)
         })?;
         Ok(Self::from_parts(self.source.clone(), level.catalog().clone()))
+    }
+
+    /// As [`level`](Self::level), from the bytes of the level alone ([`Level::bytes`]): for programs that fetch bytes
+    /// themselves. Fails if there are more or fewer.
+    pub fn of_level(level: &Level, bytes: Vec<u8>) -> Result<Self> {
+        let range = level.bytes();
+        let len = range.end - range.start;
+        if bytes.len() as u64 != len {
+            let reason = format!("expected its {len} bytes from {} on, found {}", range.start, bytes.len());
+            return Err(Error::parameter(format!("level {}", level.number()), reason));
+        }
+        Ok(Self::from_parts(Arc::new(MemorySource::part(range.start, bytes)), level.catalog().clone()))
     }
 
     /// What is known of the archive without another read.

@@ -89,19 +89,20 @@ pub fn recover(
     let limits = old.as_ref().map_or(Ok(()), |archive| archive.header().check_repeats());
     limits.map_err(|error| Error::input(path, "directory", error.to_string()))?;
     monitor.stage("recover", source.len(), "bytes");
+    let levels = old.as_ref().is_some_and(|archive| archive.header().levels.is_some());
     let mut rescue = Rescue {
         source: &source,
         monitor,
         writer: ArchiveWriter::begin(output, &plan, Existing::replaced_if(overwrite), [path].into_iter().collect())?,
         copier: Copier::new(),
         decoder: PageDecoder::new(),
-        encoder: PageEncoder::new(plan.frame),
+        encoder: PageEncoder::new(plan.frame).for_levels(levels),
         found: Pages::default(),
         columns: None,
         encoded_anew: 0,
         entries_wrong: 0,
     };
-    if old.as_ref().is_some_and(|archive| archive.header().levels.is_some()) {
+    if levels {
         rescue.writer.set_levels();
     }
     let leaves = match &old {
@@ -348,7 +349,7 @@ fn in_the_one_encoding(
     page: &Page,
 ) -> EncodedPage {
     if bytes.is_empty() || encoder.gives(page, bytes) {
-        return EncodedPage::copied(key, bytes, page);
+        return encoder.copied(key, bytes, page);
     }
     *anew += 1;
     encoder.encode(key, page)

@@ -156,7 +156,7 @@ impl ArchiveWriter {
     }
 
     /// Whether the archive gets overview levels.
-    pub(super) fn has_levels(&self) -> bool {
+    pub fn has_levels(&self) -> bool {
         self.levels.is_some()
     }
 
@@ -180,7 +180,8 @@ impl ArchiveWriter {
         self.matter.fit(&self.plan, self.shard.is_some(), bounds)
     }
 
-    /// Adds a page. Keys must ascend, and the page must hold matter and be encoded under this key.
+    /// Adds a page. Keys must ascend, and the page must hold matter, be encoded under this key and, if the archive gets
+    /// overview levels, [`for_levels`](super::PageEncoder::for_levels).
     pub fn put(&mut self, key: PageKey, page: EncodedPage) -> Result<()> {
         self.put_placed(key, &page).map(drop)
     }
@@ -194,6 +195,9 @@ impl ArchiveWriter {
         let Some(bounds) = &page.bounds else {
             return Err(Error::parameter(format!("page {key}"), "has no matter; leave it out"));
         };
+        if self.levels.is_some() && page.coarse.is_none() {
+            return Err(Error::parameter(format!("page {key}"), "is encoded for an archive without overview levels"));
+        }
         let placed = Placed {
             storage: match page.uniform {
                 Some(span) => Storage::Uniform(span),
@@ -205,7 +209,7 @@ impl ArchiveWriter {
             voxels: page.voxels,
             hash: page.hash,
         };
-        self.push(key, &placed, &page.coarse)?;
+        self.push(key, &placed, page.coarse.as_deref().unwrap_or_default())?;
         Ok(placed)
     }
 

@@ -5,7 +5,7 @@
 //! grid: [`Archive::level`](super::Archive::level) opens one as an archive of its own, which a [`Store`](crate::store::Store),
 //! a [`Stream`](crate::store::Stream) or a [`Loader`](crate::store::Loader) loads and every query answers. A level errs towards
 //! "hit": what is clear in it is clear in the archive. Its pages hold all matter of the pages below, its heights are moved
-//! outwards to fifths of its slices, and a floor that shares a slice with an obstacle is part of it.
+//! outwards to thirds of its slices, and a floor that shares a slice with an obstacle is part of it.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
@@ -23,9 +23,28 @@
 //! # Ok::<(), slicewalk::Error>(())
 //! ```
 //!
-//! Without files: [`Catalog::levels_range`](super::Catalog::levels_range) says which bytes to fetch,
-//! [`Catalog::decode_levels`](super::Catalog::decode_levels) what they are, and `Loader::new(level.catalog().clone(), ..)`
-//! goes on from there. The coarsest level lies last, before the table of levels, so one read of the section's end brings both.
+//! Without files, a program fetches ranges itself: first the table of levels, then all of one level, or, by a
+//! [`Loader`](crate::store::Loader) on `level.catalog().clone()`, those pages of one that are near. The coarsest level lies
+//! last, before the table, so one read of the end of [`Catalog::levels_section`](super::Catalog::levels_section) brings both.
+//!
+//! ```
+//! use slicewalk::archive::{Archive, Catalog};
+//! use slicewalk::store::Store;
+//!
+//! /// The finest level of at most `most_bytes`, in memory.
+//! fn outline(
+//!     catalog: &Catalog,
+//!     most_bytes: u64,
+//!     fetch: impl Fn(std::ops::Range<u64>) -> Vec<u8>,
+//! ) -> slicewalk::Result<Option<Store>> {
+//!     let Some(table) = catalog.levels_range() else { return Ok(None) };
+//!     let levels = catalog.decode_levels(&fetch(table))?;
+//!     let fits = |range: std::ops::Range<u64>| range.end - range.start <= most_bytes;
+//!     let Some(level) = levels.iter().find(|level| fits(level.bytes())) else { return Ok(None) };
+//!     let archive = Archive::of_level(level, fetch(level.bytes()))?;
+//!     Store::resident(&archive, &slicewalk::NoMonitor).map(Some)
+//! }
+//! ```
 //!
 //! Levels follow from the pages alone, so whatever writes an archive makes them anew in the pass in which it writes: a
 //! conversion, a merge of parts, an extract, a recovery. `verify` makes them once more and compares.

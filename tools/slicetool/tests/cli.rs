@@ -288,6 +288,20 @@ fn show_draws_the_thesis_colours_and_counts_slices_from_the_lowest() {
 }
 
 #[test]
+fn show_draws_an_overview_level() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    archive(at, "a.slices", &points(), 0.02);
+    let level = |number| ["show", "a.slices", "--z", "0.35", "--level", number, "-o", "level.png"];
+    let said = done(at, &level("1"));
+    assert_eq!(said, "level.png: slice 0 of 9, z from 0.24 to 0.48 m, 50 × 50 pixels of 0.08 m\n");
+    let (_, pixels) = picture(&at.join("level.png"));
+    assert_eq!(pixels[25 * 50 + 10][1..], [255, 26], "the floor");
+    assert!(pixels.iter().any(|pixel| pixel[2] == 255), "the wall");
+    assert!(refuses(at, &level("9")).contains("the archive has levels 1 to "));
+}
+
+#[test]
 fn diff_tells_same_from_different_and_refuses_other_grids() {
     let folder = folder();
     let at = folder.path();
