@@ -133,14 +133,19 @@ fn a_level_opens_from_the_end_of_the_section_or_by_ranges_without_a_file() {
     let mut opening = Opening::new(Some(bytes.len() as u64));
     let catalog = loop {
         match opening.next().unwrap() {
-            Opened::Wants(ranges) => ranges.into_iter().for_each(|range| opening.give(range.start, &fetch(range.clone()))),
+            Opened::Wants(ranges) => {
+                ranges.into_iter().for_each(|range| opening.give(range.start, &fetch(range.clone())))
+            }
             Opened::Ready(catalog) => break catalog,
         }
     };
     let (section, table) = (catalog.levels_section().unwrap(), catalog.levels_range().unwrap());
     let levels = catalog.decode_levels(&fetch(table.clone())).unwrap();
     assert_eq!(levels, archive.levels().unwrap());
-    assert_eq!((levels[0].bytes().start, levels.last().unwrap().bytes().end, table.end), (section.start, table.start, section.end));
+    assert_eq!(
+        (levels[0].bytes().start, levels.last().unwrap().bytes().end, table.end),
+        (section.start, table.start, section.end)
+    );
     assert!(catalog.decode_levels(&fetch(table.start..table.end - 1)).is_err());
     for level in &levels {
         let range = level.bytes();

@@ -58,9 +58,9 @@ fn parts_of_scenes_with_ramps_and_walls_merge_to_the_bytes_of_one_run() {
     scan(at, "ramps.las", "ramps", 80_000);
     write(&at.join("more.laz"), &points(20_000));
     for (inputs, options) in [
-        (&["house.laz"][..], &["--pixel", "0.05", "--exclude-class", "7,18"][..]),
+        (&["house.laz"][..], &["--pixel", "0.05", "--exclude-class", "7,18", "--levels", "on"][..]),
         (&["ramps.las", "house.laz", "more.laz"], &["--pixel", "0.1", "--drop-isolated", "--min-points", "2"]),
-        (&["ramps.las"], &["--pixel", "0.04", "--classifier", "thesis", "--tolerance", "0.01"]),
+        (&["ramps.las"], &["--pixel", "0.04", "--classifier", "thesis", "--tolerance", "0.01", "--levels", "on"]),
         (&["ramps.las"], &["--pixel", "0.1", "--slice", "0.02"]),
         (&["house.laz", "ramps.las"], &["--pixel", "auto", "--classifier", "span"]),
         (&["house.laz"], &["--pixel", "0.03", "--slice", "0.1", "--up", "y", "--units", "ft"]),

@@ -175,8 +175,8 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
         units: field(value, "units", "auto or metres per unit", units)?,
         epsg,
         mesh: field(value, "mesh", "exact, sampled, or a distance of points in metres", mesh)?,
-        // Plans of earlier builds do not say.
-        levels: value.get("levels").map_or(Ok(true), |_| field(value, "levels", "true or false", Value::as_bool))?,
+        // Plans of earlier builds do not say: their archives have none.
+        levels: value.get("levels").map_or(Ok(false), |_| field(value, "levels", "true or false", Value::as_bool))?,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
         inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
     };

@@ -100,9 +100,9 @@ struct Arguments {
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
     mesh: Surfaces,
-    /// Overview levels for distant views and first looks: pixels and slices 4, 16, 64 ... times as large, at most a twelfth more
-    /// bytes where pixels are four point spacings
-    #[arg(long, value_enum, default_value_t = Switch::On)]
+    /// Overview levels for first looks and distant views: pixels and slices 4, 16, 64 ... times as large. They cost more bytes and
+    /// time, most on sparse scans
+    #[arg(long, value_enum, default_value_t = Switch::Off)]
     levels: Switch,
     /// Convert what can be read of incomplete input (cut or damaged files, files that cannot be read), with warnings, instead
     /// of refusing it

@@ -104,7 +104,8 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path)
             "{}: the slice is {width} × {height} pixels, beyond the {MAX_EDGE_PIXELS} that a picture may have; {}extract a \
              region first",
             path.display(),
-            fitting_level(archive, width.max(height)).map_or(String::new(), |level| format!("draw --level {level}, or "))
+            fitting_level(archive, width.max(height))
+                .map_or(String::new(), |level| format!("draw --level {level}, or "))
         )));
     }
     let mut output = crate::output(to, archive, &[])?;

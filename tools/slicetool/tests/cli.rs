@@ -291,7 +291,11 @@ fn show_draws_the_thesis_colours_and_counts_slices_from_the_lowest() {
 fn show_draws_an_overview_level() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    archive(at, "a.slices", &points(), 0.02);
+    let scan = at.join("scan.las");
+    write_las(&scan, points(), &WriteSpec::for_path(&scan)).unwrap();
+    let mut options = ConvertOptions::new(vec![scan], at.join("a.slices"));
+    (options.pixel, options.levels) = (PixelSize::Metres(0.02), true);
+    convert(&options, &NoMonitor).unwrap();
     let level = |number| ["show", "a.slices", "--z", "0.35", "--level", number, "-o", "level.png"];
     let said = done(at, &level("1"));
     assert_eq!(said, "level.png: slice 0 of 9, z from 0.24 to 0.48 m, 50 × 50 pixels of 0.08 m\n");
