@@ -8,7 +8,7 @@ from page import SIDE, SLICE, TOP, need
 from head import RECORD_LEN, check_root
 
 FACTOR = 4
-STEP = 85
+STEP = 51
 
 
 class Level:

@@ -334,7 +334,7 @@ def find_lattice(heights, slice_height):
     if len(heights) < 32:
         return ONE, 0
     if slice_height is None:
-        return fit(heights, [85 * ONE])
+        return fit(heights, [51 * ONE])
     foot, us_foot = 0.3048, 1200
     units = [0.1, 0.1 * foot, 0.1 * us_foot / 3937, 0.01, 0.005, 0.01 * foot, 0.01 * us_foot / 3937, 0.002, 0.001]
     units += [0.0005, 0.001 * foot, 0.001 * us_foot / 3937, 0.00025, 0.0001]

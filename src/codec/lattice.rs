@@ -31,8 +31,8 @@ const STEPS_M: [f64; 14] = [
     0.0001,
 ];
 
-/// Step of heights in pages of overview levels (quanta): a third of a slice.
-pub const LEVEL_STEP: u64 = 85;
+/// Step of heights in pages of overview levels (quanta): a fifth of a slice.
+pub const LEVEL_STEP: u64 = 51;
 
 /// Equally spaced heights above a page's floor: step `index` lies at `phase + index · step`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

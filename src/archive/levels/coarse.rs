@@ -1,7 +1,7 @@
 //! What a level knows of the level below: 4 × 4 pixels as one, four slices as one, heights moved outwards.
 //!
 //! In: a page. Out: the spans that it gives to its page of the level above. All spans of 16 pixels go into one pixel; their
-//! bottoms go down and their tops up to thirds of a slice of the level; those that then share a slice or a height become
+//! bottoms go down and their tops up to fifths of a slice of the level; those that then share a slice or a height become
 //! one span, an obstacle if any of them is. So no matter is lost, and the result does not depend on any order.
 
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA};
@@ -9,8 +9,8 @@ use crate::slice::Page;
 
 /// Pixels of a level along one edge of a pixel of the level above, and slices in one of its slices.
 pub const FACTOR: u32 = 4;
-/// Heights of levels are multiples of this (quanta of the level): a third of a slice, by default an edge of its pixels.
-pub const HEIGHT_STEP: u32 = 85;
+/// Heights of levels are multiples of this (quanta of the level): a fifth of a slice.
+pub const HEIGHT_STEP: u32 = 51;
 /// As many quanta of the level below.
 const STEP_BELOW: u32 = HEIGHT_STEP * FACTOR;
 const SLICE: u32 = SLICE_QUANTA as u32;
@@ -166,7 +166,7 @@ mod tests {
                     let moved = below.map(|s| {
                         let step = f64::from(STEP_BELOW);
                         let (bottom, top) = ((f64::from(s.bottom()) / step).floor(), (f64::from(s.top()) / step).ceil());
-                        ((bottom * 85.0) as u32, (top * 85.0) as u32, s.is_obstacle())
+                        ((bottom * 51.0) as u32, (top * 51.0) as u32, s.is_obstacle())
                     });
                     expected.extend(joined(moved.collect()).into_iter().map(|(bottom, top, obstacle)| {
                         CoarseSpan { pixel: (16 * y + x) as u8, obstacle, bottom: bottom as u16, top: top as u16 }

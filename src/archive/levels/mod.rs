@@ -5,7 +5,7 @@
 //! grid: [`Archive::level`](super::Archive::level) opens one as an archive of its own, which a [`Store`](crate::store::Store),
 //! a [`Stream`](crate::store::Stream) or a [`Loader`](crate::store::Loader) loads and every query answers. A level errs towards
 //! "hit": what is clear in it is clear in the archive. Its pages hold all matter of the pages below, its heights are moved
-//! outwards to thirds of its slices, and a floor that shares a slice with an obstacle is part of it.
+//! outwards to fifths of its slices, and a floor that shares a slice with an obstacle is part of it.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
