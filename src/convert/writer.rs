@@ -66,7 +66,10 @@ impl PointWriter {
         let name = output.beside().file_name().unwrap_or_default().to_owned();
         let place =
             SpillPlace { files: output.files().clone(), folder: options.temp_dir.clone(), name, head: Vec::new() };
-        let output = ArchiveWriter::on(output, &plan)?;
+        let mut output = ArchiveWriter::on(output, &plan)?;
+        if options.levels {
+            output.set_levels();
+        }
         let recorder = Recorder::new(plan.frame);
         // One run is under construction at a time.
         let limits = Limits::of(&ConvertOptions { threads: 1, ..options.clone() });

@@ -44,6 +44,7 @@ impl PlanFile {
                 MeshMode::Sampled { step_m: None } => json!("sampled"),
                 MeshMode::Sampled { step_m: Some(step_m) } => json!(step_m),
             },
+            "levels": self.levels,
             "point_spacing": self.spacing_m,
             "inputs": inputs,
         })
@@ -177,6 +178,8 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         units: field(value, "units", "auto or metres per unit", units)?,
         epsg,
         mesh: field(value, "mesh", "exact, sampled, or a distance of points in metres", mesh)?,
+        // Plans of earlier builds do not say: their archives have none.
+        levels: value.get("levels").map_or(Ok(false), |_| field(value, "levels", "true or false", Value::as_bool))?,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
         inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
     };
@@ -243,7 +246,7 @@ mod tests {
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };
             let units = units.map_or(Units::Auto, Units::Factor);
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
-            let mut file = PlanFile { plan, units, epsg, mesh, spacing_m, inputs };
+            let mut file = PlanFile { plan, units, epsg, mesh, levels: rule % 2 == 0, spacing_m, inputs };
             file.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
@@ -264,7 +267,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = PlanFile { plan, units: Units::Auto, epsg: None, mesh: MeshMode::Exact, spacing_m: None, inputs: Vec::new() }.to_json().to_string();
+            let good = PlanFile { plan, units: Units::Auto, epsg: None, mesh: MeshMode::Exact, levels: true, spacing_m: None, inputs: Vec::new() }.to_json().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

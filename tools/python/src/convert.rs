@@ -41,6 +41,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
 ///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused
 ///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
+///     levels: whether the archive gets overview levels for first looks and distant views (no)
 ///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it
 ///     resume: go on from what an interrupted conversion left, and leave it if this one is interrupted
 ///     force: replace an existing archive

@@ -93,6 +93,12 @@ impl Asked {
                     let all = [("exact", MeshMode::Exact), ("sampled", MeshMode::Sampled { step_m: None })];
                     options.mesh = one_of("mesh", &value, &all)?;
                 }
+                "levels" => {
+                    options.levels = match value.extract::<bool>() {
+                        Ok(levels) => levels,
+                        Err(_) => one_of("levels", &value, &[("on", true), ("off", false)])?,
+                    };
+                }
                 "allow_incomplete" => options.allow_incomplete = value.extract()?,
                 "resume" => options.resume = value.extract()?,
                 "force" => options.overwrite = value.extract()?,
@@ -150,6 +156,7 @@ fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &Co
         "units" => wanted.units != planned.units,
         "crs" => wanted.epsg != planned.epsg,
         "mesh" => wanted.mesh != planned.mesh,
+        "levels" => wanted.levels != planned.levels,
         "max_slope" => wanted.plan.max_slope_deg != planned.plan.max_slope_deg,
         "tolerance" => wanted.plan.tolerance_m != planned.plan.tolerance_m,
         "classifier" => wanted.plan.classifier != planned.plan.classifier,

@@ -22,6 +22,7 @@ class WriterOptions(TypedDict, total=False):
     min_points: int
     drop_isolated: bool
     up: Literal["z", "y"]
+    levels: bool | Literal["on", "off"]
     force: bool
     crs: str
 
@@ -44,6 +45,7 @@ class PlanOptions(TypedDict, total=False):
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
     mesh: Literal["exact", "sampled"]
+    levels: bool | Literal["on", "off"]
     allow_incomplete: bool
     force: bool
     quiet: bool
