@@ -94,7 +94,7 @@ impl Matter {
             return Allowed { min: (-end, end), max: (-end, end) };
         };
         // Points of voxels that were dropped lie within the bounds, and a part has the bounds of all triangles.
-        let close = plan.options.min_points == 1 && !plan.options.drop_isolated && !is_part;
+        let close = plan.options.min_points == 1 && plan.options.drop_floaters == 0 && !is_part;
         let margin = if close { PAGE[axis] } else { 2 * end };
         let moved = if axis == 2 { i64::from(plan.tolerance_quanta()) } else { 0 };
         Allowed {
@@ -148,7 +148,7 @@ mod tests {
         let with = |options| Plan { options, ..plan.clone() };
         let dropping = [
             with(PlanOptions { min_points: 2, ..PlanOptions::default() }),
-            with(PlanOptions { drop_isolated: true, ..PlanOptions::default() }),
+            with(PlanOptions { drop_floaters: 1, ..PlanOptions::default() }),
         ];
         for axis in 0..3 {
             let size = if axis == 2 { 0.3 } else { 0.1 };

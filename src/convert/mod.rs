@@ -8,6 +8,7 @@
 //! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
 //! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
 
+mod columns;
 mod facts;
 mod job;
 mod meshes;
@@ -48,7 +49,7 @@ use crate::voxel::runs::RunStore;
 use crate::voxel::spill::SpillPlace;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use meshes::read_meshes;
-use pages::write_columns;
+use pages::{Writing, write_columns};
 use points::{Reading, read_points};
 use resume::{Earlier, Identity, Progress, TakenOver};
 use scope::ShardScope;
@@ -318,7 +319,9 @@ impl Conversion<'_> {
             }
             monitor.warn("the input holds no points: the archive is empty");
         }
-        let voxels_dropped = write_columns(plan, store, options.memory_bytes, threads, &mut writer, monitor)?;
+        let columns = scope.map(|scope| (scope.shard.first, scope.shard.last));
+        let writing = Writing { memory_bytes: options.memory_bytes, threads, columns };
+        let voxels_dropped = write_columns(plan, store, writing, &mut writer, monitor)?;
         let crs = set.crs().unwrap_or_default().to_owned();
         let header = writer.finish(read.own.totals(&crs, &units))?;
         if whole && header.points_read > 0 && header.voxels.occupied == 0 {

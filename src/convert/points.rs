@@ -132,7 +132,7 @@ pub(super) fn read_points(
         let mut decoder = PointDecoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
         if let Some(scope) = scope {
-            builder = builder.only(scope.shard.first, scope.shard.last);
+            builder = builder.only(scope.keeps());
         }
         if notes {
             let log = decoder.log();

@@ -1,6 +1,6 @@
 //! An archive of points that a program holds in memory, batch by batch.
 
-use super::pages::write_columns;
+use super::pages::{Writing, write_columns};
 use super::points::{Own, Read, bounds, out_of_reach};
 use super::report::Report;
 use super::{ConvertOptions, Limits, PixelSize};
@@ -127,9 +127,9 @@ impl PointWriter {
         self.runs.flush(&self.store)?;
         drop(self.runs);
         let (options, own) = (&self.options, &self.read.own);
-        let threads = options.threads;
-        let voxels_dropped =
-            write_columns(&self.plan, &self.store, options.memory_bytes, threads, &mut self.output, monitor)?;
+        let ConvertOptions { memory_bytes, threads, .. } = *options;
+        let writing = Writing { memory_bytes, threads, columns: None };
+        let voxels_dropped = write_columns(&self.plan, &self.store, writing, &mut self.output, monitor)?;
         let units = vec![LengthUnit::METRE];
         Ok(Report {
             header: self.output.finish(own.totals(&self.crs, &units))?,

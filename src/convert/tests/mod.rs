@@ -1,6 +1,7 @@
 //! Conversions on disks that fail and disks that forget, and conversions that go on from what another one left.
 
 mod faults;
+mod floaters;
 mod power;
 mod resume;
 

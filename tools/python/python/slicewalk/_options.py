@@ -21,6 +21,7 @@ class WriterOptions(TypedDict, total=False):
     temp_dir: StrPath | None
     min_points: int
     drop_isolated: bool
+    drop_floaters: int
     up: Literal["z", "y"]
     force: bool
     crs: str
@@ -40,6 +41,7 @@ class PlanOptions(TypedDict, total=False):
     exclude_class: Sequence[int]
     min_points: int
     drop_isolated: bool
+    drop_floaters: int
     up: Literal["z", "y"]
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
