@@ -59,7 +59,7 @@ class Head:
             and plain(self.max_slope, 0, 90)
             and plain(self.tolerance, 0, 1e6)
             and self.classifier <= 2
-            and self.up <= 1
+            and self.up <= 3
             and self.min_points >= 1
         )
         need(plan, "H7", "the plan is not within its limits")

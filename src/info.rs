@@ -72,6 +72,9 @@ pub fn plan_info(plan: &Plan) -> Value {
         "up": plan.options.up.name(),
         "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
     });
+    if plan.options.remove_moving {
+        facts["remove_moving"] = true.into();
+    }
     if plan.options.drop_floaters > 1 {
         facts["drop_floaters"] = plan.options.drop_floaters.into();
     }

@@ -3,8 +3,9 @@
 use crate::plan::Plan;
 use crate::voxel::bands::Bands;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
-use crate::voxel::record::{ColumnKey, PATCH_AREA, Record};
+use crate::voxel::record::{ColumnKey, Content, PATCH_AREA, Record};
 use crate::voxel::runs::{ColumnJob, Merge};
+use crate::voxel::views::Views;
 use crate::{Error, Monitor, Parameter, Result};
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::collections::BTreeMap;
@@ -44,6 +45,8 @@ pub(super) struct Columns<'a> {
     pub ahead: usize,
     /// Most columns of a job.
     pub max_columns: u64,
+    /// What stations saw, where points that others saw through are to be removed.
+    pub views: Option<&'a Views>,
     pub monitor: &'a dyn Monitor,
 }
 
@@ -56,8 +59,8 @@ impl Columns<'_> {
         mut worker: impl FnMut(Patches<'w>) -> W,
         take: impl FnMut(W::Done) -> Result<()>,
     ) -> Result<()> {
-        let Self { merge, memory_bytes, threads, ahead, max_columns, monitor } = *self;
-        let max_records = (memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD).min(MOST_RECORDS);
+        let Self { merge, memory_bytes, threads, ahead, max_columns, views, monitor } = *self;
+        let max_records = (memory_bytes / 4 / threads as u64 / job_bytes_per_record(views)).min(MOST_RECORDS);
         let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
         let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
         let (job_in, job_out) = bounded::<(u64, ColumnJob)>(threads);
@@ -71,7 +74,7 @@ impl Columns<'_> {
         std::thread::scope(|scope| {
             for number in 0..threads {
                 let (jobs, done) = (job_out.clone(), done_in.clone());
-                let worker = worker(Patches::new(plan, max_records, dense.clone(), monitor));
+                let worker = worker(Patches::new(plan, max_records, dense.clone(), views, monitor));
                 let started = Builder::new().spawn_scoped(scope, move || work_on_columns(worker, merge, &jobs, &done));
                 match started {
                     Ok(_) => {}
@@ -181,6 +184,7 @@ pub(super) trait TakeAreas {
 /// Folds the records of tile columns to voxels: scratch of one worker.
 pub(super) struct Patches<'a> {
     dense: Arc<Dense>,
+    views: Option<&'a Views>,
     monitor: &'a dyn Monitor,
     bands: Bands,
     min_points: u32,
@@ -189,13 +193,46 @@ pub(super) struct Patches<'a> {
     sums: Sums,
     folder: PieceFolder,
     records: Vec<Record>,
+    /// Points removed as moving since they were taken out last, without the copies in halos.
+    pub removed: Vec<(ColumnKey, Record)>,
+    staying: Vec<Record>,
+}
+
+/// Removes the points of an area and its halo that are taken for moving, and notes those of the area.
+fn remove_moving(
+    views: &Views,
+    key: ColumnKey,
+    area: Area,
+    records: &mut Vec<Record>,
+    removed: &mut Vec<(ColumnKey, Record)>,
+) {
+    records.retain(|&record| {
+        let is_moving = record.content() == Content::Point && views.is_moving(views.place(key, record));
+        if is_moving && area.holds(record.pixel()) {
+            removed.push((key, record));
+        }
+        !is_moving
+    });
+}
+
+/// Memory of a worker per record of a column.
+fn job_bytes_per_record(views: Option<&Views>) -> u64 {
+    let removed = size_of::<Record>() + size_of::<(ColumnKey, Record)>();
+    JOB_BYTES_PER_RECORD + if views.is_some() { removed as u64 } else { 0 }
 }
 
 impl<'a> Patches<'a> {
-    fn new(plan: &Plan, max_records: u64, dense: Arc<Dense>, monitor: &'a dyn Monitor) -> Self {
+    fn new(
+        plan: &Plan,
+        max_records: u64,
+        dense: Arc<Dense>,
+        views: Option<&'a Views>,
+        monitor: &'a dyn Monitor,
+    ) -> Self {
         let bands = Bands::new(plan);
         Self {
             dense,
+            views,
             monitor,
             bands,
             min_points: plan.options.min_points,
@@ -204,6 +241,8 @@ impl<'a> Patches<'a> {
             sums: Sums::new(bands),
             folder: PieceFolder::new(bands),
             records: Vec::new(),
+            removed: Vec::new(),
+            staying: Vec::new(),
         }
     }
 
@@ -231,13 +270,30 @@ impl<'a> Patches<'a> {
             let (own, others) = rest.split_at(count as usize);
             rest = others;
             if wanted(key) {
+                let mut staying = std::mem::take(&mut self.staying);
+                let own = match self.views {
+                    None => own,
+                    Some(_) => {
+                        staying.clear();
+                        staying.extend(own);
+                        self.remove_moving(key, Area::TILE, &mut staying);
+                        &staying[..]
+                    }
+                };
                 dropped += self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums);
                 dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
                 take.end(key)?;
+                self.staying = staying;
             }
         }
         self.records = records;
         Ok(dropped)
+    }
+
+    fn remove_moving(&mut self, key: ColumnKey, area: Area, records: &mut Vec<Record>) {
+        if let Some(views) = self.views {
+            remove_moving(views, key, area, records, &mut self.removed);
+        }
     }
 
     /// Works on a column of more records than memory holds. Where they make few voxels, one pass folds them piece by
@@ -266,6 +322,7 @@ impl<'a> Patches<'a> {
                     own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
                     true
                 })?;
+                self.remove_moving(key, area, &mut own);
                 dropped += self.patch.fold(&own, self.min_points, area, &mut self.sums);
                 dropped += take.area(key, area, &mut self.patch, &mut self.sums);
                 self.records = own;
@@ -303,10 +360,14 @@ impl<'a> Patches<'a> {
     ) -> Result<Option<u64>> {
         let mut folder = std::mem::take(&mut self.folder);
         let mut folded = Folded::new();
-        let mut own = Vec::new();
+        let (mut own, mut moving) = (Vec::new(), Vec::new());
+        let (views, key) = (self.views, job.columns[0].0);
         let fits = self.stream(merge, job, area, |records| {
             own.clear();
             own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
+            if let Some(views) = views {
+                remove_moving(views, key, area, &mut own, &mut moving);
+            }
             folder.fold_into(&mut folded, &own);
             folded.len() as u64 <= max_voxels
         })?;
@@ -314,6 +375,7 @@ impl<'a> Patches<'a> {
         if !fits {
             return Ok(None);
         }
+        self.removed.append(&mut moving);
         let dropped = self.patch.set_folded(&folded, self.min_points, area, &mut self.sums);
         drop(folded);
         Ok(Some(dropped + take.area(job.columns[0].0, area, &mut self.patch, &mut self.sums)))

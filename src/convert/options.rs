@@ -58,6 +58,10 @@ pub struct ConvertOptions {
     pub mesh: MeshMode,
     /// Whether input that can be read in part only is converted so, with warnings, instead of being refused.
     pub allow_incomplete: bool,
+    /// Where the scanners stood, a table with the columns `file,x,y,z`: needed where the plan removes moving points.
+    pub stations: Option<PathBuf>,
+    /// Where the points that were removed as moving are written, as LAS.
+    pub removed: Option<PathBuf>,
     /// Whether an existing slice archive may be replaced; another file never is.
     pub overwrite: bool,
     /// The job whose conversion this is, applied to these options ([`Job::apply_to`]): other inputs than its own are refused.
@@ -85,6 +89,8 @@ impl ConvertOptions {
             epsg: None,
             mesh: MeshMode::Exact,
             allow_incomplete: false,
+            stations: None,
+            removed: None,
             overwrite: false,
             job: None,
             resume: false,

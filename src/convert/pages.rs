@@ -1,15 +1,17 @@
 //! Second pass: tile columns out of the runs, into the archive.
 
 use super::columns::{ColumnWork, Columns, Patches, TakeAreas};
+use super::removed::RemovedPoints;
 use crate::archive::{ArchiveWriter, EncodedPage, PageEncoder};
 use crate::frame::PageKey;
 use crate::plan::Plan;
 use crate::voxel::floaters::{Dropped, Frontier, PieceFinder, Pieces};
 use crate::voxel::fold::{Area, Patch, Sums};
 use crate::voxel::judge::Judge;
-use crate::voxel::record::{ColumnIndex, ColumnKey, Recorder};
+use crate::voxel::record::{ColumnIndex, ColumnKey, Record, Recorder};
 use crate::voxel::runs::{ColumnJob, Merge, RunBuilder, RunStore};
 use crate::voxel::spans::ColumnPages;
+use crate::voxel::views::Views;
 use crate::{Monitor, Result};
 
 /// Memory of a small page that waits to be written, beyond its bytes.
@@ -21,22 +23,33 @@ const PIECES_AHEAD_PER_THREAD: usize = 2;
 
 /// How the second pass works.
 #[derive(Clone, Copy)]
-pub(super) struct Writing {
+pub(super) struct Writing<'a> {
     pub memory_bytes: u64,
     pub threads: usize,
     /// First and last column of the archive, where the runs hold others too.
     pub columns: Option<(u64, u64)>,
+    /// What stations saw, where points that others saw through are to be removed.
+    pub views: Option<&'a Views>,
 }
 
-/// Second pass: tile columns out of the runs, into the archive. Returns the number of voxels dropped.
+/// What was left out in the second pass.
+#[derive(Clone, Copy, Default)]
+pub(super) struct LeftOut {
+    pub voxels: u64,
+    /// Points removed as moving.
+    pub moving: u64,
+}
+
+/// Second pass: tile columns out of the runs, into the archive; the points that it removes as moving go to `removed`.
 pub(super) fn write_columns(
     plan: &Plan,
     store: &RunStore,
-    writing: Writing,
+    writing: Writing<'_>,
     writer: &mut ArchiveWriter,
+    mut removed: Option<&mut RemovedPoints>,
     monitor: &dyn Monitor,
-) -> Result<u64> {
-    let Writing { memory_bytes, threads, columns } = writing;
+) -> Result<LeftOut> {
+    let Writing { memory_bytes, threads, columns, views } = writing;
     let mut merge = Merge::new(store);
     if plan.options.drop_floaters > 1 {
         mark_floaters(plan, store, &merge, writing, monitor)?;
@@ -45,14 +58,18 @@ pub(super) fn write_columns(
     monitor.stage("writing slices", merge.records(), "records");
     let ahead = JOBS_AHEAD_PER_THREAD * threads;
     let max_columns = (memory_bytes / 8 / ahead as u64 / PAGE_BYTES).max(1);
-    let pass = Columns { merge: &merge, memory_bytes, threads, ahead, max_columns, monitor };
+    let pass = Columns { merge: &merge, memory_bytes, threads, ahead, max_columns, views, monitor };
     let worker = |patches| PageWorker { patches, pages: PageMaker::new(plan), columns };
-    let mut voxels_dropped = 0;
-    pass.work_in_order(plan, worker, |(pages, dropped): (KeyedPages, u64)| {
-        voxels_dropped += dropped;
-        pages.into_iter().try_for_each(|(key, page)| writer.put(key, page))
+    let mut left_out = LeftOut::default();
+    pass.work_in_order(plan, worker, |done: PagesDone| {
+        left_out.voxels += done.voxels_dropped;
+        left_out.moving += done.moving.len() as u64;
+        if let (Some(removed), Some(views)) = (&mut removed, views) {
+            done.moving.into_iter().try_for_each(|(key, record)| removed.push(views.place(key, record)))?;
+        }
+        done.pages.into_iter().try_for_each(|(key, page)| writer.put(key, page))
     })?;
-    Ok(voxels_dropped)
+    Ok(left_out)
 }
 
 /// Finds the connected matter of few voxels and adds to `store` that it is dropped.
@@ -62,10 +79,10 @@ fn mark_floaters(
     plan: &Plan,
     store: &RunStore,
     merge: &Merge<'_>,
-    writing: Writing,
+    writing: Writing<'_>,
     monitor: &dyn Monitor,
 ) -> Result<()> {
-    let Writing { memory_bytes, threads, columns } = writing;
+    let Writing { memory_bytes, threads, columns, views } = writing;
     monitor.stage("finding floaters", merge.records(), "records");
     let most = plan.options.drop_floaters;
     let mut frontier = Frontier::new(most, memory_bytes / 16);
@@ -74,7 +91,7 @@ fn mark_floaters(
         runs = runs.only(move |index: ColumnIndex| (first..=last).contains(&index.key().column));
     }
     let ahead = PIECES_AHEAD_PER_THREAD * threads;
-    let pass = Columns { merge, memory_bytes, threads, ahead, max_columns: 1 << 10, monitor };
+    let pass = Columns { merge, memory_bytes, threads, ahead, max_columns: 1 << 10, views, monitor };
     let worker = |patches| PieceWorker { patches, finder: PieceFinder::new(most) };
     let mut dropped: Vec<Dropped> = Vec::new();
     pass.work_in_order(plan, worker, |areas: Vec<Pieces>| {
@@ -117,11 +134,21 @@ impl ColumnWork for PieceWorker<'_> {
     fn work(&mut self, merge: &Merge<'_>, job: &ColumnJob) -> Result<Self::Done> {
         let mut take = TakePieces { finder: &mut self.finder, found: Vec::new() };
         self.patches.take(merge, job, |_| true, &mut take)?;
+        self.patches.removed.clear();
         Ok(take.found)
     }
 }
 
 type KeyedPages = Vec<(PageKey, EncodedPage)>;
+
+/// What comes of a job.
+struct PagesDone {
+    /// In archive order.
+    pages: KeyedPages,
+    voxels_dropped: u64,
+    /// Points removed, in order.
+    moving: Vec<(ColumnKey, Record)>,
+}
 
 /// Makes the pages of tile columns.
 struct PageWorker<'a> {
@@ -131,14 +158,15 @@ struct PageWorker<'a> {
 }
 
 impl ColumnWork for PageWorker<'_> {
-    /// The pages, in archive order, and the number of voxels dropped.
-    type Done = (KeyedPages, u64);
+    type Done = PagesDone;
 
     fn work(&mut self, merge: &Merge<'_>, job: &ColumnJob) -> Result<Self::Done> {
         let columns = self.columns;
         let wanted = |key: ColumnKey| columns.is_none_or(|(first, last)| (first..=last).contains(&key.column));
-        let dropped = self.patches.take(merge, job, wanted, &mut self.pages)?;
-        Ok((std::mem::take(&mut self.pages.done), dropped))
+        let voxels_dropped = self.patches.take(merge, job, wanted, &mut self.pages)?;
+        let mut moving = std::mem::take(&mut self.patches.removed);
+        moving.sort_unstable();
+        Ok(PagesDone { pages: std::mem::take(&mut self.pages.done), voxels_dropped, moving })
     }
 }
 

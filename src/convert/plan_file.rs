@@ -32,6 +32,7 @@ pub fn to_json(job: &Job) -> Value {
         // For builds that know isolated voxels only; of other numbers they refuse the hash.
         "drop_isolated": plan.options.drop_floaters == 1,
         "drop_floaters": plan.options.drop_floaters,
+        "remove_moving": plan.options.remove_moving,
         "up": plan.options.up.name(),
         "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
         "plan_hash": format!("{:032x}", plan.hash()),
@@ -137,6 +138,10 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
         None => u16::from(field(value, "drop_isolated", "true or false", Value::as_bool)?),
         Some(_) => field(value, "drop_floaters", "a number of voxels", |v| u16::try_from(v.as_u64()?).ok())?,
     };
+    let remove_moving = match value.get("remove_moving") {
+        None => false,
+        Some(_) => field(value, "remove_moving", "true or false", Value::as_bool)?,
+    };
     let frame = frame.map_err(|error| Wrong::new("pixel_size, slice_height", format!("a grid, but {error}")))?;
     let options = PlanOptions {
         max_slope_deg: field(value, "max_slope", "an angle in degrees", number)?,
@@ -144,6 +149,7 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
         classifier: field(value, "classifier", "span, thesis or plane", classifier)?,
         min_points: field(value, "min_points", "a number of points", |v| u32::try_from(v.as_u64()?).ok())?,
         drop_floaters,
+        remove_moving,
         up: field(value, "up", "z or y", up)?,
         exclude_classes: field(value, "excluded_classes", "a list of classes from 0 to 255", classes)?,
     };
@@ -231,7 +237,7 @@ mod tests {
         #[test]
         fn plans_come_back_to_the_last_bit(
             sizes in (1e-4f64..1e3, 1e-4f64..1e3, 0.0f64..=90.0, 0.0f64..1.0), rule in 0usize..3, min_points in 1u32..,
-            drop_floaters: u16, up: bool, classes: [u64; 4], units in proptest::option::of(1e-3f64..1e3), epsg: Option<u32>,
+            drop_floaters: u16, flags: (bool, bool), classes: [u64; 4], units in proptest::option::of(1e-3f64..1e3), epsg: Option<u32>,
             spacing_m in proptest::option::of(1e-6f64..1e3), inputs in proptest::collection::vec(input(), 0..5)
         ) {
             let (pixel, slice, max_slope_deg, tolerance_m) = sizes;
@@ -241,7 +247,8 @@ mod tests {
                 classifier: Classifier::ALL[rule],
                 min_points,
                 drop_floaters,
-                up: if up { Up::Y } else { Up::Z },
+                remove_moving: flags.1,
+                up: if flags.0 { Up::Y } else { Up::Z },
                 exclude_classes: ClassSet::from_words(classes),
             };
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };

@@ -55,6 +55,10 @@ impl PointWriter {
     /// Fails for options that make no sense, and where the output may not be written.
     pub fn create(options: &ConvertOptions, crs: &str) -> Result<Self> {
         options.check()?;
+        if options.plan.remove_moving {
+            let reason = "points from memory have no stations; convert files to remove what moved";
+            return Err(Error::parameter(Parameter::Stations, reason));
+        }
         let PixelSize::Metres(pixel_m) = options.pixel else {
             let reason = "points that are not there yet tell no pixel size; give it in metres";
             return Err(Error::parameter(Parameter::PixelSize, reason));
@@ -128,8 +132,8 @@ impl PointWriter {
         drop(self.runs);
         let (options, own) = (&self.options, &self.read.own);
         let ConvertOptions { memory_bytes, threads, .. } = *options;
-        let writing = Writing { memory_bytes, threads, columns: None };
-        let voxels_dropped = write_columns(&self.plan, &self.store, writing, &mut self.output, monitor)?;
+        let writing = Writing { memory_bytes, threads, columns: None, views: None };
+        let left_out = write_columns(&self.plan, &self.store, writing, &mut self.output, None, monitor)?;
         let units = vec![LengthUnit::METRE];
         Ok(Report {
             header: self.output.finish(own.totals(&self.crs, &units))?,
@@ -144,7 +148,8 @@ impl PointWriter {
             complete: true,
             triangles: MeshCounts::default(),
             points_made: 0,
-            voxels_dropped,
+            points_moving: 0,
+            voxels_dropped: left_out.voxels,
         })
     }
 }

@@ -188,6 +188,7 @@ fn options() -> Plan {
         classifier: Classifier::Plane,
         min_points: 3,
         drop_floaters: 1,
+        remove_moving: false,
         up: Up::Y,
         exclude_classes: [7, 18, 255].into_iter().collect(),
     };

@@ -91,6 +91,15 @@ struct Arguments {
     /// Another name of `--drop-floaters 1`: drop voxels whose 26 neighbours are all empty
     #[arg(long, conflicts_with = "drop_floaters")]
     drop_isolated: bool,
+    /// Remove points that moved: those whose place other stations saw through
+    #[arg(long, requires = "stations")]
+    remove_moving: bool,
+    /// Where the scanner of each scan stood: a table with the columns file,x,y,z in the scan's coordinates
+    #[arg(long, requires = "remove_moving", value_name = "STATIONS.csv")]
+    stations: Option<PathBuf>,
+    /// Write the points that were removed as moving to a LAS file
+    #[arg(long, requires = "remove_moving", value_name = "REMOVED.las")]
+    removed: Option<PathBuf>,
     /// Axis of the input that points up (glTF files state theirs)
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
@@ -303,6 +312,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Units => "--units",
         Parameter::Shard => "--shard",
         Parameter::Resume => "--resume",
+        Parameter::Stations => "--stations",
         _ => return None,
     })
 }
@@ -329,6 +339,9 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.plan.exclude_classes = arguments.exclude_class.iter().cloned().flatten().collect();
     options.plan.min_points = arguments.min_points;
     options.plan.drop_floaters = arguments.drop_floaters.unwrap_or(arguments.drop_isolated.into());
+    options.plan.remove_moving = arguments.remove_moving;
+    options.stations = arguments.stations.clone();
+    options.removed = arguments.removed.clone();
     options.plan.up = match arguments.up {
         Axis::Z => Up::Z,
         Axis::Y => Up::Y,
@@ -375,6 +388,7 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("min_points", "--min-points", wanted.plan.min_points == planned.plan.min_points),
         ("drop_isolated", "--drop-isolated", wanted.plan.drop_floaters == planned.plan.drop_floaters),
         ("drop_floaters", "--drop-floaters", wanted.plan.drop_floaters == planned.plan.drop_floaters),
+        ("remove_moving", "--remove-moving", wanted.plan.remove_moving == planned.plan.remove_moving),
         ("up", "--up", wanted.plan.up == planned.plan.up),
         ("units", "--units", wanted.units == planned.units),
         ("crs", "--crs", wanted.epsg == planned.epsg),

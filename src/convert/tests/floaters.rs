@@ -40,7 +40,7 @@ fn runs_on_disk_and_columns_in_areas_make_the_same_bytes() {
         // So many threads that the records of a column do not fit the share of one.
         for threads in [1, 2, 300] {
             options.threads = threads;
-            for limits in [Limits::of(&options), Limits { retain_bytes: 0, build_bytes: 0 }] {
+            for limits in [Limits::of(&options), Limits { retain_bytes: 0, build_bytes: 0, views_bytes: 0 }] {
                 let again = convert_within(&options, limits, &NoMonitor).unwrap();
                 assert_eq!(again.voxels_dropped, report.voxels_dropped);
                 assert!(fs::read(&options.output).unwrap() == expected, "{most}, {threads} threads, {limits:?}");

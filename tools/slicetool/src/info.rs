@@ -135,6 +135,9 @@ fn options(header: &Header) -> String {
     if options.min_points > 1 {
         text += &format!(", at least {}", counted(options.min_points.into(), "point"));
     }
+    if options.remove_moving {
+        text += ", without moving points";
+    }
     match options.drop_floaters {
         0 => {}
         1 => text += ", without isolated voxels",

@@ -9,6 +9,12 @@ use crate::{Error, Result, Scene, Truth};
 const TURN_S: f64 = 60.0;
 /// Neighbouring rays whose ranges differ by more are an edge (m).
 const EDGE_M: f64 = 0.3;
+/// Share of rays that pass a pane of glass.
+const GLASS_PASSES: f64 = 0.9;
+/// Panes and mirrors that a ray meets at most.
+const MOST_TURNS: usize = 8;
+/// How far behind a pane or before a mirror a ray goes on (m).
+const CLEAR_M: f64 = 1e-6;
 
 /// Someone who walks to and fro on a line.
 struct Person {
@@ -116,15 +122,45 @@ impl<'a> Scan<'a> {
         self.last = None;
     }
 
+    /// What a ray meets: the length of its way, the surface, and what it is. Mirrors turn it, most of it passes glass; what is
+    /// seen in a mirror seems to lie behind it, where nothing is.
+    fn trace(&mut self, origin: Vec3, dir: Vec3) -> Option<(f64, u32, Kind)> {
+        let (mut from, mut along, mut way, mut mirrored) = (origin, dir, 0.0, false);
+        for _ in 0..MOST_TURNS {
+            let limit = self.spec.range_m - way;
+            let mut hit = self.scene.raycast(from, along, limit).map(|(t, i)| (t, i, Kind::Surface));
+            for body in &self.bodies {
+                let limit = hit.map_or(limit, |h| h.0);
+                if let Some(t) = body.raycast(from, along, 0.0, limit) {
+                    hit = Some((t, hit.map_or(0, |h| h.1), Kind::Moving));
+                }
+            }
+            let (t, surface, kind) = hit?;
+            let met = &self.scene.surfaces()[surface];
+            let passes = match (kind, met.label) {
+                (Kind::Surface, "glass") => self.extras.unit() < GLASS_PASSES,
+                (Kind::Surface, "mirror") => true,
+                _ => false,
+            };
+            if !passes {
+                return Some((way + t, surface as u32, if mirrored { Kind::Outlier } else { kind }));
+            }
+            let at = add(from, scale(along, t));
+            if met.label == "mirror" {
+                let normal = met.shape.normal_at(at);
+                let facing = (0..3).map(|axis| along[axis] * normal[axis]).sum::<f64>();
+                along = add(along, scale(normal, -2.0 * facing));
+                mirrored = true;
+            }
+            way += t + CLEAR_M;
+            from = add(at, scale(along, CLEAR_M));
+        }
+        None
+    }
+
     /// Casts one ray.
     fn shoot(&mut self, origin: Vec3, dir: Vec3) -> Option<Sample> {
-        let mut hit = self.scene.raycast(origin, dir, self.spec.range_m).map(|(t, i)| (t, i as u32, Kind::Surface));
-        for body in &self.bodies {
-            let limit = hit.map_or(self.spec.range_m, |h| h.0);
-            if let Some(t) = body.raycast(origin, dir, 0.0, limit) {
-                hit = Some((t, hit.map_or(0, |h| h.1), Kind::Moving));
-            }
-        }
+        let hit = self.trace(origin, dir);
         let before = self.last;
         self.last = hit.map(|(t, i, _)| (t, i));
         let (range, surface, kind) = hit?;
