@@ -93,6 +93,9 @@ impl Asked {
                 "drop_floaters" => {
                     options.plan.drop_floaters = options.plan.drop_floaters.max(value.extract()?);
                 }
+                "remove_moving" => options.plan.remove_moving = value.extract()?,
+                "stations" => options.stations = value.extract()?,
+                "removed" => options.removed = value.extract()?,
                 "up" => options.plan.up = one_of("up", &value, &[("z", Up::Z), ("y", Up::Y)])?,
                 "units" => options.units = number_or("units", &value, Units::Factor)?,
                 "mesh" => {
@@ -162,6 +165,7 @@ fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &Co
         "exclude_class" => wanted.plan.exclude_classes != planned.plan.exclude_classes,
         "min_points" => wanted.plan.min_points != planned.plan.min_points,
         "drop_isolated" | "drop_floaters" => wanted.plan.drop_floaters != planned.plan.drop_floaters,
+        "remove_moving" => wanted.plan.remove_moving != planned.plan.remove_moving,
         "up" => wanted.plan.up != planned.plan.up,
         _ => false,
     };

@@ -55,5 +55,8 @@ class ConvertOptions(PlanOptions, total=False):
     """Options of `convert`."""
 
     plan: StrPath | None
+    remove_moving: bool
+    stations: StrPath | None
+    removed: StrPath | None
     resume: bool
     shard: str | tuple[int, int] | None
