@@ -21,7 +21,7 @@ const OPTIONS: [&str; 8] = ["--pixel", "0.05", "--units", "m", "--quiet", "--for
 
 /// Points of one station, rounded as the file has them.
 fn scan(scene: &Scene, at: [f64; 3], rays: u64, people: usize, seed: u64, path: &Path) -> Vec<Sample> {
-    let scanner = ScannerSpec { stations: vec![at], people, ..ScannerSpec::default() };
+    let scanner = ScannerSpec { stations: vec![at], people, clearance_m: 0.15, ..ScannerSpec::default() };
     let spec = SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(rays) }.with_noise(0.003);
     let write = WriteSpec::for_path(path);
     let samples: Vec<Sample> = scene.samples(seed, &spec).unwrap().collect();
@@ -104,7 +104,7 @@ fn walkers_go_and_what_stands_stays_beside_glass_mirrors_plants_and_clutter() {
     println!("moving {moving:?}, standing {standing:?}");
     println!("mixed {:?}", share(&|s| s.kind == Kind::Mixed));
     println!("mirrored {:?}", share(&|s| s.kind == Kind::Outlier));
-    assert!(moving.1 > 20_000 && moving.0 >= 0.95, "{moving:?}");
+    assert!(moving.1 > 10_000 && moving.0 >= 0.95, "{moving:?}");
     assert!(standing.0 <= 0.01, "{standing:?}");
     assert_eq!(
         report["points_moving"].as_u64().unwrap() + report["points_kept"].as_u64().unwrap(),
