@@ -15,7 +15,7 @@ INDEX = 1 << 36
 
 FIELDS = (
     "magic:8s major:H minor:H head_len:I features_required:Q features_optional:Q file_len:Q plan_hash:16s "
-    "pixel_size:d slice_height:d max_slope:d tolerance:d classifier:B up:B drop_isolated:B reserved_plan:B min_points:I "
+    "pixel_size:d slice_height:d max_slope:d tolerance:d classifier:B up:B drop_floaters:H min_points:I "
     "exclude_classes:32s points_read:Q points_kept:Q points_withheld:Q points_excluded:Q min:24s max:24s "
     "slice_first:q slice_last:q tiles_occupied:Q tiles_stored:Q tiles_unique:Q voxels_occupied:Q voxels_obstacle:Q "
     "pages_stored:Q pages_shared:Q pages_uniform:Q pages_len:Q directory_len:Q metadata_len:Q metadata_crc:I "
@@ -78,9 +78,7 @@ class Head:
             and plain(self.max_slope, 0, 90)
             and plain(self.tolerance, 0, 1e6)
             and self.classifier <= 2
-            and self.up <= 1
-            and self.drop_isolated <= 1
-            and self.reserved_plan == 0
+            and self.up <= 3
             and self.min_points >= 1
         )
         need(plan, "H7", "the plan is not within its limits")

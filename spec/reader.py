@@ -270,7 +270,7 @@ def check_bounds(head, part, matter):
         return
     units = 1 / head.pixel_size, 1 / head.pixel_size, 255 / head.slice_height
     moved = min(255, math.floor(head.tolerance / (head.slice_height / 255)))
-    tight = head.min_points == 1 and not head.drop_isolated and not part
+    tight = head.min_points == 1 and not head.drop_floaters and not head.up & 2 and not part
     for axis, unit in enumerate(units):
         low = on_grid(head.bounds["min"][axis], unit, math.floor)
         high = on_grid(head.bounds["max"][axis], unit, math.ceil if axis == 2 else math.floor)
@@ -390,13 +390,17 @@ def show(head, crs, part, units):
         "tolerance": head.tolerance,
         "classifier": ("span", "thesis", "plane")[head.classifier],
         "min_points": head.min_points,
-        "drop_isolated": bool(head.drop_isolated),
-        "up": "zy"[head.up],
+        "drop_isolated": head.drop_floaters > 0,
+        "up": "zy"[head.up & 1],
         "excluded_classes": [c for c in range(256) if head.exclude_classes[c // 8] >> c % 8 & 1],
         "plan_hash": head.plan_hash[::-1].hex(),
         "crs": crs,
         "unit": show_units(units),
     }
+    if head.up & 2:
+        facts["remove_moving"] = True
+    if head.drop_floaters > 1:
+        facts["drop_floaters"] = head.drop_floaters
     for name in ("read", "kept", "withheld", "excluded"):
         facts[f"points_{name}"] = getattr(head, f"points_{name}")
     if part:

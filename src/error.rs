@@ -159,6 +159,8 @@ pub enum Parameter {
     Shard,
     /// Whether a conversion goes on from what an earlier one left.
     Resume,
+    /// Where scanners stood.
+    Stations,
     /// The plan of a conversion or of a recovery.
     Plan,
     /// The region to cut out of an archive.
@@ -187,6 +189,7 @@ impl std::fmt::Display for Parameter {
             Self::Units => "unit of the input",
             Self::Shard => "shard",
             Self::Resume => "resuming",
+            Self::Stations => "stations",
             Self::Plan => "plan",
             Self::Bounds => "bounds",
             Self::Pawn(name) => name,

@@ -59,7 +59,7 @@ pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
 
 /// Grid and options.
 pub fn plan_info(plan: &Plan) -> Value {
-    json!({
+    let mut facts = json!({
         "pixel_size": plan.frame.pixel_m(),
         "slice_height": plan.frame.slice_m(),
         "height_quantum": plan.frame.quantum_m(),
@@ -68,10 +68,17 @@ pub fn plan_info(plan: &Plan) -> Value {
         "tolerance": plan.options.tolerance_m,
         "classifier": plan.options.classifier.name(),
         "min_points": plan.options.min_points,
-        "drop_isolated": plan.options.drop_isolated,
+        "drop_isolated": plan.options.drop_floaters > 0,
         "up": plan.options.up.name(),
         "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
-    })
+    });
+    if plan.options.remove_moving {
+        facts["remove_moving"] = true.into();
+    }
+    if plan.options.drop_floaters > 1 {
+        facts["drop_floaters"] = plan.options.drop_floaters.into();
+    }
+    facts
 }
 
 /// Name of a reference system, whose text may be long: the first name in it, or its beginning. `None` if it is empty.

@@ -144,8 +144,11 @@ pub struct PlanOptions {
     pub classifier: Classifier,
     /// Voxels with fewer points are dropped, unless a triangle of a mesh is in them (points, at least 1).
     pub min_points: u32,
-    /// Whether voxels without matter in any of the 26 voxels around them are dropped.
-    pub drop_isolated: bool,
+    /// Connected matter of at most this many voxels is dropped; voxels are connected where they share a face, an edge or a
+    /// corner. 0 drops nothing, 1 isolated voxels.
+    pub drop_floaters: u16,
+    /// Whether points are removed that other stations of the scan saw through.
+    pub remove_moving: bool,
     /// Up axis of the input, where its format does not fix it.
     pub up: Up,
     /// Points of these LAS classes are left out.
@@ -160,7 +163,8 @@ impl Default for PlanOptions {
             tolerance_m: 0.0,
             classifier: Classifier::Plane,
             min_points: 1,
-            drop_isolated: false,
+            drop_floaters: 0,
+            remove_moving: false,
             up: Up::Z,
             exclude_classes: ClassSet::default(),
         }
@@ -193,8 +197,8 @@ impl Plan {
         }
         bytes[32] =
             Classifier::ALL.iter().position(|&c| c == self.options.classifier).map_or(u8::MAX, |code| code as u8);
-        bytes[33] = (self.options.up == Up::Y) as u8;
-        bytes[34] = self.options.drop_isolated as u8;
+        bytes[33] = u8::from(self.options.up == Up::Y) | u8::from(self.options.remove_moving) << 1;
+        bytes[34..36].copy_from_slice(&self.options.drop_floaters.to_le_bytes());
         bytes[36..40].copy_from_slice(&self.options.min_points.to_le_bytes());
         for (slot, value) in bytes[40..].chunks_exact_mut(8).zip(self.options.exclude_classes.words()) {
             slot.copy_from_slice(&value.to_le_bytes());

@@ -446,30 +446,33 @@ fn decode_levels(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<L
 fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
     let mut reader = ByteReader::new(bytes, "H7");
     let sizes = [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
-    let [classifier, up, drop_isolated, reserved] = reader.array()?;
+    let [classifier, flags] = reader.array()?;
+    let drop_floaters = u16::from_le_bytes(reader.array()?);
     let min_points = reader.u32()?;
     let exclude_classes = ClassSet::from_words([reader.u64()?, reader.u64()?, reader.u64()?, reader.u64()?]);
     let wrong = |error: Error| Violation::new("H7", "a plan within its limits", error);
     let Some(&classifier) = Classifier::ALL.get(classifier as usize) else {
         return Err(Violation::new("H7", "classifier 0, 1 or 2", classifier));
     };
-    let up = match up {
-        0 => Up::Z,
-        1 => Up::Y,
-        other => return Err(Violation::new("H7", "up axis 0 or 1", other)),
-    };
-    let drop_isolated = match drop_isolated {
-        0 => false,
-        1 => true,
-        other => return Err(Violation::new("H7", "drop_isolated 0 or 1", other)),
-    };
+    if flags > 3 {
+        return Err(Violation::new("H7", "an up axis and removed points as 0 to 3", flags));
+    }
+    let (up, remove_moving) = (if flags & 1 == 1 { Up::Y } else { Up::Z }, flags & 2 == 2);
     let frame = Frame::new(sizes[0], sizes[1]).map_err(wrong)?;
     let [_, _, max_slope_deg, tolerance_m] = sizes;
-    let options =
-        PlanOptions { max_slope_deg, tolerance_m, classifier, min_points, drop_isolated, up, exclude_classes };
+    let options = PlanOptions {
+        max_slope_deg,
+        tolerance_m,
+        classifier,
+        min_points,
+        drop_floaters,
+        remove_moving,
+        up,
+        exclude_classes,
+    };
     let plan = Plan { frame, options };
     plan.options.check().map_err(wrong)?;
-    if reserved != 0 || plan.to_bytes() != *bytes {
+    if plan.to_bytes() != *bytes {
         return Err(Violation::new("H7", "the canonical bytes of the plan", hex(bytes)));
     }
     let hash = xxh3_128(bytes);

@@ -3,7 +3,7 @@
 use super::head::Bounds;
 use crate::codec::Violation;
 use crate::frame::{Frame, MAX_INDEX, PAGE_QUANTA, PageKey, SLICE_QUANTA, TILE_PIXELS};
-use crate::plan::Plan;
+use crate::plan::{Plan, PlanOptions};
 use crate::slice::PageBounds;
 
 /// Edges of a page (pixels, pixels, quanta); bounds may end so far outside the matter.
@@ -94,7 +94,8 @@ impl Matter {
             return Allowed { min: (-end, end), max: (-end, end) };
         };
         // Points of voxels that were dropped lie within the bounds, and a part has the bounds of all triangles.
-        let close = plan.options.min_points == 1 && !plan.options.drop_isolated && !is_part;
+        let PlanOptions { min_points, drop_floaters, remove_moving, .. } = plan.options;
+        let close = min_points == 1 && drop_floaters == 0 && !remove_moving && !is_part;
         let margin = if close { PAGE[axis] } else { 2 * end };
         let moved = if axis == 2 { i64::from(plan.tolerance_quanta()) } else { 0 };
         Allowed {
@@ -114,7 +115,6 @@ fn on_grid(frame: &Frame, min: &[f64; 3], max: &[f64; 3]) -> ([i64; 3], [i64; 3]
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::PlanOptions;
     use proptest::prelude::*;
 
     fn key(tx: i32, ty: i32, layer: i32) -> PageKey {
@@ -148,7 +148,7 @@ mod tests {
         let with = |options| Plan { options, ..plan.clone() };
         let dropping = [
             with(PlanOptions { min_points: 2, ..PlanOptions::default() }),
-            with(PlanOptions { drop_isolated: true, ..PlanOptions::default() }),
+            with(PlanOptions { drop_floaters: 1, ..PlanOptions::default() }),
         ];
         for axis in 0..3 {
             let size = if axis == 2 { 0.3 } else { 0.1 };

@@ -62,7 +62,7 @@ pub(super) fn read_meshes<'a>(
     let work = || -> Result<(Read, u64)> {
         let mut runs = RunBuilder::new(Recorder::new(plan.frame), build_bytes);
         if let Some(scope) = scope {
-            runs = runs.only(scope.shard.first, scope.shard.last);
+            runs = runs.only(scope.keeps());
         }
         let mut surfaces = SurfaceBuilder::new(plan, options.mesh);
         let (mut read, mut batch) = (Read::NOTHING, Vec::new());

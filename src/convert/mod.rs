@@ -8,6 +8,7 @@
 //! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
 //! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
 
+mod columns;
 mod facts;
 mod meshes;
 mod options;
@@ -15,10 +16,12 @@ mod pages;
 mod plan_file;
 mod points;
 mod preview;
+mod removed;
 mod report;
 mod resume;
 mod scope;
 mod split;
+mod stations;
 #[cfg(test)]
 mod tests;
 mod work;
@@ -39,18 +42,21 @@ use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, estimate_spacing};
 use crate::input::{InputOptions, InputSet, PointCounts, ScanFile};
 use crate::mesh::{MeshOptions, MeshSet};
-use crate::output::{Existing, Output, OutputKind};
+use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::plan::Plan;
 use crate::text::{counted, grouped};
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
 use crate::voxel::spill::SpillPlace;
+use crate::voxel::views::Views;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use meshes::read_meshes;
-use pages::write_columns;
-use points::{Reading, read_points};
+use pages::{Writing, write_columns};
+use points::{Reading, Seeing, read_points};
+use removed::RemovedPoints;
 use resume::{Earlier, Identity, Progress, TakenOver};
 use scope::ShardScope;
+use stations::Stations;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -145,6 +151,26 @@ impl ConvertOptions {
         if self.threads == 0 {
             return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
         }
+        match (self.plan.remove_moving, &self.stations) {
+            (true, None) => {
+                let reason = "to remove what moved, it must be known where the scanners stood; name a table file,x,y,z";
+                return Err(Error::parameter(Parameter::Stations, reason));
+            }
+            (false, Some(_)) => {
+                let reason = "a table of stations changes nothing unless moving points are to be removed";
+                return Err(Error::parameter(Parameter::Stations, reason));
+            }
+            _ => {}
+        }
+        if self.plan.remove_moving && self.shard.is_some() {
+            let reason = "moving points are removed by what stations saw anywhere in the scan, which no part knows; convert \
+                          the whole at once";
+            return Err(Error::parameter(Parameter::Shard, reason));
+        }
+        if self.plan.remove_moving && self.resume {
+            let reason = "what stations saw is not kept with temporary data; begin anew without resuming";
+            return Err(Error::parameter(Parameter::Resume, reason));
+        }
         self.plan.check()
     }
 }
@@ -156,6 +182,8 @@ pub(crate) struct Limits {
     retain_bytes: u64,
     /// Memory of one worker's run under construction.
     build_bytes: u64,
+    /// Bytes of what stations saw.
+    views_bytes: u64,
 }
 
 impl Limits {
@@ -164,7 +192,9 @@ impl Limits {
 
     fn of(options: &ConvertOptions) -> Self {
         let build_bytes = (options.memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / options.threads as u64;
-        Self { retain_bytes: options.memory_bytes / 2, build_bytes }
+        // What stations saw takes a half of what runs have otherwise.
+        let views_bytes = if options.plan.remove_moving { options.memory_bytes / 4 } else { 0 };
+        Self { retain_bytes: options.memory_bytes / 2 - views_bytes, build_bytes, views_bytes }
     }
 }
 
@@ -185,6 +215,15 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     // Begun first, so that a file that must not be replaced is found before the work and not after it.
     let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
     let output = Output::create(&options.output, kind, inputs.paths().collect())?;
+    let mut removed = match &options.removed {
+        Some(path) => {
+            let mut protected: Protected = inputs.paths().collect();
+            protected.add(&options.output);
+            options.stations.iter().for_each(|stations| protected.add(stations));
+            Some(RemovedPoints::create(path, protected)?)
+        }
+        None => None,
+    };
     let files = output.files().clone();
     let target = std::path::absolute(output.beside()).map_err(|error| Error::io(&options.output, "find", error))?;
     let earlier = Earlier::find(options, &output, &target)?;
@@ -197,6 +236,14 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     }
     let scope = scope(options, &set, &plan, monitor)?;
     let shard = scope.as_ref().map(|scope| scope.shard);
+    let seeing = match &options.stations {
+        Some(table) => {
+            let Stations { places, of_file } = Stations::read(table, &set)?;
+            Some(Seeing { views: Views::new(&places, plan.frame, limits.views_bytes)?, of_file })
+        }
+        None => None,
+    };
+    let seeing = seeing.as_ref();
     let mut writer = ArchiveWriter::on(output, &plan)?;
     if options.levels {
         writer.set_levels();
@@ -224,9 +271,24 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
             (RunStore::resumed(limits.retain_bytes, spill, runs, resumed.points), progress, Some(resumed))
         }
     };
-    let conversion =
-        Conversion { options, limits, plan: &plan, set: &set, meshes: &meshes, scope, progress, notes, units, monitor };
-    match conversion.run(&store, writer) {
+    let conversion = Conversion {
+        options,
+        limits,
+        plan: &plan,
+        set: &set,
+        meshes: &meshes,
+        scope,
+        progress,
+        notes,
+        units,
+        seeing,
+        monitor,
+    };
+    let done = conversion.run(&store, writer, removed.as_mut());
+    if let (Ok(_), Some(removed)) = (&done, removed) {
+        removed.finish()?;
+    }
+    match done {
         Ok(report) => Ok(Report { spacing, resumed, temp_bytes: store.temp_bytes(), ..report }),
         Err(error) => Err(keep(options, &mut store, error)),
     }
@@ -244,15 +306,16 @@ fn scope(options: &ConvertOptions, set: &InputSet, plan: &Plan, monitor: &dyn Mo
 }
 
 /// Why an archive of a scan with points is empty.
-fn nothing_kept(header: &Header, voxels_dropped: u64) -> String {
+fn nothing_kept(header: &Header, voxels_dropped: u64, points_moving: u64) -> String {
     let Header { points_read, points_kept, points_excluded, points_withheld, .. } = *header;
     let why = match points_kept {
         0 => format!(
-            "all {} are left out ({} by class, {} withheld, {} without a finite position)",
+            "all {} are left out ({} by class, {} withheld, {} moving, {} without a finite position)",
             counted(points_read, "point"),
             grouped(points_excluded),
             grouped(points_withheld),
-            grouped(points_read - points_excluded - points_withheld)
+            grouped(points_moving),
+            grouped(points_read - points_excluded - points_withheld - points_moving)
         ),
         _ => format!("all {} have too few points or no neighbours", counted(voxels_dropped, "voxel")),
     };
@@ -285,15 +348,21 @@ struct Conversion<'a> {
     progress: Progress,
     notes: bool,
     units: Vec<LengthUnit>,
+    seeing: Option<&'a Seeing>,
     monitor: &'a dyn Monitor,
 }
 
 impl Conversion<'_> {
-    fn run(self, store: &RunStore, mut writer: ArchiveWriter) -> Result<Report> {
-        let Self { options, limits, plan, set, meshes, scope, progress, notes, units, monitor } = self;
+    fn run(
+        self,
+        store: &RunStore,
+        mut writer: ArchiveWriter,
+        mut removed: Option<&mut RemovedPoints>,
+    ) -> Result<Report> {
+        let Self { options, limits, plan, set, meshes, scope, progress, notes, units, seeing, monitor } = self;
         let threads = options.threads;
         let scope = scope.as_ref();
-        let reading = Reading { build_bytes: limits.build_bytes, threads, scope, progress: &progress, notes };
+        let reading = Reading { build_bytes: limits.build_bytes, threads, scope, progress: &progress, notes, seeing };
         let (mut read, of_files) = read_points(set, plan, store, reading, monitor)?;
         // A part that leaves files out cannot say of the whole that nothing in it can be used.
         let whole = scope.is_none_or(ShardScope::reads_all);
@@ -320,11 +389,20 @@ impl Conversion<'_> {
             }
             monitor.warn(&"the input holds no points: the archive is empty".into());
         }
-        let voxels_dropped = write_columns(plan, store, options.memory_bytes, threads, &mut writer, monitor)?;
+        let columns = scope.map(|scope| (scope.shard.first, scope.shard.last));
+        if let Some(removed) = &mut removed {
+            removed.set_bounds(read.min, read.max);
+        }
+        let views = seeing.map(|seeing| &seeing.views);
+        views.inspect(|views| views.finish());
+        let writing = Writing { memory_bytes: options.memory_bytes, threads, columns, views };
+        let left_out = write_columns(plan, store, writing, &mut writer, removed, monitor)?;
+        let (voxels_dropped, points_moving) = (left_out.voxels, left_out.moving);
+        read.own.kept -= points_moving;
         let crs = set.crs().unwrap_or_default().to_owned();
         let header = writer.finish(read.own.totals(&crs, &units))?;
         if whole && header.points_read > 0 && header.voxels.occupied == 0 {
-            monitor.warn(&nothing_kept(&header, voxels_dropped).into());
+            monitor.warn(&nothing_kept(&header, voxels_dropped, points_moving).into());
         }
         Ok(Report {
             header,
@@ -336,6 +414,7 @@ impl Conversion<'_> {
             temp_bytes: 0,
             resumed: None,
             points_not_finite,
+            points_moving,
             complete,
             triangles: mesh_read.triangles,
             points_made: mesh_read.points_made,

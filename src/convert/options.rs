@@ -60,6 +60,10 @@ pub struct ConvertOptions {
     pub levels: bool,
     /// Whether input that can be read in part only is converted so, with warnings, instead of being refused.
     pub allow_incomplete: bool,
+    /// Where the scanners stood, a table with the columns `file,x,y,z`: needed where the plan removes moving points.
+    pub stations: Option<PathBuf>,
+    /// Where the points that were removed as moving are written, as LAS.
+    pub removed: Option<PathBuf>,
     /// Whether an existing slice archive may be replaced; another file never is.
     pub overwrite: bool,
     /// The plan file whose conversion this is, applied to these options ([`PlanFile::apply_to`]): other inputs than its own are refused.
@@ -88,6 +92,8 @@ impl ConvertOptions {
             mesh: MeshMode::Exact,
             levels: false,
             allow_incomplete: false,
+            stations: None,
+            removed: None,
             overwrite: false,
             plan_file: None,
             resume: false,

@@ -11,6 +11,7 @@ use crate::plan::Plan;
 use crate::unit::LengthUnit;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
+use crate::voxel::views::Views;
 use crate::{Error, Monitor, Parameter, Result};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -105,6 +106,14 @@ pub(super) struct Reading<'a> {
     pub progress: &'a Progress,
     /// Whether runs say what they stand for.
     pub notes: bool,
+    /// What each station saw, to be filled.
+    pub seeing: Option<&'a Seeing>,
+}
+
+/// What each station sees, and the station of each file.
+pub(super) struct Seeing {
+    pub views: Views,
+    pub of_file: Vec<usize>,
 }
 
 /// First pass: all points, or those that a part needs, into runs; and what it found in each file.
@@ -115,7 +124,7 @@ pub(super) fn read_points(
     reading: Reading<'_>,
     monitor: &dyn Monitor,
 ) -> Result<(Read, Vec<OfFile>)> {
-    let Reading { build_bytes, threads, scope, progress, notes } = reading;
+    let Reading { build_bytes, threads, scope, progress, notes, seeing } = reading;
     monitor.stage("reading points", set.points_stated(), "points");
     monitor.advance(progress.read.counts.read);
     let recorder = Recorder::new(plan.frame);
@@ -132,7 +141,7 @@ pub(super) fn read_points(
         let mut decoder = PointDecoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
         if let Some(scope) = scope {
-            builder = builder.only(scope.shard.first, scope.shard.last);
+            builder = builder.only(scope.keeps());
         }
         if notes {
             let log = decoder.log();
@@ -155,6 +164,10 @@ pub(super) fn read_points(
                 let (min, max) = bounds(batch);
                 if !recorder.reaches(min, max) {
                     return Err(out_of_reach(&plan.frame, min, max));
+                }
+                if let Some(Seeing { views, of_file }) = seeing {
+                    let points = batch.x.iter().zip(&batch.y).zip(&batch.z);
+                    points.for_each(|((&x, &y), &z)| views.add(of_file[chunk.file()], [x, y, z]));
                 }
                 let (kept, own_min, own_max) = match scope {
                     Some(scope) => {

@@ -30,6 +30,8 @@ pub struct Report {
     pub resumed: Option<Resumed>,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
+    /// Points removed because other stations of the scan saw through their places.
+    pub points_moving: u64,
     /// Whether all of the input was read: always so, unless incomplete input is allowed.
     pub complete: bool,
     /// Triangles of meshes; they count as points in the header too.
@@ -46,6 +48,7 @@ impl Report {
     pub fn info(&self) -> Value {
         let mut facts = header_info(&self.header, &self.crs, &self.units);
         facts["points_not_finite"] = self.points_not_finite.into();
+        facts["points_moving"] = self.points_moving.into();
         facts["complete"] = self.complete.into();
         facts["triangles_read"] = self.triangles.read.into();
         facts["triangles_left_out"] = self.triangles.left_out.into();

@@ -3,12 +3,12 @@
 use super::facts::{InputFacts, name_of};
 use super::options::{ConvertOptions, ShardOptions};
 use super::plan_file::PlanFile;
-use super::split::{QuadCell, tiles};
+use super::split::{QuadCell, TileRect, tiles};
 use crate::archive::{InputRead, Shard};
 use crate::frame::{Frame, TILE_PIXELS, morton};
 use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds};
 use crate::plan::Plan;
-use crate::voxel::record::HALO_PIXELS;
+use crate::voxel::record::{ColumnIndex, HALO_PIXELS};
 use crate::{Error, Monitor, Result};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -19,6 +19,8 @@ pub(crate) struct ShardScope {
     /// By number in the set of inputs: scans, then meshes.
     roles: Vec<Role>,
     frame: Frame,
+    /// Pixels around the part's columns whose points it needs.
+    reach: i64,
 }
 
 /// How a part treats a file.
@@ -33,6 +35,15 @@ struct Role {
     /// Its number in the plan file; of equal files, that of the first.
     number: u32,
     bounds: Option<StatedBounds>,
+}
+
+/// How far from a pixel matter may lie that decides what becomes of it (pixels): connected matter that reaches farther than
+/// it has voxels to be dropped stays, whatever is behind.
+fn reach(plan: &Plan) -> i64 {
+    match plan.options.drop_floaters {
+        0 | 1 => HALO_PIXELS,
+        most => HALO_PIXELS + i64::from(most),
+    }
 }
 
 impl ShardScope {
@@ -55,13 +66,14 @@ impl ShardScope {
             None => &here,
         };
         let shard = file.shard(shard.index, shard.count)?;
+        let reach = reach(plan);
         // Files of equal fingerprint may differ in the bounds that a person put into the plan.
         let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
         file.inputs.iter().for_each(|input| inputs.entry(input.fingerprint).or_default().push(input));
         let role = |fingerprint: &u128| {
             let input = inputs.get_mut(fingerprint).and_then(Vec::pop)?;
             let meets = |first, last| match &input.bounds {
-                Some(bounds) => QuadCell::WHOLE.meets(&tiles(&plan.frame, bounds, HALO_PIXELS), first, last),
+                Some(bounds) => QuadCell::WHOLE.meets(&tiles(&plan.frame, bounds, reach), first, last),
                 None => true,
             };
             let reads = meets(shard.first, shard.last);
@@ -77,7 +89,21 @@ impl ShardScope {
             let what = "inputs that several parts read (join files, or convert fewer at once)";
             return Err(Error::limit(what, shared, InputRead::MOST));
         }
-        Ok(Self { shard, roles, frame: plan.frame })
+        Ok(Self { shard, roles, frame: plan.frame, reach })
+    }
+
+    /// Whether the part needs the records of a tile column: one of its own, or one within reach.
+    pub fn keeps(&self) -> impl Fn(ColumnIndex) -> bool + Send + 'static {
+        let Shard { first, last, .. } = self.shard;
+        // A column has a halo of its own.
+        let around = (self.reach - HALO_PIXELS + TILE_PIXELS - 1).div_euclid(TILE_PIXELS);
+        move |ColumnIndex { tx, ty, .. }| {
+            if around == 0 {
+                return (first..=last).contains(&morton(tx, ty));
+            }
+            let along = |tile: i32| (i64::from(tile) - around, i64::from(tile) + around);
+            QuadCell::WHOLE.meets(&TileRect { x: along(tx), y: along(ty) }, first, last)
+        }
     }
 
     /// What the part read of inputs that other parts read too, from the hashes of all its inputs.

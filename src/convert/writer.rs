@@ -1,6 +1,6 @@
 //! An archive of points that a program holds in memory, batch by batch.
 
-use super::pages::write_columns;
+use super::pages::{Writing, write_columns};
 use super::points::{Own, Read, bounds, out_of_reach};
 use super::report::Report;
 use super::{ConvertOptions, Limits, PixelSize};
@@ -55,6 +55,10 @@ impl PointWriter {
     /// Fails for options that make no sense, and where the output may not be written.
     pub fn create(options: &ConvertOptions, crs: &str) -> Result<Self> {
         options.check()?;
+        if options.plan.remove_moving {
+            let reason = "points from memory have no stations; convert files to remove what moved";
+            return Err(Error::parameter(Parameter::Stations, reason));
+        }
         let PixelSize::Metres(pixel_m) = options.pixel else {
             let reason = "points that are not there yet tell no pixel size; give it in metres";
             return Err(Error::parameter(Parameter::PixelSize, reason));
@@ -130,9 +134,9 @@ impl PointWriter {
         self.runs.flush(&self.store)?;
         drop(self.runs);
         let (options, own) = (&self.options, &self.read.own);
-        let threads = options.threads;
-        let voxels_dropped =
-            write_columns(&self.plan, &self.store, options.memory_bytes, threads, &mut self.output, monitor)?;
+        let ConvertOptions { memory_bytes, threads, .. } = *options;
+        let writing = Writing { memory_bytes, threads, columns: None, views: None };
+        let left_out = write_columns(&self.plan, &self.store, writing, &mut self.output, None, monitor)?;
         let units = vec![LengthUnit::METRE];
         Ok(Report {
             header: self.output.finish(own.totals(&self.crs, &units))?,
@@ -147,7 +151,8 @@ impl PointWriter {
             complete: true,
             triangles: MeshCounts::default(),
             points_made: 0,
-            voxels_dropped,
+            points_moving: 0,
+            voxels_dropped: left_out.voxels,
         })
     }
 }

@@ -170,6 +170,11 @@ impl ScanFile {
         record.iter().any(|&byte| byte != 0) && self.bounds_with_slack().is_some_and(inside)
     }
 
+    /// Where a place in the file's own coordinates lies (m, z up); `None` if that is not finite.
+    pub(crate) fn place_of(&self, at: [f64; 3]) -> Option<[f64; 3]> {
+        self.transform.corner(at)
+    }
+
     /// Where the file is.
     pub fn path(&self) -> &Path {
         &self.path

@@ -6,7 +6,8 @@
 
 use super::bands::Bands;
 use super::record::{
-    HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, SurfacePart, bottom_quantum, top_quantum,
+    Content, HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS, SurfacePart, bottom_quantum,
+    top_quantum,
 };
 use crate::frame::SLICE_QUANTA;
 use std::ops::Range;
@@ -52,7 +53,7 @@ impl Moments {
     /// Adds the point of a record; surfaces do not count.
     #[inline]
     fn add_record(&mut self, record: Record, bands: Bands) {
-        if record.surface().is_none() {
+        if record.content() == Content::Point {
             let (u, v) = record.place();
             self.add(i64::from(u), i64::from(v), bands.height(record));
         }
@@ -98,6 +99,8 @@ impl Voxel {
     pub const STEEP: u8 = 2;
     /// Points.
     pub const POINTS: u8 = 4;
+    /// All that is in it is to be dropped.
+    const DROPPED: u8 = 8;
 
     /// Without matter.
     fn empty(slice: u32) -> Self {
@@ -106,8 +109,13 @@ impl Voxel {
 
     #[inline]
     fn add(&mut self, record: Record) {
-        if let Some(part) = record.surface() {
-            return self.add_surface(part);
+        match record.content() {
+            Content::Point => {}
+            Content::Surface(part) => return self.add_surface(part),
+            Content::Dropped => {
+                self.kinds |= Self::DROPPED;
+                return;
+            }
         }
         let height = record.height();
         self.bottom = self.bottom.min(bottom_quantum(height) as u8);
@@ -143,9 +151,10 @@ impl Voxel {
         self.kinds & Self::POINTS != 0
     }
 
-    /// Whether it holds a surface.
-    fn has_surface(&self) -> bool {
-        self.kinds & (Self::FLAT | Self::STEEP) != 0
+    /// Whether a voxel of so many points is kept where `min_points` are asked for.
+    fn is_kept(&self, points: i64, min_points: u32) -> bool {
+        let has_surface = self.kinds & (Self::FLAT | Self::STEEP) != 0;
+        self.kinds & Self::DROPPED == 0 && (has_surface || points >= i64::from(min_points))
     }
 
     fn merge(&mut self, other: &Self) {
@@ -382,14 +391,15 @@ impl Patch {
     }
 
     /// Replaces the content by the fold of `records`, over which `sums` will sum. Voxels of fewer than `min_points` points
-    /// and no surface are dropped; returns how many were, without those in the halo around `area`.
+    /// and no surface, and those of which a record says so, are dropped; returns how many were, without those in the halo
+    /// around `area`.
     pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area, sums: &mut Sums) -> u64 {
         let mut folder = std::mem::take(&mut self.folder);
         self.clear();
         sums.records.set(records);
         let mut dropped = 0;
         for (pixel, own) in sums.records.pixels() {
-            let kept = |(voxel, points): &(Voxel, u32)| voxel.has_surface() || *points >= min_points;
+            let kept = |(voxel, points): &(Voxel, u32)| voxel.is_kept(i64::from(*points), min_points);
             let voxels = folder.fold(own);
             dropped += self.push(pixel, voxels.iter().map(|voxel| (voxel.0, kept(voxel))), area);
         }
@@ -402,7 +412,7 @@ impl Patch {
     /// Replaces the content by voxels that were folded piecemeal (see [`fold_into`]), and `sums` by theirs.
     pub fn set_folded(&mut self, folded: &Folded, min_points: u32, area: Area, sums: &mut Sums) -> u64 {
         self.clear();
-        let kept = |(_, voxel, sums): &(usize, Voxel, Moments)| voxel.has_surface() || sums.n >= i64::from(min_points);
+        let kept = |(_, voxel, sums): &(usize, Voxel, Moments)| voxel.is_kept(sums.n, min_points);
         let mut dropped = 0;
         for voxels in folded.chunk_by(|a, b| a.0 == b.0) {
             dropped += self.push(voxels[0].0, voxels.iter().map(|voxel| (voxel.1, kept(voxel))), area);
@@ -602,7 +612,7 @@ mod tests {
                 let (first, last) = (low.div_euclid(255), low.max(low + more - 1).div_euclid(255));
                 for voxel in (first..=last).map(|slice| slice + crate::voxel::record::BLOCK_SLICES / 2) {
                     let found = at_once.voxels[at_once.range(pixel)].iter().find(|v| i64::from(v.slice) == voxel);
-                    prop_assert!(found.is_some_and(|v| v.has_surface() && (v.is_steep() || !steep)));
+                    prop_assert!(found.is_some_and(|v| v.kinds & (Voxel::FLAT | Voxel::STEEP) != 0 && (v.is_steep() || !steep)));
                 }
             }
         }

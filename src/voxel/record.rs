@@ -35,7 +35,20 @@ const _: () = assert!(13 + SLICE_BITS + HEIGHT_BITS + 2 * SUBPIXEL_BITS == 64);
 const PLACE_BITS: u32 = HEIGHT_BITS + 2 * SUBPIXEL_BITS;
 /// Least content of these bits in the record of a surface; bottom (8 bits), top (8) and steepness (1) are added.
 const SURFACE: u64 = (SLICE_STEPS as u64) << (2 * SUBPIXEL_BITS);
-const _: () = assert!(SURFACE + (1 << 17) <= 1 << PLACE_BITS);
+/// Content of these bits in a record that says that its voxel is dropped.
+const DROPPED: u64 = SURFACE + (1 << 17);
+const _: () = assert!(DROPPED < 1 << PLACE_BITS);
+
+/// What a record says of its voxel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Content {
+    /// A point lies in it.
+    Point,
+    /// Surfaces fill a part of it.
+    Surface(SurfacePart),
+    /// It is dropped with all that is in it.
+    Dropped,
+}
 
 /// A tile column, or one block of [`BLOCK_SLICES`] slices of a very high one. Ordered as its pages are in the archive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -63,11 +76,17 @@ impl Record {
         Self((pixel << SLICE_BITS | slice) << PLACE_BITS | place)
     }
 
-    /// What surfaces fill of the voxel, if that is what the record says.
+    /// What the record says of its voxel.
     #[inline]
-    pub fn surface(self) -> Option<SurfacePart> {
-        let part = (self.0 & ((1 << PLACE_BITS) - 1)).checked_sub(SURFACE)?;
-        Some(SurfacePart { bottom: (part >> 9) as u8, top: (part >> 1) as u8, steep: part & 1 == 1 })
+    pub fn content(self) -> Content {
+        match (self.0 & ((1 << PLACE_BITS) - 1)).checked_sub(SURFACE) {
+            None => Content::Point,
+            Some(part) if part >= DROPPED - SURFACE => Content::Dropped,
+            Some(part) => {
+                let part = SurfacePart { bottom: (part >> 9) as u8, top: (part >> 1) as u8, steep: part & 1 == 1 };
+                Content::Surface(part)
+            }
+        }
     }
 
     /// Pixel in the patch: `(y + 1)·66 + x + 1`, `x` and `y` from −1 to 64.
@@ -233,6 +252,11 @@ impl Recorder {
     }
 }
 
+/// Gives `sink` the record that says that a voxel on the grid is dropped, and its copies.
+pub fn record_dropped(pixel: (i64, i64), slice: i64, mut sink: impl FnMut(ColumnIndex, Record)) {
+    spread(pixel, slice, DROPPED, &mut sink);
+}
+
 /// Gives `sink` a record with these low bits for pixel `(i, j)`, and its copies.
 #[inline]
 fn spread((i, j): (i64, i64), slice: i64, place: u64, sink: &mut impl FnMut(ColumnIndex, Record)) {
@@ -303,7 +327,7 @@ mod tests {
                     let pixel = record.pixel() as i64;
                     assert_eq!(i64::from(index.tx) * 64 + pixel % PATCH_PIXELS as i64 - HALO_PIXELS, i);
                     assert_eq!(i64::from(index.ty) * 64 + pixel / PATCH_PIXELS as i64 - HALO_PIXELS, j);
-                    assert_eq!(record.surface(), Some(voxel.part));
+                    assert_eq!(record.content(), Content::Surface(voxel.part));
                     assert_eq!(index.key().first_slice() + i64::from(record.slice()), voxel.slice);
                 });
                 let floor = voxel.slice * SLICE_QUANTA;
@@ -318,7 +342,7 @@ mod tests {
         #[test]
         fn points_are_no_surfaces(x in -1e3f64..1e3, z in -1e3f64..1e3) {
             let recorder = Recorder::new(Frame::new(0.1, 0.3).unwrap());
-            recorder.record(&[x], &[x], &[z], |_, record| assert_eq!(record.surface(), None));
+            recorder.record(&[x], &[x], &[z], |_, record| assert_eq!(record.content(), Content::Point));
         }
     }
 

@@ -189,7 +189,8 @@ fn options() -> Plan {
         tolerance_m: 0.0,
         classifier: Classifier::Plane,
         min_points: 3,
-        drop_isolated: true,
+        drop_floaters: 1,
+        remove_moving: false,
         up: Up::Y,
         exclude_classes: [7, 18, 255].into_iter().collect(),
     };

@@ -85,9 +85,21 @@ struct Arguments {
     /// Drop voxels with fewer points; queries may then miss these points
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = whole_number(1u32, u32::MAX))]
     min_points: u32,
-    /// Drop voxels whose 26 neighbours are all empty; queries may then miss their points
-    #[arg(long)]
+    /// Drop connected matter of up to this many voxels (sharing a face, an edge or a corner); queries may then miss its points
+    #[arg(long, value_name = "VOXELS", value_parser = whole_number(1u16, u16::MAX))]
+    drop_floaters: Option<u16>,
+    /// Another name of `--drop-floaters 1`: drop voxels whose 26 neighbours are all empty
+    #[arg(long, conflicts_with = "drop_floaters")]
     drop_isolated: bool,
+    /// Remove points that moved: those whose place other stations saw through
+    #[arg(long, requires = "stations")]
+    remove_moving: bool,
+    /// Where the scanner of each scan stood: a table with the columns file,x,y,z in the scan's coordinates
+    #[arg(long, requires = "remove_moving", value_name = "STATIONS.csv")]
+    stations: Option<PathBuf>,
+    /// Write the points that were removed as moving to a LAS file
+    #[arg(long, requires = "remove_moving", value_name = "REMOVED.las")]
+    removed: Option<PathBuf>,
     /// Axis of the input that points up (glTF files state theirs)
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
@@ -310,6 +322,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Units => "--units",
         Parameter::Shard => "--shard",
         Parameter::Resume => "--resume",
+        Parameter::Stations => "--stations",
         _ => return None,
     })
 }
@@ -335,7 +348,10 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.temp_dir = arguments.temp_dir.clone().unwrap_or(options.temp_dir);
     options.plan.exclude_classes = arguments.exclude_class.iter().cloned().flatten().collect();
     options.plan.min_points = arguments.min_points;
-    options.plan.drop_isolated = arguments.drop_isolated;
+    options.plan.drop_floaters = arguments.drop_floaters.unwrap_or(arguments.drop_isolated.into());
+    options.plan.remove_moving = arguments.remove_moving;
+    options.stations = arguments.stations.clone();
+    options.removed = arguments.removed.clone();
     options.plan.up = match arguments.up {
         Axis::Z => Up::Z,
         Axis::Y => Up::Y,
@@ -381,7 +397,9 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("classifier", "--classifier", wanted.plan.classifier == planned.plan.classifier),
         ("exclude_class", "--exclude-class", wanted.plan.exclude_classes == planned.plan.exclude_classes),
         ("min_points", "--min-points", wanted.plan.min_points == planned.plan.min_points),
-        ("drop_isolated", "--drop-isolated", wanted.plan.drop_isolated == planned.plan.drop_isolated),
+        ("drop_isolated", "--drop-isolated", wanted.plan.drop_floaters == planned.plan.drop_floaters),
+        ("drop_floaters", "--drop-floaters", wanted.plan.drop_floaters == planned.plan.drop_floaters),
+        ("remove_moving", "--remove-moving", wanted.plan.remove_moving == planned.plan.remove_moving),
         ("up", "--up", wanted.plan.up == planned.plan.up),
         ("units", "--units", wanted.units == planned.units),
         ("crs", "--crs", wanted.epsg == planned.epsg),

@@ -69,8 +69,10 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
         number(frame.slice_m())
     ));
     if points_read > points_kept {
-        let unusable = points_read - points_kept - points_excluded - points_withheld;
-        let reasons = [(points_excluded, "by class"), (points_withheld, "withheld"), (unusable, "unusable")];
+        let moving = report.points_moving;
+        let unusable = points_read - points_kept - points_excluded - points_withheld - moving;
+        let reasons =
+            [(points_excluded, "by class"), (points_withheld, "withheld"), (moving, "moving"), (unusable, "unusable")];
         let reasons = reasons.iter().filter(|reason| reason.0 > 0).map(|(n, why)| format!("{} {why}", grouped(*n)));
         let left_out = things(points_read - points_kept);
         say(&format!("left out: {left_out} ({})", reasons.collect::<Vec<_>>().join(", ")));

@@ -30,7 +30,10 @@ impl PlanFile {
             "tolerance": plan.options.tolerance_m,
             "classifier": plan.options.classifier.name(),
             "min_points": plan.options.min_points,
-            "drop_isolated": plan.options.drop_isolated,
+            // For builds that know isolated voxels only; of other numbers they refuse the hash.
+            "drop_isolated": plan.options.drop_floaters == 1,
+            "drop_floaters": plan.options.drop_floaters,
+            "remove_moving": plan.options.remove_moving,
             "up": plan.options.up.name(),
             "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
             "plan_hash": format!("{:032x}", plan.hash()),
@@ -134,13 +137,23 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         let classes = v.as_array()?.iter();
         classes.map(|class| u8::try_from(class.as_u64()?).ok()).collect::<Option<ClassSet>>()
     };
+    // Plans of earlier builds have none.
+    let drop_floaters = match value.get("drop_floaters") {
+        None => u16::from(field(value, "drop_isolated", "true or false", Value::as_bool)?),
+        Some(_) => field(value, "drop_floaters", "a number of voxels", |v| u16::try_from(v.as_u64()?).ok())?,
+    };
+    let remove_moving = match value.get("remove_moving") {
+        None => false,
+        Some(_) => field(value, "remove_moving", "true or false", Value::as_bool)?,
+    };
     let frame = frame.map_err(|error| Wrong::new("pixel_size, slice_height", format!("a grid, but {error}")))?;
     let options = PlanOptions {
         max_slope_deg: field(value, "max_slope", "an angle in degrees", number)?,
         tolerance_m: field(value, "tolerance", "a length in metres", number)?,
         classifier: field(value, "classifier", "span, thesis or plane", classifier)?,
         min_points: field(value, "min_points", "a number of points", |v| u32::try_from(v.as_u64()?).ok())?,
-        drop_isolated: field(value, "drop_isolated", "true or false", Value::as_bool)?,
+        drop_floaters,
+        remove_moving,
         up: field(value, "up", "z or y", up)?,
         exclude_classes: field(value, "excluded_classes", "a list of classes from 0 to 255", classes)?,
     };
@@ -230,7 +243,7 @@ mod tests {
         #[test]
         fn plans_come_back_to_the_last_bit(
             sizes in (1e-4f64..1e3, 1e-4f64..1e3, 0.0f64..=90.0, 0.0f64..1.0), rule in 0usize..3, min_points in 1u32..,
-            flags: (bool, bool), classes: [u64; 4], units in proptest::option::of(1e-3f64..1e3), epsg: Option<u32>,
+            drop_floaters: u16, flags: (bool, bool), classes: [u64; 4], units in proptest::option::of(1e-3f64..1e3), epsg: Option<u32>,
             spacing_m in proptest::option::of(1e-6f64..1e3), inputs in proptest::collection::vec(input(), 0..5)
         ) {
             let (pixel, slice, max_slope_deg, tolerance_m) = sizes;
@@ -239,8 +252,9 @@ mod tests {
                 tolerance_m,
                 classifier: Classifier::ALL[rule],
                 min_points,
-                drop_isolated: flags.0,
-                up: if flags.1 { Up::Y } else { Up::Z },
+                drop_floaters,
+                remove_moving: flags.1,
+                up: if flags.0 { Up::Y } else { Up::Z },
                 exclude_classes: ClassSet::from_words(classes),
             };
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };

@@ -1,6 +1,7 @@
 //! Conversions on disks that fail and disks that forget, and conversions that go on from what another one left.
 
 mod faults;
+mod floaters;
 mod power;
 mod resume;
 
@@ -73,7 +74,7 @@ impl Job {
 
     /// Runs of about 4,000 points, all of them on disk.
     fn limits() -> Limits {
-        Limits { retain_bytes: 0, build_bytes: 0 }
+        Limits { retain_bytes: 0, build_bytes: 0, views_bytes: 0 }
     }
 
     /// A model of the folder before the conversion.

@@ -55,7 +55,6 @@ const STEEPEST_BOUND_DEG: f64 = 80.0;
 #[derive(Debug, Clone, Copy)]
 pub struct Judge {
     classifier: Classifier,
-    bands: Bands,
     runs: Runs,
     surfaces: Surfaces,
     /// Extents of runs (quanta).
@@ -74,17 +73,11 @@ impl Judge {
         let reach = rise_of(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG));
         Self {
             classifier: plan.options.classifier,
-            bands,
             runs: Runs::new(frame, bands, run(limit)),
             surfaces: Surfaces::new(frame, bands, rise_of(limit), reach),
             steep_run: run(limit),
             clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
         }
-    }
-
-    /// The slices that are judged together; [`Sums`] for this judge are made with them.
-    pub fn bands(&self) -> Bands {
-        self.bands
     }
 
     /// Sets `verdicts` to one verdict per voxel of `patch`: true for an obstacle. Only those of pixels in `area` are

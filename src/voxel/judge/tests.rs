@@ -1,6 +1,7 @@
 use super::*;
 use crate::frame::Frame;
 use crate::plan::PlanOptions;
+use crate::voxel::bands::Bands;
 use crate::voxel::record::{PATCH_PIXELS, Record, Recorder};
 
 const T: f64 = 0.05;
@@ -33,7 +34,7 @@ fn folded(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> (Patch, Sums) 
             }
         });
     }
-    let (mut patch, mut sums) = (Patch::default(), Sums::new(Judge::new(plan).bands()));
+    let (mut patch, mut sums) = (Patch::default(), Sums::new(Bands::new(plan)));
     patch.fold(&records, 1, Area::TILE, &mut sums);
     (patch, sums)
 }

@@ -4,7 +4,7 @@ use super::cover::Covering;
 use super::store::RunStore;
 use super::{SORTED_RECORDS, Segment, SegmentCoder};
 use crate::Result;
-use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, Record, Recorder, SurfaceVoxel};
+use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, Record, Recorder, SurfaceVoxel, record_dropped};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -40,12 +40,44 @@ impl Hasher for ColumnHasher {
     }
 }
 
+/// The tile columns whose records are kept, and what was asked of them last at each place of a 16 × 16 pattern.
+struct Only {
+    keeps: Box<dyn Fn(ColumnIndex) -> bool + Send>,
+    recent: [Option<(ColumnIndex, bool)>; 256],
+}
+
+impl Only {
+    #[inline]
+    fn keeps(&mut self, index: ColumnIndex) -> bool {
+        match &mut self.recent[place(index)] {
+            Some((same, keeps)) if *same == index => *keeps,
+            other => {
+                let keeps = (self.keeps)(index);
+                *other = Some((index, keeps));
+                keeps
+            }
+        }
+    }
+}
+
+impl std::fmt::Debug for Only {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Only")
+    }
+}
+
+/// Place of a column in a 16 × 16 pattern.
+#[inline]
+fn place(index: ColumnIndex) -> usize {
+    (index.tx & 15 | (index.ty & 15) << 4) as usize
+}
+
 /// Collects the records of one worker and hands them to a [`RunStore`] run by run.
 #[derive(Debug)]
 pub struct RunBuilder {
     recorder: Recorder,
     /// Tile columns whose records are kept; `None` for all.
-    only: Option<(u64, u64)>,
+    only: Option<Only>,
     capacity: usize,
     records: Vec<Record>,
     /// Number of each record's column in `columns`.
@@ -104,9 +136,9 @@ impl RunBuilder {
         }
     }
 
-    /// Keeps only the records of the tile columns `first..=last`, copies in their halo included.
-    pub fn only(mut self, first: u64, last: u64) -> Self {
-        self.only = Some((first, last));
+    /// Keeps only the records of the tile columns that `keeps` names, copies in their halo included.
+    pub fn only(mut self, keeps: impl Fn(ColumnIndex) -> bool + Send + 'static) -> Self {
+        self.only = Some(Only { keeps: Box::new(keeps), recent: [None; 256] });
         self
     }
 
@@ -136,6 +168,16 @@ impl RunBuilder {
         Ok(())
     }
 
+    /// Notes that voxels (pixel and slice, all on the grid) are dropped; a full run goes to `store`.
+    pub fn push_dropped(&mut self, voxels: &[((i64, i64), i64)], store: &RunStore) -> Result<()> {
+        for chunk in voxels.chunks(BATCH) {
+            self.make_room(chunk.len(), store)?;
+            let mut add = self.adder();
+            chunk.iter().for_each(|&(pixel, slice)| record_dropped(pixel, slice, &mut add));
+        }
+        Ok(())
+    }
+
     /// Makes room for `count` (at most [`BATCH`]) points or voxels with all their copies, so that adding needs no checks.
     fn make_room(&mut self, count: usize, store: &RunStore) -> Result<()> {
         let columns = self.columns.len() * (COLUMN_BYTES / BUILD_BYTES as usize);
@@ -153,13 +195,12 @@ impl RunBuilder {
 
     fn adder(&mut self) -> impl FnMut(ColumnIndex, Record) + use<'_> {
         let Self { records, numbers, columns, lookup, recent, only, .. } = self;
-        let only = *only;
         move |index, record| {
-            if only.is_some_and(|(first, last)| !(first..=last).contains(&index.key().column)) {
+            if only.as_mut().is_some_and(|only| !only.keeps(index)) {
                 return;
             }
             // Points of a scan jump between few columns; most are found here without hashing.
-            let place = &mut recent[(index.tx & 15 | (index.ty & 15) << 4) as usize];
+            let place = &mut recent[place(index)];
             if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
                 *place = *lookup.entry(index).or_insert_with(|| {
                     columns.push((index, 0));

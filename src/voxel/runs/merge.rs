@@ -106,6 +106,11 @@ impl<'a> Merge<'a> {
         Self { store, runs: store.take_runs() }
     }
 
+    /// Takes the runs that came to the store since; for the next [`jobs`](Self::jobs).
+    pub fn take_more(&mut self) {
+        self.runs.append(&mut self.store.take_runs());
+    }
+
     /// Records of all runs.
     pub fn records(&self) -> u64 {
         self.runs.iter().map(|run| run.records).sum()

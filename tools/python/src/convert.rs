@@ -37,6 +37,9 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     exclude_class: LAS classes to leave out, such as ``[7, 18]`` for noise
 ///     min_points: drop voxels of fewer points (1)
 ///     drop_isolated: drop voxels without matter in any of the 26 around them
+///     drop_floaters: drop connected matter of up to this many voxels (1 to 65535); 1 is `drop_isolated`
+///     remove_moving, stations, removed: remove points that other stations of the scan saw through; a table `file,x,y,z` of the
+///         stations; a LAS file for what is removed
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
 ///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused

@@ -86,7 +86,16 @@ impl Asked {
                 "temp_dir" => options.temp_dir = value.extract()?,
                 "exclude_class" => options.plan.exclude_classes = value.extract::<Vec<u8>>()?.into_iter().collect(),
                 "min_points" => options.plan.min_points = value.extract()?,
-                "drop_isolated" => options.plan.drop_isolated = value.extract()?,
+                "drop_isolated" => {
+                    let isolated = u16::from(value.extract::<bool>()?);
+                    options.plan.drop_floaters = options.plan.drop_floaters.max(isolated);
+                }
+                "drop_floaters" => {
+                    options.plan.drop_floaters = options.plan.drop_floaters.max(value.extract()?);
+                }
+                "remove_moving" => options.plan.remove_moving = value.extract()?,
+                "stations" => options.stations = value.extract()?,
+                "removed" => options.removed = value.extract()?,
                 "up" => options.plan.up = one_of("up", &value, &[("z", Up::Z), ("y", Up::Y)])?,
                 "units" => options.units = number_or("units", &value, Units::Factor)?,
                 "mesh" => {
@@ -162,7 +171,8 @@ fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &Co
         "classifier" => wanted.plan.classifier != planned.plan.classifier,
         "exclude_class" => wanted.plan.exclude_classes != planned.plan.exclude_classes,
         "min_points" => wanted.plan.min_points != planned.plan.min_points,
-        "drop_isolated" => wanted.plan.drop_isolated != planned.plan.drop_isolated,
+        "drop_isolated" | "drop_floaters" => wanted.plan.drop_floaters != planned.plan.drop_floaters,
+        "remove_moving" => wanted.plan.remove_moving != planned.plan.remove_moving,
         "up" => wanted.plan.up != planned.plan.up,
         _ => false,
     };

@@ -58,6 +58,12 @@ struct Args {
     /// Scanner: people walking around each station
     #[arg(long, default_value_t = 0)]
     people: usize,
+    /// Scanner: how far people keep from walls; 0: they walk through them (m)
+    #[arg(long, default_value_t = 0.0)]
+    clearance: f64,
+    /// Class of points on people, as truth for whoever looks for them [default: that of all points]
+    #[arg(long, value_name = "CLASS")]
+    moving_class: Option<u8>,
     /// Outliers per point, 0 to 1
     #[arg(long, default_value_t = 0.0)]
     outliers: f64,
@@ -199,6 +205,7 @@ fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &P
             range_m: args.range,
             mixed_rate: args.mixed,
             people: args.people,
+            clearance_m: args.clearance,
         }),
         ModeArg::Direct => Mode::Direct(match args.order {
             OrderArg::Random => Order::Random,
@@ -228,6 +235,7 @@ fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &P
         offset: origin,
         crs_wkt: crs.transpose()?,
         classes: args.class.clone(),
+        moving_class: args.moving_class,
         withheld_share: args.withheld,
         seed: args.seed,
         ..writing

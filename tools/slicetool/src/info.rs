@@ -135,8 +135,13 @@ fn options(header: &Header) -> String {
     if options.min_points > 1 {
         text += &format!(", at least {}", counted(options.min_points.into(), "point"));
     }
-    if options.drop_isolated {
-        text += ", without isolated voxels";
+    if options.remove_moving {
+        text += ", without moving points";
+    }
+    match options.drop_floaters {
+        0 => {}
+        1 => text += ", without isolated voxels",
+        most => text += &format!(", without pieces of up to {most} voxels"),
     }
     if !options.exclude_classes.is_empty() {
         text += &format!(", without classes {}", ranges(options.exclude_classes.iter().map(u32::from), 16));

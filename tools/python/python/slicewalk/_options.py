@@ -21,6 +21,7 @@ class WriterOptions(TypedDict, total=False):
     temp_dir: StrPath | None
     min_points: int
     drop_isolated: bool
+    drop_floaters: int
     up: Literal["z", "y"]
     levels: bool | Literal["on", "off"]
     force: bool
@@ -41,6 +42,7 @@ class PlanOptions(TypedDict, total=False):
     exclude_class: Sequence[int]
     min_points: int
     drop_isolated: bool
+    drop_floaters: int
     up: Literal["z", "y"]
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
@@ -55,5 +57,8 @@ class ConvertOptions(PlanOptions, total=False):
     """Options of `convert`."""
 
     plan: StrPath | None
+    remove_moving: bool
+    stations: StrPath | None
+    removed: StrPath | None
     resume: bool
     shard: str | tuple[int, int] | None

@@ -81,11 +81,13 @@ pub struct ScannerSpec {
     pub mixed_rate: f64,
     /// People who walk to and fro around each station.
     pub people: usize,
+    /// How far these keep from whatever rises more than 0.3 m above their feet; 0: they walk through walls (m).
+    pub clearance_m: f64,
 }
 
 impl Default for ScannerSpec {
     fn default() -> Self {
-        Self { stations: Vec::new(), range_m: 120.0, mixed_rate: 0.2, people: 0 }
+        Self { stations: Vec::new(), range_m: 120.0, mixed_rate: 0.2, people: 0, clearance_m: 0.0 }
     }
 }
 

@@ -9,6 +9,16 @@ use crate::{Error, Result, Scene, Truth};
 const TURN_S: f64 = 60.0;
 /// Neighbouring rays whose ranges differ by more are an edge (m).
 const EDGE_M: f64 = 0.3;
+/// Places along a line where someone needs room.
+const CHECKS: u32 = 16;
+/// Lines that are tried beyond the number of people.
+const MOST_DRAWS: usize = 400;
+/// Share of rays that pass a pane of glass.
+const GLASS_PASSES: f64 = 0.9;
+/// Panes and mirrors that a ray meets at most.
+const MOST_TURNS: usize = 8;
+/// How far behind a pane or before a mirror a ray goes on (m).
+const CLEAR_M: f64 = 1e-6;
 
 /// Someone who walks to and fro on a line.
 struct Person {
@@ -95,17 +105,36 @@ impl<'a> Scan<'a> {
     fn set_up(&mut self) {
         let Some(at) = self.stations.get(self.station).copied() else { return };
         let mut crowd = Vec::new();
-        for _ in 0..self.spec.people {
+        let mut draws = MOST_DRAWS + self.spec.people;
+        while crowd.len() < self.spec.people && draws > 0 {
+            draws -= 1;
             let (s, c) = sin_cos_deg(360.0 * self.extras.unit());
             let away = 1.0 + 3.0 * self.extras.unit();
             // Across the line of sight: nobody walks through the scanner.
             let from = [at[0] + away * c + 2.0 * s, at[1] + away * s - 2.0 * c];
             let foot = self.scene.floor_under(from[0], from[1], at[2]).map_or(at[2] - 1.7, |(z, _)| z);
             let phase_s = Person::LEG_S * 2.0 * self.extras.unit();
-            crowd.push(Person { from, step: [-4.0 * s, 4.0 * c], foot, phase_s });
+            let person = Person { from, step: [-4.0 * s, 4.0 * c], foot, phase_s };
+            if self.has_room(&person) {
+                crowd.push(person);
+            }
         }
         self.people = crowd;
         self.begin_column();
+    }
+
+    /// Whether someone keeps clear of everything on the whole line.
+    fn has_room(&self, person: &Person) -> bool {
+        let clearance = self.spec.clearance_m;
+        let body = clearance + Person::RADIUS_M;
+        let places = (0..=CHECKS).map(|step| f64::from(step) / f64::from(CHECKS));
+        let at = |along: f64| [0, 1].map(|axis| person.from[axis] + along * person.step[axis]);
+        clearance <= 0.0
+            || places.map(at).all(|[x, y]| {
+                let min = [x - body, y - body, person.foot + 0.3];
+                let max = [x + body, y + body, person.foot + Person::HEIGHT_M];
+                self.scene.distance_to_box(min, max) > 0.0
+            })
     }
 
     fn begin_column(&mut self) {
@@ -116,15 +145,45 @@ impl<'a> Scan<'a> {
         self.last = None;
     }
 
+    /// What a ray meets: the length of its way, the surface, and what it is. Mirrors turn it, most of it passes glass; what is
+    /// seen in a mirror seems to lie behind it, where nothing is.
+    fn trace(&mut self, origin: Vec3, dir: Vec3) -> Option<(f64, u32, Kind)> {
+        let (mut from, mut along, mut way, mut mirrored) = (origin, dir, 0.0, false);
+        for _ in 0..MOST_TURNS {
+            let limit = self.spec.range_m - way;
+            let mut hit = self.scene.raycast(from, along, limit).map(|(t, i)| (t, i, Kind::Surface));
+            for body in &self.bodies {
+                let limit = hit.map_or(limit, |h| h.0);
+                if let Some(t) = body.raycast(from, along, 0.0, limit) {
+                    hit = Some((t, hit.map_or(0, |h| h.1), Kind::Moving));
+                }
+            }
+            let (t, surface, kind) = hit?;
+            let met = &self.scene.surfaces()[surface];
+            let passes = match (kind, met.label) {
+                (Kind::Surface, "glass") => self.extras.unit() < GLASS_PASSES,
+                (Kind::Surface, "mirror") => true,
+                _ => false,
+            };
+            if !passes {
+                return Some((way + t, surface as u32, if mirrored { Kind::Outlier } else { kind }));
+            }
+            let at = add(from, scale(along, t));
+            if met.label == "mirror" {
+                let normal = met.shape.normal_at(at);
+                let facing = (0..3).map(|axis| along[axis] * normal[axis]).sum::<f64>();
+                along = add(along, scale(normal, -2.0 * facing));
+                mirrored = true;
+            }
+            way += t + CLEAR_M;
+            from = add(at, scale(along, CLEAR_M));
+        }
+        None
+    }
+
     /// Casts one ray.
     fn shoot(&mut self, origin: Vec3, dir: Vec3) -> Option<Sample> {
-        let mut hit = self.scene.raycast(origin, dir, self.spec.range_m).map(|(t, i)| (t, i as u32, Kind::Surface));
-        for body in &self.bodies {
-            let limit = hit.map_or(self.spec.range_m, |h| h.0);
-            if let Some(t) = body.raycast(origin, dir, 0.0, limit) {
-                hit = Some((t, hit.map_or(0, |h| h.1), Kind::Moving));
-            }
-        }
+        let hit = self.trace(origin, dir);
         let before = self.last;
         self.last = hit.map(|(t, i, _)| (t, i));
         let (range, surface, kind) = hit?;

@@ -6,6 +6,7 @@
 pub mod build;
 mod church;
 mod city;
+mod hall;
 mod house;
 mod simple;
 mod street;
@@ -72,6 +73,7 @@ pub const SCENES: &[SceneInfo] = &[
     simple::STAIRS,
     simple::CORRIDOR,
     house::HOUSE,
+    hall::HALL,
     church::CHURCH,
     simple::COLUMNS,
     street::STREET,

@@ -37,6 +37,8 @@ pub struct WriteSpec {
     pub crs_wkt: Option<String>,
     /// Classes of points that are neither outliers nor mixed pixels, with their weights; empty: 1 for all.
     pub classes: Vec<(u8, f64)>,
+    /// Class of points on people who walked through, for those who look for them (0..=31 in formats 0 to 5).
+    pub moving_class: Option<u8>,
     /// Share of points flagged as withheld `[0..=1]`.
     pub withheld_share: f64,
     /// Draws classes, flags and variable chunks.
@@ -53,6 +55,7 @@ impl Default for WriteSpec {
             compression: None,
             crs_wkt: None,
             classes: Vec::new(),
+            moving_class: None,
             withheld_share: 0.0,
             seed: 0,
         }
@@ -267,6 +270,9 @@ impl<'a> Stock<'a> {
         if let Some((total, last)) = self.weights.last().filter(|_| class == 1) {
             let at = self.rng.unit() * total;
             class = self.weights.iter().find(|w| at < w.0).map_or(*last, |w| w.1);
+        }
+        if let Some(moving) = self.spec.moving_class.filter(|_| sample.kind == Kind::Moving) {
+            class = moving;
         }
         let withheld = self.spec.withheld_share > 0.0 && self.rng.unit() < self.spec.withheld_share;
         let index = self.count;

@@ -1,0 +1,404 @@
+//! Tile columns out of the runs, folded to voxels by several threads, and what these make of them in archive order.
+
+use crate::plan::Plan;
+use crate::voxel::bands::Bands;
+use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
+use crate::voxel::record::{ColumnKey, Content, PATCH_AREA, Record};
+use crate::voxel::runs::{ColumnJob, Merge};
+use crate::voxel::views::Views;
+use crate::{Error, Monitor, Parameter, Result};
+use crossbeam_channel::{Receiver, Sender, bounded};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::Builder;
+
+/// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel (with its
+/// verdicts and the place of its sums) and span that it may become.
+const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 8 + 16;
+/// Records of a job; patches count in 32 bits.
+const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
+/// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
+const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
+/// What one worker does with a job.
+pub(super) trait ColumnWork {
+    /// What comes of it.
+    type Done: Send;
+
+    /// Does it.
+    fn work(&mut self, merge: &Merge<'_>, job: &ColumnJob) -> Result<Self::Done>;
+}
+
+/// What comes of one job.
+struct Done<T> {
+    number: u64,
+    records: u64,
+    what: T,
+}
+
+/// A pass over all tile columns.
+pub(super) struct Columns<'a> {
+    pub merge: &'a Merge<'a>,
+    /// The budget of the conversion; a quarter of it is for columns at work.
+    pub memory_bytes: u64,
+    pub threads: usize,
+    /// Jobs that may be finished before the oldest unfinished one.
+    pub ahead: usize,
+    /// Most columns of a job.
+    pub max_columns: u64,
+    /// What stations saw, where points that others saw through are to be removed.
+    pub views: Option<&'a Views>,
+    pub monitor: &'a dyn Monitor,
+}
+
+impl Columns<'_> {
+    /// Gives `take` what workers, made by `worker` for the patches of the columns, make of one job after the other, in
+    /// archive order.
+    pub fn work_in_order<'w, W: ColumnWork + Send>(
+        &'w self,
+        plan: &Plan,
+        mut worker: impl FnMut(Patches<'w>) -> W,
+        take: impl FnMut(W::Done) -> Result<()>,
+    ) -> Result<()> {
+        let Self { merge, memory_bytes, threads, ahead, max_columns, views, monitor } = *self;
+        let max_records = (memory_bytes / 4 / threads as u64 / job_bytes_per_record(views)).min(MOST_RECORDS);
+        let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
+        let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
+        let (job_in, job_out) = bounded::<(u64, ColumnJob)>(threads);
+        let (done_in, done_out) = bounded::<Result<Done<W::Done>>>(ahead);
+        // A job is given out against a token, and a token comes back when what it made is taken: so no more than
+        // `ahead` jobs ever wait for an earlier one.
+        let (token_in, token_out) = bounded::<()>(ahead);
+        for _ in 0..ahead {
+            let _ = token_in.send(());
+        }
+        std::thread::scope(|scope| {
+            for number in 0..threads {
+                let (jobs, done) = (job_out.clone(), done_in.clone());
+                let worker = worker(Patches::new(plan, max_records, dense.clone(), views, monitor));
+                let started = Builder::new().spawn_scoped(scope, move || work_on_columns(worker, merge, &jobs, &done));
+                match started {
+                    Ok(_) => {}
+                    Err(error) if number == 0 => return Err(no_thread(error)),
+                    // Fewer do the same.
+                    Err(_) => break,
+                }
+            }
+            drop(job_out);
+            let giver = Builder::new().spawn_scoped(scope, move || {
+                let mut number = 0;
+                let given = merge.jobs(max_records, max_columns, |job| {
+                    // A closed channel means that the writer gave up; it knows why.
+                    if token_out.recv().is_err() || job_in.send((number, job)).is_err() {
+                        return Err(Error::Interrupted);
+                    }
+                    number += 1;
+                    Ok(())
+                });
+                if let Err(error) = given {
+                    let _ = done_in.send(Err(error));
+                }
+            });
+            let written = match giver {
+                Ok(_) => take_in_order(take, &done_out, &token_in, monitor),
+                Err(error) => Err(no_thread(error)),
+            };
+            // Both ends must go before the scope waits for the threads that may be blocked on them.
+            drop((done_out, token_in));
+            written
+        })
+    }
+}
+
+fn no_thread(error: std::io::Error) -> Error {
+    Error::io("worker threads", "start a thread (end other programs, or raise the limit of processes)", error)
+}
+
+fn take_in_order<T>(
+    mut take: impl FnMut(T) -> Result<()>,
+    done: &Receiver<Result<Done<T>>>,
+    tokens: &Sender<()>,
+    monitor: &dyn Monitor,
+) -> Result<()> {
+    let mut waiting = BTreeMap::new();
+    let mut next = 0;
+    for result in done {
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        let result = result?;
+        waiting.insert(result.number, result);
+        while let Some(result) = waiting.remove(&next) {
+            next += 1;
+            take(result.what)?;
+            monitor.advance(result.records);
+            let _ = tokens.send(());
+        }
+    }
+    Ok(())
+}
+
+fn work_on_columns<W: ColumnWork>(
+    mut worker: W,
+    merge: &Merge<'_>,
+    jobs: &Receiver<(u64, ColumnJob)>,
+    done: &Sender<Result<Done<W::Done>>>,
+) {
+    let _alarm = Alarm(done);
+    for (number, job) in jobs {
+        let result = worker.work(merge, &job).map(|what| Done { number, records: job.records, what });
+        let failed = result.is_err();
+        if done.send(result).is_err() || failed {
+            return;
+        }
+    }
+}
+
+/// Wakes the taking thread if a worker panics; it would else wait for ever for that worker's job.
+struct Alarm<'a, T>(&'a Sender<Result<Done<T>>>);
+
+impl<T> Drop for Alarm<'_, T> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let _ = self.0.send(Err(Error::Interrupted));
+        }
+    }
+}
+
+/// What the workers share for columns that do not fit.
+struct Dense {
+    /// Held by the one worker that may use as much memory as all workers together.
+    one_at_a_time: Mutex<()>,
+    /// Voxels that it may then hold.
+    max_voxels: u64,
+}
+
+/// What is made of the voxels of tile columns, area by area.
+pub(super) trait TakeAreas {
+    /// The voxels of an area of a column with its halo, and their sums; returns how many it dropped.
+    fn area(&mut self, column: ColumnKey, area: Area, patch: &mut Patch, sums: &mut Sums) -> u64;
+
+    /// All areas of the column have come.
+    fn end(&mut self, column: ColumnKey) -> Result<()>;
+}
+
+/// Folds the records of tile columns to voxels: scratch of one worker.
+pub(super) struct Patches<'a> {
+    dense: Arc<Dense>,
+    views: Option<&'a Views>,
+    monitor: &'a dyn Monitor,
+    bands: Bands,
+    min_points: u32,
+    max_records: u64,
+    patch: Patch,
+    sums: Sums,
+    folder: PieceFolder,
+    records: Vec<Record>,
+    /// Points removed as moving since they were taken out last, without the copies in halos.
+    pub removed: Vec<(ColumnKey, Record)>,
+    staying: Vec<Record>,
+}
+
+/// Removes the points of an area and its halo that are taken for moving, and notes those of the area.
+fn remove_moving(
+    views: &Views,
+    key: ColumnKey,
+    area: Area,
+    records: &mut Vec<Record>,
+    removed: &mut Vec<(ColumnKey, Record)>,
+) {
+    records.retain(|&record| {
+        let is_moving = record.content() == Content::Point && views.is_moving(views.place(key, record));
+        if is_moving && area.holds(record.pixel()) {
+            removed.push((key, record));
+        }
+        !is_moving
+    });
+}
+
+/// Memory of a worker per record of a column.
+fn job_bytes_per_record(views: Option<&Views>) -> u64 {
+    let removed = size_of::<Record>() + size_of::<(ColumnKey, Record)>();
+    JOB_BYTES_PER_RECORD + if views.is_some() { removed as u64 } else { 0 }
+}
+
+impl<'a> Patches<'a> {
+    fn new(
+        plan: &Plan,
+        max_records: u64,
+        dense: Arc<Dense>,
+        views: Option<&'a Views>,
+        monitor: &'a dyn Monitor,
+    ) -> Self {
+        let bands = Bands::new(plan);
+        Self {
+            dense,
+            views,
+            monitor,
+            bands,
+            min_points: plan.options.min_points,
+            max_records,
+            patch: Patch::default(),
+            sums: Sums::new(bands),
+            folder: PieceFolder::new(bands),
+            records: Vec::new(),
+            removed: Vec::new(),
+            staying: Vec::new(),
+        }
+    }
+
+    /// Gives `take` the voxels of those columns of a job that are `wanted`; returns how many were dropped.
+    pub fn take(
+        &mut self,
+        merge: &Merge<'_>,
+        job: &ColumnJob,
+        wanted: impl Fn(ColumnKey) -> bool,
+        take: &mut impl TakeAreas,
+    ) -> Result<u64> {
+        if !job.columns.iter().any(|&(key, _)| wanted(key)) {
+            return Ok(0);
+        }
+        if job.records > self.max_records {
+            let dropped = self.dense_column(merge, job, take)?;
+            take.end(job.columns[0].0)?;
+            return Ok(dropped);
+        }
+        let mut dropped = 0;
+        let mut records = std::mem::take(&mut self.records);
+        merge.load(job, &mut records)?;
+        let mut rest = &records[..];
+        for &(key, count) in &job.columns {
+            let (own, others) = rest.split_at(count as usize);
+            rest = others;
+            if wanted(key) {
+                let mut staying = std::mem::take(&mut self.staying);
+                let own = match self.views {
+                    None => own,
+                    Some(_) => {
+                        staying.clear();
+                        staying.extend(own);
+                        self.remove_moving(key, Area::TILE, &mut staying);
+                        &staying[..]
+                    }
+                };
+                dropped += self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums);
+                dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
+                take.end(key)?;
+                self.staying = staying;
+            }
+        }
+        self.records = records;
+        Ok(dropped)
+    }
+
+    fn remove_moving(&mut self, key: ColumnKey, area: Area, records: &mut Vec<Record>) {
+        if let Some(views) = self.views {
+            remove_moving(views, key, area, records, &mut self.removed);
+        }
+    }
+
+    /// Works on a column of more records than memory holds. Where they make few voxels, one pass folds them piece by
+    /// piece; else the column is cut into areas of few enough records, with one pass for each.
+    ///
+    /// Cost: one to three passes over the column's records, then for each area its rows.
+    fn dense_column(&mut self, merge: &Merge<'_>, job: &ColumnJob, take: &mut impl TakeAreas) -> Result<u64> {
+        let key = job.columns[0].0;
+        if let Some(dropped) = self.fold_piecemeal(merge, job, Area::TILE, self.max_voxels(), take)? {
+            return Ok(dropped);
+        }
+        let mut counts = vec![0u64; PATCH_AREA];
+        self.stream(merge, job, Area::TILE, |records| {
+            records.iter().for_each(|record| counts[record.pixel()] += 1);
+            true
+        })?;
+        let mut dropped = 0;
+        let mut open = vec![Area::TILE];
+        while let Some(area) = open.pop() {
+            let with_halo: u64 = (0..PATCH_AREA).filter(|&pixel| area.holds_with_halo(pixel)).map(|p| counts[p]).sum();
+            if with_halo <= self.max_records {
+                let mut own = std::mem::take(&mut self.records);
+                own.clear();
+                own.reserve_exact(with_halo as usize);
+                self.stream(merge, job, area, |records| {
+                    own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
+                    true
+                })?;
+                self.remove_moving(key, area, &mut own);
+                dropped += self.patch.fold(&own, self.min_points, area, &mut self.sums);
+                dropped += take.area(key, area, &mut self.patch, &mut self.sums);
+                self.records = own;
+            } else if let Some([low, high]) = area.halves() {
+                // The last is taken first, and spans are to come in order of pixels where they can.
+                open.extend([high, low]);
+            } else {
+                let dense = self.dense.clone();
+                let _alone = dense.one_at_a_time.lock().unwrap_or_else(PoisonError::into_inner);
+                (self.patch, self.sums) = (Patch::default(), Sums::new(self.bands));
+                let folded = self.fold_piecemeal(merge, job, area, dense.max_voxels, take)?;
+                (self.patch, self.sums) = (Patch::default(), Sums::new(self.bands));
+                dropped += folded.ok_or_else(|| {
+                    let what = "occupied slices of one pixel and its neighbours (larger slices are fewer)";
+                    Error::limit(what, "more", dense.max_voxels).with_way_out(Parameter::Memory)
+                })?;
+            }
+        }
+        Ok(dropped)
+    }
+
+    /// Voxels with sums that fit where `max_records` records do.
+    fn max_voxels(&self) -> u64 {
+        self.max_records * JOB_BYTES_PER_RECORD / DENSE_BYTES_PER_VOXEL
+    }
+
+    /// Folds the records of `area` piece by piece; `None` if they make more than `max_voxels`.
+    fn fold_piecemeal(
+        &mut self,
+        merge: &Merge<'_>,
+        job: &ColumnJob,
+        area: Area,
+        max_voxels: u64,
+        take: &mut impl TakeAreas,
+    ) -> Result<Option<u64>> {
+        let mut folder = std::mem::take(&mut self.folder);
+        let mut folded = Folded::new();
+        let (mut own, mut moving) = (Vec::new(), Vec::new());
+        let (views, key) = (self.views, job.columns[0].0);
+        let fits = self.stream(merge, job, area, |records| {
+            own.clear();
+            own.extend(records.iter().filter(|record| area.holds_with_halo(record.pixel())));
+            if let Some(views) = views {
+                remove_moving(views, key, area, &mut own, &mut moving);
+            }
+            folder.fold_into(&mut folded, &own);
+            folded.len() as u64 <= max_voxels
+        })?;
+        self.folder = folder;
+        if !fits {
+            return Ok(None);
+        }
+        self.removed.append(&mut moving);
+        let dropped = self.patch.set_folded(&folded, self.min_points, area, &mut self.sums);
+        drop(folded);
+        Ok(Some(dropped + take.area(job.columns[0].0, area, &mut self.patch, &mut self.sums)))
+    }
+
+    /// The records of a column in `area` and its halo, and others, piece by piece, until `take` has enough; whether it
+    /// saw all.
+    fn stream(
+        &self,
+        merge: &Merge<'_>,
+        job: &ColumnJob,
+        area: Area,
+        mut take: impl FnMut(&[Record]) -> bool,
+    ) -> Result<bool> {
+        let chunk = (self.max_records / 4).max(1 << 12) as usize;
+        let mut all = true;
+        merge.stream(job, (area.y.0, area.y.1 + 2), chunk, |records| {
+            if self.monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            all = take(records);
+            Ok(all)
+        })?;
+        Ok(all)
+    }
+}

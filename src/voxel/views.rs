@@ -1,0 +1,349 @@
+//! What each station of a scan saw, as images of distances, and which points others saw through.
+//!
+//! In: stations and the points measured from them. An image covers all directions by the six faces of a cube; a cell keeps
+//! the least distance measured in it, in whole centimetres. Least distances do not depend on the order of points, and only
+//! sums, products, quotients and square roots decide in which cell a point falls: the same on every machine.
+//!
+//! A station *saw through* a place if it measured something clearly farther in the direction of the place and in all
+//! directions around it. The directions around take care of what a ray only grazes: a floor far away, the edge of a door, a
+//! leaf. It *hit* the place if it measured something about as far. A point is taken for moving where at least
+//! one station saw through its place, and no more stations hit it: the one that measured the point is among these.
+//!
+//! Where a cell has no distance, or its neighbours have too few, coarser images are asked, which hold least distances too.
+//!
+//! Compare: F. Pomerleau et al., "Long-term 3D map maintenance in dynamic environments" (2014), J. Schauer, A. Nüchter, "The
+//! Peopleremover" (2018), G. Kim, A. Kim, "Remove, then Revert" (2020).
+
+use super::record::{ColumnKey, HALO_PIXELS, PATCH_PIXELS, Record, SLICE_STEPS, SUBPIXELS};
+use crate::frame::{Frame, PageKey, TILE_PIXELS};
+use crate::{Error, Parameter, Result};
+use std::sync::atomic::{AtomicU16, Ordering};
+
+/// Cells along an edge of a face of the finest image: 0.18° in its middle.
+const EDGE: usize = 512;
+/// Images of a station, each half as fine as the one before.
+const LEVELS: usize = 5;
+/// Farthest distance that an image can tell (cm); what is farther counts as this far.
+const FARTHEST_CM: u16 = u16::MAX - 1;
+/// Of a cell and the eight around it, so many must have a distance.
+const LEAST_SEEN: usize = 5;
+/// Nearer points are never judged (m): the scanner's own legs.
+const NEAREST_M: f64 = 0.3;
+
+/// How much farther than a place something must be to be behind it (m): scans do not fit each other to the last centimetre.
+fn margin_m(distance_m: f64) -> f64 {
+    0.05 + 0.01 * distance_m
+}
+
+/// What a station says of a place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Says {
+    /// Something is about there.
+    Hit,
+    /// It saw farther, in this direction and around it.
+    Through,
+    /// It cannot tell.
+    Nothing,
+}
+
+/// A direction: face of the cube, and place on it (−1 to 1 both ways).
+#[derive(Debug, Clone, Copy)]
+struct Direction {
+    face: usize,
+    at: [f64; 2],
+}
+
+impl Direction {
+    fn of(d: [f64; 3]) -> Self {
+        let size = d.map(f64::abs);
+        let axis = if size[0] >= size[1] && size[0] >= size[2] {
+            0
+        } else if size[1] >= size[2] {
+            1
+        } else {
+            2
+        };
+        let at = [1, 2].map(|step| d[(axis + step) % 3] / size[axis]);
+        Self { face: 2 * axis + usize::from(d[axis] < 0.0), at }
+    }
+
+    /// The middle of a cell, which may lie beyond the edges of the face.
+    fn of_cell(face: usize, cell: [i64; 2], edge: usize) -> Self {
+        let axis = face / 2;
+        let mut d = [0.0; 3];
+        d[axis] = if face % 2 == 1 { -1.0 } else { 1.0 };
+        for (step, cell) in [1, 2].into_iter().zip(cell) {
+            d[(axis + step) % 3] = (2 * cell + 1) as f64 / edge as f64 - 1.0;
+        }
+        Self::of(d)
+    }
+
+    fn cell(self, edge: usize) -> [i64; 2] {
+        self.at.map(|at| (((at + 1.0) / 2.0 * edge as f64) as i64).clamp(0, edge as i64 - 1))
+    }
+}
+
+/// One station with its images.
+#[derive(Debug)]
+struct View {
+    from: [f64; 3],
+    /// For each level all faces, row after row: [`FARTHEST_CM`] + 1 minus the least distance (cm), 0 where there is none.
+    levels: [Vec<AtomicU16>; LEVELS],
+}
+
+impl View {
+    fn new(from: [f64; 3]) -> Self {
+        let level = |level: usize| (0..6 * (EDGE >> level).pow(2)).map(|_| AtomicU16::new(0)).collect();
+        Self { from, levels: std::array::from_fn(level) }
+    }
+
+    fn bytes() -> u64 {
+        (0..LEVELS).map(|level| 12 * ((EDGE >> level) as u64).pow(2)).sum()
+    }
+
+    fn cell(&self, level: usize, face: usize, cell: [i64; 2]) -> &AtomicU16 {
+        let edge = EDGE >> level;
+        &self.levels[level][(face * edge + cell[1] as usize) * edge + cell[0] as usize]
+    }
+
+    /// Least distance in a cell, which may lie beyond the edges of the face (m).
+    fn distance(&self, level: usize, face: usize, cell: [i64; 2]) -> Option<f64> {
+        let edge = EDGE >> level;
+        let value = if cell.iter().all(|&at| (0..edge as i64).contains(&at)) {
+            self.cell(level, face, cell)
+        } else {
+            let direction = Direction::of_cell(face, cell, edge);
+            self.cell(level, direction.face, direction.cell(edge))
+        };
+        match value.load(Ordering::Relaxed) {
+            0 => None,
+            value => Some(f64::from(FARTHEST_CM - (value - 1)) * 0.01),
+        }
+    }
+
+    fn to(&self, point: [f64; 3]) -> ([f64; 3], f64) {
+        let d: [f64; 3] = std::array::from_fn(|axis| point[axis] - self.from[axis]);
+        (d, (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt())
+    }
+
+    fn add(&self, point: [f64; 3]) {
+        let (d, distance) = self.to(point);
+        if distance > 0.0 {
+            let direction = Direction::of(d);
+            let cm = (distance * 100.0).min(FARTHEST_CM.into()) as u16;
+            let cell = self.cell(0, direction.face, direction.cell(EDGE));
+            let value = FARTHEST_CM - cm + 1;
+            // Most points change nothing.
+            if cell.load(Ordering::Relaxed) < value {
+                cell.fetch_max(value, Ordering::Relaxed);
+            }
+        }
+    }
+
+    fn make_coarser(&self) {
+        for level in 1..LEVELS {
+            let edge = (EDGE >> level) as i64;
+            for face in 0..6 {
+                for cell in (0..edge).flat_map(|y| (0..edge).map(move |x| [x, y])) {
+                    let finer = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[x, y]| {
+                        self.cell(level - 1, face, [2 * cell[0] + x, 2 * cell[1] + y]).load(Ordering::Relaxed)
+                    });
+                    let nearest = finer.into_iter().max().unwrap_or(0);
+                    self.cell(level, face, cell).store(nearest, Ordering::Relaxed);
+                }
+            }
+        }
+    }
+
+    fn says(&self, point: [f64; 3]) -> Says {
+        let (d, distance) = self.to(point);
+        let margin = margin_m(distance);
+        if distance < NEAREST_M || distance + margin >= f64::from(FARTHEST_CM) * 0.01 {
+            return Says::Nothing;
+        }
+        let direction = Direction::of(d);
+        // A cell's distance is rounded down by up to a centimetre.
+        let of = |seen: f64| {
+            if seen > distance + margin {
+                Says::Through
+            } else if seen + margin + 0.01 >= distance {
+                Says::Hit
+            } else {
+                Says::Nothing
+            }
+        };
+        for level in 0..LEVELS {
+            let [x, y] = direction.cell(EDGE >> level);
+            let Some(seen) = self.distance(level, direction.face, [x, y]) else { continue };
+            if of(seen) != Says::Through {
+                return of(seen);
+            }
+            let mut count = 1;
+            for step in (0..9).filter(|&step| step != 4) {
+                if let Some(seen) = self.distance(level, direction.face, [x + step % 3 - 1, y + step / 3 - 1]) {
+                    if of(seen) != Says::Through {
+                        return of(seen);
+                    }
+                    count += 1;
+                }
+            }
+            if count >= LEAST_SEEN {
+                return Says::Through;
+            }
+        }
+        Says::Nothing
+    }
+}
+
+/// The views of all stations.
+///
+/// Memory: 4.2 MB a station.
+#[derive(Debug)]
+pub struct Views {
+    views: Vec<View>,
+    frame: Frame,
+}
+
+impl Views {
+    /// Views from these places (m), for records on the grid `frame`, without any point yet. Fails beyond `max_bytes`.
+    pub fn new(stations: &[[f64; 3]], frame: Frame, max_bytes: u64) -> Result<Self> {
+        let bytes = View::bytes().saturating_mul(stations.len() as u64);
+        if bytes > max_bytes {
+            let what = format!("memory for what {} stations saw (bytes)", stations.len());
+            return Err(Error::limit(what, bytes, max_bytes).with_way_out(Parameter::Memory));
+        }
+        Ok(Self { views: stations.iter().map(|&from| View::new(from)).collect(), frame })
+    }
+
+    /// Adds a point (m) that a station measured.
+    pub fn add(&self, station: usize, point: [f64; 3]) {
+        self.views[station].add(point);
+    }
+
+    /// All points are there.
+    pub fn finish(&self) {
+        self.views.iter().for_each(View::make_coarser);
+    }
+
+    /// Whether a point (m) is taken for moving.
+    pub fn is_moving(&self, point: [f64; 3]) -> bool {
+        let (mut through, mut hit) = (0, 0);
+        for view in &self.views {
+            match view.says(point) {
+                Says::Through => through += 1,
+                Says::Hit => hit += 1,
+                Says::Nothing => {}
+            }
+        }
+        through > 0 && through >= hit
+    }
+
+    /// Where the point of a record of a column lies, to the precision of records (m).
+    pub fn place(&self, column: ColumnKey, record: Record) -> [f64; 3] {
+        let PageKey { tx, ty, .. } = PageKey::from_column(column.column, 0);
+        let along = |tile: i32, patch: usize, sub: u32| {
+            let pixel = i64::from(tile) * TILE_PIXELS + patch as i64 - HALO_PIXELS;
+            (pixel as f64 + (f64::from(sub) + 0.5) / SUBPIXELS as f64) * self.frame.pixel_m()
+        };
+        let (u, v) = record.place();
+        let slice = (column.first_slice() + i64::from(record.slice())) as f64;
+        let height = f64::from(record.height()) / SLICE_STEPS as f64;
+        let (px, py) = (record.pixel() % PATCH_PIXELS, record.pixel() / PATCH_PIXELS);
+        [along(tx, px, u), along(ty, py, v), (slice + height) * self.frame.slice_m()]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::voxel::record::Recorder;
+    use proptest::prelude::*;
+
+    fn frame() -> Frame {
+        Frame::new(0.05, 0.15).unwrap()
+    }
+
+    proptest! {
+        #[test]
+        fn records_tell_where_their_points_lie(x in -500f64..500.0, y in -500f64..500.0, z in -90f64..90.0) {
+            let views = Views::new(&[], frame(), 0).unwrap();
+            Recorder::new(frame()).record(&[x], &[y], &[z], |index, record| {
+                let place = views.place(index.key(), record);
+                let near = (place[0] - x).abs() < 0.0005 && (place[1] - y).abs() < 0.0005 && (place[2] - z).abs() < 0.0001;
+                assert!(near, "{place:?}");
+            });
+        }
+
+        #[test]
+        fn a_cell_beyond_an_edge_is_the_neighbour_on_the_next_face(face in 0usize..6, along in 0i64..512, side in 0usize..4) {
+            let cell = [[-1, along], [512, along], [along, -1], [along, 512]][side];
+            let inside = [[0, along], [511, along], [along, 0], [along, 511]][side];
+            let vector = |direction: Direction| {
+                let axis = direction.face / 2;
+                let mut d = [0.0; 3];
+                d[axis] = if direction.face % 2 == 1 { -1.0 } else { 1.0 };
+                (d[(axis + 1) % 3], d[(axis + 2) % 3]) = (direction.at[0], direction.at[1]);
+                let len = d.iter().map(|v| v * v).sum::<f64>().sqrt();
+                d.map(|v| v / len)
+            };
+            let out = Direction::of_cell(face, cell, 512);
+            prop_assert_ne!(out.face, face);
+            let middle = Direction::of_cell(out.face, out.cell(512), 512);
+            let (a, b) = (vector(middle), vector(Direction::of_cell(face, inside, 512)));
+            let apart = (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt();
+            prop_assert!(apart < 3.0 * 2.0 / 512.0, "{}", apart);
+        }
+    }
+
+    /// A floor at z = 0 and a wall at x = 8, seen from (0, 0, 1.6) at steps of a quarter of a degree, and whatever stands in
+    /// front of them.
+    fn see(views: &Views, station: usize, from: [f64; 3], in_front: impl Fn([f64; 3]) -> Option<f64>) -> Vec<[f64; 3]> {
+        let mut points = Vec::new();
+        for turn in 0..1440 {
+            for rise in -340..340 {
+                let (a, b) = ((f64::from(turn) / 4.0).to_radians(), (f64::from(rise) / 4.0).to_radians());
+                let d = [b.cos() * a.cos(), b.cos() * a.sin(), b.sin()];
+                let floor = if d[2] < 0.0 { -from[2] / d[2] } else { f64::INFINITY };
+                let wall = if d[0] > 0.0 { (8.0 - from[0]) / d[0] } else { f64::INFINITY };
+                let t = floor.min(wall).min(in_front(d).unwrap_or(f64::INFINITY));
+                if t < 60.0 {
+                    let point = [0, 1, 2].map(|axis| from[axis] + t * d[axis]);
+                    views.add(station, point);
+                    points.push(point);
+                }
+            }
+        }
+        points
+    }
+
+    #[test]
+    fn what_stood_there_for_one_station_only_is_moving_and_floors_and_walls_are_not() {
+        let (one, two) = ([0.0, 0.0, 1.6], [3.0, 5.0, 1.6]);
+        let views = Views::new(&[one, two], frame(), u64::MAX).unwrap();
+        // Somebody like a screen, 1.7 m high, 4 m in front of the first station.
+        let person = |d: [f64; 3]| {
+            let t = 4.0 / d[0];
+            let within = d[0] > 0.0 && (t * d[1]).abs() < 0.25 && (-1.6..0.1).contains(&(t * d[2]));
+            within.then_some(t)
+        };
+        let of_one = see(&views, 0, one, person);
+        let of_two = see(&views, 1, two, |_| None);
+        views.finish();
+        let on_person = |p: &&[f64; 3]| (p[0] - 4.0).abs() < 1e-9 && p[1].abs() < 0.25 && p[2] > 0.001 && p[2] < 1.7;
+        let person: Vec<_> = of_one.iter().filter(on_person).collect();
+        let gone = person.iter().filter(|p| views.is_moving(***p)).count();
+        assert!(person.len() > 500 && gone as f64 > 0.95 * person.len() as f64, "{gone} of {}", person.len());
+        let others = of_one.iter().filter(|p| !on_person(p)).chain(&of_two);
+        assert_eq!(others.filter(|p| views.is_moving(**p)).count(), 0);
+    }
+
+    #[test]
+    fn one_station_alone_takes_nothing_for_moving_and_memory_is_limited() {
+        let views = Views::new(&[[0.0, 0.0, 1.6]], frame(), View::bytes()).unwrap();
+        let points = see(&views, 0, [0.0, 0.0, 1.6], |d| (d[0] > 0.9).then_some(2.0));
+        views.finish();
+        assert_eq!(points.iter().filter(|p| views.is_moving(**p)).count(), 0);
+        let refused = Views::new(&[[0.0; 3]; 2], frame(), View::bytes()).unwrap_err();
+        assert_eq!(refused.way_out(), Some(&Parameter::Memory));
+    }
+}

@@ -1,0 +1,196 @@
+//! `--remove-moving`: who walked through a scan goes, what stands stays, whatever the order, threads and memory.
+#![cfg(feature = "cli")]
+
+#[path = "common/scans.rs"]
+mod scans;
+
+use scangen::sample::{Mode, ScannerSpec};
+use scangen::shape::{Cylinder, Shape};
+use scangen::{Kind, Params, Sample, SampleSpec, Scene, Surface, WriteSpec, write_samples};
+use scans::{Random, converts, refuses, sliceconv, verifies};
+use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
+use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::store::Store;
+use std::collections::HashSet;
+use std::fs;
+use std::path::Path;
+
+const PIXEL_M: f64 = 0.05;
+const OPTIONS: [&str; 8] = ["--pixel", "0.05", "--units", "m", "--quiet", "--force", "--threads", "2"];
+
+/// Points of one station, rounded as the file has them.
+fn scan(scene: &Scene, at: [f64; 3], rays: u64, people: usize, seed: u64, path: &Path) -> Vec<Sample> {
+    let scanner = ScannerSpec { stations: vec![at], people, clearance_m: 0.15, ..ScannerSpec::default() };
+    let spec = SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(rays) }.with_noise(0.003);
+    let write = WriteSpec::for_path(path);
+    let samples: Vec<Sample> = scene.samples(seed, &spec).unwrap().collect();
+    write_samples(path, samples.iter().copied(), &write).unwrap();
+    samples.into_iter().map(|s| Sample { position: write.rounded(s.position).unwrap(), ..s }).collect()
+}
+
+/// Writes the table of stations.
+fn table(folder: &Path, stations: &[([f64; 3], &str)]) {
+    let lines: Vec<String> = stations.iter().map(|([x, y, z], name)| format!("{name},{x},{y},{z}\n")).collect();
+    fs::write(folder.join("stations.csv"), format!("file,x,y,z\n{}", lines.concat())).unwrap();
+}
+
+/// Converts the scans of `names` without what moved; the archive, what was removed, and the report.
+fn convert(at: &Path, names: &[&str], options: &[&str]) -> (Vec<u8>, Vec<u8>, serde_json::Value) {
+    let moving =
+        ["--remove-moving", "--stations", "stations.csv", "--removed", "gone.las", "--json", "-o", "out.slices"];
+    let out = sliceconv(at, &[names, &OPTIONS, &moving, options].concat());
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let report = serde_json::from_slice(&out.stdout).unwrap();
+    (fs::read(at.join("out.slices")).unwrap(), fs::read(at.join("gone.las")).unwrap(), report)
+}
+
+/// The points of a plain LAS file.
+fn read(path: &Path) -> Vec<[f64; 3]> {
+    let bytes = fs::read(path).unwrap();
+    let float = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+    let start = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize;
+    let len = usize::from(u16::from_le_bytes(bytes[105..107].try_into().unwrap()));
+    let axis = |record: &[u8], axis: usize| {
+        let raw = i32::from_le_bytes(record[4 * axis..4 * axis + 4].try_into().unwrap());
+        f64::from(raw) * float(131 + 8 * axis) + float(155 + 8 * axis)
+    };
+    bytes[start..].chunks_exact(len).map(|record| [0, 1, 2].map(|at| axis(record, at))).collect()
+}
+
+/// Places of the points in a LAS file, as cells of 1/128 pixel and whole millimetres.
+fn places(path: &Path) -> HashSet<[i64; 3]> {
+    read(path).into_iter().map(cell).collect()
+}
+
+fn cell([x, y, z]: [f64; 3]) -> [i64; 3] {
+    let sub = |v: f64| (v * (1.0 / PIXEL_M) * 128.0).floor() as i64;
+    [sub(x), sub(y), (z * 1000.0).round() as i64]
+}
+
+fn is_among(gone: &HashSet<[i64; 3]>, p: [f64; 3]) -> bool {
+    let [x, y, z] = cell(p);
+    (-1..=1).any(|dz| gone.contains(&[x, y, z + dz]))
+}
+
+#[test]
+fn walkers_go_and_what_stands_stays_beside_glass_mirrors_plants_and_clutter() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = Scene::named("hall", &Params::new()).unwrap();
+    let names: Vec<String> = (0..scene.stations().len()).map(|n| format!("{n}.las")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let mut samples = Vec::new();
+    for (number, (station, name)) in scene.stations().iter().zip(&names).enumerate() {
+        samples.extend(scan(&scene, *station, 300_000, 2, number as u64 + 1, &at.join(name)));
+    }
+    let stations: Vec<_> = scene.stations().iter().copied().zip(names.iter().copied()).collect();
+    table(at, &stations);
+    let (archive, removed, report) = convert(at, &names, &[]);
+    verifies(&at.join("out.slices"));
+    let gone = places(&at.join("gone.las"));
+    let share = |wanted: &dyn Fn(&Sample) -> bool| {
+        let all: Vec<_> = samples.iter().filter(|sample| wanted(sample)).collect();
+        let lost = all.iter().filter(|sample| is_among(&gone, sample.position)).count();
+        (lost as f64 / all.len().max(1) as f64, all.len())
+    };
+    let moving = share(&|sample| sample.kind == Kind::Moving);
+    let standing = share(&|sample| sample.kind == Kind::Surface);
+    for label in ["floor", "ceiling", "wall", "reveal", "glass", "leaf", "stem", "pot", "clutter"] {
+        let of =
+            |sample: &Sample| sample.kind == Kind::Surface && scene.surfaces()[sample.surface as usize].label == label;
+        println!("{label}: {:?}", share(&of));
+    }
+    println!("moving {moving:?}, standing {standing:?}");
+    println!("mixed {:?}", share(&|s| s.kind == Kind::Mixed));
+    println!("mirrored {:?}", share(&|s| s.kind == Kind::Outlier));
+    assert!(moving.1 > 10_000 && moving.0 >= 0.95, "{moving:?}");
+    assert!(standing.0 <= 0.01, "{standing:?}");
+    assert_eq!(
+        report["points_moving"].as_u64().unwrap() + report["points_kept"].as_u64().unwrap(),
+        samples.len() as u64
+    );
+    assert_eq!(report["remove_moving"], true);
+
+    // Another order, other threads, a small memory.
+    for name in &names {
+        let mut own = read(&at.join(name));
+        Random(5).shuffle(&mut own);
+        scans::write(&at.join(name), &own);
+    }
+    let mut turned = names.clone();
+    turned.rotate_left(2);
+    for options in [&["--threads", "1"][..], &["--threads", "4", "--memory", "100MiB"]] {
+        let options: Vec<&str> = OPTIONS[..6].iter().chain(options).copied().collect();
+        let moving = ["--remove-moving", "--stations", "stations.csv", "--removed", "gone.las", "-o", "out.slices"];
+        converts(at, &[&turned[..], &options, &moving].concat());
+        assert!(fs::read(at.join("out.slices")).unwrap() == archive, "{options:?}");
+        assert!(fs::read(at.join("gone.las")).unwrap() == removed, "{options:?}");
+    }
+}
+
+#[test]
+fn a_doorway_that_somebody_stood_in_opens() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let hall = Scene::named("hall", &Params::new()).unwrap();
+    let mut with_person = hall.surfaces().to_vec();
+    let shape = Shape::Cylinder(Cylinder { center: [8.07, 4.5], radius: 0.25, z_min: 0.0, z_max: 1.75 });
+    with_person.push(Surface { shape, label: "person" });
+    let occupied = Scene::new("hall", with_person);
+    let stations = hall.stations();
+    scan(&occupied, stations[0], 200_000, 0, 1, &at.join("a.las"));
+    scan(&hall, stations[3], 200_000, 0, 2, &at.join("b.las"));
+    scan(&hall, stations[2], 200_000, 0, 3, &at.join("c.las"));
+    table(at, &[(stations[0], "a.las"), (stations[3], "b.las"), (stations[2], "c.las")]);
+    let names = ["a.las", "b.las", "c.las"];
+    let door = Aabb::new([7.8, 4.2, 0.15].into(), [8.3, 4.8, 1.9].into()).unwrap();
+    let is_open = || {
+        let archive = Archive::open(at.join("out.slices")).unwrap();
+        overlaps(&Store::resident(&archive, &NoMonitor).unwrap(), &door) == Overlap::Clear
+    };
+    converts(at, &[&names[..], &OPTIONS, &["-o", "out.slices"]].concat());
+    assert!(!is_open(), "without stations the ghost stays");
+    convert(at, &names, &[]);
+    assert!(is_open());
+}
+
+#[test]
+fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    scans::write(&at.join("a.las"), &[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]);
+    scans::write(&at.join("b.las"), &[[0.0, 1.0, 0.0]]);
+    let names = ["a.las", "b.las", "-o", "x.slices"];
+    let good = "file,x,y,z\na.las,0,0,1\n\"b.las\",1,1,1\n";
+    fs::write(at.join("s.csv"), good).unwrap();
+    let moving = ["--remove-moving", "--stations", "s.csv"];
+    for (options, code) in [
+        (&["--remove-moving"][..], 2),
+        (&["--stations", "s.csv"], 2),
+        (&["--removed", "r.las"], 2),
+        (&["--remove-moving", "--stations", "s.csv", "--shard", "1/2"], 2),
+        (&["--remove-moving", "--stations", "s.csv", "--resume"], 2),
+        (&["--remove-moving", "--stations", "none.csv"], 1),
+    ] {
+        refuses(at, &[&names[..], &OPTIONS, options].concat(), code);
+    }
+    for (text, word) in [
+        ("", "file,x,y,z"),
+        ("file,x,y\na.las,0,0\n", "file,x,y,z"),
+        ("file,x,y,z\na.las,0,0,1\n", "b.las has no station"),
+        ("file,x,y,z\na.las,0,0,1\nb.las,0,nan,1\n", "line 3: expected a number"),
+        ("file,x,y,z\na.las,0,0,1\nb.las,0,1\n", "line 3: expected 4 fields"),
+        ("file,x,y,z\na.las,0,0,1\nc.las,0,0,1\n", "line 3: no input is called"),
+        ("file,x,y,z\na.las,0,0,1\na.las,0,0,1\n", "line 3"),
+        ("file,t,x,y,z\na.las,0,0,0,1\n", "not supported yet"),
+    ] {
+        fs::write(at.join("s.csv"), text).unwrap();
+        let said = refuses(at, &[&names[..], &OPTIONS, &moving].concat(), 1);
+        assert!(said.contains("s.csv") && said.contains(word), "{word}: {said}");
+    }
+    fs::write(at.join("s.csv"), good).unwrap();
+    let said = refuses(at, &[&names[..], &OPTIONS, &moving, &["--removed", "s.csv"]].concat(), 1);
+    assert!(said.contains("s.csv"), "{said}");
+    converts(at, &[&names[..], &OPTIONS, &moving].concat());
+}
