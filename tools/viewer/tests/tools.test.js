@@ -3,31 +3,25 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
-import { after, afterEach, before, beforeEach, describe, it } from "node:test";
-import { launch, newPage, state, until, walkIn } from "./browser.js";
+import { after, before, beforeEach, describe } from "node:test";
+import { it, pages, state, until, walkIn } from "./browser.js";
 import { DIST, house, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const PIXEL = 0.05;
-let browser, server, page;
+let server, page;
+const tests = pages();
 
 before(async () => {
   server = await new StaticServer(DIST, { "/house.slices": house() }).start();
-  browser = await launch();
 });
 after(async () => {
-  await browser?.close();
   await server?.stop();
 });
-beforeEach(async () => {
-  page = await newPage(browser.context);
-});
-afterEach(async () => {
-  assert.deepEqual(page.complaints, []);
-  assert.deepEqual(page.failedRequests, []);
-  await page.close();
+beforeEach(() => {
+  page = tests.page;
 });
 
 const tool = (name) => page.getByRole("button", { name, exact: false });
@@ -214,7 +208,8 @@ describe("tools", () => {
     await drawn();
     const [download] = await Promise.all([page.waitForEvent("download"), tool("Screenshot").click()]);
     assert.match(download.suggestedFilename(), /^slicewalk-.*\.png$/);
-    const picture = readFileSync(await download.path());
+    const stream = await download.createReadStream();
+    const picture = Buffer.concat(await stream.toArray());
     assert.ok(picture.length > 5_000 && picture.subarray(1, 4).toString() === "PNG", `${picture.length} bytes`);
   });
 

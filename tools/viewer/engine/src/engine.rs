@@ -432,7 +432,7 @@ impl Engine {
     fn hint(&mut self, pawn: u32) -> Result<(), String> {
         let frame = *self.view()?.frame();
         if let Some(pawn) = self.pawns.get_mut(pawn) {
-            let outlook = pawn.thing.walker().outlook(&frame);
+            let outlook = pawn.thing.outlook(&frame);
             let missing = pawn.thing.missing();
             if pawn.hinted != Some(outlook) || missing.is_some() {
                 pawn.hinted = Some(outlook);

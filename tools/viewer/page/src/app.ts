@@ -460,7 +460,7 @@ export class App {
       this.#cloud?.place(world);
     }
     // What is seen is loaded after what the first step needs.
-    if (pawn.state.steps > 0) view.look(this.#mode === "walk" ? eye : this.#cameras.stand);
+    if (pawn.state.ticks > 0) view.look(this.#mode === "walk" ? eye : this.#cameras.stand);
     world.settle();
     void this.#sight?.follow(pawn.at, this.#settings);
     this.#sight?.update();
