@@ -69,10 +69,11 @@ impl Scene {
 
     /// Changes what [`new`](Self::new) was given; what makes no sense counts as the nearest that does.
     pub fn set(&mut self, radius: f64, triangles: f64, detail: f64) {
-        self.radius = radius.clamp(1.0, 10_000.0);
-        self.triangles = triangles.clamp(10_000.0, 1e9) as usize;
-        self.detail = detail.clamp(1e-4, 1.0);
-        (self.coarser, self.stale) = (1.0, true);
+        let wanted = (radius.clamp(1.0, 10_000.0), triangles.clamp(10_000.0, 1e9) as usize, detail.clamp(1e-4, 1.0));
+        if wanted != (self.radius, self.triangles, self.detail) {
+            (self.radius, self.triangles, self.detail) = wanted;
+            (self.coarser, self.stale) = (1.0, true);
+        }
     }
 
     /// The camera has moved.

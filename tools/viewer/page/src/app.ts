@@ -460,11 +460,12 @@ export class App {
       this.#cloud?.place(world);
     }
     // What is seen is loaded after what the first step needs.
-    if (pawn.state.ticks > 0) view.look(this.#mode === "walk" ? eye : this.#cameras.stand);
+    const from = this.#mode === "walk" ? eye : this.#cameras.stand;
+    if (pawn.state.ticks > 0) view.look(from);
     world.settle();
     void this.#sight?.follow(pawn.at, this.#settings);
     this.#sight?.update();
-    this.#seenTriangles = world.cull(this.#cameras.current);
+    this.#seenTriangles = world.cull(this.#cameras.current, from);
     const { distance } = this.#cameras.orbit;
     this.#canvas.mark(this.#mode !== "walk", world, pawn.state, pawn.look, this.#settings.width, distance);
     this.#canvas.render();

@@ -38,7 +38,7 @@ export class Session {
     readonly archive: Archive,
     readonly pawn: Pawn,
   ) {
-    this.world = new World(archive.info.sliceHeight);
+    this.world = new World(archive.info.pixelSize, archive.info.sliceHeight);
     this.view = archive.view({ onPage: (page) => this.world.take(page), onDrop: (id) => this.world.drop(id) });
   }
 

@@ -4,6 +4,7 @@
 import type { Bounds, PageGeometry, Vec3 } from "slicewalk";
 import { Box3, BufferAttribute, BufferGeometry, Frustum, Group, Matrix4, Mesh, Sphere, Vector3, type Camera } from "three";
 import { distance } from "../geometry";
+import { Cover } from "./cover";
 import { Shading } from "./material";
 
 /** Farther than this from the local origin, another one is chosen. */
@@ -20,7 +21,7 @@ interface Drawn {
 
 export class World {
   readonly group = new Group();
-  readonly shading = new Shading();
+  readonly shading: Shading;
   /** Place of the scene's (0, 0, 0) in the scan. */
   origin: Vec3 = [0, 0, 0];
   triangles = 0;
@@ -31,7 +32,15 @@ export class World {
   readonly #frustum = new Frustum();
   readonly #matrix = new Matrix4();
 
-  constructor(readonly sliceHeight: number) {}
+  readonly #cover: Cover;
+
+  constructor(
+    pixelSize: number,
+    readonly sliceHeight: number,
+  ) {
+    this.#cover = new Cover(pixelSize, sliceHeight);
+    this.shading = new Shading(this.#cover);
+  }
 
   /** Chooses another local origin if `at` is far from this one: on a boundary of slices, so that slices are counted exactly. */
   moveOrigin(at: Vec3): boolean {
@@ -72,17 +81,19 @@ export class World {
     drawn.mesh.geometry.dispose();
     this.triangles -= drawn.page.indices.length / 3;
     this.bytes -= drawn.bytes;
+    this.#cover.set(drawn.page, false);
   }
 
   clear(): void {
     [...this.#waiting.keys(), ...this.#drawn.keys()].forEach((id) => this.drop(id));
+    this.#cover.clear();
   }
 
   /** Whether faces are seen from inside, where matter is cut. */
   set opened(opened: boolean) {
     if (opened === this.#opened) return;
     this.#opened = opened;
-    this.#drawn.forEach(({ mesh }) => (mesh.material = opened ? this.shading.opened : this.shading.solid));
+    this.#drawn.forEach(({ mesh, page }) => (mesh.material = this.shading.material(page.key.level, opened)));
   }
 
   /** Takes in pages that have come, for as long as a frame can spare. */
@@ -95,8 +106,9 @@ export class World {
     }
   }
 
-  /** Shows what the camera sees. */
-  cull(camera: Camera): number {
+  /** Shows what the camera sees; `eye`: around which pages are drawn in full. */
+  cull(camera: Camera, eye: Vec3): number {
+    this.#cover.follow(this.origin, eye);
     this.#matrix.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse);
     this.#frustum.setFromProjectionMatrix(this.#matrix);
     let seen = 0;
@@ -125,13 +137,14 @@ export class World {
     geometry.setIndex(new BufferAttribute(page.indices, 1));
     // Boxes of the world decide what is drawn; three.js' own sphere would be found by a walk over all vertices.
     geometry.boundingSphere = new Sphere(new Vector3(), Infinity);
-    const mesh = new Mesh(geometry, this.#opened ? this.shading.opened : this.shading.solid);
+    const mesh = new Mesh(geometry, this.shading.material(page.key.level, this.#opened));
     mesh.frustumCulled = false;
     mesh.matrixAutoUpdate = false;
     const arrays = [page.positions, page.normals, page.attributes, page.indices];
     const drawn = { mesh, page, box: new Box3(), bytes: arrays.reduce((sum, array) => sum + array.byteLength, 0) };
     this.#place(drawn);
     this.#drawn.set(page.id, drawn);
+    this.#cover.set(page, true);
     this.group.add(mesh);
     this.triangles += page.indices.length / 3;
     this.bytes += drawn.bytes;
