@@ -155,16 +155,8 @@ describe("tools", () => {
     };
     const place = () => row("place").textContent();
     // Wherever the cursor is between the jambs, whether or not a point of the floor lies there.
-    for (const [right, down] of [
-      [0, 0],
-      [-12, 6],
-      [14, -5],
-      [5, 9],
-      [-7, -8],
-      [20, 3],
-      [-19, -2],
-    ]) {
-      // prettier-ignore
+    // prettier-ignore
+    for (const [right, down] of [[0, 0], [-12, 6], [14, -5], [5, 9], [-7, -8], [20, 3], [-19, -2]]) {
       const before = await place();
       await page.mouse.move(middle.x + right, middle.y + down);
       await page.waitForFunction((text) => document.querySelector("[data-measure=place]").textContent !== text, before);
