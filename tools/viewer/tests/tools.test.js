@@ -9,7 +9,9 @@ import { DIST, house, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
-const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const script = (path) => readFileSync(createRequire(import.meta.url).resolve(path), "utf8");
+const AXE = script("axe-core/axe.min.js");
+const IWER = script("iwer/build/iwer.min.js");
 const PIXEL = 0.05;
 let server, page;
 const tests = pages();
@@ -232,6 +234,35 @@ describe("tools", () => {
     await page.getByRole("button", { name: "Default settings" }).click();
     await until(page, "as before", () => true);
     assert.equal(await height.inputValue(), "1.8");
+  });
+});
+
+describe("headset", () => {
+  it("walks and turns by the controllers, and comes off again", async () => {
+    await page.addInitScript(IWER);
+    await page.addInitScript(() => {
+      window.device = new window.IWER.XRDevice(window.IWER.metaQuest3);
+      window.device.installRuntime();
+    });
+    const { at: from } = await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+    const worn = (pressed) => page.getByRole("button", { name: "Enter VR", pressed });
+    await worn(false).click();
+    await worn(true).waitFor();
+    const stick = (hand, x, y) =>
+      page.evaluate(([hand, x, y]) => window.device.controllers[hand].updateAxes("thumbstick", x, y), [hand, x, y]);
+    await stick("left", 0, -1);
+    await until(page, "a metre on", ({ at }) => at[1] - from[1] >= 1);
+    await stick("left", 0, 0);
+    await stick("right", 1, 0);
+    await until(page, "turned by 30°", ({ look, speed }) => Math.abs(look[0] - 30) < 1 && speed === 0);
+    await stick("right", 0, 0);
+    await stick("left", 0, -0.8);
+    await until(page, "walking ahead", ({ at }) => at[0] > from[0] + 0.2);
+    await stick("left", 0, 0);
+    await worn(true).click();
+    await worn(false).waitFor();
+    const { frames } = await state(page);
+    await until(page, "drawing on", (now) => now.frames > frames + 2);
   });
 });
 

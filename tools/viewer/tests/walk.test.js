@@ -7,7 +7,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, beforeEach, describe } from "node:test";
 import { hold, it, pages, state, until, walkIn } from "./browser.js";
-import { BIN, DIST, house, movedHouse, MOVED, tower, WAY } from "./scans.js";
+import { BIN, DIST, house, movedHouse, MOVED, street, tower, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address, walkTowards } from "./steer.js";
 
@@ -19,6 +19,7 @@ before(async () => {
     "/house.slices": house(),
     "/moved.slices": movedHouse(),
     "/tower.slices": tower(),
+    "/street.slices": street(),
   }).start();
 });
 after(async () => {
@@ -26,7 +27,7 @@ after(async () => {
 });
 beforeEach(() => {
   server.requests.length = 0;
-  server.delayMs = 0;
+  Object.assign(server, { delayMs: 0, bytesPerSecond: Infinity });
   page = tests.page;
 });
 
@@ -76,6 +77,23 @@ describe("walking", () => {
     const ranges = asked.map(({ range }) => range).join(" ");
     assert.ok(asked.every(({ status }) => status === 206));
     assert.ok(asked.length <= 5 && bytes <= 300_000, `${asked.length} requests, ${bytes} bytes: ${ranges}`);
+  });
+
+  it("runs along a street on a link of 20 Mbit/s and 40 ms, and never waits for a page", async () => {
+    Object.assign(server, { delayMs: 40, bytesPerSecond: 2_500_000 });
+    const { at: from } = await walkIn(page, address(server, { archive: "street.slices", at: [2, 0, 0.1], look: [90, 0] }));
+    await page.evaluate(() => {
+      window.waited = 0;
+      const look = () => {
+        window.waited = Math.max(window.waited, window.slicewalk.state().missing);
+        requestAnimationFrame(look);
+      };
+      look();
+    });
+    await hold(page, ["Shift", "w"], "60 m on", ({ at }) => at[0] > from[0] + 60);
+    assert.equal(await page.evaluate(() => window.waited), 0);
+    const { bytesLoaded } = await state(page);
+    assert.ok(bytesLoaded > 1e6, `${bytesLoaded} bytes`);
   });
 
   it("climbs the stairs by keys, and the library does the same to the last bit", async () => {
