@@ -30,7 +30,7 @@ function geometry(page: PageMessage, pixelSize: number): PageGeometry {
   const scale = triple(3);
   return {
     id,
-    key: { tx, ty, layer, level: 0 },
+    key: { tx, ty, layer, level: rest[12] ?? 0 },
     cell: pixelSize * Math.round(scale[0] / pixelSize),
     origin: triple(0),
     scale,

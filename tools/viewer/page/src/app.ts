@@ -174,6 +174,7 @@ export class App {
       pages: { resident: stats.pages.resident, bytes: stats.pages.bytes },
       requests: stats.requests,
       bytesLoaded: stats.bytesLoaded,
+      drawn: this.#session?.world.counts ?? { pages: 0, overview: 0 },
       frames: this.#frames,
       longestTaskMs: this.#longestTask,
     };

@@ -60,12 +60,10 @@ export class World {
     return [at.x + this.origin[0], at.y + this.origin[1], at.z + this.origin[2]];
   }
 
-  get pages(): number {
-    return this.#drawn.size;
-  }
-
-  get waiting(): number {
-    return this.#waiting.size;
+  /** How many pages are drawn in full, and how many of an overview level. */
+  get counts(): { pages: number; overview: number } {
+    const overview = [...this.#drawn.values()].filter(({ page }) => page.key.level > 0).length;
+    return { pages: this.#drawn.size - overview, overview };
   }
 
   take(page: PageGeometry): void {
