@@ -96,10 +96,13 @@ class Bytes:
 
 
 def unpack_frame(data, content_len, rule):
-    """The content of exactly one zstd frame."""
+    """The content of exactly one zstd frame, of `content_len` bytes if that is known."""
     need(data[:4] == b"\x28\xb5\x2f\xfd", rule, "no zstd frame")
     try:
         frame = zstandard.get_frame_parameters(data)
+        if content_len is None:
+            need(frame.content_size <= 16 * (40 + 512 * 28), rule, f"content of {frame.content_size} bytes")
+            content_len = frame.content_size
         need(frame.content_size == content_len, rule, f"content of {frame.content_size} bytes, not {content_len}")
         need(frame.dict_id == 0, rule, "a frame with a dictionary")
         decoder = zstandard.ZstdDecompressor().decompressobj()

@@ -22,6 +22,7 @@ FIELDS = (
     "leaf_entries:I leaf_count:I has_bounds:B reserved:59s"
 )
 NAMES, TYPES = zip(*(field.split(":") for field in FIELDS.split()))
+LEVELS = struct.Struct("<B2sQII")
 FIXED = struct.Struct("<" + "".join(TYPES))
 assert FIXED.size == FIXED_LEN
 
@@ -49,8 +50,26 @@ class Head:
         sections = head_len + self.pages_len + self.directory_len + self.metadata_len + FOOTER_LEN
         need(sections == self.file_len, "H9", f"sections of {sections} bytes in a file of {self.file_len}")
         need(self.metadata_len <= 1 << 20, "H9", f"metadata of {self.metadata_len} bytes")
-        need(self.minor or not any(self.reserved), "H10", "reserved bytes are not zero")
-        self.check_root()
+        self.read_levels()
+        root_end = FIXED_LEN + RECORD_LEN * self.leaf_count
+        need(root_end + 4 <= head_len, "R1", f"{self.leaf_count} leaves in a head of {head_len} bytes")
+        need(not any(head[root_end:-4]), "H10", "padding is not zero")
+        records = head[FIXED_LEN:root_end]
+        self.root = check_root(self.pages, self.leaf_entries, self.leaf_count, records, self.directory_len)
+
+    def read_levels(self):
+        """Where the levels of chapter 15 are told of; `pages_len` is then that of the pages alone."""
+        self.has_levels = self.minor >= 1 and self.features_optional & 1 == 1
+        known = LEVELS.size if self.has_levels else 0
+        need(self.minor > 1 or not any(self.reserved[known:]), "H10", "reserved bytes are not zero")
+        self.level_count = self.levels_len = self.table_len = self.table_crc = 0
+        if self.has_levels:
+            fields = LEVELS.unpack(self.reserved[:known])
+            self.level_count, zero, self.levels_len, self.table_len, self.table_crc = fields
+            some = 0 < self.level_count <= 16 and 0 < self.table_len < self.levels_len and self.table_len <= 295552
+            need(zero == b"\0\0" and (some or not any(fields[2:]) and not self.level_count), "L1", f"levels {fields}")
+            need(self.levels_len <= self.pages_len, "L1", f"levels of {self.levels_len} bytes")
+        self.pages_len -= self.levels_len
 
     def check_plan(self):
         plan = (
@@ -92,20 +111,19 @@ class Head:
             slices = (self.slice_first, self.slice_last) == (0, -1)
         need(slices, "H8", f"slices {self.slice_first} to {self.slice_last}")
 
-    def check_root(self):
-        allowed = 1 << 12 <= self.leaf_entries <= 1 << 20 and self.leaf_entries.bit_count() == 1
-        need(allowed, "R1", f"{self.leaf_entries} entries a leaf")
-        leaves = -(-self.pages // self.leaf_entries)
-        root_end = FIXED_LEN + RECORD_LEN * self.leaf_count
-        count = self.leaf_count == leaves <= 512 and root_end + 4 <= len(self.bytes)
-        need(count, "R1", f"{self.leaf_count} leaves of {self.pages} pages")
-        need(not any(self.bytes[root_end:-4]), "H10", "padding is not zero")
-        self.root = list(struct.iter_unpack("<QiIIII", self.bytes[FIXED_LEN:root_end]))
-        for before, after in zip(self.root, self.root[1:]):
-            need(before[:2] < after[:2], "R2", f"a leaf from {after[:2]} after one from {before[:2]}")
-        left = self.pages
-        for _, _, entries, *_ in self.root:
-            need(entries == min(left, self.leaf_entries), "R3", f"a leaf of {entries} entries")
-            left -= entries
-        stored = sum(record[3] for record in self.root)
-        need(stored == self.directory_len, "R4", f"leaves of {stored} bytes, not {self.directory_len}")
+
+def check_root(pages, leaf_entries, leaf_count, records, directory_len):
+    """The records of a root directory."""
+    allowed = 1 << 12 <= leaf_entries <= 1 << 20 and leaf_entries.bit_count() == 1
+    need(allowed, "R1", f"{leaf_entries} entries a leaf")
+    need(leaf_count == -(-pages // leaf_entries) <= 512, "R1", f"{leaf_count} leaves of {pages} pages")
+    root = list(struct.iter_unpack("<QiIIII", records))
+    for before, after in zip(root, root[1:]):
+        need(before[:2] < after[:2], "R2", f"a leaf from {after[:2]} after one from {before[:2]}")
+    left = pages
+    for _, _, entries, *_ in root:
+        need(entries == min(left, leaf_entries), "R3", f"a leaf of {entries} entries")
+        left -= entries
+    stored = sum(record[3] for record in root)
+    need(stored == directory_len, "R4", f"leaves of {stored} bytes, not {directory_len}")
+    return root

@@ -329,16 +329,22 @@ class Page:
 
 
 def find_lattice(heights, slice_height):
-    """Step and phase that a writer uses."""
+    """Step and phase that a writer uses; without a slice height, in a page of a level."""
     heights = [(end, height) for end, height in heights if height % SLICE]
     if len(heights) < 32:
         return ONE, 0
+    if slice_height is None:
+        return fit(heights, [85 * ONE])
     foot, us_foot = 0.3048, 1200
     units = [0.1, 0.1 * foot, 0.1 * us_foot / 3937, 0.01, 0.005, 0.01 * foot, 0.01 * us_foot / 3937, 0.002, 0.001]
     units += [0.0005, 0.001 * foot, 0.001 * us_foot / 3937, 0.00025, 0.0001]
+    return fit(heights, [int(unit * 255 / slice_height * ONE + 0.5) for unit in units])
+
+
+def fit(heights, steps):
+    """The first of `steps` that all heights are on, with its phase."""
     slack = 1 << 14
-    for unit in units:
-        step = int(unit * 255 / slice_height * ONE + 0.5)
+    for step in steps:
         if not 2 * ONE <= step <= 255 * ONE:
             continue
         first = None

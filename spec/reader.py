@@ -19,10 +19,12 @@ from collections import deque
 
 from encoding import U64, Bytes, column_of, crc32c, tile_of, unpack_frame
 from head import INDEX, Head
+from levels import check_levels, read_table
 from page import SIDE, SLICE, TOP, Page, Refused, check_span, need, size_of, slices_of
 
 END_MAGIC = b"\x89CILS\r\n\x1a"
 PAGE_MAGIC = b"\x89PAG"
+LEVEL_MAGIC = b"\x89LVL"
 LEADER_LEN = 24
 TILE = 1 << 30
 WINDOW = 65536
@@ -115,8 +117,9 @@ def read_span(entry, word):
 
 
 def read_page(entry, data, slice_height):
+    """The page of an entry; without a slice height, of a level."""
     magic, tx, ty, layer, body_len, crc = struct.unpack("<4siiiII", data[:LEADER_LEN])
-    need(magic == PAGE_MAGIC, "P1", "a page does not begin as one")
+    need(magic == (LEVEL_MAGIC if slice_height is None else PAGE_MAGIC), "P1", "a page does not begin as one")
     need(body_len == len(data) - LEADER_LEN, "P1", f"a body of {body_len} bytes, not {len(data) - LEADER_LEN}")
     right = crc32c(data[:20] + data[LEADER_LEN:])
     need(crc == right == entry.crc, "P2", f"the checksum of a page is {right:#x}, not {crc:#x} and {entry.crc:#x}")
@@ -303,15 +306,15 @@ def read_archive(data):
     """Checks an archive and gives its content as a structure of lists and dictionaries."""
     head = Head(data)
     ends = [len(head.bytes)]
-    for length in (head.pages_len, head.directory_len, head.metadata_len):
+    for length in (head.pages_len, head.levels_len, head.directory_len, head.metadata_len):
         ends.append(ends[-1] + length)
-    pages, directory, metadata = (data[a:b] for a, b in zip(ends, ends[1:]))
+    pages, section, directory, metadata = (data[a:b] for a, b in zip(ends, ends[1:]))
     check_footer(head, data[ends[-1] :])
     crs, part, units = read_metadata(metadata, head.metadata_crc)
     entries = read_entries(head, directory)
     occupied = obstacle = 0
     matter = Matter()
-    decoded, contents = {}, []
+    decoded, contents, all_columns = {}, [], {}
     for entry in entries:
         item = {
             "key": [entry.tx, entry.ty, entry.layer],
@@ -323,6 +326,7 @@ def read_archive(data):
             bottom, top, kind = entry.span
             voxels = SIDE * SIDE * entry.mask.bit_count()
             counts, box = (voxels, voxels * kind), ((0, 0, bottom), (SIDE - 1, SIDE - 1, top))
+            columns = [[entry.span]] * (SIDE * SIDE)
         else:
             stored = pages[entry.offset : entry.offset + entry.length]
             # Shared pages are compared with their entry by rule D10; their leader and key are checked here.
@@ -330,18 +334,32 @@ def read_archive(data):
                 page = read_page(entry, stored, head.slice_height)
                 columns = [[(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns]
                 pixels = [[at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(columns) if spans]
-                decoded[entry.offset] = pixels, voxels_of(columns), box_of(columns)
-            item["pixels"], counts, box = decoded[entry.offset]
+                decoded[entry.offset] = pixels, voxels_of(columns), box_of(columns), columns
+            item["pixels"], counts, box, columns = decoded[entry.offset]
             item |= {"offset": ends[0] + entry.offset, "length": entry.length}
             item |= {"blocks": entry.blocks, "words": entry.words}
         occupied, obstacle = occupied + counts[0], obstacle + counts[1]
         matter.add(entry, box)
         contents.append(item)
+        if head.has_levels:
+            all_columns[entry.tx, entry.ty, entry.layer] = columns
     check_entries(head, entries, part)
     right = (occupied, obstacle) == (head.voxels_occupied, head.voxels_obstacle)
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles")
     check_bounds(head, part, matter)
-    return {"info": show(head, crs, part, units), "pages": contents}
+    content = {"info": show(head, crs, part, units), "pages": contents}
+    if head.has_levels:
+        levels = read_table(head, section)
+        content["levels"] = check_levels(head, levels, all_columns, read_entries, level_columns)
+    return content
+
+
+def level_columns(entry, pages):
+    """What a page of a level holds, checked."""
+    if entry.span:
+        return [[entry.span]] * (SIDE * SIDE)
+    page = read_page(entry, pages[entry.offset : entry.offset + entry.length], None)
+    return [[(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns]
 
 
 def show(head, crs, part, units):
@@ -365,7 +383,7 @@ def show(head, crs, part, units):
             "file": head.file_len,
             "tiles": head.pages_len,
             "directory": len(head.bytes) + head.directory_len,
-            "levels": 0,
+            "levels": head.levels_len,
             "colours": 0,
         },
         "max_slope": head.max_slope,

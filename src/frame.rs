@@ -45,6 +45,14 @@ impl Frame {
         Ok(Self { pixel_m, slice_m, pixels_per_m: 1.0 / pixel_m, quanta_per_m: SLICE_QUANTA as f64 / slice_m })
     }
 
+    /// The grid of overview level `number`: pixels and slices 4 to that power as large. `None` beyond the limits.
+    ///
+    /// Every index of it is that of this grid, divided by that power and rounded down: the sizes differ by a power of two.
+    pub fn coarser(&self, number: u32) -> Option<Self> {
+        let factor = 1u64.checked_shl(2 * number)? as f64;
+        Self::new(self.pixel_m * factor, self.slice_m * factor).ok()
+    }
+
     /// Pixel size `t` (m).
     pub fn pixel_m(&self) -> f64 {
         self.pixel_m

@@ -43,7 +43,7 @@ pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
             "file": header.file_len,
             "tiles": header.bytes.pages,
             "directory": header.bytes.head + header.bytes.directory,
-            "levels": 0,
+            "levels": header.bytes.levels,
             "colours": 0,
         },
         "plan_hash": format!("{:032x}", header.plan_hash),

@@ -36,7 +36,7 @@ fn json_on_standard_output_is_one_document_with_the_keys_of_the_contract() {
     assert_eq!(facts["slice_height"], 0.3);
     assert_eq!(facts["max_slope"], 45.0);
     assert_eq!(facts["tolerance"], 0.0);
-    assert_eq!(facts["format_version"], "1.0");
+    assert_eq!(facts["format_version"], "1.1");
     assert_eq!(facts["origin"].as_array().unwrap().len(), 3);
     for corner in ["min", "max"] {
         assert_eq!(facts["bounds"][corner].as_array().unwrap().len(), 3);
@@ -51,6 +51,7 @@ fn json_on_standard_output_is_one_document_with_the_keys_of_the_contract() {
         &["bytes", "file"],
         &["bytes", "tiles"],
         &["bytes", "directory"],
+        &["bytes", "levels"],
     ];
     for path in numbers {
         let value = path.iter().fold(&facts, |value, key| &value[key]);
@@ -59,6 +60,26 @@ fn json_on_standard_output_is_one_document_with_the_keys_of_the_contract() {
     assert!(facts.as_object().unwrap().contains_key("crs"));
     assert_eq!(facts["bytes"]["file"], fs::metadata(folder.path().join("a.slices")).unwrap().len());
     verifies(&folder.path().join("a.slices"));
+}
+
+#[test]
+fn levels_are_left_out_on_demand_and_a_plan_decides_for_its_parts() {
+    let folder = folder();
+    let at = folder.path();
+    let made = |more: &[&'static str]| {
+        let out = sliceconv(at, &with(&["scan.las"], more));
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        let header = slicewalk::archive::Archive::open(at.join("a.slices")).unwrap().header().clone();
+        (header.version, header.bytes.levels > 0)
+    };
+    assert_eq!(made(&[]), ((1, 1), true));
+    assert_eq!(made(&["--levels", "off", "--force"]), ((1, 0), false));
+    let plan = ["scan.las", "--write-plan", "p.json", "--pixel", "0.1", "--units", "m", "--levels", "off"];
+    assert!(sliceconv(at, &plan).status.success());
+    assert_eq!(made(&["--plan", "p.json", "--shard", "1/1", "--force"]), ((1, 0), false));
+    let out = sliceconv(at, &with(&["scan.las"], &["--plan", "p.json", "--levels", "on", "--force"]));
+    assert_eq!(out.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&out.stderr).contains("--levels: contradicts the plan"));
 }
 
 #[test]

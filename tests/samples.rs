@@ -32,7 +32,8 @@ fn folder() -> PathBuf {
 fn text(twin: &Value) -> String {
     let Some(pages) = twin["pages"].as_array() else { return format!("{twin}\n") };
     let pages: Vec<_> = pages.iter().map(Value::to_string).collect();
-    format!("{{\"info\": {},\n\"pages\": [\n{}\n]}}\n", twin["info"], pages.join(",\n"))
+    let levels = twin.get("levels").map_or(String::new(), |levels| format!(",\n\"levels\": {levels}"));
+    format!("{{\"info\": {},\n\"pages\": [\n{}\n]{levels}}}\n", twin["info"], pages.join(",\n"))
 }
 
 /// Of a content with very many pages only some, by their numbers.

@@ -4,6 +4,7 @@
 
 use super::directory::{LeafEntries, LeafPlace, PageEntry, max_raw_len};
 use super::head::{Header, Leaf};
+use super::levels::{Level, decode_table};
 use super::metadata::Metadata;
 use crate::Result;
 use crate::codec::{Unpacker, Violation};
@@ -73,7 +74,7 @@ impl Catalog {
             entries: leaf.entries,
             first: leaf.first,
             end: self.leaves.get(index + 1).map(|next| next.first),
-            pages: self.header.pages_offset()..self.header.directory_offset(),
+            pages: self.header.pages_offset()..self.header.levels_offset(),
         };
         let unpacked = self.unpack_leaf(leaf, stored).map_err(|violation| place.broken(violation));
         LeafEntries::new(unpacked?, place)
@@ -94,6 +95,25 @@ impl Catalog {
             return Err(Violation::new("D2", format!("{} bytes in the frame", leaf.raw_len), len));
         }
         Ok(unpacker.into_content())
+    }
+
+    /// Where all overview levels lie, the finest first, their table last; `None` if there are none. A program that fetches the
+    /// end of it gets the table and the coarsest levels at once.
+    pub fn levels_section(&self) -> Option<Range<u64>> {
+        Some(self.header.levels_offset()..self.levels_range()?.end)
+    }
+
+    /// Where the table of overview levels lies: at most 300 kB, mostly some hundred bytes; `None` if there are no levels.
+    pub fn levels_range(&self) -> Option<Range<u64>> {
+        let levels = self.header.levels.filter(|levels| levels.count > 0)?;
+        let end = self.header.directory_offset();
+        Some(end - u64::from(levels.table_len)..end)
+    }
+
+    /// The overview levels, finest first, from the bytes of [`levels_range`](Self::levels_range).
+    pub fn decode_levels(&self, table: &[u8]) -> Result<Vec<Level>> {
+        let at = self.levels_range().map_or(0, |range| range.start);
+        decode_table(&self.header, table).map_err(|violation| violation.at("table of levels", at))
     }
 
     /// Where the metadata block lies: at most 1 MiB (rule H9).

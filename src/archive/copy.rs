@@ -2,25 +2,38 @@
 
 use super::FORMAT_VERSION;
 use super::dedup::WINDOW;
-use super::head::Header;
+use super::head::{Header, LEVELS};
+use super::levels::CoarseSpan;
 use super::page::EncodedPage;
 use super::writer::{ArchiveWriter, Placed};
 use crate::Result;
 use crate::frame::PageKey;
 use std::collections::{HashMap, VecDeque};
 use std::hash::Hash;
+use std::sync::Arc;
 
-/// Puts pages whose content is told by a `K`. Memory: about 150 bytes for each of the last 65,536 contents.
+/// Coarse spans that are kept, of all contents together: 4 MiB.
+const COARSE_KEPT: usize = 1 << 19;
+
+/// Puts pages whose content is told by a `K`. Memory: about 150 bytes for each of the last 65,536 contents, and 4 MiB.
 pub(super) struct Copier<K> {
-    /// `None` for content that is left out.
-    known: HashMap<K, Option<Placed>>,
+    known: HashMap<K, Known>,
     /// Oldest first.
     order: VecDeque<K>,
+    coarse_kept: usize,
+}
+
+/// Content that was put.
+struct Known {
+    /// `None` for content that is left out.
+    placed: Option<Placed>,
+    /// What it gives to overview levels; `None` where that is forgotten. Empty where there are no levels.
+    coarse: Option<Arc<[CoarseSpan]>>,
 }
 
 impl<K: Copy + Eq + Hash> Copier<K> {
     pub fn new() -> Self {
-        Self { known: HashMap::new(), order: VecDeque::new() }
+        Self { known: HashMap::new(), order: VecDeque::new(), coarse_kept: 0 }
     }
 
     /// Puts the page `key` of this content into `writer`. `make` reads and encodes it, where that is needed; a page that
@@ -33,13 +46,21 @@ impl<K: Copy + Eq + Hash> Copier<K> {
         make: impl FnOnce() -> Result<Option<EncodedPage>>,
     ) -> Result<Option<Placed>> {
         match self.known.get(&content) {
-            Some(None) => return Ok(None),
-            Some(Some(placed)) if writer.put_again(key, placed)? => return Ok(Some(*placed)),
+            Some(Known { placed: None, .. }) => return Ok(None),
+            Some(Known { placed: Some(placed), coarse: Some(coarse) }) if writer.put_again(key, placed, coarse)? => {
+                return Ok(Some(*placed));
+            }
             _ => {}
         }
         let page = make()?;
+        let coarse = page.as_ref().and_then(|page| page.coarse.clone()).unwrap_or_default();
         let placed = page.map(|page| writer.put_placed(key, &page)).transpose()?;
-        if self.known.insert(content, placed).is_none() {
+        self.coarse_kept += coarse.len();
+        if self.coarse_kept > COARSE_KEPT {
+            self.known.values_mut().for_each(|known| known.coarse = None);
+            self.coarse_kept = coarse.len();
+        }
+        if self.known.insert(content, Known { placed, coarse: Some(coarse) }).is_none() {
             self.order.push_back(content);
             if self.order.len() > WINDOW
                 && let Some(oldest) = self.order.pop_front()
@@ -55,9 +76,10 @@ impl<K: Copy + Eq + Hash> Copier<K> {
 pub(super) fn beyond_this_version(header: &Header) -> Option<String> {
     let (major, minor) = header.version;
     let newer = minor > FORMAT_VERSION.1;
-    (newer || header.features_optional != 0).then(|| match newer {
+    let features = header.features_optional & !LEVELS;
+    (newer || features != 0).then(|| match newer {
         true => format!("what format {major}.{minor} adds to the head"),
-        false => format!("optional features {:#x}", header.features_optional),
+        false => format!("optional features {features:#x}"),
     })
 }
 

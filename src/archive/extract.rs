@@ -3,7 +3,7 @@
 use super::copy::{Copier, beyond_this_version};
 use super::head::{Bounds, Header};
 use super::metadata::{Metadata, tag_name};
-use super::page::{EncodedPage, PageDecoder, PageEncoder};
+use super::page::{PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::writer::{ArchiveWriter, Totals};
 use crate::frame::{Frame, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
@@ -114,8 +114,12 @@ pub fn extract(
     let mut protected = Protected::default();
     protected.add_source(archive.source());
     let mut writer = ArchiveWriter::begin(output, archive.plan(), Existing::replaced_if(overwrite), protected)?;
-    let (mut decoder, mut encoder, mut builder) =
-        (PageDecoder::new(), PageEncoder::new(*frame), PageBuilder::default());
+    let levels = header.levels.is_some();
+    if levels {
+        writer.set_levels();
+    }
+    let (mut decoder, mut builder) = (PageDecoder::new(), PageBuilder::default());
+    let mut encoder = PageEncoder::new(*frame).for_levels(levels);
     let mut copier = Copier::new();
     for entry in archive.entries() {
         if monitor.cancelled() {
@@ -127,7 +131,7 @@ pub fn extract(
         copier.put(&mut writer, entry.key, (entry.content(), part), || {
             let page = archive.page_with(&entry, &mut decoder)?;
             if part == PagePart::WHOLE {
-                return Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page)));
+                return Ok(Some(encoder.copied(entry.key, &decoder.bytes, &page)));
             }
             let part = part.cut(&page, &mut builder);
             Ok((part.slices() != 0).then(|| encoder.encode(entry.key, &part)))

@@ -3,6 +3,7 @@
 //! The head is read and checked as a whole: magic, length, checksum, then version and features, then every field.
 
 use super::FORMAT_VERSION;
+use super::levels::{Levels, MAX_LEVELS, MAX_STORED_TABLE};
 use crate::codec::{ByteReader, Violation};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
@@ -17,7 +18,7 @@ pub(super) const MAX_HEAD: usize = 16_384;
 /// Length of the fixed fields (bytes).
 pub(super) const FIXED: usize = 384;
 /// Length of a root record (bytes).
-const ROOT_RECORD: usize = 28;
+pub(super) const ROOT_RECORD: usize = 28;
 const CRC: usize = 4;
 /// Length of the footer (bytes).
 pub(super) const FOOTER: usize = 24;
@@ -31,6 +32,10 @@ pub(super) const MAX_LEAF_ENTRIES: u32 = 1 << 20;
 pub(super) const MAX_METADATA: u64 = 1 << 20;
 /// Where the length of the archive lies in the head.
 const FILE_LEN: std::ops::Range<usize> = 32..40;
+/// Bit of `features_optional`: the archive was written with overview levels.
+pub(super) const LEVELS: u64 = 1;
+/// Minor version from which the head tells of levels.
+const LEVELS_MINOR: u16 = 1;
 /// Where the canonical bytes of the plan lie in the head.
 const PLAN: std::ops::Range<usize> = 56..128;
 
@@ -79,6 +84,8 @@ pub struct Sections {
     pub head: u64,
     /// Pages.
     pub pages: u64,
+    /// Overview levels: their pages and directories.
+    pub levels: u64,
     /// Leaf directories.
     pub directory: u64,
     /// Metadata block.
@@ -127,17 +134,24 @@ pub struct Header {
     pub metadata_crc: u32,
     /// Entries in each directory leaf but the last.
     pub leaf_entries: u32,
+    /// Where the overview levels are told of; `None` if the archive was written without.
+    pub levels: Option<Levels>,
+    /// Which overview level this is the head of; 0 for the archive itself.
+    pub level: u32,
 }
 
 /// Pages without bytes of their own that are gone through however small the archive is, and bytes for each one more.
 const MOST_REPEATS: u64 = 1 << 22;
 const BYTES_A_REPEAT: u64 = 16;
+/// As [`MOST_REPEATS`] where each page adds its spans to overview levels.
+const MOST_REPEATS_WITH_LEVELS: u64 = 1 << 16;
 
 impl Header {
     /// Refuses to go through all pages of an archive that makes so many of so few bytes that it would take minutes and more.
     pub(super) fn check_repeats(&self) -> Result<()> {
         let repeats = self.pages.shared.saturating_add(self.pages.uniform);
-        let most = MOST_REPEATS.max(self.file_len / BYTES_A_REPEAT);
+        let least = if self.levels.is_some() { MOST_REPEATS_WITH_LEVELS } else { MOST_REPEATS };
+        let most = least.max(self.file_len / BYTES_A_REPEAT);
         if repeats > most {
             let what = format!(
                 "pages without bytes of their own, in an archive of {} bytes (convert the scan again with larger pixels)",
@@ -153,9 +167,14 @@ impl Header {
         self.bytes.head
     }
 
+    /// Offset of the overview levels, where the pages end (bytes).
+    pub fn levels_offset(&self) -> u64 {
+        self.bytes.head + self.bytes.pages
+    }
+
     /// Offset of the leaf directories (bytes).
     pub fn directory_offset(&self) -> u64 {
-        self.bytes.head + self.bytes.pages
+        self.levels_offset() + self.bytes.levels
     }
 
     /// Offset of the metadata block (bytes).
@@ -175,6 +194,26 @@ pub(super) struct Leaf {
     pub stored_len: u32,
     pub raw_len: u32,
     pub crc: u32,
+}
+
+impl Leaf {
+    /// Appends the root record of the leaf.
+    pub fn encode(&self, out: &mut Vec<u8>) {
+        out.extend(self.first.column().to_le_bytes());
+        out.extend(self.first.layer.to_le_bytes());
+        for value in [self.entries, self.stored_len, self.raw_len, self.crc] {
+            out.extend(value.to_le_bytes());
+        }
+    }
+}
+
+/// Entries of a leaf in a directory of so many entries: as few as fit the root directory.
+pub(super) fn leaf_entries(total: u64) -> u32 {
+    let mut entries = MIN_LEAF_ENTRIES;
+    while total.div_ceil(entries as u64) > MAX_LEAVES as u64 {
+        entries *= 2;
+    }
+    entries
 }
 
 /// Length of a head for `leaves` leaves without padding (bytes).
@@ -216,7 +255,7 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
         header.pages.stored,
         header.pages.shared,
         header.pages.uniform,
-        header.bytes.pages,
+        header.bytes.pages + header.bytes.levels,
         header.bytes.directory,
         header.bytes.metadata,
     ] {
@@ -226,14 +265,13 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
     out.extend(header.leaf_entries.to_le_bytes());
     out.extend((leaves.len() as u32).to_le_bytes());
     out.push(header.bounds.is_some() as u8);
+    let levels = header.levels.unwrap_or_default();
+    out.extend([levels.count as u8, 0, 0]);
+    word(&mut out, header.bytes.levels);
+    out.extend(levels.table_len.to_le_bytes());
+    out.extend(levels.table_crc.to_le_bytes());
     out.resize(FIXED, 0);
-    for leaf in leaves {
-        out.extend(leaf.first.column().to_le_bytes());
-        out.extend(leaf.first.layer.to_le_bytes());
-        for value in [leaf.entries, leaf.stored_len, leaf.raw_len, leaf.crc] {
-            out.extend(value.to_le_bytes());
-        }
-    }
+    leaves.iter().for_each(|leaf| leaf.encode(&mut out));
     out.resize(header.bytes.head as usize - CRC, 0);
     let crc = crc32c::crc32c(&out);
     out.extend(crc.to_le_bytes());
@@ -339,6 +377,10 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
         let [has_bounds] = reader.array()?;
         let reserved = reader.take(FIXED - 325)?;
         reader = ByteReader::new(&[], "H2");
+        let (levels, levels_len) = decode_levels(version.1, features_optional, reserved)?;
+        let Some(pages_len) = words[20].checked_sub(levels_len) else {
+            return Err(Violation::new("L1", format!("levels of at most {} bytes", words[20]), levels_len));
+        };
         let float = |at: usize| f64::from_bits(words[at]);
         let corner = |at: usize| [float(at), float(at + 1), float(at + 2)];
         let bounds = decode_bounds(corner(4), corner(7), has_bounds)?;
@@ -359,17 +401,46 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
             tiles: Tiles { occupied: words[12], stored: words[13], unique: words[14] },
             voxels: Voxels { occupied: words[15], obstacle: words[16] },
             pages: Pages { stored: words[17], shared: words[18], uniform: words[19] },
-            bytes: Sections { head: head_len as u64, pages: words[20], directory: words[21], metadata: words[22] },
+            bytes: Sections {
+                head: head_len as u64,
+                pages: pages_len,
+                levels: levels_len,
+                directory: words[21],
+                metadata: words[22],
+            },
             metadata_crc,
             leaf_entries,
+            levels,
+            level: 0,
         };
         check_sums(&header)?;
-        if version.1 == FORMAT_VERSION.1 && reserved.iter().any(|&byte| byte != 0) {
-            return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
-        }
         Ok((header, leaf_count as usize))
     };
     rest().map_err(at)
+}
+
+/// What the reserved fields say of levels, and the length of their section (rules H10 and L1).
+fn decode_levels(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<Levels>, u64), Violation> {
+    let has_levels = minor >= LEVELS_MINOR && features & LEVELS != 0;
+    let known = if has_levels { 19 } else { 0 };
+    if minor <= FORMAT_VERSION.1 && reserved[known..].iter().any(|&byte| byte != 0) {
+        return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
+    }
+    if !has_levels {
+        return Ok((None, 0));
+    }
+    let mut reader = ByteReader::new(reserved, "L1");
+    let [count, a, b] = reader.array()?;
+    let len = reader.u64()?;
+    let levels = Levels { count: count.into(), table_len: reader.u32()?, table_crc: reader.u32()? };
+    let some = levels.count > 0 && levels.table_len > 0 && u64::from(levels.table_len) < len;
+    let none = (levels, len) == (Levels::default(), 0);
+    if levels.count as usize > MAX_LEVELS || levels.table_len > MAX_STORED_TABLE || [a, b] != [0, 0] || !(some || none)
+    {
+        let expected = "up to 16 levels and their table inside a section, or none";
+        return Err(Violation::new("L1", expected, hex(reserved)));
+    }
+    Ok((Some(levels), len))
 }
 
 fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
@@ -456,7 +527,7 @@ fn check_sums(header: &Header) -> Result<(), Violation> {
             format!("{pages:?}, {tiles:?}"),
         );
     }
-    let sections = [bytes.head, bytes.pages, bytes.directory, bytes.metadata, FOOTER as u64];
+    let sections = [bytes.head, bytes.pages, bytes.levels, bytes.directory, bytes.metadata, FOOTER as u64];
     let sum = sections.iter().try_fold(0u64, |sum, &len| sum.checked_add(len));
     if sum != Some(header.file_len) {
         let expected = format!("sections that fill {} bytes", header.file_len);
@@ -469,7 +540,7 @@ fn check_sums(header: &Header) -> Result<(), Violation> {
 }
 
 /// The root directory from the bytes between the fixed fields and the head's checksum.
-fn decode_root(bytes: &[u8], leaf_count: usize, header: &Header) -> Result<Vec<Leaf>, Violation> {
+pub(super) fn decode_root(bytes: &[u8], leaf_count: usize, header: &Header) -> Result<Vec<Leaf>, Violation> {
     let total = header.pages.total();
     let capacity = header.leaf_entries as u64;
     if !header.leaf_entries.is_power_of_two() || !(MIN_LEAF_ENTRIES..=MAX_LEAF_ENTRIES).contains(&header.leaf_entries) {

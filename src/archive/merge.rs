@@ -112,6 +112,9 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
     let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing, shards.iter().collect())?;
+    if first.header.levels.is_some() {
+        writer.set_levels();
+    }
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), ..Totals::default() };
     for part in &parts {
         copy(part, &mut writer, monitor)?;
@@ -181,6 +184,10 @@ fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBu
         if pair[0].shard.last.checked_add(1) != Some(pair[1].shard.first) {
             return pair[1].refuse(format!("its columns do not follow those of {}", pair[0].path.display()));
         }
+        if pair[0].header.levels.is_some() != pair[1].header.levels.is_some() {
+            let reason = format!("only one of it and {} has overview levels", pair[0].path.display());
+            return pair[1].refuse(format!("{reason}; convert both with the same --levels"));
+        }
         if pair[0].crs != pair[1].crs {
             return pair[1].refuse(format!("its reference system is not that of {}", pair[0].path.display()));
         }
@@ -241,6 +248,7 @@ fn same_bytes(a: &OpenShard<'_>, b: &OpenShard<'_>) -> Result<bool> {
 /// Puts all pages of `part` into `writer`.
 fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
     let archive = part.reopen()?;
+    let levels = writer.has_levels();
     let (mut decoder, mut copier) = (PageDecoder::new(), Copier::new());
     let (mut tiles, mut voxels, mut pages, mut matter) = (0, Voxels::default(), 0, Matter::default());
     for entry in archive.entries() {
@@ -253,7 +261,7 @@ fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor)
         }
         let placed = copier.put(writer, entry.key, entry.content(), || {
             let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
-            Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page)))
+            Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page, levels)))
         })?;
         if let Some(placed) = placed {
             tiles += u64::from(placed.slices.count_ones());

@@ -15,6 +15,8 @@ mod metadata;
 
 mod matter;
 
+mod levels;
+
 mod shard;
 
 mod dedup;
@@ -45,6 +47,7 @@ pub use catalog::Catalog;
 pub use directory::{Content, Extent, PageEntry, Storage};
 pub use extract::{Extracted, extract};
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
+pub use levels::{Level, Levels};
 pub use merge::{Merged, merge};
 pub use metadata::MAX_UNITS;
 pub use opening::{Opened, Opening};
@@ -55,8 +58,8 @@ pub use shard::{InputRead, MAX_SHARDS, Shard};
 pub use verify::{Finding, LISTED, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};
 
-/// Version of the format that is written: major, minor.
-pub const FORMAT_VERSION: (u16, u16) = (1, 0);
+/// Latest version of the format that is read and written: major, minor. Archives without overview levels state 1.0.
+pub const FORMAT_VERSION: (u16, u16) = (1, 1);
 
 #[cfg(test)]
 mod tests;

@@ -2,14 +2,18 @@
 
 use super::directory::{Extent, PageEntry, Storage, key_in_grid};
 use super::head::hex;
+use super::levels::{CoarseSpan, coarse};
 use crate::Result;
 use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
 use crate::slice::{Page, PageBounds, PageBuilder, PageSize, Span};
+use std::sync::Arc;
 use xxhash_rust::xxh3::xxh3_64;
 
 /// First bytes of a page.
 pub(super) const MAGIC: [u8; 4] = *b"\x89PAG";
+/// First bytes of a page of an overview level, which must never pass for one of the archive.
+pub(super) const LEVEL_MAGIC: [u8; 4] = *b"\x89LVL";
 /// Length of a page's leader (bytes).
 pub(super) const LEADER: usize = 24;
 /// Greatest length of a page with its leader (bytes).
@@ -31,6 +35,8 @@ pub struct EncodedPage {
     pub(super) bounds: Option<PageBounds>,
     /// Number of voxels with matter, and how many of them hold obstacle.
     pub voxels: (u64, u64),
+    /// What the page gives to overview levels, if it is to give anything.
+    pub(super) coarse: Option<Arc<[CoarseSpan]>>,
 }
 
 impl EncodedPage {
@@ -44,18 +50,19 @@ impl EncodedPage {
     }
 
     /// A page of one archive, to be put into another under `key`: `bytes` are those of its extent, `page` what they
-    /// hold. The body stays as it is; of a shared page the leader names another key and is made anew.
-    pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page) -> Self {
+    /// hold. The body stays as it is; of a shared page the leader names another key and is made anew. `levels`: whether the
+    /// other archive has overview levels.
+    pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page, levels: bool) -> Self {
         let Some(body) = bytes.get(LEADER..).filter(|body| !body.is_empty()) else {
-            return Self { uniform: uniform_span(page), ..Self::without_bytes(key, page) };
+            return Self { uniform: uniform_span(page), ..Self::without_bytes(key, page, levels) };
         };
-        let mut bytes = leader(key);
+        let mut bytes = leader(MAGIC, key);
         bytes.extend_from_slice(body);
         seal(&mut bytes);
-        Self { hash: xxh3_64(body), bytes, ..Self::without_bytes(key, page) }
+        Self { hash: xxh3_64(body), bytes, ..Self::without_bytes(key, page, levels) }
     }
 
-    fn without_bytes(key: PageKey, page: &Page) -> Self {
+    fn without_bytes(key: PageKey, page: &Page, levels: bool) -> Self {
         Self {
             bytes: Vec::new(),
             uniform: None,
@@ -65,6 +72,7 @@ impl EncodedPage {
             size: page.size(),
             bounds: page.bounds(),
             voxels: page.voxel_counts(),
+            coarse: levels.then(|| coarse(page).into()),
         }
     }
 
@@ -90,8 +98,8 @@ fn page_crc(bytes: &[u8]) -> u32 {
 }
 
 /// A leader without length and checksum.
-fn leader(key: PageKey) -> Vec<u8> {
-    let mut bytes = MAGIC.to_vec();
+fn leader(magic: [u8; 4], key: PageKey) -> Vec<u8> {
+    let mut bytes = magic.to_vec();
     for index in [key.tx, key.ty, key.layer] {
         bytes.extend(index.to_le_bytes());
     }
@@ -111,13 +119,32 @@ fn seal(bytes: &mut [u8]) {
 #[derive(Debug)]
 pub struct PageEncoder {
     encoder: Encoder,
+    magic: [u8; 4],
+    /// Whether pages are prepared for overview levels above them.
+    levels: bool,
     body: Vec<u8>,
 }
 
 impl PageEncoder {
     /// An encoder for pages of an archive with this grid, with its own scratch memory (about 2 MiB once used).
     pub fn new(frame: Frame) -> Self {
-        Self { encoder: Encoder::new(frame), body: Vec::new() }
+        Self { encoder: Encoder::new(frame), magic: MAGIC, levels: true, body: Vec::new() }
+    }
+
+    /// Whether pages are prepared for overview levels, as they are unless this says otherwise. An archive without levels costs
+    /// less if they are not; one with levels refuses pages that are not.
+    pub fn for_levels(self, levels: bool) -> Self {
+        Self { levels, ..self }
+    }
+
+    /// See [`EncodedPage::copied`].
+    pub(super) fn copied(&self, key: PageKey, bytes: &[u8], page: &Page) -> EncodedPage {
+        EncodedPage::copied(key, bytes, page, self.levels)
+    }
+
+    /// An encoder for pages of overview levels.
+    pub(super) fn of_levels() -> Self {
+        Self { encoder: Encoder::of_levels(), magic: LEVEL_MAGIC, levels: false, body: Vec::new() }
     }
 
     /// See [`Encoder::simplify`].
@@ -134,11 +161,11 @@ impl PageEncoder {
 
     /// Encodes `page` under `key`.
     pub fn encode(&mut self, key: PageKey, page: &Page) -> EncodedPage {
-        let encoded = EncodedPage { uniform: uniform_span(page), ..EncodedPage::without_bytes(key, page) };
+        let encoded = EncodedPage { uniform: uniform_span(page), ..EncodedPage::without_bytes(key, page, self.levels) };
         if encoded.uniform.is_some() || encoded.bounds.is_none() {
             return encoded;
         }
-        let mut bytes = leader(key);
+        let mut bytes = leader(self.magic, key);
         self.encoder.encode(page, &mut bytes);
         seal(&mut bytes);
         bytes.shrink_to_fit();
@@ -257,7 +284,8 @@ pub(super) fn check_leader(extent: Extent, bytes: &[u8]) -> Result<PageKey, Viol
     if bytes.len() != extent.len as usize || bytes.len() <= LEADER {
         return Err(Violation::new("P1", format!("a page of {} bytes", extent.len), bytes.len()));
     }
-    if bytes[..4] != MAGIC {
+    // Which of the two it is to be follows from the directory's checksum, too; `verify` looks.
+    if bytes[..4] != MAGIC && bytes[..4] != LEVEL_MAGIC {
         return Err(Violation::new("P1", hex(&MAGIC), hex(&bytes[..4])));
     }
     let leader = Leader::of(bytes);

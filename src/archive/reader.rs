@@ -3,6 +3,7 @@
 use super::catalog::Catalog;
 use super::directory::{Content, LeafEntries, PageEntry};
 use super::head::Header;
+use super::levels::Level;
 use super::metadata::Metadata;
 use super::opening::{Opened, Opening};
 use super::page::PageDecoder;
@@ -15,14 +16,15 @@ use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::ops::Range;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// An open archive. Any number of threads may read from it at once.
 ///
 /// Memory: the root directory (at most 512 leaves, 24 KiB) and the leaf that [`find`](Self::find) used last.
 pub struct Archive {
-    source: Box<dyn ByteSource>,
+    source: Arc<dyn ByteSource>,
     catalog: Catalog,
+    levels: OnceLock<Vec<Level>>,
     found: Mutex<Option<(usize, Arc<Vec<PageEntry>>)>>,
 }
 
@@ -51,7 +53,7 @@ impl Archive {
         let mut opening = Opening::new(Some(source.len()));
         loop {
             match opening.next()? {
-                Opened::Ready(catalog) => return Ok(Self::from_parts(source, *catalog)),
+                Opened::Ready(catalog) => return Ok(Self::from_parts(source.into(), *catalog)),
                 Opened::Wants(ranges) => {
                     for range in ranges {
                         opening.give(range.start, &read(&*source, range.clone())?);
@@ -62,8 +64,47 @@ impl Archive {
     }
 
     /// An archive whose head is known, whatever the state of the rest.
-    pub(super) fn from_parts(source: Box<dyn ByteSource>, catalog: Catalog) -> Self {
-        Self { source, catalog, found: Mutex::new(None) }
+    pub(super) fn from_parts(source: Arc<dyn ByteSource>, catalog: Catalog) -> Self {
+        Self { source, catalog, levels: OnceLock::new(), found: Mutex::new(None) }
+    }
+
+    /// The overview levels, finest first; none if the archive was written without, has too few pages for any, or is a level
+    /// itself. One read, the first time.
+    pub fn levels(&self) -> Result<&[Level]> {
+        if let Some(levels) = self.levels.get() {
+            return Ok(levels);
+        }
+        let levels = match self.catalog.levels_range() {
+            Some(range) => self.catalog.decode_levels(&read(&*self.source, range)?)?,
+            None => Vec::new(),
+        };
+        Ok(self.levels.get_or_init(|| levels))
+    }
+
+    /// Overview level `number` (1 is the finest) as an archive of its own on a coarser grid, for a store, a stream and every
+    /// query. It reads from the same source; its metadata are empty.
+    pub fn level(&self, number: u32) -> Result<Self> {
+        let levels = self.levels()?;
+        let level = levels.iter().find(|level| level.number() == number).ok_or_else(|| {
+            let reason = match levels.len() {
+                0 => "the archive has no overview levels".to_string(),
+                count => format!("the archive has levels 1 to {count}"),
+            };
+            Error::parameter(format!("level {number}"), reason)
+        })?;
+        Ok(Self::from_parts(self.source.clone(), level.catalog().clone()))
+    }
+
+    /// As [`level`](Self::level), from the bytes of the level alone ([`Level::bytes`]): for programs that fetch bytes
+    /// themselves. Fails if there are more or fewer.
+    pub fn of_level(level: &Level, bytes: Vec<u8>) -> Result<Self> {
+        let range = level.bytes();
+        let len = range.end - range.start;
+        if bytes.len() as u64 != len {
+            let reason = format!("expected its {len} bytes from {} on, found {}", range.start, bytes.len());
+            return Err(Error::parameter(format!("level {}", level.number()), reason));
+        }
+        Ok(Self::from_parts(Arc::new(MemorySource::part(range.start, bytes)), level.catalog().clone()))
     }
 
     /// What is known of the archive without another read.

@@ -24,6 +24,7 @@ use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 /// What a recovery found.
 #[derive(Debug, Clone)]
@@ -70,7 +71,7 @@ pub fn recover(
 ) -> Result<Recovered> {
     let source = FileSource::open(path)?;
     let old = sound_head(&source).map(|catalog| {
-        let archive = Archive::from_parts(Box::new(FileSource::open(path)?), catalog);
+        let archive = Archive::from_parts(Arc::new(FileSource::open(path)?), catalog);
         Ok::<_, Error>(archive)
     });
     let old = old.transpose()?;
@@ -88,18 +89,22 @@ pub fn recover(
     let limits = old.as_ref().map_or(Ok(()), |archive| archive.header().check_repeats());
     limits.map_err(|error| Error::input(path, "directory", error.to_string()))?;
     monitor.stage("recover", source.len(), "bytes");
+    let levels = old.as_ref().is_some_and(|archive| archive.header().levels.is_some());
     let mut rescue = Rescue {
         source: &source,
         monitor,
         writer: ArchiveWriter::begin(output, &plan, Existing::replaced_if(overwrite), [path].into_iter().collect())?,
         copier: Copier::new(),
         decoder: PageDecoder::new(),
-        encoder: PageEncoder::new(plan.frame),
+        encoder: PageEncoder::new(plan.frame).for_levels(levels),
         found: Pages::default(),
         columns: None,
         encoded_anew: 0,
         entries_wrong: 0,
     };
+    if levels {
+        rescue.writer.set_levels();
+    }
     let leaves = match &old {
         Some(archive) => Some((rescue.by_directory(archive)?, archive.leaf_count())),
         None => {
@@ -172,7 +177,7 @@ impl Rescue<'_> {
                 let end = sound.map(|sound| archive.leaf_first(sound));
                 let to = match sound.and_then(|sound| places[sound].as_ref()) {
                     Some(place) => place.start,
-                    None if in_place => header.directory_offset(),
+                    None if in_place => header.levels_offset(),
                     None => self.source.len(),
                 };
                 let inside = |key| first <= key && end.is_none_or(|end| key < end);
@@ -180,7 +185,7 @@ impl Rescue<'_> {
             }
             let Some(sound) = sound else { break };
             let place = places[sound].clone().unwrap_or(from..from);
-            let next = places[sound + 1..].iter().flatten().next().map_or(header.directory_offset(), |next| next.start);
+            let next = places[sound + 1..].iter().flatten().next().map_or(header.levels_offset(), |next| next.start);
             let displaced = self.displaced(archive, sound, place.start..next)?;
             for entry in archive.open_leaf(sound)? {
                 let entry = entry?;
@@ -344,7 +349,7 @@ fn in_the_one_encoding(
     page: &Page,
 ) -> EncodedPage {
     if bytes.is_empty() || encoder.gives(page, bytes) {
-        return EncodedPage::copied(key, bytes, page);
+        return encoder.copied(key, bytes, page);
     }
     *anew += 1;
     encoder.encode(key, page)

@@ -33,7 +33,7 @@ pub(super) struct Found {
 }
 
 /// Sound pages in the bytes `range` of `source` with keys in `keys`: their longest ascending run, in the order in which
-/// they lie. With `to_the_leaf` the search ends where a page is followed by a directory leaf.
+/// they lie. With `to_the_leaf` the search ends where a page is followed by a directory leaf or a page of a level.
 pub(super) fn find_pages(
     source: &dyn ByteSource,
     range: Range<u64>,
@@ -60,7 +60,7 @@ pub(super) fn find_pages(
             found.push(Found { key, offset, len });
         }
         window.pass(len);
-        if to_the_leaf && window.starts_with(&FRAME) {
+        if to_the_leaf && (window.starts_with(&FRAME) || window.starts_with(&page::LEVEL_MAGIC)) {
             break;
         }
     }

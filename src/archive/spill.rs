@@ -3,9 +3,10 @@
 //! How many entries a leaf holds depends on how many there are in all, so leaves are made at the end. Memory: 1.5 MiB
 //! for any number of pages; disk: 40 bytes a page beyond the first 32,768.
 
-use super::directory::{Extent, PageEntry, Storage};
+use super::directory::{Extent, PageEntry, Storage, encode_leaf};
+use super::head::Leaf;
 use crate::Result;
-use crate::codec::{ByteReader, span_bits, span_from_bits};
+use crate::codec::{ByteReader, Packer, span_bits, span_from_bits};
 use crate::disk::{Files, Temporary};
 use crate::frame::PageKey;
 use crate::slice::PageSize;
@@ -68,6 +69,37 @@ impl Entries {
         out.extend_from_slice(&self.tail[start..start + count - from_file]);
         Ok(())
     }
+}
+
+/// Gives the bytes of all leaves of `leaf_entries` entries, and returns what the root directory says of them.
+pub(super) fn write_leaves(
+    all: &Entries,
+    leaf_entries: u32,
+    give: &mut dyn FnMut(&[u8]) -> Result<()>,
+) -> Result<Vec<Leaf>> {
+    let mut leaves = Vec::new();
+    let (mut entries, mut raw, mut stored) = (Vec::new(), Vec::new(), Vec::new());
+    let mut packer = Packer::new();
+    let (mut first, mut offset, mut base) = (0, 0, 0);
+    while first < all.len() {
+        let count = (all.len() - first).min(leaf_entries as u64) as usize;
+        all.read(first, count, &mut entries)?;
+        encode_leaf(&entries, &mut base, &mut raw);
+        stored.clear();
+        packer.pack(&raw, &mut stored);
+        leaves.push(Leaf {
+            first: entries[0].key,
+            entries: count as u32,
+            offset,
+            stored_len: stored.len() as u32,
+            raw_len: raw.len() as u32,
+            crc: crc32c::crc32c(&stored),
+        });
+        give(&stored)?;
+        first += count as u64;
+        offset += stored.len() as u64;
+    }
+    Ok(leaves)
 }
 
 fn record(entry: &PageEntry) -> [u8; RECORD] {

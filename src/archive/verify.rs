@@ -6,8 +6,9 @@
 //! that shares their bytes is checked by that. Time: linear in the bytes of the pages and in their number.
 
 use super::dedup::WINDOW;
-use super::directory::{Extent, PageEntry, Storage};
+use super::directory::{Content, Extent, PageEntry, Storage};
 use super::head::{Pages, Tiles, Voxels};
+use super::levels::{CoarseSpan, LevelCheck, coarse};
 use super::matter::Matter;
 use super::page::{PageDecoder, PageEncoder, check_entry, check_key, check_leader};
 use super::reader::Archive;
@@ -18,7 +19,10 @@ use crate::monitor::Monitor;
 use crate::slice::{Page, PageBounds, PageSize, Span};
 use crate::{Error, Result};
 use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
 
+/// Coarse spans that are kept, of all contents together: 4 MiB.
+const COARSE_KEPT: usize = 1 << 19;
 /// Bytes of pages read at once.
 const CHUNK: u64 = 1 << 20;
 
@@ -69,6 +73,12 @@ impl Archive {
     pub fn verify(&self, monitor: &dyn Monitor, findings: &mut dyn FnMut(Finding)) -> Result<VerifySummary> {
         let header = self.header();
         header.check_repeats()?;
+        if header.level > 0 {
+            return Err(Error::parameter(
+                format!("level {}", header.level),
+                "verify the archive that it is a level of",
+            ));
+        }
         monitor.stage("verify", header.pages.total(), "pages");
         let mut pass = Pass {
             archive: self,
@@ -83,8 +93,17 @@ impl Archive {
             stored: VecDeque::new(),
             shard: None,
             matter: Matter::default(),
+            levels: None,
+            coarse: HashMap::new(),
+            coarse_kept: 0,
         };
         pass.metadata();
+        if header.levels.is_some() {
+            match LevelCheck::new(self) {
+                Ok(levels) => pass.levels = Some(levels),
+                Err(error) => pass.error(error, "table of levels", header.levels_offset()),
+            }
+        }
         for index in 0..self.leaf_count() {
             if let Err(error) = pass.leaf(index, monitor) {
                 if monitor.cancelled() {
@@ -156,6 +175,10 @@ struct Pass<'a> {
     shard: Option<Shard>,
     /// Where the matter of sound pages lies.
     matter: Matter,
+    levels: Option<LevelCheck<'a>>,
+    /// What contents give to levels, as many as are kept, and how many spans that is.
+    coarse: HashMap<Content, Arc<[CoarseSpan]>>,
+    coarse_kept: usize,
 }
 
 impl Pass<'_> {
@@ -233,6 +256,45 @@ impl Pass<'_> {
             self.summary.voxels.obstacle += facts.voxels.1;
             self.matter.add(entry.key, &facts.bounds);
         }
+        if let Some(mut levels) = self.levels.take() {
+            match self.coarse_of(entry) {
+                Some(spans) => levels.add(entry.key, &spans),
+                None => levels.give_up(),
+            }
+            self.level_findings(&mut levels);
+            self.levels = Some(levels);
+        }
+    }
+
+    /// What the page of `entry` gives to levels; `None` if something is wrong with it, or with a page before.
+    fn coarse_of(&mut self, entry: &PageEntry) -> Option<Arc<[CoarseSpan]>> {
+        if self.summary.findings > 0 {
+            return None;
+        }
+        let content = entry.content();
+        if let Some(spans) = self.coarse.get(&content) {
+            return Some(spans.clone());
+        }
+        let page = self.archive.page_with(entry, &mut self.decoder).ok()?;
+        Some(self.keep_coarse(content, coarse(&page)))
+    }
+
+    fn keep_coarse(&mut self, content: Content, spans: Vec<CoarseSpan>) -> Arc<[CoarseSpan]> {
+        if self.coarse_kept + spans.len() > COARSE_KEPT {
+            self.coarse.clear();
+            self.coarse_kept = 0;
+        }
+        self.coarse_kept += spans.len();
+        let spans: Arc<[_]> = spans.into();
+        self.coarse.insert(content, spans.clone());
+        spans
+    }
+
+    fn level_findings(&mut self, levels: &mut LevelCheck<'_>) {
+        let at = self.archive.header().levels_offset();
+        for error in levels.found.drain(..) {
+            self.error(error, "levels", at);
+        }
     }
 
     /// Stored pages lie one after the other (rule D9), and keep the rules of pages.
@@ -302,6 +364,8 @@ impl Pass<'_> {
         let start = self.read_ahead(extent)?;
         let bytes = &self.chunk.1[start..start + extent.len as usize];
         let (decoder, encoder) = (&mut self.decoder, &mut self.encoder);
+        let wanted = self.levels.is_some();
+        let mut spans = Vec::new();
         let mut check = || {
             check_key(entry, check_leader(extent, bytes)?)?;
             let page = decoder.decode_body(bytes)?;
@@ -309,11 +373,17 @@ impl Pass<'_> {
             if !encoder.gives(&page, bytes) {
                 return Err(Violation::new("P10", "the one encoding of its content", "another"));
             }
+            if wanted {
+                spans = coarse(&page);
+            }
             Facts::of(&page).ok_or_else(|| Violation::new("P6", "matter in some pixel", "none"))
         };
         let verdict = check();
         if verdict.is_ok() {
             self.summary.bytes += u64::from(extent.len);
+            if wanted {
+                self.keep_coarse(entry.content(), spans);
+            }
         }
         Ok(verdict.map_err(Box::new))
     }
@@ -323,7 +393,7 @@ impl Pass<'_> {
         let (start, bytes) = &mut self.chunk;
         let end = extent.offset + extent.len as u64;
         if extent.offset < *start || end > *start + bytes.len() as u64 {
-            let section = self.archive.header().directory_offset();
+            let section = self.archive.header().levels_offset();
             let ahead = (section - extent.offset).min(CHUNK.max(extent.len as u64)) as usize;
             *start = extent.offset;
             bytes.resize(ahead, 0);
@@ -344,15 +414,22 @@ impl Pass<'_> {
     /// there. Says nothing about totals where damage makes them wrong anyway.
     fn totals(&mut self) {
         let header = self.archive.header();
-        let directory = header.directory_offset();
-        if let Some(end) = self.next.filter(|&end| end != directory) {
-            let violation = Violation::new("D9", format!("pages up to byte {directory}"), end);
+        let pages_end = header.levels_offset();
+        if let Some(end) = self.next.filter(|&end| end != pages_end) {
+            let violation = Violation::new("D9", format!("pages up to byte {pages_end}"), end);
             self.error(violation.at("pages", header.pages_offset()), "pages", 0);
+        }
+        if let Some(mut levels) = self.levels.take() {
+            if self.summary.findings > 0 {
+                levels.give_up();
+            }
+            levels.finish();
+            self.level_findings(&mut levels);
         }
         if self.summary.findings > 0 {
             return;
         }
-        self.summary.bytes += header.bytes.directory;
+        self.summary.bytes += header.bytes.levels + header.bytes.directory;
         let found = self.summary;
         let mut compare = |rule, stated: String, counted: String| {
             if stated != counted {

@@ -2,14 +2,15 @@
 
 use super::FORMAT_VERSION;
 use super::dedup::Window;
-use super::directory::{Extent, PageEntry, Storage, encode_leaf, key_in_grid};
-use super::head::{self, Bounds, Header, Leaf, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
+use super::directory::{Extent, PageEntry, Storage, key_in_grid};
+use super::head::{self, Bounds, Header, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
+use super::levels::{CoarseSpan, LevelWriter};
 use super::matter::Matter;
 use super::metadata::{Metadata, Unknown};
 use super::page::EncodedPage;
 use super::shard::{InputRead, Shard};
-use super::spill::Entries;
-use crate::codec::{Packer, Violation};
+use super::spill::{Entries, write_leaves};
+use crate::codec::Violation;
 use crate::frame::PageKey;
 use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::plan::Plan;
@@ -69,6 +70,7 @@ pub struct ArchiveWriter {
     last: Option<PageKey>,
     counts: Header,
     matter: Matter,
+    levels: Option<LevelWriter>,
     shard: Option<Shard>,
     read: Vec<InputRead>,
     unknown: Unknown,
@@ -102,7 +104,7 @@ impl ArchiveWriter {
     pub(crate) fn on(output: Output, plan: &Plan) -> Result<Self> {
         plan.options.check()?;
         let counts = Header {
-            version: FORMAT_VERSION,
+            version: (FORMAT_VERSION.0, 0),
             features_required: 0,
             features_optional: 0,
             file_len: 0,
@@ -120,6 +122,8 @@ impl ArchiveWriter {
             bytes: Default::default(),
             metadata_crc: 0,
             leaf_entries: MIN_LEAF_ENTRIES,
+            levels: None,
+            level: 0,
         };
         Ok(Self {
             entries: Entries::new(output.files(), output.beside()),
@@ -132,6 +136,7 @@ impl ArchiveWriter {
             last: None,
             counts,
             matter: Matter::default(),
+            levels: None,
             shard: None,
             read: Vec::new(),
             unknown: Unknown::new(),
@@ -141,6 +146,18 @@ impl ArchiveWriter {
     /// The plan of the archive.
     pub fn plan(&self) -> &Plan {
         &self.plan
+    }
+
+    /// Gives the archive overview levels: before its first page.
+    pub fn set_levels(&mut self) {
+        debug_assert!(self.last.is_none(), "levels are of all pages");
+        self.levels = Some(LevelWriter::new(&self.plan.frame, self.output.files(), self.output.beside()));
+        (self.counts.version, self.counts.features_optional) = (FORMAT_VERSION, head::LEVELS);
+    }
+
+    /// Whether the archive gets overview levels.
+    pub fn has_levels(&self) -> bool {
+        self.levels.is_some()
     }
 
     /// Makes the archive a part of a conversion; its pages must lie in the columns of `shard`.
@@ -163,7 +180,8 @@ impl ArchiveWriter {
         self.matter.fit(&self.plan, self.shard.is_some(), bounds)
     }
 
-    /// Adds a page. Keys must ascend, and the page must hold matter and be encoded under this key.
+    /// Adds a page. Keys must ascend, and the page must hold matter, be encoded under this key and, if the archive gets
+    /// overview levels, [`for_levels`](super::PageEncoder::for_levels).
     pub fn put(&mut self, key: PageKey, page: EncodedPage) -> Result<()> {
         self.put_placed(key, &page).map(drop)
     }
@@ -177,6 +195,9 @@ impl ArchiveWriter {
         let Some(bounds) = &page.bounds else {
             return Err(Error::parameter(format!("page {key}"), "has no matter; leave it out"));
         };
+        if self.levels.is_some() && page.coarse.is_none() {
+            return Err(Error::parameter(format!("page {key}"), "is encoded for an archive without overview levels"));
+        }
         let placed = Placed {
             storage: match page.uniform {
                 Some(span) => Storage::Uniform(span),
@@ -188,12 +209,12 @@ impl ArchiveWriter {
             voxels: page.voxels,
             hash: page.hash,
         };
-        self.push(key, &placed)?;
+        self.push(key, &placed, page.coarse.as_deref().unwrap_or_default())?;
         Ok(placed)
     }
 
     /// Puts the content of `like`, which was put before, under `key` as well; `false` if it must be put with its bytes.
-    pub(super) fn put_again(&mut self, key: PageKey, like: &Placed) -> Result<bool> {
+    pub(super) fn put_again(&mut self, key: PageKey, like: &Placed, coarse: &[CoarseSpan]) -> Result<bool> {
         let storage = match like.storage {
             Storage::Uniform(span) => Storage::Uniform(span),
             Storage::Stored(extent) | Storage::Shared(extent) => {
@@ -204,7 +225,7 @@ impl ArchiveWriter {
             }
         };
         self.check_key(key)?;
-        self.push(key, &Placed { storage, ..*like })?;
+        self.push(key, &Placed { storage, ..*like }, coarse)?;
         Ok(true)
     }
 
@@ -222,7 +243,7 @@ impl ArchiveWriter {
     }
 
     /// Adds an entry whose bytes have their place, and counts it.
-    fn push(&mut self, key: PageKey, placed: &Placed) -> Result<()> {
+    fn push(&mut self, key: PageKey, placed: &Placed, coarse: &[CoarseSpan]) -> Result<()> {
         let &Placed { storage, slices, size, bounds, voxels, .. } = placed;
         let entry = PageEntry { key, slices, size, storage };
         self.entries.push(entry)?;
@@ -248,7 +269,7 @@ impl ArchiveWriter {
         let (low, high) = entry.slice_range();
         let (first, last) = self.counts.slices.unwrap_or((low, high));
         self.counts.slices = Some((first.min(low), last.max(high)));
-        Ok(())
+        self.levels.as_mut().map_or(Ok(()), |levels| levels.add(key, coarse))
     }
 
     /// Finds equal bytes or appends those of `page`.
@@ -309,19 +330,26 @@ impl ArchiveWriter {
 
     fn complete(&mut self, totals: Totals) -> Result<Header> {
         let mut header = self.counts.clone();
-        let leaf_entries = leaf_entries(self.entries.len());
+        let leaf_entries = head::leaf_entries(self.entries.len());
         let leaf_count = self.entries.len().div_ceil(leaf_entries as u64) as usize;
         if self.flushed == 0 {
             self.base = head::exact_len(leaf_count) as u64;
         }
         let pages = self.flushed + self.buffer.len() as u64;
-        let leaves = self.append_leaves(leaf_entries)?;
+        let mut levels_len = 0;
+        if let Some(levels) = self.levels.take() {
+            let (levels, len) = levels.finish(&mut |bytes| self.append(bytes))?;
+            (header.levels, levels_len) = (Some(levels), len);
+        }
+        let entries = std::mem::replace(&mut self.entries, Entries::new(self.output.files(), self.output.beside()));
+        let leaves = write_leaves(&entries, leaf_entries, &mut |bytes| self.append(bytes))?;
         let (read, unknown) = (std::mem::take(&mut self.read), std::mem::take(&mut self.unknown));
         let metadata = Metadata { crs: totals.crs, shard: self.shard, read, units: totals.units, unknown }.encode()?;
         self.append(&metadata)?;
 
         let directory = leaves.iter().map(|leaf| leaf.stored_len as u64).sum();
-        header.bytes = Sections { head: self.base, pages, directory, metadata: metadata.len() as u64 };
+        header.bytes =
+            Sections { head: self.base, pages, levels: levels_len, directory, metadata: metadata.len() as u64 };
         header.file_len = header.metadata_offset() + header.bytes.metadata + head::FOOTER as u64;
         header.points_read = totals.points_read;
         header.points_kept = totals.points_kept;
@@ -351,39 +379,4 @@ impl ArchiveWriter {
         })?;
         Ok(given)
     }
-
-    fn append_leaves(&mut self, leaf_entries: u32) -> Result<Vec<Leaf>> {
-        let mut leaves = Vec::new();
-        let (mut entries, mut raw, mut stored) = (Vec::new(), Vec::new(), Vec::new());
-        let mut packer = Packer::new();
-        let (mut first, mut offset, mut base) = (0, 0, 0);
-        while first < self.entries.len() {
-            let count = (self.entries.len() - first).min(leaf_entries as u64) as usize;
-            self.entries.read(first, count, &mut entries)?;
-            encode_leaf(&entries, &mut base, &mut raw);
-            stored.clear();
-            packer.pack(&raw, &mut stored);
-            leaves.push(Leaf {
-                first: entries[0].key,
-                entries: count as u32,
-                offset,
-                stored_len: stored.len() as u32,
-                raw_len: raw.len() as u32,
-                crc: crc32c::crc32c(&stored),
-            });
-            self.append(&stored)?;
-            first += count as u64;
-            offset += stored.len() as u64;
-        }
-        Ok(leaves)
-    }
-}
-
-/// Entries of a leaf: as few as fit the root directory.
-fn leaf_entries(total: u64) -> u32 {
-    let mut entries = MIN_LEAF_ENTRIES;
-    while total.div_ceil(entries as u64) > MAX_LEAVES as u64 {
-        entries *= 2;
-    }
-    entries
 }

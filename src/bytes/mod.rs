@@ -128,22 +128,32 @@ impl ByteSource for MapSource {
 
 /// Bytes held in memory.
 #[derive(Debug, Clone)]
-pub struct MemorySource(std::sync::Arc<[u8]>);
+pub struct MemorySource {
+    start: u64,
+    bytes: std::sync::Arc<[u8]>,
+}
 
 impl MemorySource {
     /// The source of `bytes`.
     pub fn new(bytes: impl Into<std::sync::Arc<[u8]>>) -> Self {
-        Self(bytes.into())
+        Self::part(0, bytes)
+    }
+
+    /// A source of which only `bytes` are there, from offset `start` to its end. Reads before them fail.
+    pub fn part(start: u64, bytes: impl Into<std::sync::Arc<[u8]>>) -> Self {
+        Self { start, bytes: bytes.into() }
     }
 }
 
 impl ByteSource for MemorySource {
     fn len(&self) -> u64 {
-        self.0.len() as u64
+        self.start.saturating_add(self.bytes.len() as u64)
     }
 
     fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
-        copy_from(&self.0, offset, buf).map_err(|source| read_error(Path::new("memory"), offset, buf.len(), source))
+        let from = offset.checked_sub(self.start);
+        let copied = from.map_or(Err(io::ErrorKind::UnexpectedEof.into()), |from| copy_from(&self.bytes, from, buf));
+        copied.map_err(|source| read_error(Path::new("memory"), offset, buf.len(), source))
     }
 }
 

@@ -516,7 +516,7 @@ fn walk<C: Coder, G: Given>(
     Ok(traversal.coder)
 }
 
-fn lattice_of(frame: &Frame, page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
+fn lattice_of(frame: Option<&Frame>, page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
     heights.clear();
     for (_, _, spans) in page.columns() {
         heights.extend(spans.iter().flat_map(|span| [(span.bottom(), End::Bottom), (span.top(), End::Top)]));
@@ -527,7 +527,7 @@ fn lattice_of(frame: &Frame, page: &Page, heights: &mut Vec<(u32, End)>) -> Latt
 }
 
 /// Appends the encoding of `page`, at most [`MAX_LEN`] bytes.
-pub fn encode(frame: &Frame, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+pub fn encode(frame: Option<&Frame>, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
     let lattice = lattice_of(frame, page, &mut scratch.heights);
     let mut encoder = std::mem::take(&mut scratch.encoder);
     encoder.clear();
@@ -565,7 +565,7 @@ pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut PageBuilder) -> 
 
 /// Fills `builder`, which must be empty, with a page that is cheaper to encode than `page` and holds all its matter:
 /// bottoms up to `tolerance` (quanta) lower and tops as much higher, in the same page.
-pub fn simplify(frame: &Frame, page: &Page, tolerance: u32, scratch: &mut Scratch, builder: &mut PageBuilder) {
+pub fn simplify(frame: Option<&Frame>, page: &Page, tolerance: u32, scratch: &mut Scratch, builder: &mut PageBuilder) {
     let lattice = lattice_of(frame, page, &mut scratch.heights);
     let taken = walk(Dry, lattice, scratch, Loose { page, tolerance }, |px, py, spans| {
         let taken = builder.set_column(px, py, spans);

@@ -31,6 +31,9 @@ const STEPS_M: [f64; 14] = [
     0.0001,
 ];
 
+/// Step of heights in pages of overview levels (quanta): a third of a slice.
+pub const LEVEL_STEP: u64 = 85;
+
 /// Equally spaced heights above a page's floor: step `index` lies at `phase + index · step`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lattice {
@@ -100,15 +103,20 @@ impl Lattice {
         })
     }
 
-    /// The coarsest lattice on which all `heights` (quanta) lie.
-    pub fn find(frame: &Frame, heights: &[(u32, End)]) -> Option<Self> {
+    /// The coarsest lattice on which all `heights` (quanta) of a page on the grid `frame` lie; without a grid, of a page of an
+    /// overview level.
+    pub fn find(frame: Option<&Frame>, heights: &[(u32, End)]) -> Option<Self> {
         if heights.len() < LEAST_HEIGHTS {
             return None;
         }
+        let with_step = |step: u64| {
+            let lattice = Self::new(step, 0)?;
+            Some(Self { phase: lattice.phase_of(heights)?, ..lattice })
+        };
+        let Some(frame) = frame else { return with_step(LEVEL_STEP * ONE as u64) };
         STEPS_M.iter().find_map(|step_m| {
             let step = (step_m * SLICE_QUANTA as f64 / frame.slice_m() * ONE as f64 + 0.5).floor();
-            let lattice = Self::new(step as u64, 0)?;
-            Some(Self { phase: lattice.phase_of(heights)?, ..lattice })
+            with_step(step as u64)
         })
     }
 
@@ -160,7 +168,7 @@ mod tests {
             let points: Vec<f64> = steps.iter().map(|&n| offset + f64::from(n % count) * step).collect();
             let floor = frame.quantum_floor(offset) - 3;
             let heights = heights(&frame, &points, floor);
-            let lattice = Lattice::find(&frame, &heights).expect("a lattice");
+            let lattice = Lattice::find(Some(&frame), &heights).expect("a lattice");
             for &(height, end) in &heights {
                 let (index, off) = lattice.index(height, end).expect("a step");
                 prop_assert_eq!(lattice.usual(index, end) + off, height as i32);
@@ -198,7 +206,7 @@ mod tests {
             let points: Vec<_> = points.into_iter().filter(on_page).collect();
             let mut heights = heights(&frame, &points, floor);
             heights.retain(|(height, _)| height % SLICE_QUANTA as u32 != 0);
-            let Some(lattice) = Lattice::find(&frame, &heights) else { continue };
+            let Some(lattice) = Lattice::find(Some(&frame), &heights) else { continue };
             found += 1;
             for &(height, end) in &heights {
                 assert!(lattice.index(height, end).is_some(), "{height} {end:?} of {pixel_m} m in layer {layer}");
@@ -216,7 +224,7 @@ mod tests {
         };
         let heights: Vec<_> = (0..200).map(|_| (next(), End::Bottom)).collect();
         let frame = Frame::new(0.05, 0.15).unwrap();
-        assert_eq!(Lattice::find(&frame, &heights), None);
-        assert_eq!(Lattice::find(&frame, &heights[..5]), None);
+        assert_eq!(Lattice::find(Some(&frame), &heights), None);
+        assert_eq!(Lattice::find(Some(&frame), &heights[..5]), None);
     }
 }

@@ -57,7 +57,8 @@ const ADAPTIVE: u8 = 1;
 /// Encodes pages; keeps its scratch, so that a page costs no allocation.
 #[derive(Debug)]
 pub struct Encoder {
-    frame: Frame,
+    /// `None` for pages of levels.
+    frame: Option<Frame>,
     adaptive: adaptive::Scratch,
     builder: PageBuilder,
     body: Vec<u8>,
@@ -66,14 +67,19 @@ pub struct Encoder {
 impl Encoder {
     /// An encoder for pages of an archive with this grid.
     pub fn new(frame: Frame) -> Self {
-        Self { frame, adaptive: Default::default(), builder: PageBuilder::default(), body: Vec::new() }
+        Self { frame: Some(frame), ..Self::of_levels() }
+    }
+
+    /// An encoder for pages of overview levels.
+    pub fn of_levels() -> Self {
+        Self { frame: None, adaptive: Default::default(), builder: PageBuilder::default(), body: Vec::new() }
     }
 
     /// Appends the encoding of `page`, which must hold matter: at most [`MAX_BODY`] bytes. Equal pages have equal
     /// encodings, whatever was encoded before.
     pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
         out.push(ADAPTIVE);
-        adaptive::encode(&self.frame, page, &mut self.adaptive, out);
+        adaptive::encode(self.frame.as_ref(), page, &mut self.adaptive, out);
     }
 
     /// The page of fewest bytes among some that hold all matter of `page`: itself, and those of which bottoms are up to
@@ -93,7 +99,7 @@ impl Encoder {
         let widths: Vec<u32> = halves.take_while(|&width| width > 0).collect();
         for &width in widths.iter().rev() {
             self.builder.clear();
-            adaptive::simplify(&self.frame, page, width, &mut self.adaptive, &mut self.builder);
+            adaptive::simplify(self.frame.as_ref(), page, width, &mut self.adaptive, &mut self.builder);
             let simple = self.builder.build();
             let len = length(self, &simple);
             if len < best.0 {

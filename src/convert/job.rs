@@ -37,6 +37,8 @@ pub struct Job {
     pub epsg: Option<u32>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
+    /// Whether the parts and the whole get overview levels.
+    pub levels: bool,
     /// Point spacing found, if the pixel size was chosen from it (m).
     pub spacing_m: Option<f64>,
     /// The inputs, in order of their fingerprints: the same on every machine.
@@ -55,8 +57,8 @@ impl Job {
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
-        let ConvertOptions { units, epsg, mesh, .. } = *options;
-        let mut job = Self { plan, units, epsg, mesh, spacing_m: None, inputs };
+        let ConvertOptions { units, epsg, mesh, levels, .. } = *options;
+        let mut job = Self { plan, units, epsg, mesh, levels, spacing_m: None, inputs };
         job.sort_inputs();
         job
     }
@@ -102,6 +104,7 @@ impl Job {
         options.units = self.units;
         options.epsg = self.epsg;
         options.mesh = self.mesh;
+        options.levels = self.levels;
     }
 
     /// Part `index` of `count`.
@@ -172,6 +175,7 @@ mod tests {
             units: Units::Auto,
             epsg: None,
             mesh: MeshMode::Exact,
+            levels: true,
             spacing_m: None,
             inputs: areas.iter().enumerate().map(facts).collect(),
         }

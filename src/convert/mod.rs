@@ -199,6 +199,9 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let scope = scope(options, &set, &plan, monitor)?;
     let shard = scope.as_ref().map(|scope| scope.shard);
     let mut writer = ArchiveWriter::on(output, &plan)?;
+    if options.levels {
+        writer.set_levels();
+    }
     if let Some(shard) = shard {
         writer.set_shard(shard);
     }

@@ -56,6 +56,8 @@ pub struct ConvertOptions {
     pub epsg: Option<u32>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
+    /// Whether the archive gets overview levels.
+    pub levels: bool,
     /// Whether input that can be read in part only is converted so, with warnings, instead of being refused.
     pub allow_incomplete: bool,
     /// Whether an existing slice archive may be replaced; another file never is.
@@ -84,6 +86,7 @@ impl ConvertOptions {
             units: Units::Auto,
             epsg: None,
             mesh: MeshMode::Exact,
+            levels: true,
             allow_incomplete: false,
             overwrite: false,
             job: None,

@@ -22,7 +22,7 @@ const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
 const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
 /// Memory of a small page that waits to be written, beyond its bytes.
-const PAGE_BYTES: u64 = 256;
+const PAGE_BYTES: u64 = 320;
 /// Jobs that may be finished before the oldest unfinished one.
 const JOBS_AHEAD_PER_THREAD: usize = 8;
 
@@ -45,7 +45,7 @@ pub(super) fn write_columns(
 ) -> Result<u64> {
     let merge = Merge::new(store);
     monitor.stage("writing slices", merge.records(), "records");
-    let ahead = JOBS_AHEAD_PER_THREAD * threads;
+    let (ahead, levels) = (JOBS_AHEAD_PER_THREAD * threads, writer.has_levels());
     let max_records = (memory_bytes / 4 / threads as u64 / JOB_BYTES_PER_RECORD).min(MOST_RECORDS);
     let max_columns = (memory_bytes / 8 / ahead as u64 / PAGE_BYTES).max(1);
     let dense = Dense { one_at_a_time: Mutex::new(()), max_voxels: memory_bytes / 4 / DENSE_BYTES_PER_VOXEL };
@@ -61,7 +61,7 @@ pub(super) fn write_columns(
         for number in 0..threads {
             let (jobs, done) = (job_out.clone(), done_in.clone());
             let (merge, dense) = (&merge, &dense);
-            let worker = ColumnWorker::new(plan, max_records, dense, monitor);
+            let worker = ColumnWorker::new(plan, levels, max_records, dense, monitor);
             let started = Builder::new().spawn_scoped(scope, move || work_on_columns(worker, merge, &jobs, &done));
             match started {
                 Ok(_) => {}
@@ -188,7 +188,7 @@ struct ColumnWorker<'a> {
 }
 
 impl<'a> ColumnWorker<'a> {
-    fn new(plan: &Plan, max_records: u64, dense: &'a Dense, monitor: &'a dyn Monitor) -> Self {
+    fn new(plan: &Plan, levels: bool, max_records: u64, dense: &'a Dense, monitor: &'a dyn Monitor) -> Self {
         let judge = Judge::new(plan);
         Self {
             dense,
@@ -203,7 +203,7 @@ impl<'a> ColumnWorker<'a> {
             verdicts: Vec::new(),
             columns: ColumnPages::default(),
             tolerance: plan.tolerance_quanta(),
-            encoder: PageEncoder::new(plan.frame),
+            encoder: PageEncoder::new(plan.frame).for_levels(levels),
             records: Vec::new(),
         }
     }

@@ -43,6 +43,7 @@ pub fn to_json(job: &Job) -> Value {
             MeshMode::Sampled { step_m: None } => json!("sampled"),
             MeshMode::Sampled { step_m: Some(step_m) } => json!(step_m),
         },
+        "levels": job.levels,
         "point_spacing": job.spacing_m,
         "inputs": inputs,
     })
@@ -174,6 +175,8 @@ fn from_json(value: &Value) -> Result<Job, Wrong> {
         units: field(value, "units", "auto or metres per unit", units)?,
         epsg,
         mesh: field(value, "mesh", "exact, sampled, or a distance of points in metres", mesh)?,
+        // Plans of earlier builds do not say.
+        levels: value.get("levels").map_or(Ok(true), |_| field(value, "levels", "true or false", Value::as_bool))?,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
         inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
     };
@@ -240,7 +243,7 @@ mod tests {
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };
             let units = units.map_or(Units::Auto, Units::Factor);
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
-            let mut job = Job { plan, units, epsg, mesh, spacing_m, inputs };
+            let mut job = Job { plan, units, epsg, mesh, levels: rule % 2 == 0, spacing_m, inputs };
             job.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
@@ -261,7 +264,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = to_json(&Job { plan, units: Units::Auto, epsg: None, mesh: MeshMode::Exact, spacing_m: None, inputs: Vec::new() }).to_string();
+            let good = to_json(&Job { plan, units: Units::Auto, epsg: None, mesh: MeshMode::Exact, levels: true, spacing_m: None, inputs: Vec::new() }).to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

@@ -1,7 +1,7 @@
 //! All content of an archive as JSON, in the shape that `spec/reader.py --json` prints.
 
 use serde_json::{Value, json};
-use slicewalk::archive::{Archive, PageEntry, Storage};
+use slicewalk::archive::{Archive, Level, PageEntry, Storage};
 use slicewalk::slice::Span;
 use slicewalk::{Error, NoMonitor, Result, info};
 
@@ -35,7 +35,12 @@ fn checked(archive: &Archive) -> Result<Value> {
 /// What an archive holds: `info`, then each page with its pixels.
 pub fn content(archive: &Archive) -> Result<Value> {
     let pages = archive.entries().map(|entry| page(archive, &entry?)).collect::<Result<Vec<_>>>()?;
-    Ok(json!({ "info": info::info(archive)?, "pages": pages }))
+    let mut content = json!({ "info": info::info(archive)?, "pages": pages });
+    if archive.header().levels.is_some() {
+        let level = |level: &Level| json!({ "pages": level.catalog().header().pages.total(), "pixel_size": level.frame().pixel_m() });
+        content["levels"] = archive.levels()?.iter().map(level).collect();
+    }
+    Ok(content)
 }
 
 fn page(archive: &Archive, entry: &PageEntry) -> Result<Value> {

@@ -110,14 +110,24 @@ pub fn archive(made: &(Pages, Totals)) -> Vec<u8> {
     archive_of(&plan(), made, None)
 }
 
+/// The bytes of an archive with overview levels.
+pub fn archive_with_levels(plan: &Plan, (pages, totals): &(Pages, Totals), shard: Option<Shard>) -> Vec<u8> {
+    written(plan, pages, totals, |writer| {
+        writer.set_levels();
+        shard.into_iter().for_each(|shard| writer.set_shard(shard));
+    })
+}
+
 /// The bytes of an archive of a plan, or of a part of one.
 pub fn archive_of(plan: &Plan, (pages, totals): &(Pages, Totals), shard: Option<Shard>) -> Vec<u8> {
+    written(plan, pages, totals, |writer| shard.into_iter().for_each(|shard| writer.set_shard(shard)))
+}
+
+fn written(plan: &Plan, pages: &Pages, totals: &Totals, begin: impl FnOnce(&mut ArchiveWriter)) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("test.slices");
     let mut writer = ArchiveWriter::create(&target, plan, false).unwrap();
-    if let Some(shard) = shard {
-        writer.set_shard(shard);
-    }
+    begin(&mut writer);
     let mut encoder = PageEncoder::new(plan.frame);
     for (&key, page) in pages {
         writer.put(key, encoder.encode(key, page)).unwrap();

@@ -28,7 +28,8 @@ pub const TARGETS: &[Target] = &[
     ("plan", plan),
 ];
 
-/// Opens, verifies and reads any bytes as an archive, as they are and with the head's and footer's checksums put right.
+/// Opens, verifies and reads any bytes as an archive with its overview levels, as they are and with the checksums of the head, of
+/// the table of levels and of the footer put right.
 pub fn archive(bytes: &[u8]) {
     read_archive(bytes.to_vec());
     if let Some(repaired) = repair(bytes) {
@@ -37,11 +38,21 @@ pub fn archive(bytes: &[u8]) {
 }
 
 fn read_archive(bytes: Vec<u8>) {
-    let Ok(archive) = Archive::from_bytes(bytes) else { return };
+    let Ok(archive) = Archive::from_bytes(bytes.clone()) else { return };
     let _ = archive.crs();
     let summary = archive.verify(&NoMonitor, &mut |_| ()).expect("nobody asks to stop");
-    let sound = archive.entries().all(|entry| entry.and_then(|entry| archive.page(&entry)).is_ok());
-    assert!(sound || summary.findings > 0, "verify finds what reading refuses");
+    let sound = |archive: &Archive| archive.entries().all(|entry| entry.and_then(|entry| archive.page(&entry)).is_ok());
+    assert!(sound(&archive) || summary.findings > 0, "verify finds what reading refuses");
+    let Ok(levels) = archive.levels() else {
+        return assert!(summary.findings > 0, "verify finds a table of levels that reading refuses");
+    };
+    for level in levels {
+        let range = level.bytes();
+        let alone = bytes[range.start as usize..range.end as usize].to_vec();
+        let alone = Archive::of_level(level, alone).expect("as many bytes as the level has");
+        let sound = sound(&alone) && archive.level(level.number()).is_ok_and(|level| sound(&level));
+        assert!(sound || summary.findings > 0, "verify finds what reading refuses of level {}", level.number());
+    }
 }
 
 fn repair(bytes: &[u8]) -> Option<Vec<u8>> {
@@ -50,6 +61,7 @@ fn repair(bytes: &[u8]) -> Option<Vec<u8>> {
     let head_len = u32::from_le_bytes(bytes.get(12..16)?.try_into().ok()?) as usize;
     bytes.get_mut(32..40)?.copy_from_slice(&(len as u64).to_le_bytes());
     let end = head_len.checked_sub(4).filter(|_| head_len <= len)?;
+    repair_levels(&mut bytes, head_len);
     let crc = crc32c::crc32c(&bytes[..end]).to_le_bytes();
     bytes[end..head_len].copy_from_slice(&crc);
     let footer = len.checked_sub(24).filter(|&at| at >= head_len)?;
@@ -58,6 +70,20 @@ fn repair(bytes: &[u8]) -> Option<Vec<u8>> {
     let crc = crc32c::crc32c(&bytes[footer..footer + 12]).to_le_bytes();
     bytes[footer + 12..footer + 16].copy_from_slice(&crc);
     Some(bytes)
+}
+
+/// Puts the checksum of the table of levels right, if there is one.
+fn repair_levels(bytes: &mut [u8], head_len: usize) -> Option<()> {
+    let number = |at: usize, len: usize| {
+        let bytes = bytes.get(at..at + len)?;
+        Some(bytes.iter().rev().fold(0u64, |number, &byte| number << 8 | u64::from(byte)))
+    };
+    let (levels, pages_len, table_len) = (number(24, 1)? & 1, number(288, 8)?, number(336, 4)?);
+    let end = (head_len as u64).checked_add(pages_len).filter(|&end| levels == 1 && end <= bytes.len() as u64)?;
+    let start = end.checked_sub(table_len).filter(|&start| start >= head_len as u64)?;
+    let crc = crc32c::crc32c(&bytes[start as usize..end as usize]).to_le_bytes();
+    bytes.get_mut(340..344)?.copy_from_slice(&crc);
+    Some(())
 }
 
 /// Decodes any bytes as an encoded page; what decodes must encode to bytes that decode to the same page.

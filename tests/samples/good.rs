@@ -1,7 +1,7 @@
 //! Sound samples.
 
 use crate::common::forge::{Parts, put};
-use crate::common::{Pages, Random, archive, archive_of, key, page, plan, scene, two_pixels};
+use crate::common::{Pages, Random, archive, archive_of, archive_with_levels, key, page, plan, scene, two_pixels};
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::frame::Frame;
 use slicewalk::plan::{Classifier, Plan, PlanOptions, Up};
@@ -32,6 +32,8 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("leaves", archive(&(leaves(), totals()))),
         ("unknown-metadata", unknown_metadata()),
         ("newer-minor-version", newer()),
+        ("levels", archive_with_levels(&plan(), &(city(), totals()), None)),
+        ("levels-of-one-page", archive_with_levels(&plan(), &two_pixels(), None)),
     ]
 }
 
@@ -229,4 +231,26 @@ fn newer() -> Vec<u8> {
         put(head, 24, 1 << 50, 8);
         put(head, 325, 99, 1);
     })
+}
+
+/// Floors, walls and cuts in pages near and far, over three levels.
+pub fn city() -> Pages {
+    let mut random = Random(3);
+    let mut pages = Pages::new();
+    for (tx, ty, layer) in [(-3, 1, 0), (0, 0, -1), (0, 0, 0), (1, 0, 0), (1, 2, 0), (2, 1, 0), (9, -6, 1), (17, 30, 0)]
+    {
+        let floor = (0..24 * 24).map(|at| {
+            let bottom = 900 + at % 24 * 40 + random.below(30);
+            let mut spans = vec![span(bottom, bottom + 3 + random.below(90), at % 7 == 0)];
+            if at % 5 == 0 {
+                spans.push(span(4080 + at, 16320, true));
+            }
+            ((at % 24 * 2, at / 24 + 20), spans)
+        });
+        pages.insert(key(tx, ty, layer), page(floor));
+    }
+    let flat = page((0..4096).map(|at| ((at % 64, at / 64), vec![span(255, 255, false)])));
+    pages.insert(key(2, 2, 0), flat.clone());
+    pages.insert(key(3, 2, 0), flat);
+    pages
 }

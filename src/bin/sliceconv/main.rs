@@ -100,6 +100,10 @@ struct Arguments {
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
     mesh: Surfaces,
+    /// Overview levels for distant views and first looks: pixels and slices 4, 16, 64 ... times as large, at most a twelfth more
+    /// bytes where pixels are four point spacings
+    #[arg(long, value_enum, default_value_t = Switch::On)]
+    levels: Switch,
     /// Convert what can be read of incomplete input (cut or damaged files, files that cannot be read), with warnings, instead
     /// of refusing it
     #[arg(long)]
@@ -137,6 +141,12 @@ enum Rule {
     Thesis,
     /// Slope of a plane fitted to 3 × 3 pixels: keeps the limit within 3°
     Plane,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Switch {
+    On,
+    Off,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -336,6 +346,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         Surfaces::Exact => MeshMode::Exact,
         Surfaces::Sampled => MeshMode::Sampled { step_m: None },
     };
+    options.levels = arguments.levels == Switch::On;
     options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
     options.resume = arguments.resume;
@@ -375,6 +386,7 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("units", "--units", wanted.units == planned.units),
         ("crs", "--crs", wanted.epsg == planned.epsg),
         ("mesh", "--mesh", wanted.mesh == planned.mesh),
+        ("levels", "--levels", wanted.levels == planned.levels),
     ];
     for (id, name, same) in options {
         if !same && given.value_source(id) == Some(ValueSource::CommandLine) {

@@ -1,7 +1,7 @@
 //! `slicetool show`: one slice as a picture in the thesis' colours.
 
 use crate::{Failure, Outcome, figures};
-use slicewalk::archive::{Archive, PageEntry};
+use slicewalk::archive::{Archive, Level, PageEntry};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::info::slice_count;
 use slicewalk::text::{finite_number, grouped, number, one_line, rounded, whole_number};
@@ -30,6 +30,10 @@ pub struct Arguments {
     /// Slice by height in metres
     #[arg(long, value_name = "Z", group = "which", allow_hyphen_values = true, value_parser = finite_number)]
     z: Option<f64>,
+    /// Draw this overview level: 1 has pixels and slices 4 times as large, 2 has them 16 times as large. Slices by number are then
+    /// those of the level
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    level: u32,
     /// Picture to write (PNG); `-` is standard output
     #[arg(short, long, value_name = "S.png")]
     output: PathBuf,
@@ -41,7 +45,10 @@ pub struct Arguments {
 
 /// Draws the slice that `arguments` name.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let archive = crate::open(&arguments.archive)?;
+    let mut archive = crate::open(&arguments.archive)?;
+    if arguments.level > 0 {
+        archive = archive.level(arguments.level).map_err(|error| crate::broken(&arguments.archive, &error))?;
+    }
     let Some((lowest, highest)) = archive.header().slices else {
         return Err(Failure::Text(format!("{}: holds no points, so there is no slice", arguments.archive.display())));
     };
@@ -74,6 +81,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::written(&arguments.output, &about)
 }
 
+/// The finest overview level of `archive` in which an edge of so many pixels fits a picture.
+fn fitting_level(archive: &Archive, pixels: i64) -> Option<u32> {
+    let levels = archive.levels().ok()?;
+    levels.iter().map(Level::number).find(|&level| (pixels >> (2 * level)) + 1 < MAX_EDGE_PIXELS)
+}
+
 /// Draws slice `slice` (absolute) of `archive`, which lies at `path`, as a PNG `to`: one pixel per pixel of the archive,
 /// north up, over the bounds of all points, with a legend below if asked for; returns its width and height. Memory: one row
 /// of tiles.
@@ -88,9 +101,10 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path)
     let (width, height) = (right - left + 1, high - low + 1);
     if width > MAX_EDGE_PIXELS || height > MAX_EDGE_PIXELS {
         return Err(Failure::Text(format!(
-            "{}: the slice is {width} × {height} pixels, beyond the {MAX_EDGE_PIXELS} that a picture may have; extract a \
+            "{}: the slice is {width} × {height} pixels, beyond the {MAX_EDGE_PIXELS} that a picture may have; {}extract a \
              region first",
-            path.display()
+            path.display(),
+            fitting_level(archive, width.max(height)).map_or(String::new(), |level| format!("draw --level {level}, or "))
         )));
     }
     let mut output = crate::output(to, archive, &[])?;

@@ -2,6 +2,7 @@
 
 use crate::Outcome;
 use serde_json::{Map, Value, json};
+use slicewalk::archive::Level;
 use slicewalk::stats::{Need, Stats};
 use slicewalk::text::{counted, grouped, memory_size};
 use std::fmt::Write;
@@ -19,10 +20,23 @@ const NEEDS: [&str; 6] = [
     "heights of its own",
 ];
 
+/// An overview level: its grid, and what it takes.
+fn level_facts(level: &Level) -> Value {
+    let bytes = level.bytes();
+    json!({
+        "level": level.number(),
+        "pixel_size": level.frame().pixel_m(),
+        "slice_height": level.frame().slice_m(),
+        "pages": level.catalog().header().pages.total(),
+        "bytes": bytes.end - bytes.start,
+    })
+}
+
 /// Counts over all pages of the archive at `path`.
 pub fn run(path: &Path, json: bool) -> Outcome {
     let archive = crate::open(path)?;
     let stats = Stats::of(&archive).map_err(|error| crate::broken(path, &error))?;
+    let levels = archive.levels().map_err(|error| crate::broken(path, &error))?;
     let header = archive.header();
     let per = |amount: u64, of: u64| if of == 0 { 0.0 } else { amount as f64 / of as f64 };
     let bytes_per_voxel = per(header.file_len, stats.voxels);
@@ -51,8 +65,10 @@ pub fn run(path: &Path, json: bool) -> Outcome {
                 "file": header.file_len,
                 "tiles": header.bytes.pages,
                 "directory": header.bytes.head + header.bytes.directory,
+                "levels": header.bytes.levels,
                 "per_voxel": bytes_per_voxel,
             },
+            "levels": levels.iter().map(level_facts).collect::<Vec<_>>(),
             "resident_bytes": { "all": stats.memory_bytes, "per_voxel": memory_per_voxel },
         });
         return Ok(format!("{facts:#}\n"));
@@ -92,11 +108,21 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     )?;
     writeln!(
         text,
-        "The file has {} ({bytes_per_voxel:.2} a voxel): pages {}, directory {}. In memory it takes {} ({memory_per_voxel:.2} bytes a voxel).",
+        "The file has {} ({bytes_per_voxel:.2} a voxel): pages {}, directory {}, overview levels {}. In memory it takes {} \
+         ({memory_per_voxel:.2} bytes a voxel).",
         counted(header.file_len, "byte"),
         grouped(header.bytes.pages),
         grouped(header.bytes.head + header.bytes.directory),
+        grouped(header.bytes.levels),
         memory_size(stats.memory_bytes)
     )?;
+    if !levels.is_empty() {
+        writeln!(text, "\n{:10} {:>12} {:>12} {:>12}", "level", "pixel (m)", "pages", "bytes")?;
+    }
+    for level in levels {
+        let (pages, bytes) = (level.catalog().header().pages.total(), level.bytes());
+        let pixel_m = format!("{:.4}", level.frame().pixel_m());
+        writeln!(text, "{:<10} {pixel_m:>12} {pages:>12} {:>12}", level.number(), bytes.end - bytes.start)?;
+    }
     Ok(text)
 }

@@ -82,6 +82,10 @@ fn info_verify_and_stats_say_the_same_as_json_and_as_text() {
     let stats = json(&done(at, &["stats", "a.slices", "--json"]));
     assert_eq!(stats["voxels"]["occupied"], info["voxels"]["occupied"]);
     assert_eq!(stats["bytes"]["file"], info["bytes"]["file"]);
+    assert_eq!(stats["bytes"]["levels"], info["bytes"]["levels"]);
+    let (levels, pages) = (stats["levels"].as_array().unwrap(), |level: &serde_json::Value| level["pages"].as_u64());
+    assert!(levels.windows(2).all(|pair| pages(&pair[0]) >= pages(&pair[1])), "{levels:?}");
+    assert!(levels.first().is_none_or(|first| first["pixel_size"] == 0.4), "{levels:?}");
     assert!(done(at, &["stats", "a.slices"]).contains("voxels"));
 }
 
@@ -284,6 +288,20 @@ fn show_draws_the_thesis_colours_and_counts_slices_from_the_lowest() {
 }
 
 #[test]
+fn show_draws_an_overview_level() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    archive(at, "a.slices", &points(), 0.02);
+    let level = |number| ["show", "a.slices", "--z", "0.35", "--level", number, "-o", "level.png"];
+    let said = done(at, &level("1"));
+    assert_eq!(said, "level.png: slice 0 of 9, z from 0.24 to 0.48 m, 50 × 50 pixels of 0.08 m\n");
+    let (_, pixels) = picture(&at.join("level.png"));
+    assert_eq!(pixels[25 * 50 + 10][1..], [255, 26], "the floor");
+    assert!(pixels.iter().any(|pixel| pixel[2] == 255), "the wall");
+    assert!(refuses(at, &level("9")).contains("the archive has levels 1 to "));
+}
+
+#[test]
 fn diff_tells_same_from_different_and_refuses_other_grids() {
     let folder = folder();
     let at = folder.path();
@@ -453,7 +471,7 @@ fn recover_writes_what_is_left_and_says_what_is_not() {
     assert!(fs::read(at.join("r.slices")).unwrap() == whole);
     assert!(refuses(at, &["recover", "cut.slices", "-o", "r.slices"]).contains("--force"));
     let header = slicewalk::archive::Archive::open(at.join("whole.slices")).unwrap().header().clone();
-    cut(header.directory_offset() as usize - 1);
+    cut(header.levels_offset() as usize - 1);
     let facts = json(&done(at, &["recover", "cut.slices", "-o", "r.slices", "--force", "--json"]));
     assert!(facts["complete"] == false && facts["head"] == true, "{facts}");
     assert_eq!(facts["pages"]["lost"]["stored"], 1, "{facts}");

@@ -1,0 +1,214 @@
+//! Checking the levels of an archive against its pages: they are made once more and compared, page by page.
+//!
+//! Memory: that of a [`LevelBuilder`], and one directory leaf and one page of each level.
+
+use super::super::catalog::Catalog;
+use super::super::directory::{LeafEntries, PageEntry, Storage};
+use super::super::page::{LEVEL_MAGIC, PageDecoder, PageEncoder};
+use super::super::reader::Archive;
+use super::build::LevelBuilder;
+use super::coarse::CoarseSpan;
+use crate::bytes::ByteSource;
+use crate::codec::Violation;
+use crate::disk::Files;
+use crate::frame::PageKey;
+use crate::slice::Page;
+use crate::{Error, Result};
+
+/// Compares the levels of an archive with those that its pages make.
+pub struct LevelCheck<'a> {
+    builder: LevelBuilder,
+    /// Whether all pages so far were sound: else nothing can be said of what levels should hold.
+    comparing: bool,
+    levels: Vec<Checked<'a>>,
+    scratch: Scratch,
+    /// What is wrong, until it is taken.
+    pub found: Vec<Error>,
+}
+
+struct Scratch {
+    decoder: PageDecoder,
+    encoder: PageEncoder,
+    bytes: Vec<u8>,
+}
+
+/// A level and how far it was read.
+struct Checked<'a> {
+    number: u32,
+    source: &'a dyn ByteSource,
+    catalog: &'a Catalog,
+    leaf: usize,
+    entries: Option<LeafEntries>,
+    /// Where the next stored page begins.
+    next: u64,
+    /// Whether something of it is wrong: one finding is enough.
+    broken: bool,
+}
+
+impl<'a> LevelCheck<'a> {
+    /// Of the levels of `archive`. Fails if their table is damaged.
+    pub fn new(archive: &'a Archive) -> Result<Self> {
+        let levels = archive.levels()?.iter().map(|level| Checked {
+            number: level.number(),
+            source: archive.source(),
+            catalog: level.catalog(),
+            leaf: 0,
+            entries: None,
+            next: level.bytes().start,
+            broken: false,
+        });
+        let scratch = Scratch { decoder: PageDecoder::new(), encoder: PageEncoder::of_levels(), bytes: Vec::new() };
+        Ok(Self {
+            builder: LevelBuilder::new(archive.frame(), &Files::current(), None),
+            comparing: true,
+            levels: levels.collect(),
+            scratch,
+            found: Vec::new(),
+        })
+    }
+
+    /// Compares no further: a page of the archive is not sound.
+    pub fn give_up(&mut self) {
+        self.comparing = false;
+    }
+
+    /// Takes the page `key` of the archive by its coarse spans. Keys ascend.
+    pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan]) {
+        let Self { builder, comparing, levels, scratch, found } = self;
+        if *comparing
+            && let Err(error) =
+                builder.add(key, spans, &mut |at, key, page| compare(levels, scratch, found, at, key, page))
+        {
+            found.push(error);
+            *comparing = false;
+        }
+    }
+
+    /// Takes the end of the pages.
+    pub fn finish(&mut self) {
+        let Self { builder, comparing, levels, scratch, found } = self;
+        if *comparing {
+            match builder.finish(&mut |at, key, page| compare(levels, scratch, found, at, key, page)) {
+                Ok(count) if count < levels.len() => {
+                    let wrong = Violation::new("L5", format!("{count} levels"), levels.len());
+                    found.push(levels[count].error(wrong));
+                    levels[count..].iter_mut().for_each(|level| level.broken = true);
+                }
+                Ok(_) => {}
+                Err(error) => found.push(error),
+            }
+        }
+        for level in levels.iter_mut().filter(|level| !level.broken) {
+            let ended = level.rest(*comparing, scratch);
+            found.extend(ended.err());
+        }
+    }
+}
+
+fn compare(
+    levels: &mut [Checked<'_>],
+    scratch: &mut Scratch,
+    found: &mut Vec<Error>,
+    at: usize,
+    key: PageKey,
+    page: &Page,
+) -> Result<()> {
+    match levels.get_mut(at) {
+        Some(level) if level.broken => {}
+        Some(level) => {
+            if let Err(error) = level.compare(key, page, scratch) {
+                level.broken = true;
+                found.push(error);
+            }
+        }
+        None if found.is_empty() => {
+            let at = levels.last().map_or(0, |level| level.catalog.header().metadata_offset());
+            let wrong = Violation::new("L5", format!("more than {} levels", levels.len()), levels.len());
+            found.push(wrong.at("levels", at));
+        }
+        None => {}
+    }
+    Ok(())
+}
+
+impl Checked<'_> {
+    fn error(&self, violation: Violation) -> Error {
+        violation.at(format!("level {}", self.number), self.catalog.header().pages_offset())
+    }
+
+    fn next_entry(&mut self) -> Result<Option<PageEntry>> {
+        loop {
+            if let Some(entries) = &mut self.entries {
+                if let Some(entry) = entries.next() {
+                    return entry.map(Some);
+                }
+                self.entries = None;
+            }
+            if self.leaf == self.catalog.leaf_count() {
+                return Ok(None);
+            }
+            let range = self.catalog.leaf_range(self.leaf);
+            let mut stored = vec![0; (range.end - range.start) as usize];
+            self.source.read_at(range.start, &mut stored)?;
+            self.entries = Some(self.catalog.open_leaf(self.leaf, &stored)?);
+            self.leaf += 1;
+        }
+    }
+
+    /// The next page of the level is `key` and holds what `page` does.
+    fn compare(&mut self, key: PageKey, page: &Page, scratch: &mut Scratch) -> Result<()> {
+        let entry = self.next_entry()?;
+        let Some(entry) = entry.filter(|entry| entry.key == key) else {
+            let found = entry.map_or("none".into(), |entry| format!("page {}", entry.key));
+            return Err(self.error(Violation::new("L5", format!("page {key}, with matter below"), found)));
+        };
+        if self.page(&entry, scratch)? != *page {
+            let wrong = Violation::new("L5", "what the pages below make", "something else");
+            let at = entry.extent().map_or(0, |extent| extent.offset);
+            return Err(wrong.at(format!("page {key} of level {}", self.number), at));
+        }
+        Ok(())
+    }
+
+    /// A sound page in the place and the one encoding that it must have.
+    fn page(&mut self, entry: &PageEntry, Scratch { decoder, encoder, bytes }: &mut Scratch) -> Result<Page> {
+        bytes.clear();
+        let name = format!("page {} of level {}", entry.key, self.number);
+        if let Storage::Stored(extent) = entry.storage {
+            let expected = std::mem::replace(&mut self.next, extent.offset + u64::from(extent.len));
+            if extent.offset != expected {
+                let wrong = Violation::new("D9", format!("the page at byte {expected}"), extent.offset);
+                return Err(wrong.at(name, extent.offset));
+            }
+            bytes.resize(extent.len as usize, 0);
+            self.source.read_at(extent.offset, bytes)?;
+        } else if let Storage::Shared(extent) = entry.storage {
+            return Err(Violation::new("D10", "no shared page in a level", "one").at(name, extent.offset));
+        }
+        let page = decoder.decode(entry, bytes)?;
+        let one = bytes.is_empty() || encoder.gives(&page, bytes);
+        match bytes.get(..4) {
+            Some(magic) if magic != LEVEL_MAGIC => {
+                Err(Violation::new("P1", "the magic of a page of a level", "another").at(name, self.next))
+            }
+            _ if !one => Err(Violation::new("P10", "the one encoding of its content", "another").at(name, self.next)),
+            _ => Ok(page),
+        }
+    }
+
+    /// Goes through the entries that are left, of which there is none if all were `compared`, and to the end of the pages.
+    fn rest(&mut self, compared: bool, scratch: &mut Scratch) -> Result<()> {
+        while let Some(entry) = self.next_entry()? {
+            if compared {
+                let found = format!("page {}", entry.key);
+                return Err(self.error(Violation::new("L5", "no more pages: none has matter below", found)));
+            }
+            self.page(&entry, scratch)?;
+        }
+        let end = self.catalog.header().levels_offset();
+        match self.next == end {
+            true => Ok(()),
+            false => Err(self.error(Violation::new("D9", format!("pages up to byte {end}"), self.next))),
+        }
+    }
+}

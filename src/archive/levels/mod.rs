@@ -1,0 +1,202 @@
+//! Overview levels: the whole archive coarser and coarser, for a first look, for distant views and for long rays.
+//!
+//! Level 1 has pixels of 4t and slices of 4σ, each further level four times those of the one before it, up to one page (or
+//! the eight pages around the origin). Pages, directory leaves and queries of a level are those of an archive on a coarser
+//! grid: [`Archive::level`](super::Archive::level) opens one as an archive of its own, which a [`Store`](crate::store::Store),
+//! a [`Stream`](crate::store::Stream) or a [`Loader`](crate::store::Loader) loads and every query answers. A level errs towards
+//! "hit": what is clear in it is clear in the archive. Its pages hold all matter of the pages below, its heights are moved
+//! outwards to thirds of its slices, and a floor that shares a slice with an obstacle is part of it.
+//!
+//! ```no_run
+//! use slicewalk::archive::Archive;
+//!
+//! let archive = Archive::open("city.slices")?;
+//! for level in archive.levels()? {
+//!     let (pages, bytes) = (level.catalog().header().pages.total(), level.bytes());
+//!     println!("level {}: {} m pixels, {pages} pages in bytes {bytes:?}", level.number(), level.frame().pixel_m());
+//! }
+//! // The coarsest one, all of it in memory.
+//! if let Some(last) = archive.levels()?.last() {
+//!     let outline = archive.level(last.number())?;
+//!     let store = slicewalk::store::Store::resident(&outline, &slicewalk::NoMonitor)?;
+//! }
+//! # Ok::<(), slicewalk::Error>(())
+//! ```
+//!
+//! Without files, a program fetches ranges itself: first the table of levels, then all of one level, or, by a
+//! [`Loader`](crate::store::Loader) on `level.catalog().clone()`, those pages of one that are near. The coarsest level lies
+//! last, before the table, so one read of the end of [`Catalog::levels_section`](super::Catalog::levels_section) brings both.
+//!
+//! ```
+//! use slicewalk::archive::{Archive, Catalog};
+//! use slicewalk::store::Store;
+//!
+//! /// The finest level of at most `most_bytes`, in memory.
+//! fn outline(
+//!     catalog: &Catalog,
+//!     most_bytes: u64,
+//!     fetch: impl Fn(std::ops::Range<u64>) -> Vec<u8>,
+//! ) -> slicewalk::Result<Option<Store>> {
+//!     let Some(table) = catalog.levels_range() else { return Ok(None) };
+//!     let levels = catalog.decode_levels(&fetch(table))?;
+//!     let fits = |range: std::ops::Range<u64>| range.end - range.start <= most_bytes;
+//!     let Some(level) = levels.iter().find(|level| fits(level.bytes())) else { return Ok(None) };
+//!     let archive = Archive::of_level(level, fetch(level.bytes()))?;
+//!     Store::resident(&archive, &slicewalk::NoMonitor).map(Some)
+//! }
+//! ```
+//!
+//! Levels follow from the pages alone, so whatever writes an archive makes them anew in the pass in which it writes: a
+//! conversion, a merge of parts, an extract, a recovery. `verify` makes them once more and compares.
+
+mod build;
+mod check;
+mod coarse;
+mod writer;
+
+pub(super) use build::MAX_LEVELS;
+pub(super) use check::LevelCheck;
+pub(super) use coarse::{CoarseSpan, coarse};
+pub(super) use writer::LevelWriter;
+
+use super::catalog::Catalog;
+use super::head::{self, Header, Leaf, MAX_LEAF_ENTRIES, MAX_LEAVES, Pages, Sections};
+use crate::codec::{ByteReader, Packer, Unpacker, Violation};
+use crate::frame::Frame;
+use std::ops::Range;
+
+/// Where the levels of an archive are told of.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Levels {
+    /// Number of levels; 0 where the pages are too few for any.
+    pub count: u32,
+    /// Length of the table of levels (bytes).
+    pub table_len: u32,
+    /// CRC32C of the table of levels.
+    pub table_crc: u32,
+}
+
+/// One overview level.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Level {
+    number: u32,
+    catalog: Catalog,
+}
+
+impl Level {
+    /// Which level: pixels and slices are 4 to this power times those of the archive.
+    pub fn number(&self) -> u32 {
+        self.number
+    }
+
+    /// The level's grid.
+    pub fn frame(&self) -> &Frame {
+        &self.catalog.header().plan.frame
+    }
+
+    /// Directory of the level's pages. Its header has the level's grid, pages and slices; bounds and points are those of
+    /// the archive, tiles and voxels are not counted.
+    pub fn catalog(&self) -> &Catalog {
+        &self.catalog
+    }
+
+    /// Where in the archive pages and directory of the level lie (bytes).
+    pub fn bytes(&self) -> Range<u64> {
+        let header = self.catalog.header();
+        header.pages_offset()..header.metadata_offset()
+    }
+}
+
+/// Greatest length of a table before compression (bytes).
+const MAX_TABLE: usize = MAX_LEVELS * (FIXED + MAX_LEAVES * head::ROOT_RECORD);
+/// Greatest length of a table in the file (bytes).
+pub(super) const MAX_STORED_TABLE: u32 = MAX_TABLE as u32 + (1 << 16);
+/// Bytes of a level's record before those of its leaves.
+const FIXED: usize = 40;
+
+/// A level as the table tells of it.
+pub(super) struct LevelRecord {
+    pub pages_len: u64,
+    pub pages: Pages,
+    pub leaf_entries: u32,
+    pub leaves: Vec<Leaf>,
+}
+
+impl LevelRecord {
+    fn directory_len(&self) -> u64 {
+        self.leaves.iter().map(|leaf| u64::from(leaf.stored_len)).sum()
+    }
+}
+
+/// The table of levels, as it lies in the file.
+pub(super) fn encode_table(levels: &[LevelRecord]) -> Vec<u8> {
+    let mut raw = Vec::new();
+    for level in levels {
+        for value in [level.pages_len, level.directory_len(), level.pages.stored, level.pages.uniform] {
+            raw.extend(value.to_le_bytes());
+        }
+        raw.extend(level.leaf_entries.to_le_bytes());
+        raw.extend((level.leaves.len() as u32).to_le_bytes());
+        level.leaves.iter().for_each(|leaf| leaf.encode(&mut raw));
+    }
+    let mut table = Vec::new();
+    Packer::new().pack(&raw, &mut table);
+    table
+}
+
+/// The levels of the archive with this head, from the bytes of its table.
+pub(super) fn decode_table(header: &Header, table: &[u8]) -> Result<Vec<Level>, Violation> {
+    let Some(levels) = header.levels.filter(|levels| levels.count > 0) else { return Ok(Vec::new()) };
+    let crc = crc32c::crc32c(table);
+    if crc != levels.table_crc {
+        return Err(Violation::new("L2", format!("checksum {:08x}", levels.table_crc), format!("{crc:08x}")));
+    }
+    let mut unpacker = Unpacker::new();
+    let mut reader = ByteReader::new(unpacker.unpack(table, MAX_TABLE, "L3")?, "L3");
+    let mut found = Vec::new();
+    let (mut at, mut below) = (header.levels_offset(), header.pages.total());
+    for number in 1..=levels.count {
+        let frame = header.plan.frame.coarser(number);
+        let frame =
+            frame.ok_or_else(|| Violation::new("L4", "cells of at most 1000000 m", format!("level {number}")))?;
+        let [pages_len, directory_len, stored, uniform] = [reader.u64()?, reader.u64()?, reader.u64()?, reader.u64()?];
+        let [leaf_entries, leaf_count] = [reader.u32()?, reader.u32()?];
+        let pages = Pages { stored, shared: 0, uniform };
+        if !(1..=below).contains(&pages.total()) || stored > below || uniform > below {
+            return Err(Violation::new("L4", format!("1 to {below} pages in level {number}"), format!("{pages:?}")));
+        }
+        if leaf_count as usize > MAX_LEAVES || leaf_entries > MAX_LEAF_ENTRIES {
+            return Err(Violation::new("R1", "at most 512 leaves of 2^20 entries", leaf_count));
+        }
+        let end = pages_len.checked_add(directory_len).and_then(|len| at.checked_add(len));
+        let end = end.filter(|&end| end <= header.directory_offset());
+        let end = end.ok_or_else(|| Violation::new("L4", "levels inside their section", format!("level {number}")))?;
+        let mut plan = header.plan.clone();
+        plan.frame = frame;
+        let own = Header {
+            level: number,
+            levels: None,
+            plan,
+            pages,
+            leaf_entries,
+            slices: header.slices.map(|(first, last)| (first >> (2 * number), last >> (2 * number))),
+            tiles: Default::default(),
+            voxels: Default::default(),
+            bytes: Sections { head: at, pages: pages_len, levels: 0, directory: directory_len, metadata: 0 },
+            metadata_crc: crc32c::crc32c(&[]),
+            ..header.clone()
+        };
+        let records = reader.take(leaf_count as usize * head::ROOT_RECORD)?;
+        let leaves = head::decode_root(records, leaf_count as usize, &own)?;
+        found.push(Level { number, catalog: Catalog::new(own, leaves) });
+        (at, below) = (end, pages.total());
+    }
+    if !reader.is_empty() {
+        return Err(Violation::new("L3", "no byte beyond the last level", format!("{} more", reader.len())));
+    }
+    let table_at = header.directory_offset() - u64::from(levels.table_len);
+    if at != table_at {
+        return Err(Violation::new("L4", format!("levels up to byte {table_at}"), at));
+    }
+    Ok(found)
+}

@@ -1,0 +1,162 @@
+//! Levels of an archive that is being written: their pages wait until those of the archive are complete.
+//!
+//! Memory: 256 KiB of pages and 1.5 MiB of entries a level; the rest waits in temporary files beside the archive.
+
+use super::super::directory::{Extent, PageEntry, Storage};
+use super::super::head::{Pages, leaf_entries};
+use super::super::page::PageEncoder;
+use super::super::spill::{Entries, write_leaves};
+use super::build::LevelBuilder;
+use super::coarse::CoarseSpan;
+use super::{LevelRecord, Levels, encode_table};
+use crate::Result;
+use crate::disk::{Files, Temporary};
+use crate::frame::{Frame, PageKey};
+use crate::slice::Page;
+use std::path::{Path, PathBuf};
+
+/// Bytes of a level's pages in memory.
+const KEPT: usize = 1 << 18;
+
+/// Makes and holds the levels of an archive.
+#[derive(Debug)]
+pub struct LevelWriter {
+    builder: LevelBuilder,
+    made: Made,
+}
+
+/// What was made so far.
+#[derive(Debug)]
+struct Made {
+    encoder: PageEncoder,
+    levels: Vec<LevelPages>,
+    files: Files,
+    beside: PathBuf,
+}
+
+/// The pages of one level.
+#[derive(Debug)]
+struct LevelPages {
+    bytes: Spool,
+    entries: Entries,
+    pages: Pages,
+}
+
+impl LevelWriter {
+    /// Of an archive on the grid `frame`; temporary files lie beside `target`.
+    pub fn new(frame: &Frame, files: &Files, target: &Path) -> Self {
+        let made = Made {
+            encoder: PageEncoder::of_levels(),
+            levels: Vec::new(),
+            files: files.clone(),
+            beside: target.to_path_buf(),
+        };
+        Self { builder: LevelBuilder::new(frame, files, Some(target)), made }
+    }
+
+    /// Adds the page `key` of the archive by its coarse spans. Keys ascend.
+    pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan]) -> Result<()> {
+        let Self { builder, made } = self;
+        builder.add(key, spans, &mut |level, key, page| made.put(level, key, page))
+    }
+
+    /// Gives all bytes of the levels section, in order; what the head says of it, and its length (bytes).
+    pub fn finish(mut self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<(Levels, u64)> {
+        let Self { builder, made } = &mut self;
+        let count = builder.finish(&mut |level, key, page| made.put(level, key, page))?;
+        debug_assert_eq!(count, made.levels.len());
+        let (mut records, mut len) = (Vec::new(), 0);
+        for level in &made.levels {
+            let pages_len = level.bytes.len();
+            level.bytes.read(give)?;
+            let leaf_entries = leaf_entries(level.entries.len());
+            let leaves = write_leaves(&level.entries, leaf_entries, give)?;
+            let record = LevelRecord { pages_len, pages: level.pages, leaf_entries, leaves };
+            len += pages_len + record.directory_len();
+            records.push(record);
+        }
+        if count == 0 {
+            return Ok((Levels::default(), 0));
+        }
+        let table = encode_table(&records);
+        give(&table)?;
+        let table_len = table.len() as u32;
+        Ok((Levels { count: count as u32, table_len, table_crc: crc32c::crc32c(&table) }, len + u64::from(table_len)))
+    }
+}
+
+impl Made {
+    fn put(&mut self, level: usize, key: PageKey, page: &Page) -> Result<()> {
+        let Self { encoder, levels, files, beside } = self;
+        while levels.len() <= level {
+            levels.push(LevelPages {
+                bytes: Spool::new(files, beside),
+                entries: Entries::new(files, beside),
+                pages: Pages::default(),
+            });
+        }
+        let LevelPages { bytes, entries, pages } = &mut levels[level];
+        let encoded = encoder.encode(key, page);
+        let storage = match encoded.uniform {
+            Some(span) => {
+                pages.uniform += 1;
+                Storage::Uniform(span)
+            }
+            None => {
+                pages.stored += 1;
+                let (offset, len) = (bytes.len(), encoded.bytes.len() as u32);
+                bytes.push(&encoded.bytes)?;
+                Storage::Stored(Extent { offset, len, crc: encoded.crc() })
+            }
+        };
+        entries.push(PageEntry { key, slices: encoded.slices, size: encoded.size, storage })
+    }
+}
+
+/// Bytes that are read back once, in order.
+#[derive(Debug)]
+struct Spool {
+    kept: Vec<u8>,
+    files: Files,
+    file: Option<Temporary>,
+    written: u64,
+    beside: PathBuf,
+}
+
+impl Spool {
+    /// Empty; a temporary file, once needed, lies beside `target`.
+    pub fn new(files: &Files, target: &Path) -> Self {
+        Self { kept: Vec::new(), files: files.clone(), file: None, written: 0, beside: target.to_path_buf() }
+    }
+
+    pub fn len(&self) -> u64 {
+        self.written + self.kept.len() as u64
+    }
+
+    pub fn push(&mut self, bytes: &[u8]) -> Result<()> {
+        if self.kept.len() + bytes.len() > KEPT && !self.kept.is_empty() {
+            let file = match &mut self.file {
+                Some(file) => file,
+                none => none.insert(Temporary::beside(&self.files, &self.beside)?),
+            };
+            file.write_at(self.written, &self.kept)?;
+            self.written += self.kept.len() as u64;
+            self.kept.clear();
+        }
+        self.kept.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// Gives all bytes in order, in pieces.
+    pub fn read(&self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        let mut piece = vec![0; KEPT.min(self.written as usize)];
+        let mut at = 0;
+        while let Some(file) = self.file.as_ref().filter(|_| at < self.written) {
+            let len = (self.written - at).min(KEPT as u64) as usize;
+            file.read_at(at, &mut piece[..len])?;
+            give(&piece[..len])?;
+            at += len as u64;
+        }
+        give(&self.kept)
+    }
+}

@@ -1,0 +1,270 @@
+//! Overview levels: they hold all matter of the archive, come out the same whatever way the archive was made, and a change of
+//! them is found.
+
+mod common;
+
+use common::forge::{Parts, put, word};
+use common::{Pages, Random, archive_of, archive_with_levels, key, page, plan};
+use slicewalk::NoMonitor;
+use slicewalk::archive::{
+    Archive, ArchiveWriter, Opened, Opening, PageEncoder, Shard, Totals, extract, merge, recover,
+};
+use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::slice::Span;
+use slicewalk::store::{Loader, LoaderOptions, Next, Prefetch, Store, Stream, StreamOptions, Time};
+use std::fs;
+
+/// Floors and walls in pages near and far; most are alike.
+fn city() -> Pages {
+    let mut random = Random(11);
+    let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
+    let mut content = |seed: u32| {
+        page((0..900).map(|at| {
+            let bottom = 500 + seed * 900 + at % 30 * 40 + random.below(30);
+            let mut spans = vec![span(bottom, bottom + 3 + random.below(90), at % 7 == 0)];
+            if at % 5 == 0 {
+                spans.push(span(6000 + at, 16320, true));
+            }
+            ((at % 30 * 2, at / 30 + 20), spans)
+        }))
+    };
+    let contents = [content(0), content(1), content(2)];
+    let flat = page((0..4096).map(|at| ((at % 64, at / 64), vec![span(255, 255, false)])));
+    let mut pages = Pages::new();
+    for number in 0..60i32 {
+        let at = key(number * 7 % 23 - 9, number * 5 % 19 - 7, number % 3 - 1);
+        pages.insert(at, contents[number as usize % 3].clone());
+    }
+    pages.insert(key(40, 41, 0), flat.clone());
+    pages.insert(key(41, 41, 0), flat);
+    pages
+}
+
+fn totals() -> Totals {
+    Totals { points_read: 10, points_kept: 9, crs: "here".into(), ..Totals::default() }
+}
+
+fn with_levels(pages: Pages) -> Vec<u8> {
+    archive_with_levels(&plan(), &(pages, totals()), None)
+}
+
+fn rules(bytes: Vec<u8>) -> Vec<&'static str> {
+    let mut rules = Vec::new();
+    Archive::from_bytes(bytes).unwrap().verify(&NoMonitor, &mut |finding| rules.push(finding.rule)).unwrap();
+    rules
+}
+
+#[test]
+fn levels_go_up_to_one_page_or_the_eight_around_the_origin() {
+    let content = || city().into_values().next().unwrap();
+    for (keys, pages) in [
+        (vec![], vec![]),
+        (vec![key(5, 5, 5)], vec![]),
+        (vec![key(-1, -1, -1), key(0, 0, 0)], vec![]),
+        (vec![key(0, 0, 0), key(1, 0, 0)], vec![1]),
+        (vec![key(0, 0, 0), key(20, 0, 0)], vec![2, 2, 1]),
+        (vec![key(-1, 0, 0), key(0, 0, 0), key(0, 0, 2)], vec![2]),
+        (vec![key(-1 << 30, 0, 0), key((1 << 30) - 1, 0, 0)], vec![2; 10]),
+    ] {
+        let bytes = with_levels(keys.into_iter().map(|key| (key, content())).collect());
+        assert_eq!(rules(bytes.clone()), [""; 0]);
+        let archive = Archive::from_bytes(bytes).unwrap();
+        let found: Vec<_> =
+            archive.levels().unwrap().iter().map(|level| level.catalog().header().pages.total()).collect();
+        assert_eq!(found, pages);
+        assert_eq!(archive.header().levels.unwrap().count as usize, pages.len());
+    }
+}
+
+#[test]
+fn a_box_that_hits_in_the_archive_hits_in_every_level() {
+    let archive = Archive::from_bytes(with_levels(city())).unwrap();
+    let store = Store::resident(&archive, &NoMonitor).unwrap();
+    let numbers: Vec<_> = archive.levels().unwrap().iter().map(|level| level.number()).collect();
+    assert_eq!(numbers, [1, 2, 3]);
+    let levels: Vec<_> = numbers.iter().map(|&number| archive.level(number).unwrap()).collect();
+    let stores: Vec<_> = levels.iter().map(|level| Store::resident(level, &NoMonitor).unwrap()).collect();
+    let (mut random, mut hits, mut clear) = (Random(5), 0, 0);
+    let mut between = |low: f64, high: f64| low + (high - low) * f64::from(random.below(1 << 20)) / f64::from(1 << 20);
+    let keys: Vec<_> = archive.entries().map(|entry| entry.unwrap().key).collect();
+    for number in 0..20_000 {
+        // In a page with matter: 64 pixels of 0.1 m, 64 slices of 0.3 m.
+        let key = keys[number % keys.len()];
+        let edges = [(key.tx, 6.4), (key.ty, 6.4), (key.layer, 19.2)];
+        let corner: [f64; 3] = edges.map(|(index, edge)| f64::from(index) * edge + between(0.0, edge));
+        let size: [f64; 3] = std::array::from_fn(|_| between(0.01, 0.6));
+        let shape = Aabb::new(corner.into(), std::array::from_fn::<f64, 3, _>(|axis| corner[axis] + size[axis]).into());
+        let shape = shape.unwrap();
+        if overlaps(&store, &shape) == Overlap::Hit {
+            hits += 1;
+            assert!(stores.iter().all(|level| overlaps(level, &shape) == Overlap::Hit), "{shape:?}");
+        } else {
+            clear += u32::from(overlaps(&stores[0], &shape) == Overlap::Clear);
+        }
+    }
+    assert!(hits > 200 && clear > 2000, "{hits} hits, {clear} clear in level 1 too");
+}
+
+#[test]
+fn a_level_streams_like_an_archive() {
+    let archive = Archive::from_bytes(with_levels(city())).unwrap();
+    let outline = archive.level(2).unwrap();
+    let keys: Vec<_> = outline.entries().map(|entry| entry.unwrap().key).collect();
+    assert_eq!(keys.len() as u64, outline.header().pages.total());
+    let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(4 << 20) };
+    let stream = Stream::open(outline, options).unwrap();
+    let report = stream.load(&keys, keys[0]).unwrap();
+    assert_eq!((report.loaded, report.left_out), (keys.len(), 0));
+    assert!(archive.level(0).is_err() && archive.level(4).unwrap_err().to_string().contains("levels 1 to 3"));
+}
+
+/// All pages of an archive.
+fn pages_of(archive: &Archive) -> Pages {
+    let entries = archive.entries().map(Result::unwrap);
+    entries.map(|entry| (entry.key, archive.page(&entry).unwrap())).collect()
+}
+
+#[test]
+fn a_level_opens_from_the_end_of_the_section_or_by_ranges_without_a_file() {
+    let bytes = with_levels(city());
+    let archive = Archive::from_bytes(bytes.clone()).unwrap();
+    let fetch = |range: std::ops::Range<u64>| bytes[range.start as usize..range.end as usize].to_vec();
+    // Head and footer, table, level: no other byte is looked at.
+    let mut opening = Opening::new(Some(bytes.len() as u64));
+    let catalog = loop {
+        match opening.next().unwrap() {
+            Opened::Wants(ranges) => ranges.into_iter().for_each(|range| opening.give(range.start, &fetch(range.clone()))),
+            Opened::Ready(catalog) => break catalog,
+        }
+    };
+    let (section, table) = (catalog.levels_section().unwrap(), catalog.levels_range().unwrap());
+    let levels = catalog.decode_levels(&fetch(table.clone())).unwrap();
+    assert_eq!(levels, archive.levels().unwrap());
+    assert_eq!((levels[0].bytes().start, levels.last().unwrap().bytes().end, table.end), (section.start, table.start, section.end));
+    assert!(catalog.decode_levels(&fetch(table.start..table.end - 1)).is_err());
+    for level in &levels {
+        let range = level.bytes();
+        let alone = Archive::of_level(level, fetch(range.clone())).unwrap();
+        assert_eq!(pages_of(&alone), pages_of(&archive.level(level.number()).unwrap()));
+        assert!(alone.levels().unwrap().is_empty() && alone.crs().unwrap().is_empty());
+        assert!(Archive::of_level(level, fetch(range.start..range.end - 1)).is_err());
+        assert!(alone.source().read_at(range.start - 1, &mut [0]).is_err());
+        // As a page in the browser loads it.
+        let mut loader = Loader::new(level.catalog().clone(), LoaderOptions::new(16 << 20)).unwrap();
+        let keys: Vec<_> = pages_of(&alone).into_keys().collect();
+        let request = loader.request(&keys, keys[0]);
+        while let Next::Fetch(asked) = loader.poll(Time::ZERO).unwrap() {
+            assert!(range.start <= asked.range.start && asked.range.end <= range.end, "{:?}", asked.range);
+            let job = loader.given(asked.id, fetch(asked.range), Time::ZERO);
+            job.map(|job| loader.loaded(job.run(), Time::ZERO));
+        }
+        assert_eq!(loader.outcome(request).unwrap().unwrap().loaded, keys.len());
+    }
+    let without = Archive::from_bytes(archive_of(&plan(), &(city(), totals()), None)).unwrap();
+    assert_eq!((without.catalog().levels_section(), without.catalog().levels_range()), (None, None));
+    assert!(without.catalog().decode_levels(&[]).unwrap().is_empty());
+}
+
+#[test]
+fn pages_that_were_not_prepared_for_levels_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = ArchiveWriter::create(&folder.path().join("a.slices"), &plan(), false).unwrap();
+    writer.set_levels();
+    let (key, page) = city().pop_first().unwrap();
+    let encoded = PageEncoder::new(plan().frame).for_levels(false).encode(key, &page);
+    assert!(writer.put(key, encoded).unwrap_err().to_string().contains("without overview levels"));
+}
+
+#[test]
+fn parts_extracts_and_recovered_archives_have_the_levels_of_a_single_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let single = with_levels(city());
+    // Cut within a column of level 1.
+    let middle = key(1, 0, 0).column();
+    let parts: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
+        .map(|(index, first, last)| {
+            let shard = Shard { index, count: 2, first, last, job: 7 };
+            let own = city().into_iter().filter(|(key, _)| shard.columns().contains(&key.column())).collect();
+            let totals = if index == 1 { totals() } else { Totals { crs: "here".into(), ..Totals::default() } };
+            let target = path(&format!("{index}.slices"));
+            fs::write(&target, archive_with_levels(&plan(), &(own, totals), Some(shard))).unwrap();
+            target
+        })
+        .into();
+    merge(&parts, &path("whole.slices"), false, &NoMonitor).unwrap();
+    assert!(fs::read(path("whole.slices")).unwrap() == single);
+    let without = Shard { index: 2, count: 2, first: middle, last: u64::MAX, job: 7 };
+    fs::write(
+        &parts[1],
+        archive_of(&plan(), &(Pages::new(), Totals { crs: "here".into(), ..Totals::default() }), Some(without)),
+    )
+    .unwrap();
+    let refused = merge(&parts, &path("no.slices"), false, &NoMonitor).unwrap_err().to_string();
+    assert!(refused.contains("2.slices") && refused.contains("--levels"), "{refused}");
+
+    let archive = Archive::from_bytes(single.clone()).unwrap();
+    let everything = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+    let extracted = extract(&archive, &everything, &path("all.slices"), false, &NoMonitor).unwrap();
+    assert!(extracted.dropped.is_empty(), "{:?}", extracted.dropped);
+    assert!(fs::read(path("all.slices")).unwrap() == single);
+    let room = extract(&archive, &([0.0; 3], [20.0, 20.0, 9.0]), &path("room.slices"), false, &NoMonitor).unwrap();
+    assert!(room.header.levels.is_some() && rules(fs::read(path("room.slices")).unwrap()).is_empty());
+
+    // A damaged level is made anew from the pages; a page of a level never passes for one of the archive.
+    let level = archive.levels().unwrap()[0].bytes();
+    let mut damaged = single.clone();
+    damaged[level.start as usize + 40] ^= 1;
+    assert_eq!(rules(damaged.clone()), ["P2"]);
+    fs::write(path("damaged.slices"), &damaged).unwrap();
+    let recovered = recover(&path("damaged.slices"), None, &path("saved.slices"), false, &NoMonitor).unwrap();
+    assert!(recovered.is_complete() && fs::read(path("saved.slices")).unwrap() == single);
+    damaged[20] ^= 1;
+    fs::write(path("headless.slices"), &damaged).unwrap();
+    recover(&path("headless.slices"), Some(&plan()), &path("pages.slices"), false, &NoMonitor).unwrap();
+    let pages = Archive::open(path("pages.slices")).unwrap();
+    assert_eq!(pages.header().pages.stored, archive.header().pages.stored);
+    assert!(pages.header().levels.is_none());
+}
+
+/// The archive of `pages` with the levels of `others`, and right checksums.
+fn with_levels_of(pages: Pages, others: Pages) -> Vec<u8> {
+    let [own, other] = [pages, others].map(|pages| Parts::of(&with_levels(pages)));
+    let levels = |parts: &Parts| parts.pages.len() - word(&parts.head, 328);
+    let pages = [&own.pages[..levels(&own)], &other.pages[levels(&other)..]].concat();
+    let mut head = own.head.clone();
+    head[325..344].copy_from_slice(&other.head[325..344]);
+    Parts { head, pages, ..own }.build(|_| ())
+}
+
+#[test]
+fn levels_that_are_not_those_of_the_pages_are_found() {
+    assert_eq!(rules(with_levels_of(city(), city())), [""; 0]);
+    let mut other = city();
+    // Matter that a level lacks, moves, or has too much of.
+    let (&last, _) = other.last_key_value().unwrap();
+    other.remove(&last);
+    assert!(rules(with_levels_of(city(), other.clone())).contains(&"L5"));
+    assert!(rules(with_levels_of(other.clone(), city())).contains(&"L5"));
+    other.insert(last, page([((0, 0), vec![Span::new(9, 10, false).unwrap()])]));
+    assert!(rules(with_levels_of(city(), other)).contains(&"L5"));
+    let mut far = city();
+    far.insert(key(4000, 0, 0), far.values().next().unwrap().clone());
+    assert!(rules(with_levels_of(city(), far.clone())).contains(&"L5"));
+    assert!(rules(with_levels_of(far, city())).contains(&"L5"));
+    // Numbers in the head.
+    let parts = Parts::of(&with_levels(city()));
+    for (at, value, len, rule) in [
+        (325, 2, 1, "L3"),
+        (325, 17, 1, "L1"),
+        (326, 1, 1, "L1"),
+        (336, 0, 4, "L1"),
+        (340, 1, 4, "L2"),
+        (344, 1, 1, "H10"),
+    ] {
+        let forged = parts.build(|head| put(head, at, value, len));
+        let found = Archive::from_bytes(forged).and_then(|archive| archive.levels().map(drop));
+        let said = found.unwrap_err().to_string();
+        assert!(said.contains(&format!("rule {rule}")), "{at}: {said}");
+    }
+}
