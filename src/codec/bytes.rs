@@ -72,7 +72,6 @@ impl<'a> ByteReader<'a> {
     }
 
     /// Whether nothing is left.
-    #[cfg(any(test, feature = "convert"))]
     pub fn is_empty(&self) -> bool {
         self.rest.is_empty()
     }

@@ -39,7 +39,7 @@ export class Session {
     readonly pawn: Pawn,
   ) {
     this.world = new World(archive.info.pixelSize, archive.info.sliceHeight);
-    this.view = archive.view({ onPage: (page) => this.world.take(page), onDrop: (id) => this.world.drop(id) });
+    this.view = archive.view({ overview: true, onPage: (page) => this.world.take(page), onDrop: (id) => this.world.drop(id) });
   }
 
   static async open(
