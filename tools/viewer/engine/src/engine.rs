@@ -22,7 +22,7 @@ use wasm_bindgen::prelude::wasm_bindgen;
 const RUN_BYTES: usize = 128 << 10;
 
 /// This share of the budget is kept for an overview level, unless it is less than so many bytes.
-const OUTLINE_SHARE: f64 = 1.0 / 8.0;
+const OUTLINE_SHARE: f64 = 1.0 / 4.0;
 const OUTLINE_LEAST: f64 = 4e6;
 /// An overview level is fetched before pages that are needed later than this.
 const OUTLINE_BEFORE: Duration = Duration::from_secs(1);

@@ -114,10 +114,9 @@ mod tests {
         let target = folder.path().join("ground.slices");
         let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
         let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
-        let mut encoder = PageEncoder::new(plan.frame);
+        let mut encoder = PageEncoder::new(plan.frame).for_levels(has_levels);
         if has_levels {
             writer.set_levels();
-            encoder = encoder.for_levels();
         }
         let mut keys: Vec<_> = (0..400).map(|n| PageKey { tx: n % 40, ty: n / 40, layer: 0 }).collect();
         keys.sort_unstable();
@@ -192,7 +191,7 @@ mod tests {
 
     #[test]
     fn archives_without_levels_and_small_budgets_show_pages_alone() {
-        for (has_levels, budget) in [(false, 64e6), (true, 8e6)] {
+        for (has_levels, budget) in [(false, 64e6), (true, 12e6)] {
             let (_, built) = seen(&ground(has_levels), true, budget);
             assert!(built.iter().all(|page| page[1] == 0.0) && built.iter().any(|page| page[0] > 15.0));
         }
