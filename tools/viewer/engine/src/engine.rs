@@ -21,7 +21,7 @@ use wasm_bindgen::prelude::wasm_bindgen;
 /// Most bytes of one request for pages: little enough that decoding them never holds up a step for long.
 const RUN_BYTES: usize = 128 << 10;
 
-/// This share of the budget is kept for an overview level, unless it is less than so many bytes.
+/// An overview level gets so much beside the budget, as a share of it, unless that is less than so many bytes.
 const OUTLINE_SHARE: f64 = 1.0 / 4.0;
 const OUTLINE_LEAST: f64 = 4e6;
 /// An overview level is fetched before pages that are needed later than this.
@@ -105,7 +105,7 @@ impl Engine {
             horizon_max: horizon,
             run_bytes: RUN_BYTES,
             fetches: requests.clamp(1, 64) as usize,
-            ..LoaderOptions::new((budget - outline_budget) as usize)
+            ..LoaderOptions::new(budget as usize)
         };
         let file_len = (file_len >= 0.0).then_some(file_len as u64);
         Engine {
@@ -261,12 +261,13 @@ impl Engine {
         let counters = self.loader.counters();
         let missing: usize = self.pawns.things().filter_map(|pawn| pawn.thing.missing()).map(|m| m.count()).sum();
         let unbuilt: usize = self.scenes.things().map(|scene| scene.thing.unbuilt()).sum();
+        let [used, peak, budget] = self.outline().map_or([0; 3], Outline::bytes);
         vec![
             counters.resident_pages as f64,
             counters.resident_bytes as f64,
-            counters.used_bytes as f64,
-            counters.peak_bytes as f64,
-            counters.budget_bytes as f64,
+            (counters.used_bytes + used) as f64,
+            (counters.peak_bytes + peak) as f64,
+            (counters.budget_bytes + budget) as f64,
             self.loaded as f64,
             counters.evicted as f64,
             missing as f64,

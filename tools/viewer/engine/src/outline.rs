@@ -11,6 +11,8 @@ use std::ops::Range;
 
 /// Most bytes to fetch, unless the table of levels alone is longer.
 const MOST_BYTES: u64 = 1 << 20;
+/// Most bytes that are decoded at once.
+const RUN_BYTES: usize = 64 << 10;
 
 /// Which bytes to fetch for an [`Outline`]; `None` if the archive has no levels.
 pub(crate) fn range(catalog: &Catalog) -> Option<Range<u64>> {
@@ -58,6 +60,12 @@ impl Outline {
         Some((self.loading.as_ref()?.0, *self.view()?.frame()))
     }
 
+    /// Bytes in use, most in use, and budget; without the stretch.
+    pub fn bytes(&self) -> [usize; 3] {
+        let counters = self.loading.as_ref().map(|(_, loader, _)| loader.counters()).unwrap_or_default();
+        [counters.used_bytes, counters.peak_bytes, self.budget]
+    }
+
     /// Decodes a part; whether there was any left.
     pub fn advance(&mut self, now: Time) -> Result<bool> {
         if self.is_ready {
@@ -65,7 +73,7 @@ impl Outline {
         }
         let Some((_, loader, request)) = &mut self.loading else {
             let Some(level) = self.levels.pop() else { return Ok(false) };
-            let options = LoaderOptions { fetches: 1, ..LoaderOptions::new(self.budget) };
+            let options = LoaderOptions { fetches: 1, run_bytes: RUN_BYTES, ..LoaderOptions::new(self.budget) };
             // A table that has no room is that of a level too fine.
             self.loading =
                 Loader::new(level.catalog().clone(), options).ok().map(|loader| (level.number(), loader, None));

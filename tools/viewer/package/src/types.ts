@@ -51,7 +51,10 @@ export class SlicewalkError extends Error {
 
 /** Options of `openArchive`. */
 export interface OpenOptions {
-  /** Most bytes of pages, tables and bytes on their way in memory; 64 MiB unless given. */
+  /**
+   * Most bytes of pages, tables and bytes on their way in memory; 64 MiB unless given. Where a view shows an overview level, that
+   * may take a quarter more.
+   */
   budgetBytes?: number;
   /** Most requests under way at once; 6 unless given. */
   requests?: number;

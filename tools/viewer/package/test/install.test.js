@@ -94,7 +94,7 @@ async function inBrowser(root) {
     "--remote-debugging-port=0",
   ];
   const running = spawn(browser, [...options, `http://127.0.0.1:${server.address().port}/`], { stdio: "ignore" });
-  const patience = AbortSignal.timeout(100_000);
+  const patience = AbortSignal.timeout(60_000);
   try {
     return await Promise.race([
       answer,
@@ -103,7 +103,9 @@ async function inBrowser(root) {
   } finally {
     const gone = new Promise((resolve) => running.on("exit", resolve));
     running.kill();
+    const late = setTimeout(() => running.kill("SIGKILL"), 5_000);
     await gone;
+    clearTimeout(late);
     server.closeAllConnections();
     server.close();
   }
