@@ -94,7 +94,7 @@ async function inBrowser(root) {
     "--remote-debugging-port=0",
   ];
   const running = spawn(browser, [...options, `http://127.0.0.1:${server.address().port}/`], { stdio: "ignore" });
-  const patience = AbortSignal.timeout(60_000);
+  const patience = AbortSignal.timeout(100_000);
   try {
     return await Promise.race([
       answer,

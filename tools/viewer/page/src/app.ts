@@ -209,6 +209,7 @@ export class App {
     const { archive, world, pawn } = session;
     world.moveOrigin(pawn.at);
     this.#canvas.scene.add(world.group);
+    void this.#canvas.prepare(world.shading.all);
     archive.on("trouble", (error) => this.#trouble(error));
     archive.on("failed", (error) => this.#fail(error));
     pawn.onArrival = (how) => this.#shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);

@@ -2,6 +2,7 @@
 
 import {
   BoxGeometry,
+  BufferGeometry,
   type Camera,
   Color,
   ConeGeometry,
@@ -9,6 +10,7 @@ import {
   Group,
   LineBasicMaterial,
   LineSegments,
+  type Material,
   Mesh,
   MeshBasicMaterial,
   Scene,
@@ -86,6 +88,14 @@ export class Canvas {
     this.#nose.scale.setScalar(size);
     this.#nose.position.z = state.height / 2;
     this.#nose.rotation.z = (-look.heading * Math.PI) / 180;
+  }
+
+  /** Compiles shaders ahead, aside: a frame that needed one would wait for it. */
+  async prepare(materials: readonly Material[]): Promise<void> {
+    const scene = new Scene();
+    const geometry = new BufferGeometry();
+    scene.add(...materials.map((material) => new Mesh(geometry, material)));
+    await this.#renderer.compileAsync(scene, this.cameras.current).catch(() => undefined);
   }
 
   /** Calls back for each frame, of the screen or of the headset. */

@@ -174,6 +174,10 @@ export class Shading {
     this.#overview = { solid: make(FrontSide, true), opened: make(DoubleSide, true) };
   }
 
+  get all(): readonly ShaderMaterial[] {
+    return [this.#pages.solid, this.#pages.opened, this.#overview.solid, this.#overview.opened];
+  }
+
   /** Of pages of this level; `opened`: also seen from inside. */
   material(level: number, opened: boolean): ShaderMaterial {
     return (level > 0 ? this.#overview : this.#pages)[opened ? "opened" : "solid"];

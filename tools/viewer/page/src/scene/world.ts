@@ -9,8 +9,9 @@ import { Shading } from "./material";
 
 /** Farther than this from the local origin, another one is chosen. */
 const NEAR_ORIGIN_M = 500;
-/** Time that a frame may take for bringing new pages to the graphics card. */
+/** Time and bytes that a frame may take for bringing new pages to the graphics card. */
 const UPLOAD_MS = 4;
+const UPLOAD_BYTES = 1 << 20;
 
 interface Drawn {
   readonly mesh: Mesh;
@@ -97,10 +98,11 @@ export class World {
   /** Takes in pages that have come, for as long as a frame can spare. */
   settle(): void {
     const end = performance.now() + UPLOAD_MS;
+    let bytes = 0;
     for (const [id, page] of this.#waiting) {
       this.drop(id);
-      if (page.indices.length > 0) this.#add(page);
-      if (performance.now() > end) break;
+      if (page.indices.length > 0) bytes += this.#add(page);
+      if (bytes > UPLOAD_BYTES || performance.now() > end) break;
     }
   }
 
@@ -127,7 +129,8 @@ export class World {
     return low < high ? [low, high] : null;
   }
 
-  #add(page: PageGeometry): void {
+  /** The bytes that the graphics card gets. */
+  #add(page: PageGeometry): number {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(page.positions, 3));
     geometry.setAttribute("normal", new BufferAttribute(page.normals, 4, true));
@@ -146,6 +149,7 @@ export class World {
     this.group.add(mesh);
     this.triangles += page.indices.length / 3;
     this.bytes += drawn.bytes;
+    return drawn.bytes;
   }
 
   #place({ mesh, page, box }: Drawn): void {
