@@ -242,7 +242,7 @@ describe("headset", () => {
     await page.addInitScript(IWER);
     await page.addInitScript(() => {
       window.device = new window.IWER.XRDevice(window.IWER.metaQuest3);
-      window.device.installRuntime();
+      window.device.installRuntime({ forceInstall: true });
     });
     const { at: from } = await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
     const worn = (pressed) => page.getByRole("button", { name: "Enter VR", pressed });

@@ -90,12 +90,14 @@ export class Canvas {
     this.#nose.rotation.z = (-look.heading * Math.PI) / 180;
   }
 
-  /** Compiles shaders ahead, aside: a frame that needed one would wait for it. */
+  /** Compiles shaders ahead, aside where the browser can: a frame that needed one would wait for it. */
   async prepare(materials: readonly Material[]): Promise<void> {
+    const renderer = this.#renderer;
     const scene = new Scene();
     const geometry = new BufferGeometry();
     scene.add(...materials.map((material) => new Mesh(geometry, material)));
-    await this.#renderer.compileAsync(scene, this.cameras.current).catch(() => undefined);
+    if (renderer.extensions.has("KHR_parallel_shader_compile")) await renderer.compileAsync(scene, this.cameras.current);
+    else renderer.compile(scene, this.cameras.current);
   }
 
   /** Calls back for each frame, of the screen or of the headset. */
