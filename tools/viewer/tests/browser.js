@@ -1,8 +1,11 @@
 // Chromium without a window, and pages that fail a test when the page itself throws or complains.
+//
+// Every test ends by itself: what a test opened is closed however it ends, a page that answers nothing any more costs its file
+// the browser (and so the tests left in it, at once), and no test takes longer than `LIMIT_MS`.
 
-import { existsSync, mkdtempSync, rmSync } from "node:fs";
-import { tmpdir } from "node:os";
-import { join } from "node:path";
+import assert from "node:assert/strict";
+import { existsSync } from "node:fs";
+import * as node from "node:test";
 import { chromium } from "playwright-core";
 
 const ARGUMENTS = [
@@ -21,28 +24,55 @@ const ARGUMENTS = [
 export const CHROMIUM =
   process.env.CHROMIUM ?? ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find(existsSync);
 
-/** A browser with a profile of its own. `close` ends it and removes the profile. */
-export async function launch(options = {}) {
-  const profile = mkdtempSync(join(tmpdir(), "slicewalk-browser-"));
-  const context = await chromium.launchPersistentContext(profile, {
-    executablePath: CHROMIUM,
-    headless: true,
-    args: ARGUMENTS,
-    viewport: { width: 800, height: 500 },
-    ...options,
+/** A test that takes longer has failed. */
+const LIMIT_MS = 150_000;
+/** A page that does not answer for so long hangs, and is asked so often. */
+const HUNG_MS = 30_000;
+const ASKED_MS = 5_000;
+/** A browser that does not close within this time is killed. */
+const CLOSE_MS = 10_000;
+
+/** As that of node, with a limit of time. */
+export function it(name, ...rest) {
+  const test = rest.pop();
+  node.it(name, { timeout: LIMIT_MS, ...rest[0] }, test);
+}
+
+/** What the promise brings, or a failure after so long. */
+async function within(ms, what, promise) {
+  let timer;
+  const late = new Promise((_, reject) => {
+    timer = setTimeout(() => reject(new Error(`${what}: no answer for ${ms / 1000} s`)), ms);
   });
+  try {
+    return await Promise.race([promise, late]);
+  } finally {
+    clearTimeout(timer);
+  }
+}
+
+/** A browser of its own, ended by `close` within seconds, whatever it is doing. */
+export async function launch() {
+  const server = await chromium.launchServer({ executablePath: CHROMIUM, headless: true, args: ARGUMENTS });
+  const browser = await chromium.connect(server.wsEndpoint());
   return {
-    context,
+    /** A page with a profile of its own; see `newPage`. */
+    async newPage(options = {}) {
+      const opening = browser.newContext({ viewport: { width: 800, height: 500 }, ...options });
+      return newPage(await within(HUNG_MS, "the browser", opening), () => server.kill());
+    },
     async close() {
-      await context.close();
-      rmSync(profile, { recursive: true, force: true });
+      await within(CLOSE_MS, "the browser", server.close()).catch(() => server.kill());
     },
   };
 }
 
-/** A page, with everything that it complains about. Lines about failed requests are kept apart: they are the network's. */
-export async function newPage(context, { scripts = [] } = {}) {
-  const page = await context.newPage();
+/**
+ * A page, with everything that it complains about. Lines about failed requests are kept apart: they are the network's. Where
+ * the page hangs the browser is killed, so that whatever waits for it fails.
+ */
+async function newPage(context, kill) {
+  const page = await within(HUNG_MS, "a new page", context.newPage());
   const complaints = [];
   const failedRequests = [];
   page.on("pageerror", (error) => complaints.push(String(error)));
@@ -54,8 +84,50 @@ export async function newPage(context, { scripts = [] } = {}) {
       `${message.type()}: ${message.text()}`,
     );
   });
-  for (const script of scripts) await page.addInitScript(script);
-  return Object.assign(page, { complaints, failedRequests });
+  let asking = false;
+  const watch = setInterval(async () => {
+    if (asking) return;
+    asking = true;
+    const answer = page.evaluate(() => 0).catch(() => {}); // navigated, or closed
+    await within(HUNG_MS, "the page", answer).catch((error) => {
+      clearInterval(watch);
+      complaints.push(String(error));
+      return kill();
+    });
+    asking = false;
+  }, ASKED_MS);
+  async function end() {
+    clearInterval(watch);
+    await within(CLOSE_MS, "closing a page", context.close()).catch(kill);
+  }
+  return Object.assign(page, { complaints, failedRequests, end });
+}
+
+/** A browser for the tests of a file, in which each gets a page: `page` of what this returns. */
+export function pages({ begin = async () => {}, end = async () => {}, network = true } = {}) {
+  const tests = { browser: null, page: null };
+  node.before(async () => {
+    tests.browser = await launch();
+  });
+  node.after(async () => {
+    await tests.browser?.close();
+  });
+  node.beforeEach(async () => {
+    tests.page = null;
+    await begin();
+    tests.page = await tests.browser.newPage();
+  });
+  node.afterEach(async () => {
+    const { page } = tests;
+    try {
+      assert.deepEqual(page?.complaints ?? [], []);
+      if (network) assert.deepEqual(page?.failedRequests ?? [], []);
+    } finally {
+      await page?.end();
+      await end();
+    }
+  });
+  return tests;
 }
 
 export const state = (page) => page.evaluate(() => window.slicewalk?.state() ?? null);
@@ -67,7 +139,7 @@ export async function until(page, what, fits, { timeout = 60_000 } = {}) {
   for (;;) {
     last = await state(page).catch(() => null);
     if (last !== null && fits(last)) return last;
-    if (Date.now() > end) throw new Error(`never ${what}: ${JSON.stringify(last)}`);
+    if (Date.now() > end || page.isClosed()) throw new Error(`never ${what}: ${JSON.stringify(last)}`);
     await new Promise((resolve) => setTimeout(resolve, 50));
   }
 }
@@ -87,6 +159,6 @@ export async function hold(page, keys, what, fits, options) {
   try {
     return await until(page, what, fits, options);
   } finally {
-    for (const key of [...keys].reverse()) await page.keyboard.up(key);
+    for (const key of [...keys].reverse()) await page.keyboard.up(key).catch(() => {});
   }
 }

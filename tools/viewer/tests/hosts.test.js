@@ -5,28 +5,23 @@ import { spawn } from "node:child_process";
 import { existsSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { after, afterEach, before, beforeEach, describe, it } from "node:test";
-import { hold, launch, newPage, until, walkIn } from "./browser.js";
+import { beforeEach, describe } from "node:test";
+import { hold, it, pages, until, walkIn } from "./browser.js";
 import { BIN, DIST, house, other, program } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 
-let browser, page, folder;
+let page, folder;
+const tests = pages({
+  async begin() {
+    folder = mkdtempSync(join(tmpdir(), "slicewalk-hosts-"));
+  },
+  async end() {
+    rmSync(folder, { recursive: true });
+  },
+});
 
-before(async () => {
-  browser = await launch();
-});
-after(async () => {
-  await browser?.close();
-});
-beforeEach(async () => {
-  folder = mkdtempSync(join(tmpdir(), "slicewalk-hosts-"));
-  page = await newPage(browser.context);
-});
-afterEach(async () => {
-  assert.deepEqual(page.complaints, []);
-  assert.deepEqual(page.failedRequests, []);
-  await page.close();
-  rmSync(folder, { recursive: true });
+beforeEach(() => {
+  page = tests.page;
 });
 
 /** Starts `slicetool serve`; its address, and how it ends. */
@@ -46,7 +41,8 @@ async function serve(...args) {
     address: line,
     async stop() {
       child.kill("SIGINT");
-      return ended;
+      const late = setTimeout(() => child.kill("SIGKILL"), 10_000);
+      return ended.finally(() => clearTimeout(late));
     },
   };
 }

@@ -57,6 +57,10 @@ export const tower = () =>
     ["--pixel", "0.2"],
   );
 
+/** A street of 300 m, 20 kB a metre: more than a link brings at once. */
+export const street = () =>
+  made("street", ["street", "--param", "length=300", "--density", "400", "--noise", "0.015"], ["--pixel", "0.05"]);
+
 /** A room with its floor at 0 and a table less: another archive for the same name. */
 export const other = () => made("other", ["house", "--param", "storeys=1", "--density", "400"], ["--pixel", "0.05"]);
 

@@ -1,5 +1,6 @@
 // A plain static host on loopback: files of folders, single ranges, an ETag, and nothing else. It notes each request, and can
-// delay, throttle, vanish and come back on the same port.
+// vanish and come back on the same port. Between it and the browser lies a link with a delay and a rate, which all answers of
+// archives share.
 
 import { createServer } from "node:http";
 import { open } from "node:fs/promises";
@@ -15,10 +16,15 @@ const TYPES = {
   ".txt": "text/plain; charset=utf-8",
 };
 
+/** Answers share the link in pieces of so many bytes. */
+const PIECE = 16 << 10;
+
+const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+
 export class StaticServer {
   /** Folder and names that stand for other files: `{ "/house.slices": "/tmp/a.slices" }`. */
   constructor(folder, files = {}) {
-    Object.assign(this, { folder, files, requests: [], delayMs: 0, bytesPerSecond: Infinity, port: 0 });
+    Object.assign(this, { folder, files, requests: [], delayMs: 0, bytesPerSecond: Infinity, free: 0, port: 0 });
   }
 
   async start() {
@@ -35,8 +41,9 @@ export class StaticServer {
 
   /** Ends all connections and refuses new ones. */
   async stop() {
+    const closed = new Promise((resolve) => this.server.close(resolve));
     this.server.closeAllConnections();
-    await new Promise((resolve) => this.server.close(resolve));
+    await closed;
   }
 
   get address() {
@@ -51,9 +58,9 @@ export class StaticServer {
   async #answer(request, response) {
     const path = decodeURIComponent(new URL(request.url, this.address).pathname);
     const name = this.files[path] ?? join(this.folder, normalize(path === "/" ? "/index.html" : path));
-    const note = { path, range: request.headers.range ?? null, bytes: 0, status: 404 };
+    const note = { path, range: request.headers.range ?? null, at: Date.now(), bytes: 0, status: 404 };
     this.requests.push(note);
-    if (this.delayMs > 0) await new Promise((resolve) => setTimeout(resolve, this.delayMs));
+    if (this.delayMs > 0) await sleep(this.delayMs);
     const file = await open(name).catch(() => null);
     if (file === null) {
       response.writeHead(404, { "Content-Type": "text/plain" }).end("not found\n");
@@ -81,13 +88,26 @@ export class StaticServer {
       const bytes = Buffer.alloc(last - first + 1);
       await file.read(bytes, 0, bytes.length, first);
       note.bytes = bytes.length;
-      if (this.bytesPerSecond < Infinity)
-        await new Promise((resolve) => setTimeout(resolve, (1000 * bytes.length) / this.bytesPerSecond));
-      response
-        .writeHead(note.status, { ...headers, "Content-Length": bytes.length })
-        .end(request.method === "HEAD" ? undefined : bytes);
+      response.writeHead(note.status, { ...headers, "Content-Length": bytes.length });
+      if (request.method === "HEAD") response.end();
+      else await this.#send(response, bytes, range !== null);
     } finally {
       await file.close();
     }
+  }
+
+  /** Sends bytes at the pace of the link. */
+  async #send(response, bytes, shared) {
+    const piece = shared && this.bytesPerSecond < Infinity ? PIECE : bytes.length;
+    for (let at = 0; at < bytes.length && !response.destroyed; at += piece) {
+      const part = bytes.subarray(at, at + piece);
+      if (piece < bytes.length) {
+        const now = performance.now();
+        this.free = Math.max(now, this.free) + (1000 * part.length) / this.bytesPerSecond;
+        await sleep(this.free - now);
+      }
+      response.write(part);
+    }
+    response.end();
   }
 }

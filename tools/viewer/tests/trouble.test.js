@@ -4,34 +4,31 @@ import assert from "node:assert/strict";
 import { copyFileSync, mkdtempSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { after, afterEach, before, beforeEach, describe, it } from "node:test";
-import { hold, launch, newPage, state, until, walkIn } from "./browser.js";
+import { beforeEach, describe } from "node:test";
+import { hold, it, pages, state, until, walkIn } from "./browser.js";
 import { DIST, house, other, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
-let browser, page, server, folder;
+let page, server, folder;
+const tests = pages({
+  network: false,
+  async begin() {
+    folder = mkdtempSync(join(tmpdir(), "slicewalk-trouble-"));
+    copyFileSync(house(), join(folder, "house.slices"));
+    server = await new StaticServer(DIST, {
+      "/house.slices": join(folder, "house.slices"),
+      "/bad.slices": join(folder, "bad.slices"),
+    }).start();
+  },
+  async end() {
+    await server?.stop();
+    rmSync(folder, { recursive: true });
+  },
+});
 
-before(async () => {
-  browser = await launch();
-});
-after(async () => {
-  await browser?.close();
-});
-beforeEach(async () => {
-  folder = mkdtempSync(join(tmpdir(), "slicewalk-trouble-"));
-  copyFileSync(house(), join(folder, "house.slices"));
-  server = await new StaticServer(DIST, {
-    "/house.slices": join(folder, "house.slices"),
-    "/bad.slices": join(folder, "bad.slices"),
-  }).start();
-  page = await newPage(browser.context);
-});
-afterEach(async () => {
-  assert.deepEqual(page.complaints, []);
-  await page.close();
-  await server.stop().catch(() => {});
-  rmSync(folder, { recursive: true });
+beforeEach(() => {
+  page = tests.page;
 });
 
 describe("trouble", () => {

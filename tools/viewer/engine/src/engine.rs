@@ -5,8 +5,9 @@ use crate::facts;
 use crate::fault::{self, invalid};
 use crate::geometry::Geometry;
 use crate::map::{columns, map};
+use crate::outline::{self, Outline};
 use crate::pawn::{Input, Pawn, Settings};
-use crate::scene::{HORIZON_S, Scene};
+use crate::scene::{HORIZON_S, Scenes};
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey};
 use slicewalk::nalgebra::Point3;
@@ -19,6 +20,12 @@ use wasm_bindgen::prelude::wasm_bindgen;
 
 /// Most bytes of one request for pages: little enough that decoding them never holds up a step for long.
 const RUN_BYTES: usize = 128 << 10;
+
+/// An overview level gets so much beside the budget, as a share of it, unless that is less than so many bytes.
+const OUTLINE_SHARE: f64 = 1.0 / 4.0;
+const OUTLINE_LEAST: f64 = 4e6;
+/// An overview level is fetched before pages that are needed later than this.
+const OUTLINE_BEFORE: Duration = Duration::from_secs(1);
 
 /// What [`Engine::poll`] says, each followed by its numbers.
 const FETCH: f64 = 1.0;
@@ -35,10 +42,23 @@ pub struct Engine {
     requests: Named<RequestId>,
     lacks: Lacks,
     pawns: Named<Moving<Pawn>>,
-    scenes: Named<Moving<Scene>>,
+    scenes: Named<Moving<Scenes>>,
+    outline: Distant,
+    outline_budget: usize,
     names: u32,
     loaded: u64,
     drawn: Option<(u32, PageKey, u32, Geometry)>,
+}
+
+/// The overview level: its fetch by name, or what came of it.
+enum Distant {
+    /// Until a camera looks.
+    Later,
+    Wanted,
+    Asked(u32),
+    Here(Outline),
+    /// There is none.
+    Never,
 }
 
 /// A few things by the names that JavaScript has for them, in the order in which they were made.
@@ -78,12 +98,14 @@ impl Engine {
     #[wasm_bindgen(constructor)]
     pub fn new(file_len: f64, budget: f64, requests: u32) -> Engine {
         let horizon = Duration::from_secs_f64(HORIZON_S);
+        let budget = budget.clamp(0.0, 4e9);
+        let outline_budget = Some(budget * OUTLINE_SHARE).filter(|share| *share >= OUTLINE_LEAST).unwrap_or(0.0);
         let options = LoaderOptions {
             horizon_min: horizon,
             horizon_max: horizon,
             run_bytes: RUN_BYTES,
             fetches: requests.clamp(1, 64) as usize,
-            ..LoaderOptions::new(budget.clamp(0.0, 4e9) as usize)
+            ..LoaderOptions::new(budget as usize)
         };
         let file_len = (file_len >= 0.0).then_some(file_len as u64);
         Engine {
@@ -95,6 +117,8 @@ impl Engine {
             lacks: Lacks::default(),
             pawns: Named::NONE,
             scenes: Named::NONE,
+            outline: if outline_budget > 0.0 { Distant::Later } else { Distant::Never },
+            outline_budget: outline_budget as usize,
             names: 0,
             loaded: 0,
             drawn: None,
@@ -111,6 +135,9 @@ impl Engine {
         loop {
             match self.loader.poll(now).map_err(|error| fault::text(&error))? {
                 Next::Fetch(fetch) => {
+                    if fetch.needed_in > OUTLINE_BEFORE {
+                        self.ask_outline(&mut todo);
+                    }
                     let name = self.name();
                     self.fetches.insert(name, fetch.id);
                     todo.extend([FETCH, f64::from(name), fetch.range.start as f64, fetch.range.end as f64]);
@@ -127,6 +154,7 @@ impl Engine {
                     self.reports.push_back(text);
                 }
                 Next::Wait(until) => {
+                    self.ask_outline(&mut todo);
                     todo.extend([WAIT, until.map_or(f64::INFINITY, |until| until.as_secs_f64() * 1000.0)]);
                     return Ok(todo);
                 }
@@ -143,6 +171,9 @@ impl Engine {
     pub fn given(&mut self, fetch: u32, bytes: Vec<u8>, now_ms: f64) {
         if let Some(id) = self.fetches.remove(fetch) {
             self.decodes.extend(self.loader.given(id, bytes, time(now_ms)));
+        } else if matches!(self.outline, Distant::Asked(name) if name == fetch) {
+            let outline = self.loader.catalog().map(|catalog| Outline::new(catalog, bytes, self.outline_budget));
+            self.outline = self.sound(outline.transpose()).flatten().map_or(Distant::Never, Distant::Here);
         }
     }
 
@@ -156,13 +187,48 @@ impl Engine {
 
     /// Decodes what came with one fetch; whether there was any.
     pub fn decode(&mut self, now_ms: f64) -> bool {
-        let Some(job) = self.decodes.pop_front() else { return false };
+        let Some(job) = self.decodes.pop_front() else { return self.decode_outline(time(now_ms)) };
         let loaded = self.loader.loaded(job.run(), time(now_ms));
         self.loaded += loaded as u64;
         if loaded > 0 {
             self.scenes.0.iter_mut().for_each(|(_, scene)| scene.thing.pages_changed());
         }
         true
+    }
+
+    fn decode_outline(&mut self, now: Time) -> bool {
+        let Distant::Here(outline) = &mut self.outline else { return false };
+        let advanced = outline.advance(now);
+        let level = outline.level();
+        match self.sound(advanced) {
+            Some(advanced) => {
+                if advanced && level.is_some() {
+                    self.scenes.0.iter_mut().for_each(|(_, scene)| scene.thing.overview(level));
+                }
+                advanced
+            }
+            None => {
+                self.outline = Distant::Never;
+                false
+            }
+        }
+    }
+
+    /// Levels that cannot be read are reported; pages come without them.
+    fn sound<T>(&mut self, result: slicewalk::Result<T>) -> Option<T> {
+        result.inspect_err(|error| self.reports.push_back(fault::text(error))).ok()
+    }
+
+    fn ask_outline(&mut self, todo: &mut Vec<f64>) {
+        if !matches!(self.outline, Distant::Wanted) {
+            return;
+        }
+        self.outline = Distant::Never;
+        if let Some(range) = self.loader.catalog().and_then(outline::range) {
+            let name = self.name();
+            self.outline = Distant::Asked(name);
+            todo.extend([FETCH, f64::from(name), range.start as f64, range.end as f64]);
+        }
     }
 
     /// Whether the archive is open: head and directory are there.
@@ -195,12 +261,13 @@ impl Engine {
         let counters = self.loader.counters();
         let missing: usize = self.pawns.things().filter_map(|pawn| pawn.thing.missing()).map(|m| m.count()).sum();
         let unbuilt: usize = self.scenes.things().map(|scene| scene.thing.unbuilt()).sum();
+        let [used, peak, budget] = self.outline().map_or([0; 3], Outline::bytes);
         vec![
             counters.resident_pages as f64,
             counters.resident_bytes as f64,
-            counters.used_bytes as f64,
-            counters.peak_bytes as f64,
-            counters.budget_bytes as f64,
+            (counters.used_bytes + used) as f64,
+            (counters.peak_bytes + peak) as f64,
+            (counters.budget_bytes + budget) as f64,
             self.loaded as f64,
             counters.evicted as f64,
             missing as f64,
@@ -348,18 +415,20 @@ impl Engine {
 
     // Scenes -------------------------------------------------------------------------------------------------------------------
 
-    /// A scene (see [`Scene::new`]); its name.
-    pub fn scene(&mut self, radius: f64, triangles: f64, detail: f64) -> u32 {
+    /// A scene (see [`Scenes::new`]); its name.
+    pub fn scene(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool) -> u32 {
         let body = self.loader.body();
         let name = self.name();
-        self.scenes.insert(name, Moving { thing: Scene::new(radius, triangles, detail), body, hinted: None });
+        let mut scenes = Scenes::new(radius, triangles, detail, overview);
+        scenes.overview(self.outline().and_then(Outline::level));
+        self.scenes.insert(name, Moving { thing: scenes, body, hinted: None });
         name
     }
 
     /// Changes what a scene was given.
-    pub fn set_scene(&mut self, scene: u32, radius: f64, triangles: f64, detail: f64) {
+    pub fn set_scene(&mut self, scene: u32, radius: f64, triangles: f64, detail: f64, overview: bool) {
         if let Some(scene) = self.scenes.get_mut(scene) {
-            scene.thing.set(radius, triangles, detail);
+            scene.thing.set(radius, triangles, detail, overview);
         }
     }
 
@@ -367,6 +436,9 @@ impl Engine {
     pub fn look(&mut self, scene: u32, at: &[f64]) -> Result<(), String> {
         let at = point(at)?;
         if let Some(scene) = self.scenes.get_mut(scene) {
+            if scene.thing.has_overview() && matches!(self.outline, Distant::Later) {
+                self.outline = Distant::Wanted;
+            }
             scene.thing.look(at);
             let outlook = scene.thing.outlook();
             if scene.hinted != Some(outlook) {
@@ -377,16 +449,17 @@ impl Engine {
         Ok(())
     }
 
-    /// Draws the next page of a scene. If there is one: its name, tx, ty, layer, origin, scale, least and greatest corner (16
-    /// numbers), and then [`take_positions`](Self::take_positions) and its like have it; else nothing.
+    /// Draws the next page of a scene. If there is one: its name, tx, ty, layer, origin, scale, least and greatest corner, level
+    /// (17 numbers), and then [`take_positions`](Self::take_positions) and its like have it; else nothing.
     pub fn build(&mut self, scene: u32) -> Result<Vec<f64>, String> {
-        let view = self.view()?;
+        let (view, outline) = (self.view()?, self.outline().and_then(Outline::view));
         let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
-        scene.thing.plan(&view);
-        self.drawn = scene.thing.build(&view);
+        let (level, drawn) = scene.thing.build(&view, outline.as_ref());
+        self.drawn = drawn;
         let Some((id, key, _, geometry)) = &self.drawn else { return Ok(Vec::new()) };
         let place = [*id as f64, f64::from(key.tx), f64::from(key.ty), f64::from(key.layer)];
-        Ok([&place[..], &geometry.origin, &geometry.scale, geometry.bounds.as_flattened()].concat())
+        Ok([&place[..], &geometry.origin, &geometry.scale, geometry.bounds.as_flattened(), &[f64::from(level)]]
+            .concat())
     }
 
     /// Names of the pages that a scene's camera left behind.
@@ -424,6 +497,13 @@ impl Engine {
         self.loader.view().ok_or_else(not_open)
     }
 
+    fn outline(&self) -> Option<&Outline> {
+        match &self.outline {
+            Distant::Here(outline) => Some(outline),
+            _ => None,
+        }
+    }
+
     fn moving(&mut self, pawn: u32) -> Result<&mut Moving<Pawn>, String> {
         self.pawns.get_mut(pawn).ok_or_else(|| invalid("the walker is closed"))
     }
@@ -432,7 +512,7 @@ impl Engine {
     fn hint(&mut self, pawn: u32) -> Result<(), String> {
         let frame = *self.view()?.frame();
         if let Some(pawn) = self.pawns.get_mut(pawn) {
-            let outlook = pawn.thing.walker().outlook(&frame);
+            let outlook = pawn.thing.outlook(&frame);
             let missing = pawn.thing.missing();
             if pawn.hinted != Some(outlook) || missing.is_some() {
                 pawn.hinted = Some(outlook);

@@ -14,7 +14,7 @@ pub(crate) fn info(header: &Header) -> String {
         concat!(
             r#"{{"fileBytes":{},"formatVersion":"{}.{}","pixelSize":{},"sliceHeight":{},"origin":[0,0,0],"bounds":{},"#,
             r#""slices":{},"maxSlope":{},"tolerance":{},"pointsRead":{},"pointsKept":{},"#,
-            r#""voxels":{{"occupied":{},"obstacle":{}}},"pages":{},"levels":0}}"#
+            r#""voxels":{{"occupied":{},"obstacle":{}}},"pages":{},"levels":{}}}"#
         ),
         header.file_len,
         header.version.0,
@@ -30,6 +30,7 @@ pub(crate) fn info(header: &Header) -> String {
         header.voxels.occupied,
         header.voxels.obstacle,
         header.pages.total(),
+        header.levels.map_or(0, |levels| levels.count),
     )
 }
 

@@ -12,10 +12,11 @@ mod facts;
 mod fault;
 mod geometry;
 mod map;
+mod outline;
 mod pawn;
 mod scene;
 
 pub use engine::Engine;
 pub use geometry::Geometry;
 pub use pawn::{Input, Pawn, Settings, TICK_S};
-pub use scene::Scene;
+pub use scene::{BuiltPage, Scenes};

@@ -4,9 +4,10 @@
 //! so a replay gives the same way to the last bit, whatever was in memory when it was recorded.
 
 use crate::fault::{self, invalid};
+use slicewalk::frame::Frame;
 use slicewalk::nalgebra::{Point2, Point3, Vector2, Vector3};
 use slicewalk::query::Answer;
-use slicewalk::store::{Missing, PageSet};
+use slicewalk::store::{Missing, Outlook, PageSet};
 use slicewalk::walk::{Body, Config, Ground, State, Stop, Walker, Wish};
 
 /// Length of a tick (s).
@@ -133,6 +134,9 @@ pub struct Pawn {
     flying: bool,
     /// Told to jump, and no tick has passed since.
     jumps: bool,
+    /// Ticks that passed since it was put where it is, and whether any had when the last step began.
+    ticks_here: u64,
+    goes_on: bool,
     /// Part of a tick that is left of the time given so far (s).
     rest_s: f64,
     ticks: u64,
@@ -160,6 +164,8 @@ impl Pawn {
             crouched: false,
             flying: false,
             jumps: false,
+            ticks_here: 0,
+            goes_on: false,
             rest_s: 0.0,
             ticks: 0,
             steps: 0,
@@ -170,9 +176,14 @@ impl Pawn {
         })
     }
 
-    /// The walker inside, for what it will need.
-    pub fn walker(&self) -> &Walker {
-        &self.walker
+    /// What it will need. At a new place that is only what it stands on, until the step after its first tick: nothing delays
+    /// this tick, and whoever asked for it has seen it.
+    pub fn outlook(&self, frame: &Frame) -> Outlook {
+        let outlook = self.walker.outlook(frame);
+        if !self.goes_on {
+            return Outlook { velocity: Vector3::zeros(), gravity: 0.0, terminal_speed: 0.0, agility: 0.0, ..outlook };
+        }
+        outlook
     }
 
     /// Pages that the last step waited for.
@@ -205,6 +216,7 @@ impl Pawn {
         }
         self.walker.place(at);
         (self.rest_s, self.jumps, self.stop, self.missing, self.speed) = (0.0, false, None, None, [0.0; 2]);
+        (self.ticks_here, self.goes_on) = (0, false);
         self.keep([0.0, at.x, at.y, 1.0, 0.0, f64::from(PLACE), at.z, 0.0]);
         Ok(())
     }
@@ -212,6 +224,7 @@ impl Pawn {
     /// Lets at most 0.25 s pass.
     pub fn step<S: PageSet>(&mut self, set: &S, seconds: f64, input: &Input) {
         self.steps += 1;
+        self.goes_on = self.ticks_here > 0;
         self.jumps |= input.jump;
         self.rest_s += if seconds > 0.0 { seconds.min(LONGEST_S) } else { 0.0 };
         let ticks = (self.rest_s / TICK_S * (1.0 + 1e-9)) as u32;
@@ -242,6 +255,7 @@ impl Pawn {
         (self.stop, self.missing) = (None, None);
         let passed = if input.fly { self.fly(ticks, input) } else { self.walk(set, ticks, input) };
         self.ticks += u64::from(passed);
+        self.ticks_here += u64::from(passed);
         passed
     }
 
@@ -344,5 +358,34 @@ impl Pawn {
             self.ticks as f64,
             self.steps as f64,
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slicewalk::store::Store;
+
+    #[test]
+    fn at_a_new_place_a_pawn_needs_only_what_it_stands_on() {
+        let numbers = [0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.5, 1.0, f64::NAN];
+        let mut pawn = Pawn::new(Settings::from_numbers(&numbers).unwrap(), Point3::origin()).unwrap();
+        let frame = Frame::new(0.05, 0.15).unwrap();
+        let empty = Store::from_pages(frame, []);
+        let speeds = |pawn: &Pawn| {
+            let outlook = pawn.outlook(&frame);
+            assert!(outlook.is_valid() && outlook.min.x < -0.25 && outlook.max.z > 1.8);
+            (outlook.agility, outlook.gravity)
+        };
+        let input = Input::from_numbers(&[0.0, 0.0, 1.0, 0.0, f64::from(FLY)]).unwrap();
+        assert_eq!(speeds(&pawn), (0.0, 0.0));
+        pawn.step(&empty, TICK_S / 2.0, &input);
+        assert_eq!(speeds(&pawn), (0.0, 0.0));
+        pawn.step(&empty, TICK_S, &input);
+        assert_eq!(speeds(&pawn), (0.0, 0.0));
+        pawn.step(&empty, TICK_S, &input);
+        assert_eq!(speeds(&pawn), (1.4, 9.81));
+        pawn.place(Point3::origin()).unwrap();
+        assert_eq!(speeds(&pawn), (0.0, 0.0));
     }
 }

@@ -22,10 +22,110 @@ const COARSE_ALL: f64 = 16.0;
 const COARSEST_ALL: f64 = COARSE_ALL * (4 << COARSEST) as f64;
 /// Below this share of the triangles allowed, everything becomes finer again.
 const REFINE_BELOW: f64 = 0.5;
+/// Share of the triangles that an overview level may have, and how far it is drawn (m).
+const OVERVIEW_SHARE: f64 = 1.0 / 3.0;
+const OVERVIEW_M: f64 = 4000.0;
+/// With an overview level, pages are drawn this far at most (pages): those that are left out of the level are told apart so far.
+const FULL_PAGES: f64 = 48.0;
+/// And no less far than this (m).
+const FULL_LEAST_M: f64 = 10.0;
+/// Names of its pages begin here.
+const OVERVIEW_NAMES: u32 = 1 << 31;
 
-/// What a camera draws.
+/// What a camera draws: pages around it, and beyond them an overview level if there is one.
 #[derive(Debug)]
-pub struct Scene {
+pub struct Scenes {
+    near: Scene,
+    far: Scene,
+    level: Option<(u32, Frame)>,
+    given: [f64; 3],
+    has_overview: bool,
+}
+
+impl Scenes {
+    /// See [`Scene::new`]; `overview`: draws a level too, once it is there.
+    pub fn new(radius: f64, triangles: f64, detail: f64, overview: bool) -> Self {
+        let mut far = Scene::new(OVERVIEW_M, triangles, detail);
+        far.names = OVERVIEW_NAMES;
+        let near = Scene::new(radius, triangles, detail);
+        Self { near, far, level: None, given: [radius, triangles, detail], has_overview: overview }
+    }
+
+    /// Changes what [`new`](Self::new) was given.
+    pub fn set(&mut self, radius: f64, triangles: f64, detail: f64, overview: bool) {
+        (self.given, self.has_overview) = ([radius, triangles, detail], overview);
+        let Some((level, frame)) = self.level.filter(|_| overview) else {
+            return self.near.set(radius, triangles, detail);
+        };
+        // Farther away the cells of the level are as fine as wanted.
+        let page_m = TILE_PIXELS as f64 * frame.pixel_m() / f64::from(1 << (2 * level));
+        let enough = (frame.pixel_m() / detail.max(1e-4)).clamp(FULL_LEAST_M, (FULL_PAGES * page_m).max(FULL_LEAST_M));
+        self.near.set(radius.min(enough), triangles * (1.0 - OVERVIEW_SHARE), detail);
+        self.far.set(OVERVIEW_M, triangles * OVERVIEW_SHARE, detail);
+    }
+
+    /// Whether it draws an overview level.
+    pub fn has_overview(&self) -> bool {
+        self.has_overview
+    }
+
+    /// An overview level is there: its number and grid.
+    pub fn overview(&mut self, level: Option<(u32, Frame)>) {
+        if self.level.is_none() && level.is_some() {
+            self.level = level;
+            let [radius, triangles, detail] = self.given;
+            self.set(radius, triangles, detail, self.has_overview);
+        }
+    }
+
+    /// The camera has moved.
+    pub fn look(&mut self, at: Point3<f64>) {
+        self.near.look(at);
+        self.far.look(at);
+    }
+
+    /// Pages were loaded.
+    pub fn pages_changed(&mut self) {
+        self.near.stale = true;
+    }
+
+    /// See [`Scene::outlook`].
+    pub fn outlook(&self) -> Outlook {
+        self.near.outlook()
+    }
+
+    /// Pages that [`build`](Self::build) will draw.
+    pub fn unbuilt(&self) -> usize {
+        self.near.queue.len() + self.far.queue.len()
+    }
+
+    /// Names of pages that the camera left behind since it was asked last.
+    pub fn take_dropped(&mut self) -> Vec<u32> {
+        let mut dropped = std::mem::take(&mut self.near.dropped);
+        dropped.append(&mut self.far.dropped);
+        dropped
+    }
+
+    /// Draws the next page, of the level only if no other is to be drawn: level, and see [`Scene::build`].
+    pub fn build<S: PageSet>(&mut self, pages: &S, overview: Option<&S>) -> (u32, Option<BuiltPage>) {
+        self.near.plan(pages);
+        let built = self.near.build(pages);
+        match (self.level, overview) {
+            (Some((level, _)), Some(overview)) if self.has_overview && built.is_none() => {
+                self.far.plan(overview);
+                (level, self.far.build(overview))
+            }
+            _ => (0, built),
+        }
+    }
+}
+
+/// A page as it is drawn: name, place, coarseness and geometry.
+pub type BuiltPage = (u32, PageKey, u32, Geometry);
+
+/// What a camera draws of one set of pages.
+#[derive(Debug)]
+struct Scene {
     at: Point3<f64>,
     radius: f64,
     triangles: usize,
@@ -69,10 +169,11 @@ impl Scene {
 
     /// Changes what [`new`](Self::new) was given; what makes no sense counts as the nearest that does.
     pub fn set(&mut self, radius: f64, triangles: f64, detail: f64) {
-        self.radius = radius.clamp(1.0, 10_000.0);
-        self.triangles = triangles.clamp(10_000.0, 1e9) as usize;
-        self.detail = detail.clamp(1e-4, 1.0);
-        (self.coarser, self.stale) = (1.0, true);
+        let wanted = (radius.clamp(1.0, 10_000.0), triangles.clamp(10_000.0, 1e9) as usize, detail.clamp(1e-4, 1.0));
+        if wanted != (self.radius, self.triangles, self.detail) {
+            (self.radius, self.triangles, self.detail) = wanted;
+            (self.coarser, self.stale) = (1.0, true);
+        }
     }
 
     /// The camera has moved.
@@ -80,11 +181,6 @@ impl Scene {
         if at.iter().all(|v| v.is_finite()) && at != self.at {
             (self.at, self.stale) = (at, true);
         }
-    }
-
-    /// Pages were loaded.
-    pub fn pages_changed(&mut self) {
-        self.stale = true;
     }
 
     /// What a loader needs to know to have the pages there, the nearest first.
@@ -97,16 +193,6 @@ impl Scene {
             terminal_speed: 0.0,
             agility: self.radius / HORIZON_S,
         }
-    }
-
-    /// Pages that [`build`](Self::build) will draw.
-    pub fn unbuilt(&self) -> usize {
-        self.queue.len()
-    }
-
-    /// Names of pages that the camera left behind since it was asked last.
-    pub fn take_dropped(&mut self) -> Vec<u32> {
-        std::mem::take(&mut self.dropped)
     }
 
     /// Looks what is to be drawn, if something changed.
@@ -180,7 +266,7 @@ impl Scene {
     }
 
     /// Draws the next page: its name, place, coarseness and geometry. `None` if nothing is to be drawn.
-    pub fn build<S: PageSet>(&mut self, set: &S) -> Option<(u32, PageKey, u32, Geometry)> {
+    pub fn build<S: PageSet>(&mut self, set: &S) -> Option<BuiltPage> {
         while let Some((key, coarseness)) = self.nearest() {
             let slot = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
             let Some(page) = slot.and_then(|slot| slot.page()) else { continue };
@@ -252,13 +338,13 @@ mod tests {
         assert_eq!(built[0].1, PageKey { tx: 0, ty: 0, layer: 0 });
         assert!(built.iter().map(|page| page.2).is_sorted(), "{built:?}");
         assert_eq!((built[0].2, built.last().unwrap().2), (0, 0), "0.01 × 10 m is two pixels: steady");
-        assert!(scene.take_dropped().is_empty());
+        assert!(scene.dropped.is_empty());
         let count = built.len();
         assert!(count < 30 && build_all(&mut scene, &store).is_empty());
         // To the other end: all of it is dropped, and as much is built.
         scene.look(Point3::new(50.0, 50.0, 1.0));
         let again = build_all(&mut scene, &store);
-        let mut dropped = scene.take_dropped();
+        let mut dropped = scene.dropped.clone();
         dropped.sort_unstable();
         assert_eq!(dropped, Vec::from_iter(1..=count as u32));
         assert!(again.iter().all(|page| page.0 > count as u32));

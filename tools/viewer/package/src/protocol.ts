@@ -14,6 +14,8 @@ export interface Open {
 
 export type BatchKind = "overlaps" | "sweep" | "cast" | "floor";
 
+export type SceneSettings = readonly [radius: number, triangles: number, detail: number, overview: boolean];
+
 /** Calls with an answer. */
 export type Call =
   | Open
@@ -27,12 +29,12 @@ export type Call =
   | { readonly call: "settings"; readonly walker: number; readonly settings: Float64Array }
   | { readonly call: "record"; readonly walker: number }
   | { readonly call: "recording"; readonly walker: number }
-  | { readonly call: "view"; readonly settings: readonly [number, number, number] };
+  | { readonly call: "view"; readonly settings: SceneSettings };
 
 /** Messages without an answer. */
 export type Note =
   | { readonly note: "look"; readonly view: number; readonly at: Float64Array }
-  | { readonly note: "view"; readonly view: number; readonly settings: readonly [number, number, number] }
+  | { readonly note: "view"; readonly view: number; readonly settings: SceneSettings }
   | { readonly note: "forget"; readonly name: number }
   | { readonly note: "abort"; readonly id: number };
 

@@ -51,7 +51,10 @@ export class SlicewalkError extends Error {
 
 /** Options of `openArchive`. */
 export interface OpenOptions {
-  /** Most bytes of pages, tables and bytes on their way in memory; 64 MiB unless given. */
+  /**
+   * Most bytes of pages, tables and bytes on their way in memory; 64 MiB unless given. Where a view shows an overview level, that
+   * may take a quarter more.
+   */
   budgetBytes?: number;
   /** Most requests under way at once; 6 unless given. */
   requests?: number;
@@ -331,6 +334,12 @@ export interface ViewSettings {
   triangles?: number;
   /** Cells wider than this share of their distance are built finer, if the archive has more detail; 0.01 unless given. */
   detail?: number;
+  /**
+   * Also brings all of an overview level, if the archive has one: pages with `key.level` above 0. They hold the matter of the
+   * pages too, coarsely: draw it only where no page is drawn. `radius` is lowered to where the level is as fine as `detail`
+   * asks for. False unless given.
+   */
+  overview?: boolean;
 }
 
 export interface View {

@@ -1,13 +1,11 @@
 /** Views as the page sees them. */
 
 import type { Link } from "./link.js";
-import type { PageMessage } from "./protocol.js";
+import type { PageMessage, SceneSettings } from "./protocol.js";
 import type { PageGeometry, Vec3, View, ViewOptions, ViewSettings } from "./types.js";
 
-type Settings = readonly [radius: number, triangles: number, detail: number];
-
-function complete({ radius = 40, triangles = 1_000_000, detail = 0.01 }: ViewSettings): Settings {
-  return [radius, triangles, detail];
+function complete({ radius = 40, triangles = 1_000_000, detail = 0.01, overview = false }: ViewSettings): SceneSettings {
+  return [radius, triangles, detail, overview];
 }
 
 /** Corners of triangles are the same in every page but for their number. */
@@ -30,7 +28,7 @@ function geometry(page: PageMessage, pixelSize: number): PageGeometry {
   const scale = triple(3);
   return {
     id,
-    key: { tx, ty, layer, level: 0 },
+    key: { tx, ty, layer, level: rest[12] ?? 0 },
     cell: pixelSize * Math.round(scale[0] / pixelSize),
     origin: triple(0),
     scale,
@@ -64,7 +62,7 @@ export class ViewHandle implements View {
     );
   }
 
-  private begin(name: number, sent: Settings): void {
+  private begin(name: number, sent: SceneSettings): void {
     if (this.closed) {
       this.link.note({ note: "forget", name });
       return;

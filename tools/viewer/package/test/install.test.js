@@ -103,7 +103,9 @@ async function inBrowser(root) {
   } finally {
     const gone = new Promise((resolve) => running.on("exit", resolve));
     running.kill();
+    const late = setTimeout(() => running.kill("SIGKILL"), 5_000);
     await gone;
+    clearTimeout(late);
     server.closeAllConnections();
     server.close();
   }

@@ -11,6 +11,7 @@ import { Pointer } from "./input/pointer";
 import { Sticks } from "./input/sticks";
 import { pick } from "./measure";
 import { Cameras } from "./scene/cameras";
+import { hasHeadset } from "./scene/headset";
 import { fromAddress, Session, type Source } from "./session";
 import { loadSettings, saveSettings, walkerSettings, type Settings } from "./settings";
 import type { Table } from "./table";
@@ -64,6 +65,7 @@ export class App {
       panel: () => this.#colour(),
       link: () => void this.#link(),
       screenshot: () => void this.#screenshot(),
+      headset: () => void this.#wear(),
       help: () => this.#shell.help(),
       open: () => this.#shell.welcome.show(),
       file: (file) => void this.open({ archive: file, link: null, name: file.name }, null),
@@ -77,13 +79,12 @@ export class App {
       slices: () => this.#colour(),
       cloud: (shown) => this.#showCloud(shown),
     });
-    this.#canvas = new Canvas(this.#shell.canvas, this.#cameras, (lost) => {
-      if (lost) this.#shell.messages.wait(texts.news.graphicsLost);
-      else {
-        this.#shell.messages.wait(null);
-        this.#shell.messages.say(texts.news.graphicsBack);
-      }
-    });
+    const graphics = (lost: boolean): void => {
+      this.#shell.messages.wait(lost ? texts.news.graphicsLost : null);
+      if (!lost) this.#shell.messages.say(texts.news.graphicsBack);
+    };
+    this.#canvas = new Canvas(this.#shell.canvas, this.#cameras, graphics, (worn) => (this.#shell.toolbars.worn = worn));
+    void hasHeadset().then((has) => (this.#shell.toolbars.hasHeadset = has));
     this.#canvas.scene.add(this.#shell.measure.marks);
     this.#keyboard = new Keyboard((code) => this.#key(code));
     this.#sticks = new Sticks(parent);
@@ -100,13 +101,11 @@ export class App {
       },
     });
     this.#watchTasks();
-    const frame =
-      (last: number) =>
-      (now: number): void => {
-        this.#frame(Math.min((now - last) / 1000, LONGEST_FRAME_S));
-        requestAnimationFrame(frame(now));
-      };
-    requestAnimationFrame(frame(performance.now()));
+    let last = performance.now();
+    this.#canvas.loop((now) => {
+      this.#frame(clamp((now - last) / 1000, 0, LONGEST_FRAME_S));
+      last = now;
+    });
     window.setInterval(() => this.#write(), WRITE_MS);
     let counted = 0;
     window.setInterval(() => {
@@ -175,6 +174,7 @@ export class App {
       pages: { resident: stats.pages.resident, bytes: stats.pages.bytes },
       requests: stats.requests,
       bytesLoaded: stats.bytesLoaded,
+      drawn: this.#session?.world.counts ?? { pages: 0, overview: 0 },
       frames: this.#frames,
       longestTaskMs: this.#longestTask,
     };
@@ -209,6 +209,7 @@ export class App {
     const { archive, world, pawn } = session;
     world.moveOrigin(pawn.at);
     this.#canvas.scene.add(world.group);
+    void this.#canvas.prepare(world.shading.all);
     archive.on("trouble", (error) => this.#trouble(error));
     archive.on("failed", (error) => this.#fail(error));
     pawn.onArrival = (how) => this.#shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);
@@ -429,6 +430,22 @@ export class App {
     this.#shell.messages.say(texts.news.screenshot(name));
   }
 
+  /** Puts the headset on, or off. */
+  async #wear(): Promise<void> {
+    const { headset } = this.#canvas;
+    const pawn = this.#session?.pawn;
+    if (pawn === undefined) return;
+    try {
+      if (headset.worn) await headset.leave();
+      else {
+        this.setMode("walk");
+        await headset.enter(pawn.look.heading);
+      }
+    } catch (error) {
+      this.#shell.messages.say(texts.news.noHeadset(error instanceof Error ? error.message : String(error)));
+    }
+  }
+
   // Frames -----------------------------------------------------------------------------------------------------------------------
 
   #frame(seconds: number): void {
@@ -439,7 +456,8 @@ export class App {
       return;
     }
     const { pawn, world, view } = session;
-    const intent = joined([this.#keyboard.read(), readGamepad(), this.#sticks.read()]);
+    const { headset } = this.#canvas;
+    const intent = joined([this.#keyboard.read(), readGamepad(), this.#sticks.read(), headset.read()]);
     if (intent.turn !== 0 || intent.tilt !== 0) {
       const [turn, tilt] = [intent.turn * TURN_PER_S * seconds, intent.tilt * TILT_PER_S * seconds];
       if (this.#mode === "walk") this.#look({ heading: pawn.look.heading + turn, pitch: pawn.look.pitch + tilt });
@@ -460,11 +478,13 @@ export class App {
       this.#cloud?.place(world);
     }
     // What is seen is loaded after what the first step needs.
-    if (pawn.state.steps > 0) view.look(this.#mode === "walk" ? eye : this.#cameras.stand);
+    if (headset.worn) Object.assign(pawn.look, headset.place(world, eye, this.#settings.eye));
+    const from = this.#mode === "walk" ? eye : this.#cameras.stand;
+    if (pawn.state.ticks > 0) view.look(from);
     world.settle();
     void this.#sight?.follow(pawn.at, this.#settings);
     this.#sight?.update();
-    this.#seenTriangles = world.cull(this.#cameras.current);
+    this.#seenTriangles = world.cull(this.#canvas.camera, from);
     const { distance } = this.#cameras.orbit;
     this.#canvas.mark(this.#mode !== "walk", world, pawn.state, pawn.look, this.#settings.width, distance);
     this.#canvas.render();

@@ -2,12 +2,15 @@
 
 import {
   BoxGeometry,
+  BufferGeometry,
+  type Camera,
   Color,
   ConeGeometry,
   EdgesGeometry,
   Group,
   LineBasicMaterial,
   LineSegments,
+  type Material,
   Mesh,
   MeshBasicMaterial,
   Scene,
@@ -15,6 +18,7 @@ import {
 } from "three";
 import { BACKGROUND } from "./scene/material";
 import type { Cameras } from "./scene/cameras";
+import { Headset } from "./scene/headset";
 import type { World } from "./scene/world";
 import type { Look } from "./geometry";
 import type { WalkerState } from "slicewalk";
@@ -23,6 +27,7 @@ const MOST_PIXELS = 2;
 
 export class Canvas {
   readonly scene = new Scene();
+  readonly headset: Headset;
   readonly #renderer: WebGLRenderer;
   readonly #marker = new Group();
   readonly #body: LineSegments;
@@ -33,8 +38,14 @@ export class Canvas {
     readonly element: HTMLCanvasElement,
     readonly cameras: Cameras,
     readonly graphics: (lost: boolean) => void,
+    readonly worn: (worn: boolean) => void,
   ) {
     this.#renderer = new WebGLRenderer({ canvas: element, antialias: true, powerPreference: "high-performance" });
+    this.headset = new Headset(this.#renderer, (worn) => {
+      this.resize();
+      this.worn(worn);
+    });
+    this.scene.add(this.headset.room);
     this.scene.background = new Color(BACKGROUND);
     const accent = "#ffb547";
     this.#body = new LineSegments(
@@ -60,7 +71,8 @@ export class Canvas {
 
   resize(): void {
     const { clientWidth, clientHeight } = this.element;
-    if (clientWidth === 0 || clientHeight === 0) return;
+    // A headset has a size of its own.
+    if (clientWidth === 0 || clientHeight === 0 || this.headset.worn) return;
     this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
     this.#renderer.setSize(clientWidth, clientHeight, false);
     this.cameras.resize(clientWidth, clientHeight);
@@ -78,8 +90,27 @@ export class Canvas {
     this.#nose.rotation.z = (-look.heading * Math.PI) / 180;
   }
 
+  /** Compiles shaders ahead, aside where the browser can: a frame that needed one would wait for it. */
+  async prepare(materials: readonly Material[]): Promise<void> {
+    const renderer = this.#renderer;
+    const scene = new Scene();
+    const geometry = new BufferGeometry();
+    scene.add(...materials.map((material) => new Mesh(geometry, material)));
+    if (renderer.extensions.has("KHR_parallel_shader_compile")) await renderer.compileAsync(scene, this.cameras.current);
+    else renderer.compile(scene, this.cameras.current);
+  }
+
+  /** Calls back for each frame, of the screen or of the headset. */
+  loop(frame: (now: number) => void): void {
+    this.#renderer.setAnimationLoop(frame);
+  }
+
+  get camera(): Camera {
+    return this.headset.worn ? this.headset.head : this.cameras.current;
+  }
+
   render(): void {
-    if (!this.lost) this.#renderer.render(this.scene, this.cameras.current);
+    if (!this.lost) this.#renderer.render(this.scene, this.camera);
   }
 
   /** The picture as it is now. */

@@ -26,6 +26,9 @@ export const distance = (a: Vec3, b: Vec3): number => Math.hypot(a[0] - b[0], a[
 /** 0 to 360. */
 export const wrap = (degrees: number): number => ((degrees % 360) + 360) % 360;
 
+/** The index within a period of `count`, 0 to `count - 1`. */
+export const wrapInto = (index: number, count: number): number => ((index % count) + count) % count;
+
 /** Unit vector of a look. */
 export function direction({ heading, pitch }: Look): Vec3 {
   const [h, p] = [heading * RADIANS, pitch * RADIANS];

@@ -25,9 +25,9 @@ export interface Surroundings {
 }
 
 const PICK_M = 5000;
-/** So far sparse surfaces stop a ray, if it would pass them by more than so many pixels. */
+/** So far surfaces with gaps stop a ray, where it would come more than so many pixels farther. */
 const NEAR_M = 60;
-const GAP_PIXELS = 4;
+const GAP_PIXELS = 2;
 const HEADROOM_M = 60;
 const PLATE_M = 0.01;
 const WIDTH_M = 20;
@@ -45,26 +45,33 @@ export const pixelError = (archive: Archive): number => archive.info.pixelSize +
 
 export const heightError = (archive: Archive): number => archive.info.sliceHeight / 255 + archive.info.tolerance;
 
-/** What a ray meets first, and not through gaps of a pixel or two. Loads what it needs. */
+/**
+ * What a ray of the width of two pixels meets first: a bare one slips through gaps of sparse surfaces. On or beside a floor that
+ * is seen from above the spot is the floor. Loads what it needs.
+ */
 export async function pick(archive: Archive, { origin, direction }: Ray, signal: AbortSignal): Promise<Spot | null> {
   const options = { load: true, signal };
   const hits = await archive.castHits(new Float64Array([...origin, ...direction, PICK_M]), options);
   const hit = hits.distances[0] ?? NaN;
-  // A small box follows the ray: where it stops long before, the ray slipped through a sparse surface.
+  const normal: Vec3 = [hits.normals[0] ?? 0, hits.normals[1] ?? 0, hits.normals[2] ?? 0];
   const half = archive.info.pixelSize;
   const reach = Math.min(hit, NEAR_M);
   const box = [...origin.map((value) => value - half), ...origin.map((value) => value + half)];
   const sweep = new Float64Array([...box, ...direction.map((way) => way * reach)]);
   const stop = ((await archive.sweep(sweep, options))[0] ?? NaN) * reach;
-  const slipped = stop > 0 && stop < reach - GAP_PIXELS * half;
+  // A box touches the face that the ray meets so much earlier.
+  const facing = Math.abs(normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]);
+  const ahead = hit <= NEAR_M ? half / facing : 0;
+  const slipped = stop > 0 && stop < reach - ahead - GAP_PIXELS * half;
   const far = slipped ? stop + half : hit;
   if (!Number.isFinite(far)) return null;
   const at = add(origin, direction, far);
-  if (!slipped) return { at, normal: [hits.normals[0] ?? 0, hits.normals[1] ?? 0, hits.normals[2] ?? 0] };
-  const around = [at[0] - half, at[1] - half, at[2] - 2 * half, at[0] + half, at[1] + half, at[2] + 2 * half];
-  const floor = (await archive.floor(new Float64Array(around), options))[0] ?? NaN;
-  const isFloor = direction[2] < 0 && Math.abs(floor - at[2]) <= 2 * half;
-  return isFloor ? { at: [at[0], at[1], floor], normal: [0, 0, 1] } : { at, normal: [-direction[0], -direction[1], 0] };
+  if (direction[2] < 0 && (slipped || normal[2] <= 0)) {
+    const around = [at[0] - half, at[1] - half, at[2] - 2 * half, at[0] + half, at[1] + half, at[2] + 2 * half];
+    const floor = (await archive.floor(new Float64Array(around), options))[0] ?? NaN;
+    if (Math.abs(floor - at[2]) <= 2 * half) return { at: [at[0], at[1], floor], normal: [0, 0, 1] };
+  }
+  return { at, normal: slipped ? [-direction[0], -direction[1], 0] : normal };
 }
 
 /** Distance, distance across and difference of height of two places. */

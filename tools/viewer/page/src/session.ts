@@ -14,6 +14,8 @@ const AROUND_M = 0.3;
 const PATIENCE_MS = 10_000;
 /** Above the middle of a scan without a place to stand. */
 const HOVER_M = 2;
+/** With an overview level, which takes a quarter more, less than 64 MiB. */
+const BUDGET_BYTES = 51 << 20;
 
 export interface Source {
   /** What `openArchive` takes. */
@@ -38,8 +40,8 @@ export class Session {
     readonly archive: Archive,
     readonly pawn: Pawn,
   ) {
-    this.world = new World(archive.info.sliceHeight);
-    this.view = archive.view({ onPage: (page) => this.world.take(page), onDrop: (id) => this.world.drop(id) });
+    this.world = new World(archive.info.pixelSize, archive.info.sliceHeight);
+    this.view = archive.view({ overview: true, onPage: (page) => this.world.take(page), onDrop: (id) => this.world.drop(id) });
   }
 
   static async open(
@@ -49,7 +51,7 @@ export class Session {
     settings: Settings,
     signal: AbortSignal,
   ): Promise<Session> {
-    const archive = await openArchive(source.archive, { signal });
+    const archive = await openArchive(source.archive, { signal, budgetBytes: BUDGET_BYTES });
     try {
       const found = at ?? (await findStart(archive, settings, signal));
       const { bounds } = archive.info;

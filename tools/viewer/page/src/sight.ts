@@ -15,6 +15,8 @@ const CEILING_M = 30;
 /** The ceiling is looked for again after so much way. */
 const WAY_M = 0.3;
 const FAR_M = 1e9;
+/** The cameras see so far. */
+const FAR_SEEN_M = 4000;
 /** So far is seen until the pawn had its first steps: what it walks on comes before what is far away. */
 const FIRST_M = 4;
 const FIRST_STEPS = 10;
@@ -56,7 +58,8 @@ export class Sight {
       triangles: Math.round(this.#triangles),
     });
     const { uniforms } = world.shading;
-    uniforms.far.value = radius;
+    // Beyond the pages an overview level shows the rest.
+    uniforms.far.value = Math.max(radius, this.#extent);
     uniforms.fogShare.value = outside ? 0 : 1;
     this.colour(settings);
   }
@@ -69,6 +72,12 @@ export class Sight {
     if (slow) this.#triangles = Math.max(LEAST_TRIANGLES, this.#triangles / 2);
     else if (fast) this.#triangles = Math.min(MOST_TRIANGLES, this.#triangles * 1.5);
     if (this.#settled) view.set({ radius: this.#radius, triangles: Math.round(this.#triangles) });
+  }
+
+  /** How far an overview level shows matter (m), 0 without one. */
+  get #extent(): number {
+    const { bounds, levels } = this.session.archive.info;
+    return bounds === null || levels === 0 ? 0 : Math.min(FAR_SEEN_M, distance(bounds.min, bounds.max));
   }
 
   get #settled(): boolean {

@@ -1,6 +1,7 @@
 // How matter looks: shaded by its face, coloured by height, slope, kind or slice, and cut between two heights.
 
 import { DoubleSide, FrontSide, GLSL3, ShaderMaterial, Vector2, Vector3, Color, type IUniform } from "three";
+import type { Cover } from "./cover";
 
 export type Colouring = "height" | "slope" | "obstacle" | "slice";
 
@@ -32,6 +33,14 @@ void main() {
 
 const fragment = /* glsl */ `
 precision highp float;
+#ifdef OVERVIEW
+precision highp sampler3D;
+uniform sampler3D cover;
+uniform vec3 page;
+uniform vec3 coverRest;
+uniform vec3 coverWrap;
+uniform vec3 coverDelta;
+#endif
 in vec3 vLocal;
 in vec3 vCell;
 in float vDistance;
@@ -64,8 +73,21 @@ float grain(vec3 cell) {
   return fract((p.x + p.y) * p.z);
 }
 
+#ifdef OVERVIEW
+// Whether the page is drawn in full in which this matter lies: a face belongs to what is behind it.
+bool covered() {
+  vec3 place = floor((vLocal - 0.01 * vNormal + coverRest) / page);
+  ivec3 size = textureSize(cover, 0);
+  if (any(greaterThanEqual(abs(place + coverDelta), vec3(size / 2)))) return false;
+  return texelFetch(cover, ivec3(place + coverWrap) & (size - 1), 0).r > 0.5;
+}
+#endif
+
 void main() {
   if (vLocal.z > cut.y) discard;
+#ifdef OVERVIEW
+  if (covered()) discard;
+#endif
   if (gl_FrontFacing && vLocal.z < cut.x) {
     // Below the slice that is shown: hides what lies in it, and shows nothing.
     colour = vec4(background, 1.0);
@@ -116,10 +138,10 @@ export class Shading {
     obstacleColour: IUniform<Vector3>;
     background: IUniform<Vector3>;
   };
-  readonly solid: ShaderMaterial;
-  readonly opened: ShaderMaterial;
+  readonly #pages: Record<"solid" | "opened", ShaderMaterial>;
+  readonly #overview: Record<"solid" | "opened", ShaderMaterial>;
 
-  constructor() {
+  constructor(cover: Cover) {
     // Colours go to the screen as they are written: the shader works in the screen's own space.
     const plain = (hex: string): Vector3 => {
       const { r, g, b } = new Color().setStyle(hex, "srgb-linear");
@@ -139,10 +161,26 @@ export class Shading {
       obstacleColour: { value: plain(OBSTACLE) },
       background: { value: plain(BACKGROUND) },
     };
-    const make = (side: typeof FrontSide | typeof DoubleSide): ShaderMaterial =>
-      new ShaderMaterial({ glslVersion: GLSL3, vertexShader: vertex, fragmentShader: fragment, uniforms: this.uniforms, side });
-    this.solid = make(FrontSide);
-    this.opened = make(DoubleSide);
+    const make = (side: typeof FrontSide | typeof DoubleSide, overview: boolean): ShaderMaterial =>
+      new ShaderMaterial({
+        glslVersion: GLSL3,
+        vertexShader: vertex,
+        fragmentShader: fragment,
+        uniforms: overview ? { ...this.uniforms, ...cover.uniforms } : this.uniforms,
+        defines: overview ? { OVERVIEW: "" } : {},
+        side,
+      });
+    this.#pages = { solid: make(FrontSide, false), opened: make(DoubleSide, false) };
+    this.#overview = { solid: make(FrontSide, true), opened: make(DoubleSide, true) };
+  }
+
+  get all(): readonly ShaderMaterial[] {
+    return [this.#pages.solid, this.#pages.opened, this.#overview.solid, this.#overview.opened];
+  }
+
+  /** Of pages of this level; `opened`: also seen from inside. */
+  material(level: number, opened: boolean): ShaderMaterial {
+    return (level > 0 ? this.#overview : this.#pages)[opened ? "opened" : "solid"];
   }
 
   set colouring(colouring: Colouring) {

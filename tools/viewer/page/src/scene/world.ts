@@ -4,12 +4,14 @@
 import type { Bounds, PageGeometry, Vec3 } from "slicewalk";
 import { Box3, BufferAttribute, BufferGeometry, Frustum, Group, Matrix4, Mesh, Sphere, Vector3, type Camera } from "three";
 import { distance } from "../geometry";
+import { Cover } from "./cover";
 import { Shading } from "./material";
 
 /** Farther than this from the local origin, another one is chosen. */
 const NEAR_ORIGIN_M = 500;
-/** Time that a frame may take for bringing new pages to the graphics card. */
+/** Time and bytes that a frame may take for bringing new pages to the graphics card. */
 const UPLOAD_MS = 4;
+const UPLOAD_BYTES = 1 << 20;
 
 interface Drawn {
   readonly mesh: Mesh;
@@ -20,7 +22,7 @@ interface Drawn {
 
 export class World {
   readonly group = new Group();
-  readonly shading = new Shading();
+  readonly shading: Shading;
   /** Place of the scene's (0, 0, 0) in the scan. */
   origin: Vec3 = [0, 0, 0];
   triangles = 0;
@@ -31,7 +33,15 @@ export class World {
   readonly #frustum = new Frustum();
   readonly #matrix = new Matrix4();
 
-  constructor(readonly sliceHeight: number) {}
+  readonly #cover: Cover;
+
+  constructor(
+    pixelSize: number,
+    readonly sliceHeight: number,
+  ) {
+    this.#cover = new Cover(pixelSize, sliceHeight);
+    this.shading = new Shading(this.#cover);
+  }
 
   /** Chooses another local origin if `at` is far from this one: on a boundary of slices, so that slices are counted exactly. */
   moveOrigin(at: Vec3): boolean {
@@ -51,12 +61,10 @@ export class World {
     return [at.x + this.origin[0], at.y + this.origin[1], at.z + this.origin[2]];
   }
 
-  get pages(): number {
-    return this.#drawn.size;
-  }
-
-  get waiting(): number {
-    return this.#waiting.size;
+  /** How many pages are drawn in full, and how many of an overview level. */
+  get counts(): { pages: number; overview: number } {
+    const overview = [...this.#drawn.values()].filter(({ page }) => page.key.level > 0).length;
+    return { pages: this.#drawn.size - overview, overview };
   }
 
   take(page: PageGeometry): void {
@@ -72,31 +80,35 @@ export class World {
     drawn.mesh.geometry.dispose();
     this.triangles -= drawn.page.indices.length / 3;
     this.bytes -= drawn.bytes;
+    this.#cover.set(drawn.page, false);
   }
 
   clear(): void {
     [...this.#waiting.keys(), ...this.#drawn.keys()].forEach((id) => this.drop(id));
+    this.#cover.clear();
   }
 
   /** Whether faces are seen from inside, where matter is cut. */
   set opened(opened: boolean) {
     if (opened === this.#opened) return;
     this.#opened = opened;
-    this.#drawn.forEach(({ mesh }) => (mesh.material = opened ? this.shading.opened : this.shading.solid));
+    this.#drawn.forEach(({ mesh, page }) => (mesh.material = this.shading.material(page.key.level, opened)));
   }
 
   /** Takes in pages that have come, for as long as a frame can spare. */
   settle(): void {
     const end = performance.now() + UPLOAD_MS;
+    let bytes = 0;
     for (const [id, page] of this.#waiting) {
       this.drop(id);
-      if (page.indices.length > 0) this.#add(page);
-      if (performance.now() > end) break;
+      if (page.indices.length > 0) bytes += this.#add(page);
+      if (bytes > UPLOAD_BYTES || performance.now() > end) break;
     }
   }
 
-  /** Shows what the camera sees. */
-  cull(camera: Camera): number {
+  /** Shows what the camera sees; `eye`: around which pages are drawn in full. */
+  cull(camera: Camera, eye: Vec3): number {
+    this.#cover.follow(this.origin, eye);
     this.#matrix.multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse);
     this.#frustum.setFromProjectionMatrix(this.#matrix);
     let seen = 0;
@@ -117,7 +129,8 @@ export class World {
     return low < high ? [low, high] : null;
   }
 
-  #add(page: PageGeometry): void {
+  /** The bytes that the graphics card gets. */
+  #add(page: PageGeometry): number {
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(page.positions, 3));
     geometry.setAttribute("normal", new BufferAttribute(page.normals, 4, true));
@@ -125,16 +138,18 @@ export class World {
     geometry.setIndex(new BufferAttribute(page.indices, 1));
     // Boxes of the world decide what is drawn; three.js' own sphere would be found by a walk over all vertices.
     geometry.boundingSphere = new Sphere(new Vector3(), Infinity);
-    const mesh = new Mesh(geometry, this.#opened ? this.shading.opened : this.shading.solid);
+    const mesh = new Mesh(geometry, this.shading.material(page.key.level, this.#opened));
     mesh.frustumCulled = false;
     mesh.matrixAutoUpdate = false;
     const arrays = [page.positions, page.normals, page.attributes, page.indices];
     const drawn = { mesh, page, box: new Box3(), bytes: arrays.reduce((sum, array) => sum + array.byteLength, 0) };
     this.#place(drawn);
     this.#drawn.set(page.id, drawn);
+    this.#cover.set(page, true);
     this.group.add(mesh);
     this.triangles += page.indices.length / 3;
     this.bytes += drawn.bytes;
+    return drawn.bytes;
   }
 
   #place({ mesh, page, box }: Drawn): void {

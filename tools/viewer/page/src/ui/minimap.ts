@@ -14,12 +14,8 @@ const OFTEN_MS = 1200;
 /** What counts as the storey, from the feet: floors below steps, and matter up to the head. */
 const BELOW_M = 0.6;
 const ABOVE_M = 1.8;
-const COLOURS: readonly (readonly [number, number, number, number])[] = [
-  [0, 0, 0, 0],
-  [84, 97, 112, 255],
-  [226, 230, 235, 255],
-  [0, 0, 0, 70],
-];
+/** Red, green, blue and opacity of nothing, floor, obstacle and what is not loaded. */
+const COLOURS = new Uint32Array(Uint8Array.from([0, 0, 0, 0, 84, 97, 112, 255, 226, 230, 235, 255, 0, 0, 0, 70]).buffer);
 
 export class Minimap {
   readonly element = h("div", { class: "panel minimap" });
@@ -30,6 +26,7 @@ export class Minimap {
   #asked = 0;
   #busy = false;
   #loaded = -1;
+  #drawn: { map: SliceMap | null; at: Vec3; heading: number } | null = null;
 
   constructor(readonly archive: Archive) {
     this.element.append(this.#canvas);
@@ -62,14 +59,17 @@ export class Minimap {
     const context = this.#picture.getContext("2d");
     if (context === null || cells.length === 0) return;
     const image = context.createImageData(width, height);
-    cells.forEach((cell, n) => image.data.set(COLOURS[cell] ?? [0, 0, 0, 0], 4 * n));
+    const pixels = new Uint32Array(image.data.buffer);
+    for (let n = 0; n < pixels.length; n++) pixels[n] = COLOURS[cells[n] ?? 0] ?? 0;
     context.putImageData(image, 0, 0);
   }
 
   #draw(at: Vec3, heading: number): void {
     const context = this.#canvas.getContext("2d");
     const map = this.#map;
-    if (context === null) return;
+    const drawn = this.#drawn;
+    if (context === null || (drawn?.map === map && drawn.heading === heading && distance(drawn.at, at) === 0)) return;
+    this.#drawn = { map, at, heading };
     const size = this.#canvas.width;
     const scale = size / EDGE_M;
     context.clearRect(0, 0, size, size);

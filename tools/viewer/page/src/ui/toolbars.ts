@@ -12,6 +12,7 @@ export interface ToolEvents {
   panel(name: PanelName | null): void;
   link(): void;
   screenshot(): void;
+  headset(): void;
   help(): void;
   open(): void;
 }
@@ -25,6 +26,7 @@ export class Toolbars {
   readonly #modes = new Map<Mode, HTMLButtonElement>();
   readonly #panels = new Map<PanelName, HTMLButtonElement>();
   readonly #fly: HTMLButtonElement;
+  readonly #headset: HTMLButtonElement;
   #open: PanelName | null = null;
 
   constructor(readonly events: ToolEvents) {
@@ -42,7 +44,10 @@ export class Toolbars {
         tool(icons[name], texts.tools[name], null, () => this.show(this.#open === name ? null : name)),
       );
     }
+    this.#headset = tool(icons.headset, texts.tools.headset, null, events.headset);
+    this.hasHeadset = this.worn = false;
     const others = [
+      this.#headset,
       tool(icons.link, texts.tools.link, null, events.link, true),
       tool(icons.screenshot, texts.tools.screenshot, null, events.screenshot, true),
       tool(icons.open, texts.actions.other, null, events.open, true),
@@ -61,6 +66,15 @@ export class Toolbars {
 
   set flying(flying: boolean) {
     this.#fly.setAttribute("aria-pressed", String(flying));
+  }
+
+  /** Offered only where the browser has one. */
+  set hasHeadset(has: boolean) {
+    this.#headset.hidden = !has;
+  }
+
+  set worn(worn: boolean) {
+    this.#headset.setAttribute("aria-pressed", String(worn));
   }
 
   get panel(): PanelName | null {

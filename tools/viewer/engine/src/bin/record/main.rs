@@ -9,11 +9,14 @@ mod scene;
 use random::Random;
 use slicewalk_engine::Engine;
 use std::path::Path;
+use std::time::Instant;
 
 /// Frames of the long walk: ten minutes.
 const FRAMES: usize = 36_000;
 /// Frames of the walk over a slow link.
 const STREAMED: usize = 1800;
+/// Runs of each measurement.
+const RUNS: usize = 5;
 const LOW: [f64; 3] = [-4.5, -4.5, -0.5];
 const HIGH: [f64; 3] = [4.5, 4.5, 6.5];
 /// A box and a cylinder.
@@ -57,8 +60,27 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     write("inputs.states.f64", &states)?;
+    std::fs::write(folder.join("times.json"), times(&mut engine, &boxes, &inputs)?)?;
     write("streamed.f64", &streamed(&bytes, &inputs[..STREAMED])?)?;
     Ok(())
+}
+
+/// What a box and a frame of a pawn take natively (the least of some runs), for `tests/bench.js`.
+fn times(engine: &mut Engine, boxes: &[f64], inputs: &[[f64; 6]]) -> Result<String, String> {
+    let mut least = [f64::INFINITY; 2];
+    for _ in 0..RUNS {
+        let start = Instant::now();
+        engine.overlaps(boxes)?;
+        least[0] = least[0].min(start.elapsed().as_secs_f64() * 1e9 / (boxes.len() / 6) as f64);
+        let pawn = engine.pawn(&SETTINGS[0], &[-2.0, 2.0, 0.2])?;
+        let start = Instant::now();
+        for input in &inputs[..STREAMED] {
+            play(engine, pawn, input)?;
+        }
+        least[1] = least[1].min(start.elapsed().as_secs_f64() * 1e6 / STREAMED as f64);
+        engine.forget(pawn);
+    }
+    Ok(format!(r#"{{"box_ns":{},"frame_us":{}}}"#, least[0], least[1]))
 }
 
 fn rows(count: usize, mut row: impl FnMut() -> Vec<f64>) -> Vec<f64> {

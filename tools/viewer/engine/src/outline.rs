@@ -1,0 +1,207 @@
+//! The overview level that views draw where they draw no pages: all of an archive, coarse, from one stretch of its bytes.
+//!
+//! In: the end of the section of levels, where the coarse ones lie. Out: the finest level of which all pages have room in
+//! memory. Memory: the stretch, and a budget of its own.
+
+use slicewalk::archive::{Catalog, Level};
+use slicewalk::frame::{Frame, PageKey};
+use slicewalk::store::{Loader, LoaderOptions, Next, PageSet, PageSlot, RequestId, Time, View};
+use slicewalk::{Error, Result};
+use std::ops::Range;
+
+/// Most bytes to fetch, unless the table of levels alone is longer.
+const MOST_BYTES: u64 = 1 << 20;
+/// Most bytes that are decoded at once.
+const RUN_BYTES: usize = 64 << 10;
+
+/// Which bytes to fetch for an [`Outline`]; `None` if the archive has no levels.
+pub(crate) fn range(catalog: &Catalog) -> Option<Range<u64>> {
+    let (start, table) = (catalog.header().levels_offset(), catalog.levels_range()?);
+    Some(table.end.saturating_sub(MOST_BYTES).max(start).min(table.start)..table.end)
+}
+
+/// A level on its way into memory, or there.
+pub(crate) struct Outline {
+    /// Of the bytes fetched, and these.
+    start: u64,
+    bytes: Vec<u8>,
+    /// Levels that lie in them, the finest last.
+    levels: Vec<Level>,
+    budget: usize,
+    loading: Option<(u32, Loader, Option<RequestId>)>,
+    is_ready: bool,
+}
+
+impl Outline {
+    /// From the bytes of [`range`].
+    pub fn new(catalog: &Catalog, bytes: Vec<u8>, budget: usize) -> Result<Self> {
+        let (whole, table) = (range(catalog).unwrap_or(0..0), catalog.levels_range().unwrap_or(0..0));
+        let table = bytes.get((table.start - whole.start) as usize..).unwrap_or(&[]);
+        let mut levels = catalog.decode_levels(table)?;
+        levels.retain(|level| level.bytes().start >= whole.start);
+        levels.reverse();
+        Ok(Self {
+            start: whole.start,
+            budget: budget.saturating_sub(bytes.len()),
+            bytes,
+            levels,
+            loading: None,
+            is_ready: false,
+        })
+    }
+
+    /// The level's pages, once all of them are there.
+    pub fn view(&self) -> Option<View> {
+        self.loading.as_ref().filter(|_| self.is_ready)?.1.view()
+    }
+
+    /// Which level it is, and its grid.
+    pub fn level(&self) -> Option<(u32, Frame)> {
+        Some((self.loading.as_ref()?.0, *self.view()?.frame()))
+    }
+
+    /// Bytes in use, most in use, and budget; without the stretch.
+    pub fn bytes(&self) -> [usize; 3] {
+        let counters = self.loading.as_ref().map(|(_, loader, _)| loader.counters()).unwrap_or_default();
+        [counters.used_bytes, counters.peak_bytes, self.budget]
+    }
+
+    /// Decodes a part; whether there was any left.
+    pub fn advance(&mut self, now: Time) -> Result<bool> {
+        if self.is_ready {
+            return Ok(false);
+        }
+        let Some((_, loader, request)) = &mut self.loading else {
+            let Some(level) = self.levels.pop() else { return Ok(false) };
+            let options = LoaderOptions { fetches: 1, run_bytes: RUN_BYTES, ..LoaderOptions::new(self.budget) };
+            // A table that has no room is that of a level too fine.
+            self.loading =
+                Loader::new(level.catalog().clone(), options).ok().map(|loader| (level.number(), loader, None));
+            return Ok(true);
+        };
+        match loader.poll(now)? {
+            Next::Fetch(fetch) => {
+                let at = |byte: u64| byte.checked_sub(self.start).map_or(usize::MAX, |at| at as usize);
+                let bytes = self.bytes.get(at(fetch.range.start)..at(fetch.range.end)).unwrap_or(&[]).to_vec();
+                if let Some(job) = loader.given(fetch.id, bytes, now) {
+                    loader.loaded(job.run(), now);
+                }
+            }
+            Next::Report(page) => return Err(page.error),
+            Next::Cancel(_) => {}
+            Next::Wait(_) => match (*request, loader.view()) {
+                (_, None) => return Err(Error::parameter("archive", "the levels cannot be read")),
+                (None, Some(view)) => *request = Some(loader.request(&keys(&view), PageKey { tx: 0, ty: 0, layer: 0 })),
+                (Some(id), _) => match loader.outcome(id).transpose()? {
+                    None => return Err(Error::parameter("archive", "the levels cannot be read")),
+                    Some(report) if report.left_out > 0 => self.loading = None,
+                    Some(_) => (self.is_ready, self.bytes) = (true, Vec::new()),
+                },
+            },
+        }
+        Ok(true)
+    }
+}
+
+fn keys(view: &View) -> Vec<PageKey> {
+    let columns = (0..view.column_count()).map(|number| view.column_at(number));
+    columns.flat_map(|(tx, ty, slots)| slots.iter().map(move |slot| PageKey { tx, ty, layer: slot.layer() })).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::Engine;
+    use slicewalk::archive::{ArchiveWriter, PageEncoder, Totals};
+    use slicewalk::frame::{Frame, PageKey};
+    use slicewalk::plan::Plan;
+    use slicewalk::slice::{PageBuilder, Span};
+
+    /// Rough ground of 40 × 10 pages of 3.2 m.
+    fn ground(has_levels: bool) -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("ground.slices");
+        let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
+        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+        let mut encoder = PageEncoder::new(plan.frame).for_levels(has_levels);
+        if has_levels {
+            writer.set_levels();
+        }
+        let mut keys: Vec<_> = (0..400).map(|n| PageKey { tx: n % 40, ty: n / 40, layer: 0 }).collect();
+        keys.sort_unstable();
+        for key in keys {
+            let mut page = PageBuilder::default();
+            for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+                let top = 100 + (x * 31 + y * 17 + key.tx as u32) % 5 * 60;
+                assert!(page.set_column(x, y, &[Span::new(0, top, false).unwrap()]));
+            }
+            writer.put(key, encoder.encode(key, &page.build())).unwrap();
+        }
+        writer.finish(Totals { points_read: 1, points_kept: 1, ..Totals::default() }).unwrap();
+        std::fs::read(&target).unwrap()
+    }
+
+    /// What a camera at one end of the ground gets: fetches once it looks, and names, places and levels of pages drawn.
+    fn seen(bytes: &[u8], overview: bool, budget: f64) -> (Vec<[u64; 2]>, Vec<[f64; 2]>) {
+        let mut engine = Engine::new(bytes.len() as f64, budget, 4);
+        let (mut scene, mut fetches, mut built) = (None, Vec::new(), Vec::new());
+        loop {
+            let todo = engine.poll(0.0).unwrap();
+            let asked: Vec<_> = todo.chunks(4).filter(|what| what.len() == 4 && what[0] == 1.0).collect();
+            for what in &asked {
+                let [start, end] = [what[2] as usize, what[3] as usize];
+                fetches.extend(scene.map(|_| [start as u64, end as u64]));
+                engine.given(what[1] as u32, bytes[start..end].to_vec(), 0.0);
+            }
+            let mut busy = !asked.is_empty();
+            while engine.decode(0.0) {
+                busy = true;
+            }
+            let name = match scene {
+                Some(name) => name,
+                None if !engine.is_open() => continue,
+                None => {
+                    let name = engine.scene(20.0, 1e6, 0.02, overview);
+                    engine.look(name, &[1.0, 1.0, 1.0]).unwrap();
+                    *scene.insert(name)
+                }
+            };
+            loop {
+                let numbers = engine.build(name).unwrap();
+                let [_, .., level] = numbers[..] else { break };
+                built.push([numbers[4], level]);
+                busy = true;
+            }
+            assert!(engine.take_report().is_empty());
+            if !busy && !fetches.is_empty() {
+                return (fetches, built);
+            }
+        }
+    }
+
+    #[test]
+    fn beyond_the_pages_all_of_a_level_is_drawn_after_one_fetch() {
+        let bytes = ground(true);
+        let (fetches, built) = seen(&bytes, true, 64e6);
+        let level: Vec<_> = built.iter().filter(|page| page[1] > 0.0).collect();
+        let pages: Vec<_> = built.iter().filter(|page| page[1] == 0.0).collect();
+        // Level 1 has pixels of 0.2 m: as fine as wanted from 10 m on.
+        assert_eq!(level.len(), 30, "40 × 10 pages, four by four");
+        assert!(level.iter().all(|page| page[1] == 1.0) && level.iter().any(|page| page[0] > 100.0));
+        assert!(!pages.is_empty() && pages.iter().all(|page| page[0] <= 1.0 + 10.0 * 1.25));
+        let (without, alone) = seen(&bytes, false, 64e6);
+        assert!(alone.iter().all(|page| page[1] == 0.0) && alone.iter().any(|page| page[0] > 15.0));
+        // One more, at the end of the pages: where the levels lie.
+        let last = |fetches: &[[u64; 2]]| fetches.iter().map(|range| range[1]).max();
+        assert!(last(&without) < last(&fetches), "{without:?}, {fetches:?}");
+        let of_level = fetches.iter().filter(|range| Some(range[1]) == last(&fetches));
+        assert_eq!(of_level.count(), 1, "{fetches:?}");
+    }
+
+    #[test]
+    fn archives_without_levels_and_small_budgets_show_pages_alone() {
+        for (has_levels, budget) in [(false, 64e6), (true, 12e6)] {
+            let (_, built) = seen(&ground(has_levels), true, budget);
+            assert!(built.iter().all(|page| page[1] == 0.0) && built.iter().any(|page| page[0] > 15.0));
+        }
+    }
+}
