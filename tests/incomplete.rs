@@ -385,7 +385,10 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
             let error = merge(&parts, &at.join("bad.slices"), false, &NoMonitor);
             let error = error.unwrap_err().to_string();
             let input = name.file_name().unwrap().to_str().unwrap();
-            assert!(error.starts_with(&format!("{input}: content: it changed between two parts")), "{changed}: {error}");
+            assert!(
+                error.starts_with(&format!("{input}: content: it changed between two parts")),
+                "{changed}: {error}"
+            );
             assert!(!at.join("bad.slices").exists());
             part(at, &inputs, 2, &file).unwrap();
         }

@@ -189,7 +189,7 @@ fn parts_extracts_and_recovered_archives_have_the_levels_of_a_single_run() {
     let middle = key(1, 0, 0).column();
     let parts: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
         .map(|(index, first, last)| {
-            let shard = Shard { index, count: 2, first, last, job: 7 };
+            let shard = Shard { index, count: 2, first, last, plan_file: 7 };
             let own = city().into_iter().filter(|(key, _)| shard.columns().contains(&key.column())).collect();
             let totals = if index == 1 { totals() } else { Totals { crs: "here".into(), ..Totals::default() } };
             let target = path(&format!("{index}.slices"));
@@ -199,7 +199,7 @@ fn parts_extracts_and_recovered_archives_have_the_levels_of_a_single_run() {
         .into();
     merge(&parts, &path("whole.slices"), false, &NoMonitor).unwrap();
     assert!(fs::read(path("whole.slices")).unwrap() == single);
-    let without = Shard { index: 2, count: 2, first: middle, last: u64::MAX, job: 7 };
+    let without = Shard { index: 2, count: 2, first: middle, last: u64::MAX, plan_file: 7 };
     fs::write(
         &parts[1],
         archive_of(&plan(), &(Pages::new(), Totals { crs: "here".into(), ..Totals::default() }), Some(without)),

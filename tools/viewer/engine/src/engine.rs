@@ -56,7 +56,7 @@ enum Distant {
     Later,
     Wanted,
     Asked(u32),
-    Here(Outline),
+    Here(Box<Outline>),
     /// There is none.
     Never,
 }
@@ -173,7 +173,10 @@ impl Engine {
             self.decodes.extend(self.loader.given(id, bytes, time(now_ms)));
         } else if matches!(self.outline, Distant::Asked(name) if name == fetch) {
             let outline = self.loader.catalog().map(|catalog| Outline::new(catalog, bytes, self.outline_budget));
-            self.outline = self.sound(outline.transpose()).flatten().map_or(Distant::Never, Distant::Here);
+            self.outline = self
+                .sound(outline.transpose())
+                .flatten()
+                .map_or(Distant::Never, |outline| Distant::Here(Box::new(outline)));
         }
     }
 
