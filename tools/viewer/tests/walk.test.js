@@ -90,7 +90,7 @@ describe("walking", () => {
       };
       look();
     });
-    await hold(page, ["Shift", "w"], "60 m on", ({ at }) => at[0] > from[0] + 60);
+    await hold(page, ["Shift", "w"], "30 m on", ({ at }) => at[0] > from[0] + 30, { timeout: 120_000 });
     assert.equal(await page.evaluate(() => window.waited), 0);
     const { bytesLoaded } = await state(page);
     assert.ok(bytesLoaded > 1e6, `${bytesLoaded} bytes`);

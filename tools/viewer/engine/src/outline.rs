@@ -131,7 +131,8 @@ mod tests {
         for key in keys {
             let mut page = PageBuilder::default();
             for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
-                let top = 100 + (x * 31 + y * 17 + key.tx as u32) % 5 * 60;
+                // No two pages are alike.
+                let top = 100 + (x * 31 + y * 17) % 5 * 60 + (key.ty * 40 + key.tx) as u32 / 2 + x % 2 * key.tx as u32;
                 assert!(page.set_column(x, y, &[Span::new(0, top, false).unwrap()]));
             }
             writer.put(key, encoder.encode(key, &page.build())).unwrap();
