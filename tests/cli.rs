@@ -51,7 +51,6 @@ fn json_on_standard_output_is_one_document_with_the_keys_of_the_contract() {
         &["bytes", "file"],
         &["bytes", "tiles"],
         &["bytes", "directory"],
-        &["bytes", "levels"],
     ];
     for path in numbers {
         let value = path.iter().fold(&facts, |value, key| &value[key]);

@@ -127,7 +127,7 @@ fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
     };
     type Forge = fn(&mut Vec<u8>);
     // Rule, whether the plan's hash is put right, what is wrong.
-    let cases: [(&str, bool, Forge); 34] = [
+    let cases: [(&str, bool, Forge); 32] = [
         ("H1", false, |head| head[0] = b'S'),
         ("H2", false, |head| put(head, 12, 387, 4)),
         ("H2", false, |head| put(head, 12, 16_385, 4)),
@@ -141,9 +141,7 @@ fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
         ("H7", true, |head| put(head, 72, 91f64.to_bits(), 8)),
         ("H7", true, |head| put(head, 80, (-0f64).to_bits(), 8)),
         ("H7", true, |head| head[88] = 3),
-        ("H7", true, |head| head[89] = 2),
-        ("H7", true, |head| head[90] = 2),
-        ("H7", true, |head| head[91] = 1),
+        ("H7", true, |head| head[89] = 4),
         ("H7", true, |head| head[92] = 0),
         ("H8", false, |head| put(head, 136, 4, 8)),
         ("H8", false, |head| put(head, 144, u64::MAX, 8)),

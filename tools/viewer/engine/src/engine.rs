@@ -130,7 +130,17 @@ impl Engine {
     /// What to do now, as numbers: 1, name, start, end (fetch these bytes); 2, name (give this fetch up); 3, milliseconds (come
     /// again then; ∞: after news). Fails while the archive cannot be opened.
     pub fn poll(&mut self, now_ms: f64) -> Result<Vec<f64>, String> {
-        let now = time(now_ms);
+        // Pages with the content of resident ones come without a fetch.
+        let resident = |loader: &Loader| (loader.counters().resident_pages, loader.counters().evicted);
+        let before = resident(&self.loader);
+        let todo = self.todo(time(now_ms));
+        if resident(&self.loader) != before {
+            self.scenes.0.iter_mut().for_each(|(_, scene)| scene.thing.pages_changed());
+        }
+        todo
+    }
+
+    fn todo(&mut self, now: Time) -> Result<Vec<f64>, String> {
         let mut todo = Vec::new();
         loop {
             match self.loader.poll(now).map_err(|error| fault::text(&error))? {
