@@ -8,8 +8,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Where the names that `lib.rs` re-exports come from.
-const RE_EXPORTS: [(&str, &str); 5] =
-    [("Error", "error"), ("Parameter", "error"), ("Result", "error"), ("Monitor", "monitor"), ("NoMonitor", "monitor")];
+const RE_EXPORTS: [(&str, &str); 6] = [
+    ("Error", "error"),
+    ("Parameter", "error"),
+    ("Result", "error"),
+    ("Monitor", "monitor"),
+    ("NoMonitor", "monitor"),
+    ("Warning", "monitor"),
+];
 
 /// Modules that each module uses, each with a file that does.
 type Uses = BTreeMap<String, BTreeMap<String, String>>;
