@@ -405,7 +405,7 @@ def show(head, crs, part, units):
         facts[f"points_{name}"] = getattr(head, f"points_{name}")
     if part:
         columns = {f"{end}_column": f"{part[end]:016x}" for end in ("first", "last")}
-        facts["shard"] = {"index": part["index"], "count": part["count"], "plan_file": part["job"], **columns}
+        facts["shard"] = {"index": part["index"], "count": part["count"], "plan_file": part["plan_file"], **columns}
     return facts
 
 

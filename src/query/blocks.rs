@@ -15,20 +15,23 @@ pub(super) const OBSTACLE: Kinds = Span::OBSTACLE_KIND;
 
 /// First and last slice in which a span can lie that meets the local heights `low..=high` [0..=16320]: one that ends at
 /// `low` on a slice boundary belongs to the slice below.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn slices_of(low: u32, high: u32) -> (u32, u32) {
     (low.saturating_sub(1) / SLICE_QUANTA as u32, (high / SLICE_QUANTA as u32).min(63))
 }
 
 /// The same slices as a mask.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn slices_between(low: u32, high: u32) -> u64 {
     let (first, last) = slices_of(low, high);
     u64::MAX >> (63 - last) & u64::MAX << first
 }
 
 /// A height above the origin as a height in the page with floor `base`, clamped to the page (quanta).
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn local(height: i64, base: i64) -> u32 {
     (height - base).clamp(0, PAGE_QUANTA) as u32
 }
@@ -67,7 +70,8 @@ impl PageUnder<'_> {
 }
 
 /// What `shape` touches between local heights `low` and `high`, at least until it is one of `until`.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn touched<G: OnPixels>(place: &PageUnder<'_>, shape: &G, low: u32, high: u32, until: Kinds) -> Kinds {
     let mut found = 0;
     let mut blocks = place.blocks_between(low, high);
@@ -80,7 +84,8 @@ pub(super) fn touched<G: OnPixels>(place: &PageUnder<'_>, shape: &G, low: u32, h
 }
 
 /// What `shape` touches in one block, unless it is among what is `known` to be touched.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn touched_in_block<G: OnPixels>(
     place: &PageUnder<'_>,
     number: u32,
@@ -140,20 +145,23 @@ fn touched_in_pixels<G: OnPixels>(
 }
 
 /// Kinds of matter in any of the block's pixels that meet `low..=high`.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn kinds_by_unions(block: BlockView<'_>, low: u32, high: u32) -> Kinds {
     let (first, more) = block.union_quads();
     meeting(more, meeting(std::slice::from_ref(first), 0, low, high), low, high)
 }
 
 /// Whether any of the block's pixels has matter that meets `low..=high`.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn touches_union(block: BlockView<'_>, low: u32, high: u32) -> bool {
     kinds_by_unions(block, low, high) != 0
 }
 
 /// Heights from the lowest to the highest end of the block's unions that meet `low..=high`; `None` if none does.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn union_heights(block: BlockView<'_>, low: u32, high: u32) -> Option<(u32, u32)> {
     let (first, more) = block.union_quads();
     if !touches_union(block, low, high) {

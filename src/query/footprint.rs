@@ -46,7 +46,8 @@ pub(super) fn floor_of(layer: i32) -> i64 {
 
 /// Calls `f` for every tile column of `set` that `rect` meets, until it breaks. Never visits more tiles than the set
 /// has columns, however large the rectangle.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn for_each_column<S: PageSet>(
     set: &S,
     rect: Rect,
@@ -100,7 +101,8 @@ fn among_all_columns<S: PageSet>(
 }
 
 /// Those of `slots` whose pages can hold matter that meets `heights`; a top on a page's floor lies in the page below.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn layers<T: PageSlot>(slots: &[T], heights: Heights) -> impl DoubleEndedIterator<Item = &T> + Clone {
     let below = move |slot: &T| floor_of(slot.layer()) + PAGE_QUANTA < heights.low;
     let above = move |slot: &T| floor_of(slot.layer()) > heights.high;
@@ -134,7 +136,8 @@ impl Touch {
     }
 
     /// The pages of one tile column; breaks when one of the wanted kinds is found.
-    #[inline(always)]
+    #[cfg_attr(target_family = "wasm", inline)]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
     pub fn column<G: OnPixels, T: PageSlot>(
         &mut self,
         shape: &G,

@@ -10,7 +10,8 @@ use crate::slice::Span;
 ///
 /// Eight spans at a time, the last eight overlapping: no loop over a rest. The way out in the middle keeps the compiler
 /// from vectorising across groups of eight, which costs more than it gains on runs of 10 to 60 spans.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn gather(
     spans: &[Span],
     value: impl Fn(Span) -> u32,
@@ -36,12 +37,14 @@ fn gather(
     }
 }
 
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn quad(spans: &[Span; 4], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32) -> u32) -> u32 {
     join(join(value(spans[0]), value(spans[1])), join(value(spans[2]), value(spans[3])))
 }
 
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn eight(spans: &[Span; 8], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32) -> u32) -> u32 {
     // Not `map`: it is inlined at times only, too.
     let pair = |n: usize| join(value(spans[n]), value(spans[n + 4]));
@@ -49,7 +52,8 @@ fn eight(spans: &[Span; 8], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32)
 }
 
 /// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`, at least until one is in `until`.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high: u32, until: Kinds) -> Kinds {
     let kinds = |span: Span| span.kinds() & select(meets(span, low, high) & in_lanes(span, x0, x1));
     gather(spans, kinds, |a, b| a | b, |all| all & until != 0)
@@ -57,7 +61,8 @@ pub(super) fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high:
 
 /// Highest top up to `limit` of a floor span of lanes `x0..=x1`, plus 1; 0 if there is none. Ends when it reaches
 /// `bound`.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn top_in_lanes(spans: &[Span], x0: u32, x1: u32, limit: u32, bound: u32) -> u32 {
     let top = |span: Span| {
         let counts = !span.is_obstacle() & (span.top() as i32 <= limit as i32) & in_lanes(span, x0, x1);
@@ -67,25 +72,29 @@ pub(super) fn top_in_lanes(spans: &[Span], x0: u32, x1: u32, limit: u32, bound: 
 }
 
 /// `kinds`, and the kinds of those spans that meet `low..=high`.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn meeting(quads: &[[Span; 4]], kinds: Kinds, low: u32, high: u32) -> Kinds {
     let met = |span: Span| span.kinds() & select(meets(span, low, high));
     quads.iter().fold(kinds, |kinds, group| kinds | quad(group, met, |a, b| a | b))
 }
 
 /// Signed comparisons of values below 2³¹: the plain x86-64 instruction set has no others for vectors.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn meets(span: Span, low: u32, high: u32) -> bool {
     (span.bottom() as i32 <= high as i32) & (span.top() as i32 >= low as i32)
 }
 
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 fn in_lanes(span: Span, x0: u32, x1: u32) -> bool {
     (span.lane() as i32 >= x0 as i32) & (span.lane() as i32 <= x1 as i32)
 }
 
 /// All bits if `condition`, else none.
-#[inline(always)]
+#[cfg_attr(target_family = "wasm", inline)]
+#[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn select(condition: bool) -> u32 {
     u32::from(condition).wrapping_neg()
 }
