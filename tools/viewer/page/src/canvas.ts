@@ -72,7 +72,7 @@ export class Canvas {
   resize(): void {
     const { clientWidth, clientHeight } = this.element;
     // A headset has a size of its own.
-    if (clientWidth === 0 || clientHeight === 0 || this.headset.worn) return;
+    if (clientWidth === 0 || clientHeight === 0 || this.headset.worn || this.#renderer.xr.isPresenting) return;
     this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
     this.#renderer.setSize(clientWidth, clientHeight, false);
     this.cameras.resize(clientWidth, clientHeight);
