@@ -43,7 +43,7 @@ pub struct Scenes {
 }
 
 impl Scenes {
-    /// See [`Scene::new`]; `overview`: draws a level too, once it is there.
+    /// As `Scene::new`; `overview`: draws a level too, once it is there.
     pub fn new(radius: f64, triangles: f64, detail: f64, overview: bool) -> Self {
         let mut far = Scene::new(OVERVIEW_M, triangles, detail);
         far.names = OVERVIEW_NAMES;
@@ -89,7 +89,7 @@ impl Scenes {
         self.near.stale = true;
     }
 
-    /// See [`Scene::outlook`].
+    /// As `Scene::outlook`.
     pub fn outlook(&self) -> Outlook {
         self.near.outlook()
     }
@@ -106,7 +106,7 @@ impl Scenes {
         dropped
     }
 
-    /// Draws the next page, of the level only if no other is to be drawn: level, and see [`Scene::build`].
+    /// Draws the next page, of the level only if no other is to be drawn: level, as `Scene::build` does.
     pub fn build<S: PageSet>(&mut self, pages: &S, overview: Option<&S>) -> (u32, Option<BuiltPage>) {
         self.near.plan(pages);
         let built = self.near.build(pages);
