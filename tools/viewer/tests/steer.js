@@ -1,6 +1,6 @@
 // Walks by keys: looks towards a place and holds W until it is reached.
 
-import { hold, state } from "./browser.js";
+import { hold, state, walkIn } from "./browser.js";
 
 export const NEAR = 0.35;
 
@@ -30,3 +30,21 @@ export const address = (server, { archive = "house.slices", at = null, look = nu
   if (view) fields.push(`view=${view}`);
   return `${server.address}?${fields.join("&")}`;
 };
+
+/** Runs eastwards over a link of 20 Mbit/s and 40 ms: bytes loaded, and how many pages a frame missed at most. */
+export async function runAlong(page, server, archive, metres) {
+  Object.assign(server, { delayMs: 40, bytesPerSecond: 2_500_000 });
+  const { at: from } = await walkIn(page, address(server, { archive, at: [2, 0, 0.1], look: [90, 0] }));
+  await page.evaluate(() => {
+    window.waited = 0;
+    const look = () => {
+      window.waited = Math.max(window.waited, window.slicewalk.state().missing);
+      requestAnimationFrame(look);
+    };
+    look();
+  });
+  const { bytesLoaded } = await hold(page, ["Shift", "w"], `${metres} m on`, ({ at }) => at[0] > from[0] + metres, {
+    timeout: 120_000,
+  });
+  return { bytesLoaded, waited: await page.evaluate(() => window.waited) };
+}
