@@ -1,6 +1,9 @@
 //! A frame allocates nothing and frees nothing: queries, sweeps, walkers, crowds, views and hints, whatever they answer
 //! (guarantee G8).
 
+#[path = "common/random.rs"]
+mod random;
+
 #[path = "common/counting.rs"]
 mod counting;
 #[path = "oracle/scene.rs"]

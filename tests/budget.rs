@@ -1,5 +1,8 @@
 //! The budget of a loader is what it takes: the heap is counted, byte by byte (guarantee G5).
 
+#[path = "common/random.rs"]
+mod random;
+
 #[path = "common/heap.rs"]
 mod heap;
 #[path = "stream/tower.rs"]
@@ -27,7 +30,7 @@ fn the_heap_never_holds_more_than_the_budget() {
             let (mut flying, mut now) = (Vec::new(), Duration::ZERO);
             for _ in 0..1500 {
                 now += Duration::from_millis(20);
-                let at = [random.in_range(-4.0, 4.0), random.in_range(-4.0, 4.0), random.in_range(0.0, 60.0)];
+                let at = [random.between(-4.0, 4.0), random.between(-4.0, 4.0), random.between(0.0, 60.0)];
                 if random.below(10) == 0 {
                     loader.hint(pawn, &Body::at(at[0], at[1], at[2]).motion());
                 }

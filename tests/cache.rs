@@ -6,6 +6,7 @@ mod counting;
 #[path = "stream/tower.rs"]
 mod tower;
 
+use common::random;
 use counting::allocations;
 use slicewalk::archive::Archive;
 use slicewalk::bytes::{FileSource, MemorySource};
@@ -40,7 +41,7 @@ fn a_frame_of_queries_allocates_and_frees_nothing_while_pages_come_and_go() {
     while frame < 2000 || stream.counters().evicted < 100 && start.elapsed() < Duration::from_secs(60) {
         frame += 1;
         // Jumps all the time, so that the thread is always loading and evicting.
-        let body = Body::at(random.in_range(-3.0, 3.0), random.in_range(-3.0, 3.0), random.in_range(0.0, 90.0));
+        let body = Body::at(random.between(-3.0, 3.0), random.between(-3.0, 3.0), random.between(0.0, 90.0));
         let (shape, motion) = (body.shape(), body.motion());
         let ray = Ray::new(body.feet, [1.0, 0.2, -0.3].into(), 4.0).unwrap();
         let allocated = allocations(|| {
@@ -252,12 +253,12 @@ fn soak_no_thread_ever_gets_a_wrong_answer() {
                     match random.below(200) {
                         0 => {
                             body = Body::at(
-                                random.in_range(-4.0, 4.0),
-                                random.in_range(-4.0, 4.0),
-                                random.in_range(0.0, 90.0),
+                                random.between(-4.0, 4.0),
+                                random.between(-4.0, 4.0),
+                                random.between(0.0, 90.0),
                             )
                         }
-                        1 => body.velocity = [random.in_range(-2.0, 2.0), random.in_range(-2.0, 2.0), -10.0].into(),
+                        1 => body.velocity = [random.between(-2.0, 2.0), random.between(-2.0, 2.0), -10.0].into(),
                         2 => pawn = stream.pawn(),
                         3 => {
                             let _ = stream.load_around(&body.motion()).unwrap();

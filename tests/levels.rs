@@ -4,7 +4,8 @@
 mod common;
 
 use common::forge::{Parts, put, word};
-use common::{Pages, Random, archive_of, archive_with_levels, key, page, plan};
+use common::random::Random;
+use common::{Pages, archive_of, archive_with_levels, key, page, plan};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
     Archive, ArchiveWriter, Opened, Opening, PageEncoder, Shard, Totals, extract, merge, recover,

@@ -1,5 +1,8 @@
 //! The loader as a state machine: it opens an archive, streams it over any link, and says the same twice.
 
+#[path = "common/random.rs"]
+mod random;
+
 #[path = "loader/link.rs"]
 mod link;
 #[path = "stream/tower.rs"]
@@ -80,10 +83,10 @@ fn an_hour_over_a_bad_link_is_right_within_the_budget_and_the_same_twice() {
         let (mut body, mut known) = (Body::at(0.0, 0.0, 30.0), 0);
         for step in 1..=360 {
             if step % 6 == 0 {
-                let mut at = |limit: f64| random.in_range(-limit, limit);
+                let mut at = |limit: f64| random.between(-limit, limit);
                 body = Body::at(at(3.5), at(3.5), 30.0 + at(29.0));
             }
-            body.velocity = [random.in_range(-0.1, 0.1), random.in_range(-0.1, 0.1), 0.0].into();
+            body.velocity = [random.between(-0.1, 0.1), random.between(-0.1, 0.1), 0.0].into();
             body.feet += body.velocity * 10.0;
             loader.hint(pawn, &body.motion());
             link.run(&mut loader, seconds(10.0 * f64::from(step))).unwrap();
@@ -134,9 +137,9 @@ fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
         link.run(&mut loader, seconds(0.1)).unwrap();
         link.manners = manners;
         for _ in 0..20 {
-            let body = Body::at(random.in_range(-4.0, 4.0), random.in_range(-4.0, 4.0), random.in_range(0.0, 60.0));
+            let body = Body::at(random.between(-4.0, 4.0), random.between(-4.0, 4.0), random.between(0.0, 60.0));
             loader.hint(pawn, &body.motion());
-            link.run(&mut loader, link.now + seconds(random.in_range(0.0, 0.2))).unwrap();
+            link.run(&mut loader, link.now + seconds(random.between(0.0, 0.2))).unwrap();
         }
         let body = Body::at(0.9, 0.2, 31.0);
         loader.hint(pawn, &body.motion());

@@ -1,5 +1,8 @@
 //! Queries against brute force: over the raw points (guarantees G1 and G2) and over the spans (equality).
 
+#[path = "common/random.rs"]
+mod random;
+
 #[path = "oracle/brute.rs"]
 mod brute;
 #[path = "oracle/edges.rs"]
@@ -51,8 +54,8 @@ fn cylinders_and_spheres_miss_no_point_and_hit_no_phantom() {
         for _ in 0..200 {
             let c = scene.random_point(&mut random);
             let most = [0.0, 0.5, 5.0, 40.0][random.below(4)];
-            let r = t * random.in_range(0.0, most);
-            let h = s * random.in_range(0.0, 10.0);
+            let r = t * random.between(0.0, most);
+            let h = s * random.between(0.0, 10.0);
             let is_hit = |answer| {
                 assert!(!matches!(answer, Overlap::NotLoaded(_)));
                 answer == Overlap::Hit
@@ -101,7 +104,7 @@ fn floors_and_ceilings_are_those_of_the_spans_whatever_the_pages() {
         for _ in 0..200 {
             let shape = scene.random_box(&mut random);
             let from = scene.random_point(&mut random).z;
-            let reach = [f64::INFINITY, random.in_range(0.0, 80.0) * scene.frame.slice_m()][random.below(2)];
+            let reach = [f64::INFINITY, random.between(0.0, 80.0) * scene.frame.slice_m()][random.below(2)];
             let floor = scene.floor(scene.pixels_of(&shape), scene.quanta(from - reach, from));
             assert_eq!(floor_under(&store, &shape, from, reach), Answer::Known(floor), "{shape:?} {from} {reach}");
             let ceiling = scene.ceiling(scene.pixels_of(&shape), scene.quanta(from, from + reach));
@@ -125,7 +128,7 @@ fn rays_end_at_the_first_span() {
             if way.norm() == 0.0 {
                 way.z = -1.0;
             }
-            let max = [f64::INFINITY, way.norm() * random.in_range(0.0, 3.0)][random.below(2)];
+            let max = [f64::INFINITY, way.norm() * random.between(0.0, 3.0)][random.below(2)];
             let ray = Ray::new(from, way, max).unwrap();
             let Answer::Known(hit) = cast(&store, &ray) else { panic!("all pages are in memory") };
             let distance = hit.map(|hit| hit.distance);

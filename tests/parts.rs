@@ -3,7 +3,8 @@
 mod common;
 
 use common::forge::{Parts, put};
-use common::{Pages, Random, key, page, plan, read_all, render, scene};
+use common::random::Random;
+use common::{Pages, key, page, plan, read_all, render, scene};
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{

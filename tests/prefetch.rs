@@ -1,5 +1,8 @@
 //! The prefetcher: nothing is missing when it is needed, nothing is waited for, and no answer changes.
 
+#[path = "common/random.rs"]
+mod random;
+
 #[path = "stream/clock.rs"]
 mod clock;
 #[path = "stream/tower.rs"]
@@ -148,7 +151,7 @@ fn walk_and_compare(prefetch: Prefetch, budget: usize, seed: u64) -> (u32, u32) 
     let (mut known, mut unknown) = (0, 0);
     for frame in 0..400 {
         if frame % 50 == 0 {
-            let mut at = |limit: f64| random.in_range(-limit, limit);
+            let mut at = |limit: f64| random.between(-limit, limit);
             body.feet = [at(4.0), at(4.0), 75.0 + at(75.0)].into();
             body.velocity = [at(3.0), at(3.0), at(20.0)].into();
         }
@@ -169,7 +172,7 @@ fn walk_and_compare(prefetch: Prefetch, budget: usize, seed: u64) -> (u32, u32) 
         same(answer.known().is_some(), answer == floor_under(&all, &box_, body.feet.z - 1.0, body.feet.z + 0.4));
         let answer = ceiling_above(&view, &box_, body.feet.z, body.feet.z + 3.0);
         same(answer.known().is_some(), answer == ceiling_above(&all, &box_, body.feet.z, body.feet.z + 3.0));
-        let ray = Ray::new(body.feet, [random.in_range(-1.0, 1.0), 0.3, -0.2].into(), 5.0).unwrap();
+        let ray = Ray::new(body.feet, [random.between(-1.0, 1.0), 0.3, -0.2].into(), 5.0).unwrap();
         let answer = cast(&view, &ray);
         same(matches!(answer, Answer::Known(_)), answer == cast(&all, &ray));
         drop(view);

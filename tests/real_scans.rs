@@ -5,7 +5,10 @@
 
 #[path = "common/data.rs"]
 mod data;
+#[path = "common/random.rs"]
+mod random;
 
+use random::Random;
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::input::Units;
@@ -16,19 +19,6 @@ use std::path::Path;
 
 struct Quiet;
 impl Monitor for Quiet {}
-
-/// A small generator of uniform numbers.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, n: usize) -> usize {
-        (self.uniform() * n as f64) as usize
-    }
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
 
 /// Points sorted into square cells in xy, to count those in a box without looking at all.
 struct Truth {

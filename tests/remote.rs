@@ -1,5 +1,8 @@
 //! Archives on a web server: few requests, and an error for whatever a server can do wrong.
 
+#[path = "common/random.rs"]
+mod random;
+
 #[path = "stream/tower.rs"]
 mod tower;
 

@@ -4,28 +4,14 @@
 //! too. `SLICEWALK_FUZZ_RUNS` sets how many changed inputs each target gets, `SLICEWALK_FUZZ_SEED` where their numbers begin.
 #![cfg(feature = "cli")]
 
+#[path = "common/random.rs"]
+mod random;
 #[path = "fuzz/targets.rs"]
 mod targets;
 
+use random::Random;
 use std::path::Path;
 use targets::TARGETS;
-
-/// Numbers that look random and are the same everywhere (SplitMix64).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ z >> 31
-    }
-
-    fn below(&mut self, n: usize) -> usize {
-        (self.next() % n.max(1) as u64) as usize
-    }
-}
 
 /// Values at which checks of numbers end.
 const EDGES: [u64; 8] = [0, 1, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFF_FFFF, u64::MAX];
@@ -38,7 +24,7 @@ fn change(bytes: &mut Vec<u8>, others: &[Vec<u8>], random: &mut Random) {
         let len = random.below(64).min(bytes.len() - at.min(bytes.len()));
         match random.below(7) {
             0 if !bytes.is_empty() => bytes[at] ^= 1 << random.below(8),
-            1 if !bytes.is_empty() => bytes[at] = random.next() as u8,
+            1 if !bytes.is_empty() => bytes[at] = random.bits() as u8,
             2 => {
                 let width = [1, 2, 4, 8][random.below(4)].min(bytes.len() - at.min(bytes.len()));
                 let value = EDGES[random.below(EDGES.len())].to_le_bytes();

@@ -1,5 +1,8 @@
 //! Sweeps, clearance and ways out of matter, against brute force over the spans and against dense steps of `overlaps`.
 
+#[path = "common/random.rs"]
+mod random;
+
 #[path = "oracle/brute.rs"]
 #[allow(dead_code)]
 mod brute;
@@ -102,7 +105,7 @@ fn brute_round(
 /// Motions of all kinds: along an axis, across, tiny, as long as the scene and far longer.
 fn random_motion(scene: &Scene, random: &mut Random) -> Vector3<f64> {
     let length = scene.frame.pixel_m() * [0.1, 2.0, 30.0, 3000.0][random.below(4)];
-    let mut motion = Vector3::from_fn(|_, _| random.in_range(-length, length));
+    let mut motion = Vector3::from_fn(|_, _| random.between(-length, length));
     for axis in 0..3 {
         if random.chance(35) {
             motion[axis] = 0.0;
@@ -116,7 +119,7 @@ fn random_pawn(scene: &Scene, random: &mut Random) -> Aabb {
     let t = scene.frame.pixel_m();
     let a = scene.random_point(random);
     let most = [0.0, 2.0, 12.0][random.below(3)];
-    let mut size = Vector3::from_fn(|_, _| t * random.in_range(0.0, most));
+    let mut size = Vector3::from_fn(|_, _| t * random.between(0.0, most));
     if random.chance(40) {
         size = size.map(|v| (v / t).round() * t);
     }
@@ -165,7 +168,7 @@ fn cylinders_and_spheres_stop_at_the_first_span() {
             let motion = random_motion(&scene, &mut random);
             let center = scene.random_point(&mut random);
             let t = scene.frame.pixel_m();
-            let (r, h) = (t * random.in_range(0.1, 8.0), t * random.in_range(0.0, 20.0));
+            let (r, h) = (t * random.between(0.1, 8.0), t * random.between(0.0, 20.0));
             let known = |answer| match answer {
                 Answer::Known(hit) => hit,
                 Answer::NotLoaded(_) => panic!("all pages are in memory"),

@@ -14,6 +14,8 @@ mod jumps;
 mod motion;
 #[path = "../tools/bench/src/walks/path.rs"]
 mod path;
+#[path = "common/random.rs"]
+mod random;
 #[path = "walk/seams.rs"]
 mod seams;
 #[path = "walk/stuck.rs"]

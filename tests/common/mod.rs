@@ -7,6 +7,8 @@ pub mod forge;
 
 pub mod part;
 
+pub mod random;
+
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Shard, Storage, Totals};
 use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::frame::{Frame, PageKey};
@@ -45,10 +47,10 @@ pub fn two_pixels() -> (Pages, Totals) {
     (BTreeMap::from([(key(0, 0, 0), page)]), totals)
 }
 
-/// Numbers that look random and are the same everywhere (an LCG after Knuth).
-pub struct Random(pub u64);
+/// Numbers of the golden archives and samples (a linear congruential generator, constants of D. Knuth's MMIX).
+pub struct Congruential(pub u64);
 
-impl Random {
+impl Congruential {
     /// A number below `limit`.
     pub fn below(&mut self, limit: u32) -> u32 {
         self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -58,10 +60,10 @@ impl Random {
 
 /// A rough floor, a wall over two layers, equal, uniform and sparse pages, on both sides of the origin.
 pub fn scene() -> (Pages, Totals) {
-    let mut random = Random(7);
+    let mut random = Congruential(7);
     let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
     let mut pages = Pages::new();
-    let floor = |random: &mut Random| {
+    let floor = |random: &mut Congruential| {
         page((0..20 * 30).map(|at| {
             let bottom = 700 + at % 20 * 3 + random.below(5);
             ((at % 20, 10 + at / 20), vec![span(bottom, bottom + 2 + random.below(6), false)])

@@ -3,6 +3,10 @@
 
 #[path = "data.rs"]
 pub mod data;
+#[path = "random.rs"]
+mod random;
+
+pub use random::Random;
 
 use scangen::{Chunks, WriteSpec, write_las};
 use slicewalk::NoMonitor;
@@ -10,26 +14,6 @@ use slicewalk::archive::Archive;
 use std::ffi::OsStr;
 use std::path::Path;
 use std::process::{Command, Output};
-
-/// Numbers from 0 to 1 that look random and are the same everywhere (an LCG after Knuth).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    pub fn below(&mut self, n: usize) -> usize {
-        (self.uniform() * n as f64) as usize
-    }
-
-    pub fn shuffle<T>(&mut self, items: &mut [T]) {
-        for last in (1..items.len()).rev() {
-            items.swap(last, self.below(last + 1));
-        }
-    }
-}
 
 /// A rough floor of 20 × 20 m with a wall, a roof over a part of it and a few far points: whole millimetres, about the
 /// origin, so that any scale and offset that divide them hold them exactly.

@@ -1,5 +1,9 @@
 //! Points to an archive by way of a LAS file, and its spans back.
 
+#[path = "../common/random.rs"]
+mod random;
+pub use random::Random;
+
 use scangen::{Kind, Sample, WriteSpec, write_samples};
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
@@ -68,17 +72,4 @@ pub fn columns(bytes: Vec<u8>) -> Columns {
         }
     }
     columns
-}
-
-/// Numbers that look random and are the same everywhere (SplitMix64).
-pub struct Random(pub u64);
-
-impl Random {
-    /// Evenly from `low` to `high`.
-    pub fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
 }

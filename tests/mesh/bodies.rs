@@ -3,19 +3,13 @@
 
 #[path = "../common/data.rs"]
 mod data;
+#[path = "../common/random.rs"]
+mod random;
+
+pub use random::Random;
 
 use super::files::{Triangle, read};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-
-/// Numbers that look random and are the same everywhere (an LCG after Knuth).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        low + (high - low) * (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
 
 /// Anywhere within `reach` of the origin along each axis, turned anyhow.
 pub fn pose(random: &mut Random, reach: f64) -> Isometry3<f64> {

@@ -50,7 +50,7 @@ impl Half<'_> {
         let from = scene.random_point(random).z;
         let depth = [0.0, 20.0 * unit, 1e4][random.below(3)];
         let reach = [depth, f64::INFINITY][random.below(2)];
-        let motion = Vector3::from_fn(|_, _| [0.0, random.in_range(-30.0, 30.0) * unit][random.below(2)]);
+        let motion = Vector3::from_fn(|_, _| [0.0, random.between(-30.0, 30.0) * unit][random.below(2)]);
         let max = unit * [0.5, 20.0][random.below(2)];
         self.ask_overlap(&what, |store| overlaps(store, shape));
         self.ask(&what, |store| probe(store, shape));
@@ -127,7 +127,7 @@ fn no_object_in_a_half_loaded_scene_is_free_where_it_is_not_in_the_whole_one() {
             let loaded = scene.pages.iter().map(|page| page.0).filter(|_| random.chance(percent)).collect();
             let mut half = Half { scene: &scene, full: scene.part(&scene.keys()), loaded, waited: 0 };
             for n in 0..20 {
-                let turn = Vector3::from_fn(|_, _| random.in_range(-3.0, 3.0));
+                let turn = Vector3::from_fn(|_, _| random.between(-3.0, 3.0));
                 // Mostly about a point of the scene, so that the rod's middle lies near matter.
                 let near = Isometry3::new(scene.random_point(&mut random).coords, turn);
                 let pose = near * nalgebra::Translation3::from(-middle(&rods[n % 2]).coords);

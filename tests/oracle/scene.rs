@@ -1,5 +1,6 @@
 //! Seeded random scenes: points, the spans that brute force makes of them, and their pages.
 
+pub use crate::random::Random;
 use nalgebra::{Point3, Vector3};
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
 use slicewalk::query::Aabb;
@@ -10,30 +11,6 @@ use std::collections::BTreeMap;
 #[path = "../common/part.rs"]
 mod part;
 pub use part::Part;
-
-/// SplitMix64 (Steele, Lea and Flood 2014).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    pub fn below(&mut self, n: usize) -> usize {
-        (self.next() % n as u64) as usize
-    }
-
-    pub fn in_range(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    pub fn chance(&mut self, percent: usize) -> bool {
-        self.below(100) < percent
-    }
-}
 
 /// Bottom and top in quanta above the origin, and whether it is an obstacle.
 pub type Matter = (i64, i64, bool);
@@ -121,7 +98,7 @@ impl Scene {
             1 => a,
             _ => {
                 let size = self.frame.pixel_m() * [0.3, 3.0, 30.0][random.below(3)];
-                Point3::from(a.coords.map(|v| v + random.in_range(0.0, size)))
+                Point3::from(a.coords.map(|v| v + random.between(0.0, size)))
             }
         };
         Aabb::new(a.inf(&b), a.sup(&b)).unwrap()
@@ -132,7 +109,7 @@ impl Scene {
 fn random_point(random: &mut Random, frame: &Frame, origin: Point3<f64>) -> Point3<f64> {
     let spread = [2.0, 12.0, 70.0][random.below(3)];
     let mut steps = |whole: usize| {
-        let steps = random.in_range(-spread, spread);
+        let steps = random.between(-spread, spread);
         if random.chance(whole) { steps.round() } else { steps }
     };
     let (x, y) = (steps(20) * frame.pixel_m(), steps(20) * frame.pixel_m());

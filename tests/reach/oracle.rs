@@ -1,8 +1,9 @@
 //! Standing places of random worlds beside brute force.
 
 use super::{everywhere, flat, grown, known};
+use crate::common::key;
 use crate::common::part::Part;
-use crate::common::{Random, key};
+use crate::common::random::Random;
 use slicewalk::frame::{Frame, SLICE_QUANTA};
 use slicewalk::reach::{Flood, Pawn, StandingPlaces};
 use slicewalk::slice::Span;

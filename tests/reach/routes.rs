@@ -2,7 +2,7 @@
 
 use super::flat::{FLOOR, T, room};
 use super::{everywhere, spot, way};
-use crate::common::Random;
+use crate::common::random::Random;
 use nalgebra::Point3;
 use slicewalk::reach::{Pawn, Search};
 use slicewalk::walk::Body;

@@ -2,7 +2,7 @@
 
 use super::world::{self, T};
 use super::{everywhere, known, reached, spot, way};
-use crate::common::Random;
+use crate::common::random::Random;
 use nalgebra::{Point2, Point3};
 use scangen::{Params, Scene};
 use slicewalk::reach::{Pawn, Search};

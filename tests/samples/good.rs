@@ -1,7 +1,9 @@
 //! Sound samples.
 
 use crate::common::forge::{Parts, put};
-use crate::common::{Pages, Random, archive, archive_of, archive_with_levels, key, page, plan, scene, two_pixels};
+use crate::common::{
+    Congruential, Pages, archive, archive_of, archive_with_levels, key, page, plan, scene, two_pixels,
+};
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::frame::Frame;
 use slicewalk::plan::{Classifier, Plan, PlanOptions, Up};
@@ -59,7 +61,7 @@ fn totals_within(pages: Pages) -> Totals {
 
 /// A rough floor over the four pages around the origin, up to their last rows and columns.
 fn floor() -> Pages {
-    let mut random = Random(3);
+    let mut random = Congruential(3);
     let mut corner = |px: u32, py: u32| {
         page((0..12 * 9).map(|at| {
             let bottom = 1000 + 2 * (at % 12) + 30 * (at / 12) + random.below(6);
@@ -90,7 +92,7 @@ fn wall() -> Pages {
 
 /// Stairs below a ceiling, with a landing that only touches an obstacle below it.
 fn stairs() -> Pages {
-    let mut random = Random(11);
+    let mut random = Congruential(11);
     let steps = (0..24 * 10).map(|at| {
         let (px, py) = (30 + at % 24, 4 + at / 24);
         let tread = 2000 + px / 3 * 150;
@@ -108,7 +110,7 @@ fn stairs() -> Pages {
 
 /// Many spans in a pixel, at the ends of slices and pages, of both kinds, touching and apart; full blocks.
 fn crowded() -> Pages {
-    let mut random = Random(5);
+    let mut random = Congruential(5);
     let tower: Vec<_> = (0..64).map(|k| span(255 * k, 255 * k + 255, k % 2 == 1)).collect();
     let rungs: Vec<_> = (0..64).map(|k| span(255 * k, 255 * k + k, k % 3 == 0)).collect();
     let mut columns: BTreeMap<(u32, u32), Vec<Span>> = BTreeMap::new();
@@ -236,7 +238,7 @@ fn newer() -> Vec<u8> {
 
 /// Floors, walls and cuts in pages near and far, over three levels.
 pub fn city() -> Pages {
-    let mut random = Random(3);
+    let mut random = Congruential(3);
     let mut pages = Pages::new();
     for (tx, ty, layer) in [(-3, 1, 0), (0, 0, -1), (0, 0, 0), (1, 0, 0), (1, 2, 0), (2, 1, 0), (9, -6, 1), (17, 30, 0)]
     {

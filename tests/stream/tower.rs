@@ -1,6 +1,7 @@
 //! A tower of dense storeys around a shaft, as an archive, and a body that falls through it.
 #![allow(dead_code, reason = "each test file uses a part")]
 
+pub use crate::random::Random;
 use nalgebra::{Point3, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
@@ -15,26 +16,6 @@ use std::collections::BTreeMap;
 /// Latency of a slow source (s), and the time of a frame.
 pub const READ_S: f64 = 0.002;
 pub const FRAME_S: f64 = 1.0 / 60.0;
-
-/// SplitMix64 (Steele, Lea and Flood 2014).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    pub fn below(&mut self, n: u64) -> u64 {
-        self.next() % n
-    }
-
-    pub fn in_range(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
 
 /// `half` metres to each side, `height` metres high: a rough floor every 3 m with a shaft of 1.2 m in the middle, pillars
 /// and clutter. Pixels of 2 cm, slices of 6 cm: pages are 1.28 m wide and 3.84 m high.
@@ -67,7 +48,7 @@ pub fn tower(half: f64, height: f64, seed: u64) -> Vec<u8> {
                         let rough = random.below(6) as i64;
                         spans.push((quantum(floor) + rough, quantum(floor) + 8 + rough, false));
                         if random.below(8) == 0 {
-                            let z = quantum(floor + random.in_range(0.3, 2.6));
+                            let z = quantum(floor + random.between(0.3, 2.6));
                             spans.push((z, z + 30, true));
                         }
                     }

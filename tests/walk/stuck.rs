@@ -1,21 +1,10 @@
 //! Pawns that get nowhere say so; steps that are given too much time give it back; numbers that are none are refused.
 
+use super::random::Random;
 use super::world::*;
 use nalgebra::{Point2, Point3, Vector2};
 use slicewalk::walk::*;
 use std::collections::BTreeSet;
-
-/// SplitMix64 (Steele, Lea and Flood 2014).
-struct Random(u64);
-
-impl Random {
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
 
 /// Pixels of rough walls at any angle, some of them in a pocket about the way of a pawn that walks from the origin along x.
 fn rough_walls(random: &mut Random) -> BTreeSet<(i64, i64)> {

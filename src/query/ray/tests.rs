@@ -1,28 +1,20 @@
 //! The quick search against the exact one: equal to the last bit, and hardly ever in doubt.
 
+#[path = "../../../tests/common/random.rs"]
+mod random;
+
 use super::line::Line;
 use super::*;
 use crate::frame::{Frame, PageKey};
 use crate::query::Answer;
 use crate::slice::{Page, PageBuilder, Span};
 use crate::store::{KeyBounds, PageSlot, Store};
+use random::Random;
 
-/// SplitMix64 (Steele, Lea and Flood 2014).
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, end: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (z ^ (z >> 31)) % end
-    }
-
-    /// From -1 to 1; with `coarse` a multiple of an eighth.
-    fn unit(&mut self, coarse: bool) -> f64 {
-        let steps = if coarse { 8 } else { 1 << 40 };
-        self.below(2 * steps + 1) as f64 / steps as f64 - 1.0
-    }
+/// From -1 to 1; with `coarse` a multiple of an eighth.
+fn unit(random: &mut Random, coarse: bool) -> f64 {
+    let steps: u64 = if coarse { 8 } else { 1 << 40 };
+    random.below(2 * steps + 1) as f64 / steps as f64 - 1.0
 }
 
 /// A store of which some pages are not in memory.
@@ -119,10 +111,10 @@ fn scene(random: &mut Random) -> Store {
 /// Any ray about the scene, some along and through edges of pixels, tiles, pages and slices.
 fn ray(random: &mut Random) -> Option<Ray> {
     let coarse = random.below(3) == 0;
-    let along = [(); 3].map(|()| [1.0, 1.0, 0.1, 0.0][random.below(4) as usize] * random.unit(coarse));
+    let along = [(); 3].map(|()| [1.0, 1.0, 0.1, 0.0][random.below(4) as usize] * unit(random, coarse));
     let coarse = random.below(3) == 0;
     let from = [64.0, 64.0, 100.0].map(|far| {
-        let at = far * random.unit(coarse);
+        let at = far * unit(random, coarse);
         if random.below(40) == 0 { at * 1e3 } else { at }
     });
     let max = [0.0, 1.0, 20.0, 300.0, f64::INFINITY][random.below(5) as usize];
@@ -167,7 +159,7 @@ fn rays_in_general_position_are_no_matter_of_doubt() {
     let mut random = Random(8);
     let store = scene(&mut random);
     let doubtful = (0..5000).filter(|_| {
-        let [from, along] = [(); 2].map(|()| [(); 3].map(|()| random.unit(false)));
+        let [from, along] = [(); 2].map(|()| [(); 3].map(|()| unit(random, false)));
         let ray = Ray::new(Point3::from(from) * 50.0, along.into(), 200.0).unwrap();
         !agree(&store, &ray).0
     });

@@ -9,9 +9,7 @@ from typing import Literal, TypedDict
 StrPath = str | PathLike[str]
 
 
-class WriterOptions(TypedDict, total=False):
-    """Options of a `Writer`."""
-
+class _GridOptions(TypedDict, total=False):
     slice: float | None
     max_slope: float
     tolerance: float
@@ -25,31 +23,23 @@ class WriterOptions(TypedDict, total=False):
     up: Literal["z", "y"]
     levels: bool | Literal["on", "off"]
     force: bool
+
+
+class WriterOptions(_GridOptions, total=False):
+    """Options of a `Writer`."""
+
     crs: str
 
 
-class PlanOptions(TypedDict, total=False):
+class PlanOptions(_GridOptions, total=False):
     """Options of `write_plan`."""
 
     pixel: float | Literal["auto"]
-    slice: float | None
-    max_slope: float
-    tolerance: float
-    classifier: Literal["plane", "span", "thesis"]
-    memory: int | str
-    threads: int | None
-    temp_dir: StrPath | None
     exclude_class: Sequence[int]
-    min_points: int
-    drop_isolated: bool
-    drop_floaters: int
-    up: Literal["z", "y"]
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
     mesh: Literal["exact", "sampled"]
-    levels: bool | Literal["on", "off"]
     allow_incomplete: bool
-    force: bool
     quiet: bool
 
 
