@@ -163,6 +163,22 @@ impl Georeference {
     }
 }
 
+/// EPSG code of the projected system in what an archive says of its reference system: `EPSG:n`, or well-known text.
+pub fn projected_epsg(text: &str) -> Option<u16> {
+    fn find(node: &Node) -> Option<u32> {
+        match node.word.as_str() {
+            "PROJCS" | "PROJCRS" | "PROJECTEDCRS" => node.epsg_code(),
+            "COMPD_CS" | "COMPOUNDCRS" | "BOUNDCRS" | "SOURCECRS" => node.children.iter().find_map(find),
+            _ => None,
+        }
+    }
+    let code = match text.strip_prefix("EPSG:") {
+        Some(code) => code.parse().ok().filter(|code| !epsg::is_geographic(*code)),
+        None => find(&Node::parse(text)?),
+    };
+    code.and_then(|code| u16::try_from(code).ok()).filter(|code| epsg::projected(*code).is_some())
+}
+
 /// Text of a record without its terminator; `None` when nothing is left.
 fn clean_text(bytes: &[u8]) -> Option<String> {
     let text = bytes.split(|&b| b == 0).next().unwrap_or_default();

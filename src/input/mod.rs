@@ -43,6 +43,7 @@ use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
 use crate::{Error, Monitor, Parameter, Result, Warning};
 
 pub(crate) use self::convert::FARTHEST_M;
+pub use self::crs::projected_epsg;
 pub use self::decode::{PointChunk, PointDecoder};
 pub use self::file::ScanFile;
 pub use self::laz::quiet_decoder_panics;

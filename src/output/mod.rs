@@ -25,7 +25,7 @@ pub use target::{Existing, OutputKind, Protected, is_standard};
 
 use crate::disk::{Access, Files, OpenFile, Temporary, remove_leftovers};
 use crate::{Error, Parameter, Result};
-use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use target::{Judged, Target};
 
@@ -218,6 +218,17 @@ impl Write for Output {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+/// Reads back what was written, from where [`Write`] goes on.
+impl Read for Output {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let left = self.temporary.len().map_err(io::Error::other)?.saturating_sub(self.position);
+        let count = bytes.len().min(usize::try_from(left).unwrap_or(usize::MAX));
+        self.read_at(self.position, &mut bytes[..count]).map_err(io::Error::other)?;
+        self.position += count as u64;
+        Ok(count)
     }
 }
 

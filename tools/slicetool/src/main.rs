@@ -10,6 +10,7 @@ mod ground;
 mod info;
 mod manual;
 mod merge;
+mod outline;
 mod query;
 mod reach;
 mod recover;
@@ -140,14 +141,8 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Write one point per occupied voxel as PLY, LAS or LAZ
-    Export {
-        /// Slice archive
-        archive: PathBuf,
-        /// File to write; its ending (.ply, .las, .laz) decides the format. `-` writes PLY to standard output
-        #[arg(short, long, value_name = "OUT")]
-        output: PathBuf,
-    },
+    /// Write voxels as points, floors as a raster, a slice as a plan, or all matter as a surface, for other programs
+    Export(export::Arguments),
     /// Join the parts that `sliceconv --shard` wrote, in any order, to the very bytes of a single run
     Merge(merge::Arguments),
     /// Rebuild an archive from the sound pages of a damaged one
@@ -235,7 +230,7 @@ fn main() -> ExitCode {
         Command::Stats { archive, json } => stats::run(&archive, json),
         Command::Show(arguments) => show::run(&arguments),
         Command::Diff { a, b, json } => diff::run(&a, &b, json),
-        Command::Export { archive, output } => export::run(&archive, &output),
+        Command::Export(arguments) => export::run(&arguments),
         Command::Merge(arguments) => merge::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),
         Command::Extract(arguments) => extract::run(&arguments),

@@ -49,24 +49,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if arguments.level > 0 {
         archive = archive.level(arguments.level).map_err(|error| crate::broken(&arguments.archive, &error))?;
     }
-    let Some((lowest, highest)) = archive.header().slices else {
-        return Err(Failure::Text(format!("{}: holds no points, so there is no slice", arguments.archive.display())));
-    };
-    let slice = match (arguments.slice, arguments.z) {
-        (Some(number), _) => i64::try_from(number).ok().and_then(|number| lowest.checked_add(number)),
-        (None, z) => Some(archive.frame().slice_of(z.unwrap_or(f64::NAN))),
-    };
-    let Some(slice) = slice.filter(|slice| (lowest..=highest).contains(slice)) else {
-        let frame = archive.frame();
-        return Err(Failure::Text(format!(
-            "{}: no such slice; there are {}, --slice 0 to {}, --z {} to {}",
-            arguments.archive.display(),
-            grouped((highest - lowest) as u64 + 1),
-            highest - lowest,
-            rounded(frame.bottom_of_slice(lowest), frame.quantum_m()),
-            rounded(frame.bottom_of_slice(highest + 1), frame.quantum_m())
-        )));
-    };
+    let slice = slice(&archive, &arguments.archive, arguments.slice, arguments.z)?;
+    let (lowest, _) = slices(&archive, &arguments.archive)?;
     let (width, height) = draw(&archive, &arguments.archive, slice, arguments.legend, &arguments.output)?;
     let frame = archive.frame();
     let [bottom, top] = [slice, slice + 1].map(|slice| rounded(frame.bottom_of_slice(slice), frame.quantum_m()));
@@ -79,6 +63,32 @@ pub fn run(arguments: &Arguments) -> Outcome {
         grouped(all as u64)
     );
     crate::standard::written(&arguments.output, &about)
+}
+
+/// The lowest and the highest slice of an archive (absolute).
+pub fn slices(archive: &Archive, path: &Path) -> Result<(i64, i64), Failure> {
+    let none = || Failure::Text(format!("{}: holds no points, so there is no slice", path.display()));
+    archive.header().slices.ok_or_else(none)
+}
+
+/// The slice (absolute) that is number `number` from the lowest, or holds the height `z`.
+pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>) -> Result<i64, Failure> {
+    let (lowest, highest) = slices(archive, path)?;
+    let frame = archive.frame();
+    let slice = match number {
+        Some(number) => i64::try_from(number).ok().and_then(|number| lowest.checked_add(number)),
+        None => Some(frame.slice_of(z.unwrap_or(f64::NAN))),
+    };
+    slice.filter(|slice| (lowest..=highest).contains(slice)).ok_or_else(|| {
+        Failure::Text(format!(
+            "{}: no such slice; there are {}, --slice 0 to {}, --z {} to {}",
+            path.display(),
+            grouped((highest - lowest) as u64 + 1),
+            highest - lowest,
+            rounded(frame.bottom_of_slice(lowest), frame.quantum_m()),
+            rounded(frame.bottom_of_slice(highest + 1), frame.quantum_m())
+        ))
+    })
 }
 
 /// The finest overview level of `archive` in which an edge of so many pixels fits a picture.

@@ -1,17 +1,21 @@
-//! `slicetool export`: one point per occupied voxel, for any viewer of point clouds.
+//! One point per occupied voxel: PLY, LAS, LAZ and E57.
 
-use crate::{Failure, Outcome};
+use super::Crs;
+use crate::Failure;
+use e57::{E57Writer, Record, RecordDataType, RecordName, RecordValue};
 use slicewalk::archive::{Archive, PageReader};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
-use slicewalk::output::{Output, is_standard};
-use slicewalk::text::{counted, one_line};
-use std::io::{self, BufWriter, IntoInnerError, Seek, SeekFrom, Write};
+use slicewalk::output::Output;
+use std::io::{self, BufWriter, IntoInnerError, Read, Seek, SeekFrom, Write};
 use std::mem::ManuallyDrop;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// LAS class of floor (the standard's "ground") and of obstacles (its "unclassified").
 const CLASSES: [u8; 2] = [2, 1];
+/// Records of LAS files that hold GeoTIFF keys and their texts.
+const GEO_KEYS: u16 = 34735;
+const GEO_TEXT: u16 = 34737;
 /// Room for the point count in a PLY header, so that it can be filled in at the end.
 const COUNT_DIGITS: usize = 20;
 /// LAS 1.2 counts points with 32 bits.
@@ -36,29 +40,15 @@ struct VoxelPoint {
     obstacle: bool,
 }
 
-/// Exports the archive at `path` in the format that the ending of `output` names.
-pub fn run(path: &Path, output: &Path) -> Outcome {
-    let ending = output.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
-    let write = match ending.as_str() {
-        "ply" => ply,
-        "las" => |archive: &Archive, path: &Path, to: Output| las(archive, path, to, false),
-        "laz" => |archive: &Archive, path: &Path, to: Output| las(archive, path, to, true),
-        _ if is_standard(output) => ply,
-        _ => {
-            let text = format!("{}: unknown format; name the file .ply, .las or .laz", output.display());
-            return Err(Failure::Text(text));
-        }
-    };
-    let archive = crate::open(path)?;
+/// Fails if an archive is far too small to hold as many voxels as its head claims.
+pub fn check_count(archive: &Archive, path: &Path) -> Result<(), Failure> {
     let header = archive.header();
     let (voxels, most) = (header.voxels.occupied, MOST_VOXELS.max(header.file_len.saturating_mul(MOST_VOXELS_A_BYTE)));
     if voxels > most {
         let reason = format!("{voxels} voxels in {} bytes; at most {most} are exported", header.file_len);
         return Err(Failure::Text(format!("{}: {reason}; extract a region first", path.display())));
     }
-    let count = write(&archive, path, crate::output(output, &archive, &[])?)?;
-    let name = output.to_string_lossy();
-    crate::standard::written(output, &format!("{}: {}\n", one_line(&name), counted(count, "point")))
+    Ok(())
 }
 
 fn each_voxel(
@@ -105,7 +95,7 @@ fn each_voxel(
     Ok(())
 }
 
-fn ply(archive: &Archive, path: &Path, output: Output) -> Result<u64, Failure> {
+pub fn ply(archive: &Archive, path: &Path, output: Output) -> Result<u64, Failure> {
     let mut file = BufWriter::new(output);
     let head = "ply\nformat binary_little_endian 1.0\nelement vertex ";
     write!(
@@ -128,16 +118,32 @@ fn ply(archive: &Archive, path: &Path, output: Output) -> Result<u64, Failure> {
     Ok(count)
 }
 
-fn las(archive: &Archive, path: &Path, output: Output, compressed: bool) -> Result<u64, Failure> {
-    let mut builder = las::Builder::from((1, 2));
+/// LAS 1.2 with the code of the reference system as GeoTIFF keys; 1.4 where it is known by a text.
+pub fn las(
+    archive: &Archive,
+    path: &Path,
+    output: Output,
+    crs: Option<&Crs>,
+    compressed: bool,
+) -> Result<u64, Failure> {
+    let wkt = crs.and_then(|crs| crs.wkt());
+    let mut builder = las::Builder::from(if wkt.is_some() { (1, 4) } else { (1, 2) });
     builder.point_format = las::point::Format::new(2)?;
+    if let (None, Some(keys)) = (wkt, crs.map(Crs::geo_keys)) {
+        builder.vlrs.push(projection(GEO_KEYS, keys.directory.iter().flat_map(|key| key.to_le_bytes()).collect()));
+        builder.vlrs.push(projection(GEO_TEXT, keys.text.into_bytes()));
+    }
     builder.point_format.is_compressed = compressed;
     let [x, y, z] = transforms(archive, path)?;
     builder.transforms = las::Vector { x, y, z };
     let output = Arc::new(Mutex::new(output));
     let file = BufWriter::new(Lent(Arc::downgrade(&output)));
     // A writer that is dropped after a failure panics, so one that failed is never dropped; it owns no file.
-    let mut writer = ManuallyDrop::new(las::Writer::new(file, builder.into_header()?)?);
+    let mut head = builder.into_header()?;
+    if let Some(wkt) = wkt {
+        head.set_wkt_crs(wkt.as_bytes().iter().copied().chain([0]).collect())?;
+    }
+    let mut writer = ManuallyDrop::new(las::Writer::new(file, head)?);
     let mut count = 0u64;
     each_voxel(archive, path, |point| {
         count += 1;
@@ -162,12 +168,64 @@ fn las(archive: &Archive, path: &Path, output: Output, compressed: bool) -> Resu
     // Closed: the buffer of its file is all that is left to write.
     let file = ManuallyDrop::into_inner(writer).into_inner()?;
     file.into_inner().map_err(IntoInnerError::into_error)?;
-    let output = Arc::into_inner(output).expect("the output was only lent");
-    output.into_inner().unwrap_or_else(PoisonError::into_inner).publish()?;
+    publish(output)?;
     Ok(count)
 }
 
-/// An output lent to las's writer, which wants to own what it writes to.
+fn projection(record_id: u16, data: Vec<u8>) -> las::Vlr {
+    las::Vlr { user_id: "LASF_Projection".into(), record_id, description: String::new(), data }
+}
+
+/// E57 with coordinates in steps of its own, colours, and the reference system as text.
+pub fn e57(archive: &Archive, path: &Path, output: Output, crs: Option<&Crs>) -> Result<u64, Failure> {
+    let output = Arc::new(Mutex::new(output));
+    let hash = format!("{:032x}", archive.header().plan_hash);
+    let guid =
+        format!("{}-{}-{}-{}-{}", &hash[..8], &hash[8..12], &hash[12..16], &hash[16..20], &hash[20..]);
+    let mut writer = E57Writer::new(Lent(Arc::downgrade(&output)), &guid)?;
+    writer.set_coordinate_metadata(crs.map(|crs| crs.text().to_owned()));
+    let steps = transforms(archive, path)?;
+    let coordinate = |name, step: las::Transform| {
+        let (scale, offset) = (step.scale, step.offset);
+        let data_type = RecordDataType::ScaledInteger { min: i32::MIN.into(), max: i32::MAX.into(), scale, offset };
+        Record { name, data_type }
+    };
+    let colour = |name| Record { name, data_type: RecordDataType::Integer { min: 0, max: 255 } };
+    let prototype = vec![
+        coordinate(RecordName::CartesianX, steps[0]),
+        coordinate(RecordName::CartesianY, steps[1]),
+        coordinate(RecordName::CartesianZ, steps[2]),
+        colour(RecordName::ColorRed),
+        colour(RecordName::ColorGreen),
+        colour(RecordName::ColorBlue),
+    ];
+    let mut cloud = writer.add_pointcloud(&guid, prototype)?;
+    cloud.set_name(Some("voxels".into()));
+    let mut count = 0u64;
+    each_voxel(archive, path, |point| {
+        count += 1;
+        let scaled = |axis: usize| {
+            let step = steps[axis];
+            RecordValue::ScaledInteger(((point.position[axis] - step.offset) / step.scale).round() as i64)
+        };
+        let [red, green, blue] = point.colour.map(|value| RecordValue::Integer(value.into()));
+        Ok(cloud.add_point(vec![scaled(0), scaled(1), scaled(2), red, green, blue])?)
+    })?;
+    cloud.finalize()?;
+    writer.finalize()?;
+    drop(writer);
+    publish(output)?;
+    Ok(count)
+}
+
+/// Publishes an output that was lent.
+fn publish(output: Arc<Mutex<Output>>) -> Result<(), Failure> {
+    let output = Arc::into_inner(output).expect("the output was only lent");
+    output.into_inner().unwrap_or_else(PoisonError::into_inner).publish()?;
+    Ok(())
+}
+
+/// An output lent to a writer that wants to own what it writes to.
 struct Lent(Weak<Mutex<Output>>);
 
 impl Lent {
@@ -184,6 +242,12 @@ impl Write for Lent {
 
     fn flush(&mut self) -> io::Result<()> {
         self.with(Output::flush)
+    }
+}
+
+impl Read for Lent {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        self.with(|output| output.read(bytes))
     }
 }
 

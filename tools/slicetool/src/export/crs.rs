@@ -1,0 +1,83 @@
+//! The reference system of an archive, as other formats state it.
+
+use crate::Failure;
+use slicewalk::archive::Archive;
+use slicewalk::input::projected_epsg;
+use slicewalk::text::one_line;
+use slicewalk::unit::LengthUnit;
+use std::path::Path;
+
+/// Keys of the GeoTIFF specification 1.0, section 6.
+const MODEL_TYPE: u16 = 1024;
+const RASTER_TYPE: u16 = 1025;
+const PROJECTED_SYSTEM: u16 = 3072;
+const PROJECTED_CITATION: u16 = 3073;
+const LINEAR_UNITS: u16 = 3076;
+const VERTICAL_UNITS: u16 = 4099;
+/// Values of keys: a projected system, pixels that are areas, a system without a code, metres.
+const PROJECTED: u16 = 1;
+const PIXEL_IS_AREA: u16 = 1;
+const USER_DEFINED: u16 = 32767;
+const METRE: u16 = 9001;
+/// Where texts of keys are kept.
+const GEO_TEXT: u16 = 34737;
+
+/// A reference system whose unit is the metre, as that of exports is.
+pub struct Crs {
+    text: String,
+    epsg: Option<u16>,
+}
+
+/// GeoTIFF keys: the directory, and the texts that it points into.
+pub struct GeoKeys {
+    pub directory: Vec<u16>,
+    pub text: String,
+}
+
+impl Crs {
+    /// That of an archive. There is none, and it is said why, if the scan's unit was another one than the metre: its system does
+    /// not hold for metres.
+    pub fn of(archive: &Archive, path: &Path) -> Result<Option<Self>, Failure> {
+        let broken = |error| crate::broken(path, &error);
+        let text = archive.crs().map_err(broken)?;
+        if text.is_empty() {
+            return Ok(None);
+        }
+        if archive.units().map_err(broken)?.iter().any(|unit| *unit != LengthUnit::METRE) {
+            let name = one_line(&text.chars().take(60).collect::<String>());
+            crate::say(&format!(
+                "{}: the export is in metres and states no reference system: that of the scan ({name}) has another unit",
+                path.display()
+            ));
+            return Ok(None);
+        }
+        Ok(Some(Self { epsg: projected_epsg(&text), text }))
+    }
+
+    /// A code, well-known text, or a name.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Its well-known text, if that is how the scan states it.
+    pub fn wkt(&self) -> Option<&str> {
+        Some(self.text.as_str()).filter(|text| text.contains('['))
+    }
+
+    /// It as GeoTIFF keys: by its code, or else by its name alone.
+    pub fn geo_keys(&self) -> GeoKeys {
+        // A text ends with a bar, and neither holds others nor what is no ASCII.
+        let clean = |c: char| if c.is_ascii_graphic() && c != '|' || c == ' ' { c } else { '?' };
+        let text: String = self.text.chars().take(2000).map(clean).chain(['|']).collect();
+        let keys = [
+            [MODEL_TYPE, 0, 1, PROJECTED],
+            [RASTER_TYPE, 0, 1, PIXEL_IS_AREA],
+            [PROJECTED_SYSTEM, 0, 1, self.epsg.unwrap_or(USER_DEFINED)],
+            [PROJECTED_CITATION, GEO_TEXT, text.len() as u16, 0],
+            [LINEAR_UNITS, 0, 1, METRE],
+            [VERTICAL_UNITS, 0, 1, METRE],
+        ];
+        let head = [1, 1, 0, keys.len() as u16];
+        GeoKeys { directory: head.into_iter().chain(keys.into_iter().flatten()).collect(), text }
+    }
+}

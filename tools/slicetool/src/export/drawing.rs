@@ -1,0 +1,189 @@
+//! The floor plan of a slice: outlines of its obstacles and floors, as SVG at a round scale and as DXF in metres.
+
+use super::crs::Crs;
+use crate::figures::round_length;
+use crate::outline::{Corner, polygons};
+use crate::{Failure, show};
+use slicewalk::archive::{Archive, PageReader};
+use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
+use slicewalk::output::Output;
+use slicewalk::text::{number, one_line, rounded};
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufWriter, IntoInnerError, Write};
+use std::path::Path;
+
+/// How far above the floor plans are cut (m): through doors and most windows, over most furniture.
+const CUT_M: f64 = 1.2;
+/// Most pixels with matter that are outlined; an index of them is held.
+const MOST_PIXELS: usize = 1 << 23;
+/// Scales of drawings, and the longest edge of the sheet (mm).
+const SCALES: [u32; 12] = [20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000];
+const SHEET_MM: f64 = 1100.0;
+/// Around the plan, and below it for the scale bar (mm).
+const MARGIN_MM: f64 = 10.0;
+const FOOT_MM: f64 = 14.0;
+/// Names of the layers: obstacles, floors.
+const LAYERS: [&str; 2] = ["obstacles", "floors"];
+/// Their colours, in SVG and as numbers of the AutoCAD colour index (black or white, grey).
+const FILLS: [&str; 2] = ["#1a1a1a", "#d9e4ee"];
+const COLOUR_NUMBERS: [u8; 2] = [7, 9];
+
+/// The slice to draw: the one named, or the one a cut's height above the slice with most floor.
+pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>) -> Result<i64, Failure> {
+    if number.is_some() || z.is_some() {
+        return show::slice(archive, path, number, z);
+    }
+    let (lowest, highest) = show::slices(archive, path)?;
+    let mut floors: BTreeMap<i64, u64> = BTreeMap::new();
+    let mut pages = PageReader::new(archive);
+    for entry in archive.entries() {
+        let entry = entry.map_err(|error| crate::broken(path, &error))?;
+        let page = pages.page(&entry).map_err(|error| crate::broken(path, &error))?;
+        for span in page.columns().flat_map(|(_, _, spans)| spans).filter(|span| !span.is_obstacle()) {
+            *floors.entry(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(span.slices().1)).or_default() += 1;
+        }
+    }
+    let most = floors.iter().max_by_key(|(slice, count)| (**count, -**slice));
+    let above = (CUT_M / archive.frame().slice_m()).round() as i64;
+    Ok(most.map_or(lowest, |(slice, _)| (slice + above).min(highest)))
+}
+
+/// Outlines in one slice, in corners of pixels: polygons of one outer ring and its holes, closed, for each layer.
+pub struct Plan<'a> {
+    frame: &'a Frame,
+    slice: i64,
+    name: String,
+    layers: [Vec<Vec<Vec<Corner>>>; 2],
+    /// Least and greatest corner.
+    bounds: [Corner; 2],
+}
+
+impl<'a> Plan<'a> {
+    /// Of the matter in slice `slice` (absolute).
+    pub fn of(archive: &'a Archive, path: &Path, slice: i64) -> Result<Self, Failure> {
+        let broken = |error| crate::broken(path, &error);
+        let (layer, in_page) = (slice.div_euclid(PAGE_SLICES) as i32, slice.rem_euclid(PAGE_SLICES) as u32);
+        let mut areas: [BTreeSet<Corner>; 2] = Default::default();
+        let mut pages = PageReader::new(archive);
+        for entry in archive.entries() {
+            let entry = entry.map_err(broken)?;
+            if entry.key.layer != layer || entry.slices >> in_page & 1 == 0 {
+                continue;
+            }
+            let pixel = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
+            for (px, py, spans) in pages.page(&entry).map_err(broken)?.columns() {
+                let mut here = spans.iter().filter(|span| span.within_slice(in_page).is_some()).peekable();
+                if here.peek().is_some() {
+                    let is_floor = !here.any(|span| span.is_obstacle());
+                    areas[usize::from(is_floor)].insert((pixel(entry.key.tx, px), pixel(entry.key.ty, py)));
+                }
+            }
+            if areas.iter().map(BTreeSet::len).sum::<usize>() > MOST_PIXELS {
+                let reason = format!("more than {MOST_PIXELS} pixels of matter in the slice");
+                return Err(Failure::Text(format!("{}: {reason}; extract a region first", path.display())));
+            }
+        }
+        let mut bounds = [(i64::MAX, i64::MAX), (i64::MIN, i64::MIN)];
+        for &(i, j) in areas.iter().flatten() {
+            bounds[0] = (bounds[0].0.min(i), bounds[0].1.min(j));
+            bounds[1] = (bounds[1].0.max(i + 1), bounds[1].1.max(j + 1));
+        }
+        if areas.iter().all(BTreeSet::is_empty) {
+            bounds = [(0, 0), (0, 0)];
+        }
+        let name = path.file_name().map(|name| one_line(&name.to_string_lossy())).unwrap_or_default();
+        Ok(Self { frame: archive.frame(), slice, name, layers: areas.map(|area| polygons(&area)), bounds })
+    }
+
+    fn heights(&self) -> String {
+        let of = |slice| rounded(self.frame.bottom_of_slice(slice), self.frame.quantum_m());
+        format!("z from {} to {} m", of(self.slice), of(self.slice + 1))
+    }
+
+    /// Writes a drawing in millimetres of paper, with a scale bar; returns what to say of it.
+    pub fn svg(&self, crs: Option<&Crs>, to: Output) -> Result<String, Failure> {
+        let [least, greatest] = self.bounds;
+        let size = [greatest.0 - least.0, greatest.1 - least.1].map(|pixels| pixels as f64 * self.frame.pixel_m());
+        let longest = size[0].max(size[1]) * 1000.0;
+        let scale = SCALES.into_iter().find(|scale| longest / f64::from(*scale) <= SHEET_MM).unwrap_or(SCALES[11]);
+        let mm = |metres: f64| metres * 1000.0 / f64::from(scale);
+        let [width, height] =
+            [mm(size[0]).max(60.0) + 2.0 * MARGIN_MM, mm(size[1]) + 2.0 * MARGIN_MM + FOOT_MM].map(round);
+        let mut out = BufWriter::new(to);
+        writeln!(
+            out,
+            r#"<svg xmlns="http://www.w3.org/2000/svg" width="{width}mm" height="{height}mm" viewBox="0 0 {width} {height}">"#
+        )?;
+        let origin = [least.0, least.1].map(|corner| number(self.frame.edge_of_pixel(corner)));
+        let system = crs.map_or(String::new(), |crs| format!(", {}", crs.text()));
+        let about = format!("{}, {}, 1:{scale}", self.name, self.heights());
+        writeln!(out, "<title>{}</title>", escaped(&about))?;
+        let place = format!("lower left corner of the plan: x {} m, y {} m{system}", origin[0], origin[1]);
+        writeln!(out, "<desc>{}</desc>", escaped(&place))?;
+        let point = |&(i, j): &Corner| {
+            let along = |corner: i64, from: i64| mm((corner - from) as f64 * self.frame.pixel_m());
+            let (x, y) = (MARGIN_MM + along(i, least.0), MARGIN_MM + along(greatest.1, j));
+            format!("{} {}", round(x), round(y))
+        };
+        // Floors first: walls lie over them.
+        for layer in [1, 0] {
+            writeln!(out, r#"<path id="{}" fill="{}" fill-rule="evenodd" d=""#, LAYERS[layer], FILLS[layer])?;
+            for ring in self.layers[layer].iter().flatten() {
+                let corners: Vec<String> = ring[..ring.len() - 1].iter().map(point).collect();
+                writeln!(out, "M{}Z", corners.join("L"))?;
+            }
+            writeln!(out, r#""/>"#)?;
+        }
+        let bar = round_length((width - 2.0 * MARGIN_MM) / 3.0 * f64::from(scale) / 1000.0);
+        let (y, end) = (round(height - MARGIN_MM), round(MARGIN_MM + mm(bar)));
+        writeln!(out, r##"<path id="scale" stroke="#1a1a1a" stroke-width="0.6" d="M{MARGIN_MM} {y}L{end} {y}"/>"##)?;
+        let text = format!("{} m, 1:{scale}, {}", number(bar), self.heights());
+        let x = round(end + 3.0);
+        writeln!(out, r#"<text x="{x}" y="{y}" font-family="sans-serif" font-size="4">{}</text>"#, escaped(&text))?;
+        writeln!(out, "</svg>")?;
+        out.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
+        Ok(format!("1:{scale}, {}", self.heights()))
+    }
+
+    /// Writes closed polylines in metres, in the coordinates of the archive, as DXF of release 12, which every program reads;
+    /// returns what to say of it.
+    pub fn dxf(&self, to: Output) -> Result<String, Failure> {
+        let mut out = BufWriter::new(to);
+        let metres = |edge: i64| rounded(self.frame.edge_of_pixel(edge), 1e-6);
+        let (x, y) = (|corner: &Corner| metres(corner.0), |corner: &Corner| metres(corner.1));
+        let [least, greatest] = &self.bounds;
+        let z = rounded(self.frame.bottom_of_slice(self.slice), 1e-6);
+        // Lines in pairs: the code of a group, then its value.
+        write!(out, "999\n{}, {}, metres\n", self.name, self.heights())?;
+        write!(out, "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n")?;
+        write!(out, "9\n$EXTMIN\n10\n{}\n20\n{}\n30\n{z}\n", x(least), y(least))?;
+        write!(out, "9\n$EXTMAX\n10\n{}\n20\n{}\n30\n{z}\n0\nENDSEC\n", x(greatest), y(greatest))?;
+        write!(out, "0\nSECTION\n2\nTABLES\n0\nTABLE\n2\nLAYER\n70\n{}\n", LAYERS.len())?;
+        for (layer, colour) in LAYERS.into_iter().zip(COLOUR_NUMBERS) {
+            write!(out, "0\nLAYER\n2\n{layer}\n70\n0\n62\n{colour}\n6\nCONTINUOUS\n")?;
+        }
+        write!(out, "0\nENDTAB\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n")?;
+        for (layer, polygons) in LAYERS.into_iter().zip(&self.layers) {
+            for ring in polygons.iter().flatten() {
+                write!(out, "0\nPOLYLINE\n8\n{layer}\n66\n1\n10\n0\n20\n0\n30\n{z}\n70\n1\n")?;
+                for corner in &ring[..ring.len() - 1] {
+                    write!(out, "0\nVERTEX\n8\n{layer}\n10\n{}\n20\n{}\n30\n{z}\n", x(corner), y(corner))?;
+                }
+                write!(out, "0\nSEQEND\n8\n{layer}\n")?;
+            }
+        }
+        write!(out, "0\nENDSEC\n0\nEOF\n")?;
+        out.into_inner().map_err(IntoInnerError::into_error)?.publish()?;
+        Ok(self.heights())
+    }
+}
+
+/// To micrometres of paper.
+fn round(mm: f64) -> f64 {
+    (mm * 1000.0).round() / 1000.0
+}
+
+/// Text for XML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}

@@ -1,0 +1,114 @@
+//! Heights of floors as a GeoTIFF: one sample per pixel, north up, not a number where there is no floor.
+
+use super::crs::Crs;
+use crate::Failure;
+use slicewalk::archive::{Archive, PageEntry, PageReader};
+use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
+use slicewalk::output::Output;
+use std::cmp::Reverse;
+use std::io::BufWriter;
+use std::path::Path;
+use tiff::encoder::colortype::{ColorType, Gray32Float, Gray64Float};
+use tiff::encoder::{Compression, DeflateLevel, TiffEncoder, TiffValue};
+use tiff::tags::Tag;
+
+/// Most samples: a classic TIFF has at most 4 GiB, and noise may not compress.
+const MOST_PIXELS: i64 = 1 << 28;
+/// Rows of a strip, the unit that readers load.
+const STRIP: i64 = TILE_PIXELS;
+
+/// Writes the highest floor of each pixel, up to `highest` (m) if given; returns width and height. Samples have 32 bits where
+/// these keep a quantum of heights apart, else 64. Memory: a row of tiles, and an entry for each page.
+pub fn tif(
+    archive: &Archive,
+    path: &Path,
+    highest: Option<f64>,
+    to: Output,
+    crs: Option<&Crs>,
+) -> Result<[u32; 2], Failure> {
+    let frame = archive.frame();
+    let Some((min, max)) = archive.header().bounds else {
+        return Err(Failure::Text(format!("{}: holds no points, so there are no heights", path.display())));
+    };
+    let farthest = [min[2], max[2]].map(f64::abs).into_iter().fold(0.0, f64::max);
+    let is_fine = farthest * f64::from(f32::EPSILON) < frame.quantum_m() / 2.0;
+    match is_fine {
+        true => write::<Gray32Float>(archive, path, highest, to, crs, |z| z as f32),
+        false => write::<Gray64Float>(archive, path, highest, to, crs, |z| z),
+    }
+}
+
+fn write<C: ColorType>(
+    archive: &Archive,
+    path: &Path,
+    highest: Option<f64>,
+    to: Output,
+    crs: Option<&Crs>,
+    sample: impl Fn(f64) -> C::Inner,
+) -> Result<[u32; 2], Failure>
+where
+    C::Inner: Copy,
+    [C::Inner]: TiffValue,
+{
+    let broken = |error| crate::broken(path, &error);
+    let frame = archive.frame();
+    let highest = highest.map_or(i64::MAX, |z| frame.quantum_floor(z));
+    let mut entries: Vec<PageEntry> = archive.entries().collect::<Result<_, _>>().map_err(broken)?;
+    // Highest row of tiles first; in a column the lowest page first, so that higher floors come last.
+    entries.sort_unstable_by_key(|entry| (Reverse(entry.key.ty), entry.key.tx, entry.key.layer));
+    let ends = |of: fn(&PageEntry) -> i32| {
+        let all = || entries.iter().map(of);
+        (i64::from(all().min().unwrap_or(0)), i64::from(all().max().unwrap_or(0)))
+    };
+    let ((left, right), (low, high)) = (ends(|entry| entry.key.tx), ends(|entry| entry.key.ty));
+    let [width, height] = [right - left + 1, high - low + 1].map(|tiles| tiles * TILE_PIXELS);
+    if width.saturating_mul(height) > MOST_PIXELS {
+        return Err(Failure::Text(format!(
+            "{}: {width} × {height} pixels, beyond the {MOST_PIXELS} of a raster; extract a region first",
+            path.display()
+        )));
+    }
+    let mut file = BufWriter::new(to);
+    let size = [width, height].map(|edge| edge as u32);
+    let mut tiff = TiffEncoder::new(&mut file)?.with_compression(Compression::Deflate(DeflateLevel::Balanced));
+    let mut image = tiff.new_image::<C>(size[0], size[1])?;
+    image.rows_per_strip(STRIP as u32)?;
+    let directory = image.encoder();
+    let corner = [frame.edge_of_pixel(left * TILE_PIXELS), frame.edge_of_pixel((high + 1) * TILE_PIXELS)];
+    directory.write_tag(Tag::ModelPixelScaleTag, &[frame.pixel_m(), frame.pixel_m(), 0.0][..])?;
+    directory.write_tag(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, corner[0], corner[1], 0.0][..])?;
+    directory.write_tag(Tag::GdalNodata, "nan")?;
+    if let Some(keys) = crs.map(Crs::geo_keys) {
+        directory.write_tag(Tag::GeoKeyDirectoryTag, &keys.directory[..])?;
+        directory.write_tag(Tag::GeoAsciiParamsTag, keys.text.as_str())?;
+    }
+    let mut pages = PageReader::new(archive);
+    let mut row = vec![sample(f64::NAN); (width * STRIP) as usize];
+    let mut rest = &entries[..];
+    for ty in (low..=high).rev() {
+        row.fill(sample(f64::NAN));
+        let count = rest.iter().take_while(|entry| i64::from(entry.key.ty) == ty).count();
+        let (own, others) = rest.split_at(count);
+        rest = others;
+        for entry in own {
+            let base = i64::from(entry.key.layer) * PAGE_QUANTA;
+            if base > highest {
+                continue;
+            }
+            for (px, py, spans) in pages.page(entry).map_err(broken)?.columns() {
+                let heights = spans.iter().rev().filter(|span| !span.is_obstacle());
+                let top = heights.map(|span| base + i64::from(span.top())).find(|top| *top <= highest);
+                if let Some(top) = top {
+                    let x = (i64::from(entry.key.tx) - left) * TILE_PIXELS + i64::from(px);
+                    let y = TILE_PIXELS - 1 - i64::from(py);
+                    row[(y * width + x) as usize] = sample(frame.top_height(top));
+                }
+            }
+        }
+        image.write_strip(&row)?;
+    }
+    image.finish()?;
+    drop(tiff);
+    file.into_inner().map_err(std::io::IntoInnerError::into_error)?.publish()?;
+    Ok(size)
+}

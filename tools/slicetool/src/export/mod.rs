@@ -1,0 +1,114 @@
+//! `slicetool export`: what an archive holds, in the formats of other programs.
+//!
+//! - `points.rs`: one point per occupied voxel (PLY, LAS, LAZ, E57)
+//! - `surface.rs`: the boundary of all matter as triangles (glTF)
+//! - `heights.rs`: heights of floors as a raster (GeoTIFF)
+//! - `drawing.rs`: the floor plan of a slice (SVG, DXF)
+//!
+//! All coordinates are those of the archive: metres, in the scan's reference system.
+
+mod crs;
+mod drawing;
+mod heights;
+mod points;
+mod surface;
+
+use crate::{Failure, Outcome};
+use crs::Crs;
+use slicewalk::archive::Archive;
+use slicewalk::output::is_standard;
+use slicewalk::text::{counted, finite_number, grouped, number, one_line, whole_number};
+use std::path::{Path, PathBuf};
+
+/// Which archive, where to, and what of it.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Slice archive
+    archive: PathBuf,
+    /// File to write; its ending decides what: one point per voxel (.ply, .las, .laz, .e57), a surface (.glb), heights of floors
+    /// (.tif), or the plan of a slice (.svg, .dxf). `-` writes PLY to standard output
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// Plan of this slice, from 0 at the lowest; else of the one 1.2 m above the slice with most floor
+    #[arg(long, value_name = "N", group = "which", value_parser = whole_number(0u64, u64::MAX))]
+    slice: Option<u64>,
+    /// Plan of the slice at this height in metres; with .tif, the highest floors up to this height
+    #[arg(long, value_name = "Z", group = "which", allow_hyphen_values = true, value_parser = finite_number)]
+    z: Option<f64>,
+}
+
+/// What the ending of a file asks for.
+#[derive(Clone, Copy, PartialEq)]
+enum Format {
+    Ply,
+    Las,
+    Laz,
+    E57,
+    Glb,
+    Tif,
+    Svg,
+    Dxf,
+}
+
+impl Format {
+    fn of(output: &Path) -> Option<Self> {
+        let ending = output.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
+        Some(match ending.as_str() {
+            "ply" => Self::Ply,
+            "las" => Self::Las,
+            "laz" => Self::Laz,
+            "e57" => Self::E57,
+            "glb" => Self::Glb,
+            "tif" | "tiff" => Self::Tif,
+            "svg" => Self::Svg,
+            "dxf" => Self::Dxf,
+            _ if is_standard(output) => Self::Ply,
+            _ => return None,
+        })
+    }
+}
+
+/// Exports as `arguments` say.
+pub fn run(arguments: &Arguments) -> Outcome {
+    let (path, output) = (arguments.archive.as_path(), arguments.output.as_path());
+    let Some(format) = Format::of(output) else {
+        let endings = ".ply, .las, .laz, .e57, .glb, .tif, .svg or .dxf";
+        return Err(Failure::Text(format!("{}: unknown format; name the file {endings}", output.display())));
+    };
+    let is_plan = matches!(format, Format::Svg | Format::Dxf);
+    if arguments.slice.is_some() && !is_plan {
+        return Err(Failure::Usage("--slice: only .svg and .dxf show one slice".into()));
+    }
+    if arguments.z.is_some() && !is_plan && format != Format::Tif {
+        return Err(Failure::Usage("--z: only .tif, .svg and .dxf depend on a height".into()));
+    }
+    let archive = crate::open(path)?;
+    points::check_count(&archive, path)?;
+    let crs = match format {
+        Format::Ply | Format::Glb => None,
+        _ => Crs::of(&archive, path)?,
+    };
+    let crs = crs.as_ref();
+    let to = crate::output(output, &archive, &[])?;
+    let about = match format {
+        Format::Ply => counted(points::ply(&archive, path, to)?, "point"),
+        Format::Las => counted(points::las(&archive, path, to, crs, false)?, "point"),
+        Format::Laz => counted(points::las(&archive, path, to, crs, true)?, "point"),
+        Format::E57 => counted(points::e57(&archive, path, to, crs)?, "point"),
+        Format::Glb => counted(surface::glb(&archive, path, to)?, "triangle"),
+        Format::Tif => {
+            let [width, height] = heights::tif(&archive, path, arguments.z, to, crs)?;
+            let pixel = number(archive.frame().pixel_m());
+            format!("{} × {} pixels of {pixel} m", grouped(width.into()), grouped(height.into()))
+        }
+        Format::Svg | Format::Dxf => {
+            let slice = drawing::slice(&archive, path, arguments.slice, arguments.z)?;
+            let plan = drawing::Plan::of(&archive, path, slice)?;
+            match format {
+                Format::Svg => plan.svg(crs, to)?,
+                _ => plan.dxf(to)?,
+            }
+        }
+    };
+    crate::standard::written(output, &format!("{}: {about}\n", one_line(&output.to_string_lossy())))
+}

@@ -1,0 +1,76 @@
+"""Opens the exports of an archive in other readers and compares what they find; the folder that holds them is the argument."""
+
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import ezdxf
+import laspy
+import numpy as np
+import pye57
+import rasterio
+import trimesh
+
+PIXEL_M = 0.05
+EPSG = 28992
+
+
+def points_of_las(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and classes."""
+    scan = laspy.read(path)
+    assert scan.header.parse_crs().to_epsg() == EPSG, path
+    return np.asarray(scan.xyz), np.asarray(scan.classification)
+
+
+def main(folder: Path) -> None:
+    """All exports of `house.slices`."""
+    points, classes = points_of_las(folder / "house.las")
+    again, _ = points_of_las(folder / "house.laz")
+    assert np.array_equal(points, again)
+
+    cloud = pye57.E57(str(folder / "house.e57")).read_scan(0, colors=True, ignore_missing_fields=True)
+    found = np.column_stack([cloud[f"cartesian{axis}"] for axis in "XYZ"])
+    assert found.shape == points.shape, (found.shape, points.shape)
+    assert np.abs(found - points).max() < 1e-6
+    print(f"libE57, laspy: {len(points):,} points")
+
+    with rasterio.open(folder / "house.tif") as raster:
+        assert raster.crs.to_epsg() == EPSG
+        assert raster.res == (PIXEL_M, PIXEL_M)
+        heights = raster.read(1)
+        assert np.isnan(raster.nodata)
+        floors = points[classes == 2]
+        rows, columns = rasterio.transform.rowcol(raster.transform, floors[:, 0], floors[:, 1])
+    highest = np.full_like(heights, -np.inf)
+    np.maximum.at(highest, (np.asarray(rows), np.asarray(columns)), floors[:, 2])
+    held = ~np.isnan(heights)
+    # A voxel with a floor and an obstacle in it is one point, and counts as obstacle.
+    agree = np.isclose(heights[held], highest[held], atol=1e-4).mean()
+    assert held.sum() > 10_000, held.sum()
+    assert agree > 0.99, agree
+    print(f"GDAL: {held.sum():,} heights, {agree:.2%} as the points")
+
+    drawing = ezdxf.readfile(folder / "house.dxf")
+    assert not drawing.audit().errors
+    lines = list(drawing.modelspace().query("POLYLINE"))
+    assert lines
+    assert {line.dxf.layer for line in lines} <= {"obstacles", "floors"}
+    assert all(line.is_closed for line in lines)
+    corners = np.array([vertex.dxf.location.xyz for line in lines for vertex in line.vertices])
+    assert (corners[:, :2] >= points[:, :2].min(axis=0) - PIXEL_M).all()
+    assert (corners[:, :2] <= points[:, :2].max(axis=0) + PIXEL_M).all()
+    print(f"ezdxf: {len(lines)} polylines")
+
+    svg = ET.parse(folder / "house.svg").getroot()  # noqa: S314
+    assert svg.get("width", "").endswith("mm")
+
+    scene = trimesh.load(folder / "house.glb")
+    surface = scene.to_geometry()
+    # y-up there.
+    size = np.ptp(points, axis=0)[[0, 2, 1]]
+    assert np.allclose(np.ptp(surface.vertices, axis=0), size, atol=0.2), (surface.extents, size)
+    assert surface.volume > 0
+    print(f"trimesh: {len(surface.faces):,} triangles, {surface.volume:.1f} m³")
+
+
+main(Path(sys.argv[1]))

@@ -1,0 +1,37 @@
+#!/usr/bin/env bash
+# check.sh [FOLDER]: opens exports of slicetool in the readers that people use: laspy, libE57, GDAL, ezdxf, trimesh and the
+# validator of glTF. The programs are taken from FOLDER if they lie built there. Needs CPython 3.11 or newer, node and npm, and once
+# their package indexes.
+set -euo pipefail
+root=$(cd "$(dirname "$0")/../../../.." && pwd)
+target=${CARGO_TARGET_DIR:-$root/target}
+programs=${1:-}
+if [ -z "$programs" ]; then
+    (cd "$root" && cargo build --quiet -p slicetool -p scangen -p slicewalk --bins)
+    programs=$target/debug
+fi
+programs=$(cd "$programs" && pwd)
+readers=$target/export-readers
+if ! "$readers/venv/bin/python" -c 'import ezdxf, laspy, pye57, rasterio, trimesh' 2>/dev/null; then
+    python3 -m venv --clear "$readers/venv"
+    "$readers/venv/bin/pip" install --quiet --disable-pip-version-check -r "$root/tools/slicetool/tests/readers/requirements.txt"
+fi
+if [ ! -d "$readers/node_modules/gltf-validator" ]; then
+    npm install --silent --no-save --no-audit --no-fund --prefix "$readers" gltf-validator@2.0.0-dev.3.10
+fi
+
+made=$(mktemp -d)
+trap 'rm -rf "$made"' EXIT
+cd "$made"
+"$programs/scangen" demo -o house.laz
+"$programs/sliceconv" house.laz -o house.slices --pixel 0.05 --units m --crs EPSG:28992 --quiet
+for ending in ply las laz e57 tif svg dxf glb; do
+    "$programs/slicetool" export house.slices -o "house.$ending"
+done
+PYTHONDONTWRITEBYTECODE=1 "$readers/venv/bin/python" "$root/tools/slicetool/tests/readers/check.py" "$made"
+NODE_PATH=$readers/node_modules node -e '
+    const { readFileSync } = require("node:fs");
+    require("gltf-validator").validateBytes(new Uint8Array(readFileSync("house.glb"))).then(({ issues }) => {
+        console.log(`glTF validator: ${issues.numErrors} errors, ${issues.numWarnings} warnings`);
+        if (issues.numErrors + issues.numWarnings > 0) throw new Error(JSON.stringify(issues.messages.slice(0, 3)));
+    });'
