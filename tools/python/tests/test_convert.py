@@ -140,7 +140,8 @@ def test_keyboard_interrupt(tmp_path):
     points = scan.rubble(3_000_000, 5)
     (tmp_path / "large.las").write_bytes(scan.las(points))
     script = """
-        import sys, slicewalk
+        import signal, sys, slicewalk
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background of a shell ignore it
         try:
             slicewalk.convert("large.las", "large.slices", pixel=0.01, tolerance=0.002, threads=1, quiet=True,
                               progress=lambda *news: print(*news, flush=True))
