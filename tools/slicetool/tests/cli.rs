@@ -365,8 +365,7 @@ fn exports_hold_one_point_per_voxel() {
     let end = ply.windows(11).position(|bytes| bytes == b"end_header\n").unwrap() + 11;
     assert_eq!((ply.len() - end) as u64, voxels * 27);
     assert!(String::from_utf8_lossy(&ply[..end]).contains(&format!("element vertex {voxels} ")));
-    for (output, word) in
-        [("out.xyz", ".ply, .las, .laz"), ("no/out.ply", "no/out.ply"), ("no/out.las", "no/out.las")]
+    for (output, word) in [("out.xyz", ".ply, .las, .laz"), ("no/out.ply", "no/out.ply"), ("no/out.las", "no/out.las")]
     {
         let said = refuses(at, &["export", "a.slices", "-o", output]);
         assert!(said.contains(word), "{said}");

@@ -43,8 +43,10 @@ impl Crs {
         if text.is_empty() {
             return Ok(None);
         }
-        if archive.units().map_err(broken)?.iter().any(|unit| *unit != LengthUnit::METRE) {
-            let name = one_line(&text.chars().take(60).collect::<String>());
+        let units = archive.units().map_err(broken)?;
+        if units.iter().any(|unit| *unit != LengthUnit::METRE) {
+            let short: String = text.chars().take(60).collect();
+            let name = one_line(&short);
             crate::say(&format!(
                 "{}: the export is in metres and states no reference system: that of the scan ({name}) has another unit",
                 path.display()

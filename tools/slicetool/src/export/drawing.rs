@@ -28,7 +28,7 @@ const LAYERS: [&str; 2] = ["obstacles", "floors"];
 const FILLS: [&str; 2] = ["#1a1a1a", "#d9e4ee"];
 const COLOUR_NUMBERS: [u8; 2] = [7, 9];
 
-/// The slice to draw: the one named, or the one a cut's height above the slice with most floor.
+/// The slice to draw: the one named, or the one a cut's height above the lowest slice with half as much floor as any.
 pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>) -> Result<i64, Failure> {
     if number.is_some() || z.is_some() {
         return show::slice(archive, path, number, z);
@@ -43,9 +43,11 @@ pub fn slice(archive: &Archive, path: &Path, number: Option<u64>, z: Option<f64>
             *floors.entry(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(span.slices().1)).or_default() += 1;
         }
     }
-    let most = floors.iter().max_by_key(|(slice, count)| (**count, -**slice));
+    // Roofs are floors, too: the lowest storey counts.
+    let most = floors.values().max().copied().unwrap_or(0);
+    let storey = floors.iter().find(|(_, count)| **count >= most.div_ceil(2)).map_or(lowest, |(slice, _)| *slice);
     let above = (CUT_M / archive.frame().slice_m()).round() as i64;
-    Ok(most.map_or(lowest, |(slice, _)| (slice + above).min(highest)))
+    Ok(storey.saturating_add(above).min(highest))
 }
 
 /// Outlines in one slice, in corners of pixels: polygons of one outer ring and its holes, closed, for each layer.
@@ -91,7 +93,7 @@ impl<'a> Plan<'a> {
         if areas.iter().all(BTreeSet::is_empty) {
             bounds = [(0, 0), (0, 0)];
         }
-        let name = path.file_name().map(|name| one_line(&name.to_string_lossy())).unwrap_or_default();
+        let name = path.file_name().map(|name| one_line(&name.to_string_lossy()).into_owned()).unwrap_or_default();
         Ok(Self { frame: archive.frame(), slice, name, layers: areas.map(|area| polygons(&area)), bounds })
     }
 

@@ -2,15 +2,16 @@
 
 use super::crs::Crs;
 use crate::Failure;
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
 use slicewalk::archive::{Archive, PageEntry, PageReader};
 use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
 use slicewalk::output::Output;
 use std::cmp::Reverse;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::Path;
-use tiff::encoder::colortype::{ColorType, Gray32Float, Gray64Float};
-use tiff::encoder::{Compression, DeflateLevel, TiffEncoder, TiffValue};
-use tiff::tags::Tag;
+use tiff::encoder::TiffEncoder;
+use tiff::tags::{CompressionMethod, PhotometricInterpretation, SampleFormat, Tag};
 
 /// Most samples: a classic TIFF has at most 4 GiB, and noise may not compress.
 const MOST_PIXELS: i64 = 1 << 28;
@@ -32,26 +33,7 @@ pub fn tif(
     };
     let farthest = [min[2], max[2]].map(f64::abs).into_iter().fold(0.0, f64::max);
     let is_fine = farthest * f64::from(f32::EPSILON) < frame.quantum_m() / 2.0;
-    match is_fine {
-        true => write::<Gray32Float>(archive, path, highest, to, crs, |z| z as f32),
-        false => write::<Gray64Float>(archive, path, highest, to, crs, |z| z),
-    }
-}
-
-fn write<C: ColorType>(
-    archive: &Archive,
-    path: &Path,
-    highest: Option<f64>,
-    to: Output,
-    crs: Option<&Crs>,
-    sample: impl Fn(f64) -> C::Inner,
-) -> Result<[u32; 2], Failure>
-where
-    C::Inner: Copy,
-    [C::Inner]: TiffValue,
-{
     let broken = |error| crate::broken(path, &error);
-    let frame = archive.frame();
     let highest = highest.map_or(i64::MAX, |z| frame.quantum_floor(z));
     let mut entries: Vec<PageEntry> = archive.entries().collect::<Result<_, _>>().map_err(broken)?;
     // Highest row of tiles first; in a column the lowest page first, so that higher floors come last.
@@ -70,23 +52,15 @@ where
     }
     let mut file = BufWriter::new(to);
     let size = [width, height].map(|edge| edge as u32);
-    let mut tiff = TiffEncoder::new(&mut file)?.with_compression(Compression::Deflate(DeflateLevel::Balanced));
-    let mut image = tiff.new_image::<C>(size[0], size[1])?;
-    image.rows_per_strip(STRIP as u32)?;
-    let directory = image.encoder();
-    let corner = [frame.edge_of_pixel(left * TILE_PIXELS), frame.edge_of_pixel((high + 1) * TILE_PIXELS)];
-    directory.write_tag(Tag::ModelPixelScaleTag, &[frame.pixel_m(), frame.pixel_m(), 0.0][..])?;
-    directory.write_tag(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, corner[0], corner[1], 0.0][..])?;
-    directory.write_tag(Tag::GdalNodata, "nan")?;
-    if let Some(keys) = crs.map(Crs::geo_keys) {
-        directory.write_tag(Tag::GeoKeyDirectoryTag, &keys.directory[..])?;
-        directory.write_tag(Tag::GeoAsciiParamsTag, keys.text.as_str())?;
-    }
+    let mut tiff = TiffEncoder::new(&mut file)?;
+    // Strip by strip, packed here: the encoder of whole images wants all of it at once.
+    let mut directory = tiff.image_directory()?;
     let mut pages = PageReader::new(archive);
-    let mut row = vec![sample(f64::NAN); (width * STRIP) as usize];
+    let (mut offsets, mut lengths) = (Vec::new(), Vec::new());
+    let mut row = vec![f64::NAN; (width * STRIP) as usize];
     let mut rest = &entries[..];
     for ty in (low..=high).rev() {
-        row.fill(sample(f64::NAN));
+        row.fill(f64::NAN);
         let count = rest.iter().take_while(|entry| i64::from(entry.key.ty) == ty).count();
         let (own, others) = rest.split_at(count);
         rest = others;
@@ -101,14 +75,40 @@ where
                 if let Some(top) = top {
                     let x = (i64::from(entry.key.tx) - left) * TILE_PIXELS + i64::from(px);
                     let y = TILE_PIXELS - 1 - i64::from(py);
-                    row[(y * width + x) as usize] = sample(frame.top_height(top));
+                    row[(y * width + x) as usize] = frame.top_height(top);
                 }
             }
         }
-        image.write_strip(&row)?;
+        let mut strip = ZlibEncoder::new(Vec::new(), Compression::default());
+        for height in &row {
+            match is_fine {
+                true => strip.write_all(&(*height as f32).to_ne_bytes())?,
+                false => strip.write_all(&height.to_ne_bytes())?,
+            }
+        }
+        let strip = strip.finish()?;
+        offsets.push(u32::try_from(directory.write_data(&strip[..])?)?);
+        lengths.push(u32::try_from(strip.len())?);
     }
-    image.finish()?;
-    drop(tiff);
+    directory.write_tag(Tag::ImageWidth, size[0])?;
+    directory.write_tag(Tag::ImageLength, size[1])?;
+    directory.write_tag(Tag::BitsPerSample, if is_fine { 32u16 } else { 64 })?;
+    directory.write_tag(Tag::Compression, CompressionMethod::Deflate.to_u16())?;
+    directory.write_tag(Tag::PhotometricInterpretation, PhotometricInterpretation::BlackIsZero.to_u16())?;
+    directory.write_tag(Tag::StripOffsets, &offsets[..])?;
+    directory.write_tag(Tag::SamplesPerPixel, 1u16)?;
+    directory.write_tag(Tag::RowsPerStrip, STRIP as u32)?;
+    directory.write_tag(Tag::StripByteCounts, &lengths[..])?;
+    directory.write_tag(Tag::SampleFormat, SampleFormat::IEEEFP.to_u16())?;
+    let corner = [frame.edge_of_pixel(left * TILE_PIXELS), frame.edge_of_pixel((high + 1) * TILE_PIXELS)];
+    directory.write_tag(Tag::ModelPixelScaleTag, &[frame.pixel_m(), frame.pixel_m(), 0.0][..])?;
+    directory.write_tag(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, corner[0], corner[1], 0.0][..])?;
+    directory.write_tag(Tag::GdalNodata, "nan")?;
+    if let Some(keys) = crs.map(Crs::geo_keys) {
+        directory.write_tag(Tag::GeoKeyDirectoryTag, &keys.directory[..])?;
+        directory.write_tag(Tag::GeoAsciiParamsTag, keys.text.as_str())?;
+    }
+    directory.finish()?;
     file.into_inner().map_err(std::io::IntoInnerError::into_error)?.publish()?;
     Ok(size)
 }

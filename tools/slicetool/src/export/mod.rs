@@ -15,7 +15,6 @@ mod surface;
 
 use crate::{Failure, Outcome};
 use crs::Crs;
-use slicewalk::archive::Archive;
 use slicewalk::output::is_standard;
 use slicewalk::text::{counted, finite_number, grouped, number, one_line, whole_number};
 use std::path::{Path, PathBuf};
@@ -29,7 +28,7 @@ pub struct Arguments {
     /// (.tif), or the plan of a slice (.svg, .dxf). `-` writes PLY to standard output
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// Plan of this slice, from 0 at the lowest; else of the one 1.2 m above the slice with most floor
+    /// Plan of this slice, from 0 at the lowest; else of the one 1.2 m above the floor of the lowest storey
     #[arg(long, value_name = "N", group = "which", value_parser = whole_number(0u64, u64::MAX))]
     slice: Option<u64>,
     /// Plan of the slice at this height in metres; with .tif, the highest floors up to this height

@@ -180,8 +180,7 @@ fn projection(record_id: u16, data: Vec<u8>) -> las::Vlr {
 pub fn e57(archive: &Archive, path: &Path, output: Output, crs: Option<&Crs>) -> Result<u64, Failure> {
     let output = Arc::new(Mutex::new(output));
     let hash = format!("{:032x}", archive.header().plan_hash);
-    let guid =
-        format!("{}-{}-{}-{}-{}", &hash[..8], &hash[8..12], &hash[12..16], &hash[16..20], &hash[20..]);
+    let guid = format!("{}-{}-{}-{}-{}", &hash[..8], &hash[8..12], &hash[12..16], &hash[16..20], &hash[20..]);
     let mut writer = E57Writer::new(Lent(Arc::downgrade(&output)), &guid)?;
     writer.set_coordinate_metadata(crs.map(|crs| crs.text().to_owned()));
     let steps = transforms(archive, path)?;

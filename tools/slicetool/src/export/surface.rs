@@ -222,9 +222,41 @@ impl Faces {
 
 /// Triangles over shared corners.
 struct Surface {
-    /// Places, twice: middles of rectangles lie between corners.
-    doubled: Vec<Corner>,
+    corners: Vec<Corner>,
     triangles: Vec<[u32; 3]>,
+}
+
+/// Triangles of a rectangle with corners on its sides, none of them flat: two fewer than corners. Side n leads from corner n of
+/// `ring` to before the next one.
+fn triangulate(ring: [Corner; 4], sides: &[Vec<Corner>; 4], mut give: impl FnMut([Corner; 3])) {
+    // Up the left and the right side, always to the corner that is nearer to the lower side.
+    let left: Vec<Corner> = std::iter::once(ring[0]).chain(sides[3].iter().rev().copied()).collect();
+    let right: Vec<Corner> = sides[1].iter().copied().chain([ring[2]]).collect();
+    let height = |corner: &Corner, from: &Corner| (0..3).map(|axis| (corner[axis] - from[axis]).abs()).sum::<i64>();
+    let (mut l, mut r) = (0, 0);
+    // The triangles at the lower and the upper side are fans over the corners there.
+    let fan = |side: &[Corner], end: Corner, top: Corner, give: &mut dyn FnMut([Corner; 3])| {
+        let ends = side.iter().skip(1).chain([&end]);
+        side.iter().zip(ends).for_each(|(a, b)| give([*a, *b, top]));
+    };
+    while (l, r) != (left.len() - 1, right.len() - 1) {
+        let is_left = r == right.len() - 1
+            || l < left.len() - 1 && height(&left[l + 1], &ring[0]) < height(&right[r + 1], &ring[1]);
+        let next = if is_left { left[l + 1] } else { right[r + 1] };
+        let triangle = [left[l], right[r], next];
+        let is_first = (l, r) == (0, 0);
+        if is_left {
+            l += 1
+        } else {
+            r += 1
+        }
+        let is_last = (l, r) == (left.len() - 1, right.len() - 1);
+        match (is_first, is_last) {
+            (true, _) => fan(&sides[0], ring[1], next, &mut give),
+            (_, true) => fan(&sides[2], ring[3], triangle[usize::from(!is_left)], &mut give),
+            _ => give(triangle),
+        }
+    }
 }
 
 /// Corners in three orders: by line along x, along y, along z, and along it.
@@ -267,37 +299,28 @@ impl Surface {
         corners.dedup();
         let lines = Lines::of(&corners);
         let number = |corner: &Corner| corners.binary_search(corner).unwrap_or(0) as u32;
-        let mut doubled: Vec<Corner> = corners.iter().map(|corner| corner.map(|v| 2 * v)).collect();
         let mut triangles = Vec::with_capacity(2 * rectangles.len());
         for rectangle in rectangles {
             let ring = rectangle.corners();
             let sides = [0, 1, 2, 3].map(|side| lines.along(ring[side], ring[(side + 1) % 4]));
-            let ring: Vec<u32> = sides.iter().flatten().map(number).collect();
-            if let [a, b, c, d] = ring[..] {
-                triangles.extend([[a, b, c], [a, c, d]]);
-                continue;
-            }
-            // From the middle, so that no triangle is flat.
-            let middle = doubled.len() as u32;
-            doubled.push([0, 1, 2].map(|axis| rectangle.least[axis] + rectangle.greatest[axis]));
-            let following = ring.iter().cycle().skip(1);
-            triangles.extend(ring.iter().zip(following).map(|(a, b)| [middle, *a, *b]));
+            triangulate(ring, &sides, |triangle| triangles.push(triangle.map(|corner| number(&corner))));
         }
-        Self { doubled, triangles }
+        Self { corners, triangles }
     }
 
     fn write(&self, frame: &Frame, out: &mut impl Write) -> Result<(), Failure> {
-        let origin = [0, 1, 2].map(|axis| self.doubled.iter().map(|at| at[axis]).min().unwrap_or(0));
-        let units = [frame.pixel_m(), frame.pixel_m(), frame.quantum_m()].map(|unit| unit / 2.0);
-        let metres = |doubled: Corner| [0, 1, 2].map(|axis| doubled[axis] as f64 * units[axis]);
+        let origin = [0, 1, 2].map(|axis| self.corners.iter().map(|at| at[axis]).min().unwrap_or(0));
+        let units = [frame.pixel_m(), frame.pixel_m(), frame.quantum_m()];
+        let metres = |corner: Corner| [0, 1, 2].map(|axis| corner[axis] as f64 * units[axis]);
         let turned = |[x, y, z]: [f64; 3]| [x, z, -y];
         let relative = |at: &Corner| turned(metres([0, 1, 2].map(|axis| at[axis] - origin[axis]))).map(|v| v as f32);
-        let bytes = [12 * self.doubled.len() as u64, 12 * self.triangles.len() as u64];
+        let bytes = [12 * self.corners.len() as u64, 12 * self.triangles.len() as u64];
         let head = self.head(relative, turned(metres(origin)), bytes).to_string();
         let head = format!("{head}{}", " ".repeat(head.len().next_multiple_of(4) - head.len()));
         let chunks = if self.triangles.is_empty() { 0 } else { 8 + bytes[0] + bytes[1] };
-        let length = u32::try_from(12 + 8 + head.len() as u64 + chunks)
-            .map_err(|_| Failure::Text("the surface exceeds the 4 GiB of a glTF file; extract a region first".into()))?;
+        let length = u32::try_from(12 + 8 + head.len() as u64 + chunks).map_err(|_| {
+            Failure::Text("the surface exceeds the 4 GiB of a glTF file; extract a region first".into())
+        })?;
         for word in [MAGIC, VERSION, length, head.len() as u32, JSON_CHUNK] {
             out.write_all(&word.to_le_bytes())?;
         }
@@ -308,7 +331,7 @@ impl Surface {
         for word in [(bytes[0] + bytes[1]) as u32, BINARY_CHUNK] {
             out.write_all(&word.to_le_bytes())?;
         }
-        for at in &self.doubled {
+        for at in &self.corners {
             for value in relative(at) {
                 out.write_all(&value.to_le_bytes())?;
             }
@@ -326,12 +349,10 @@ impl Surface {
             return json!({ "asset": asset, "scene": 0, "scenes": [{}] });
         }
         let ends = |choose: fn(f32, f32) -> f32| {
-            let places = self.doubled.iter().map(&relative);
+            let places = self.corners.iter().map(&relative);
             places.reduce(|a, b| [0, 1, 2].map(|axis| choose(a[axis], b[axis]))).unwrap_or_default()
         };
-        let view = |offset: u64, length: u64, target: u32| {
-            json!({ "buffer": 0, "byteOffset": offset, "byteLength": length, "target": target })
-        };
+        let view = |offset: u64, length: u64, target: u32| json!({ "buffer": 0, "byteOffset": offset, "byteLength": length, "target": target });
         json!({
             "asset": asset,
             "scene": 0,
@@ -344,7 +365,7 @@ impl Surface {
             }],
             "accessors": [
                 {
-                    "bufferView": 0, "componentType": FLOAT, "count": self.doubled.len(), "type": "VEC3",
+                    "bufferView": 0, "componentType": FLOAT, "count": self.corners.len(), "type": "VEC3",
                     "min": ends(f32::min), "max": ends(f32::max)
                 },
                 { "bufferView": 1, "componentType": UNSIGNED_INT, "count": 3 * self.triangles.len(), "type": "SCALAR" }
@@ -366,7 +387,7 @@ mod tests {
         let mut edges: HashMap<[u32; 2], i64> = HashMap::new();
         let mut six_volumes = 0i128;
         for triangle in &surface.triangles {
-            let [a, b, c] = triangle.map(|at| surface.doubled[at as usize].map(i128::from));
+            let [a, b, c] = triangle.map(|at| surface.corners[at as usize].map(i128::from));
             let minus = |p: [i128; 3], q: [i128; 3]| [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
             let cross = |p: [i128; 3], q: [i128; 3]| {
                 [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
@@ -381,14 +402,14 @@ mod tests {
         }
         assert!(edges.values().all(|sum| *sum == 0), "open: {columns:?}");
         let volume: i64 = columns.values().flatten().map(|[bottom, top]| top - bottom).sum();
-        assert_eq!(six_volumes, 8 * 6 * i128::from(volume));
+        assert_eq!(six_volumes, 6 * i128::from(volume));
         surface
     }
 
     #[test]
     fn one_box_has_twelve_triangles() {
         let surface = check(&Columns::from([((3, -2), vec![[10, 17]])]));
-        assert_eq!((surface.doubled.len(), surface.triangles.len()), (8, 12));
+        assert_eq!((surface.corners.len(), surface.triangles.len()), (8, 12));
     }
 
     #[test]
