@@ -208,8 +208,12 @@ impl Visit for Search {
 
     #[inline]
     fn heights(&self, low: i64, high: i64) -> (i64, i64) {
+        // While nothing was met, all of the way matters.
+        if self.best.at >= 1.0 {
+            return (low, high);
+        }
         // Two quanta for rounding, and for contacts at the same time.
-        let (v, at) = (self.moving.v[2], self.best.at.clamp(0.0, 1.0));
+        let (v, at) = (self.moving.v[2], self.best.at.max(0.0));
         if v < 0.0 {
             (low.max(floor_index(self.moving.rest.lo[2] + v * at) - 2), high)
         } else {
