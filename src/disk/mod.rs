@@ -12,7 +12,9 @@ mod temporary;
 #[cfg(test)]
 pub(crate) mod tests;
 
-pub(crate) use temporary::{Temporary, leftovers, lock, remove_leftovers, split};
+pub(crate) use temporary::{Temporary, remove_leftovers, split};
+#[cfg(feature = "convert")]
+pub(crate) use temporary::{leftovers, lock};
 
 use crate::bytes::FileId;
 use std::cell::RefCell;

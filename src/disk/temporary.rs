@@ -63,20 +63,6 @@ impl Temporary {
         Err(Error::io(folder.join(name), "create a temporary file beside it", io::ErrorKind::AlreadyExists.into()))
     }
 
-    /// The temporary file at `path`, which is open as `file`.
-    pub fn of(files: &Files, path: PathBuf, file: OpenFile) -> Self {
-        Self { files: files.clone(), file, path, stays: false }
-    }
-
-    pub fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Whether the file stays when this is dropped.
-    pub fn set_stays(&mut self, stays: bool) {
-        self.stays = stays;
-    }
-
     /// Writes `bytes` at `offset`.
     pub fn write_at(&self, offset: u64, bytes: &[u8]) -> Result<()> {
         let written = self.file.write_at(offset, bytes);
@@ -125,6 +111,24 @@ impl Temporary {
     /// An error about the content of this file.
     pub fn broken(&self, action: &str) -> Error {
         Error::io(&self.path, action, io::ErrorKind::InvalidData.into())
+    }
+}
+
+/// What runs that are resumed need besides.
+#[cfg(feature = "convert")]
+impl Temporary {
+    /// The temporary file at `path`, which is open as `file`.
+    pub fn of(files: &Files, path: PathBuf, file: OpenFile) -> Self {
+        Self { files: files.clone(), file, path, stays: false }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether the file stays when this is dropped.
+    pub fn set_stays(&mut self, stays: bool) {
+        self.stays = stays;
     }
 }
 

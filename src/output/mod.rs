@@ -91,6 +91,7 @@ impl Output {
     }
 
     /// Number of the user who writes it, where the system has such.
+    #[cfg(feature = "convert")]
     pub(crate) fn owner(&self) -> Option<u32> {
         self.files.about(self.temporary.path()).ok().flatten().and_then(|about| about.owner)
     }

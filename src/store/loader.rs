@@ -509,11 +509,13 @@ impl Loader {
     }
 
     /// When pages that could not be read are tried again.
+    #[cfg(not(target_family = "wasm"))]
     pub(super) fn retry_at(&self) -> Option<Time> {
         self.again
     }
 
     /// Failures that were not polled yet.
+    #[cfg(not(target_family = "wasm"))]
     pub(super) fn take_reports(&mut self) -> Vec<PageError> {
         self.reports.drain(..).collect()
     }
