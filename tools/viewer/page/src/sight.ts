@@ -130,7 +130,7 @@ export class Sight {
     this.#from = at;
     // A box does not slip through a sparse ceiling as a ray does; a slim one keeps away from walls.
     const [low, high] = [at[2] + settings.height / 2, at[2] + settings.height];
-    const body = flat(standing([at[0], at[1], low], settings.width, high - low));
+    const body = flat(standing([at[0], at[1], low], SLIM * settings.width, high - low));
     const up = new Float64Array([...body, 0, 0, CEILING_M]);
     const share = (await this.session.archive.sweep(up, { load: true }).catch(() => null))?.[0] ?? NaN;
     const ceiling = share < 1 ? high + share * CEILING_M : Infinity;
