@@ -55,8 +55,6 @@ describe("Gaussian splats", () => {
     await walkIn(page, `${view()}&splats=cube.ply&align=${AHEAD.join(",")},30,1&up=-y`);
     await until(page, "drawn", ({ drawn }) => drawn.splats === 27);
     await seen("seen", (share) => share > 0.1);
-    // Collisions stay with the archive: the pawn walks through them.
-    await hold(page, ["w"], "where they are", ({ at }) => at[1] > AHEAD[1]);
     await page.getByRole("button", { name: "Copy link" }).click();
     await page.waitForURL(/splats=cube\.ply&align=1\.5,4,1\.65,30,1&up=-y/);
   });
@@ -93,5 +91,8 @@ describe("Gaussian splats", () => {
     await drop(page, "broken.ply", Buffer.from("ply\nnothing of the kind\n"));
     await page.getByText(/The splats cannot be drawn: /).waitFor();
     await hold(page, ["w"], "walking", ({ speed }) => speed > 0.5);
+    // What reads them says so on the console too.
+    const others = page.complaints.filter((text) => !text.includes("Invalid PLY file"));
+    page.complaints.splice(0, Infinity, ...others);
   });
 });
