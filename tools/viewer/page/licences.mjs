@@ -22,7 +22,8 @@ function texts(folder, licence, author) {
 
 const parts = [];
 
-for (const name of [...Object.keys(json(join(here, "package.json")).dependencies), "laz-perf"]) {
+// With what these are bundled with.
+for (const name of [...Object.keys(json(join(here, "package.json")).dependencies), "laz-perf", "fflate"]) {
   if (name === "slicewalk" || parts.some((part) => part.name.startsWith(`${name} `))) continue;
   const folder = join(here, "node_modules", name);
   const { version, license, author } = json(join(folder, "package.json"));

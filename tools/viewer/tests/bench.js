@@ -1,61 +1,164 @@
-// Boxes and frames of a pawn in Chromium beside the native engine. By hand, on a quiet machine: `.ci/long viewer`.
+// The viewer's benchmark: what it may take, and what it took. By hand, on a quiet machine: `.ci/long viewer`, or
+// `node bench.js [PART...]` with the parts native, street, house and city.
 //
 // SLICEWALK_ENGINE_CHECK names the folder that `record` wrote, built with optimisation: its times are the native ones.
+// SLICEWALK_BIN names programs built with optimisation, which make the city in some minutes.
 
 import { readFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
-import { launch } from "./browser.js";
+import { launch, until, walkIn } from "./browser.js";
+import { city, DIST, house, program, street, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
+import { address, LINK, runAlong, walkTowards, watch, watched } from "./steer.js";
 
 /** At most so many times the native time, and for a frame so much more: it passes between two threads (µs). */
 const MOST = 2;
 const PASSING_US = 50;
+/** A task of the main thread while walking (ms), pages in memory (bytes), and bytes until a city's outline is drawn. */
+const TASK_MS = 50;
+const PAGES_BYTES = 64 << 20;
+const OUTLINE_BYTES = 3_000_000;
 
-const folder = process.env.SLICEWALK_ENGINE_CHECK;
-const native = JSON.parse(readFileSync(join(folder, "times.json"), "utf8"));
-const dist = join(dirname(fileURLToPath(import.meta.url)), "../package/dist");
-const named = Object.fromEntries(["scene.slices", "boxes.f64", "inputs.f64"].map((name) => [`/${name}`, join(folder, name)]));
-const server = await new StaticServer(dist, named).start();
-const browser = await launch();
-try {
-  const page = await browser.newPage();
-  // Any page of this origin.
-  await page.goto(`${server.address}index.js`);
-  const found = await page.evaluate(async () => {
-    const { openArchive } = await import("/index.js");
-    const read = async (name) => new Float64Array(await (await fetch(name)).arrayBuffer());
-    const archive = await openArchive("/scene.slices");
-    await archive.load({ min: [-100, -100, -100], max: [100, 100, 100] });
-    const [boxes, inputs] = [await read("/boxes.f64"), await read("/inputs.f64")];
-    const least = { box_ns: Infinity, frame_us: Infinity };
-    for (let run = 0; run < 5; run++) {
-      let start = performance.now();
-      await archive.overlaps(boxes);
-      least.box_ns = Math.min(least.box_ns, ((performance.now() - start) * 1e6) / (boxes.length / 6));
-      const walker = await archive.walker({ at: [-2, 2, 0.2], crouchHeight: 1.1, jump: 0.6 });
-      start = performance.now();
-      const frames = 1800;
-      for (let row = 0; row < 6 * frames; row += 6) {
-        const [seconds, x, y, pace, lift, flags] = inputs.subarray(row, row + 6);
-        if (flags === -1) await walker.place([x, y, pace]);
-        else {
-          const way = flags & 8 ? { toward: [x, y] } : { wish: [x, y] };
-          await walker.step(seconds, { ...way, pace, lift, jump: !!(flags & 1), crouch: !!(flags & 2), fly: !!(flags & 4) });
-        }
-      }
-      least.frame_us = Math.min(least.frame_us, ((performance.now() - start) * 1000) / frames);
-      walker.close();
-    }
-    return least;
-  });
-  const limits = { box_ns: MOST * native.box_ns, frame_us: MOST * native.frame_us + PASSING_US };
-  for (const name of ["box_ns", "frame_us"]) {
-    const line = `${name}: ${found[name].toFixed(1)} in Chromium, ${native[name].toFixed(1)} natively`;
-    console.log(`${line} (at most ${limits[name].toFixed(1)})`);
-    if (found[name] > limits[name]) process.exitCode = 1;
-  }
-} finally {
-  await browser.close();
-  await server.stop();
+const STREET_M = 100;
+/** Along a street of the city, and so far. */
+const CITY_START = [300, 240, 0.1];
+const CITY_M = 60;
+
+/** Prints a figure beside its limit. */
+function report(part, what, figure, most, unit) {
+  const held = figure <= most;
+  const digits = Number.isInteger(figure) && Number.isInteger(most) ? 0 : 1;
+  const words = `${figure.toFixed(digits)} ${unit} (at most ${most.toFixed(digits)})`;
+  console.log(`${held ? "ok  " : "OVER"}  ${part}: ${what}: ${words}`);
+  if (!held) process.exitCode = 1;
 }
+
+/** What was watched on a walk over the link. */
+function reportWalk(part, { frames, missed, waited, bytes, tasks }) {
+  if (frames === 0) throw new Error(`${part}: no frame was drawn`);
+  report(part, `frames that missed a page, of ${frames} (${waited} pages in the worst)`, missed, 0, "frames");
+  report(part, "most pages in memory", bytes / (1 << 20), PAGES_BYTES / (1 << 20), "MiB");
+  reportTasks(part, tasks);
+}
+
+/** Browsers name tasks of 50 ms and longer only. */
+function reportTasks(part, tasks) {
+  const long = tasks.toSorted((a, b) => b - a).slice(0, 5);
+  const words = long.length === 0 ? "none of 50 ms" : long.map((ms) => ms.toFixed(0)).join(", ");
+  report(part, `longest task of the main thread (${tasks.length} long ones: ${words})`, long[0] ?? 0, TASK_MS, "ms");
+}
+
+/** Runs `work` in a page of its own beside a server of these files. */
+async function within(folder, files, work) {
+  const server = await new StaticServer(folder, files).start();
+  const browser = await launch();
+  try {
+    const page = await browser.newPage();
+    await work(page, server);
+    if (page.complaints.length > 0) throw new Error(page.complaints.join("\n"));
+  } finally {
+    await browser.close();
+    await server.stop();
+  }
+}
+
+const parts = {
+  /** Boxes and frames of a pawn in Chromium beside the native engine. */
+  async native() {
+    const folder = process.env.SLICEWALK_ENGINE_CHECK;
+    if (folder === undefined) throw new Error("set SLICEWALK_ENGINE_CHECK to the folder that `record` wrote");
+    const native = JSON.parse(readFileSync(join(folder, "times.json"), "utf8"));
+    const dist = join(dirname(fileURLToPath(import.meta.url)), "../package/dist");
+    const names = ["scene.slices", "boxes.f64", "inputs.f64"];
+    const files = Object.fromEntries(names.map((name) => [`/${name}`, join(folder, name)]));
+    await within(dist, files, async (page, server) => {
+      // Any page of this origin.
+      await page.goto(`${server.address}index.js`);
+      const found = await page.evaluate(answersInChromium);
+      const say = (name, unit, most) => {
+        const what = `${name} (natively ${native[`${name}_${unit}`].toFixed(1)} ${unit})`;
+        report("native", what, found[`${name}_${unit}`], most, unit);
+      };
+      say("box", "ns", MOST * native.box_ns);
+      say("frame", "us", MOST * native.frame_us + PASSING_US);
+    });
+  },
+
+  /** A run along a street over the link. */
+  async street() {
+    await within(DIST, { "/street.slices": street() }, async (page, server) => {
+      reportWalk("street", await runAlong(page, server, "street.slices", STREET_M));
+    });
+  },
+
+  /** Up the stairs of the house. */
+  async house() {
+    await within(DIST, { "/house.slices": house() }, async (page, server) => {
+      await walkIn(page, address(server, { at: WAY.start, look: [0, 0] }));
+      await watch(page);
+      for (const place of WAY.places) await walkTowards(page, place);
+      reportTasks("house", (await watched(page)).tasks);
+    });
+  },
+
+  /** A city: its outline from afar, and a run in its streets, both over the link. */
+  async city() {
+    const archive = city();
+    const { levels } = JSON.parse(program("slicetool", "stats", archive, "--json"));
+    await within(DIST, { "/city.slices": archive }, async (page, server) => {
+      Object.assign(server, LINK);
+      const begin = performance.now();
+      await page.goto(address(server, { archive: "city.slices", at: CITY_START, look: [90, 0], view: "orbit" }));
+      // All pages of a level, whichever the page chose.
+      const whole = ({ drawn }) => levels.some(({ pages }) => pages === drawn.overview);
+      const { drawn } = await until(page, "the whole outline drawn", whole, { timeout: 120_000 });
+      // As the host counts them: answers under way count whole.
+      const asked = server.of("city.slices");
+      const seconds = (performance.now() - begin) / 1000;
+      const { level, pixel_size } = levels.find(({ pages }) => pages === drawn.overview);
+      const what = `bytes until the outline is drawn (level ${level}, ${pixel_size} m, ${asked.length} requests, ${seconds.toFixed(1)} s)`;
+      report("city", what, asked.reduce((sum, { bytes }) => sum + bytes, 0) / 1e6, OUTLINE_BYTES / 1e6, "MB");
+    });
+    await within(DIST, { "/city.slices": archive }, async (page, server) => {
+      reportWalk("city", await runAlong(page, server, "city.slices", CITY_M, CITY_START));
+    });
+  },
+};
+
+/** In the browser: least times of a box (ns) and of a frame of a pawn (µs). */
+async function answersInChromium() {
+  const { openArchive } = await import("/index.js");
+  const read = async (name) => new Float64Array(await (await fetch(name)).arrayBuffer());
+  const archive = await openArchive("/scene.slices");
+  await archive.load({ min: [-100, -100, -100], max: [100, 100, 100] });
+  const [boxes, inputs] = [await read("/boxes.f64"), await read("/inputs.f64")];
+  const least = { box_ns: Infinity, frame_us: Infinity };
+  for (let run = 0; run < 5; run++) {
+    let start = performance.now();
+    await archive.overlaps(boxes);
+    least.box_ns = Math.min(least.box_ns, ((performance.now() - start) * 1e6) / (boxes.length / 6));
+    const walker = await archive.walker({ at: [-2, 2, 0.2], crouchHeight: 1.1, jump: 0.6 });
+    start = performance.now();
+    const frames = 1800;
+    for (let row = 0; row < 6 * frames; row += 6) {
+      const [seconds, x, y, pace, lift, flags] = inputs.subarray(row, row + 6);
+      if (flags === -1) await walker.place([x, y, pace]);
+      else {
+        const way = flags & 8 ? { toward: [x, y] } : { wish: [x, y] };
+        await walker.step(seconds, { ...way, pace, lift, jump: !!(flags & 1), crouch: !!(flags & 2), fly: !!(flags & 4) });
+      }
+    }
+    least.frame_us = Math.min(least.frame_us, ((performance.now() - start) * 1000) / frames);
+    walker.close();
+  }
+  return least;
+}
+
+const chosen = process.argv.length > 2 ? process.argv.slice(2) : Object.keys(parts);
+const unknown = chosen.find((name) => !(name in parts));
+if (unknown !== undefined) {
+  console.error(`bench.js: no part '${unknown}'; parts: ${Object.keys(parts).join(", ")}`);
+  process.exit(2);
+}
+for (const name of chosen) await parts[name]();

@@ -162,3 +162,37 @@ export async function hold(page, keys, what, fits, options) {
     for (const key of [...keys].reverse()) await page.keyboard.up(key).catch(() => {});
   }
 }
+
+/** Colours in the middle of the screen, where nothing lies above the canvas: red, green and blue of every seventh pixel. */
+export function pixels(page) {
+  return page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        // The page draws in its own callback of the same frame, before this one.
+        requestAnimationFrame(() => {
+          const view = document.querySelector("canvas.view");
+          const canvas = new OffscreenCanvas(view.width, view.height);
+          const context = canvas.getContext("2d");
+          context.drawImage(view, 0, 0);
+          const [w, h] = [canvas.width, canvas.height];
+          const { data } = context.getImageData(w / 4, h / 3, w / 4, h / 3);
+          const seen = [];
+          for (let n = 0; n < data.length; n += 4 * 7) seen.push([...data.subarray(n, n + 3)]);
+          resolve(seen);
+        });
+      }),
+  );
+}
+
+/** Drops a file on the page. */
+export async function drop(page, name, bytes) {
+  const transfer = await page.evaluateHandle(
+    ([name, content]) => {
+      const data = new DataTransfer();
+      data.items.add(new File([new Uint8Array(content)], name));
+      return data;
+    },
+    [name, [...bytes]],
+  );
+  await page.dispatchEvent("body", "drop", { dataTransfer: transfer });
+}

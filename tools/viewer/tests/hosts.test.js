@@ -6,8 +6,9 @@ import { existsSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { beforeEach, describe } from "node:test";
-import { hold, it, pages, until, walkIn } from "./browser.js";
+import { drop, hold, it, pages, until, walkIn } from "./browser.js";
 import { BIN, DIST, house, other, program } from "./scans.js";
+import { magentaCube } from "./splats.js";
 import { StaticServer } from "./static-server.js";
 
 let page, folder;
@@ -79,6 +80,17 @@ describe("hosts", () => {
       }
     },
   );
+
+  it("draws Gaussian splats under its policy", async () => {
+    const server = await serve(house());
+    try {
+      await walkIn(page, server.address);
+      await drop(page, "cube.ply", magentaCube());
+      await page.getByText("Gaussian splats: 27 drawn.").waitFor();
+    } finally {
+      await server.stop();
+    }
+  });
 
   it("walks in a site below any path, which names the licences of all its parts", async () => {
     program("slicetool", "site", house(), "-o", join(folder, "below/this"), "--page", DIST);

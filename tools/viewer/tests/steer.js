@@ -31,20 +31,40 @@ export const address = (server, { archive = "house.slices", at = null, look = nu
   return `${server.address}?${fields.join("&")}`;
 };
 
-/** Runs eastwards over a link of 20 Mbit/s and 40 ms: bytes loaded, and how many pages a frame missed at most. */
-export async function runAlong(page, server, archive, metres) {
-  Object.assign(server, { delayMs: 40, bytesPerSecond: 2_500_000 });
-  const { at: from } = await walkIn(page, address(server, { archive, at: [2, 0, 0.1], look: [90, 0] }));
-  await page.evaluate(() => {
-    window.waited = 0;
+/** The link that scans are walked over: 20 Mbit/s, and 40 ms before each answer. */
+export const LINK = { delayMs: 40, bytesPerSecond: 2_500_000 };
+
+/**
+ * Watches the page from now on, frame by frame: how many frames missed a page, how many pages a frame missed at most, most bytes of
+ * pages, and the tasks of the main thread that took 50 ms or longer.
+ */
+export function watch(page) {
+  return page.evaluate(() => {
+    const seen = { frames: 0, missed: 0, waited: 0, bytes: 0, tasks: [] };
+    window.seen = seen;
+    const observer = new PerformanceObserver((list) => seen.tasks.push(...list.getEntries().map(({ duration }) => duration)));
+    observer.observe({ type: "longtask" });
     const look = () => {
-      window.waited = Math.max(window.waited, window.slicewalk.state().missing);
+      const { missing, pages } = window.slicewalk.state();
+      seen.frames += 1;
+      seen.missed += missing > 0 ? 1 : 0;
+      seen.waited = Math.max(seen.waited, missing);
+      seen.bytes = Math.max(seen.bytes, pages.bytes);
       requestAnimationFrame(look);
     };
     look();
   });
-  const { bytesLoaded } = await hold(page, ["Shift", "w"], `${metres} m on`, ({ at }) => at[0] > from[0] + metres, {
+}
+
+export const watched = (page) => page.evaluate(() => window.seen);
+
+/** Runs eastwards from a place over that link: what was watched, and the bytes loaded. */
+export async function runAlong(page, server, archive, metres, from = [2, 0, 0.1]) {
+  Object.assign(server, LINK);
+  const { at } = await walkIn(page, address(server, { archive, at: from, look: [90, 0] }));
+  await watch(page);
+  const { bytesLoaded } = await hold(page, ["Shift", "w"], `${metres} m on`, (now) => now.at[0] > at[0] + metres, {
     timeout: 120_000,
   });
-  return { bytesLoaded, waited: await page.evaluate(() => window.waited) };
+  return { bytesLoaded, ...(await watched(page)) };
 }

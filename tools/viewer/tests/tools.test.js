@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before, beforeEach, describe } from "node:test";
-import { it, pages, state, until, walkIn } from "./browser.js";
+import { drop, it, pages, pixels, state, until, walkIn } from "./browser.js";
 import { DIST, house, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
@@ -29,32 +29,10 @@ beforeEach(() => {
 const tool = (name) => page.getByRole("button", { name, exact: false });
 const middle = { x: 400, y: 250 };
 
-/** Colours in the middle of the screen, where nothing lies above the canvas: how many different ones. */
-async function colours() {
-  return page.evaluate(
-    () =>
-      new Promise((resolve) => {
-        // The page draws in its own callback of the same frame, before this one.
-        requestAnimationFrame(() => {
-          const view = document.querySelector("canvas.view");
-          const canvas = new OffscreenCanvas(view.width, view.height);
-          const context = canvas.getContext("2d");
-          context.drawImage(view, 0, 0);
-          const [w, h] = [canvas.width, canvas.height];
-          const { data } = context.getImageData(w / 4, h / 3, w / 4, h / 3);
-          const seen = new Set();
-          for (let n = 0; n < data.length; n += 4 * 7) {
-            seen.add((data[n] >> 3) * 1024 + (data[n + 1] >> 3) * 32 + (data[n + 2] >> 3));
-          }
-          resolve(seen.size);
-        });
-      }),
-  );
-}
-
-/** Something is drawn: more colours than a plain background has. */
+/** Something is drawn: more colours in the middle of the screen than a plain background has. */
 async function drawn() {
   const end = Date.now() + 60_000;
+  const colours = async () => new Set((await pixels(page)).map((rgb) => rgb.map((value) => value >> 3).join())).size;
   while ((await colours()) < 12) {
     if (Date.now() > end) throw new Error("nothing is drawn");
     await page.waitForTimeout(200);
@@ -196,13 +174,7 @@ describe("tools", () => {
     await page.keyboard.down("w");
     await until(page, "walking", ({ speed }) => speed > 0.5);
     await page.keyboard.up("w");
-    const bytes = [...readFileSync(house())];
-    const transfer = await page.evaluateHandle((content) => {
-      const data = new DataTransfer();
-      data.items.add(new File([new Uint8Array(content)], "dropped.slices"));
-      return data;
-    }, bytes);
-    await page.dispatchEvent("body", "drop", { dataTransfer: transfer });
+    await drop(page, "dropped.slices", readFileSync(house()));
     await page.getByRole("heading", { name: "dropped.slices" }).waitFor();
     await until(page, "ready", ({ ready }) => ready);
   });

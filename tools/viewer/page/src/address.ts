@@ -1,7 +1,9 @@
-// The page's address carries the archive, the place and the view: ?archive=URL&at=X,Y,Z&look=HEADING,PITCH&view=plan
+// The page's address carries the archive, the place and the view: ?archive=URL&at=X,Y,Z&look=HEADING,PITCH&view=plan, and Gaussian
+// splats to draw over the archive: &splats=URL&align=X,Y,Z,TURN,SCALE&up=z
 
 import type { Vec3 } from "slicewalk";
 import type { Look } from "./geometry";
+import { ALIGNED, isUp, type Alignment } from "./scene/alignment";
 
 export type Mode = "walk" | "orbit" | "plan";
 
@@ -10,6 +12,7 @@ export interface Place {
   at: Vec3 | null;
   look: Look | null;
   mode: Mode;
+  splats: { readonly url: string; readonly alignment: Alignment } | null;
 }
 
 function numbers(text: string | null, count: number): number[] | null {
@@ -22,21 +25,34 @@ export function parseAddress(search: string): Place {
   const at = numbers(fields.get("at"), 3);
   const look = numbers(fields.get("look"), 2);
   const view = fields.get("view");
+  const splats = fields.get("splats") || null;
   return {
     archive: fields.get("archive") || null,
     at: at as Vec3 | null,
     look: look && { heading: look[0] ?? 0, pitch: look[1] ?? 0 },
     mode: view === "orbit" || view === "plan" ? view : "walk",
+    splats: splats === null ? null : { url: splats, alignment: alignment(fields) },
   };
 }
 
+function alignment(fields: URLSearchParams): Alignment {
+  const [x = 0, y = 0, z = 0, turn = ALIGNED.turn, scale = ALIGNED.scale] = numbers(fields.get("align"), 5) ?? [];
+  const up = fields.get("up");
+  return { at: [x, y, z], turn, scale: scale > 0 ? scale : ALIGNED.scale, up: isUp(up) ? up : ALIGNED.up };
+}
+
 /** Millimetres, heights rounded up so that feet stay above the floor, and hundredths of a degree. */
-export function formatAddress({ archive, at, look, mode }: Place): string {
+export function formatAddress({ archive, at, look, mode, splats }: Place): string {
   const round = (value: number, digits: number): string => String(Number(value.toFixed(digits)));
+  const url = (text: string): string => encodeURIComponent(text).replaceAll("%2F", "/").replaceAll("%3A", ":");
   const fields: string[] = [];
-  if (archive !== null) fields.push(`archive=${encodeURIComponent(archive).replaceAll("%2F", "/").replaceAll("%3A", ":")}`);
+  if (archive !== null) fields.push(`archive=${url(archive)}`);
   if (at !== null) fields.push(`at=${[round(at[0], 3), round(at[1], 3), round(Math.ceil(at[2] * 1000) / 1000, 3)].join(",")}`);
   if (look !== null) fields.push(`look=${round(look.heading, 2)},${round(look.pitch, 2)}`);
   if (mode !== "walk") fields.push(`view=${mode}`);
+  if (splats !== null) {
+    const { at: origin, turn, scale, up } = splats.alignment;
+    fields.push(`splats=${url(splats.url)}`, `align=${[...origin, turn, scale].join(",")}`, `up=${up}`);
+  }
   return `?${fields.join("&")}`;
 }

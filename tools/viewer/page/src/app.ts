@@ -3,13 +3,15 @@
 import { SlicewalkError, type Stats, type Vec3 } from "slicewalk";
 import { formatAddress, type Mode, type Place } from "./address";
 import { Canvas } from "./canvas";
-import { clamp, thousands, wrap, type Look, type Ray } from "./geometry";
+import { clamp, wrap, type Look, type Ray } from "./geometry";
 import { readGamepad } from "./input/gamepad";
 import { joined } from "./input/intent";
 import { Keyboard } from "./input/keyboard";
 import { Pointer } from "./input/pointer";
 import { Sticks } from "./input/sticks";
 import { pick } from "./measure";
+import { Overlays } from "./overlays";
+import { ALIGNED } from "./scene/alignment";
 import { Cameras } from "./scene/cameras";
 import { hasHeadset } from "./scene/headset";
 import { fromAddress, Session, type Source } from "./session";
@@ -17,7 +19,6 @@ import { loadSettings, saveSettings, walkerSettings, type Settings } from "./set
 import type { Table } from "./table";
 import { Sight } from "./sight";
 import { texts } from "./texts.en";
-import { Cloud } from "./scene/cloud";
 import { Shell } from "./ui/shell";
 import { Minimap } from "./ui/minimap";
 
@@ -55,8 +56,7 @@ export class App {
   #fps = 0;
   #longestTask = 0;
   #seenTriangles = 0;
-  #cloudUrl: string | null = null;
-  #cloud: Cloud | null = null;
+  readonly #overlays: Overlays;
 
   constructor(parent: HTMLElement) {
     this.#shell = new Shell(parent, this.#settings, {
@@ -77,7 +77,14 @@ export class App {
         this.#colour();
       },
       slices: () => this.#colour(),
-      cloud: (shown) => this.#showCloud(shown),
+      cloud: (shown) => this.#overlays.showCloud(shown),
+      splats: (shown) => void this.#overlays.showSplats(shown),
+      matter: (shown) => this.#overlays.showMatter(shown),
+      align: (alignment) => this.#overlays.align(alignment),
+      splatsFile: (file) => {
+        if (this.#session === null) this.#shell.messages.say(texts.news.splatsFirst);
+        else this.#overlays.take(file, ALIGNED);
+      },
     });
     const graphics = (lost: boolean): void => {
       this.#shell.messages.wait(lost ? texts.news.graphicsLost : null);
@@ -85,6 +92,7 @@ export class App {
     };
     this.#canvas = new Canvas(this.#shell.canvas, this.#cameras, graphics, (worn) => (this.#shell.toolbars.worn = worn));
     void hasHeadset().then((has) => (this.#shell.toolbars.hasHeadset = has));
+    this.#overlays = new Overlays(this.#canvas, this.#shell);
     this.#canvas.scene.add(this.#shell.measure.marks);
     this.#keyboard = new Keyboard((code) => this.#key(code));
     this.#sticks = new Sticks(parent);
@@ -174,7 +182,7 @@ export class App {
       pages: { resident: stats.pages.resident, bytes: stats.pages.bytes },
       requests: stats.requests,
       bytesLoaded: stats.bytesLoaded,
-      drawn: this.#session?.world.counts ?? { pages: 0, overview: 0 },
+      drawn: { ...(this.#session?.world.counts ?? { pages: 0, overview: 0 }), splats: this.#overlays.count },
       frames: this.#frames,
       longestTaskMs: this.#longestTask,
     };
@@ -190,8 +198,9 @@ export class App {
   }
 
   /** What lies beside the page, and the welcome if nothing is to be opened at once. */
-  offer({ archives, cloud }: Table, welcome: boolean): void {
-    this.#cloudUrl = cloud;
+  offer({ archives, cloud }: Table, splats: Place["splats"], welcome: boolean): void {
+    this.#overlays.offer(cloud);
+    if (splats !== null) this.#overlays.take(splats.url, splats.alignment);
     this.#shell.welcome.offer(archives);
     if (welcome) this.#shell.welcome.show();
   }
@@ -217,43 +226,26 @@ export class App {
     const { colouring } = this.#sight ?? { colouring: "height" };
     this.#sight = new Sight(session, this.#shell);
     this.#sight.colouring = colouring;
-    this.#shell.colours.hasCloud = this.#cloudUrl !== null;
     this.#shell.opened(session.source.name, archive.info, this.#minimap);
     this.#shell.messages.wait(null);
     this.#shell.messages.say(pawn.flying ? texts.loading.found : texts.news.capture);
     this.setMode(mode);
     this.#shell.toolbars.flying = pawn.flying;
     this.#shell.canvas.focus({ preventScroll: true });
+    this.#overlays.opened(session);
     void session.describe();
   }
 
   #leave(): void {
     this.#ready = false;
     this.#minimap = null;
-    this.#showCloud(false);
+    this.#overlays.left();
     const session = this.#session;
     this.#session = null;
     if (session === null) return;
     this.#canvas.scene.remove(session.world.group);
     this.#shell.measure.clear();
     session.close();
-  }
-
-  #showCloud(shown: boolean): void {
-    const session = this.#session;
-    if (this.#cloud !== null) {
-      this.#canvas.scene.remove(this.#cloud.group);
-      this.#cloud.close();
-      this.#cloud = null;
-    }
-    if (!shown || session === null || this.#cloudUrl === null) return;
-    const url = new URL(this.#cloudUrl, location.href).href;
-    const { messages } = this.#shell;
-    this.#cloud = new Cloud(url, session.pawn.at, session.unit, (told) => {
-      messages.say(typeof told === "number" ? texts.news.cloud(thousands(told)) : texts.news.noCloud(told));
-    });
-    this.#cloud.place(session.world);
-    this.#canvas.scene.add(this.#cloud.group);
   }
 
   #trouble(error: SlicewalkError | null): void {
@@ -408,7 +400,13 @@ export class App {
       return;
     }
     const { pawn, source } = session;
-    const address = formatAddress({ archive: source.link, at: pawn.at, look: pawn.look, mode: this.#mode });
+    const address = formatAddress({
+      archive: source.link,
+      at: pawn.at,
+      look: pawn.look,
+      mode: this.#mode,
+      splats: this.#overlays.link,
+    });
     history.replaceState(null, "", address);
     try {
       await navigator.clipboard.writeText(location.href);
@@ -475,7 +473,7 @@ export class App {
     if (world.moveOrigin(this.#mode === "walk" ? eye : this.#cameras.orbit.target)) {
       this.#cameras.update(this.#mode, world, eye, pawn.look);
       this.#shell.measure.moved(world);
-      this.#cloud?.place(world);
+      this.#overlays.place();
     }
     // What is seen is loaded after what the first step needs.
     if (headset.worn) Object.assign(pawn.look, headset.place(world, eye, this.#settings.eye));

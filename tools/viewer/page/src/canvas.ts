@@ -28,7 +28,7 @@ const MOST_PIXELS = 2;
 export class Canvas {
   readonly scene = new Scene();
   readonly headset: Headset;
-  readonly #renderer: WebGLRenderer;
+  readonly renderer: WebGLRenderer;
   readonly #marker = new Group();
   readonly #body: LineSegments;
   readonly #nose: Mesh;
@@ -40,8 +40,8 @@ export class Canvas {
     readonly graphics: (lost: boolean) => void,
     readonly worn: (worn: boolean) => void,
   ) {
-    this.#renderer = new WebGLRenderer({ canvas: element, antialias: true, powerPreference: "high-performance" });
-    this.headset = new Headset(this.#renderer, (worn) => {
+    this.renderer = new WebGLRenderer({ canvas: element, antialias: true, powerPreference: "high-performance" });
+    this.headset = new Headset(this.renderer, (worn) => {
       this.resize();
       this.worn(worn);
     });
@@ -72,9 +72,9 @@ export class Canvas {
   resize(): void {
     const { clientWidth, clientHeight } = this.element;
     // A headset has a size of its own.
-    if (clientWidth === 0 || clientHeight === 0 || this.headset.worn || this.#renderer.xr.isPresenting) return;
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
-    this.#renderer.setSize(clientWidth, clientHeight, false);
+    if (clientWidth === 0 || clientHeight === 0 || this.headset.worn || this.renderer.xr.isPresenting) return;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
+    this.renderer.setSize(clientWidth, clientHeight, false);
     this.cameras.resize(clientWidth, clientHeight);
   }
 
@@ -92,7 +92,7 @@ export class Canvas {
 
   /** Compiles shaders ahead, aside where the browser can: a frame that needed one would wait for it. */
   async prepare(materials: readonly Material[]): Promise<void> {
-    const renderer = this.#renderer;
+    const { renderer } = this;
     const scene = new Scene();
     const geometry = new BufferGeometry();
     scene.add(...materials.map((material) => new Mesh(geometry, material)));
@@ -102,7 +102,7 @@ export class Canvas {
 
   /** Calls back for each frame, of the screen or of the headset. */
   loop(frame: (now: number) => void): void {
-    this.#renderer.setAnimationLoop(frame);
+    this.renderer.setAnimationLoop(frame);
   }
 
   get camera(): Camera {
@@ -110,7 +110,7 @@ export class Canvas {
   }
 
   render(): void {
-    if (!this.lost) this.#renderer.render(this.scene, this.camera);
+    if (!this.lost) this.renderer.render(this.scene, this.camera);
   }
 
   /** The picture as it is now. */

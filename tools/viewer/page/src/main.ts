@@ -47,7 +47,7 @@ async function start(parent: HTMLElement): Promise<void> {
   const place = parseAddress(location.search);
   const table = await readTable();
   const url = place.archive ?? table.archives[0]?.url ?? null;
-  app.offer(table, url === null);
+  app.offer(table, place.splats, url === null);
   if (url !== null) await app.open(fromAddress(url), place);
 }
 

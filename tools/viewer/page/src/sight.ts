@@ -2,7 +2,7 @@
 
 import type { Vec3 } from "slicewalk";
 import type { Mode } from "./address";
-import { distance, type Ray } from "./geometry";
+import { distance, flat, standing, type Ray } from "./geometry";
 import type { Colouring } from "./scene/material";
 import type { Session } from "./session";
 import type { Settings } from "./settings";
@@ -12,6 +12,8 @@ import type { Shell } from "./ui/shell";
 const CUT_BELOW_M = 0.15;
 const CUT_ABOVE_M = 2;
 const CEILING_M = 30;
+/** Width of what looks for it, of the pawn's. */
+const SLIM = 0.6;
 /** The ceiling is looked for again after so much way. */
 const WAY_M = 0.3;
 const FAR_M = 1e9;
@@ -123,13 +125,18 @@ export class Sight {
   /** Looks for the ceiling above the pawn when it has moved. */
   async follow(at: Vec3, settings: Settings): Promise<void> {
     const near = this.#from !== null && distance(at, this.#from) < WAY_M;
-    if (this.#mode === "walk" || near) return;
+    const mode = this.#mode;
+    if (mode === "walk" || near) return;
     this.#from = at;
-    const start = at[2] + settings.height / 2;
-    const up = new Float64Array([at[0], at[1], start, 0, 0, 1, CEILING_M]);
-    const far = (await this.session.archive.cast(up, { load: true }).catch(() => null))?.[0] ?? NaN;
-    const ceiling = Number.isFinite(far) ? start + far - CUT_BELOW_M : Infinity;
-    this.#roofZ = Math.min(ceiling, at[2] + CUT_ABOVE_M);
+    // A box does not slip through a sparse ceiling as a ray does; a slim one keeps away from walls.
+    const [low, high] = [at[2] + settings.height / 2, at[2] + settings.height];
+    const body = flat(standing([at[0], at[1], low], SLIM * settings.width, high - low));
+    const up = new Float64Array([...body, 0, 0, CEILING_M]);
+    const share = (await this.session.archive.sweep(up, { load: true }).catch(() => null))?.[0] ?? NaN;
+    const ceiling = share < 1 ? high + share * CEILING_M : Infinity;
+    // Under the open sky nothing hides the pawn from aside.
+    const opened = ceiling === Infinity && mode === "orbit";
+    this.#roofZ = opened ? FAR_M : Math.min(ceiling - CUT_BELOW_M, at[2] + CUT_ABOVE_M);
     this.colour(settings);
   }
 

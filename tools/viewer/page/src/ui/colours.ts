@@ -8,20 +8,12 @@ import { h } from "./dom";
 export class ColoursPanel {
   readonly element = h("section", { class: "panel colours", "aria-label": texts.colours.label, hidden: true });
   readonly #legend = h("div", { class: "legend" });
-  readonly #cloud = h("input", { type: "checkbox", id: "cloud" });
-  readonly #cloudField = h(
-    "div",
-    { class: "field check", hidden: true },
-    this.#cloud,
-    h("label", { for: "cloud" }, texts.colours.cloud),
-  );
   #chosen: Colouring = "height";
 
   constructor(
     readonly changed: (colouring: Colouring) => void,
-    cloud: (shown: boolean) => void,
+    overlays: HTMLElement,
   ) {
-    this.#cloud.addEventListener("change", () => cloud(this.#cloud.checked));
     const choices = COLOURINGS.map((name) => {
       const input = h("input", {
         type: "radio",
@@ -36,13 +28,7 @@ export class ColoursPanel {
       });
       return h("div", { class: "choice" }, input, h("label", { for: `colour-${name}` }, texts.colours[name]));
     });
-    this.element.append(h("fieldset", {}, h("legend", {}, texts.colours.label), ...choices), this.#legend, this.#cloudField);
-  }
-
-  /** Whether there is a point cloud to be shown; it is not shown yet. */
-  set hasCloud(has: boolean) {
-    this.#cloudField.hidden = !has;
-    this.#cloud.checked = false;
+    this.element.append(h("fieldset", {}, h("legend", {}, texts.colours.label), ...choices), this.#legend, overlays);
   }
 
   /** Legend for heights from `low` to `high` and a limit of slopes. */

@@ -9,17 +9,17 @@ import { h, icons, picture } from "./dom";
 import { MeasurePanel } from "./measure";
 import { Messages } from "./messages";
 import type { Minimap } from "./minimap";
+import { OverlayFields, type OverlayEvents } from "./overlays";
 import { SettingsPanel } from "./settings";
 import { SlicesPanel } from "./slices";
 import { StatusPanel } from "./status";
 import { Toolbars, type PanelName, type ToolEvents } from "./toolbars";
 import { Welcome, type WelcomeEvents } from "./welcome";
 
-export interface ShellEvents extends ToolEvents, WelcomeEvents {
+export interface ShellEvents extends ToolEvents, WelcomeEvents, OverlayEvents {
   settings(settings: Settings): void;
   colouring(colouring: Colouring): void;
   slices(): void;
-  cloud(shown: boolean): void;
 }
 
 export class Shell {
@@ -30,6 +30,7 @@ export class Shell {
   readonly measure = new MeasurePanel();
   readonly slices: SlicesPanel;
   readonly colours: ColoursPanel;
+  readonly overlays: OverlayFields;
   readonly settings: SettingsPanel;
   readonly welcome: Welcome;
   readonly toolbars: Toolbars;
@@ -46,7 +47,8 @@ export class Shell {
   ) {
     this.#parent = parent;
     this.settings = new SettingsPanel(settings, events.settings);
-    this.colours = new ColoursPanel(events.colouring, events.cloud);
+    this.overlays = new OverlayFields(events);
+    this.colours = new ColoursPanel(events.colouring, this.overlays.element);
     this.slices = new SlicesPanel(events.slices);
     this.welcome = new Welcome(events);
     this.toolbars = new Toolbars({ ...events, panel: (name) => this.#panel(name) });

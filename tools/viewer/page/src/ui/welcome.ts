@@ -1,10 +1,13 @@
 // Where no archive is open: drop one, choose one, or give its address. Files may be dropped at any time.
 
+import { namesSplats } from "../scene/alignment";
 import { texts } from "../texts.en";
 import { h } from "./dom";
 
 export interface WelcomeEvents {
   file(file: File): void;
+  /** To be drawn over the open archive. */
+  splatsFile(file: File): void;
   address(url: string): void;
   /** Back to the open archive, if there is one. */
   close(): void;
@@ -99,7 +102,8 @@ export class Welcome {
       event.preventDefault();
       this.curtain.hidden = true;
       const file = event.dataTransfer?.files[0];
-      if (file) this.#take(() => this.events.file(file));
+      if (file && namesSplats(file.name)) this.events.splatsFile(file);
+      else if (file) this.#take(() => this.events.file(file));
     });
   }
 }

@@ -1,0 +1,136 @@
+// Point cloud and Gaussian splats over an open archive, for the eye alone: collisions stay with the archive.
+
+import type { Canvas } from "./canvas";
+import { thousands } from "./geometry";
+import { ALIGNED, type Alignment } from "./scene/alignment";
+import { Cloud } from "./scene/cloud";
+import { Splats } from "./scene/splats";
+import type { Session } from "./session";
+import { texts } from "./texts.en";
+import type { Shell } from "./ui/shell";
+
+/** A file of splats: where it lies, or the file itself. */
+export type SplatsSource = string | File;
+
+export class Overlays {
+  #session: Session | null = null;
+  #cloudUrl: string | null = null;
+  #cloud: Cloud | null = null;
+  #source: SplatsSource | null = null;
+  #alignment = ALIGNED;
+  #splats: Splats | null = null;
+  /** Which reading of splats is wanted: an older one that comes late is forgotten. */
+  #reading = 0;
+
+  constructor(
+    readonly canvas: Canvas,
+    readonly shell: Shell,
+  ) {}
+
+  /** Number of splats drawn. */
+  get count(): number {
+    return this.#splats?.count ?? 0;
+  }
+
+  /** What a link carries; null without splats, or for a file of this computer. */
+  get link(): { readonly url: string; readonly alignment: Alignment } | null {
+    return typeof this.#source === "string" ? { url: this.#source, alignment: this.#alignment } : null;
+  }
+
+  /** A point cloud that lies beside the page. */
+  offer(cloudUrl: string | null): void {
+    this.#cloudUrl = cloudUrl;
+  }
+
+  opened(session: Session): void {
+    this.#session = session;
+    if (this.#source !== null) void this.showSplats(true);
+    this.#tell();
+  }
+
+  left(): void {
+    this.showCloud(false);
+    void this.showSplats(false);
+    this.#session = null;
+  }
+
+  /** The local origin of the scene moved. */
+  place(): void {
+    if (this.#session === null) return;
+    this.#cloud?.place(this.#session.world);
+    this.#splats?.place(this.#alignment, this.#session.world);
+  }
+
+  showCloud(shown: boolean): void {
+    const session = this.#session;
+    if (this.#cloud !== null) {
+      this.canvas.scene.remove(this.#cloud.group);
+      this.#cloud.close();
+      this.#cloud = null;
+    }
+    if (shown && session !== null && this.#cloudUrl !== null) {
+      const url = new URL(this.#cloudUrl, location.href).href;
+      this.#cloud = new Cloud(url, session.pawn.at, session.unit, (told) => {
+        const { cloud, noCloud } = texts.news;
+        this.shell.messages.say(typeof told === "number" ? cloud(thousands(told)) : noCloud(told));
+      });
+      this.#cloud.place(session.world);
+      this.canvas.scene.add(this.#cloud.group);
+    }
+    this.#tell();
+  }
+
+  /** Other splats, shown at once if an archive is open. */
+  take(source: SplatsSource, alignment: Alignment): void {
+    this.#source = source;
+    this.align(alignment);
+    this.shell.overlays.alignment = alignment;
+    if (this.#session !== null) void this.showSplats(true);
+  }
+
+  async showSplats(shown: boolean): Promise<void> {
+    const reading = ++this.#reading;
+    if (this.#splats !== null) {
+      this.canvas.scene.remove(this.#splats.group);
+      this.#splats.close();
+      this.#splats = null;
+    }
+    const source = this.#source;
+    if (shown && source !== null) {
+      const { messages } = this.shell;
+      try {
+        const from = typeof source === "string" ? new URL(source, location.href).href : source;
+        const splats = await Splats.load(from, this.canvas.renderer);
+        if (reading !== this.#reading) {
+          splats.close();
+          return;
+        }
+        this.#splats = splats;
+        this.place();
+        this.canvas.scene.add(splats.group);
+        messages.say(texts.news.splats(thousands(splats.count)));
+      } catch (error) {
+        if (reading !== this.#reading) return;
+        messages.say(texts.news.noSplats(error instanceof Error ? error.message : String(error)));
+      }
+    }
+    this.#tell();
+  }
+
+  align(alignment: Alignment): void {
+    this.#alignment = alignment;
+    this.place();
+  }
+
+  /** Draws the archive itself, or only what lies over it. */
+  showMatter(shown: boolean): void {
+    if (this.#session !== null) this.#session.world.group.visible = shown;
+  }
+
+  #tell(): void {
+    const cloud = this.#cloudUrl === null ? null : this.#cloud !== null;
+    const splats = this.#source === null ? null : this.#splats !== null;
+    if (!cloud && !splats) this.showMatter(true);
+    this.shell.overlays.show(cloud, splats, this.#session?.world.group.visible ?? true);
+  }
+}

@@ -1,0 +1,98 @@
+// Gaussian splats over an archive: dropped, or named by the address; aligned; and never a cost of pages without them.
+
+import assert from "node:assert/strict";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, beforeEach, describe } from "node:test";
+import { drop, hold, it, pages, pixels, state, until, walkIn } from "./browser.js";
+import { DIST, house, WAY } from "./scans.js";
+import { magentaCube } from "./splats.js";
+import { StaticServer } from "./static-server.js";
+import { address } from "./steer.js";
+
+let server, page, folder;
+const tests = pages();
+
+before(async () => {
+  folder = mkdtempSync(join(tmpdir(), "slicewalk-overlays-"));
+  writeFileSync(join(folder, "cube.ply"), magentaCube());
+  server = await new StaticServer(DIST, {
+    "/house.slices": house(),
+    "/cube.ply": join(folder, "cube.ply"),
+  }).start();
+});
+after(async () => {
+  await server?.stop();
+  rmSync(folder, { recursive: true });
+});
+beforeEach(() => {
+  server.requests.length = 0;
+  page = tests.page;
+});
+
+/** Two metres ahead of the pawn at the height of its eye. */
+const AHEAD = [WAY.start[0], WAY.start[1] + 2, 1.65];
+const view = () => address(server, { at: WAY.start, look: [0, 0] });
+const chunk = () => server.requests.filter(({ path }) => /spark/.test(path));
+
+/** Share of magenta pixels in the middle of the screen. */
+async function magenta() {
+  const seen = await pixels(page);
+  return seen.filter(([r, g, b]) => r > 120 && b > 120 && g < 90).length / seen.length;
+}
+
+async function seen(what, fits) {
+  const end = Date.now() + 60_000;
+  for (let share = await magenta(); !fits(share); share = await magenta()) {
+    if (Date.now() > end) throw new Error(`never ${what}: ${share} of the pixels`);
+    await page.waitForTimeout(200);
+  }
+}
+
+describe("Gaussian splats", () => {
+  it("are drawn where the address puts them, and stay in its link", async () => {
+    await walkIn(page, `${view()}&splats=cube.ply&align=${AHEAD.join(",")},30,1&up=-y`);
+    await until(page, "drawn", ({ drawn }) => drawn.splats === 27);
+    await seen("seen", (share) => share > 0.1);
+    await page.getByRole("button", { name: "Copy link" }).click();
+    await page.waitForURL(/splats=cube\.ply&align=1\.5,4,1\.65,30,1&up=-y/);
+  });
+
+  it("are dropped on the page and aligned by hand, and what draws them comes only then", async () => {
+    await walkIn(page, view());
+    assert.equal((await state(page)).drawn.splats, 0);
+    assert.deepEqual(chunk(), []);
+    await drop(page, "cube.ply", magentaCube());
+    await page.getByText("Gaussian splats: 27 drawn.").waitFor();
+    assert.equal(chunk().length, 1);
+    await page.getByRole("button", { name: "Colours" }).click();
+    const number = async (label, value) => {
+      await page.getByLabel(label).fill(String(value));
+      await page.getByLabel(label).press("Enter");
+    };
+    await number("Origin x (m)", AHEAD[0]);
+    await number("Origin y (m)", AHEAD[1]);
+    await number("Origin z (m)", AHEAD[2]);
+    await seen("seen", (share) => share > 0.1);
+    await number("Origin z (m)", AHEAD[2] + 50);
+    await seen("gone", (share) => share === 0);
+    await number("Origin z (m)", AHEAD[2]);
+    await seen("back", (share) => share > 0.1);
+    await page.getByLabel("The archive as well").uncheck();
+    await seen("alone", (share) => share > 0.1);
+    await page.getByLabel("Gaussian splats").uncheck();
+    await seen("switched off", (share) => share === 0);
+    assert.equal((await state(page)).drawn.splats, 0);
+  });
+
+  it("that cannot be read are refused in words, and the walk goes on", async () => {
+    await walkIn(page, view());
+    await drop(page, "broken.ply", Buffer.from("ply\nnothing of the kind\n"));
+    await page.getByText(/The splats cannot be drawn: /).waitFor();
+    await hold(page, ["w"], "walking", ({ speed }) => speed > 0.5);
+    // What reads them says so on the console too.
+    const others = page.complaints.filter((text) => !text.includes("Invalid PLY file"));
+    page.complaints.splice(0, Infinity, ...others);
+  });
+});
