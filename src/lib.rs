@@ -159,6 +159,9 @@ pub mod object;
 
 pub mod walk;
 
+#[cfg(test)]
+#[path = "../tests/common/random.rs"]
+mod random;
 pub mod reach;
 
 pub use error::{Error, Parameter, Result};

@@ -37,7 +37,8 @@ fn grown<S: PageSet>(standing: &mut StandingPlaces, set: &S, mut flood: Flood) -
 /// All that can be reached from a place.
 fn reached<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3]) -> (StandingPlaces, Region) {
     let mut standing = StandingPlaces::new(set, pawn).unwrap();
-    let start = known(standing.spot(set, from.into())).unwrap_or_else(|| panic!("{from:?} is no place to stand"));
+    let start =
+        known(standing.spot(set, from.into()).unwrap()).unwrap_or_else(|| panic!("{from:?} is no place to stand"));
     let region = grown(&mut standing, set, Flood::from(start));
     (standing, region)
 }
@@ -45,13 +46,13 @@ fn reached<S: PageSet>(set: &S, pawn: Pawn, from: [f64; 3]) -> (StandingPlaces, 
 /// All standing places.
 fn everywhere<S: PageSet>(set: &S, pawn: Pawn) -> (StandingPlaces, Region) {
     let mut standing = StandingPlaces::new(set, pawn).unwrap();
-    let flood = known(Flood::everywhere(&mut standing, set));
+    let flood = known(Flood::everywhere(&mut standing, set).unwrap());
     let region = grown(&mut standing, set, flood);
     (standing, region)
 }
 
 fn spot<S: PageSet>(standing: &mut StandingPlaces, set: &S, at: Point3<f64>) -> Option<Spot> {
-    known(standing.spot(set, at))
+    known(standing.spot(set, at).unwrap())
 }
 
 fn way(search: &mut Search, region: &Region, from: &Spot, to: &Spot) -> Option<Route> {

@@ -5,6 +5,7 @@
 //! with itself changes nothing (van Herk's windows without the inverse).
 
 use super::pawn::Grid;
+use super::{MOST_PAGES, MOST_SPANS, Needs, Stop};
 use crate::frame::{PAGE_QUANTA, PageKey};
 use crate::store::{Missing, PageSet, PageSlot, note};
 use std::ops::ControlFlow;
@@ -47,14 +48,13 @@ impl Lists {
 
     /// The spans of the pixels from `corner` on (pixels from the first tile's), gaps too low for the body closed; or the pages that it
     /// takes.
-    pub fn read<S: PageSet>(
-        set: &S,
-        grid: &Grid,
-        corner: [i32; 2],
-        [width, height]: [usize; 2],
-    ) -> ControlFlow<Missing, Self> {
+    pub fn read<S: PageSet>(set: &S, grid: &Grid, corner: [i32; 2], [width, height]: [usize; 2]) -> Needs<Self> {
         let last = [corner[0] + width as i32 - 1, corner[1] + height as i32 - 1];
         let columns = Columns::under(set, grid, corner, last)?;
+        let spans = columns.spans();
+        if spans > MOST_SPANS {
+            return ControlFlow::Break(Stop::Spans(spans));
+        }
         let mut lists = Self::with_room(width, height, 2 * width * height);
         for j in corner[1]..=last[1] {
             for i in corner[0]..=last[0] {
@@ -127,12 +127,7 @@ struct Columns<'a, T> {
 }
 
 impl<'a, T: PageSlot> Columns<'a, T> {
-    fn under<S: PageSet<Slot = T>>(
-        set: &'a S,
-        grid: &Grid,
-        first: [i32; 2],
-        last: [i32; 2],
-    ) -> ControlFlow<Missing, Self> {
+    fn under<S: PageSet<Slot = T>>(set: &'a S, grid: &Grid, first: [i32; 2], last: [i32; 2]) -> Needs<Self> {
         let (first, last) = (first.map(|pixel| pixel >> 6), last.map(|pixel| pixel >> 6));
         let mut missing: Option<Missing> = None;
         let mut slots = Vec::new();
@@ -140,6 +135,9 @@ impl<'a, T: PageSlot> Columns<'a, T> {
             let column = match (grid.origin[0].checked_add(x), grid.origin[1].checked_add(y)) {
                 (Some(tx), Some(ty)) => {
                     let column = set.column(tx, ty);
+                    if column.len() > MOST_PAGES {
+                        return ControlFlow::Break(Stop::Pages(column.len()));
+                    }
                     for slot in column.iter().filter(|slot| slot.page().is_none()) {
                         note(&mut missing, PageKey { tx, ty, layer: slot.layer() });
                     }
@@ -150,9 +148,21 @@ impl<'a, T: PageSlot> Columns<'a, T> {
             slots.push(column);
         }
         match missing {
-            Some(missing) => ControlFlow::Break(missing),
+            Some(missing) => ControlFlow::Break(Stop::Missing(missing)),
             None => ControlFlow::Continue(Self { first, width: last[0] - first[0] + 1, slots }),
         }
+    }
+
+    /// Spans in all pages, at most one page's more than the limit.
+    fn spans(&self) -> usize {
+        let mut sum = 0;
+        for page in self.slots.iter().copied().flatten().filter_map(PageSlot::page) {
+            sum += page.span_count();
+            if sum > MOST_SPANS {
+                break;
+            }
+        }
+        sum
     }
 
     fn at(&self, i: i32, j: i32) -> &'a [T] {

@@ -12,7 +12,8 @@
 
 use super::region::{Region, WAYS, middle};
 use super::standing::{Block, Kind, StandingPlaces};
-use super::{Needs, answer};
+use super::{Needs, Stop, answer};
+use crate::Result;
 use crate::query::{Aabb, Answer, top_under};
 use crate::store::PageSet;
 use nalgebra::{Point3, Vector3};
@@ -74,7 +75,8 @@ enum There {
 
 impl Region {
     /// All leaks, by place (y, x, z). Needs pages around the rim, and in the tiles that the open pixels lie in.
-    pub fn leaks<S: PageSet>(&self, standing: &mut StandingPlaces, set: &S) -> Answer<Vec<Leak>> {
+    /// Fails where more matter lies over one tile than any scan has ([`Error::Limit`](crate::Error::Limit)).
+    pub fn leaks<S: PageSet>(&self, standing: &mut StandingPlaces, set: &S) -> Result<Answer<Vec<Leak>>> {
         answer(Survey { region: self, standing, set, seen: HashMap::new() }.leaks())
     }
 }
@@ -215,7 +217,7 @@ impl<S: PageSet> Survey<'_, S> {
         let depth = f64::from((level + grid.up).max(0) + 1) * grid.frame.quantum_m();
         match top_under(self.set, &foot, grid.z(level + grid.up), depth) {
             Answer::Known(top) => ControlFlow::Continue(top.map(|top| level - grid.level(top))),
-            Answer::NotLoaded(missing) => ControlFlow::Break(missing),
+            Answer::NotLoaded(missing) => ControlFlow::Break(Stop::Missing(missing)),
         }
     }
 

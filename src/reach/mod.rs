@@ -52,14 +52,48 @@ pub use storeys::{Storey, Storeys};
 
 use crate::query::Answer;
 use crate::store::Missing;
+use crate::{Error, Result};
 use std::ops::ControlFlow;
 
-/// A value, or the pages without which it is not known.
-type Needs<T> = ControlFlow<Missing, T>;
+/// Most pages over one another, and most spans over a tile and the pixels around it, of which standing places are computed: some
+/// hundred MiB. Scans have a hundredth of it.
+const MOST_PAGES: usize = 4096;
+const MOST_SPANS: usize = 1 << 21;
 
-fn answer<T>(needs: Needs<T>) -> Answer<T> {
+/// Why a value is not known.
+enum Stop {
+    /// Without these pages.
+    Missing(Missing),
+    /// So many pages lie over one another.
+    Pages(usize),
+    /// So many spans, or more.
+    Spans(usize),
+}
+
+impl Stop {
+    /// As a half answer, or an error.
+    fn answer<T>(self) -> Result<Answer<T>> {
+        let limit = |what: &str, found: usize, most: usize| {
+            Err(Error::limit(
+                format!("{what} over one tile, of which standing places are computed"),
+                found as u64,
+                most as u64,
+            ))
+        };
+        match self {
+            Self::Missing(missing) => Ok(Answer::NotLoaded(missing)),
+            Self::Pages(found) => limit("pages", found, MOST_PAGES),
+            Self::Spans(found) => limit("spans", found, MOST_SPANS),
+        }
+    }
+}
+
+/// A value, or why it is not known.
+type Needs<T> = ControlFlow<Stop, T>;
+
+fn answer<T>(needs: Needs<T>) -> Result<Answer<T>> {
     match needs {
-        ControlFlow::Continue(value) => Answer::Known(value),
-        ControlFlow::Break(missing) => Answer::NotLoaded(missing),
+        ControlFlow::Continue(value) => Ok(Answer::Known(value)),
+        ControlFlow::Break(stop) => stop.answer(),
     }
 }

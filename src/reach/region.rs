@@ -64,8 +64,8 @@ impl Flood {
     }
 
     /// A flood from all standing places of the set at once: what routes between any two of them need. Load what is missing, and
-    /// call again.
-    pub fn everywhere<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Answer<Self> {
+    /// call again. Fails where more matter lies over one tile than any scan has ([`Error::Limit`]).
+    pub fn everywhere<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Result<Answer<Self>> {
         answer(Self::all(standing, set))
     }
 
@@ -96,7 +96,8 @@ impl Flood {
         self.parked.is_empty() && self.open.is_empty()
     }
 
-    /// Goes on until all is reached, or pages are missing: load them and call again.
+    /// Goes on until all is reached, or pages are missing: load them and call again. Fails when the monitor says so, and where more
+    /// matter lies over one tile than any scan has ([`Error::Limit`]).
     pub fn grow<S: PageSet>(
         &mut self,
         standing: &mut StandingPlaces,
@@ -112,9 +113,9 @@ impl Flood {
                 }
                 monitor.advance(BETWEEN_LOOKS as u64);
             }
-            if let ControlFlow::Break(missing) = self.spread(standing, set, place) {
+            if let ControlFlow::Break(stop) = self.spread(standing, set, place) {
                 self.open.push(place);
-                return Ok(Answer::NotLoaded(missing));
+                return stop.answer();
             }
         }
         Ok(Answer::Known(()))

@@ -102,8 +102,9 @@ impl StandingPlaces {
     }
 
     /// The standing place under `at` (m); `None` if the pawn cannot stand there. That is the place below which matter begins,
-    /// as far down as that may be, or as far above as the pawn climbs.
-    pub fn spot<S: PageSet>(&mut self, set: &S, at: Point3<f64>) -> Answer<Option<Spot>> {
+    /// as far down as that may be, or as far above as the pawn climbs. Fails where more matter lies over one tile than any scan has
+    /// ([`Error::Limit`](crate::Error::Limit)).
+    pub fn spot<S: PageSet>(&mut self, set: &S, at: Point3<f64>) -> Result<Answer<Option<Spot>>> {
         answer(self.find(set, at))
     }
 

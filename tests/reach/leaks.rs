@@ -12,7 +12,7 @@ fn pawn() -> Pawn {
 
 fn leaks_with(store: &Store, pawn: Pawn) -> (Region, Vec<Leak>) {
     let (mut standing, region) = reached(store, pawn, [0.5, 0.5, FLOOR]);
-    let leaks = known(region.leaks(&mut standing, store));
+    let leaks = known(region.leaks(&mut standing, store).unwrap());
     (region, leaks)
 }
 

@@ -147,9 +147,9 @@ fn the_order_of_tiles_and_pages_does_not_show() {
         let mut standing = StandingPlaces::new(&whole, pawn).unwrap();
         for _ in 0..5 {
             let [x, y] = [0, 1].map(|_| f64::from(random.below(128)) * T);
-            known(standing.spot(&whole, [x, y, 1.0].into()));
+            known(standing.spot(&whole, [x, y, 1.0].into()).unwrap());
         }
-        let flood = known(Flood::everywhere(&mut standing, &whole));
+        let flood = known(Flood::everywhere(&mut standing, &whole).unwrap());
         let region = grown(&mut standing, &whole, flood);
         assert_eq!(region.len(), expected.len());
         assert!(region.places().eq(expected.places()));
@@ -164,7 +164,7 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     let whole = store(&world);
     let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.2 });
     let (mut standing, region) = everywhere(&whole, pawn);
-    let leaks = known(region.leaks(&mut standing, &whole));
+    let leaks = known(region.leaks(&mut standing, &whole).unwrap());
     let mut partly = nothing_of(&whole);
     let mut standing = StandingPlaces::new(&partly, pawn).unwrap();
     let mut waits = 0;
@@ -173,7 +173,7 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
         assert_eq!(partly.load(&missing.keys()[..1]), 1);
     };
     let mut flood = loop {
-        match Flood::everywhere(&mut standing, &partly) {
+        match Flood::everywhere(&mut standing, &partly).unwrap() {
             slicewalk::query::Answer::Known(flood) => break flood,
             slicewalk::query::Answer::NotLoaded(missing) => load(&mut partly, missing),
         }
@@ -185,7 +185,7 @@ fn what_is_not_loaded_is_asked_for_and_never_guessed() {
     }
     let found = flood.region(&standing);
     assert!(found.places().eq(region.places()));
-    assert_eq!(known(found.leaks(&mut standing, &partly)), leaks);
+    assert_eq!(known(found.leaks(&mut standing, &partly).unwrap()), leaks);
     assert_eq!(waits, 4, "four pages, one at a time");
 }
 

@@ -3,15 +3,13 @@
 mod faults;
 mod floaters;
 mod power;
-#[path = "../../../tests/common/random.rs"]
-mod random;
 mod resume;
 
 use super::*;
 use crate::disk::Disk;
 use crate::disk::tests::model::{Content, ModelDisk};
 use crate::input::Units;
-use random::Random;
+use crate::random::Random;
 use scangen::{Chunks, WriteSpec, write_las};
 use std::fs;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -1,15 +1,12 @@
 //! The quick search against the exact one: equal to the last bit, and hardly ever in doubt.
 
-#[path = "../../../tests/common/random.rs"]
-mod random;
-
 use super::line::Line;
 use super::*;
 use crate::frame::{Frame, PageKey};
 use crate::query::Answer;
+use crate::random::Random;
 use crate::slice::{Page, PageBuilder, Span};
 use crate::store::{KeyBounds, PageSlot, Store};
-use random::Random;
 
 /// From -1 to 1; with `coarse` a multiple of an eighth.
 fn unit(random: &mut Random, coarse: bool) -> f64 {
@@ -159,7 +156,7 @@ fn rays_in_general_position_are_no_matter_of_doubt() {
     let mut random = Random(8);
     let store = scene(&mut random);
     let doubtful = (0..5000).filter(|_| {
-        let [from, along] = [(); 2].map(|()| [(); 3].map(|()| unit(random, false)));
+        let [from, along] = [(); 2].map(|()| [(); 3].map(|()| unit(&mut random, false)));
         let ray = Ray::new(Point3::from(from) * 50.0, along.into(), 200.0).unwrap();
         !agree(&store, &ray).0
     });

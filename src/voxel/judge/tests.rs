@@ -1,12 +1,9 @@
-#[path = "../../../tests/common/random.rs"]
-mod random;
-
 use super::*;
 use crate::frame::Frame;
 use crate::plan::PlanOptions;
+use crate::random::Random;
 use crate::voxel::bands::Bands;
 use crate::voxel::record::{PATCH_PIXELS, Record, Recorder};
-use random::Random;
 
 const T: f64 = 0.05;
 

@@ -39,7 +39,7 @@ struct Found {
 
 fn survey<S: PageSet>(set: &S, pawn: Pawn, start: [f64; 3], monitor: &dyn Monitor) -> Result<Found, Failure> {
     let mut standing = StandingPlaces::new(set, pawn)?;
-    let Some(spot) = needs(standing.spot(set, start.into()))? else {
+    let Some(spot) = needs(standing.spot(set, start.into())?)? else {
         let [x, y, z] = start;
         let reason = format!(
             "the pawn cannot stand at {x}, {y}, {z} (expected floor below it and room for its whole body); choose another \
@@ -51,7 +51,7 @@ fn survey<S: PageSet>(set: &S, pawn: Pawn, start: [f64; 3], monitor: &dyn Monito
     monitor.stage("reach", 0, "places");
     needs(flood.grow(&mut standing, set, monitor)?)?;
     let region = flood.region(&standing);
-    let leaks = needs(region.leaks(&mut standing, set))?;
+    let leaks = needs(region.leaks(&mut standing, set)?)?;
     Ok(Found {
         storeys: region.storeys().all.iter().map(|storey| (storey.z, storey.area_m2)).collect(),
         passages: region.passages().iter().map(|passage| (passage.at.into(), passage.width)).collect(),
@@ -123,8 +123,8 @@ fn find<S: PageSet>(
     monitor: &dyn Monitor,
 ) -> Result<Result<Route, Refusal>, Failure> {
     let mut standing = StandingPlaces::new(set, pawn)?;
-    let Some(from) = needs(standing.spot(set, ends[0]))? else { return Ok(Err(Refusal::NotStandingFrom)) };
-    let Some(to) = needs(standing.spot(set, ends[1]))? else { return Ok(Err(Refusal::NotStandingTo)) };
+    let Some(from) = needs(standing.spot(set, ends[0])?)? else { return Ok(Err(Refusal::NotStandingFrom)) };
+    let Some(to) = needs(standing.spot(set, ends[1])?)? else { return Ok(Err(Refusal::NotStandingTo)) };
     let (mut flood, mut search) = (Flood::from(from), Search::new());
     let places = ends.map(|end| end.xy());
     // What a way of this length can touch; a shorter way lies in it whole.

@@ -1,10 +1,12 @@
 //! What `reach` and `route` share: who walks, and the pages that it takes.
 
 use crate::Failure;
+use crate::nearest::nearest;
+use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
 use slicewalk::reach::Pawn;
 use slicewalk::size::parse_size;
-use slicewalk::store::{Prefetch, Stream, StreamOptions, View};
+use slicewalk::store::{MISSING_KEYS, Prefetch, Stream, StreamOptions, View};
 use slicewalk::text::finite_number;
 use slicewalk::walk::Body;
 use std::path::{Path, PathBuf};
@@ -30,6 +32,27 @@ impl Walks {
     /// The pawn as the library knows it.
     pub fn pawn(&self) -> Pawn {
         Pawn { climb: self.climb, max_drop: self.max_drop.unwrap_or(self.climb), ..Pawn::new(self.pawn) }
+    }
+}
+
+/// How often one place may be asked about before more pages than those named are loaded.
+const MANY: u32 = 16;
+/// How often all pages of one place may be loaded, one in place of the other, before they count as too many.
+const AGAIN: usize = 16;
+
+/// A tile column, and what was loaded for it and the columns next to it.
+struct Place {
+    column: [i32; 2],
+    asked: u32,
+    loaded: usize,
+    /// Number of its pages, as far as they were looked for.
+    pages: Option<usize>,
+}
+
+impl Place {
+    fn is_near(&self, key: PageKey) -> bool {
+        let [tx, ty] = self.column;
+        tx.abs_diff(key.tx) <= 1 && ty.abs_diff(key.ty) <= 1
     }
 }
 
@@ -66,14 +89,33 @@ impl Loader {
     /// Asks until all pages are there that the answer takes.
     pub fn known<T>(&self, mut ask: impl FnMut(&View) -> slicewalk::Result<Answer<T>>) -> Result<T, Failure> {
         let broken = |error| crate::broken(&self.archive, &error);
+        let too_small = || Failure::Text("the pages around one place do not fit in memory; give more --cache".into());
+        let mut place: Option<Place> = None;
         loop {
             let missing = match ask(&self.stream.view()).map_err(broken)? {
                 Answer::Known(known) => return Ok(known),
                 Answer::NotLoaded(missing) => missing,
             };
-            if self.stream.load_missing(&missing).map_err(broken)?.loaded == 0 {
-                let text = "the pages around one place do not fit in memory; give more --cache";
-                return Err(Failure::Text(text.into()));
+            let around = missing.keys()[0];
+            let here = match &mut place {
+                Some(here) if here.is_near(around) => here,
+                other => other.insert(Place { column: [around.tx, around.ty], asked: 0, loaded: 0, pages: None }),
+            };
+            here.asked += 1;
+            let mut loaded = 0;
+            if here.asked > MANY {
+                // A tall column: more of it each time.
+                let most = MISSING_KEYS << (here.asked - MANY).min(24);
+                let others = nearest(self.archive(), around, most, |key| here.is_near(key)).map_err(broken)?;
+                here.pages = here.pages.max(Some(others.len()));
+                loaded = self.stream.load(&[missing.keys(), &others].concat(), around).map_err(broken)?.loaded;
+            }
+            if loaded == 0 {
+                loaded = self.stream.load_missing(&missing).map_err(broken)?.loaded;
+            }
+            here.loaded += loaded;
+            if loaded == 0 || here.pages.is_some_and(|pages| here.loaded > AGAIN * (pages + MISSING_KEYS)) {
+                return Err(too_small());
             }
         }
     }

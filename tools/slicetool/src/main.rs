@@ -10,6 +10,7 @@ mod ground;
 mod info;
 mod manual;
 mod merge;
+mod nearest;
 mod outline;
 mod query;
 mod reach;

@@ -1,10 +1,14 @@
 //! `slicetool query`: boxes or rays from a CSV file, answers as CSV, line by line.
 
+use crate::nearest::nearest;
 use crate::standard::table;
 use crate::{Failure, Outcome, cache_too_small};
+use nalgebra::Point3;
+use slicewalk::frame::{Frame, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::query::{Aabb, Answer, Ray, cast, probe};
 use slicewalk::size::parse_size;
 use slicewalk::store::{Prefetch, Stream, StreamOptions, View};
+use std::collections::HashSet;
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, BufWriter, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
@@ -29,6 +33,10 @@ pub struct Arguments {
     cache: u64,
 }
 
+/// Pages that a question needs from which on others are loaded with them.
+const MANY: usize = 256;
+/// How far a ray may see, so that its end is a number (m).
+const FARTHEST_M: f64 = 1e15;
 /// Longest line of a table (bytes).
 const LONGEST_LINE: u64 = 1 << 20;
 
@@ -42,7 +50,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         (Some(path), _) => answer(path, BOX_COLUMNS, "hit,obstacle,floor_z", |values, text| {
             let [x0, y0, z0, x1, y1, z1] = values;
             let shape = Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into())?;
-            let found = complete(&stream, arguments, |view| probe(view, &shape))?;
+            let found = complete(&stream, arguments, [shape.min(), shape.max()], |view| probe(view, &shape))?;
             write!(text, "{},{},", u8::from(found.hit), u8::from(found.obstacle))?;
             found.floor_z.map_or(Ok(()), |z| write!(text, "{z}"))?;
             Ok(())
@@ -50,7 +58,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
         (None, Some(path)) => answer(path, RAY_COLUMNS, "hit,distance,nx,ny,nz", |values, text| {
             let [x, y, z, dx, dy, dz, max] = values;
             let ray = Ray::new([x, y, z].into(), [dx, dy, dz].into(), max)?;
-            match complete(&stream, arguments, |view| cast(view, &ray))? {
+            let end = ray.at(ray.max().min(FARTHEST_M));
+            let region = [ray.origin().inf(&end), ray.origin().sup(&end)];
+            match complete(&stream, arguments, region, |view| cast(view, &ray))? {
                 Some(hit) => {
                     let normal = hit.normal;
                     write!(text, "1,{},{},{},{}", hit.distance, normal.x, normal.y, normal.z)?;
@@ -63,19 +73,50 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
 }
 
-/// Repeats `ask` until nothing is missing, loading what is. All that one question needs stays until it is answered.
-fn complete<T>(stream: &Stream, arguments: &Arguments, ask: impl Fn(&View) -> Answer<T>) -> Result<T, Failure> {
+/// Repeats `ask` until nothing is missing, loading what is. All that one question needs stays until it is answered. When that is
+/// much, as many pages again are loaded with it, if they fit: the nearest of `region`, from its least to its greatest corner.
+fn complete<T>(
+    stream: &Stream,
+    arguments: &Arguments,
+    region: [Point3<f64>; 2],
+    ask: impl Fn(&View) -> Answer<T>,
+) -> Result<T, Failure> {
+    let broken = |error| crate::broken(&arguments.archive, &error);
     let mut needed = Vec::new();
+    let mut loaded = HashSet::new();
     loop {
-        match ask(&stream.view()) {
+        let missing = match ask(&stream.view()) {
             Answer::Known(answer) => return Ok(answer),
-            Answer::NotLoaded(missing) => needed.extend_from_slice(missing.keys()),
+            Answer::NotLoaded(missing) => missing,
+        };
+        needed.extend_from_slice(missing.keys());
+        loaded.extend(missing.keys());
+        if needed.len() >= MANY {
+            let mut keys = needed.clone();
+            let frame = stream.archive().frame();
+            let wanted = |key| is_in(frame, region, key) && !loaded.contains(&key);
+            keys.extend(nearest(stream.archive(), missing.keys()[0], loaded.len(), wanted).map_err(broken)?);
+            let report = stream.load(&keys, needed[0]).map_err(broken)?;
+            if report.left_out == 0 {
+                loaded.extend(keys);
+                continue;
+            }
         }
-        let report = stream.load(&needed, needed[0]).map_err(|error| crate::broken(&arguments.archive, &error))?;
+        let report = stream.load(&needed, needed[0]).map_err(broken)?;
         if report.left_out > 0 {
             return Err(cache_too_small("this question", arguments.cache, report.needed_bytes));
         }
     }
+}
+
+/// Whether a page lies between the corners of `region`, or is next to it: matter on an edge belongs to both sides.
+fn is_in(frame: &Frame, region: [Point3<f64>; 2], key: PageKey) -> bool {
+    let [low, high] = region.map(|corner| {
+        let tile = |v: f64| frame.pixel_of(v).div_euclid(TILE_PIXELS);
+        [tile(corner.x), tile(corner.y), frame.slice_of(corner.z).div_euclid(PAGE_SLICES)]
+    });
+    let at = [key.tx, key.ty, key.layer].map(i64::from);
+    (0..3).all(|axis| (low[axis] - 1..=high[axis] + 1).contains(&at[axis]))
 }
 
 /// Reads rows of the named columns (in any order, among others; without a header, exactly these in this order) and writes

@@ -64,8 +64,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
 
 fn find(arguments: &Arguments, loader: &Loader) -> Result<Result<Route, Refusal>, Failure> {
     let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
-    let mut spot =
-        |at: Point3<f64>| -> Result<Option<Spot>, Failure> { loader.known(|view| Ok(standing.spot(view, at))) };
+    let mut spot = |at: Point3<f64>| -> Result<Option<Spot>, Failure> { loader.known(|view| standing.spot(view, at)) };
     let Some(from) = spot(arguments.from)? else { return Ok(Err(Refusal::NotStandingFrom)) };
     let Some(to) = spot(arguments.to)? else { return Ok(Err(Refusal::NotStandingTo)) };
     let mut flood = Flood::from(from);

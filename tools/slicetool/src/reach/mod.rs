@@ -48,7 +48,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
     let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
-    let Some(start) = loader.known(|view| Ok(standing.spot(view, arguments.from)))? else {
+    let Some(start) = loader.known(|view| standing.spot(view, arguments.from))? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
         return Err(Failure::Text(format!(
             "--from {x},{y},{z}: the pawn cannot stand there (expected floor below it and room for its whole body); choose \
@@ -58,7 +58,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let mut flood = Flood::from(start);
     loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
     let region = flood.region(&standing);
-    let leaks = loader.known(|view| Ok(region.leaks(&mut standing, view)))?;
+    let leaks = loader.known(|view| region.leaks(&mut standing, view))?;
     let own = standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes();
     let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, region };
     if let (Some(write), Some(output)) = (write, output) {
