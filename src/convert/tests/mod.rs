@@ -9,12 +9,25 @@ use super::*;
 use crate::disk::Disk;
 use crate::disk::tests::model::{Content, ModelDisk};
 use crate::input::Units;
-use crate::random::Random;
 use scangen::{Chunks, WriteSpec, write_las};
 use std::fs;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use tempfile::TempDir;
+
+/// Numbers that look random and are the same everywhere (an LCG after Knuth).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        self.0 >> 24
+    }
+
+    fn below(&mut self, n: u64) -> u64 {
+        self.next() % n.max(1)
+    }
+}
 
 /// Two scans, a plain one and a compressed one in many chunks, and a conversion of them that spills.
 struct Job {

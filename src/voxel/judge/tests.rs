@@ -1,7 +1,6 @@
 use super::*;
 use crate::frame::Frame;
 use crate::plan::PlanOptions;
-use crate::random::Random;
 use crate::voxel::bands::Bands;
 use crate::voxel::record::{PATCH_PIXELS, Record, Recorder};
 
@@ -9,6 +8,19 @@ const T: f64 = 0.05;
 
 fn plan(classifier: Classifier, max_slope_deg: f64) -> Plan {
     plan_of_slices(classifier, max_slope_deg, 3.0)
+}
+
+/// A small generator of uniform numbers in 0..1 and of nearly normal ones.
+struct Random(u64);
+
+impl Random {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    }
 }
 
 /// The voxels of tile (0, 0), which holds `points`.
