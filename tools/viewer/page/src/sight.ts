@@ -22,9 +22,9 @@ const FAR_SEEN_M = 4000;
 /** So far is seen until the pawn had its first steps: what it walks on comes before what is far away. */
 const FIRST_M = 4;
 const FIRST_STEPS = 10;
-/** And so far until the whole scan is drawn from an overview level, which waits for at most so long (s). */
+/** And so far until the whole scan is drawn from an overview level, unless nothing comes of that for so long (s). */
 const OUTLINE_M = 10;
-const OUTLINE_S = 15;
+const OUTLINE_S = 5;
 /** Triangles at first, and between which numbers they go where the graphics are fast or slow (frames a second). */
 const FIRST_TRIANGLES = 300_000;
 const MOST_TRIANGLES = 1_000_000;
@@ -44,7 +44,7 @@ export class Sight {
   #triangles = FIRST_TRIANGLES;
   #outlined: boolean;
   #overview = 0;
-  #outlineS = 0;
+  #idleS = 0;
 
   constructor(
     readonly session: Session,
@@ -89,9 +89,11 @@ export class Sight {
   #outline(): void {
     const { archive, world } = this.session;
     const { overview } = world.counts;
-    const whole = overview > 0 && overview === this.#overview && archive.stats.unbuilt === 0 && world.waiting === 0;
+    const { unbuilt, pending } = archive.stats;
+    const idle = unbuilt === 0 && world.waiting === 0 && overview === this.#overview;
     this.#overview = overview;
-    this.#outlined ||= whole || ++this.#outlineS > OUTLINE_S;
+    this.#idleS = idle && pending === 0 ? this.#idleS + 1 : 0;
+    this.#outlined ||= (idle && overview > 0) || this.#idleS > OUTLINE_S;
   }
 
   /** How far pages are loaded: what the pawn walks on first, then the outline, then the rest. */
