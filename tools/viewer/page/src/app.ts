@@ -13,7 +13,9 @@ import { pick } from "./measure";
 import { Overlays } from "./overlays";
 import { ALIGNED } from "./scene/alignment";
 import { Cameras } from "./scene/cameras";
+import { Cover } from "./scene/cover";
 import { hasHeadset } from "./scene/headset";
+import { Shading } from "./scene/material";
 import { fromAddress, Session, type Source } from "./session";
 import { loadSettings, saveSettings, walkerSettings, type Settings } from "./settings";
 import type { Table } from "./table";
@@ -57,6 +59,8 @@ export class App {
   #longestTask = 0;
   #seenTriangles = 0;
   readonly #overlays: Overlays;
+  /** Keeps the shaders that every archive is drawn with. */
+  readonly #shading = new Shading(new Cover(1, 1));
 
   constructor(parent: HTMLElement) {
     this.#shell = new Shell(parent, this.#settings, {
@@ -93,6 +97,7 @@ export class App {
     this.#canvas = new Canvas(this.#shell.canvas, this.#cameras, graphics, (worn) => (this.#shell.toolbars.worn = worn));
     void hasHeadset().then((has) => (this.#shell.toolbars.hasHeadset = has));
     this.#overlays = new Overlays(this.#canvas, this.#shell);
+    void this.#canvas.prepare(this.#shading.all);
     this.#canvas.scene.add(this.#shell.measure.marks);
     this.#keyboard = new Keyboard((code) => this.#key(code));
     this.#sticks = new Sticks(parent);
@@ -218,7 +223,6 @@ export class App {
     const { archive, world, pawn } = session;
     world.moveOrigin(pawn.at);
     this.#canvas.scene.add(world.group);
-    void this.#canvas.prepare(world.shading.all);
     archive.on("trouble", (error) => this.#trouble(error));
     archive.on("failed", (error) => this.#fail(error));
     pawn.onArrival = (how) => this.#shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);

@@ -2,6 +2,7 @@
 
 import {
   BoxGeometry,
+  BufferAttribute,
   BufferGeometry,
   type Camera,
   Color,
@@ -94,10 +95,19 @@ export class Canvas {
   async prepare(materials: readonly Material[]): Promise<void> {
     const { renderer } = this;
     const scene = new Scene();
+    // A triangle without area, with the attributes of pages: they decide which shader it is.
     const geometry = new BufferGeometry();
-    scene.add(...materials.map((material) => new Mesh(geometry, material)));
+    geometry.setAttribute("position", new BufferAttribute(new Uint16Array(9), 3));
+    geometry.setAttribute("normal", new BufferAttribute(new Int8Array(12), 4, true));
+    geometry.setAttribute("attributes", new BufferAttribute(new Uint8Array(12), 4));
+    geometry.setIndex(new BufferAttribute(new Uint32Array(3), 1));
+    const meshes = materials.map((material) => new Mesh(geometry, material));
+    meshes.forEach((mesh) => (mesh.frustumCulled = false));
+    scene.add(...meshes);
     if (renderer.extensions.has("KHR_parallel_shader_compile")) await renderer.compileAsync(scene, this.cameras.current);
     else renderer.compile(scene, this.cameras.current);
+    // The first use of a shader waits for the graphics: better now, while they have nothing else to do.
+    if (!this.lost) renderer.render(scene, this.cameras.current);
   }
 
   /** Calls back for each frame, of the screen or of the headset. */

@@ -22,6 +22,9 @@ const FAR_SEEN_M = 4000;
 /** So far is seen until the pawn had its first steps: what it walks on comes before what is far away. */
 const FIRST_M = 4;
 const FIRST_STEPS = 10;
+/** And so far until the whole scan is drawn from an overview level, unless nothing comes of that for so long (s). */
+const OUTLINE_M = 10;
+const OUTLINE_S = 5;
 /** Triangles at first, and between which numbers they go where the graphics are fast or slow (frames a second). */
 const FIRST_TRIANGLES = 300_000;
 const MOST_TRIANGLES = 1_000_000;
@@ -39,11 +42,16 @@ export class Sight {
   #from: Vec3 | null = null;
   #radius = FIRST_M;
   #triangles = FIRST_TRIANGLES;
+  #outlined: boolean;
+  #overview = 0;
+  #idleS = 0;
 
   constructor(
     readonly session: Session,
     readonly shell: Shell,
-  ) {}
+  ) {
+    this.#outlined = session.archive.info.levels === 0;
+  }
 
   /** Of a view `outside`, seen from `distance`: how far the engine builds geometry, and the shader shows it. */
   see(mode: Mode, settings: Settings, distance: number): void {
@@ -55,7 +63,7 @@ export class Sight {
     const radius = outside ? Math.max(settings.radius, distance) + distance : settings.radius;
     this.#radius = radius;
     view.set({
-      radius: this.#settled || outside ? radius : Math.min(FIRST_M, radius),
+      radius: this.#loaded,
       detail: outside ? OUTSIDE_DETAIL : WALK_DETAIL,
       triangles: Math.round(this.#triangles),
     });
@@ -73,7 +81,26 @@ export class Sight {
     const fast = fps > FAST_FPS;
     if (slow) this.#triangles = Math.max(LEAST_TRIANGLES, this.#triangles / 2);
     else if (fast) this.#triangles = Math.min(MOST_TRIANGLES, this.#triangles * 1.5);
-    if (this.#settled) view.set({ radius: this.#radius, triangles: Math.round(this.#triangles) });
+    if (this.#settled) this.#outline();
+    view.set({ radius: this.#loaded, triangles: Math.round(this.#triangles) });
+  }
+
+  /** Whether the outline is drawn: all that came of it, and no more came for a second. */
+  #outline(): void {
+    const { archive, world } = this.session;
+    const { overview } = world.counts;
+    const { unbuilt, pending } = archive.stats;
+    const idle = unbuilt === 0 && world.waiting === 0 && overview === this.#overview;
+    this.#overview = overview;
+    this.#idleS = idle && pending === 0 ? this.#idleS + 1 : 0;
+    this.#outlined ||= (idle && overview > 0) || this.#idleS > OUTLINE_S;
+  }
+
+  /** How far pages are loaded: what the pawn walks on first, then the outline, then the rest. */
+  get #loaded(): number {
+    const begins = !this.#settled && this.#mode === "walk";
+    const most = begins ? FIRST_M : this.#outlined ? this.#radius : OUTLINE_M;
+    return Math.min(most, this.#radius);
   }
 
   /** How far an overview level shows matter (m), 0 without one. */

@@ -67,6 +67,11 @@ export class World {
     return { pages: this.#drawn.size - overview, overview };
   }
 
+  /** Pages that came and are not drawn yet. */
+  get waiting(): number {
+    return this.#waiting.size;
+  }
+
   take(page: PageGeometry): void {
     this.#waiting.set(page.id, page);
   }
