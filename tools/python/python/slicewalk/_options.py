@@ -46,6 +46,7 @@ class PlanOptions(TypedDict, total=False):
     up: Literal["z", "y"]
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
+    columns: str | None
     mesh: Literal["exact", "sampled"]
     levels: bool | Literal["on", "off"]
     allow_incomplete: bool
