@@ -5,7 +5,7 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions};
-use slicewalk::input::Units;
+use slicewalk::input::{Columns, Units};
 use slicewalk::mesh::MeshMode;
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::size::parse_size;
@@ -100,7 +100,7 @@ impl Asked {
                 "units" => options.units = number_or("units", &value, Units::Factor)?,
                 "columns" => {
                     let text = value.extract::<String>()?;
-                    options.columns = Some(text.parse().map_err(|reason| refuse("columns", reason))?);
+                    options.columns = Some(text.parse::<Columns>().map_err(|reason| refuse("columns", reason))?);
                 }
                 "mesh" => {
                     let all = [("exact", MeshMode::Exact), ("sampled", MeshMode::Sampled { step_m: None })];
