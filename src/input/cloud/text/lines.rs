@@ -179,7 +179,7 @@ impl<'a> Lines<'a> {
 
     /// Passes over up to `most` rows and, if asked for, stops before one of a single word; returns how many there were.
     pub fn count_rows(&mut self, most: u64, stop_at_word: bool, monitor: &dyn Monitor) -> Result<u64> {
-        let mut rows = 0;
+        let mut rows = 0u64;
         while rows < most {
             if rows.is_multiple_of(1 << 16) && monitor.cancelled() {
                 return Err(Error::Interrupted);
