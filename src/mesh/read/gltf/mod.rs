@@ -199,7 +199,8 @@ impl Checked {
         }
         if clouds > 0 {
             let reason = format!(
-                "{clouds} parts of meshes are points or Gaussian splats, which are not read from glTF; write scans as E57, LAS or PLY"
+                "{clouds} parts of meshes are points or Gaussian splats, which are not read from glTF; write scans as E57, \
+                 LAS or PLY"
             );
             watch.lose(clouds, self.error("structure", reason))?;
         }
