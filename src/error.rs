@@ -155,6 +155,8 @@ pub enum Parameter {
     Overwrite,
     /// The unit of the input.
     Units,
+    /// Which columns of text hold the coordinates.
+    Columns,
     /// Which part of a conversion is asked for.
     Shard,
     /// Whether a conversion goes on from what an earlier one left.
@@ -187,6 +189,7 @@ impl std::fmt::Display for Parameter {
             Self::Incomplete => "incomplete input",
             Self::Overwrite => "replacing of files",
             Self::Units => "unit of the input",
+            Self::Columns => "columns of text",
             Self::Shard => "shard",
             Self::Resume => "resuming",
             Self::Stations => "stations",
@@ -210,6 +213,7 @@ impl Parameter {
             Self::Incomplete => "or allow incomplete input, to take what can be read".into(),
             Self::Overwrite => "allow it to be replaced".into(),
             Self::Plan => "give its plan".into(),
+            Self::Columns => "name the columns, such as x,y,z".into(),
             other => format!("set the {other} otherwise"),
         }
     }

@@ -1,6 +1,6 @@
 //! Walk in laser scans that are too large for memory.
 //!
-//! Slicewalk converts LAS and LAZ scans of any size, and meshes, into one compact *slice archive*: for every pixel of the
+//! Slicewalk converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, PCD, PLY) of any size, and meshes, into one compact *slice archive*: for every pixel of the
 //! ground plan the bottom, the top and an obstacle flag of each vertical run of matter (a *span*). Programs open the
 //! archive, keep the pages around a moving body in memory, and ask exact collision questions that never wait for the disk.
 //! The method is that of R. K. dos Anjos, *Image Based Collision Detection* (IST Lisbon, 2011), and its future work.

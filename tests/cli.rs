@@ -121,9 +121,9 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
     for (input, words) in [
         ("no.las", &["no.las", "cannot open"][..]),
         ("scan.lsa", &["scan.lsa", "cannot open"]),
-        ("empty", &["empty", "no .las or .laz file lies in it"]),
+        ("empty", &["empty", "no scan lies in it"]),
         ("*.e57", &["*.e57", "matches no"]),
-        ("notes.txt", &["notes.txt", "LASF"]),
+        ("notes.txt", &["notes.txt", "columns named x, y and z", "--columns"]),
         ("house.obj", &["house.obj", "triangles"]),
         ("nothing.las", &["nothing.las"]),
         ("head.las", &["head.las"]),

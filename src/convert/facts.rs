@@ -1,9 +1,13 @@
 //! What a plan remembers of each input: enough to know it again on another machine, and to give it to parts.
 
+use super::points::bounds;
+use super::work::on_threads;
 use crate::bytes::{ByteSource, FileSource};
-use crate::input::{InputSet, ScanFile, StatedBounds};
-use crate::{Error, Monitor, Result};
+use crate::input::{InputSet, PointDecoder, ScanFile, StatedBounds};
+use crate::{Error, Monitor, NoMonitor, Result};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3;
 
 /// Blocks of a file by which it is known again, beside its length: the first, the last, and some evenly between.
@@ -43,6 +47,59 @@ impl InputFacts {
         };
         all.map(one).collect()
     }
+
+    /// The same, with the number and bounds of the kept points of scans whose headers do not state them. Cost: these scans
+    /// are read once.
+    pub(super) fn measured(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Vec<Self>> {
+        let mut facts = Self::of(set, monitor)?;
+        let is_open = |file: usize| !set.files()[file].has_header();
+        if !(0..set.files().len()).any(is_open) {
+            return Ok(facts);
+        }
+        let points = set.files().iter().filter(|file| !file.has_header()).map(ScanFile::points_expected);
+        monitor.stage("bounds", points.fold(0, u64::saturating_add), "points");
+        let chunks = Mutex::new(set.chunks().filter(|chunk| is_open(chunk.file())));
+        let found = Mutex::new(vec![(0u64, None::<StatedBounds>); set.files().len()]);
+        let failed = AtomicBool::new(false);
+        let work = || -> Result<()> {
+            let mut decoder = PointDecoder::new();
+            loop {
+                let next = chunks.lock().unwrap_or_else(PoisonError::into_inner).next();
+                let Some(chunk) = next else { return Ok(()) };
+                let (mut kept, mut of_chunk) = (0, None::<StatedBounds>);
+                decoder.decode(set, &chunk, &mut |batch| {
+                    if monitor.cancelled() || failed.load(Ordering::Relaxed) {
+                        return Err(Error::Interrupted);
+                    }
+                    if !batch.is_empty() {
+                        kept += batch.len() as u64;
+                        monitor.advance(batch.len() as u64);
+                        let (min, max) = bounds(batch);
+                        of_chunk = around(of_chunk, StatedBounds { min, max });
+                    }
+                    Ok(())
+                })?;
+                let (count, whole) = &mut found.lock().unwrap_or_else(PoisonError::into_inner)[chunk.file()];
+                *count += kept;
+                *whole = of_chunk.map_or(*whole, |of_chunk| around(*whole, of_chunk));
+            }
+        };
+        on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+        // Where losses are allowed, they come up again in the pass that counts, and are told then.
+        set.check_complete(&NoMonitor)?;
+        let found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
+        for (number, (points, bounds)) in found.into_iter().enumerate().filter(|&(number, _)| is_open(number)) {
+            (facts[number].points, facts[number].bounds) = (points, bounds);
+        }
+        Ok(facts)
+    }
+}
+
+/// Bounds around both.
+fn around(one: Option<StatedBounds>, other: StatedBounds) -> Option<StatedBounds> {
+    let Some(one) = one else { return Some(other) };
+    let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
+    Some(StatedBounds { min: axes(f64::min, one.min, other.min), max: axes(f64::max, one.max, other.max) })
 }
 
 /// Name of a file without folders.

@@ -89,6 +89,7 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
     let input_options = InputOptions {
         units: options.units,
         epsg: options.epsg,
+        columns: options.columns,
         up: options.plan.up,
         exclude_classes: options.plan.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads as u64,
@@ -477,8 +478,13 @@ fn refuse_unusable(set: &InputSet, counts: &PointCounts) -> Result<()> {
         return Err(Error::input(first.path(), "points", reason));
     }
     if counts.not_finite == counts.read {
-        let reason = "no point has a finite position within 1e12 m: scale or offset in the header (bytes 131 to 178) are \
-                      damaged; fetch or write the file again";
+        let reason = match first.has_header() {
+            true => {
+                "no point has a finite position within 1e12 m: scale or offset in the header (bytes 131 to 178) are damaged; \
+                 fetch or write the file again"
+            }
+            false => "no point has a finite position within 1e12 m; fetch or write the file again",
+        };
         return Err(Error::input(first.path(), "points", reason));
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! What to convert, and how.
 
 use super::plan_file::PlanFile;
-use crate::input::Units;
+use crate::input::{Columns, Units};
 use crate::mesh::MeshMode;
 use crate::plan::PlanOptions;
 use std::path::PathBuf;
@@ -54,6 +54,8 @@ pub struct ConvertOptions {
     pub units: Units,
     /// EPSG code of the reference system of scans that state none; a scan that states another is refused.
     pub epsg: Option<u32>,
+    /// Columns of text without a header of their own; x, y and z come first by default.
+    pub columns: Option<Columns>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
     /// Whether the archive gets overview levels (see [`Level`](crate::archive::Level)); off by default.
@@ -89,6 +91,7 @@ impl ConvertOptions {
             temp_dir: std::env::temp_dir(),
             units: Units::Auto,
             epsg: None,
+            columns: None,
             mesh: MeshMode::Exact,
             levels: false,
             allow_incomplete: false,

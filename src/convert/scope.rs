@@ -55,7 +55,10 @@ impl ShardScope {
         options: &ConvertOptions,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
-        let facts = InputFacts::of(set, monitor)?;
+        let facts = match &options.plan_file {
+            Some(_) => InputFacts::of(set, monitor)?,
+            None => InputFacts::measured(set, options.threads, monitor)?,
+        };
         let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();
         let here = PlanFile::of(facts, plan.clone(), options);
         let file = match &options.plan_file {

@@ -9,7 +9,7 @@
 
 use super::epsg::{self, FOOT, US_SURVEY_FOOT};
 use super::header::{f64_at, u16_at};
-use super::records::{GEO_DOUBLES, GEO_KEYS, GEO_TEXT, Records, WKT};
+use super::records::{GEO_DOUBLES, GEO_KEYS, GEO_TEXT, MOST_TEXT, Records, WKT};
 use super::{ScanFile, Those};
 use crate::Monitor;
 
@@ -76,6 +76,15 @@ impl Georeference {
             (Some(wkt), _) => Self::from_wkt(wkt),
             (None, keys) => keys.unwrap_or_default(),
         }
+    }
+
+    /// Of a file that states its system as text alone.
+    pub(super) fn of_text(text: String) -> Self {
+        if text.len() as u64 > MOST_TEXT {
+            let note = format!("its reference system is {} bytes long; it is passed over", text.len());
+            return Self { notes: vec![note], ..Self::default() };
+        }
+        if text.contains(['[', '(']) { Self::from_wkt(text) } else { Self { text: Some(text), ..Self::default() } }
     }
 
     fn from_wkt(text: String) -> Self {

@@ -1,5 +1,6 @@
 //! Decoding: pieces of files, by any number of threads, in any order.
 
+use super::cloud;
 use super::convert;
 use super::file::Content;
 use super::laz::{Chunking, PackedPoints};
@@ -25,6 +26,7 @@ enum ChunkSource {
     Records { first: u64 },
     Chunk { index: usize, start: u64, len: u64, open: bool },
     Stream { start: u64, len: u64, exact: bool },
+    Cloud(cloud::Piece),
 }
 
 impl PointChunk {
@@ -73,6 +75,11 @@ impl InputSet {
                         (points > 0 || len > 0).then_some(PointChunk { file, points, source })
                     }))
                 }
+                Content::Cloud(cloud) => Box::new(cloud.pieces().map(move |piece| PointChunk {
+                    file,
+                    points: piece.points,
+                    source: ChunkSource::Cloud(piece),
+                })),
             };
             pieces
         })
@@ -128,9 +135,23 @@ impl PointDecoder {
         let Some((_, source)) = &self.source else { return Ok(PointCounts::default()) };
         self.log.begin(piece.file);
         self.lost = false;
+        if let Content::Cloud(cloud) = &file.content {
+            let ChunkSource::Cloud(part) = &piece.source else { return Err(of_another_set()) };
+            let mut taker = cloud::Taker::new(file.unit_m(), &set.options, &mut self.batch, sink);
+            let done = cloud.decode(part, source, &mut self.slab, &mut taker);
+            let outcome = match done {
+                Ok(missing) => taker.flush().map(|()| missing),
+                // What came before the damage is handed on.
+                Err(error) if !taker.refused => taker.flush().and(Err(error)),
+                Err(error) => Err(error),
+            };
+            let (counts, refused) = (taker.counts(), taker.refused);
+            return self.settle(set, piece, outcome.map(|missing| (missing, 0)), counts, refused);
+        }
         let record_bytes = match &file.content {
             Content::Plain { .. } => usize::from(file.record_bytes),
             Content::Packed { packing, .. } => packing.decoded_bytes(),
+            Content::Cloud(_) => return Err(of_another_set()),
         };
         // A slab is at least one record (64 KiB at most) and never more than a batch.
         let slab_points = (SLAB_BYTES / record_bytes).clamp(1, BATCH_POINTS);
@@ -161,13 +182,26 @@ impl PointDecoder {
                 let start = file.points_at + first * record_bytes as u64;
                 las::read(source, start, piece.points, record_bytes, slab, &mut take).map(|done| (done, 0))
             }
-            _ => return Err(Error::parameter("chunk", "it belongs to another set of files")),
+            _ => return Err(of_another_set()),
         };
         // The last chunk of a file whose header lies holds fewer points than fit; that is no loss.
         let open = matches!(piece.source, ChunkSource::Chunk { open: true, .. });
+        let missing = |done| if open { 0 } else { piece.points.saturating_sub(done) };
+        self.settle(set, piece, outcome.map(|(done, left)| (missing(done), left)), counts, refused)
+    }
+
+    /// Notes what was lost: points that are not there and bytes that are too many, or what an error left unread.
+    fn settle(
+        &mut self,
+        set: &InputSet,
+        piece: &PointChunk,
+        outcome: Result<(u64, u64)>,
+        mut counts: PointCounts,
+        refused: bool,
+    ) -> Result<PointCounts> {
         match outcome {
-            Ok((done, left)) => {
-                counts.missing = if open { 0 } else { piece.points.saturating_sub(done) };
+            Ok((missing, left)) => {
+                counts.missing = missing;
                 if counts.missing + counts.not_finite > 0 || left > 0 {
                     self.lost = true;
                     set.losses.add(piece.file, |loss| {
@@ -197,4 +231,8 @@ impl PointDecoder {
         }
         Ok(counts)
     }
+}
+
+fn of_another_set() -> Error {
+    Error::parameter("chunk", "it belongs to another set of files")
 }

@@ -4,7 +4,7 @@
 //! Memory: the list of paths.
 
 use super::losses::Losses;
-use super::{is_of_input, pattern};
+use super::{cloud, is_of_input, pattern};
 use crate::bytes::{FileId, open_regular};
 use crate::{Error, Monitor, Result};
 use std::collections::HashMap;
@@ -14,10 +14,11 @@ use std::path::{Path, PathBuf};
 /// Expands `inputs` to files.
 ///
 /// - A file is taken as it is, whatever its name (its signature decides later).
-/// - A directory stands for the `.las` and `.laz` files directly in it, letters of any case. Directories in it are not
-///   entered, because tiles of one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them.
-/// - A path that does not exist and holds `*`, `?` or `[` is a pattern; files in its matches count if they end in
-///   `.las` or `.laz`, and meshes if the pattern itself ends as they do: an export beside the scans is no input.
+/// - A directory stands for the scans directly in it, by their names with letters of any case: `.las`, `.laz`, `.e57`, `.pcd`,
+///   `.pts`, `.ptx`, `.xyz`, the last three also with `.gz` or `.zst`. Directories in it are not entered, because tiles of one survey usually lie beside folders of older deliveries; `DIR/**/*.laz` enters them.
+/// - A path that does not exist and holds `*`, `?` or `[` is a pattern; files in its matches count if they end so, and
+///   meshes and PLY if the pattern itself ends as they do: an export beside the scans is no input. Nor is a table: `.txt`
+///   and `.csv` are named one by one.
 ///
 /// Where `losses` are given, what cannot be read is noted there and told to `monitor`, as long as anything is left.
 pub(super) fn expand(inputs: &[PathBuf], losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
@@ -85,7 +86,7 @@ fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, m
                 }
             })?;
             if found.len() == before {
-                return Err(Error::input(input, "pattern", "it matches no .las or .laz file"));
+                return Err(Error::input(input, "pattern", "it matches no scan; .txt and .csv are named one by one"));
             }
             Ok(())
         }
@@ -98,7 +99,8 @@ fn same_ending(path: &Path, other: &Path) -> bool {
 }
 
 fn is_scan(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("las") || e.eq_ignore_ascii_case("laz"))
+    cloud::is_found(path)
+        || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("las") || e.eq_ignore_ascii_case("laz"))
 }
 
 /// Whether the name says mesh.
@@ -107,9 +109,11 @@ fn is_mesh_named(path: &Path) -> bool {
     path.extension().is_some_and(|e| ENDINGS.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
 }
 
-/// Whether a file is a mesh: by its name. (A scan under such a name is told by its signature.)
+/// Whether a file is a mesh: by its name. (A scan under such a name is told by its signature, and a PLY without faces is a
+/// cloud.)
 pub(super) fn is_mesh(path: &Path) -> bool {
-    is_mesh_named(path) && !has_signature_of_scan(path)
+    let is_cloud = || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")) && cloud::is_ply_cloud(path);
+    is_mesh_named(path) && !has_signature_of_scan(path) && !is_cloud()
 }
 
 fn has_signature_of_scan(path: &Path) -> bool {
@@ -129,8 +133,8 @@ fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
         }
     }
     if found.len() == before {
-        let reason = "no .las or .laz file lies in it; directories inside are not entered, name them or use a pattern \
-                      such as DIR/**/*.laz";
+        let reason = "no scan lies in it (.txt, .csv and .ply are named one by one); directories inside are not entered, \
+                      name them or use a pattern such as DIR/**/*.laz";
         return Err(Error::input(path, "directory", reason));
     }
     Ok(())
@@ -161,10 +165,10 @@ mod tests {
         assert_eq!(names(&["?.*"]).unwrap(), ["a.LAZ", "b.las"]);
         assert_eq!(names(&["**/*.PLY", "*.obj"]).unwrap(), ["e.obj", "f.PLY"]);
         assert_eq!(names(&["c.txt"]).unwrap(), ["c.txt"]);
-        assert!(names(&["*.e57"]).unwrap_err().to_string().contains("matches no .las or .laz"));
+        assert!(names(&["*.e57"]).unwrap_err().to_string().contains("matches no scan"));
         assert!(names(&["none.las"]).unwrap_err().to_string().contains("cannot open"));
         fs::create_dir(dir.path().join("empty")).unwrap();
-        assert!(names(&["empty"]).unwrap_err().to_string().contains("no .las or .laz file lies in it"));
+        assert!(names(&["empty"]).unwrap_err().to_string().contains("no scan lies in it"));
         assert!(expand(&[], None, &NoMonitor).is_err());
     }
 }

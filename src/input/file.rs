@@ -1,5 +1,8 @@
 //! One scan file: what its header and records say, checked, and where its points lie.
+//!
+//! LAS and LAZ are read here and in the modules beside this; every other format is a [`Cloud`].
 
+use super::cloud::{self, Cloud, Opened, Opening};
 use super::convert::{Layout, Transform};
 use super::crs;
 use super::header::LasHeader;
@@ -10,7 +13,7 @@ use super::scenes::Scene;
 use super::source::Source;
 use super::{InputOptions, StatedBounds, Units, las};
 use crate::bytes::Stamp;
-use crate::{Error, Parameter, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -34,8 +37,15 @@ pub struct ScanFile {
 
 #[derive(Debug)]
 pub(super) enum Content {
-    Plain { points: u64 },
-    Packed { packing: Arc<Packing>, body: Chunking },
+    Plain {
+        points: u64,
+    },
+    Packed {
+        packing: Arc<Packing>,
+        body: Chunking,
+    },
+    /// Another format than LAS; what only LAS has is 0 in the file.
+    Cloud(Box<dyn Cloud>),
 }
 
 /// What files have in common, so that each need not hold it.
@@ -70,6 +80,8 @@ pub(super) struct Reference {
     pub crs: Option<String>,
     pub no_unit: bool,
     pub degrees: bool,
+    /// How the file was understood, where that takes guessing.
+    pub said: Option<String>,
 }
 
 impl ScanFile {
@@ -78,42 +90,34 @@ impl ScanFile {
         options: &InputOptions,
         common: &mut Common,
         findings: &mut Findings,
+        monitor: &dyn Monitor,
     ) -> Result<(Self, Reference)> {
         let source = Source::open(path, None)?;
-        if let Some(kind) = other_format(path)
-            && source.bytes_at(0, 4)?.as_deref() != Some(b"LASF")
-        {
-            let reason = format!("a {kind} is no laser scan in LAS or LAZ; expected \"LASF\" at byte 0");
-            return Err(Error::input(path, "name", reason));
-        }
         let bytes = source.stamp().len();
+        let start = source.bytes_at(0, bytes.min(8) as usize)?.unwrap_or_default();
+        if !start.starts_with(b"LASF") {
+            if let Some(reason) = cloud::splat_named(path) {
+                return Err(Error::input(path, "name", reason));
+            }
+            let format = if start == b"ASTM-E57" { Some(cloud::Format::E57) } else { cloud::format_named(path) };
+            if let Some(format) = format {
+                let opening =
+                    Opening { source: &source, bytes, columns: options.columns, findings: &mut *findings, monitor };
+                let opened = cloud::open(format, opening)?;
+                return Self::of_cloud(&source, opened, options, findings);
+            }
+            if let Some(kind) = other_format(path) {
+                let reason =
+                    format!("a {kind} is no scan that is read; write it as LAS, LAZ, E57, PLY, PCD, PTS, PTX or XYZ");
+                return Err(Error::input(path, "name", reason));
+            }
+        }
         let mut header = LasHeader::read(&source, bytes)?;
         findings.notes.append(&mut header.notes);
         let mut records = Records::read(&source, &header, bytes)?;
         findings.notes.append(&mut records.notes);
-        let mut georeference = crs::Georeference::read(&records, header.says_wkt);
-        if let Some(code) = options.epsg {
-            let note = georeference.complete(code).map_err(|reason| Error::input(path, "reference system", reason))?;
-            findings.notes.extend(note);
-        }
-        let mut reference = Reference { crs: georeference.text.take(), ..Reference::default() };
-        let unit = match options.units {
-            Units::Factor(factor) => [factor; 3],
-            Units::Auto => {
-                if let Some(unit) = georeference.absurd_unit() {
-                    let reason =
-                        format!("it states a unit of {unit} m, which is no unit of scans (expected 0.001 to 10000 m)");
-                    return Err(Error::input(path, "reference system", reason).with_way_out(Parameter::Units));
-                }
-                findings.notes.append(&mut georeference.notes);
-                reference.degrees = georeference.degrees;
-                reference.no_unit = georeference.horizontal.is_none() && !georeference.degrees;
-                let horizontal = georeference.horizontal.unwrap_or(1.0);
-                // Heights without a unit of their own: that of the map, as surveyors in feet do; never degrees.
-                let vertical = georeference.vertical.unwrap_or(horizontal);
-                [horizontal, horizontal, vertical]
-            }
-        };
+        let georeference = crs::Georeference::read(&records, header.says_wkt);
+        let (reference, unit) = settle(path, georeference, options, findings)?;
         let transform = Transform { scale: header.scale, offset: header.offset, unit, up: options.up };
         let content = match (&records.laszip, header.compressed) {
             (Some(body), true) => {
@@ -162,6 +166,35 @@ impl ScanFile {
         Ok((file, reference))
     }
 
+    /// The file of a cloud.
+    fn of_cloud(
+        source: &Source,
+        opened: Opened,
+        options: &InputOptions,
+        findings: &mut Findings,
+    ) -> Result<(Self, Reference)> {
+        let Opened { cloud, mut georeference, said } = opened;
+        findings.notes.append(&mut georeference.notes);
+        let (mut reference, unit) = settle(source.path(), georeference, options, findings)?;
+        reference.said = said;
+        if cloud.points_expected() == 0 {
+            findings.note("it holds no points");
+        }
+        let file = Self {
+            path: source.path().to_path_buf(),
+            stamp: source.stamp(),
+            version: (0, 0),
+            format: 0,
+            record_bytes: 0,
+            points_at: 0,
+            points_stated: cloud.points_stated(),
+            bounds: [[f64::NAN; 3]; 2],
+            transform: Transform { scale: [1.0; 3], offset: [0.0; 3], unit, up: options.up },
+            content: Content::Cloud(cloud),
+        };
+        Ok((file, reference))
+    }
+
     /// Whether a record holds a point as the header describes them.
     fn is_plausible(&self, record: &[u8]) -> bool {
         let at = self.transform.point(record);
@@ -185,19 +218,28 @@ impl ScanFile {
         self.stamp.len()
     }
 
-    /// LAS version, for example (1, 4).
-    pub fn version(&self) -> (u8, u8) {
-        self.version
+    /// LAS version, for example (1, 4); `None` for other formats.
+    pub fn version(&self) -> Option<(u8, u8)> {
+        (!matches!(self.content, Content::Cloud(_))).then_some(self.version)
     }
 
-    /// LAS point format [0..=10].
-    pub fn point_format(&self) -> u8 {
-        self.format
+    /// LAS point format [0..=10]; `None` for other formats.
+    pub fn point_format(&self) -> Option<u8> {
+        self.version().map(|_| self.format)
     }
 
-    /// Whether its points are compressed (LAZ).
-    pub fn compressed(&self) -> bool {
-        matches!(self.content, Content::Packed { .. })
+    /// Name of its format: LAS, LAZ, E57, PCD, PLY, PTS, PTX, text.
+    pub fn format(&self) -> &'static str {
+        match &self.content {
+            Content::Plain { .. } => "LAS",
+            Content::Packed { .. } => "LAZ",
+            Content::Cloud(cloud) => cloud.format(),
+        }
+    }
+
+    /// Whether its header states bounds and a number of points, right or wrong, as that of LAS does.
+    pub(crate) fn has_header(&self) -> bool {
+        !matches!(self.content, Content::Cloud(_))
     }
 
     /// Points that its header claims.
@@ -213,6 +255,7 @@ impl ScanFile {
             Content::Packed { body: Chunking::Chunks { chunks, .. }, .. } => {
                 chunks.iter().map(|c| u64::from(c.points)).sum()
             }
+            Content::Cloud(cloud) => cloud.points_expected(),
         }
     }
 
@@ -226,7 +269,7 @@ impl ScanFile {
         match &self.content {
             Content::Packed { packing, .. } => packing.layout,
             Content::Plain { .. } if self.format < 6 => Layout::Old,
-            Content::Plain { .. } => Layout::Extended,
+            Content::Plain { .. } | Content::Cloud(_) => Layout::Extended,
         }
     }
 
@@ -235,7 +278,11 @@ impl ScanFile {
         let Transform { scale, offset, unit, .. } = self.transform;
         let numbers = [scale, offset, unit].concat().into_iter().flat_map(f64::to_le_bytes);
         let counts = [self.points_at, self.points_expected(), u64::from(self.record_bytes), u64::from(self.format)];
-        xxh3_128(&numbers.chain(counts.into_iter().flat_map(u64::to_le_bytes)).collect::<Vec<_>>())
+        let state = match &self.content {
+            Content::Cloud(cloud) => cloud.state(),
+            _ => Vec::new(),
+        };
+        xxh3_128(&numbers.chain(counts.into_iter().flat_map(u64::to_le_bytes)).chain(state).collect::<Vec<_>>())
     }
 
     /// XXH3-128 of all that decides which pieces its points are read in.
@@ -264,7 +311,7 @@ impl ScanFile {
     /// Whether the bounds that its header claims are not those of points from `min` to `max`, give or take a step of
     /// its coordinates. Unless these are `all` of its points, the claim may be larger.
     pub fn bounds_disagree(&self, min: [f64; 3], max: [f64; 3], all: bool) -> bool {
-        let Some(stated) = self.bounds_stated() else { return true };
+        let Some(stated) = self.bounds_stated() else { return self.has_header() };
         (0..3).any(|axis| {
             let slack = self.slack(min[axis], max[axis]);
             let (below, above) = (stated.min[axis] - min[axis], max[axis] - stated.max[axis]);
@@ -297,11 +344,43 @@ impl ScanFile {
     }
 }
 
+/// The reference of a file and the lengths of its units (m), by what it states and by the options.
+fn settle(
+    path: &Path,
+    mut georeference: crs::Georeference,
+    options: &InputOptions,
+    findings: &mut Findings,
+) -> Result<(Reference, [f64; 3])> {
+    if let Some(code) = options.epsg {
+        let note = georeference.complete(code).map_err(|reason| Error::input(path, "reference system", reason))?;
+        findings.notes.extend(note);
+    }
+    let mut reference = Reference { crs: georeference.text.take(), ..Reference::default() };
+    let unit = match options.units {
+        Units::Factor(factor) => [factor; 3],
+        Units::Auto => {
+            if let Some(unit) = georeference.absurd_unit() {
+                let reason =
+                    format!("it states a unit of {unit} m, which is no unit of scans (expected 0.001 to 10000 m)");
+                return Err(Error::input(path, "reference system", reason).with_way_out(Parameter::Units));
+            }
+            findings.notes.append(&mut georeference.notes);
+            reference.degrees = georeference.degrees;
+            reference.no_unit = georeference.horizontal.is_none() && !georeference.degrees;
+            let horizontal = georeference.horizontal.unwrap_or(1.0);
+            // Heights without a unit of their own: that of the map, as surveyors in feet do; never degrees.
+            let vertical = georeference.vertical.unwrap_or(horizontal);
+            [horizontal, horizontal, vertical]
+        }
+    };
+    Ok((reference, unit))
+}
+
 fn other_format(path: &Path) -> Option<&'static str> {
     let extension = path.extension()?.to_str()?.to_ascii_lowercase();
     Some(match extension.as_str() {
         "off" | "3mf" | "fbx" => "mesh in a format that is not read (write it as OBJ, PLY, STL or glTF)",
-        "e57" | "pcd" | "pts" | "ptx" | "xyz" | "rcp" | "rcs" => "point cloud of another format",
+        "rcp" | "rcs" | "fls" | "zfs" | "lsproj" => "point cloud of another format",
         "slices" => "slice archive",
         _ => return None,
     })

@@ -1,7 +1,7 @@
 //! Laser scans in, points in metres out.
 //!
-//! In: LAS 1.0 to 1.5 and LAZ files (COPC files are LAZ), directories, patterns. Out: [`PointBatch`]es of kept points,
-//! z up, in metres. Nothing later knows what a LAS record is. No byte of a file is trusted: a damaged one gives an
+//! In: LAS 1.0 to 1.5 and LAZ files (COPC files are LAZ), clouds in E57, PLY, PCD and text, directories, patterns. Out:
+//! [`PointBatch`]es of kept points, z up, in metres. Nothing later knows what a LAS record is. No byte of a file is trusted: a damaged one gives an
 //! [`Error::Input`] of one line or a warning, never a panic, and no number in it sizes anything before it is
 //! checked against the file's length.
 //!
@@ -9,10 +9,12 @@
 //! threads, each with its own [`PointDecoder`], decode pieces in any order; [`InputSet::check_complete`] at the end.
 //!
 //! Memory: a set holds about 300 bytes and the path of a file and 8 bytes a LAZ chunk (16 MiB for 10¹¹ points); a decoder 3 MiB, and
-//! for layered LAZ the compressed coordinates of one chunk (see [`InputOptions::memory_bytes`]).
+//! for layered LAZ the compressed coordinates of one chunk (see [`InputOptions::memory_bytes`]), for `.zst` 8 MiB.
 //!
 //! Sources: "LAS Specification 1.4 - R15" and "LAS Specification 1.5" (ASPRS); LASzip as in the crate `laz`.
 
+mod cloud;
+mod columns;
 mod convert;
 mod crs;
 mod decode;
@@ -30,6 +32,7 @@ pub(crate) mod scenes;
 mod source;
 pub mod spacing;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::{Mutex, PoisonError};
@@ -42,6 +45,7 @@ use crate::text::number;
 use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
 use crate::{Error, Monitor, Parameter, Result, Warning};
 
+pub use self::columns::Columns;
 pub(crate) use self::convert::FARTHEST_M;
 pub use self::crs::projected_epsg;
 pub use self::decode::{PointChunk, PointDecoder};
@@ -88,6 +92,8 @@ pub struct InputOptions {
     pub units: Units,
     /// EPSG code of the reference system of files that state none; a file that states another is refused.
     pub epsg: Option<u32>,
+    /// Columns of text without a header of their own; x, y and z come first by default.
+    pub columns: Option<Columns>,
     /// Which axis of the files points up.
     pub up: Up,
     /// Bit `c % 64` of word `c / 64` set: points of LAS class `c` are left out.
@@ -105,6 +111,7 @@ impl Default for InputOptions {
         Self {
             units: Units::Auto,
             epsg: None,
+            columns: None,
             up: Up::Z,
             exclude_classes: ClassSet::default(),
             memory_bytes: 64 << 20,
@@ -160,7 +167,8 @@ impl PointBatch {
 pub struct PointCounts {
     /// Points read, kept or not.
     pub read: u64,
-    /// Of these, left out because withheld.
+    /// Of these, left out because the file marks them: withheld in LAS, without a return in others (not a number, an
+    /// invalid state, `0 0 0` in PTX).
     pub withheld: u64,
     /// Of these, left out by class.
     pub excluded: u64,
@@ -211,13 +219,14 @@ pub struct InputSet {
 }
 
 impl InputSet {
-    /// Opens and checks `inputs`: files; directories, which stand for the `.las` and `.laz` files directly in them;
-    /// patterns with `*`, `?`, `[...]`, `**` where no such file exists. The same file named twice is read once. Files with
-    /// names of meshes are set aside.
+    /// Opens and checks `inputs`: files; directories, which stand for the scans directly in them; patterns with `*`, `?`,
+    /// `[...]`, `**` where no such file exists. Neither finds `.txt`, `.csv` and `.ply`, but for patterns that end in
+    /// `.ply`. The same file named twice is read once. Files with names of meshes are set aside, PLY if they have faces.
     ///
     /// Fails with one line on the first file that cannot be read in full; where incomplete input is allowed, such a file is
     /// read as far as possible or left out, and `monitor` is told. Wrong counts, unknown units and the like are told to
-    /// `monitor` too. Cost: a few small reads a file, and its chunk table.
+    /// `monitor` too. Cost: a few small reads a file, and its chunk table; of text that states how many lines belong to a cloud
+    /// (PTS, PTX, PLY, PCD) all lines, of E57 the heads of all packets.
     pub fn open(inputs: &[PathBuf], options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
         if let Units::Factor(factor) = options.units
             && !UNIT_RANGE_M.contains(&factor)
@@ -233,14 +242,14 @@ impl InputSet {
         let mut files: Vec<ScanFile> = Vec::with_capacity(paths.len());
         let mut common = Common::new(options.memory_bytes.max(16 << 20));
         let (mut systems, mut no_unit, mut degrees) = (crs::Systems::default(), Those::default(), Those::default());
-        let mut left_out = None;
+        let (mut left_out, mut said) = (None, BTreeMap::<String, Those>::new());
         for path in paths {
             if monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
             let allow_incomplete = options.allow_incomplete;
             let mut findings = Findings { path: &path, allow_incomplete, notes: Vec::new(), lost: Vec::new() };
-            let opened = ScanFile::open(&path, &options, &mut common, &mut findings);
+            let opened = ScanFile::open(&path, &options, &mut common, &mut findings, monitor);
             findings.notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display()).into()));
             findings.lost.iter().for_each(|lost| warn_incomplete(&path, lost, monitor));
             if !findings.lost.is_empty() {
@@ -251,6 +260,7 @@ impl InputSet {
                     systems.add(files.len(), reference.crs);
                     no_unit.add(files.len(), reference.no_unit);
                     degrees.add(files.len(), reference.degrees);
+                    reference.said.into_iter().for_each(|text| said.entry(text).or_default().add(files.len(), true));
                     files.push(file);
                 }
                 Err(error) if options.allow_incomplete && is_of_input(&error) => {
@@ -264,6 +274,7 @@ impl InputSet {
         if let Some(error) = left_out.filter(|_| files.is_empty() && meshes.is_empty()) {
             return Err(error);
         }
+        said.iter().for_each(|(text, those)| those.tell(&files, text, None, monitor));
         no_unit.tell(&files, "no unit of length is stated; metres are assumed", Some(Parameter::Units), monitor);
         degrees.tell(
             &files,

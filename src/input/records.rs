@@ -12,7 +12,7 @@ use super::source::Source;
 use crate::Result;
 
 /// Longest kept text of a reference system (bytes), as an archive can hold it; a longer one is passed over with a note.
-const MOST_TEXT: u64 = 1 << 20;
+pub(super) const MOST_TEXT: u64 = 1 << 20;
 /// Longest kept record of GeoTIFF, and longest LASzip record (bytes).
 const MOST_KEYS: u64 = 1 << 16;
 /// Most records looked at, before and after the points each.

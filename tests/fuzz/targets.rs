@@ -24,6 +24,12 @@ pub const TARGETS: &[Target] = &[
     ("stl", |bytes| mesh("stl", bytes)),
     ("gltf", |bytes| mesh("gltf", bytes)),
     ("glb", |bytes| mesh("glb", bytes)),
+    ("points", |bytes| read_scan("ply", bytes)),
+    ("pcd", |bytes| read_scan("pcd", bytes)),
+    ("xyz", |bytes| read_scan("xyz", bytes)),
+    ("pts", |bytes| read_scan("pts", bytes)),
+    ("ptx", |bytes| read_scan("ptx", bytes)),
+    ("e57", e57),
     #[cfg(feature = "cli")]
     ("plan", plan),
 ];
@@ -99,17 +105,29 @@ pub fn page(bytes: &[u8]) {
 /// Opens any bytes as a LAS or LAZ file, as they are and behind a sound signature, and decodes what they seem to hold.
 pub fn scan(bytes: &[u8]) {
     quiet_decoder_panics();
-    read_scan(bytes);
+    read_scan("laz", bytes);
     let mut signed = bytes.to_vec();
     if signed.len() > 24 {
         signed[..4].copy_from_slice(b"LASF");
         signed[24] = 1;
-        read_scan(&signed);
+        read_scan("laz", &signed);
     }
 }
 
-fn read_scan(bytes: &[u8]) {
-    let file = File::new("laz", bytes);
+/// Opens any bytes as an E57, as they are and with the checksums of its pages put right.
+pub fn e57(bytes: &[u8]) {
+    read_scan("e57", bytes);
+    let mut checked = bytes.to_vec();
+    for page in checked.as_chunks_mut::<1024>().0 {
+        let (content, stated) = page.split_at_mut(1020);
+        stated.copy_from_slice(&crc32c::crc32c(content).to_be_bytes());
+    }
+    read_scan("e57", &checked);
+}
+
+/// Opens any bytes as a scan with this ending, and decodes what they seem to hold.
+pub fn read_scan(ending: &str, bytes: &[u8]) {
+    let file = File::new(ending, bytes);
     let Ok(set) = InputSet::open(std::slice::from_ref(&file.0), InputOptions::default(), &NoMonitor) else { return };
     let mut decoder = PointDecoder::new();
     let mut points = 0;

@@ -8,7 +8,7 @@ use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use signal_hook::{consts, flag};
 use slicewalk::convert::{ConvertOptions, PixelSize, Preview, Report, convert, preview};
 use slicewalk::convert::{PlanFile, ShardOptions};
-use slicewalk::input::Units;
+use slicewalk::input::{Columns, Units};
 use slicewalk::mesh::MeshMode;
 use slicewalk::output::{Existing, Output, OutputKind, is_standard};
 use slicewalk::plan::{Classifier, Up};
@@ -24,7 +24,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 use values::{classes, epsg, length, part};
 
-/// Converts scans (LAS, LAZ) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
+/// Converts scans (LAS, LAZ, E57, PTX, PTS, XYZ, CSV, PCD, PLY) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
 ///
 /// Lengths are in metres. The archive appears complete under its name, or not at all.
 ///
@@ -40,7 +40,8 @@ use values::{classes, epsg, length, part};
     override_usage = "sliceconv <INPUT>... -o <OUT.slices> [OPTIONS]"
 )]
 struct Arguments {
-    /// Scans and meshes: files, folders of scans, or glob patterns in quotes
+    /// Scans and meshes: files, folders of scans, or glob patterns in quotes. Folders and patterns do not find .txt and .csv
+    /// files; text may be compressed (.gz, .zst)
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// Archive to write
@@ -109,6 +110,10 @@ struct Arguments {
     /// Coordinate reference system of scans that state none; a scan that states another is refused
     #[arg(long, value_name = "EPSG:N", value_parser = epsg)]
     crs: Option<u32>,
+    /// Columns of XYZ, CSV and TXT files, from left to right: x, y, z, and any name for others, `class` for LAS classes [default:
+    /// by the file's header, else x,y,z]
+    #[arg(long, value_name = "x,y,z,...")]
+    columns: Option<Columns>,
     /// How meshes become voxels
     #[arg(long, value_enum, default_value_t = Surfaces::Exact)]
     mesh: Surfaces,
@@ -301,6 +306,7 @@ fn way_out(parameter: &Parameter) -> Option<&'static str> {
     Some(match parameter {
         Parameter::PixelSize => "give a larger --pixel, or the unit by --units",
         Parameter::Units => "set the unit with --units",
+        Parameter::Columns => "name the columns with --columns x,y,z",
         Parameter::Memory => "give more --memory",
         Parameter::TempDir => "choose a folder with space by --temp-dir",
         Parameter::Incomplete => "or take what can be read with --allow-incomplete",
@@ -358,6 +364,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     };
     options.units = arguments.units;
     options.epsg = arguments.crs;
+    options.columns = arguments.columns;
     options.mesh = match arguments.mesh {
         Surfaces::Exact => MeshMode::Exact,
         Surfaces::Sampled => MeshMode::Sampled { step_m: None },
@@ -403,6 +410,7 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("up", "--up", wanted.plan.up == planned.plan.up),
         ("units", "--units", wanted.units == planned.units),
         ("crs", "--crs", wanted.epsg == planned.epsg),
+        ("columns", "--columns", wanted.columns == planned.columns),
         ("mesh", "--mesh", wanted.mesh == planned.mesh),
         ("levels", "--levels", wanted.levels == planned.levels),
     ];

@@ -42,6 +42,7 @@ impl PlanFile {
                 Units::Factor(factor) => json!(factor),
             },
             "crs": self.epsg.map(|code| format!("EPSG:{code}")),
+            "columns": self.columns.map(|columns| columns.to_string()),
             "mesh": match self.mesh {
                 MeshMode::Exact => json!("exact"),
                 MeshMode::Sampled { step_m: None } => json!("sampled"),
@@ -176,6 +177,13 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
             Some(code.ok_or_else(|| Wrong::new("crs", "EPSG:N or null"))?)
         }
     };
+    let columns = match value.get("columns") {
+        None | Some(Value::Null) => None,
+        Some(text) => {
+            let columns = text.as_str().and_then(|text| text.parse().ok());
+            Some(columns.ok_or_else(|| Wrong::new("columns", "names such as x,y,z or null"))?)
+        }
+    };
     let mesh = |v: &Value| match (v.as_str(), number(v)) {
         (Some("exact"), _) => Some(MeshMode::Exact),
         (Some("sampled"), _) => Some(MeshMode::Sampled { step_m: None }),
@@ -190,6 +198,7 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         plan,
         units: field(value, "units", "auto or metres per unit", units)?,
         epsg,
+        columns,
         mesh: field(value, "mesh", "exact, sampled, or a distance of points in metres", mesh)?,
         // Plans of earlier builds do not say: their archives have none.
         levels: value.get("levels").map_or(Ok(false), |_| field(value, "levels", "true or false", Value::as_bool))?,
@@ -260,7 +269,8 @@ mod tests {
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };
             let units = units.map_or(Units::Auto, Units::Factor);
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
-            let mut file = PlanFile { plan, units, epsg, mesh, levels: rule % 2 == 0, spacing_m, inputs };
+            let columns = [None, Some("z,-,y,x".parse().unwrap()), Some("x,y,z,class".parse().unwrap())][rule];
+            let mut file = PlanFile { plan, units, epsg, columns, mesh, levels: rule % 2 == 0, spacing_m, inputs };
             file.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
@@ -281,7 +291,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = PlanFile { plan, units: Units::Auto, epsg: None, mesh: MeshMode::Exact, levels: true, spacing_m: None, inputs: Vec::new() }.to_json().to_string();
+            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, spacing_m: None, inputs: Vec::new() }.to_json().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

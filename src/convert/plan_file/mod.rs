@@ -21,7 +21,7 @@ use super::options::{ConvertOptions, PixelSize};
 use super::split::split;
 use crate::archive::{MAX_SHARDS, Shard};
 use crate::input::scenes::{Scene, far_apart};
-use crate::input::{ScanFile, Units};
+use crate::input::{Columns, ScanFile, Units};
 use crate::mesh::MeshMode;
 use crate::plan::Plan;
 use crate::{Error, Monitor, Parameter, Result};
@@ -37,6 +37,8 @@ pub struct PlanFile {
     pub units: Units,
     /// EPSG code of the reference system of scans that state none.
     pub epsg: Option<u32>,
+    /// Columns of text without a header of their own.
+    pub columns: Option<Columns>,
     /// How meshes become voxels.
     pub mesh: MeshMode,
     /// Whether the parts and the whole get overview levels.
@@ -49,18 +51,19 @@ pub struct PlanFile {
 
 impl PlanFile {
     /// The plan file that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
+    /// Files whose headers state no bounds are read once for these.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let inputs = super::open_inputs(options, monitor)?;
         let (plan, spacing) = super::plan(options, &inputs, None, monitor)?;
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
         far_apart(&scenes).inspect(|warning| monitor.warn(warning));
-        let file = Self::of(InputFacts::of(&inputs.scans, monitor)?, plan, options);
+        let file = Self::of(InputFacts::measured(&inputs.scans, options.threads, monitor)?, plan, options);
         Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..file })
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
-        let ConvertOptions { units, epsg, mesh, levels, .. } = *options;
-        let mut file = Self { plan, units, epsg, mesh, levels, spacing_m: None, inputs };
+        let ConvertOptions { units, epsg, columns, mesh, levels, .. } = *options;
+        let mut file = Self { plan, units, epsg, columns, mesh, levels, spacing_m: None, inputs };
         file.sort_inputs();
         file
     }
@@ -88,6 +91,7 @@ impl PlanFile {
         };
         bytes.extend([unit, mesh].map(f64::to_le_bytes).concat());
         bytes.extend(self.epsg.into_iter().flat_map(u32::to_le_bytes));
+        bytes.extend(self.columns.into_iter().flat_map(|columns| columns.to_string().into_bytes()));
         for input in &self.inputs {
             bytes.extend(input.fingerprint.to_le_bytes());
             bytes.extend(input.points.to_le_bytes());
@@ -105,6 +109,7 @@ impl PlanFile {
         options.plan = self.plan.options.clone();
         options.units = self.units;
         options.epsg = self.epsg;
+        options.columns = self.columns;
         options.mesh = self.mesh;
         options.levels = self.levels;
     }
@@ -144,7 +149,8 @@ impl PlanFile {
         if let Some(name) = missing(here, self) {
             return Err(Error::input(name, "plan", "it is a file of the plan, but not among the inputs; name it too"));
         }
-        if here.plan != self.plan || (here.units, here.epsg, here.mesh) != (self.units, self.epsg, self.mesh) {
+        let options = |file: &Self| (file.units, file.epsg, file.columns, file.mesh);
+        if here.plan != self.plan || options(here) != options(self) {
             return Err(Error::parameter(
                 "plan",
                 "its options are not those of the conversion; apply it to them first",
@@ -176,6 +182,7 @@ mod tests {
             plan,
             units: Units::Auto,
             epsg: None,
+            columns: None,
             mesh: MeshMode::Exact,
             levels: true,
             spacing_m: None,
@@ -231,7 +238,7 @@ mod tests {
         let mut renamed = one.clone();
         renamed.inputs[0].name = "other.las".into();
         assert_eq!(renamed.hash(), one.hash());
-        let mut changes = vec![one.clone(); 7];
+        let mut changes = vec![one.clone(); 8];
         changes[0].plan.options.max_slope_deg = 44.0;
         changes[1].units = Units::Factor(1.0);
         changes[2].inputs[0].fingerprint = 9;
@@ -239,6 +246,7 @@ mod tests {
         changes[4].inputs.pop();
         changes[5].mesh = MeshMode::Sampled { step_m: None };
         changes[6].epsg = Some(25832);
+        changes[7].columns = Some("y,x,z".parse().unwrap());
         for (number, changed) in changes.iter().enumerate() {
             assert_ne!(changed.hash(), one.hash(), "{number}");
         }

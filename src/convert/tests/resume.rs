@@ -181,3 +181,33 @@ fn a_kill_costs_no_more_than_256_mib_of_runs_whatever_the_budget() {
         }
     }
 }
+
+#[test]
+fn text_is_resumed_within_a_piece_plain_and_compressed() {
+    use std::fmt::Write as _;
+    use std::io::Write as _;
+    const ROWS: u64 = 150_000;
+    let mut job = Job::new();
+    let (mut random, mut text) = (Random(8), String::new());
+    for _ in 0..ROWS {
+        let mut metres = |most: u64| random.below(most) as f64 / 1000.0;
+        writeln!(text, "{} {} {}", metres(9000), metres(9000), metres(2000)).unwrap();
+    }
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    gzip.write_all(text.as_bytes()).unwrap();
+    let [plain, packed] = ["a.xyz", "b.xyz.gz"].map(|name| job.folder.path().join(name));
+    fs::write(&plain, text).unwrap();
+    fs::write(&packed, gzip.finish().unwrap()).unwrap();
+    job.options.inputs = vec![plain, packed];
+    convert(&job.options, &NoMonitor).unwrap();
+    job.new = fs::read(&job.options.output).unwrap();
+    let mut before = 0;
+    for points in [ROWS / 2, ROWS * 5 / 4, ROWS * 7 / 4] {
+        let (_, kept) = interrupt(&job, points);
+        assert!(kept > before && kept < 2 * ROWS, "{kept} after {before}");
+        before = kept;
+    }
+    let report = job.convert(true, &NoMonitor).unwrap();
+    assert_eq!(report.resumed.map(|resumed| resumed.points), Some(before));
+    assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
+}

@@ -113,7 +113,7 @@ impl<'a> MeshFeed<'a> {
                 return Err(error);
             }
             let reason = if read == 0 {
-                "it holds no triangles; a cloud of points must come as LAS or LAZ".into()
+                "it holds no triangles; of these formats only PLY is read as a cloud of points".into()
             } else {
                 format!("none of its {read} triangles has an area and finite corners within 1e12 m; write it again")
             };

@@ -16,7 +16,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
     py.import("json")?.call_method1("loads", (facts.to_string(),))
 }
 
-/// Converts scans (LAS, LAZ, COPC) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
+/// Converts scans (LAS, LAZ, COPC, E57, PTX, PTS, XYZ, CSV, PCD, PLY) and meshes (OBJ, PLY, STL, glTF) of any size into one slice archive, in bounded memory.
 ///
 /// The archive appears complete under its name, or not at all. The same points always give the same bytes. Ctrl-C ends a
 /// conversion within a moment and leaves nothing behind.

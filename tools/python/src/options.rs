@@ -5,7 +5,7 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions};
-use slicewalk::input::Units;
+use slicewalk::input::{Columns, Units};
 use slicewalk::mesh::MeshMode;
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::size::parse_size;
@@ -98,6 +98,10 @@ impl Asked {
                 "removed" => options.removed = value.extract()?,
                 "up" => options.plan.up = one_of("up", &value, &[("z", Up::Z), ("y", Up::Y)])?,
                 "units" => options.units = number_or("units", &value, Units::Factor)?,
+                "columns" => {
+                    let text = value.extract::<String>()?;
+                    options.columns = Some(text.parse::<Columns>().map_err(|reason| refuse("columns", reason))?);
+                }
                 "mesh" => {
                     let all = [("exact", MeshMode::Exact), ("sampled", MeshMode::Sampled { step_m: None })];
                     options.mesh = one_of("mesh", &value, &all)?;
@@ -164,6 +168,7 @@ fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &Co
         "slice" => wanted.slice_m != planned.slice_m,
         "units" => wanted.units != planned.units,
         "crs" => wanted.epsg != planned.epsg,
+        "columns" => wanted.columns != planned.columns,
         "mesh" => wanted.mesh != planned.mesh,
         "levels" => wanted.levels != planned.levels,
         "max_slope" => wanted.plan.max_slope_deg != planned.plan.max_slope_deg,

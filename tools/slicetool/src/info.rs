@@ -175,9 +175,8 @@ fn scan(path: &Path) -> String {
         return "a laser scan".into();
     };
     let of_file = |file: &slicewalk::input::ScanFile| {
-        let (major, minor) = file.version();
-        let kind = if file.compressed() { "LAZ" } else { "LAS" };
-        format!("a laser scan ({kind} {major}.{minor}, {})", counted(file.points_stated(), "point"))
+        let version = file.version().map_or(String::new(), |(major, minor)| format!(" {major}.{minor}"));
+        format!("a laser scan ({}{version}, {})", file.format(), counted(file.points_expected(), "point"))
     };
     set.files().first().map_or("a laser scan".into(), of_file)
 }

@@ -198,7 +198,10 @@ impl Checked {
             levels.push((children.range(number as usize), false));
         }
         if clouds > 0 {
-            let reason = format!("{clouds} parts of meshes are points; a cloud of points must come as LAS or LAZ");
+            let reason = format!(
+                "{clouds} parts of meshes are points or Gaussian splats, which are not read from glTF; write scans as E57, \
+                 LAS or PLY"
+            );
             watch.lose(clouds, self.error("structure", reason))?;
         }
         Ok(())

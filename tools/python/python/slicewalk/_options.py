@@ -38,6 +38,7 @@ class PlanOptions(_GridOptions, total=False):
     exclude_class: Sequence[int]
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
+    columns: str | None
     mesh: Literal["exact", "sampled"]
     allow_incomplete: bool
     quiet: bool

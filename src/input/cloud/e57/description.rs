@@ -1,0 +1,228 @@
+//! The XML part of an E57: its clouds, their columns and poses.
+//!
+//! Read as a tree by `roxmltree`, which takes no document types and so no entities of its own; length, nodes and
+//! attributes are bounded before.
+
+use super::super::{Pose, shown};
+use roxmltree::{Document, Node, ParsingOptions};
+
+/// Longest text (bytes), most nodes and most attributes: about 64 MiB as a tree.
+pub(super) const MOST_BYTES: u64 = 16 << 20;
+const MOST_NODES: u32 = 400_000;
+const MOST_ATTRIBUTES: usize = 400_000;
+/// Most columns of a cloud.
+const MOST_COLUMNS: usize = 1024;
+
+/// A column of the points of a cloud.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Column {
+    pub name: String,
+    pub kind: Kind,
+}
+
+/// How its values are stored.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Kind {
+    Single,
+    Double,
+    /// Whole numbers from `min` on; the value is such a number times `scale` plus `offset`.
+    Integer {
+        min: i64,
+        max: i64,
+        scale: f64,
+        offset: f64,
+    },
+}
+
+impl Kind {
+    /// Bits of a value [0..=64].
+    pub fn bits(&self) -> u32 {
+        match self {
+            Self::Single => 32,
+            Self::Double => 64,
+            Self::Integer { min, max, .. } => 64 - (max.wrapping_sub(*min) as u64).leading_zeros(),
+        }
+    }
+}
+
+/// A cloud as the file describes it.
+#[derive(Debug)]
+pub(super) struct Description {
+    pub name: String,
+    /// Physical place of its points.
+    pub at: u64,
+    pub records: u64,
+    pub columns: Vec<Column>,
+    /// `None` where it is the identity.
+    pub pose: Option<Pose>,
+}
+
+/// What the XML says.
+#[derive(Debug, Default)]
+pub(super) struct Contents {
+    pub clouds: Vec<Description>,
+    pub images: usize,
+    /// Text of the reference system.
+    pub system: Option<String>,
+}
+
+/// What is wrong.
+pub(super) enum Wrong {
+    /// With the file, and where.
+    Damaged(String, String),
+    /// A thing of the standard, or beyond it, that is not read.
+    Unsupported(String),
+}
+
+fn damaged<T>(at: impl Into<String>, reason: impl Into<String>) -> Result<T, Wrong> {
+    Err(Wrong::Damaged(at.into(), reason.into()))
+}
+
+fn child<'a, 'i>(of: Node<'a, 'i>, name: &str) -> Option<Node<'a, 'i>> {
+    of.children().find(|node| node.is_element() && node.tag_name().name() == name)
+}
+
+fn number(node: Option<Node<'_, '_>>) -> Option<Result<f64, String>> {
+    let node = node?;
+    // An empty element means 0.
+    let text = node.text().map_or("", str::trim);
+    let parsed = if text.is_empty() { Ok(0.0) } else { text.parse::<f64>() };
+    Some(parsed.ok().filter(|v| v.is_finite()).ok_or_else(|| {
+        format!("expected a finite number in {}, found {}", node.tag_name().name(), shown(text.as_bytes()))
+    }))
+}
+
+impl Contents {
+    pub fn parse(xml: &str) -> Result<Self, Wrong> {
+        if xml.bytes().filter(|&byte| byte == b'=').count() > MOST_ATTRIBUTES {
+            return damaged("XML", format!("more than {MOST_ATTRIBUTES} attributes"));
+        }
+        let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+        let document = match Document::parse_with_options(xml, options) {
+            Ok(document) => document,
+            Err(error) => return damaged("XML", format!("{error}; write the file again")),
+        };
+        let root = document.root_element();
+        if root.tag_name().name() != "e57Root" {
+            return damaged("XML", format!("expected e57Root, found {}", shown(root.tag_name().name().as_bytes())));
+        }
+        let elements = |name: &'static str| {
+            let of_name = move |node: &Node| node.is_element() && node.tag_name().name() == name;
+            root.children().filter(of_name).flat_map(|node| node.children()).filter(|node: &Node| node.is_element())
+        };
+        let clouds = elements("data3D").enumerate().map(|(number, node)| Description::read(number, node));
+        let system = child(root, "coordinateMetadata").and_then(|node| node.text()).map(str::trim);
+        Ok(Self {
+            clouds: clouds.collect::<Result<_, _>>()?,
+            images: elements("images2D").count(),
+            system: system.filter(|text| !text.is_empty()).map(str::to_owned),
+        })
+    }
+}
+
+impl Description {
+    fn read(number: usize, node: Node<'_, '_>) -> Result<Self, Wrong> {
+        let own: String =
+            child(node, "name").and_then(|name| name.text()).unwrap_or_default().chars().take(40).collect();
+        let name = match own.trim() {
+            "" => format!("cloud {}", number + 1),
+            own => format!("cloud {} ({})", number + 1, shown(own.as_bytes())),
+        };
+        let Some(points) = child(node, "points") else { return damaged(name, "it has no element \"points\"") };
+        let whole = |attribute: &str| points.attribute(attribute).and_then(|text| text.trim().parse::<u64>().ok());
+        let (Some(at), Some(records)) = (whole("fileOffset"), whole("recordCount")) else {
+            return damaged(name, "\"points\" states no fileOffset and recordCount");
+        };
+        let codecs =
+            child(points, "codecs").into_iter().flat_map(|node| node.children()).filter(|n: &Node| n.is_element());
+        for codec in codecs {
+            let kinds = codec.children().filter(|n| n.is_element()).map(|n| n.tag_name().name().to_owned());
+            if let Some(other) = kinds.into_iter().find(|name| name != "inputs" && name != "bitPackCodec") {
+                let other = shown(other.as_bytes());
+                return Err(Wrong::Unsupported(format!("{name}: points packed by the codec {other}")));
+            }
+        }
+        let Some(prototype) = child(points, "prototype") else { return damaged(name, "it describes no columns") };
+        let mut columns = Vec::new();
+        for node in prototype.children().filter(Node::is_element) {
+            if columns.len() == MOST_COLUMNS {
+                return damaged(name, format!("more than {MOST_COLUMNS} columns"));
+            }
+            columns.push(Column::read(&name, node)?);
+        }
+        let pose = match child(node, "pose") {
+            Some(pose) => read_pose(pose).or_else(|reason| damaged(name.clone(), reason))?,
+            None => Pose::IDENTITY,
+        };
+        Ok(Self { name, at, records, columns, pose: Some(pose).filter(|pose| *pose != Pose::IDENTITY) })
+    }
+}
+
+impl Column {
+    fn read(cloud: &str, node: Node<'_, '_>) -> Result<Self, Wrong> {
+        let name = node.tag_name().name();
+        // Names of extensions are other names.
+        let root = node.document().root_element().tag_name().namespace();
+        let is_of_standard = node.tag_name().namespace().is_none_or(|space| Some(space) == root);
+        let wrong = |what: &str| damaged(cloud, format!("column {}: {what}", shown(name.as_bytes())));
+        let attribute = |of: &str| node.attribute(of).map(str::trim);
+        let whole = |of: &str, default: i64| attribute(of).map_or(Ok(default), str::parse);
+        let real = |of: &str, default: f64| {
+            attribute(of)
+                .map_or(Ok(default), |text| text.parse::<f64>().map_err(drop))
+                .and_then(|v| if v.is_finite() { Ok(v) } else { Err(()) })
+        };
+        let kind = match (attribute("type"), attribute("precision")) {
+            (Some("Float"), Some("single")) => Kind::Single,
+            (Some("Float"), None | Some("double")) => Kind::Double,
+            (Some(integer @ ("Integer" | "ScaledInteger")), _) => {
+                let (Ok(min), Ok(max)) = (whole("minimum", i64::MIN), whole("maximum", i64::MAX)) else {
+                    return wrong("minimum or maximum is no whole number");
+                };
+                if max < min {
+                    return wrong("its maximum lies below its minimum");
+                }
+                let scaled = integer == "ScaledInteger";
+                match (real("scale", 1.0), real("offset", 0.0)) {
+                    (Ok(scale), Ok(offset)) if scaled => Kind::Integer { min, max, scale, offset },
+                    _ if scaled => return wrong("scale or offset is no finite number"),
+                    _ => Kind::Integer { min, max, scale: 1.0, offset: 0.0 },
+                }
+            }
+            (other, _) => {
+                let other = shown(other.unwrap_or_default().as_bytes());
+                return Err(Wrong::Unsupported(format!("{cloud}: column {} of type {other}", shown(name.as_bytes()))));
+            }
+        };
+        let name = if is_of_standard { name.to_owned() } else { format!("extension:{name}") };
+        Ok(Self { name, kind })
+    }
+}
+
+/// Rotation as a quaternion, then translation.
+fn read_pose(node: Node<'_, '_>) -> Result<Pose, String> {
+    let read = |of: Option<Node<'_, '_>>, names: &[&str], default: &[f64]| {
+        let values = names.iter().zip(default).map(|(name, &default)| match of {
+            // What a structure leaves out has no value that could be meant.
+            Some(of) => number(child(of, name)).unwrap_or_else(|| Err(format!("its pose has no {name}"))),
+            None => Ok(default),
+        });
+        values.collect::<Result<Vec<f64>, String>>()
+    };
+    let q = read(child(node, "rotation"), &["w", "x", "y", "z"], &[1.0, 0.0, 0.0, 0.0])?;
+    let t = read(child(node, "translation"), &["x", "y", "z"], &[0.0; 3])?;
+    let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
+    if !(1e-3..=1e3).contains(&length) {
+        return Err(format!("its pose has a quaternion of length {length}; expected 1"));
+    }
+    // One that is a unit but for rounding is used as it is.
+    let by = if (length - 1.0).abs() < 1e-6 { 1.0 } else { length };
+    let (w, x, y, z) = (q[0] / by, q[1] / by, q[2] / by, q[3] / by);
+    let pose = Pose([
+        [w * w + x * x - y * y - z * z, 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)],
+        [2.0 * (x * y - w * z), w * w + y * y - x * x - z * z, 2.0 * (y * z + w * x)],
+        [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w + z * z - x * x - y * y],
+        [t[0], t[1], t[2]],
+    ]);
+    if pose.is_finite() { Ok(pose) } else { Err("its pose has numbers that are not finite".into()) }
+}

@@ -1,0 +1,464 @@
+//! E57 (ASTM E2807): any number of clouds, cartesian or spherical, each with a pose.
+//!
+//! Points lie in packets of up to 64 KiB, each with a piece of every column; a column is one row of bits through all
+//! packets. Opening walks over the heads of the packets and notes where every 65,536th point begins ([`Mark`]), so any
+//! number of threads decode one cloud. Every page that is read is checked by its checksum.
+//!
+//! Not by the crate `e57`: it decodes a cloud from its first packet on only, holds a column without bound where another
+//! lags behind, and a value of a column takes 16 bytes. It is the oracle and the writer of the tests.
+//!
+//! Memory of a piece: the bits of its points in the needed columns, at most 2 MiB, and a packet; of a file: its XML (up to
+//! 16 MiB, while it is opened) and 48 bytes for 65,536 points.
+//!
+//! Source: ASTM E2807-11, and libE57Format where it is silent.
+
+mod description;
+mod pages;
+
+use super::{Cloud, Opened, Opening, Piece, Pose, Source, Taker};
+use crate::input::crs::Georeference;
+use crate::{Error, Result};
+use description::{Contents, Description, Kind, MOST_BYTES, Wrong};
+use pages::{PAGE, Pages, logical, physical};
+
+/// Points of a piece.
+const PIECE_POINTS: u64 = 1 << 16;
+/// Most columns that are needed: three coordinates, their state, and one that counts points.
+const NEEDED: usize = 5;
+
+/// A column that is needed.
+#[derive(Debug, Clone, Copy)]
+struct Needed {
+    /// Its number among the columns.
+    number: usize,
+    kind: Kind,
+    bits: u64,
+}
+
+/// Where a piece begins: its first packet (logical), and bytes of each needed column before that.
+#[derive(Debug, Clone, Copy)]
+struct Mark {
+    packet: u64,
+    before: [u64; NEEDED],
+}
+
+/// One cloud.
+#[derive(Debug)]
+struct Scan {
+    name: String,
+    records: u64,
+    columns: usize,
+    needed: Vec<Needed>,
+    spherical: bool,
+    has_state: bool,
+    pose: Option<Pose>,
+    marks: Vec<Mark>,
+}
+
+#[derive(Debug)]
+struct E57 {
+    scans: Vec<Scan>,
+    stated: u64,
+}
+
+fn u16_at(bytes: &[u8], at: usize) -> u16 {
+    u16::from_le_bytes([bytes[at], bytes[at + 1]])
+}
+
+fn u64_at(bytes: &[u8], at: usize) -> u64 {
+    bytes[at..at + 8].iter().rev().fold(0, |sum, &byte| sum << 8 | u64::from(byte))
+}
+
+pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    let bytes = opening.bytes;
+    let header = opening.source.bytes_at(0, bytes.min(48) as usize)?.unwrap_or_default();
+    if header.len() < 48 || &header[..8] != b"ASTM-E57" {
+        return Err(
+            opening.error("byte 0", "expected \"ASTM-E57\" and a header of 48 bytes: this is no E57 file, or cut")
+        );
+    }
+    let version = (u64_at(&header, 8) as u32, u64_at(&header, 8) >> 32);
+    let (length, xml_at, xml_len, page) =
+        (u64_at(&header, 16), u64_at(&header, 24), u64_at(&header, 32), u64_at(&header, 40));
+    let path = opening.source.path();
+    if version.0 != 1 || page != PAGE {
+        return Err(unsupported(
+            path,
+            format!("E57 of version {}.{} with pages of {page} bytes", version.0, version.1),
+        ));
+    }
+    if length > bytes {
+        let reason = format!("the header states {length} bytes, the file has {bytes}: it is cut; fetch it again");
+        return Err(opening.error("header, byte 16", reason));
+    }
+    if xml_len > MOST_BYTES {
+        return Err(Error::limit(format!("bytes of the XML of {}", path.display()), xml_len, MOST_BYTES));
+    }
+    let mut pages = Pages::new(opening.source, bytes);
+    // The first page too: the header is part of it.
+    pages.read(&mut [0; 48], 0, false)?;
+    let xml_at = logical(xml_at).filter(|at| at.checked_add(xml_len).is_some_and(|end| end <= pages.len()));
+    let Some(xml_at) = xml_at else {
+        return Err(opening.error("header, byte 24", "its XML would lie behind the end: the file is cut or damaged"));
+    };
+    let mut xml = vec![0; xml_len as usize];
+    pages.read(&mut xml, xml_at, true)?;
+    let xml =
+        String::from_utf8(xml).map_err(|_| opening.error("XML", "it is no text in UTF-8; write the file again"))?;
+    let contents = Contents::parse(&xml).map_err(|wrong| match wrong {
+        Wrong::Damaged(at, reason) => opening.error(at, reason),
+        Wrong::Unsupported(what) => unsupported(path, what),
+    })?;
+    drop(xml);
+    if contents.clouds.is_empty() && contents.images > 0 {
+        let reason = format!("it holds {} images and no cloud of points; export the scans themselves", contents.images);
+        return Err(opening.error("data3D", reason));
+    }
+    let (mut scans, mut stated) = (Vec::with_capacity(contents.clouds.len()), 0u64);
+    for cloud in contents.clouds {
+        stated = stated.saturating_add(cloud.records);
+        scans.push(Scan::open(cloud, &mut pages, opening)?);
+    }
+    let mut georeference = contents.system.map(Georeference::of_text).unwrap_or_default();
+    // By the standard, whatever the reference system says.
+    (georeference.horizontal, georeference.vertical, georeference.degrees) = (Some(1.0), None, false);
+    Ok(Opened { georeference, ..Opened::new(E57 { scans, stated }) })
+}
+
+fn unsupported(path: &std::path::Path, what: String) -> Error {
+    Error::Unsupported {
+        what: format!("{}: {what}", path.display()),
+        version: env!("CARGO_PKG_VERSION"),
+        way_out: "write it with another program, bit packed, as cartesian or spherical points".into(),
+    }
+}
+
+/// The head of a packet: its length, and whether it holds points.
+struct Packet {
+    len: u64,
+    is_data: bool,
+}
+
+impl Scan {
+    fn open(cloud: Description, pages: &mut Pages<'_>, opening: &mut Opening<'_, '_>) -> Result<Self> {
+        let Description { name, at, records, columns, pose } = cloud;
+        let find = |wanted: &str| columns.iter().position(|column| column.name == wanted);
+        let all = |wanted: [&str; 3]| Some([find(wanted[0])?, find(wanted[1])?, find(wanted[2])?]);
+        let cartesian =
+            all(["cartesianX", "cartesianY", "cartesianZ"]).map(|axes| (axes, find("cartesianInvalidState")));
+        let spherical = || {
+            let axes = all(["sphericalRange", "sphericalAzimuth", "sphericalElevation"])?;
+            Some((axes, find("sphericalInvalidState")))
+        };
+        let is_spherical = cartesian.is_none();
+        let mut scan = Self {
+            name,
+            records: 0,
+            columns: columns.len(),
+            needed: Vec::new(),
+            spherical: is_spherical,
+            has_state: false,
+            pose,
+            marks: Vec::new(),
+        };
+        if records == 0 {
+            return Ok(scan);
+        }
+        let Some((axes, state)) = cartesian.or_else(spherical) else {
+            let reason = "it has neither cartesian nor spherical coordinates; export the scans with coordinates";
+            return Err(opening.error(scan.name, reason));
+        };
+        scan.has_state = state.is_some();
+        let need =
+            |number: usize| Needed { number, kind: columns[number].kind, bits: columns[number].kind.bits().into() };
+        scan.needed = axes.into_iter().chain(state).map(need).collect();
+        if scan.needed.iter().all(|column| column.bits == 0) {
+            // Values that take no bits say nothing of their number; another column has to.
+            let Some(counting) = (0..columns.len()).map(need).find(|column| column.bits > 0) else {
+                return Err(opening.error(scan.name, format!("none of its columns has any bits for {records} points")));
+            };
+            scan.needed.push(counting);
+        }
+        let per_point: u64 = columns.iter().map(|column| u64::from(column.kind.bits())).sum();
+        scan.index(at, records, per_point, pages, opening)?;
+        Ok(scan)
+    }
+
+    fn error(&self, source: &Source, at: u64, reason: impl Into<String>) -> Error {
+        Error::input(source.path(), format!("{}, byte {}", self.name, physical(at)), reason)
+    }
+
+    /// Walks over the packets and notes where pieces begin. `per_point`: bits of a point in all columns.
+    fn index(
+        &mut self,
+        at: u64,
+        records: u64,
+        per_point: u64,
+        pages: &mut Pages<'_>,
+        opening: &mut Opening<'_, '_>,
+    ) -> Result<()> {
+        let source = opening.source;
+        let Some(section) = logical(at).filter(|&section| section < pages.len()) else {
+            return Err(
+                opening.error(self.name.clone(), format!("its points would begin at byte {at}, beyond the file"))
+            );
+        };
+        let mut head = [0; 32];
+        pages.read(&mut head, section, false)?;
+        let data = logical(u64_at(&head, 16)).filter(|&data| data >= section && data < pages.len());
+        let (1, Some(data)) = (head[0], data) else {
+            let reason = format!("expected a section of points (1), found {}, or its data lie outside", head[0]);
+            return Err(self.error(source, section, reason));
+        };
+        // Some writers leave the length of the section open.
+        let end = match u64_at(&head, 8) {
+            0..=32 => pages.len(),
+            len => section.saturating_add(len).clamp(data, pages.len()),
+        };
+        // Columns of the same points lie at most so far apart in a sound file.
+        let apart = (PIECE_POINTS * per_point / 8 + (4 << 20)) * 2;
+        let (mut packet, mut before) = (data, [0u64; NEEDED]);
+        let mut open = 0;
+        let mut number = 0u64;
+        let mut lens = Vec::new();
+        // Points whose columns all have come.
+        let mut held = 0;
+        while held < records && packet < end {
+            if number.is_multiple_of(1024) && opening.monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            number += 1;
+            let Packet { len, is_data } = self.head(pages, source, packet, &mut lens)?;
+            if is_data {
+                let mut after = before;
+                for (after, column) in after.iter_mut().zip(&self.needed) {
+                    *after += u64::from(lens[column.number]);
+                }
+                // A piece begins where the first byte of its first point does.
+                loop {
+                    let first = self.marks.len() as u64 * PIECE_POINTS;
+                    let begins = |(column, &after): (&Needed, &u64)| {
+                        column.bits > 0 && u128::from(after) > u128::from(first) * u128::from(column.bits) / 8
+                    };
+                    if first >= records || !self.needed.iter().zip(&after).any(begins) {
+                        break;
+                    }
+                    self.marks.push(Mark { packet, before });
+                }
+                before = after;
+                let whole = |(column, &bytes): (&Needed, &u64)| {
+                    (column.bits > 0)
+                        .then(|| (u128::from(bytes) * 8 / u128::from(column.bits)).min(records.into()) as u64)
+                };
+                held = self.needed.iter().zip(&before).filter_map(whole).min().unwrap_or(0);
+                while (open as u64 + 1) * PIECE_POINTS <= held {
+                    open += 1;
+                }
+                if self.marks.get(open).is_some_and(|mark| packet - mark.packet > apart) {
+                    let reason =
+                        format!("columns of the same points lie more than {apart} bytes apart; write the file again");
+                    return Err(self.error(source, packet, reason));
+                }
+            }
+            packet += len;
+        }
+        if held < records {
+            let text = format!("{}: it states {records} points, its packets hold {held} whole ones", self.name);
+            opening.findings.lose(text)?;
+        }
+        self.records = held;
+        self.marks.truncate(held.div_ceil(PIECE_POINTS) as usize);
+        self.marks.shrink_to_fit();
+        Ok(())
+    }
+
+    /// The head of the packet at a logical place; of one with points `lens` gets the bytes of each column.
+    fn head(&self, pages: &mut Pages<'_>, source: &Source, at: u64, lens: &mut Vec<u16>) -> Result<Packet> {
+        let mut head = [0; 6];
+        pages.read(&mut head[..4], at, false)?;
+        let len = u64::from(u16_at(&head, 2)) + 1;
+        if !len.is_multiple_of(4) || head[0] > 2 {
+            let reason = format!(
+                "expected a packet of type 0 to 2 whose length divides by 4, found type {} and {len} bytes; fetch or write \
+                 the file again",
+                head[0]
+            );
+            return Err(self.error(source, at, reason));
+        }
+        if head[0] != 1 {
+            return Ok(Packet { len, is_data: false });
+        }
+        pages.read(&mut head, at, false)?;
+        let count = usize::from(u16_at(&head, 4));
+        if count != self.columns || len < 6 + 2 * count as u64 {
+            let reason = format!("a packet of {count} columns and {len} bytes; expected {} columns", self.columns);
+            return Err(self.error(source, at, reason));
+        }
+        let mut table = [0; 2048];
+        let table = &mut table[..2 * count];
+        pages.read(table, at + 6, false)?;
+        lens.clear();
+        lens.extend(table.as_chunks().0.iter().map(|&bytes| u16::from_le_bytes(bytes)));
+        let sum: u64 = lens.iter().map(|&len| u64::from(len)).sum();
+        if 6 + 2 * count as u64 + sum > len {
+            let reason = format!("a packet of {len} bytes with columns of {sum}: it is damaged; fetch the file again");
+            return Err(self.error(source, at, reason));
+        }
+        Ok(Packet { len, is_data: true })
+    }
+
+    /// The bits of points `first..end` in the needed columns, and which bit of the first byte each begins with.
+    fn gather(&self, piece: &Piece, pages: &mut Pages<'_>, source: &Source) -> Result<Vec<Bits>> {
+        let Some(mark) = self.marks.get((piece.first / PIECE_POINTS) as usize) else { return Ok(Vec::new()) };
+        let mut bits: Vec<Bits> = self.needed.iter().map(|column| Bits::of(column, piece)).collect();
+        let (mut at, mut before) = (mark.packet, mark.before);
+        let (mut lens, mut content) = (Vec::new(), Vec::new());
+        while bits.iter().any(|bits| !bits.is_full()) {
+            let Packet { len, is_data } = self.head(pages, source, at, &mut lens)?;
+            // All of a packet is read in order, for its checksums.
+            content.resize(len as usize, 0);
+            pages.read(&mut content, at, true)?;
+            if is_data {
+                for ((bits, column), before) in bits.iter_mut().zip(&self.needed).zip(&mut before) {
+                    let skip: usize = lens[..column.number].iter().map(|&len| usize::from(len)).sum();
+                    let begin = 6 + 2 * self.columns + skip;
+                    let own = &content[begin..begin + usize::from(lens[column.number])];
+                    bits.take(own, *before);
+                    *before += own.len() as u64;
+                }
+            }
+            at += len;
+        }
+        Ok(bits)
+    }
+}
+
+/// The bits of one column in one piece.
+struct Bits {
+    kind: Kind,
+    bits: usize,
+    /// Bytes of the column that are wanted.
+    wanted: std::ops::Range<u64>,
+    /// These bytes; behind them so many zeros that any value can be read as two words.
+    bytes: Vec<u8>,
+    held: usize,
+    /// First bit of the first value.
+    shift: usize,
+}
+
+impl Bits {
+    fn of(column: &Needed, piece: &Piece) -> Self {
+        // No overflow: the column has as many bits in the file.
+        let (first, end) = (piece.first * column.bits, piece.end * column.bits);
+        let wanted = first / 8..end.div_ceil(8);
+        let len = (wanted.end - wanted.start) as usize;
+        Self {
+            kind: column.kind,
+            bits: column.bits as usize,
+            bytes: vec![0; len + 16],
+            held: 0,
+            shift: (first % 8) as usize,
+            wanted,
+        }
+    }
+
+    fn is_full(&self) -> bool {
+        self.held as u64 == self.wanted.end - self.wanted.start
+    }
+
+    /// Takes what is wanted of a piece of the column that begins at byte `at` of it.
+    fn take(&mut self, piece: &[u8], at: u64) {
+        let begin = self.wanted.start + self.held as u64;
+        let end = self.wanted.end.min(at + piece.len() as u64);
+        if begin >= end || begin < at {
+            return;
+        }
+        let own = &piece[(begin - at) as usize..(end - at) as usize];
+        self.bytes[self.held..self.held + own.len()].copy_from_slice(own);
+        self.held += own.len();
+    }
+
+    #[inline]
+    fn value(&self, number: usize) -> f64 {
+        let bit = self.shift + number * self.bits;
+        let word = |at: usize| u64::from_le_bytes(self.bytes[at..at + 8].try_into().unwrap_or_default());
+        let (at, shift) = (bit / 8, bit % 8);
+        match self.kind {
+            Kind::Single => f64::from(f32::from_bits(word(at) as u32)),
+            Kind::Double => f64::from_bits(word(at)),
+            Kind::Integer { min, scale, offset, .. } => {
+                let raw = if self.bits == 0 {
+                    0
+                } else {
+                    let low = word(at) >> shift;
+                    let high = if shift > 0 { u64::from(self.bytes[at + 8]) << (64 - shift) } else { 0 };
+                    (low | high) & (u64::MAX >> (64 - self.bits))
+                };
+                min.wrapping_add(raw as i64) as f64 * scale + offset
+            }
+        }
+    }
+}
+
+impl Cloud for E57 {
+    fn format(&self) -> &'static str {
+        "E57"
+    }
+
+    fn points_stated(&self) -> u64 {
+        self.stated
+    }
+
+    fn points_expected(&self) -> u64 {
+        self.scans.iter().map(|scan| scan.records).fold(0, u64::saturating_add)
+    }
+
+    fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_> {
+        Box::new(self.scans.iter().enumerate().flat_map(|(part, scan)| {
+            (0..scan.records.div_ceil(PIECE_POINTS)).map(move |number| {
+                let first = number * PIECE_POINTS;
+                let end = scan.records.min(first + PIECE_POINTS);
+                Piece { points: end - first, part, first, end }
+            })
+        }))
+    }
+
+    fn decode(&self, piece: &Piece, source: &Source, _: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
+        let Some(scan) = self.scans.get(piece.part) else { return Ok(0) };
+        let mut pages = Pages::new(source, source.stamp().len());
+        let columns = scan.gather(piece, &mut pages, source).map_err(|error| match error {
+            Error::Input { path, at, reason, .. } if !at.starts_with(&scan.name) => {
+                Error::input(path, format!("{}, {at}", scan.name), reason)
+            }
+            other => other,
+        })?;
+        let [a, b, c, rest @ ..] = &columns[..] else { return Ok(0) };
+        let state = rest.first().filter(|_| scan.has_state);
+        for number in 0..(piece.end - piece.first) as usize {
+            if state.is_some_and(|state| state.value(number) != 0.0) {
+                taker.absent()?;
+                continue;
+            }
+            let mut at = [a.value(number), b.value(number), c.value(number)];
+            if scan.spherical {
+                let [range, azimuth, elevation] = at;
+                let across = range * libm::cos(elevation);
+                at = [across * libm::cos(azimuth), across * libm::sin(azimuth), range * libm::sin(elevation)];
+            }
+            taker.push(scan.pose.map_or(at, |pose| pose.apply(at)), None)?;
+        }
+        Ok(0)
+    }
+
+    fn state(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        for scan in &self.scans {
+            bytes.extend(scan.records.to_le_bytes());
+            bytes.extend([u8::from(scan.spherical), u8::from(scan.has_state)]);
+            bytes.extend(scan.marks.iter().flat_map(|mark| mark.packet.to_le_bytes()));
+            bytes.extend(format!("{:?}", scan.needed).into_bytes());
+            bytes.extend(scan.pose.iter().flat_map(Pose::bytes));
+        }
+        bytes
+    }
+}

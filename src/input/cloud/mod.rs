@@ -1,0 +1,273 @@
+//! Clouds in other formats than LAS: PLY, PCD, text (XYZ, CSV, PTS, PTX) and E57.
+//!
+//! In: an open file whose name or signature says which format it has. Out: a [`Cloud`]: facts of its header, [`Piece`]s of
+//! work, and the points of each piece in the file's own coordinates. What all formats share is done once, by
+//! [`Taker`]: units, the axis that points up, points without a return or out of range, batches.
+//!
+//! Coordinates are not rounded: what a file stores as a number (integer, `f32`, `f64`, decimal text) becomes the nearest
+//! `f64`, and poses are applied in `f64`, each operation rounded once, in a fixed order, with the crate's own sine and
+//! cosine. So the same file gives the same coordinates on every machine.
+//!
+//! Memory of one piece: a block of the file of at most 1 MiB and a batch; each format states what it holds beyond that.
+
+mod e57;
+mod number;
+mod pcd;
+mod ply;
+mod records;
+mod text;
+
+use super::crs::Georeference;
+use super::losses::Findings;
+use super::source::Source;
+use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts};
+use crate::plan::{ClassSet, Up};
+use crate::{Error, Monitor, Result};
+use std::fmt::Debug;
+use std::path::Path;
+
+pub(super) use ply::is_point_cloud as is_ply_cloud;
+pub(super) use text::unpacked_name;
+
+/// One opened cloud.
+pub(super) trait Cloud: Debug + Send + Sync {
+    /// Name of the format.
+    fn format(&self) -> &'static str;
+
+    /// Points that the file states; 0 if it states none.
+    fn points_stated(&self) -> u64;
+
+    /// Points that it can hold: a hint.
+    fn points_expected(&self) -> u64;
+
+    /// Independent pieces of work, made as they are asked for.
+    fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_>;
+
+    /// Hands the points of a piece to `taker`; returns how many are missing. The same points in the same order each time.
+    fn decode(&self, piece: &Piece, source: &Source, scratch: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64>;
+
+    /// All that decides, beside the bytes of the points, which pieces and coordinates these make.
+    fn state(&self) -> Vec<u8>;
+}
+
+/// A piece of work; its numbers mean what the format makes of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Piece {
+    /// Points that it should hold: for progress only.
+    pub points: u64,
+    /// Cloud or segment of the file.
+    pub part: usize,
+    pub first: u64,
+    pub end: u64,
+}
+
+/// What opening finds out beside the points.
+pub(super) struct Opened {
+    pub cloud: Box<dyn Cloud>,
+    pub georeference: Georeference,
+    /// How the file was understood, where that takes guessing.
+    pub said: Option<String>,
+}
+
+impl Opened {
+    fn new(cloud: impl Cloud + 'static) -> Self {
+        Self { cloud: Box::new(cloud), georeference: Georeference::default(), said: None }
+    }
+}
+
+/// What opening may use.
+pub(super) struct Opening<'a, 'f> {
+    pub source: &'a Source,
+    /// Length of the file (bytes).
+    pub bytes: u64,
+    pub columns: Option<Columns>,
+    pub findings: &'a mut Findings<'f>,
+    pub monitor: &'a dyn Monitor,
+}
+
+impl Opening<'_, '_> {
+    /// An error of this file.
+    fn error(&self, at: impl Into<String>, reason: impl Into<String>) -> Error {
+        Error::input(self.source.path(), at, reason)
+    }
+}
+
+/// Formats of clouds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Format {
+    E57,
+    Pcd,
+    Ply,
+    Pts,
+    Ptx,
+    Rows,
+}
+
+/// The format that the name says.
+pub(super) fn format_named(path: &Path) -> Option<Format> {
+    let name = unpacked_name(path);
+    Some(match name.extension()?.to_str()?.to_ascii_lowercase().as_str() {
+        "e57" => Format::E57,
+        "pcd" => Format::Pcd,
+        "ply" => Format::Ply,
+        "pts" => Format::Pts,
+        "ptx" => Format::Ptx,
+        "xyz" | "xyzrgb" | "xyzn" | "asc" | "csv" | "txt" => Format::Rows,
+        _ => return None,
+    })
+}
+
+/// Whether folders and patterns find a file of this name. Tables of any kind end in `.txt` and `.csv`, and exports in
+/// `.ply`: these are named.
+pub(super) fn is_found(path: &Path) -> bool {
+    let ending = |endings: &[&str]| {
+        unpacked_name(path).extension().is_some_and(|e| endings.iter().any(|ending| e.eq_ignore_ascii_case(ending)))
+    };
+    match path == unpacked_name(path) {
+        true => ending(&["e57", "pcd", "pts", "ptx", "xyz"]),
+        false => ending(&["pts", "ptx", "xyz"]),
+    }
+}
+
+/// Refuses Gaussian splats, by their names; `None` for other files.
+pub(super) fn splat_named(path: &Path) -> Option<&'static str> {
+    let ending = path.extension()?.to_str()?.to_ascii_lowercase();
+    ["splat", "ksplat", "spz", "sog"].contains(&ending.as_str()).then_some(SPLATS)
+}
+
+/// What is said of splats.
+const SPLATS: &str = "Gaussian splats are no point cloud: their centres lie beside the surfaces; convert the scan that \
+                      they were made from, or their voxels or mesh";
+
+/// Opens the file as a cloud of this format.
+pub(super) fn open(format: Format, mut opening: Opening<'_, '_>) -> Result<Opened> {
+    if opening.bytes == 0 {
+        return Err(opening.error("byte 0", "the file is empty; fetch or write it again"));
+    }
+    let is_text = matches!(format, Format::Pts | Format::Ptx | Format::Rows);
+    let path = opening.source.path();
+    if !is_text && path != unpacked_name(path) {
+        return Err(opening.error("name", "only text is read compressed (XYZ, CSV, PTS, PTX); unpack this file first"));
+    }
+    match format {
+        Format::E57 => e57::open(&mut opening),
+        Format::Pcd => pcd::open(&mut opening),
+        Format::Ply => ply::open(&mut opening),
+        Format::Pts => text::open_pts(&mut opening),
+        Format::Ptx => text::open_ptx(&mut opening),
+        Format::Rows => text::open_rows(&mut opening),
+    }
+}
+
+/// Takes the points of a piece, in file coordinates, and hands them on in batches.
+pub(super) struct Taker<'a> {
+    unit: [f64; 3],
+    up: Up,
+    exclude: Option<&'a ClassSet>,
+    batch: &'a mut PointBatch,
+    counts: PointCounts,
+    /// Records since the last batch.
+    since: usize,
+    sink: &'a mut dyn FnMut(&PointBatch) -> Result<()>,
+    /// The error came from whoever takes the batches.
+    pub refused: bool,
+}
+
+impl<'a> Taker<'a> {
+    pub fn new(
+        unit: [f64; 3],
+        options: &'a InputOptions,
+        batch: &'a mut PointBatch,
+        sink: &'a mut dyn FnMut(&PointBatch) -> Result<()>,
+    ) -> Self {
+        batch.clear();
+        let exclude = Some(&options.exclude_classes).filter(|classes| !classes.is_empty());
+        let counts = PointCounts::default();
+        Self { unit, up: options.up, exclude, batch, counts, since: 0, sink, refused: false }
+    }
+
+    /// Whether points are left out by class.
+    pub fn wants_classes(&self) -> bool {
+        self.exclude.is_some()
+    }
+
+    /// A point, of a class if the file has classes.
+    #[inline]
+    pub fn push(&mut self, at: [f64; 3], class: Option<f64>) -> Result<()> {
+        self.counts.read += 1;
+        let point = [at[0] * self.unit[0], at[1] * self.unit[1], at[2] * self.unit[2]];
+        let near = |v: f64| v.abs() <= FARTHEST_M;
+        if let (Some(exclude), Some(class)) = (self.exclude, class)
+            && (0.0..256.0).contains(&class)
+            && exclude.contains(class as u8)
+        {
+            self.counts.excluded += 1;
+        } else if near(point[0]) && near(point[1]) && near(point[2]) {
+            self.batch.push(point);
+        } else if at.iter().any(|v| v.is_nan()) {
+            self.counts.withheld += 1;
+        } else {
+            self.counts.not_finite += 1;
+        }
+        self.step()
+    }
+
+    /// A record that the file marks as one without a return.
+    #[inline]
+    pub fn absent(&mut self) -> Result<()> {
+        self.counts.read += 1;
+        self.counts.withheld += 1;
+        self.step()
+    }
+
+    #[inline]
+    fn step(&mut self) -> Result<()> {
+        self.since += 1;
+        if self.since == BATCH_POINTS { self.flush() } else { Ok(()) }
+    }
+
+    /// Hands on what has come.
+    pub fn flush(&mut self) -> Result<()> {
+        if self.up == Up::Y {
+            std::mem::swap(&mut self.batch.y, &mut self.batch.z);
+            self.batch.y.iter_mut().for_each(|y| *y = -*y);
+        }
+        let taken = (self.sink)(self.batch).inspect_err(|_| self.refused = true);
+        self.batch.clear();
+        self.since = 0;
+        taken
+    }
+
+    /// What has come so far.
+    pub fn counts(&self) -> PointCounts {
+        self.counts
+    }
+}
+
+/// A rotation, scaling or the like, and a shift: `x·m[0] + y·m[1] + z·m[2] + m[3]`, in this order.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Pose([[f64; 3]; 4]);
+
+impl Pose {
+    const IDENTITY: Self = Self([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0; 3]]);
+
+    #[inline]
+    fn apply(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let m = &self.0;
+        [0, 1, 2].map(|axis| x * m[0][axis] + y * m[1][axis] + z * m[2][axis] + m[3][axis])
+    }
+
+    fn is_finite(&self) -> bool {
+        self.0.as_flattened().iter().all(|v| v.is_finite())
+    }
+
+    fn bytes(&self) -> impl Iterator<Item = u8> + '_ {
+        self.0.as_flattened().iter().flat_map(|v| v.to_le_bytes())
+    }
+}
+
+/// A word of a file for an error message: short, on one line.
+fn shown(word: &[u8]) -> String {
+    let text: String = String::from_utf8_lossy(word).chars().take(40).flat_map(char::escape_default).collect();
+    format!("\"{text}\"")
+}

@@ -1,0 +1,448 @@
+//! PCD of the Point Cloud Library, versions .5 to 0.7: text, binary, and binary compressed by LZF.
+//!
+//! Fields may come in any order and of any type; x, y and z are needed. NaN marks a pixel of an organised cloud without a
+//! return. The viewpoint is not applied: by the library's own habit coordinates are used as they are stored.
+//!
+//! Compressed data hold one column of numbers after the other, up to 4 GiB unpacked. Three (with classes four) decoders
+//! walk through it, one for each column, with a window of 8 KiB each: memory does not depend on the file.
+//!
+//! Sources: "The PCD (Point Cloud Data) file format" (pointclouds.org); LZF as in liblzf 3.6.
+
+use super::number::Number;
+use super::records::{Field, MOST_BYTES, Records};
+use super::text::{Lines, RowLayout, Rows, Separator};
+use super::{Cloud, Format, Opened, Opening, Piece, Source, Taker, shown};
+use crate::input::source::Window;
+use crate::{Error, Result};
+use std::io::{self, Read};
+
+/// Longest header (bytes).
+const MOST_HEADER: usize = 1 << 16;
+/// Most fields.
+const MOST_FIELDS: usize = 1024;
+
+/// A field as the header describes it.
+#[derive(Debug, Clone)]
+struct PcdField {
+    name: String,
+    /// `None` for a type that PCD does not know.
+    number: Option<Number>,
+    size: usize,
+    count: usize,
+    /// First byte in a record; first column in a row.
+    at: usize,
+    column: usize,
+}
+
+#[derive(Debug)]
+struct Header {
+    fields: Vec<PcdField>,
+    points: u64,
+    data: String,
+    moved: bool,
+    end: u64,
+}
+
+impl Header {
+    /// Line and reason of what is wrong.
+    fn parse(start: &[u8]) -> Result<Self, (usize, String)> {
+        let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut width, mut height, mut points, mut moved) = (None, 1u64, None, false);
+        let (mut at, mut number) = (0, 0);
+        let data = loop {
+            number += 1;
+            let wrong = |reason: String| (number, reason);
+            let Some(len) = start[at..].iter().position(|&byte| byte == b'\n') else {
+                return Err(wrong(
+                    "the header of a PCD ends with a line DATA; there is none: it is cut, or no PCD".into(),
+                ));
+            };
+            let line = String::from_utf8_lossy(&start[at..at + len]).into_owned();
+            at += len + 1;
+            let line = line.split('#').next().unwrap_or_default();
+            let mut words = line.split_whitespace();
+            let Some(key) = words.next() else { continue };
+            let words: Vec<String> = words.map(str::to_owned).collect();
+            let whole = |what: &str| {
+                let word = words.first().map_or("", String::as_str);
+                word.parse::<u64>()
+                    .map_err(|_| wrong(format!("expected {what} as a whole number, found {}", shown(word.as_bytes()))))
+            };
+            match key {
+                "VERSION" => {}
+                "FIELDS" | "COLUMNS" => fields = words,
+                "SIZE" => sizes = words,
+                "TYPE" => types = words,
+                "COUNT" => counts = words,
+                "WIDTH" => width = Some(whole("a width")?),
+                "HEIGHT" => height = whole("a height")?,
+                "POINTS" => points = Some(whole("a number of points")?),
+                "VIEWPOINT" => {
+                    let numbers: Vec<f64> = words.iter().filter_map(|word| word.parse().ok()).collect();
+                    moved = !numbers.is_empty() && numbers != [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
+                }
+                "DATA" => break words.first().cloned().unwrap_or_default(),
+                other => {
+                    let reason = format!("expected a line of a PCD header, found {}", shown(other.as_bytes()));
+                    return Err(wrong(reason));
+                }
+            }
+        };
+        let wrong = |reason: String| (number, reason);
+        if fields.len() > MOST_FIELDS {
+            return Err(wrong(format!("{} fields; at most {MOST_FIELDS} are read", fields.len())));
+        }
+        if sizes.len() != fields.len()
+            || types.len() != fields.len()
+            || !counts.is_empty() && counts.len() != fields.len()
+        {
+            let found = [fields.len(), sizes.len(), types.len(), counts.len()];
+            return Err(wrong(format!("FIELDS, SIZE, TYPE and COUNT name {found:?} fields; expected as many each")));
+        }
+        let mut described = Vec::with_capacity(fields.len());
+        let (mut byte, mut column) = (0usize, 0usize);
+        for (at, name) in fields.into_iter().enumerate() {
+            let small = |text: Option<&String>, most: usize| {
+                let text = text.map_or("1", String::as_str);
+                let count = text.parse::<usize>().ok().filter(|count| (1..=most).contains(count));
+                count.ok_or_else(|| {
+                    wrong(format!("field {}: expected 1 to {most}, found {}", at + 1, shown(text.as_bytes())))
+                })
+            };
+            let (size, count) = (small(sizes.get(at), 8)?, small(counts.get(at), MOST_BYTES)?);
+            let number = match (types[at].as_str(), size) {
+                ("I", 1) => Some(Number::I8),
+                ("U", 1) => Some(Number::U8),
+                ("I", 2) => Some(Number::I16),
+                ("U", 2) => Some(Number::U16),
+                ("I", 4) => Some(Number::I32),
+                ("U", 4) => Some(Number::U32),
+                ("I", 8) => Some(Number::I64),
+                ("U", 8) => Some(Number::U64),
+                ("F", 4) => Some(Number::F32),
+                ("F", 8) => Some(Number::F64),
+                _ => None,
+            };
+            described.push(PcdField { name, number, size, count, at: byte, column });
+            byte += size * count;
+            column += count;
+        }
+        if byte > MOST_BYTES {
+            return Err(wrong(format!("a point of {byte} bytes; at most {MOST_BYTES} are read")));
+        }
+        let of_grid = width.and_then(|width| width.checked_mul(height));
+        let points = points.or(of_grid).ok_or_else(|| wrong("the header states no number of points".into()))?;
+        Ok(Self { fields: described, points, data, moved, end: at as u64 })
+    }
+
+    fn field(&self, names: &[&str]) -> Option<&PcdField> {
+        self.fields.iter().find(|field| names.iter().any(|name| field.name.eq_ignore_ascii_case(name)))
+    }
+}
+
+pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    let mut start = vec![0; opening.bytes.min(MOST_HEADER as u64) as usize];
+    let got = opening.source.read_at(&mut start, 0)?;
+    start.truncate(got);
+    let header = Header::parse(&start).map_err(|(line, reason)| opening.error(format!("line {line}"), reason))?;
+    let names = || header.fields.iter().map(|field| field.name.as_str()).collect::<Vec<_>>().join(" ");
+    let (Some(x), Some(y), Some(z)) = (header.field(&["x"]), header.field(&["y"]), header.field(&["z"])) else {
+        let reason = format!("expected the fields x, y and z, found {}: it holds no points", shown(names().as_bytes()));
+        return Err(opening.error("FIELDS", reason));
+    };
+    let axes = [x, y, z];
+    let class = header.field(&["classification", "class", "label"]).filter(|field| field.number.is_some());
+    if let Some(wrong) = axes.iter().find(|field| field.number.is_none() || field.count != 1) {
+        let reason = format!("{} has a type, size or count that no coordinate has", shown(wrong.name.as_bytes()));
+        return Err(opening.error("TYPE", reason));
+    }
+    if header.moved {
+        opening.findings.note("its viewpoint is not applied; the coordinates are used as they are stored");
+    }
+    let field = |field: &PcdField| Field { at: field.at, number: field.number.unwrap_or(Number::F32) };
+    let stride = header.fields.iter().map(|field| field.size * field.count).sum();
+    match header.data.to_ascii_lowercase().as_str() {
+        "ascii" => {
+            let columns = axes.map(|field| field.column);
+            let lines = Lines::begin(opening.source, header.end);
+            let first = lines.peek()?.unwrap_or_default();
+            let separator = if first.contains(&b',') { Separator::Byte(b',') } else { Separator::Blanks };
+            let layout = RowLayout::new(columns, class.map(|field| field.column), separator, false);
+            let lines = Lines::begin(opening.source, header.end);
+            Ok(Opened::new(Rows::counted(opening, Format::Pcd, layout, lines, header.points)?))
+        }
+        "binary" => {
+            let points = Records::held(opening, header.end, stride, header.points)?;
+            Ok(Opened::new(Records {
+                format: "PCD",
+                start: header.end,
+                stride,
+                stated: header.points,
+                points,
+                axes: axes.map(field),
+                class: class.map(field),
+                big: false,
+            }))
+        }
+        "binary_compressed" => {
+            let columns = axes.map(field);
+            open_packed(opening, &header, stride, columns, class.map(field)).map(Opened::new)
+        }
+        other => Err(Error::Unsupported {
+            what: format!("{}: PCD with DATA {}", opening.source.path().display(), shown(other.as_bytes())),
+            version: env!("CARGO_PKG_VERSION"),
+            way_out: "ascii, binary and binary_compressed are read; save it as one of these".into(),
+        }),
+    }
+}
+
+/// Compressed columns.
+#[derive(Debug)]
+struct Packed {
+    start: u64,
+    len: u64,
+    points: u64,
+    /// Of each needed column, bytes of a record before it; x, y, z, and classes if there are any.
+    columns: Vec<Field>,
+}
+
+fn open_packed(
+    opening: &mut Opening<'_, '_>,
+    header: &Header,
+    stride: usize,
+    axes: [Field; 3],
+    class: Option<Field>,
+) -> Result<Packed> {
+    let sizes = opening.source.bytes_at(header.end, 8)?;
+    let Some(sizes) = sizes else {
+        return Err(opening.error(format!("byte {}", header.end), "the file ends before its data: it is cut"));
+    };
+    let size = |at: usize| u64::from(u32::from_le_bytes([sizes[at], sizes[at + 1], sizes[at + 2], sizes[at + 3]]));
+    let (packed, unpacked) = (size(0), size(4));
+    let expected = header.points.checked_mul(stride as u64);
+    if expected != Some(unpacked) {
+        let reason = format!(
+            "the header states {} points of {stride} bytes, the data {unpacked} unpacked bytes: one of the two is damaged",
+            header.points
+        );
+        return Err(opening.error(format!("byte {}", header.end + 4), reason));
+    }
+    let start = header.end + 8;
+    let held = opening.bytes.saturating_sub(start);
+    let mut points = header.points;
+    if held < packed {
+        let reason = format!("its compressed data have {packed} bytes, the file holds {held} of them");
+        opening.findings.lose(reason)?;
+        points = 0;
+    }
+    // A reference makes at most 264 bytes of three.
+    if unpacked / 88 > packed + 1 {
+        let reason = format!("{packed} compressed bytes cannot hold {unpacked} unpacked ones: it is damaged");
+        return Err(opening.error(format!("byte {}", header.end), reason));
+    }
+    Ok(Packed { start, len: packed, points, columns: axes.into_iter().chain(class).collect() })
+}
+
+impl Cloud for Packed {
+    fn format(&self) -> &'static str {
+        "PCD"
+    }
+
+    fn points_stated(&self) -> u64 {
+        self.points
+    }
+
+    fn points_expected(&self) -> u64 {
+        self.points
+    }
+
+    fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_> {
+        let all = Piece { points: self.points, part: 0, first: 0, end: self.points };
+        Box::new((self.points > 0).then_some(all).into_iter())
+    }
+
+    fn decode(&self, piece: &Piece, source: &Source, scratch: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
+        let damaged = |error: io::Error| match error.get_ref() {
+            Some(_) => Error::input(source.path(), "compressed data", format!("{error}; fetch or write it again")),
+            None => Error::io(source.path(), "read its compressed data", error),
+        };
+        let needed = if taker.wants_classes() { self.columns.len() } else { 3 };
+        let mut columns = Vec::with_capacity(needed);
+        for field in &self.columns[..needed] {
+            let mut lzf = Lzf::new(Window::new(source, self.start, self.len));
+            // Columns of the whole cloud follow each other.
+            lzf.skip(piece.end * field.at as u64).map_err(damaged)?;
+            columns.push((lzf, field.number));
+        }
+        const AT_ONCE: u64 = 1 << 13;
+        scratch.resize(AT_ONCE as usize * 8 * 4, 0);
+        let mut next = 0;
+        while next < piece.end {
+            let count = (piece.end - next).min(AT_ONCE) as usize;
+            let mut values = scratch.chunks_exact_mut(AT_ONCE as usize * 8);
+            let mut filled = Vec::with_capacity(needed);
+            for (lzf, number) in &mut columns {
+                let Some(bytes) = values.next() else { break };
+                let bytes = &mut bytes[..count * number.bytes()];
+                lzf.read_exact(bytes).map_err(damaged)?;
+                filled.push((&*bytes, *number));
+            }
+            let value = |column: usize, row: usize| {
+                let (bytes, number): (&[u8], Number) = filled[column];
+                number.read(&bytes[row * number.bytes()..], false)
+            };
+            for row in 0..count {
+                taker.push([0, 1, 2].map(|axis| value(axis, row)), (needed > 3).then(|| value(3, row)))?;
+            }
+            next += count as u64;
+        }
+        Ok(0)
+    }
+
+    fn state(&self) -> Vec<u8> {
+        let fields = self.columns.iter().flat_map(|field| [field.at as u64, field.number as u64]);
+        [self.start, self.len, self.points].into_iter().chain(fields).flat_map(u64::to_le_bytes).collect()
+    }
+}
+
+/// Farthest that a reference of LZF reaches back (bytes).
+const FARTHEST_BACK: usize = 1 << 13;
+
+/// Unpacks LZF as a stream, with the last 8 KiB at hand.
+///
+/// A control byte below 32 is followed by so many bytes and one more, as they are; another by a reference: its upper three
+/// bits are the length less 2 (7: a byte follows that is added), its lower five and one more byte the distance less 1.
+struct Lzf<R> {
+    packed: R,
+    ring: Box<[u8; FARTHEST_BACK]>,
+    /// Bytes made so far.
+    made: u64,
+    /// What remains of the control at hand: bytes to copy, and how far back (0: from the packed stream).
+    left: usize,
+    back: usize,
+}
+
+impl<R: Read> Lzf<R> {
+    fn new(packed: R) -> Self {
+        Self { packed, ring: Box::new([0; FARTHEST_BACK]), made: 0, left: 0, back: 0 }
+    }
+
+    fn byte(&mut self) -> io::Result<u8> {
+        let mut byte = [0];
+        self.packed.read_exact(&mut byte).map_err(|error| match error.kind() {
+            io::ErrorKind::UnexpectedEof => damaged("the data end too early"),
+            _ => error,
+        })?;
+        Ok(byte[0])
+    }
+
+    fn control(&mut self) -> io::Result<()> {
+        let control = usize::from(self.byte()?);
+        if control < 32 {
+            (self.left, self.back) = (control + 1, 0);
+            return Ok(());
+        }
+        let mut len = control >> 5;
+        if len == 7 {
+            len += usize::from(self.byte()?);
+        }
+        let back = ((control & 31) << 8 | usize::from(self.byte()?)) + 1;
+        if back as u64 > self.made {
+            return Err(damaged("a reference to before the first byte"));
+        }
+        (self.left, self.back) = (len + 2, back);
+        Ok(())
+    }
+
+    /// Makes bytes and forgets them.
+    fn skip(&mut self, mut count: u64) -> io::Result<()> {
+        let mut scrap = [0; 4096];
+        while count > 0 {
+            let now = count.min(scrap.len() as u64) as usize;
+            self.read_exact(&mut scrap[..now])?;
+            count -= now as u64;
+        }
+        Ok(())
+    }
+}
+
+fn damaged(reason: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, format!("LZF: {reason}"))
+}
+
+impl<R: Read> Read for Lzf<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let mut filled = 0;
+        while filled < out.len() {
+            if self.left == 0 {
+                self.control()?;
+            }
+            let now = self.left.min(out.len() - filled);
+            let to = &mut out[filled..filled + now];
+            if self.back == 0 {
+                self.packed.read_exact(to).map_err(|error| match error.kind() {
+                    io::ErrorKind::UnexpectedEof => damaged("the data end too early"),
+                    _ => error,
+                })?;
+                for (at, &byte) in to.iter().enumerate() {
+                    self.ring[(self.made as usize + at) % FARTHEST_BACK] = byte;
+                }
+            } else {
+                for (at, out) in to.iter_mut().enumerate() {
+                    let here = self.made as usize + at;
+                    let byte = self.ring[here.wrapping_sub(self.back) % FARTHEST_BACK];
+                    self.ring[here % FARTHEST_BACK] = byte;
+                    *out = byte;
+                }
+            }
+            self.made += now as u64;
+            self.left -= now;
+            filled += now;
+        }
+        Ok(filled)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unpack(packed: &[u8], len: usize) -> io::Result<Vec<u8>> {
+        let mut out = vec![0; len];
+        Lzf::new(packed).read_exact(&mut out).map(|()| out)
+    }
+
+    #[test]
+    fn references_may_overlap_what_they_make_and_reach_the_whole_window() {
+        // "abc", then 7 bytes from 3 back, then 9 + 4 from 1 back by the long form.
+        let packed = [2, b'a', b'b', b'c', 5 << 5, 2, 7 << 5, 4, 0];
+        assert_eq!(unpack(&packed, 23).unwrap(), b"abcabcabcaaaaaaaaaaaaaa");
+        let plain: Vec<u8> = (0..FARTHEST_BACK).map(|i| ((i * i) >> 3) as u8).collect();
+        let mut packed: Vec<u8> = Vec::new();
+        for piece in plain.chunks(32) {
+            packed.push(piece.len() as u8 - 1);
+            packed.extend(piece);
+        }
+        packed.extend([1 << 5 | 31, 255]);
+        let unpacked = unpack(&packed, FARTHEST_BACK + 3).unwrap();
+        assert_eq!(unpacked[..FARTHEST_BACK], plain);
+        assert_eq!(unpacked[FARTHEST_BACK..], plain[..3]);
+    }
+
+    #[test]
+    fn damage_is_an_error_and_reading_piecewise_changes_nothing() {
+        for packed in [&[1 << 5, 0][..], &[5, 1, 2], &[0, 1, 1 << 5 | 31, 0], &[0, 1, 1 << 5], &[]] {
+            assert!(unpack(packed, 40).unwrap_err().to_string().starts_with("LZF: "), "{packed:?}");
+        }
+        let packed = [2, b'a', b'b', b'c', 7 << 5, 100, 1, 0, b'z'];
+        let whole = unpack(&packed, 113).unwrap();
+        let mut lzf = Lzf::new(&packed[..]);
+        let mut pieces = Vec::new();
+        for len in [1, 0, 5, 60, 47] {
+            let mut piece = vec![0; len];
+            lzf.read_exact(&mut piece).unwrap();
+            pieces.extend(piece);
+        }
+        assert_eq!(pieces, whole);
+    }
+}

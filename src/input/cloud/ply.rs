@@ -1,0 +1,264 @@
+//! PLY without faces: points, as text or binary of either byte order.
+//!
+//! Only the element `vertex` counts; those before it are passed over, those behind it never read. Its properties may
+//! come in any order and of any type, but for lists. Source: Greg Turk, "The PLY Polygon File Format", 1994. Memory:
+//! the header, at most 1 MiB.
+
+use super::number::Number;
+use super::records::{Field, MOST_BYTES, Records};
+use super::text::{Lines, RowLayout, Rows, Separator};
+use super::{Format, Opened, Opening, SPLATS, shown};
+use crate::bytes::open_regular;
+use crate::{Error, Result};
+use std::io::Read;
+use std::path::Path;
+
+/// Longest header (bytes).
+const MOST_HEADER: usize = 1 << 20;
+/// Most elements, and most properties of one.
+const MOST_PARTS: usize = 1024;
+/// Most numbers in a list.
+const MOST_IN_LIST: f64 = 65_536.0;
+
+#[derive(Debug)]
+struct Property {
+    name: String,
+    /// Type of the count, of a list.
+    list: Option<Number>,
+    number: Number,
+}
+
+#[derive(Debug)]
+struct Element {
+    name: String,
+    count: u64,
+    properties: Vec<Property>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Encoding {
+    Text,
+    Little,
+    Big,
+}
+
+#[derive(Debug)]
+struct Header {
+    encoding: Encoding,
+    elements: Vec<Element>,
+    /// First byte of the body.
+    end: u64,
+}
+
+fn number_named(name: &str) -> Option<Number> {
+    Some(match name {
+        "char" | "int8" => Number::I8,
+        "uchar" | "uint8" => Number::U8,
+        "short" | "int16" => Number::I16,
+        "ushort" | "uint16" => Number::U16,
+        "int" | "int32" => Number::I32,
+        "uint" | "uint32" => Number::U32,
+        "float" | "float32" => Number::F32,
+        "double" | "float64" => Number::F64,
+        _ => return None,
+    })
+}
+
+/// Line and reason of what is wrong with a header.
+type Wrong = (usize, String);
+
+impl Header {
+    fn parse(start: &[u8]) -> Result<Self, Wrong> {
+        let (mut encoding, mut elements): (_, Vec<Element>) = (None, Vec::new());
+        let (mut at, mut number) = (0, 0);
+        loop {
+            number += 1;
+            let wrong = |reason: String| (number, reason);
+            let Some(len) = start[at..].iter().position(|&byte| byte == b'\n') else {
+                return Err(wrong(match start.len() < MOST_HEADER {
+                    true => "the file ends before \"end_header\": it is cut; fetch it again".into(),
+                    false => format!("no \"end_header\" in the first {MOST_HEADER} bytes: this is no PLY, or damaged"),
+                }));
+            };
+            let line = &start[at..at + len];
+            at += len + 1;
+            let text = String::from_utf8_lossy(line);
+            let words: Vec<&str> = text.split_whitespace().collect();
+            if number == 1 {
+                if words != ["ply"] {
+                    return Err(wrong("expected \"ply\": this is no PLY file".into()));
+                }
+                continue;
+            }
+            match words[..] {
+                ["format", name, "1.0"] => {
+                    encoding = Some(match name {
+                        "ascii" => Encoding::Text,
+                        "binary_little_endian" => Encoding::Little,
+                        "binary_big_endian" => Encoding::Big,
+                        other => {
+                            let expected = "expected format ascii, binary_little_endian or binary_big_endian";
+                            return Err(wrong(format!("{expected}, found {}", shown(other.as_bytes()))));
+                        }
+                    });
+                }
+                ["element", name, count] => {
+                    let unclear =
+                        |_| wrong(format!("expected a number of elements, found {}", shown(count.as_bytes())));
+                    let count = count.parse().map_err(unclear)?;
+                    elements.push(Element { name: name.into(), count, properties: Vec::new() });
+                }
+                ["property", ref property @ ..] => {
+                    let parsed = match *property {
+                        ["list", count, number, name] => number_named(count)
+                            .zip(number_named(number))
+                            .map(|(count, number)| Property { name: name.into(), list: Some(count), number }),
+                        [number, name] => {
+                            number_named(number).map(|number| Property { name: name.into(), list: None, number })
+                        }
+                        _ => None,
+                    };
+                    let unknown = || {
+                        wrong(format!("a property that PLY does not know: {}", shown(property.join(" ").as_bytes())))
+                    };
+                    let element = elements.last_mut().ok_or_else(|| wrong("a property before any element".into()))?;
+                    element.properties.push(parsed.ok_or_else(unknown)?);
+                }
+                ["end_header"] => {
+                    let encoding = encoding.ok_or_else(|| wrong("no line \"format\" before the end".into()))?;
+                    return Ok(Self { encoding, elements, end: at as u64 });
+                }
+                [] | ["comment" | "obj_info", ..] => {}
+                [other, ..] => {
+                    return Err(wrong(format!("expected a line of a PLY header, found {}", shown(other.as_bytes()))));
+                }
+            }
+            if elements.len() > MOST_PARTS || elements.last().is_some_and(|e| e.properties.len() > MOST_PARTS) {
+                return Err(wrong(format!("more than {MOST_PARTS} elements or properties")));
+            }
+        }
+    }
+
+    /// Whether it names what only splats have.
+    fn is_splat(&self) -> bool {
+        let named = |element: &Element| {
+            element.properties.iter().any(|p| p.name == "packed_position" || p.name == "f_dc_0" || p.name == "rot_0")
+        };
+        self.elements.iter().filter(|element| element.name == "vertex").any(named)
+    }
+
+    /// Whether it has surfaces.
+    fn has_faces(&self) -> bool {
+        self.elements.iter().any(|element| element.count > 0 && (element.name == "face" || element.name == "tristrips"))
+    }
+}
+
+/// Whether the PLY at `path` is to be read here and not as a mesh: it has no faces, or is a splat. What cannot be read is
+/// left to the mesh reader, which says why.
+pub(in crate::input) fn is_point_cloud(path: &Path) -> bool {
+    let mut start = Vec::new();
+    let read = open_regular(path).is_ok_and(|(file, _)| file.take(MOST_HEADER as u64).read_to_end(&mut start).is_ok());
+    read && Header::parse(&start).is_ok_and(|header| !header.has_faces() || header.is_splat())
+}
+
+pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    let mut start = vec![0; opening.bytes.min(MOST_HEADER as u64) as usize];
+    let got = opening.source.read_at(&mut start, 0)?;
+    start.truncate(got);
+    let header = Header::parse(&start).map_err(|(line, reason)| opening.error(format!("line {line}"), reason))?;
+    drop(start);
+    if header.is_splat() {
+        return Err(opening.error("header", SPLATS));
+    }
+    let Some(number) = header.elements.iter().position(|element| element.name == "vertex") else {
+        return Err(opening.error("header", "it has no element \"vertex\": there are no points in it"));
+    };
+    let vertex = &header.elements[number];
+    let find = |names: &[&str]| {
+        let is_named = |p: &Property| names.iter().any(|name| p.name.eq_ignore_ascii_case(name));
+        vertex.properties.iter().position(is_named)
+    };
+    if vertex.properties.iter().any(|property| property.list.is_some()) {
+        return Err(opening.error("header", "the element \"vertex\" has lists; write it without them"));
+    }
+    let (Some(x), Some(y), Some(z)) = (find(&["x"]), find(&["y"]), find(&["z"])) else {
+        return Err(opening.error("header", "the element \"vertex\" has no properties x, y and z"));
+    };
+    let class = find(&["classification", "scalar_classification", "class"]);
+    if header.encoding == Encoding::Text {
+        let rows_before = header.elements[..number].iter().fold(0u64, |sum, e| sum.saturating_add(e.count));
+        let layout = RowLayout::new([x, y, z], class, Separator::Blanks, false);
+        let mut lines = Lines::begin(opening.source, header.end);
+        lines.skip_rows(rows_before, opening.monitor)?;
+        let rows = Rows::counted(opening, Format::Ply, layout, lines, vertex.count)?;
+        return Ok(Opened::new(rows));
+    }
+    let big = header.encoding == Encoding::Big;
+    let mut at = header.end;
+    for element in &header.elements[..number] {
+        at = skip(opening, element, at, big)?;
+    }
+    let mut stride = 0;
+    let offsets: Vec<usize> = vertex
+        .properties
+        .iter()
+        .map(|property| {
+            stride += property.number.bytes();
+            stride - property.number.bytes()
+        })
+        .collect();
+    if stride > MOST_BYTES {
+        return Err(Error::limit("bytes of a point", stride, MOST_BYTES));
+    }
+    let field = |number: usize| Field { at: offsets[number], number: vertex.properties[number].number };
+    let points = Records::held(opening, at, stride, vertex.count)?;
+    Ok(Opened::new(Records {
+        format: "PLY",
+        start: at,
+        stride,
+        stated: vertex.count,
+        points,
+        axes: [x, y, z].map(field),
+        class: class.map(field),
+        big,
+    }))
+}
+
+/// First byte behind an element of a binary body.
+fn skip(opening: &Opening<'_, '_>, element: &Element, start: u64, big: bool) -> Result<u64> {
+    let cut = |opening: &Opening<'_, '_>| {
+        opening.error("body", format!("the file ends within the element {}", shown(element.name.as_bytes())))
+    };
+    let fixed: u64 = element.properties.iter().filter(|p| p.list.is_none()).map(|p| p.number.bytes() as u64).sum();
+    if element.properties.iter().all(|property| property.list.is_none()) {
+        let end = element.count.checked_mul(fixed).and_then(|bytes| bytes.checked_add(start));
+        return end.filter(|&end| end <= opening.bytes).ok_or_else(|| cut(opening));
+    }
+    // Lists: number by number, each of which takes bytes of the file.
+    let mut window = super::super::source::Window::new(opening.source, start, opening.bytes.saturating_sub(start));
+    let mut value = [0; 8];
+    for instance in 0..element.count {
+        if instance.is_multiple_of(4096) && opening.monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        for property in &element.properties {
+            let count = match property.list {
+                None => 1,
+                Some(number) => {
+                    let value = &mut value[..number.bytes()];
+                    window.read_exact(value).map_err(|_| cut(opening))?;
+                    let count = number.read(value, big);
+                    if !(0.0..=MOST_IN_LIST).contains(&count) {
+                        let reason = format!("a list of {count} numbers; expected 0 to {MOST_IN_LIST}");
+                        return Err(opening.error(format!("byte {}", start + window.position()), reason));
+                    }
+                    count as usize
+                }
+            };
+            for _ in 0..count {
+                window.read_exact(&mut value[..property.number.bytes()]).map_err(|_| cut(opening))?;
+            }
+        }
+    }
+    Ok(start + window.position())
+}

@@ -1,0 +1,377 @@
+//! Clouds as text: XYZ, CSV, PTS, PTX, and the bodies of PLY and PCD.
+//!
+//! A [`Rows`] is a list of segments of rows. Plain text is cut into pieces of 4 MiB at line ends, which any number of
+//! threads parse; compressed text (gzip, zstd) is read by one. Formats that state how many rows belong to a cloud are read
+//! through once, to count lines, when they are opened.
+//!
+//! Sources: "Leica PTX / PTS format" as Cyclone writes it. PTX: columns, rows, four lines about the scanner, four rows of a
+//! matrix `M`; a point is `(x y z 1) · M`, and `0 0 0` means no return.
+
+mod layout;
+mod lines;
+
+use super::{Cloud, Format, Opened, Opening, Piece, Pose, Source, Taker};
+use crate::{Error, Parameter, Result};
+use layout::{columns, is_numeric, names, recognise};
+use lines::is_word;
+
+pub(super) use layout::{RowLayout, Separator};
+pub(super) use lines::Lines;
+pub(super) use lines::Packing;
+pub(in crate::input) use lines::unpacked_name;
+
+/// Bytes of a piece of plain text.
+const PIECE_BYTES: u64 = 4 << 20;
+/// Most clouds of one file.
+const MOST_CLOUDS: usize = 1 << 16;
+/// Rows that are looked at to recognise a text.
+const LOOKED_AT: usize = 256;
+
+/// Rows that belong together.
+#[derive(Debug, Clone)]
+struct Segment {
+    /// Place in the text of the first row, and behind the last.
+    start: u64,
+    end: u64,
+    /// About how many.
+    rows: u64,
+    pose: Option<Pose>,
+}
+
+/// Rows of text with a point each.
+#[derive(Debug)]
+pub(super) struct Rows {
+    format: &'static str,
+    packing: Packing,
+    layout: RowLayout,
+    segments: Vec<Segment>,
+    /// `0 0 0` means no return.
+    zero_is_absent: bool,
+    stated: u64,
+}
+
+impl Rows {
+    /// The next `stated` rows of `lines`; fewer are a loss.
+    pub fn counted(
+        opening: &mut Opening<'_, '_>,
+        format: Format,
+        layout: RowLayout,
+        mut lines: Lines<'_>,
+        stated: u64,
+    ) -> Result<Self> {
+        let start = lines.position();
+        let rows = lines.count_rows(stated, false, opening.monitor)?;
+        if rows < stated {
+            opening.findings.lose(format!("the header states {stated} points, {rows} lines follow"))?;
+        }
+        let segments = vec![Segment { start, end: lines.position(), rows, pose: None }];
+        let format = if format == Format::Ply { "PLY" } else { "PCD" };
+        Ok(Self { format, packing: Packing::Plain, layout, segments, zero_is_absent: false, stated })
+    }
+
+    #[inline]
+    fn take(&self, of: &Segment, (at, class): ([f64; 3], Option<f64>), taker: &mut Taker<'_>) -> Result<()> {
+        if self.zero_is_absent && at == [0.0; 3] {
+            return taker.absent();
+        }
+        taker.push(of.pose.map_or(at, |pose| pose.apply(at)), class)
+    }
+}
+
+impl Cloud for Rows {
+    fn format(&self) -> &'static str {
+        self.format
+    }
+
+    fn points_stated(&self) -> u64 {
+        self.stated
+    }
+
+    fn points_expected(&self) -> u64 {
+        self.segments.iter().map(|segment| segment.rows).fold(0, u64::saturating_add)
+    }
+
+    fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_> {
+        if self.packing != Packing::Plain {
+            let all = Piece { points: self.points_expected(), part: 0, first: 0, end: u64::MAX };
+            return Box::new(Some(all).into_iter().filter(|_| !self.segments.is_empty()));
+        }
+        Box::new(self.segments.iter().enumerate().flat_map(|(part, segment)| {
+            let bytes = segment.end - segment.start;
+            (0..bytes.div_ceil(PIECE_BYTES)).map(move |number| {
+                let first = segment.start + number * PIECE_BYTES;
+                let end = segment.end.min(first + PIECE_BYTES);
+                let share = u128::from(segment.rows) * u128::from(end - first) / u128::from(bytes);
+                Piece { points: share as u64, part, first, end }
+            })
+        }))
+    }
+
+    fn decode(&self, piece: &Piece, source: &Source, _: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
+        if self.packing != Packing::Plain {
+            let mut lines = Lines::open(source, source.stamp().len(), self.packing)?;
+            let mut segments = self.segments.iter().peekable();
+            while let Some(&segment) = segments.peek() {
+                let Some((at, line)) = lines.next_row()? else { break };
+                if at >= segment.end {
+                    // Rows of the next cloud follow behind its header.
+                    segments.next();
+                    continue;
+                }
+                if at >= segment.start {
+                    let row = self.layout.parse(line);
+                    self.take(segment, row.map_err(|reason| lines.error(reason))?, taker)?;
+                }
+            }
+            return Ok(0);
+        }
+        let Some(segment) = self.segments.get(piece.part) else { return Ok(0) };
+        // A row belongs to the piece in which it begins.
+        let mut lines = match piece.first == segment.start {
+            true => Lines::begin(source, piece.first),
+            false => {
+                let mut lines = Lines::begin(source, piece.first - 1);
+                lines.next()?;
+                lines
+            }
+        };
+        while lines.position() < piece.end {
+            let Some((at, line)) = lines.next_row()? else { break };
+            if at >= piece.end {
+                break;
+            }
+            let row = self.layout.parse(line);
+            self.take(segment, row.map_err(|reason| lines.error(reason))?, taker)?;
+        }
+        Ok(0)
+    }
+
+    fn state(&self) -> Vec<u8> {
+        let mut bytes: Vec<u8> = self.layout.bytes().collect();
+        bytes.extend([self.zero_is_absent.into(), self.packing as u8]);
+        for Segment { start, end, pose, .. } in &self.segments {
+            bytes.extend([start, end].into_iter().flat_map(|v| v.to_le_bytes()));
+            bytes.extend(pose.iter().flat_map(Pose::bytes));
+        }
+        bytes
+    }
+}
+
+/// The lines of a text, which is not one in UTF-16, and its place behind a byte order mark.
+fn begin<'a>(opening: &Opening<'a, '_>) -> Result<(Lines<'a>, Packing)> {
+    let packing = Packing::of(opening.source)?;
+    let start = opening.source.bytes_at(0, opening.bytes.min(2) as usize)?;
+    if matches!(start.as_deref(), Some([0xFF, 0xFE] | [0xFE, 0xFF])) {
+        return Err(opening.error("byte 0", "text in UTF-16; save it as UTF-8"));
+    }
+    Ok((Lines::open(opening.source, opening.bytes, packing)?, packing))
+}
+
+/// A row without the mark that some editors put before a text.
+fn without_mark(row: &[u8]) -> &[u8] {
+    row.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(row)
+}
+
+/// XYZ, CSV and other text in rows.
+pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    let (mut lines, packing) = begin(opening)?;
+    let (mut header, mut first, mut rows): (Option<Vec<u8>>, _, Vec<Vec<u8>>) = (None, None, Vec::new());
+    // Some write the number of points first.
+    let mut count: Option<u64> = None;
+    while rows.len() < LOOKED_AT {
+        let Some((at, line)) = lines.next()? else { break };
+        let marked = at == 0 && line.starts_with(b"\xEF\xBB\xBF");
+        let line = if marked { without_mark(line) } else { line };
+        let text = line.trim_ascii();
+        let is_comment = text.starts_with(b"#") || text.starts_with(b"//");
+        if text.is_empty() {
+            continue;
+        }
+        if is_comment {
+            if header.is_none() && first.is_none() && columns(&names(text)).is_some() {
+                header = Some(text.to_vec());
+            }
+        } else if first.is_none() && count.is_none() && is_word(text) && parse_whole(text).is_some() {
+            count = parse_whole(text);
+        } else if first.is_some() || is_numeric(text) {
+            first.get_or_insert(at + if marked { 3 } else { 0 });
+            rows.push(text.to_vec());
+        } else if header.is_none() {
+            header = Some(text.to_vec());
+        } else {
+            let line = text.to_vec();
+            return Err(lines.expected("numbers", &line));
+        }
+    }
+    let header = header.map(|header| names(&header)).unwrap_or_default();
+    let found = columns(&header);
+    let (axes, class) = match opening.columns {
+        Some(columns) => columns.places(),
+        None if header.is_empty() => ([0, 1, 2], None),
+        None => found.ok_or_else(|| {
+            let found = super::shown(header.join(",").as_bytes());
+            let reason = format!("expected columns named x, y and z, found {found}");
+            opening.error("header", reason).with_way_out(Parameter::Columns)
+        })?,
+    };
+    let (separator, decimal_comma) = recognise(&rows).map_err(|reason| opening.error("columns", reason))?;
+    let layout = RowLayout::new(axes, class, separator, decimal_comma);
+    let Some(start) = first else {
+        if let Some(count) = count.filter(|&count| count > 0) {
+            opening.findings.lose(format!("its first line states {count} points, no lines follow"))?;
+        }
+        let segments = Vec::new();
+        return Ok(Opened::new(Rows { format: "text", packing, layout, segments, zero_is_absent: false, stated: 0 }));
+    };
+    if let Some(Err(reason)) = rows.first().map(|row| layout.parse(row)) {
+        return Err(opening.error("first row", reason).with_way_out(Parameter::Columns));
+    }
+    let end = if packing == Packing::Plain { opening.bytes } else { u64::MAX };
+    let mean = rows.iter().map(|row| row.len() as u64 + 1).sum::<u64>() / rows.len().max(1) as u64;
+    let rows = if rows.len() < LOOKED_AT { rows.len() as u64 } else { opening.bytes / mean.max(1) };
+    let said = format!("read as text: {}", layout.describe(&header));
+    let segments = vec![Segment { start, end, rows, pose: None }];
+    let rows = Rows { format: "text", packing, layout, segments, zero_is_absent: false, stated: 0 };
+    Ok(Opened { said: Some(said), ..Opened::new(rows) })
+}
+
+fn parse_whole(text: &[u8]) -> Option<u64> {
+    std::str::from_utf8(text.trim_ascii()).ok()?.parse().ok()
+}
+
+/// PTS: the number of points, then so many rows; maybe again.
+pub(super) fn open_pts(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    let (mut lines, packing) = begin(opening)?;
+    let (mut segments, mut stated, mut row) = (Vec::new(), 0u64, None);
+    let first = lines.row()?;
+    let marked = first.as_ref().is_some_and(|row| without_mark(row).len() < row.len());
+    let mut next = first.map(|row| without_mark(&row).to_vec());
+    let mut uncounted = 0;
+    while let Some(line) = next {
+        let count = if is_word(&line) { parse_whole(&line) } else { None };
+        let start = match count {
+            Some(_) => lines.position(),
+            // Rows without a number of them before: from the beginning of this one.
+            None if segments.is_empty() && is_numeric(&line) && !is_word(&line) => {
+                uncounted = 1;
+                if marked { 3 } else { 0 }
+            }
+            None => return Err(lines.expected("a number of points", &line)),
+        };
+        let most = count.unwrap_or(u64::MAX);
+        let mut rows = lines.count_rows(most, true, opening.monitor)? + uncounted;
+        if rows < count.unwrap_or(0) {
+            let number = segments.len() + 1;
+            let text = format!("cloud {number}: its first line states {most} points, {rows} lines follow");
+            opening.findings.lose(text)?;
+        }
+        // One that states fewer than it has goes on until the next.
+        let more = lines.count_rows(u64::MAX, true, opening.monitor)?;
+        if more > 0 {
+            let number = segments.len() + 1;
+            opening.findings.note(format!(
+                "cloud {number}: its first line states {most} points, {} lines follow; all are read",
+                rows + more
+            ));
+            rows += more;
+        }
+        stated = stated.saturating_add(rows);
+        check_clouds(segments.len(), opening)?;
+        segments.push(Segment { start, end: lines.position(), rows, pose: None });
+        if row.is_none() {
+            row = first_row(opening, packing, start)?;
+        }
+        next = lines.row()?;
+    }
+    let layout = layout_of(opening, row)?;
+    let zero_is_absent = false;
+    Ok(Opened::new(Rows { format: "PTS", packing, layout, segments, zero_is_absent, stated }))
+}
+
+/// The first row from `start` on.
+fn first_row(opening: &Opening<'_, '_>, packing: Packing, start: u64) -> Result<Option<Vec<u8>>> {
+    let mut lines = Lines::open(opening.source, opening.bytes, packing)?;
+    while let Some((at, line)) = lines.next_row()? {
+        if at >= start {
+            return Ok(Some(without_mark(line).to_vec()));
+        }
+    }
+    Ok(None)
+}
+
+/// Columns 1 to 3, as the first row separates them.
+fn layout_of(opening: &Opening<'_, '_>, first: Option<Vec<u8>>) -> Result<RowLayout> {
+    let rows: Vec<Vec<u8>> = first.into_iter().collect();
+    let (separator, decimal_comma) = recognise(&rows).map_err(|reason| opening.error("columns", reason))?;
+    Ok(RowLayout::new([0, 1, 2], None, separator, decimal_comma))
+}
+
+fn check_clouds(clouds: usize, opening: &Opening<'_, '_>) -> Result<()> {
+    if clouds == MOST_CLOUDS {
+        let what = format!("clouds in {} (write it as several files)", opening.source.path().display());
+        return Err(Error::limit(what, format!("more than {MOST_CLOUDS}"), MOST_CLOUDS));
+    }
+    Ok(())
+}
+
+/// PTX: clouds with a header of ten lines each.
+pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    let (mut lines, packing) = begin(opening)?;
+    let (mut segments, mut stated, mut first) = (Vec::new(), 0u64, None);
+    while let Some(line) = lines.row()? {
+        let line = without_mark(&line);
+        let Some(columns) = parse_whole(line).filter(|_| is_word(line)) else {
+            return Err(lines.expected("the number of columns of a cloud", line));
+        };
+        let line = lines.row()?.unwrap_or_default();
+        let Some(rows) = parse_whole(&line).filter(|_| is_word(&line)) else {
+            return Err(lines.expected("the number of rows of a cloud", &line));
+        };
+        for _ in 0..4 {
+            numbers(&mut lines, 3)?;
+        }
+        let mut matrix = [[0.0; 3]; 4];
+        for (number, row) in matrix.iter_mut().enumerate() {
+            let line = numbers(&mut lines, 4)?;
+            row.copy_from_slice(&line[..3]);
+            if line[3] != if number == 3 { 1.0 } else { 0.0 } {
+                return Err(lines.error(format!("expected a matrix with the last column 0 0 0 1, found {}", line[3])));
+            }
+        }
+        let pose = Pose(matrix);
+        if !pose.is_finite() {
+            return Err(lines.error("the matrix has numbers that are not finite"));
+        }
+        let count = columns.saturating_mul(rows);
+        let start = lines.position();
+        let found = lines.count_rows(count, true, opening.monitor)?;
+        stated = stated.saturating_add(count);
+        let number = segments.len() + 1;
+        if found < count {
+            opening.findings.lose(format!("cloud {number}: its header states {count} points, {found} lines follow"))?;
+        }
+        let pose = Some(pose).filter(|pose| *pose != Pose::IDENTITY);
+        check_clouds(segments.len(), opening)?;
+        segments.push(Segment { start, end: lines.position(), rows: found, pose });
+        if first.is_none() {
+            first = first_row(opening, packing, start)?;
+        }
+    }
+    let layout = layout_of(opening, first)?;
+    let mut opened = Opened::new(Rows { format: "PTX", packing, layout, segments, zero_is_absent: true, stated });
+    // By convention: Cyclone writes metres.
+    opened.georeference.horizontal = Some(1.0);
+    Ok(opened)
+}
+
+/// The numbers of the next row, at least `least` of them.
+fn numbers(lines: &mut Lines<'_>, least: usize) -> Result<Vec<f64>> {
+    let line = lines.row()?.unwrap_or_default();
+    let text = String::from_utf8_lossy(&line);
+    let words = text.split([' ', '\t', ',', '\r']).filter(|word| !word.is_empty());
+    let numbers: Option<Vec<f64>> = words.map(|word| word.parse().ok()).collect();
+    match numbers.filter(|numbers| numbers.len() >= least) {
+        Some(numbers) => Ok(numbers),
+        None => Err(lines.expected(&format!("{least} numbers of the header of a cloud"), &line)),
+    }
+}
