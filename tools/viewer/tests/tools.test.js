@@ -29,10 +29,14 @@ beforeEach(() => {
 const tool = (name) => page.getByRole("button", { name, exact: false });
 const middle = { x: 400, y: 250 };
 
-/** Something is drawn: more colours in the middle of the screen than a plain background has. */
+/** How many different colours there are in the middle of the screen. */
+async function colours() {
+  return new Set((await pixels(page)).map((rgb) => rgb.map((value) => value >> 3).join())).size;
+}
+
+/** Something is drawn: more colours than a plain background has. */
 async function drawn() {
   const end = Date.now() + 60_000;
-  const colours = async () => new Set((await pixels(page)).map((rgb) => rgb.map((value) => value >> 3).join())).size;
   while ((await colours()) < 12) {
     if (Date.now() > end) throw new Error("nothing is drawn");
     await page.waitForTimeout(200);
