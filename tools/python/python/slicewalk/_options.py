@@ -22,6 +22,7 @@ class WriterOptions(TypedDict, total=False):
     min_points: int
     drop_isolated: bool
     drop_floaters: int
+    fill_holes: float | None
     up: Literal["z", "y"]
     levels: bool | Literal["on", "off"]
     force: bool
@@ -43,6 +44,7 @@ class PlanOptions(TypedDict, total=False):
     min_points: int
     drop_isolated: bool
     drop_floaters: int
+    fill_holes: float | None
     up: Literal["z", "y"]
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
