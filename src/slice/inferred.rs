@@ -128,7 +128,7 @@ impl Inferred {
                 self.pixels.push(((py << 6 | px) as u16, mask));
             }
         }
-        runs.len() == 0 && (left == 0 || !inferred)
+        runs.as_slice().is_empty() && (left == 0 || !inferred)
     }
 }
 
@@ -164,7 +164,7 @@ mod tests {
             let (page, inferred) = page(&columns);
             let runs = inferred.runs(&page);
             prop_assert_eq!(runs.is_empty(), inferred.is_empty());
-            prop_assert!(runs.len() % 2 == 0 && runs.iter().skip(1).all(|&run| run > 0));
+            prop_assert!(runs.len().is_multiple_of(2) && runs.iter().skip(1).all(|&run| run > 0));
             let mut again = Inferred::new();
             prop_assert!(again.set_runs(&page, &runs));
             prop_assert_eq!(&again, &inferred);

@@ -170,7 +170,7 @@ fn has(bits: &[Row; EDGE], x: usize, y: usize) -> bool {
 }
 
 /// Finds holes; keeps its scratch.
-pub(super) struct Closer {
+pub(in crate::convert) struct Closer {
     /// Widest hole (pixels).
     widest: usize,
     /// Quarter of a climb, ceiling, room (quanta).
@@ -189,7 +189,7 @@ pub(super) struct Closer {
 
 impl Closer {
     /// For holes of up to `widest` pixels, 1 to [`PlanOptions::MOST_FILL_PIXELS`].
-    pub fn new(frame: &Frame, widest: u8) -> Self {
+    pub(super) fn new(frame: &Frame, widest: u8) -> Self {
         let quanta = |metres: f64| (metres / frame.quantum_m()).round().clamp(1.0, 1e12) as i64;
         let widest = usize::from(widest.clamp(1, PlanOptions::MOST_FILL_PIXELS));
         Self {
@@ -206,12 +206,12 @@ impl Closer {
     }
 
     /// How far from a pixel lies what decides whether it is closed (pixels), for holes of up to `widest` pixels.
-    pub fn reach(widest: u8) -> i64 {
+    pub(in crate::convert) fn reach(widest: u8) -> i64 {
         reach_of(usize::from(widest)) as i64
     }
 
     /// The fills of the column in the middle, by pixel and height.
-    pub fn close(&mut self, around: &Around<'_>) -> Vec<Fill> {
+    pub(super) fn close(&mut self, around: &Around<'_>) -> Vec<Fill> {
         let mut floors = std::mem::take(&mut self.floors);
         floors.clear();
         for y in 0..EDGE {
@@ -223,11 +223,9 @@ impl Closer {
         floors.sort_unstable();
         self.highest.clear();
         self.highest.resize((TILE_PIXELS * TILE_PIXELS) as usize, None);
-        // The floors of another column may be where these are, below other matter.
-        self.floor = bits(NONE);
         let mut fills: Vec<Fill> = Vec::new();
         let mut first = 0;
-        let mut last_window = None;
+        let (mut last_window, mut last_range) = (None, 0..0);
         while first < floors.len() {
             // The windows in which the lowest floor left lies; of those, the ones that were not looked at yet.
             let quarter = floors[first].0;
@@ -238,7 +236,10 @@ impl Closer {
                 last_window = Some(window);
                 let from = floors.partition_point(|floor| floor.0 < window);
                 let to = floors.partition_point(|floor| floor.0 < window + WINDOWS);
-                self.window(around, window, &floors[from..to], &mut fills);
+                // The next window often holds the same floors, and says the same of them.
+                if std::mem::replace(&mut last_range, from..to) != (from..to) {
+                    self.window(around, window, &floors[from..to], &mut fills);
+                }
             }
             first = floors.partition_point(|floor| floor.0 <= quarter);
         }
@@ -249,21 +250,20 @@ impl Closer {
 
     /// Adds the fills among the `floors` of a window.
     fn window(&mut self, around: &Around<'_>, window: i64, floors: &[(i64, u16)], fills: &mut Vec<Fill>) {
-        let mut floor = bits(NONE);
+        self.floor.fill(NONE);
         for &(_, pixel) in floors {
             let (x, y) = (usize::from(pixel) % EDGE, usize::from(pixel) / EDGE);
-            floor[y][x / 64] |= 1 << (x % 64);
+            self.floor[y][x / 64] |= 1 << (x % 64);
         }
-        // The next window often holds the same floors, and says the same of them.
-        let same = std::mem::replace(&mut self.floor, floor) == self.floor;
         let near = CORE.0 - ray_of(self.widest)..CORE.1 + ray_of(self.widest);
         let has_floor = self.floor[near].iter().any(|row| *row != NONE);
         let has_void = self.floor[CORE.0..CORE.1].iter().any(|row| row[1] != u64::MAX);
-        if same || !has_floor || !has_void {
+        if !has_floor || !has_void {
             return;
         }
         self.narrow();
         let heights = window * self.step..(window + WINDOWS) * self.step;
+        let climb = WINDOWS * self.step;
         for y in CORE.0..CORE.1 {
             let mut left = self.scratch[0][y][1];
             while left != 0 {
@@ -271,7 +271,6 @@ impl Closer {
                 left &= left - 1;
                 let pixel = ((y - CORE.0) << 6 | (x - CORE.0)) as u16;
                 let Some((bottom, top)) = self.height(around, (x, y), &heights) else { continue };
-                let climb = WINDOWS * self.step;
                 // Windows overlap, so most holes are closed in several: once is enough.
                 let again = self.highest[usize::from(pixel)].is_some_and(|below| bottom <= below + climb);
                 if !again && self.is_free(spans_at(around, x, y), bottom, top) {
@@ -297,8 +296,8 @@ impl Closer {
                 *run = void_run(not(*floor), len);
             }
             for (down, &(start, _)) in disc.iter().enumerate().filter(|(_, row)| row.1 == len) {
-                for y in 0..EDGE - down {
-                    fits[y] = both(fits[y], earlier(run[y + down], start, u64::MAX));
+                for (fits, run) in fits.iter_mut().zip(&run[down..]) {
+                    *fits = both(*fits, earlier(*run, start, u64::MAX));
                 }
             }
         }
@@ -312,25 +311,24 @@ impl Closer {
                 *run = covered_run(*fits, len);
             }
             for (down, &(start, _)) in disc.iter().enumerate().filter(|(_, row)| row.1 == len) {
-                for y in down..EDGE {
-                    open[y] = either(open[y], later(run[y - down], start));
+                for (open, run) in open[down..].iter_mut().zip(run.iter()) {
+                    *open = either(*open, later(*run, start));
                 }
             }
         }
-        for y in 0..EDGE {
-            narrow[y] = not(either(open[y], floor[y]));
+        for (narrow, (open, floor)) in narrow.iter_mut().zip(open.iter().zip(floor.iter())) {
+            *narrow = not(either(*open, *floor));
         }
         for _ in 0..trim_of(*widest) {
-            for y in 0..EDGE {
-                let above = if y > 0 { open[y - 1] } else { NONE };
-                let below = if y + 1 < EDGE { open[y + 1] } else { NONE };
-                let near = either(either(above, below), open[y]);
+            for (y, fits) in fits.iter_mut().enumerate() {
+                let rows = &open[y.saturating_sub(1)..(y + 2).min(EDGE)];
+                let near = rows.iter().fold(NONE, |near, row| either(near, *row));
                 let near = either(near, either(earlier(near, 1, 0), later(near, 1)));
-                fits[y] = both(near, narrow[y]);
+                *fits = both(near, narrow[y]);
             }
-            for y in 0..EDGE {
-                open[y] = either(open[y], fits[y]);
-                narrow[y] = both(narrow[y], not(fits[y]));
+            for ((narrow, open), more) in narrow.iter_mut().zip(open.iter_mut()).zip(fits.iter()) {
+                *open = either(*open, *more);
+                *narrow = both(*narrow, not(*more));
             }
         }
     }

@@ -191,7 +191,9 @@ impl<'a> Worker<'a> {
         let mut columns: BTreeMap<u64, Read> = BTreeMap::new();
         for (column, entries) in entries {
             let (scanned, decoder) = (self.scanned, &mut self.decoder);
-            let page = |entry: &PageEntry| Ok((entry.key.layer, scanned.page_with(entry, decoder)?));
+            let page = |entry: &PageEntry| -> Result<(i32, Page)> {
+                Ok((entry.key.layer, scanned.page_with(entry, decoder)?))
+            };
             let mut pages = entries.iter().map(page).collect::<Result<Vec<_>>>()?;
             let spans = ScannedColumn::of(&pages);
             if !own.contains(&column) {
