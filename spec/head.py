@@ -90,7 +90,7 @@ class Head:
             and plain(self.max_slope, 0, 90)
             and plain(self.tolerance, 0, 1e6)
             and self.classifier <= 2
-            and self.up >> 2 <= 48
+            and self.up >> 2 <= 45
             and self.min_points >= 1
         )
         need(plan, "H7", "the plan is not within its limits")

@@ -219,7 +219,7 @@ impl Plan {
 
 impl PlanOptions {
     /// Widest holes that can be closed (pixels): whether one is follows from the tile columns around it.
-    pub const MOST_FILL_PIXELS: u8 = 48;
+    pub const MOST_FILL_PIXELS: u8 = 45;
 
     /// Refuses values outside the limits stated at the fields.
     pub fn check(&self) -> Result<()> {

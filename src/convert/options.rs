@@ -44,7 +44,7 @@ pub struct ConvertOptions {
     pub slice_m: Option<f64>,
     /// What else decides the content of the archive.
     pub plan: PlanOptions,
-    /// Holes in floors of up to this width are closed by inferred floor (m; whole pixels of it, 1 to 48); `None`: as the plan
+    /// Holes in floors of up to this width are closed by inferred floor (m; whole pixels of it, 1 to 45); `None`: as the plan
     /// says, which by default closes none.
     pub fill_holes_m: Option<f64>,
     /// Memory budget [bytes, at least 64 MiB].

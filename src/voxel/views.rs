@@ -169,8 +169,7 @@ impl View {
         let direction = Direction::of(d);
         // Greater values are nearer: these are not behind the place. A cell's distance is rounded down by up to a centimetre.
         let behind = beyond(distance + margin);
-        let nearer =
-            |value: u16| if seen_m(value) + margin + 0.01 >= distance { Says::Hit } else { Says::Nothing };
+        let nearer = |value: u16| if seen_m(value) + margin + 0.01 >= distance { Says::Hit } else { Says::Nothing };
         let fine = direction.cell(EDGE);
         for level in 0..LEVELS {
             // Edges are powers of two, so the cells of coarser images follow.

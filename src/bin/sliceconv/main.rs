@@ -100,7 +100,7 @@ struct Arguments {
     /// Write the points that were removed as moving to a LAS file
     #[arg(long, requires = "remove_moving", value_name = "REMOVED.las")]
     removed: Option<PathBuf>,
-    /// Close holes in floors of up to this width in metres (1 to 48 whole pixels) by the floor around them; the archive marks what is
+    /// Close holes in floors of up to this width in metres (1 to 45 whole pixels) by the floor around them; the archive marks what is
     /// inferred so. Takes one more pass, and temporary data of about the archive's size
     #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
     fill_holes: Option<f64>,

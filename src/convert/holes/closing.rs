@@ -46,9 +46,9 @@ const fn trim_of(k: usize) -> usize {
     (k + 1) / 4 + 1
 }
 
-/// Steps along an axis within which floor is looked for: a slot of `k` pixels is crossed by two axes within 1.09 of that.
+/// Steps along an axis within which floor is looked for: a slot of `k` pixels is crossed by two axes within 1.415 of that.
 const fn ray_of(k: usize) -> usize {
-    k + k / 8 + 1
+    k + k * 5 / 12 + 1
 }
 
 /// A span of scanned matter (quanta above the grid's origin).
@@ -370,9 +370,7 @@ impl Closer {
         }
         match &spans[..below] {
             [] => true,
-            [.., room, ceiling] => {
-                bottom - ceiling.top() <= self.ceiling && ceiling.bottom - room.top() >= self.room
-            }
+            [.., room, ceiling] => bottom - ceiling.top() <= self.ceiling && ceiling.bottom - room.top() >= self.room,
             // A floor that was seen through the hole.
             [_] => false,
         }

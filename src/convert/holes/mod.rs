@@ -69,7 +69,9 @@ pub(super) fn fill_holes(
         on_threads(threads, || {
             let worker = &workers[next_worker.fetch_add(1, Ordering::Relaxed) % threads];
             let mut worker = worker.lock().unwrap_or_else(PoisonError::into_inner);
-            while let Some(number) = Some(next_job.fetch_add(1, Ordering::Relaxed)).filter(|&number| number < round.len()) {
+            while let Some(number) =
+                Some(next_job.fetch_add(1, Ordering::Relaxed)).filter(|&number| number < round.len())
+            {
                 if monitor.cancelled() {
                     return Err(Error::Interrupted);
                 }
@@ -155,13 +157,7 @@ impl<'a> Worker<'a> {
     }
 
     /// The pages of those columns of a job that lie in `wanted`. A job of more than `max_words` is done alone.
-    fn work(
-        &mut self,
-        job: &Job,
-        wanted: Option<(u64, u64)>,
-        max_words: u64,
-        alone: &Mutex<()>,
-    ) -> Result<KeyedPages> {
+    fn work(&mut self, job: &Job, wanted: Option<(u64, u64)>, max_words: u64, alone: &Mutex<()>) -> Result<KeyedPages> {
         let wanted = |column: u64| wanted.is_none_or(|(first, last)| (first..=last).contains(&column));
         let own: Vec<u64> = job.columns.iter().map(|column| column.0).filter(|&column| wanted(column)).collect();
         let mut entries: BTreeMap<u64, Vec<PageEntry>> = job.columns.iter().cloned().collect();
@@ -235,7 +231,8 @@ impl<'a> Worker<'a> {
             None => Arc::new(self.scanned.leaf(index)?),
         };
         self.leaves.push_back((index, entries.clone()));
-        let kept = |leaves: &VecDeque<(usize, Arc<Vec<PageEntry>>)>| leaves.iter().map(|leaf| leaf.1.len()).sum::<usize>();
+        let kept =
+            |leaves: &VecDeque<(usize, Arc<Vec<PageEntry>>)>| leaves.iter().map(|leaf| leaf.1.len()).sum::<usize>();
         while self.leaves.len() > 2 && kept(&self.leaves) > KEPT_ENTRIES {
             self.leaves.pop_front();
         }

@@ -31,9 +31,12 @@ fn closed(world: &World, widest: u8) -> BTreeSet<(Pixel, i64, i64)> {
                     continue;
                 }
                 for &(bottom, top, floor) in spans {
-                    let layer = bottom.div_euclid(16320);
-                    let span = Span::new((bottom - layer * 16320) as u32, (top - layer * 16320) as u32, !floor);
-                    builders.entry(layer).or_default().entry(at).or_default().push(span.unwrap());
+                    // Cut between pages.
+                    for layer in bottom.div_euclid(16320)..=(top - 1).max(bottom).div_euclid(16320) {
+                        let [low, high] = [bottom, top].map(|height| (height - layer * 16320).clamp(0, 16320) as u32);
+                        let span = Span::new(low, high, !floor).unwrap();
+                        builders.entry(layer).or_default().entry(at).or_default().push(span);
+                    }
                 }
             }
             let pages: Vec<_> = builders
@@ -50,7 +53,10 @@ fn closed(world: &World, widest: u8) -> BTreeSet<(Pixel, i64, i64)> {
     let around = std::array::from_fn(|tile| columns[tile].as_ref());
     let fills = Closer::new(&frame(), widest).close(&around);
     assert!(fills.is_sorted());
-    fills.into_iter().map(|Fill { pixel, bottom, top }| ((i64::from(pixel) % 64, i64::from(pixel) / 64), bottom, top)).collect()
+    fills
+        .into_iter()
+        .map(|Fill { pixel, bottom, top }| ((i64::from(pixel) % 64, i64::from(pixel) / 64), bottom, top))
+        .collect()
 }
 
 /// The same by the definition.
@@ -101,7 +107,7 @@ fn by_definition(world: &World, widest: i64) -> BTreeSet<(Pixel, i64, i64)> {
                 continue;
             }
             let hit = |dx: i64, dy: i64| {
-                let steps = (1..=widest + widest / 8 + 1).map(|n| (n, (x + n * dx, y + n * dy)));
+                let steps = (1..=widest + widest * 5 / 12 + 1).map(|n| (n, (x + n * dx, y + n * dy)));
                 steps.filter_map(|(n, at)| Some((n, *floor.get(&at)?))).next()
             };
             let mut heights = Vec::new();
@@ -182,7 +188,6 @@ fn world() -> impl Strategy<Value = World> {
                     spans.push((floor + 3300, floor + 3310, true));
                 }
             }
-            spans.retain(|span| span.0.div_euclid(16320) == span.1.div_euclid(16320));
             if !spans.is_empty() {
                 world.insert((x, y), spans);
             }
@@ -192,7 +197,7 @@ fn world() -> impl Strategy<Value = World> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(6))]
+    #![proptest_config(ProptestConfig::with_cases(4))]
     #[test]
     fn holes_are_those_of_the_definition(world in world(), widest in prop::sample::select(vec![1u8, 2, 3, 5, 8])) {
         let (found, expected) = (closed(&world, widest), by_definition(&world, widest.into()));
@@ -202,7 +207,7 @@ proptest! {
 
 #[test]
 fn slots_squares_and_discs_are_closed_up_to_the_width_and_not_beyond() {
-    for widest in [1u8, 2, 3, 4, 6, 9, 14, 24, 48] {
+    for widest in [1u8, 2, 3, 4, 6, 9, 14, 24, 45] {
         let k = i64::from(widest);
         for size in [1, k - 1, k, k + 1, k + 2, k + 4, 2 * k].into_iter().filter(|&size| (1..60).contains(&size)) {
             let from = 32 - size / 2;
@@ -213,7 +218,8 @@ fn slots_squares_and_discs_are_closed_up_to_the_width_and_not_beyond() {
                 let [x, y] = [x, y].map(|v| 2 * (v - from) + 1 - size);
                 x * x + y * y <= size * size
             };
-            let shapes: [(&str, &dyn Fn(i64, i64) -> bool); 3] = [("slot", &slot), ("square", &square), ("disc", &disc)];
+            let shapes: [(&str, &dyn Fn(i64, i64) -> bool); 3] =
+                [("slot", &slot), ("square", &square), ("disc", &disc)];
             for (name, shape) in shapes {
                 let world = flat(700, |x, y| !shape(x, y));
                 let found = pixels(&closed(&world, widest));
@@ -234,7 +240,7 @@ fn slots_squares_and_discs_are_closed_up_to_the_width_and_not_beyond() {
 
 #[test]
 fn slots_at_any_angle_are_closed_up_to_the_width() {
-    for widest in [6u8, 12, 24, 48] {
+    for widest in [6u8, 12, 24, 45] {
         for degrees in (0..180).step_by(7) {
             let (sin, cos) = f64::from(degrees).to_radians().sin_cos();
             let slot = |width: f64| {

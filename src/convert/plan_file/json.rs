@@ -260,7 +260,7 @@ mod tests {
                 min_points,
                 drop_floaters,
                 remove_moving: flags.1,
-                fill_holes: (drop_floaters % 49) as u8,
+                fill_holes: (drop_floaters % 46) as u8,
                 up: if flags.0 { Up::Y } else { Up::Z },
                 exclude_classes: ClassSet::from_words(classes),
             };

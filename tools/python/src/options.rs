@@ -161,7 +161,9 @@ impl Asked {
 /// Refuses options that were named and say otherwise than the plan.
 fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &ConvertOptions) -> PyResult<()> {
     let same_holes = || match planned.pixel {
-        PixelSize::Metres(pixel_m) => wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes),
+        PixelSize::Metres(pixel_m) => {
+            wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes)
+        }
         _ => false,
     };
     let differs = |name: &str| match name {

@@ -46,7 +46,8 @@ impl Loader {
     pub fn open(archive: &Path, walks: &Walks) -> Result<Self, Failure> {
         let budget = usize::try_from(walks.cache).unwrap_or(usize::MAX);
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
-        let stream = Stream::open(walks.inferred.open(archive)?, options).map_err(|error| crate::broken(archive, &error))?;
+        let stream =
+            Stream::open(walks.inferred.open(archive)?, options).map_err(|error| crate::broken(archive, &error))?;
         Ok(Self { stream, archive: archive.to_path_buf() })
     }
 
