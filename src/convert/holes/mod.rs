@@ -53,8 +53,8 @@ pub(super) fn fill_holes(
 ) -> Result<()> {
     let Writing { memory_bytes, threads, columns, .. } = writing;
     monitor.stage("filling holes", scanned.header().pages.total(), "pages");
-    let max_words = memory_bytes / 4 / threads as u64 / BYTES_PER_WORD;
-    let mut jobs = Jobs { entries: scanned.entries(), next: None, max_words: max_words / 4 };
+    let share = memory_bytes / 4 / threads as u64;
+    let mut jobs = Jobs { entries: scanned.entries(), next: None, max_words: share / BYTES_PER_WORD / 4 };
     let levels = writer.has_levels();
     let workers: Vec<Mutex<Worker<'_>>> =
         (0..threads).map(|_| Mutex::new(Worker::new(scanned, plan, levels, memory_bytes / 4))).collect();
@@ -75,7 +75,7 @@ pub(super) fn fill_holes(
                 if monitor.cancelled() {
                     return Err(Error::Interrupted);
                 }
-                let pages = worker.work(&round[number], columns, max_words, &large)?;
+                let pages = worker.work(&round[number], columns, share, &large)?;
                 *done[number].lock().unwrap_or_else(PoisonError::into_inner) = pages;
             }
             Ok(())
@@ -156,8 +156,8 @@ impl<'a> Worker<'a> {
         }
     }
 
-    /// The pages of those columns of a job that lie in `wanted`. A job of more than `max_words` is done alone.
-    fn work(&mut self, job: &Job, wanted: Option<(u64, u64)>, max_words: u64, alone: &Mutex<()>) -> Result<KeyedPages> {
+    /// The pages of those columns of a job that lie in `wanted`. A job that takes more than `share` bytes is done alone.
+    fn work(&mut self, job: &Job, wanted: Option<(u64, u64)>, share: u64, alone: &Mutex<()>) -> Result<KeyedPages> {
         let wanted = |column: u64| wanted.is_none_or(|(first, last)| (first..=last).contains(&column));
         let own: Vec<u64> = job.columns.iter().map(|column| column.0).filter(|&column| wanted(column)).collect();
         let mut entries: BTreeMap<u64, Vec<PageEntry>> = job.columns.iter().cloned().collect();
@@ -175,7 +175,7 @@ impl<'a> Worker<'a> {
             let mut pages = KeyedPages::new();
             for (column, entries) in job.columns.iter().filter(|column| wanted(column.0)) {
                 let one = Job { columns: vec![(*column, entries.clone())], words: 0 };
-                pages.append(&mut self.work(&one, None, max_words, alone)?);
+                pages.append(&mut self.work(&one, None, share, alone)?);
             }
             return Ok(pages);
         }
@@ -183,7 +183,7 @@ impl<'a> Worker<'a> {
             let what = "bytes for the tile columns around a hole (larger pixels make fewer spans)";
             return Err(Error::limit(what, needed, self.memory_bytes).with_way_out(Parameter::Memory));
         }
-        let _alone = (words > max_words).then(|| alone.lock().unwrap_or_else(PoisonError::into_inner));
+        let _alone = (needed > share).then(|| alone.lock().unwrap_or_else(PoisonError::into_inner));
         let mut columns: BTreeMap<u64, Read> = BTreeMap::new();
         for (column, entries) in entries {
             let (scanned, decoder) = (self.scanned, &mut self.decoder);
