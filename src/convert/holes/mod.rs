@@ -17,6 +17,7 @@ use crate::slice::{Inferred, Page, PageBuilder, Span};
 use crate::{Error, Monitor, Parameter, Result};
 pub(super) use closing::Closer;
 use closing::{Fill, ScannedColumn};
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -160,11 +161,13 @@ impl<'a> Worker<'a> {
     fn work(&mut self, job: &Job, wanted: Option<(u64, u64)>, share: u64, alone: &Mutex<()>) -> Result<KeyedPages> {
         let wanted = |column: u64| wanted.is_none_or(|(first, last)| (first..=last).contains(&column));
         let own: Vec<u64> = job.columns.iter().map(|column| column.0).filter(|&column| wanted(column)).collect();
+        if own.is_empty() {
+            return Ok(KeyedPages::new());
+        }
         let mut entries: BTreeMap<u64, Vec<PageEntry>> = job.columns.iter().cloned().collect();
         for near in own.iter().flat_map(|&column| around(column)).flatten() {
-            if !entries.contains_key(&near) {
-                let found = self.entries_of(near)?;
-                entries.insert(near, found);
+            if let Entry::Vacant(unknown) = entries.entry(near) {
+                unknown.insert(self.entries_of(near)?);
             }
         }
         entries.retain(|_, entries| !entries.is_empty());
