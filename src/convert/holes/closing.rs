@@ -98,7 +98,7 @@ impl ScannedColumn {
                         {
                             below.thickness += 2 * thickness;
                         }
-                        _ => spans.push(Scanned { bottom, thickness: 2 * thickness | kind }),
+                        _ => spans.push(Scanned { bottom, thickness: (2 * thickness) | kind }),
                     }
                 }
             }
@@ -108,7 +108,7 @@ impl ScannedColumn {
     }
 
     fn pixel(&self, x: usize, y: usize) -> &[Scanned] {
-        let pixel = (y % 64) << 6 | x % 64;
+        let pixel = ((y % 64) << 6) | (x % 64);
         &self.spans[self.starts[pixel] as usize..self.starts[pixel + 1] as usize]
     }
 }
