@@ -69,13 +69,13 @@ def tile_of(column):
 
 
 class Bytes:
-    """Takes numbers from the content of a leaf."""
+    """Takes numbers from bytes, by default the content of a leaf."""
 
-    def __init__(self, data):
-        self.data, self.at = data, 0
+    def __init__(self, data, rule="D3"):
+        self.data, self.at, self.rule = data, 0, rule
 
     def take(self, count):
-        need(count <= len(self.data) - self.at, "D3", "a column ends early")
+        need(count <= len(self.data) - self.at, self.rule, "a column ends early")
         self.at += count
         return self.data[self.at - count : self.at]
 
@@ -85,10 +85,10 @@ class Bytes:
             byte = self.take(1)[0]
             value |= (byte & 127) << 7 * place
             if byte < 128:
-                need(byte or not place, "D3", "a varint longer than necessary")
-                need(value <= U64, "D3", "a varint of more than 64 bits")
+                need(byte or not place, self.rule, "a varint longer than necessary")
+                need(value <= U64, self.rule, "a varint of more than 64 bits")
                 return value
-        raise Refused("D3", "a varint of more than 10 bytes")
+        raise Refused(self.rule, "a varint of more than 10 bytes")
 
     def zigzag(self):
         value = self.varint()

@@ -23,6 +23,7 @@ FIELDS = (
 )
 NAMES, TYPES = zip(*(field.split(":") for field in FIELDS.split()))
 LEVELS = struct.Struct("<B2sQII")
+INFERRED = slice(LEVELS.size, LEVELS.size + 8)
 FIXED = struct.Struct("<" + "".join(TYPES))
 assert FIXED.size == FIXED_LEN
 
@@ -43,9 +44,10 @@ class Head:
         need(crc32c(head[:-4]) == self.crc, "H3", "the checksum of the head is wrong")
         self.__dict__.update(zip(NAMES, FIXED.unpack(head[:FIXED_LEN])))
         need(self.major == 1, "H4", f"version {self.major} is not supported")
-        need(self.features_required == 0, "H5", f"features {self.features_required:#x} are not supported")
+        need(self.features_required <= 1, "H5", f"features {self.features_required:#x} are not supported")
         need(self.file_len == len(data), "H6", f"{len(data)} bytes, should have {self.file_len}")
         self.check_plan()
+        self.read_inferred()
         self.check_totals()
         sections = head_len + self.pages_len + self.directory_len + self.metadata_len + FOOTER_LEN
         need(sections == self.file_len, "H9", f"sections of {sections} bytes in a file of {self.file_len}")
@@ -60,16 +62,26 @@ class Head:
     def read_levels(self):
         """Where the levels of chapter 15 are told of; `pages_len` is then that of the pages alone."""
         self.has_levels = self.minor >= 1 and self.features_optional & 1 == 1
-        known = LEVELS.size if self.has_levels else 0
-        need(self.minor > 1 or not any(self.reserved[known:]), "H10", "reserved bytes are not zero")
+        zero = self.has_levels or not any(self.reserved[: LEVELS.size])
+        need(self.minor > 2 or zero, "H10", "reserved bytes are not zero")
         self.level_count = self.levels_len = self.table_len = self.table_crc = 0
         if self.has_levels:
-            fields = LEVELS.unpack(self.reserved[:known])
+            fields = LEVELS.unpack(self.reserved[: LEVELS.size])
             self.level_count, zero, self.levels_len, self.table_len, self.table_crc = fields
             some = 0 < self.level_count <= 16 and 0 < self.table_len < self.levels_len and self.table_len <= 295552
             need(zero == b"\0\0" and (some or not any(fields[2:]) and not self.level_count), "L1", f"levels {fields}")
             need(self.levels_len <= self.pages_len, "L1", f"levels of {self.levels_len} bytes")
         self.pages_len -= self.levels_len
+
+    def read_inferred(self):
+        """What the head says of inferred matter, chapter 16."""
+        self.fill_holes = self.up >> 2
+        fills = self.features_required == 1
+        right = fills == (self.fill_holes > 0) and (self.minor >= 2 or not fills)
+        need(right, "H7", f"holes of {self.fill_holes} pixels, features {self.features_required}, minor {self.minor}")
+        known = INFERRED.stop if fills else INFERRED.start
+        need(self.minor > 2 or not any(self.reserved[known:]), "H10", "reserved bytes are not zero")
+        self.voxels_inferred = int.from_bytes(self.reserved[INFERRED], "little") if fills else 0
 
     def check_plan(self):
         plan = (
@@ -78,7 +90,7 @@ class Head:
             and plain(self.max_slope, 0, 90)
             and plain(self.tolerance, 0, 1e6)
             and self.classifier <= 2
-            and self.up <= 3
+            and self.up >> 2 <= 45
             and self.min_points >= 1
         )
         need(plan, "H7", "the plan is not within its limits")
@@ -92,7 +104,8 @@ class Head:
         tiles = self.pages <= self.tiles_occupied <= self.voxels_occupied
         unique = self.tiles_unique <= self.tiles_stored <= self.tiles_occupied
         need(tiles and unique, "H8", "the numbers of pages, tiles and voxels contradict each other")
-        need(self.voxels_obstacle <= self.voxels_occupied, "H8", "more voxels of obstacles than voxels")
+        known = self.voxels_obstacle + self.voxels_inferred
+        need(known <= self.voxels_occupied, "H8", "more voxels of obstacles and inferred ones than voxels")
         need(self.pages <= 1 << 29, "H8", f"{self.pages} pages")
         self.bounds = None
         need(self.has_bounds <= 1, "H8", f"has_bounds is {self.has_bounds}")

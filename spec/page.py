@@ -153,7 +153,7 @@ def spread(values):
 class Span:
     """A span with its steps; `codes` are how its heights were coded: None for a boundary, else step and offset."""
 
-    __slots__ = ("bottom", "top", "obstacle", "low", "high", "codes")
+    __slots__ = ("bottom", "top", "obstacle", "low", "high", "codes", "inferred")
 
     def thickness(self):
         return self.high - self.low
@@ -163,7 +163,10 @@ class Page:
     """The content of a page: `columns[64 * py + px]` are the spans of a pixel."""
 
     def __init__(self, body, trace=None):
-        need(body[0] == 1, "P5", f"model {body[0]}")
+        need(body[0] in (1, 2), "P5", f"model {body[0]}")
+        self.model, runs = body[0], []
+        if self.model == 2:
+            runs, body = read_runs(body)
         self.symbols = Symbols(body, trace)
         self.lattice = Lattice.read(self.symbols)
         self.count = nibbles("count", 16, COUNT_WEIGHTS)
@@ -179,6 +182,18 @@ class Page:
         self.symbols.finish()
         need(any(self.columns), "P6", "no pixel is occupied")
         del self.symbols
+        self.mark(runs)
+
+    # Section 6.6: inferred spans.
+
+    def mark(self, runs):
+        floors = [span for column in self.columns for span in column if not span.obstacle]
+        need(sum(runs) <= len(floors), "P12", f"runs of {sum(runs)} of {len(floors)} floor spans")
+        at = 0
+        for number, run in enumerate(runs):
+            for span in floors[at : at + run]:
+                span.inferred = number % 2 == 1
+            at += run
 
     # Section 6.3: pixels with matter.
 
@@ -259,6 +274,7 @@ class Page:
         else:
             of_bottom, a = 2 + low_class // 2 if m == 2 else 8 + low_class, 2 + thick_class
         span = Span()
+        span.inferred = False
         span.bottom, span.low, first = self.read_height(0, of_bottom, bottom)
         context = 10 * klass(abs(thick)) + a
         span.top, span.high, second = self.read_height(1, context, span.low + thick)
@@ -326,6 +342,19 @@ class Page:
             if step < STEPS and self.lattice.usual(end, step) + offset == height:
                 return step, offset
         return None
+
+
+def read_runs(body):
+    """The runs of a body of model 2, and the same as a body of model 1."""
+    from encoding import Bytes  # which needs this module itself
+
+    content = Bytes(body[1:], "P12")
+    count = content.varint()
+    left = len(body) - 1 - content.at
+    need(count % 2 == 0 and 2 <= count <= left, "P12", f"{count} runs in {left} bytes")
+    runs = [content.varint() for _ in range(count)]
+    need(all(1 <= run <= 1 << 18 for run in runs[1:]) and runs[0] <= 1 << 18, "P12", f"runs {runs}")
+    return runs, b"\1" + body[1 + content.at :]
 
 
 def find_lattice(heights, slice_height):

@@ -116,7 +116,7 @@ def read_span(entry, word):
 # Chapter 5: pages.
 
 
-def read_page(entry, data, slice_height):
+def read_page(entry, data, slice_height, fills=False):
     """The page of an entry; without a slice height, of a level."""
     magic, tx, ty, layer, body_len, crc = struct.unpack("<4siiiII", data[:LEADER_LEN])
     need(magic == (LEVEL_MAGIC if slice_height is None else PAGE_MAGIC), "P1", "a page does not begin as one")
@@ -129,6 +129,7 @@ def read_page(entry, data, slice_height):
     else:
         need(key is not None and key < entry.key(), "P3", f"page {(tx, ty, layer)} is shared by an earlier one")
     page = Page(data[LEADER_LEN:])
+    need(page.model == 1 or fills, "P13", "inferred matter in an archive without closed holes")
     mask = 0
     for column in page.columns:
         for span in column:
@@ -141,17 +142,16 @@ def read_page(entry, data, slice_height):
 
 
 def voxels_of(columns):
-    """Voxels with matter, and with an obstacle."""
-    occupied = obstacle = 0
+    """Voxels with matter, with an obstacle, and with inferred matter alone; kind 2 is inferred floor."""
+    occupied = obstacle = inferred = 0
     for spans in columns:
-        slices = obstacles = 0
+        kinds = [0, 0, 0]
         for bottom, top, kind in spans:
-            bits = slices_of(bottom, top)
-            slices |= bits
-            obstacles |= bits if kind else 0
-        occupied += slices.bit_count()
-        obstacle += obstacles.bit_count()
-    return occupied, obstacle
+            kinds[kind] |= slices_of(bottom, top)
+        occupied += (kinds[0] | kinds[1] | kinds[2]).bit_count()
+        obstacle += kinds[1].bit_count()
+        inferred += (kinds[2] & ~(kinds[0] | kinds[1])).bit_count()
+    return occupied, obstacle, inferred
 
 
 # Chapter 7: metadata.
@@ -312,7 +312,7 @@ def read_archive(data):
     check_footer(head, data[ends[-1] :])
     crs, part, units = read_metadata(metadata, head.metadata_crc)
     entries = read_entries(head, directory)
-    occupied = obstacle = 0
+    occupied = obstacle = inferred = 0
     matter = Matter()
     decoded, contents, all_columns = {}, [], {}
     for entry in entries:
@@ -325,27 +325,29 @@ def read_archive(data):
             item["span"] = list(entry.span)
             bottom, top, kind = entry.span
             voxels = SIDE * SIDE * entry.mask.bit_count()
-            counts, box = (voxels, voxels * kind), ((0, 0, bottom), (SIDE - 1, SIDE - 1, top))
+            counts, box = (voxels, voxels * kind, 0), ((0, 0, bottom), (SIDE - 1, SIDE - 1, top))
             columns = [[entry.span]] * (SIDE * SIDE)
         else:
             stored = pages[entry.offset : entry.offset + entry.length]
             # Shared pages are compared with their entry by rule D10; their leader and key are checked here.
             if entry.kind == "stored" or entry.offset not in decoded:
-                page = read_page(entry, stored, head.slice_height)
+                page = read_page(entry, stored, head.slice_height, head.fill_holes > 0)
+                kind = lambda span: 2 if span.inferred else span.obstacle
+                kinds = [[(span.bottom, span.top, kind(span)) for span in column] for column in page.columns]
+                pixels = [[at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(kinds) if spans]
                 columns = [[(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns]
-                pixels = [[at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(columns) if spans]
-                decoded[entry.offset] = pixels, voxels_of(columns), box_of(columns), columns
+                decoded[entry.offset] = pixels, voxels_of(kinds), box_of(columns), columns
             item["pixels"], counts, box, columns = decoded[entry.offset]
             item |= {"offset": ends[0] + entry.offset, "length": entry.length}
             item |= {"blocks": entry.blocks, "words": entry.words}
-        occupied, obstacle = occupied + counts[0], obstacle + counts[1]
+        occupied, obstacle, inferred = (sum(pair) for pair in zip((occupied, obstacle, inferred), counts))
         matter.add(entry, box)
         contents.append(item)
         if head.has_levels:
             all_columns[entry.tx, entry.ty, entry.layer] = columns
     check_entries(head, entries, part)
-    right = (occupied, obstacle) == (head.voxels_occupied, head.voxels_obstacle)
-    need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles")
+    right = (occupied, obstacle, inferred) == (head.voxels_occupied, head.voxels_obstacle, head.voxels_inferred)
+    need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles, {inferred} inferred")
     check_bounds(head, part, matter)
     content = {"info": show(head, crs, part, units), "pages": contents}
     if head.has_levels:
@@ -377,8 +379,7 @@ def show(head, crs, part, units):
         "tiles": named("tiles", "occupied", "stored", "unique"),
         "pages": named("pages", "stored", "shared", "uniform"),
         "empty": head.voxels_occupied == 0,
-        # What this version of the format does not hold.
-        "voxels": {**named("voxels", "occupied", "obstacle"), "inferred": 0},
+        "voxels": named("voxels", "occupied", "obstacle", "inferred"),
         "bytes": {
             "file": head.file_len,
             "tiles": head.pages_len,
@@ -399,6 +400,8 @@ def show(head, crs, part, units):
     }
     if head.up & 2:
         facts["remove_moving"] = True
+    if head.fill_holes:
+        facts["fill_holes"] = {"pixels": head.fill_holes, "metres": head.fill_holes * head.pixel_size}
     if head.drop_floaters > 1:
         facts["drop_floaters"] = head.drop_floaters
     for name in ("read", "kept", "withheld", "excluded"):

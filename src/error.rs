@@ -141,6 +141,8 @@ pub enum Parameter {
     Tolerance,
     /// The least number of points in a voxel.
     MinPoints,
+    /// The widest holes in floors that are closed.
+    FillHoles,
     /// The memory budget of a conversion.
     Memory,
     /// The number of worker threads.
@@ -182,6 +184,7 @@ impl std::fmt::Display for Parameter {
             Self::MaxSlope => "maximum slope",
             Self::Tolerance => "tolerance",
             Self::MinPoints => "least points of a voxel",
+            Self::FillHoles => "widest holes to close",
             Self::Memory => "memory budget",
             Self::Threads => "number of threads",
             Self::TempDir => "folder for temporary data",

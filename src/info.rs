@@ -38,7 +38,11 @@ pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
             "shared": header.pages.shared,
             "uniform": header.pages.uniform,
         },
-        "voxels": { "occupied": header.voxels.occupied, "obstacle": header.voxels.obstacle, "inferred": 0 },
+        "voxels": {
+            "occupied": header.voxels.occupied,
+            "obstacle": header.voxels.obstacle,
+            "inferred": header.voxels.inferred,
+        },
         "bytes": {
             "file": header.file_len,
             "tiles": header.bytes.pages,
@@ -74,6 +78,10 @@ pub fn plan_info(plan: &Plan) -> Value {
     });
     if plan.options.remove_moving {
         facts["remove_moving"] = true.into();
+    }
+    if plan.options.fill_holes > 0 {
+        let pixels = plan.options.fill_holes;
+        facts["fill_holes"] = json!({ "pixels": pixels, "metres": f64::from(pixels) * plan.frame.pixel_m() });
     }
     if plan.options.drop_floaters > 1 {
         facts["drop_floaters"] = plan.options.drop_floaters.into();

@@ -149,6 +149,9 @@ pub struct PlanOptions {
     pub drop_floaters: u16,
     /// Whether points are removed that other stations of the scan saw through.
     pub remove_moving: bool,
+    /// Holes in floors of up to so many pixels are closed by inferred floor (at most [`MOST_FILL_PIXELS`](Self::MOST_FILL_PIXELS)); 0
+    /// closes none.
+    pub fill_holes: u8,
     /// Up axis of the input, where its format does not fix it.
     pub up: Up,
     /// Points of these LAS classes are left out.
@@ -165,6 +168,7 @@ impl Default for PlanOptions {
             min_points: 1,
             drop_floaters: 0,
             remove_moving: false,
+            fill_holes: 0,
             up: Up::Z,
             exclude_classes: ClassSet::default(),
         }
@@ -197,7 +201,8 @@ impl Plan {
         }
         bytes[32] =
             Classifier::ALL.iter().position(|&c| c == self.options.classifier).map_or(u8::MAX, |code| code as u8);
-        bytes[33] = u8::from(self.options.up == Up::Y) | u8::from(self.options.remove_moving) << 1;
+        let flags = u8::from(self.options.up == Up::Y) | u8::from(self.options.remove_moving) << 1;
+        bytes[33] = flags | self.options.fill_holes << 2;
         bytes[34..36].copy_from_slice(&self.options.drop_floaters.to_le_bytes());
         bytes[36..40].copy_from_slice(&self.options.min_points.to_le_bytes());
         for (slot, value) in bytes[40..].chunks_exact_mut(8).zip(self.options.exclude_classes.words()) {
@@ -213,6 +218,9 @@ impl Plan {
 }
 
 impl PlanOptions {
+    /// Widest holes that can be closed (pixels): whether one is follows from the tile columns around it.
+    pub const MOST_FILL_PIXELS: u8 = 45;
+
     /// Refuses values outside the limits stated at the fields.
     pub fn check(&self) -> Result<()> {
         if !(0.0..=90.0).contains(&self.max_slope_deg) {
@@ -222,6 +230,11 @@ impl PlanOptions {
         if !(0.0..=1e6).contains(&self.tolerance_m) {
             let reason = format!("{} is no length between 0 and 1000000 m", number(self.tolerance_m));
             return Err(Error::parameter(Parameter::Tolerance, reason));
+        }
+        if self.fill_holes > Self::MOST_FILL_PIXELS {
+            let most = Self::MOST_FILL_PIXELS;
+            let reason = format!("{} pixels are too many; at most {most} can be closed", self.fill_holes);
+            return Err(Error::parameter(Parameter::FillHoles, reason));
         }
         if self.min_points == 0 {
             return Err(Error::parameter(Parameter::MinPoints, "0 is too few; 1 keeps every point"));

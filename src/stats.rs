@@ -5,7 +5,7 @@
 
 use crate::archive::{Archive, PageEntry, PageReader, Storage};
 use crate::frame::{PAGE_SLICES, SLICE_QUANTA};
-use crate::slice::Page;
+use crate::slice::{Inferred, Page};
 use crate::{Error, Result};
 use std::collections::HashMap;
 
@@ -74,6 +74,10 @@ pub struct Stats {
     pub voxels: u64,
     /// Of these, with an obstacle.
     pub obstacle_voxels: u64,
+    /// Of the spans, inferred ones: floor that closes holes of the scan.
+    pub inferred_spans: u64,
+    /// Of the voxels, those whose matter is inferred alone.
+    pub inferred_voxels: u64,
     /// Voxels inside a span, where no height is stored.
     pub inner_voxels: u64,
     /// Memory of all pages when resident (bytes).
@@ -98,7 +102,7 @@ impl Stats {
             let again = (!matches!(entry.storage, Storage::Stored(_))).then(|| entry.content());
             let page = match again.and_then(|content| known.get(&content)) {
                 Some(page) => *page,
-                None => PageStats::of(pages.page(&entry)?, &entry, &mut counter),
+                None => PageStats::of(pages.page_and_inferred(&entry)?, &entry, &mut counter),
             };
             if let Some(content) = again.filter(|content| !known.contains_key(content)) {
                 if known.len() == KEPT {
@@ -127,6 +131,8 @@ impl Stats {
         self.columns += page.columns_by_spans.iter().sum::<u64>();
         self.spans += page.spans;
         self.obstacle_spans += page.obstacle_spans;
+        self.inferred_spans += page.inferred.0;
+        self.inferred_voxels += page.inferred.1;
         self.inner_voxels += page.inner_voxels;
         let sums = [&mut self.columns_by_spans[..], &mut self.needs, &mut self.wall_needs];
         for (sums, counts) in sums.into_iter().zip([&page.columns_by_spans[..], &page.needs, &page.wall_needs]) {
@@ -146,14 +152,17 @@ struct PageStats {
     spans: u64,
     obstacle_spans: u64,
     voxels: (u64, u64),
+    /// Spans and voxels.
+    inferred: (u64, u64),
     inner_voxels: u64,
     memory_bytes: u64,
 }
 
 impl PageStats {
-    fn of(page: &Page, entry: &PageEntry, counter: &mut TileCounter) -> Self {
+    fn of((page, inferred): (&Page, &Inferred), entry: &PageEntry, counter: &mut TileCounter) -> Self {
         let memory_bytes = page.weight_bytes() as u64;
-        let mut stats = Self { voxels: page.voxel_counts(), memory_bytes, ..Self::default() };
+        let inferred = (inferred.span_count(), inferred.voxel_count(page));
+        let mut stats = Self { voxels: page.voxel_counts(), inferred, memory_bytes, ..Self::default() };
         for (_, _, spans) in page.columns() {
             stats.columns_by_spans[spans.len().min(5) - 1] += 1;
             for span in spans {

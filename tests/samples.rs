@@ -78,8 +78,12 @@ fn every_sample_holds_what_its_twin_says() {
 fn every_changed_byte_of_a_good_sample_is_found() {
     for (name, good) in samples::good::all() {
         let pages = read_all(&Archive::from_bytes(good.clone()).unwrap()).unwrap();
-        // Of very many pages or bytes it would take long; odd, so that all bits of bytes get their turn.
-        let step = if pages.len() > 1000 { 293 } else { (good.len() / 2400) | 1 };
+        // Of very many pages, spans or bytes it would take long; odd, so that all bits of bytes get their turn.
+        let step = match pages.values().map(|page| page.span_count()).sum::<usize>() {
+            _ if pages.len() > 1000 => 293,
+            spans if spans > 10_000 => 17,
+            _ => (good.len() / 2400) | 1,
+        };
         for at in (0..good.len()).step_by(step) {
             let mut bytes = good.clone();
             bytes[at] ^= 1 << (at % 8);

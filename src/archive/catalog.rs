@@ -20,11 +20,28 @@ use std::ops::Range;
 pub struct Catalog {
     header: Header,
     leaves: Vec<Leaf>,
+    ignores_inferred: bool,
 }
 
 impl Catalog {
     pub(super) fn new(header: Header, leaves: Vec<Leaf>) -> Self {
-        Self { header, leaves }
+        Self { header, leaves, ignores_inferred: false }
+    }
+
+    /// The same, of which archives, stores, loaders and streams give pages without inferred matter: what was scanned and nothing
+    /// else (guarantee G2). Header, directory and overview levels stay as they are.
+    pub fn ignoring_inferred(self) -> Self {
+        Self { ignores_inferred: true, ..self }
+    }
+
+    /// Whether pages come without inferred matter.
+    pub fn ignores_inferred(&self) -> bool {
+        self.ignores_inferred
+    }
+
+    /// The same with inferred matter.
+    pub(super) fn whole(&self) -> Self {
+        Self { ignores_inferred: false, ..self.clone() }
     }
 
     /// What the head says about the whole.

@@ -8,7 +8,7 @@ use super::reader::Archive;
 use super::writer::{ArchiveWriter, Totals};
 use crate::frame::{Frame, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::output::{Existing, Protected};
-use crate::slice::{Page, PageBuilder, Span};
+use crate::slice::{Inferred, Page, PageBuilder, Span};
 use crate::{Error, Monitor, Parameter, Result};
 use std::path::Path;
 
@@ -62,28 +62,34 @@ struct PagePart {
 impl PagePart {
     const WHOLE: Self = Self { px: (0, 63), py: (0, 63), slices: (0, 63) };
 
-    /// What `page` has here, built in `builder`.
-    fn cut(&self, page: &Page, builder: &mut PageBuilder) -> Page {
+    /// What `page` has here, built in `builder`, and which spans of that are inferred.
+    fn cut(&self, page: &Page, inferred: &Inferred, builder: &mut PageBuilder) -> (Page, Inferred) {
         let Self { px, py, slices } = *self;
         let (low, high) = (slices.0 * SLICE_QUANTA as u32, (slices.1 + 1) * SLICE_QUANTA as u32);
         builder.clear();
-        let mut column: Vec<Span> = Vec::new();
+        let (mut column, mut kept): (Vec<Span>, Inferred) = (Vec::new(), Inferred::new());
         let inside = |range: (u32, u32), at: u32| (range.0..=range.1).contains(&at);
         for (x, y, spans) in page.columns().filter(|&(x, y, _)| inside(px, x) && inside(py, y)) {
             column.clear();
-            let met = spans.iter().filter(|span| {
+            let (marks, mut mask) = (inferred.of(x, y), 0);
+            for (at, span) in spans.iter().enumerate() {
                 let (first, last) = span.slices();
-                first <= slices.1 && last >= slices.0
-            });
-            column.extend(
-                met.filter_map(|span| Span::new(span.bottom().max(low), span.top().min(high), span.is_obstacle())),
-            );
+                if first <= slices.1
+                    && last >= slices.0
+                    && let Some(part) = Span::new(span.bottom().max(low), span.top().min(high), span.is_obstacle())
+                {
+                    mask |= (marks >> (at & 63) & 1) << column.len();
+                    column.push(part);
+                }
+            }
             if !column.is_empty() {
+                let in_order = kept.push(x, y, mask);
+                debug_assert!(in_order, "columns come in row order");
                 let canonical = builder.set_column(x, y, &column);
                 debug_assert!(canonical, "parts of spans that are apart are apart");
             }
         }
-        builder.build()
+        (builder.build(), kept)
     }
 }
 
@@ -107,6 +113,7 @@ pub fn extract(
     if !(0..3).all(|axis| min[axis] <= max[axis]) {
         return Err(Error::parameter(Parameter::Bounds, format!("no region lies between {min:?} and {max:?}")));
     }
+    let archive = &archive.whole();
     let (frame, header) = (archive.frame(), archive.header());
     let region = Region::around(frame, bounds);
     monitor.stage("extract", header.pages.total(), "pages");
@@ -131,10 +138,10 @@ pub fn extract(
         copier.put(&mut writer, entry.key, (entry.content(), part), || {
             let page = archive.page_with(&entry, &mut decoder)?;
             if part == PagePart::WHOLE {
-                return Ok(Some(encoder.copied(entry.key, &decoder.bytes, &page)));
+                return Ok(Some(encoder.copied(entry.key, &decoder.bytes, &page, decoder.inferred())));
             }
-            let part = part.cut(&page, &mut builder);
-            Ok((part.slices() != 0).then(|| encoder.encode(entry.key, &part)))
+            let (part, inferred) = part.cut(&page, decoder.inferred(), &mut builder);
+            Ok((part.slices() != 0).then(|| encoder.encode_inferred(entry.key, &part, &inferred)))
         })?;
     }
     let bounds = writer.fit(header.bounds.and_then(|whole| region.bounds(frame, &whole)));

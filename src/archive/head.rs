@@ -13,6 +13,15 @@ use xxhash_rust::xxh3::xxh3_128;
 
 /// Last bytes of an archive.
 pub(super) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
+/// Minor version and required features of an archive of `plan`.
+pub(super) fn needs(plan: &Plan, levels: bool) -> (u16, u64) {
+    match (plan.options.fill_holes > 0, levels) {
+        (true, _) => (INFERRED_MINOR, INFERRED),
+        (false, true) => (LEVELS_MINOR, 0),
+        (false, false) => (0, 0),
+    }
+}
+
 /// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
 pub(super) const MAX_HEAD: usize = 16_384;
 /// Length of the fixed fields (bytes).
@@ -36,6 +45,13 @@ const FILE_LEN: std::ops::Range<usize> = 32..40;
 pub(super) const LEVELS: u64 = 1;
 /// Minor version from which the head tells of levels.
 const LEVELS_MINOR: u16 = 1;
+/// Bit of `features_required`: holes were filled, so pages may hold inferred matter.
+pub(super) const INFERRED: u64 = 1;
+/// Minor version from which there is inferred matter.
+const INFERRED_MINOR: u16 = 2;
+/// Where the fields of levels end among those that were reserved first, and those of inferred matter.
+const LEVELS_END: usize = 19;
+const INFERRED_END: usize = LEVELS_END + 8;
 /// Where the canonical bytes of the plan lie in the head.
 const PLAN: std::ops::Range<usize> = 56..128;
 
@@ -57,6 +73,8 @@ pub struct Voxels {
     pub occupied: u64,
     /// Those with obstacle.
     pub obstacle: u64,
+    /// Those whose matter is inferred alone: floor that closes holes of the scan.
+    pub inferred: u64,
 }
 
 /// How many pages of each kind an archive has.
@@ -270,6 +288,7 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
     word(&mut out, header.bytes.levels);
     out.extend(levels.table_len.to_le_bytes());
     out.extend(levels.table_crc.to_le_bytes());
+    word(&mut out, header.voxels.inferred);
     out.resize(FIXED, 0);
     leaves.iter().for_each(|leaf| leaf.encode(&mut out));
     out.resize(header.bytes.head as usize - CRC, 0);
@@ -359,8 +378,9 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     if version.0 != FORMAT_VERSION.0 {
         return Err(unsupported(format!("slice archive format {}.{} (rule H4)", version.0, version.1)));
     }
-    if features_required != 0 {
-        let bits: Vec<_> = (0..64).filter(|bit| features_required >> bit & 1 == 1).map(|bit| bit.to_string()).collect();
+    let unknown = features_required & !INFERRED;
+    if unknown != 0 {
+        let bits: Vec<_> = (0..64).filter(|bit| unknown >> bit & 1 == 1).map(|bit| bit.to_string()).collect();
         return Err(unsupported(format!("required archive feature {} (rule H5)", bits.join(", "))));
     }
     if stated_len != file_len {
@@ -377,7 +397,8 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
         let [has_bounds] = reader.array()?;
         let reserved = reader.take(FIXED - 325)?;
         reader = ByteReader::new(&[], "H2");
-        let (levels, levels_len) = decode_levels(version.1, features_optional, reserved)?;
+        let (levels, levels_len) = decode_levels(version.1, features_optional, &reserved[..LEVELS_END])?;
+        let inferred = decode_inferred(version.1, features_required, &plan, &reserved[LEVELS_END..])?;
         let Some(pages_len) = words[20].checked_sub(levels_len) else {
             return Err(Violation::new("L1", format!("levels of at most {} bytes", words[20]), levels_len));
         };
@@ -399,7 +420,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
             bounds,
             slices,
             tiles: Tiles { occupied: words[12], stored: words[13], unique: words[14] },
-            voxels: Voxels { occupied: words[15], obstacle: words[16] },
+            voxels: Voxels { occupied: words[15], obstacle: words[16], inferred },
             pages: Pages { stored: words[17], shared: words[18], uniform: words[19] },
             bytes: Sections {
                 head: head_len as u64,
@@ -422,8 +443,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
 /// What the reserved fields say of levels, and the length of their section (rules H10 and L1).
 fn decode_levels(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<Levels>, u64), Violation> {
     let has_levels = minor >= LEVELS_MINOR && features & LEVELS != 0;
-    let known = if has_levels { 19 } else { 0 };
-    if minor <= FORMAT_VERSION.1 && reserved[known..].iter().any(|&byte| byte != 0) {
+    if !has_levels && minor <= FORMAT_VERSION.1 && reserved.iter().any(|&byte| byte != 0) {
         return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
     }
     if !has_levels {
@@ -443,6 +463,21 @@ fn decode_levels(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<L
     Ok((Some(levels), len))
 }
 
+/// Number of inferred voxels by the reserved fields behind those of levels (rules H7 and H10).
+fn decode_inferred(minor: u16, features: u64, plan: &Plan, reserved: &[u8]) -> Result<u64, Violation> {
+    let fills = features & INFERRED != 0;
+    if fills != (plan.options.fill_holes > 0) || fills && minor < INFERRED_MINOR {
+        let expected = "holes filled in archives of version 1.2 with the required feature 0, and in no others";
+        let found = format!("holes of {} pixels, version 1.{minor}, features {features:#x}", plan.options.fill_holes);
+        return Err(Violation::new("H7", expected, found));
+    }
+    let known = if fills { INFERRED_END - LEVELS_END } else { 0 };
+    if minor <= FORMAT_VERSION.1 && reserved[known..].iter().any(|&byte| byte != 0) {
+        return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
+    }
+    if fills { ByteReader::new(reserved, "H2").u64() } else { Ok(0) }
+}
+
 fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
     let mut reader = ByteReader::new(bytes, "H7");
     let sizes = [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
@@ -454,9 +489,6 @@ fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
     let Some(&classifier) = Classifier::ALL.get(classifier as usize) else {
         return Err(Violation::new("H7", "classifier 0, 1 or 2", classifier));
     };
-    if flags > 3 {
-        return Err(Violation::new("H7", "an up axis and removed points as 0 to 3", flags));
-    }
     let (up, remove_moving) = (if flags & 1 == 1 { Up::Y } else { Up::Z }, flags & 2 == 2);
     let frame = Frame::new(sizes[0], sizes[1]).map_err(wrong)?;
     let [_, _, max_slope_deg, tolerance_m] = sizes;
@@ -467,6 +499,7 @@ fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
         min_points,
         drop_floaters,
         remove_moving,
+        fill_holes: flags >> 2,
         up,
         exclude_classes,
     };
@@ -516,8 +549,10 @@ fn check_sums(header: &Header) -> Result<(), Violation> {
     if tiles.unique > tiles.stored || tiles.stored > tiles.occupied {
         return wrong("unique <= stored <= occupied tiles", format!("{tiles:?}"));
     }
-    if voxels.obstacle > voxels.occupied || voxels.occupied < tiles.occupied {
-        return wrong("obstacle <= occupied voxels, one or more a tile", format!("{voxels:?}, {tiles:?}"));
+    let known = voxels.obstacle.checked_add(voxels.inferred);
+    if known.is_none_or(|known| known > voxels.occupied) || voxels.occupied < tiles.occupied {
+        let expected = "obstacle and inferred among the occupied voxels, one or more a tile";
+        return wrong(expected, format!("{voxels:?}, {tiles:?}"));
     }
     let most = MAX_LEAVES as u64 * MAX_LEAF_ENTRIES as u64;
     let counts = [pages.stored, pages.shared, pages.uniform];

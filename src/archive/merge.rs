@@ -261,12 +261,13 @@ fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor)
         }
         let placed = copier.put(writer, entry.key, entry.content(), || {
             let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
-            Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page, levels)))
+            Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page, decoder.inferred(), levels)))
         })?;
         if let Some(placed) = placed {
             tiles += u64::from(placed.slices.count_ones());
             voxels.occupied += placed.voxels.0;
             voxels.obstacle += placed.voxels.1;
+            voxels.inferred += placed.inferred;
             matter.add(entry.key, &placed.bounds);
         }
         pages += 1;

@@ -58,8 +58,9 @@ pub use shard::{InputRead, MAX_SHARDS, Shard};
 pub use verify::{Finding, LISTED, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};
 
-/// Latest version of the format that is read and written: major, minor. Archives without overview levels state 1.0.
-pub const FORMAT_VERSION: (u16, u16) = (1, 1);
+/// Latest version of the format that is read and written: major, minor. Archives state 1.2 where holes are filled, else 1.1
+/// with overview levels and 1.0 without.
+pub const FORMAT_VERSION: (u16, u16) = (1, 2);
 
 #[cfg(test)]
 mod tests;

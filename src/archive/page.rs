@@ -6,7 +6,7 @@ use super::levels::{CoarseSpan, coarse};
 use crate::Result;
 use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
-use crate::slice::{Page, PageBounds, PageBuilder, PageSize, Span};
+use crate::slice::{Inferred, Page, PageBounds, PageBuilder, PageSize, Span};
 use std::sync::Arc;
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -35,6 +35,8 @@ pub struct EncodedPage {
     pub(super) bounds: Option<PageBounds>,
     /// Number of voxels with matter, and how many of them hold obstacle.
     pub voxels: (u64, u64),
+    /// Number of voxels whose matter is inferred alone.
+    pub inferred: u64,
     /// What the page gives to overview levels, if it is to give anything.
     pub(super) coarse: Option<Arc<[CoarseSpan]>>,
 }
@@ -50,19 +52,19 @@ impl EncodedPage {
     }
 
     /// A page of one archive, to be put into another under `key`: `bytes` are those of its extent, `page` what they
-    /// hold. The body stays as it is; of a shared page the leader names another key and is made anew. `levels`: whether the
+    /// hold, and which spans of that are inferred. The body stays as it is; of a shared page the leader names another key and is made anew. `levels`: whether the
     /// other archive has overview levels.
-    pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page, levels: bool) -> Self {
+    pub(super) fn copied(key: PageKey, bytes: &[u8], page: &Page, inferred: &Inferred, levels: bool) -> Self {
         let Some(body) = bytes.get(LEADER..).filter(|body| !body.is_empty()) else {
-            return Self { uniform: uniform_span(page), ..Self::without_bytes(key, page, levels) };
+            return Self { uniform: uniform_span(page), ..Self::without_bytes(key, page, inferred, levels) };
         };
         let mut bytes = leader(MAGIC, key);
         bytes.extend_from_slice(body);
         seal(&mut bytes);
-        Self { hash: xxh3_64(body), bytes, ..Self::without_bytes(key, page, levels) }
+        Self { hash: xxh3_64(body), bytes, ..Self::without_bytes(key, page, inferred, levels) }
     }
 
-    fn without_bytes(key: PageKey, page: &Page, levels: bool) -> Self {
+    fn without_bytes(key: PageKey, page: &Page, inferred: &Inferred, levels: bool) -> Self {
         Self {
             bytes: Vec::new(),
             uniform: None,
@@ -72,6 +74,7 @@ impl EncodedPage {
             size: page.size(),
             bounds: page.bounds(),
             voxels: page.voxel_counts(),
+            inferred: inferred.voxel_count(page),
             coarse: levels.then(|| coarse(page).into()),
         }
     }
@@ -138,8 +141,8 @@ impl PageEncoder {
     }
 
     /// See [`EncodedPage::copied`].
-    pub(super) fn copied(&self, key: PageKey, bytes: &[u8], page: &Page) -> EncodedPage {
-        EncodedPage::copied(key, bytes, page, self.levels)
+    pub(super) fn copied(&self, key: PageKey, bytes: &[u8], page: &Page, inferred: &Inferred) -> EncodedPage {
+        EncodedPage::copied(key, bytes, page, inferred, self.levels)
     }
 
     /// An encoder for pages of overview levels.
@@ -153,20 +156,27 @@ impl PageEncoder {
     }
 
     /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds (rule P10).
-    pub(super) fn gives(&mut self, page: &Page, bytes: &[u8]) -> bool {
+    pub(super) fn gives(&mut self, page: &Page, inferred: &Inferred, bytes: &[u8]) -> bool {
         self.body.clear();
-        self.encoder.encode(page, &mut self.body);
+        self.encoder.encode_inferred(page, inferred, &mut self.body);
         self.body == bytes[LEADER..]
     }
 
     /// Encodes `page` under `key`.
     pub fn encode(&mut self, key: PageKey, page: &Page) -> EncodedPage {
-        let encoded = EncodedPage { uniform: uniform_span(page), ..EncodedPage::without_bytes(key, page, self.levels) };
+        self.encode_inferred(key, page, &Inferred::new())
+    }
+
+    /// Encodes `page`, some of whose spans are inferred, under `key`. Only archives whose plan
+    /// [fills holes](crate::plan::PlanOptions::fill_holes) take such pages.
+    pub fn encode_inferred(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> EncodedPage {
+        let uniform = if inferred.is_empty() { uniform_span(page) } else { None };
+        let encoded = EncodedPage { uniform, ..EncodedPage::without_bytes(key, page, inferred, self.levels) };
         if encoded.uniform.is_some() || encoded.bounds.is_none() {
             return encoded;
         }
         let mut bytes = leader(self.magic, key);
-        self.encoder.encode(page, &mut bytes);
+        self.encoder.encode_inferred(page, inferred, &mut bytes);
         seal(&mut bytes);
         bytes.shrink_to_fit();
         EncodedPage { hash: xxh3_64(&bytes[LEADER..]), bytes, ..encoded }
@@ -187,6 +197,10 @@ fn uniform_span(page: &Page) -> Option<Span> {
 pub struct PageDecoder {
     decoder: Decoder,
     builder: PageBuilder,
+    /// Whether inferred spans are left out.
+    ignore_inferred: bool,
+    /// Whether what the decoder says of inferred spans is of the last page.
+    is_marked: bool,
     /// Bytes of the page in work, for whoever reads them.
     pub(super) bytes: Vec<u8>,
 }
@@ -207,6 +221,18 @@ impl PageDecoder {
         Decoder::scratch_bytes(size.words() as usize) + PageBuilder::scratch_bytes(0)
     }
 
+    /// Whether pages come without their inferred spans from now on; they then differ from what their entries say of slices and
+    /// size, and may hold no matter at all.
+    pub fn set_ignore_inferred(&mut self, ignore: bool) {
+        self.ignore_inferred = ignore;
+    }
+
+    /// Which spans of the page decoded last are inferred; none if they were left out.
+    pub fn inferred(&self) -> &Inferred {
+        static NONE: Inferred = Inferred::NONE;
+        if self.is_marked && !self.ignore_inferred { self.decoder.inferred() } else { &NONE }
+    }
+
     /// The page of `entry` from `bytes`, those of its [`extent`](PageEntry::extent); none are needed for a uniform
     /// page. Errors of the [`Format`](crate::Error::Format) family name the rule that `bytes` break.
     pub fn decode(&mut self, entry: &PageEntry, bytes: &[u8]) -> Result<Page> {
@@ -216,18 +242,25 @@ impl PageDecoder {
 
     fn check_and_decode(&mut self, entry: &PageEntry, bytes: &[u8]) -> Result<Page, Violation> {
         let page = match entry.storage {
-            Storage::Uniform(span) => self.uniform(span),
+            Storage::Uniform(span) => {
+                self.is_marked = false;
+                self.uniform(span)
+            }
             Storage::Stored(extent) | Storage::Shared(extent) => {
                 check_key(entry, check_leader(extent, bytes)?)?;
                 self.decode_body(bytes)?
             }
         };
         check_entry(entry, page.slices(), page.size())?;
+        if self.ignore_inferred && self.is_marked && !self.decoder.inferred().is_empty() {
+            return Ok(self.decoder.scanned(&page));
+        }
         Ok(page)
     }
 
     /// The page whose leader and body are `bytes`, whatever its leader says.
     pub(super) fn decode_body(&mut self, bytes: &[u8]) -> Result<Page, Violation> {
+        self.is_marked = true;
         self.decoder.decode(&bytes[LEADER..])
     }
 
@@ -235,7 +268,7 @@ impl PageDecoder {
     /// holds; `None` if they are no sound page.
     pub(super) fn salvage(&mut self, bytes: &[u8]) -> Option<(PageKey, Page)> {
         let key = own_key(bytes).filter(|&key| key_in_grid(key))?;
-        Some((key, self.decoder.decode(&bytes[LEADER..]).ok()?))
+        Some((key, self.decode_body(bytes).ok()?))
     }
 
     fn uniform(&mut self, span: Span) -> Page {

@@ -11,7 +11,7 @@ use super::shard::Shard;
 use crate::bytes::{ByteSource, FileSource, MapSource, MemorySource};
 use crate::frame::{Frame, PageKey};
 use crate::plan::Plan;
-use crate::slice::Page;
+use crate::slice::{Inferred, Page};
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
 use std::ops::Range;
@@ -66,6 +66,17 @@ impl Archive {
     /// An archive whose head is known, whatever the state of the rest.
     pub(super) fn from_parts(source: Arc<dyn ByteSource>, catalog: Catalog) -> Self {
         Self { source, catalog, levels: OnceLock::new(), found: Mutex::new(None) }
+    }
+
+    /// The same archive, whose pages come without inferred matter: what was scanned and nothing else (guarantee G2). So do those of
+    /// stores and streams of it. Header, directory and overview levels stay as they are.
+    pub fn ignoring_inferred(self) -> Self {
+        Self::from_parts(self.source, self.catalog.ignoring_inferred())
+    }
+
+    /// The same archive with inferred matter.
+    pub(super) fn whole(&self) -> Self {
+        Self::from_parts(self.source.clone(), self.catalog.whole())
     }
 
     /// The overview levels, finest first; none if the archive was written without, has too few pages for any, or is a level
@@ -215,6 +226,7 @@ impl Archive {
 
     /// As [`page`](Self::page), with the scratch memory of `decoder`, for loading many.
     pub fn page_with(&self, entry: &PageEntry, decoder: &mut PageDecoder) -> Result<Page> {
+        decoder.set_ignore_inferred(self.catalog.ignores_inferred());
         let mut bytes = std::mem::take(&mut decoder.bytes);
         bytes.clear();
         if let Some(extent) = entry.extent() {
@@ -253,6 +265,15 @@ impl<'a> PageReader<'a> {
             _ => (content, self.archive.page_with(entry, &mut self.decoder)?),
         };
         Ok(&self.last.insert(last).1)
+    }
+
+    /// As [`page`](Self::page), and which of its spans are inferred.
+    pub fn page_and_inferred(&mut self, entry: &PageEntry) -> Result<(&Page, &Inferred)> {
+        self.page(entry)?;
+        match &self.last {
+            Some((_, page)) => Ok((page, self.decoder.inferred())),
+            None => Err(Error::parameter("page", "was not read")),
+        }
     }
 }
 

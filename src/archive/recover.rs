@@ -19,7 +19,7 @@ use crate::bytes::{ByteSource, FileSource};
 use crate::frame::PageKey;
 use crate::output::Existing;
 use crate::plan::Plan;
-use crate::slice::Page;
+use crate::slice::{Inferred, Page};
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -239,7 +239,8 @@ impl Rescue<'_> {
         let mut bytes = vec![0; found.len];
         self.source.read_at(found.offset, &mut bytes)?;
         let Some((key, page)) = self.decoder.salvage(&bytes) else { return Ok(()) };
-        let page = in_the_one_encoding(&mut self.encoder, &mut self.encoded_anew, key, &bytes, &page);
+        let inferred = self.decoder.inferred();
+        let page = in_the_one_encoding(&mut self.encoder, &mut self.encoded_anew, key, &bytes, (&page, inferred));
         self.writer.put(key, page)?;
         self.found.stored += 1;
         self.count(key, found.len as u64)
@@ -256,7 +257,8 @@ impl Rescue<'_> {
             };
             let Some((key, page)) = page else { return Ok(None) };
             *entries_wrong += u64::from((page.slices(), page.size()) != (entry.slices, entry.size));
-            Ok(Some(in_the_one_encoding(encoder, encoded_anew, key, &decoder.bytes, &page)))
+            let content = (&page, decoder.inferred());
+            Ok(Some(in_the_one_encoding(encoder, encoded_anew, key, &decoder.bytes, content)))
         })?;
         if placed.is_none() {
             return Ok(());
@@ -346,11 +348,11 @@ fn in_the_one_encoding(
     anew: &mut u64,
     key: PageKey,
     bytes: &[u8],
-    page: &Page,
+    (page, inferred): (&Page, &Inferred),
 ) -> EncodedPage {
-    if bytes.is_empty() || encoder.gives(page, bytes) {
-        return encoder.copied(key, bytes, page);
+    if bytes.is_empty() || encoder.gives(page, inferred, bytes) {
+        return encoder.copied(key, bytes, page, inferred);
     }
     *anew += 1;
-    encoder.encode(key, page)
+    encoder.encode_inferred(key, page, inferred)
 }

@@ -16,7 +16,7 @@ use super::shard::Shard;
 use crate::codec::Violation;
 use crate::frame::TILE_PIXELS;
 use crate::monitor::Monitor;
-use crate::slice::{Page, PageBounds, PageSize, Span};
+use crate::slice::{Inferred, Page, PageBounds, PageSize, Span};
 use crate::{Error, Result};
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -71,6 +71,9 @@ impl Archive {
     /// the summary counts all. Fails only if `monitor` asks to stop, and for archives of which [`entries`](Self::entries)
     /// refuses to give all pages. Cost: one pass over the file, each stored page decoded and encoded again.
     pub fn verify(&self, monitor: &dyn Monitor, findings: &mut dyn FnMut(Finding)) -> Result<VerifySummary> {
+        if self.catalog().ignores_inferred() {
+            return self.whole().verify(monitor, findings);
+        }
         let header = self.header();
         header.check_repeats()?;
         if header.level > 0 {
@@ -131,19 +134,20 @@ const PIXELS: u64 = (TILE_PIXELS * TILE_PIXELS) as u64;
 #[derive(Debug, Clone, Copy)]
 struct Facts {
     voxels: (u64, u64),
+    inferred: u64,
     bounds: PageBounds,
 }
 
 impl Facts {
-    fn of(page: &Page) -> Option<Self> {
-        Some(Self { voxels: page.voxel_counts(), bounds: page.bounds()? })
+    fn of(page: &Page, inferred: &Inferred) -> Option<Self> {
+        Some(Self { voxels: page.voxel_counts(), inferred: inferred.voxel_count(page), bounds: page.bounds()? })
     }
 
     /// Of a page whose pixels all hold the one `span`.
     fn of_uniform(span: Span) -> Self {
         let voxels = PIXELS * u64::from(span.slice_mask().count_ones());
         let obstacle = if span.is_obstacle() { voxels } else { 0 };
-        Self { voxels: (voxels, obstacle), bounds: PageBounds::of_uniform(span) }
+        Self { voxels: (voxels, obstacle), inferred: 0, bounds: PageBounds::of_uniform(span) }
     }
 }
 
@@ -254,6 +258,7 @@ impl Pass<'_> {
         if let Some(facts) = facts {
             self.summary.voxels.occupied += facts.voxels.0;
             self.summary.voxels.obstacle += facts.voxels.1;
+            self.summary.voxels.inferred += facts.inferred;
             self.matter.add(entry.key, &facts.bounds);
         }
         if let Some(mut levels) = self.levels.take() {
@@ -364,19 +369,22 @@ impl Pass<'_> {
         let start = self.read_ahead(extent)?;
         let bytes = &self.chunk.1[start..start + extent.len as usize];
         let (decoder, encoder) = (&mut self.decoder, &mut self.encoder);
-        let wanted = self.levels.is_some();
+        let (wanted, fills) = (self.levels.is_some(), self.archive.plan().options.fill_holes > 0);
         let mut spans = Vec::new();
         let mut check = || {
             check_key(entry, check_leader(extent, bytes)?)?;
             let page = decoder.decode_body(bytes)?;
             check_entry(entry, page.slices(), page.size())?;
-            if !encoder.gives(&page, bytes) {
+            if !fills && !decoder.inferred().is_empty() {
+                return Err(Violation::new("P13", "inferred matter only where holes are filled", "some"));
+            }
+            if !encoder.gives(&page, decoder.inferred(), bytes) {
                 return Err(Violation::new("P10", "the one encoding of its content", "another"));
             }
             if wanted {
                 spans = coarse(&page);
             }
-            Facts::of(&page).ok_or_else(|| Violation::new("P6", "matter in some pixel", "none"))
+            Facts::of(&page, decoder.inferred()).ok_or_else(|| Violation::new("P6", "matter in some pixel", "none"))
         };
         let verdict = check();
         if verdict.is_ok() {

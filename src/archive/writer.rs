@@ -8,8 +8,10 @@ use super::levels::{CoarseSpan, LevelWriter};
 use super::matter::Matter;
 use super::metadata::{Metadata, Unknown};
 use super::page::EncodedPage;
+use super::reader::Archive;
 use super::shard::{InputRead, Shard};
 use super::spill::{Entries, write_leaves};
+use crate::bytes::ByteSource;
 use crate::codec::Violation;
 use crate::frame::PageKey;
 use crate::output::{Existing, Output, OutputKind, Protected};
@@ -76,6 +78,22 @@ pub struct ArchiveWriter {
     unknown: Unknown,
 }
 
+/// An archive that is complete and has no name.
+struct Written {
+    output: Output,
+    len: u64,
+}
+
+impl ByteSource for Written {
+    fn len(&self) -> u64 {
+        self.len
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        self.output.read_at(offset, buf)
+    }
+}
+
 /// A page that was put: what its entry says, and what it takes to find its bytes again.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
@@ -84,6 +102,7 @@ pub(super) struct Placed {
     size: PageSize,
     pub bounds: PageBounds,
     pub voxels: (u64, u64),
+    pub inferred: u64,
     hash: u64,
 }
 
@@ -103,9 +122,10 @@ impl ArchiveWriter {
     /// Starts an archive of `plan` that will be `output`.
     pub(crate) fn on(output: Output, plan: &Plan) -> Result<Self> {
         plan.options.check()?;
+        let (minor, features_required) = head::needs(plan, false);
         let counts = Header {
-            version: (FORMAT_VERSION.0, 0),
-            features_required: 0,
+            version: (FORMAT_VERSION.0, minor),
+            features_required,
             features_optional: 0,
             file_len: 0,
             plan: plan.clone(),
@@ -152,12 +172,19 @@ impl ArchiveWriter {
     pub fn set_levels(&mut self) {
         debug_assert!(self.last.is_none(), "levels are of all pages");
         self.levels = Some(LevelWriter::new(&self.plan.frame, self.output.files(), self.output.beside()));
-        (self.counts.version, self.counts.features_optional) = (FORMAT_VERSION, head::LEVELS);
+        self.counts.version.1 = head::needs(&self.plan, true).0;
+        self.counts.features_optional = head::LEVELS;
     }
 
     /// Whether the archive gets overview levels.
     pub fn has_levels(&self) -> bool {
         self.levels.is_some()
+    }
+
+    /// A file for temporary data of the same work, in `folder`.
+    pub(crate) fn scratch(&self, folder: &Path) -> Result<Output> {
+        let name = self.output.beside().file_name().unwrap_or_default();
+        Output::scratch(self.output.files(), &folder.join(name))
     }
 
     /// Makes the archive a part of a conversion; its pages must lie in the columns of `shard`.
@@ -195,6 +222,9 @@ impl ArchiveWriter {
         let Some(bounds) = &page.bounds else {
             return Err(Error::parameter(format!("page {key}"), "has no matter; leave it out"));
         };
+        if page.inferred > 0 && self.plan.options.fill_holes == 0 {
+            return Err(Error::parameter(format!("page {key}"), "has inferred matter, and the plan fills no holes"));
+        }
         if self.levels.is_some() && page.coarse.is_none() {
             return Err(Error::parameter(format!("page {key}"), "is encoded for an archive without overview levels"));
         }
@@ -207,6 +237,7 @@ impl ArchiveWriter {
             size: page.size,
             bounds: *bounds,
             voxels: page.voxels,
+            inferred: page.inferred,
             hash: page.hash,
         };
         self.push(key, &placed, page.coarse.as_deref().unwrap_or_default())?;
@@ -244,7 +275,7 @@ impl ArchiveWriter {
 
     /// Adds an entry whose bytes have their place, and counts it.
     fn push(&mut self, key: PageKey, placed: &Placed, coarse: &[CoarseSpan]) -> Result<()> {
-        let &Placed { storage, slices, size, bounds, voxels, .. } = placed;
+        let &Placed { storage, slices, size, bounds, voxels, inferred, .. } = placed;
         let entry = PageEntry { key, slices, size, storage };
         self.entries.push(entry)?;
         self.last = Some(key);
@@ -266,6 +297,7 @@ impl ArchiveWriter {
         count.occupied += tiles;
         sum.occupied += voxels.0;
         sum.obstacle += voxels.1;
+        sum.inferred += inferred;
         let (low, high) = entry.slice_range();
         let (first, last) = self.counts.slices.unwrap_or((low, high));
         self.counts.slices = Some((first.min(low), last.max(high)));
@@ -277,7 +309,7 @@ impl ArchiveWriter {
         let len = page.bytes.len() as u32;
         if let Some(extent) = self.window.candidate(page.hash, len) {
             let mut same = vec![0; len as usize];
-            self.read_back(extent, &mut same)?;
+            self.bytes_of(extent, &mut same)?;
             if same[super::page::LEADER..] == *page.body() {
                 return Ok(Storage::Shared(extent));
             }
@@ -288,7 +320,7 @@ impl ArchiveWriter {
         Ok(Storage::Stored(extent))
     }
 
-    fn read_back(&self, extent: Extent, buf: &mut [u8]) -> Result<()> {
+    fn bytes_of(&self, extent: Extent, buf: &mut [u8]) -> Result<()> {
         match extent.offset.checked_sub(self.flushed) {
             Some(start) => {
                 buf.copy_from_slice(&self.buffer[start as usize..start as usize + buf.len()]);
@@ -326,6 +358,12 @@ impl ArchiveWriter {
     pub(super) fn finish_or_keep(mut self, totals: Totals) -> Result<(Header, bool)> {
         let header = self.complete(totals)?;
         Ok((header, self.output.publish()?))
+    }
+
+    /// The archive that was written, to be read once before it is gone: it never gets a name.
+    pub(crate) fn read_back(mut self, totals: Totals) -> Result<Archive> {
+        let len = self.complete(totals)?.file_len;
+        Archive::from_source(Box::new(Written { output: self.output, len }))
     }
 
     fn complete(&mut self, totals: Totals) -> Result<Header> {

@@ -3,7 +3,8 @@
 //! In: a [`Page`]. Out: at most [`MAX_BODY`] bytes, and from them the same page again. Memory:
 //! one scratch of at most a few MiB per codec object. The bytes are described in `spec/slice-archive.md`, chapter 6.
 //!
-//! The first byte of an encoded page names its model; there is one, `adaptive`. Decoders take hostile bytes: every number
+//! The first byte of an encoded page names its model: `adaptive`, or the same behind marks that say which spans are
+//! inferred. Decoders take hostile bytes: every number
 //! is checked before it sizes, indexes or bounds a loop, and a broken rule comes back as a [`Violation`], which the archive
 //! turns into an error with its place in the file.
 
@@ -21,12 +22,16 @@ pub use compress::{Packer, Unpacker};
 
 use crate::Error;
 use crate::frame::Frame;
-use crate::slice::{Page, PageBuilder, Span};
+use crate::slice::{Inferred, Page, PageBuilder, Span};
 
 /// Most spans that a page can hold: 64 in each of its 4,096 pixels.
 pub const MAX_PAGE_SPANS: usize = 64 * 64 * 64;
-/// Greatest length of an encoded page (bytes).
+/// Most bytes of the marks of inferred spans: their number, and one byte for each run of up to 127 spans.
+const MAX_MARKS: usize = 3 + MAX_PAGE_SPANS + MAX_PAGE_SPANS / 127 + 1;
+/// Greatest length of an encoded page (bytes). Marks fit in, too: no symbol takes more than 15 of the 16 bits that are
+/// reckoned for it.
 pub const MAX_BODY: usize = 1 + adaptive::MAX_LEN;
+const _: () = assert!(MAX_MARKS < adaptive::MAX_LEN / 16 - 8);
 
 /// A rule of the specification that bytes break; [`Violation::at`] adds where they lie.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -53,6 +58,8 @@ impl Violation {
 
 /// First byte of an encoded page: its model. Version 1.0 has one, and readers refuse all others.
 const ADAPTIVE: u8 = 1;
+/// Model of pages with inferred spans, of version 1.2: which floor spans are inferred, then as [`ADAPTIVE`].
+const MARKED: u8 = 2;
 
 /// Encodes pages; keeps its scratch, so that a page costs no allocation.
 #[derive(Debug)]
@@ -79,6 +86,18 @@ impl Encoder {
     /// encodings, whatever was encoded before.
     pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
         out.push(ADAPTIVE);
+        adaptive::encode(self.frame.as_ref(), page, &mut self.adaptive, out);
+    }
+
+    /// As [`encode`](Self::encode), of a page some of whose spans are inferred.
+    pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
+        if inferred.is_empty() {
+            return self.encode(page, out);
+        }
+        out.push(MARKED);
+        let runs = inferred.runs(page);
+        put_varint(out, runs.len() as u64);
+        runs.iter().for_each(|&run| put_varint(out, run.into()));
         adaptive::encode(self.frame.as_ref(), page, &mut self.adaptive, out);
     }
 
@@ -116,6 +135,7 @@ impl Encoder {
 pub struct Decoder {
     adaptive: adaptive::Scratch,
     builder: PageBuilder,
+    inferred: Inferred,
 }
 
 impl Decoder {
@@ -132,15 +152,51 @@ impl Decoder {
         adaptive::Scratch::decoding_bytes(spans) + PageBuilder::scratch_bytes(spans)
     }
 
-    /// The page that `body` encodes. Linear in `body` and the page's spans; breaks of rules P5 to P8 are errors.
+    /// The page that `body` encodes. Linear in `body` and the page's spans; breaks of rules P5 to P8 and P12 are errors.
     pub fn decode(&mut self, body: &[u8]) -> Result<Page, Violation> {
         self.builder.clear();
+        self.inferred.clear();
         match body.split_first() {
             Some((&ADAPTIVE, coded)) => adaptive::decode(coded, &mut self.adaptive, &mut self.builder)?,
-            Some((model, _)) => return Err(Violation::new("P5", format!("model {ADAPTIVE}"), model)),
+            Some((&MARKED, marked)) => return self.decode_marked(marked),
+            Some((model, _)) => return Err(Violation::new("P5", format!("model {ADAPTIVE} or {MARKED}"), model)),
             None => return Err(Violation::new("P5", "a model", "no byte")),
         }
         Ok(self.builder.build())
+    }
+
+    fn decode_marked(&mut self, marked: &[u8]) -> Result<Page, Violation> {
+        let mut reader = ByteReader::new(marked, "P12");
+        let count = reader.varint()?;
+        // Each takes a byte or more, and the state follows.
+        if count < 2 || count % 2 == 1 || count > reader.len() as u64 {
+            return Err(Violation::new("P12", "an even number of runs, 2 or more, inside the page", count));
+        }
+        let mut runs = Vec::with_capacity(count as usize);
+        for number in 0..count {
+            let run = reader.varint()?;
+            if run > MAX_PAGE_SPANS as u64 || run == 0 && number > 0 {
+                return Err(Violation::new("P12", format!("a run of 1 to {MAX_PAGE_SPANS} spans"), run));
+            }
+            runs.push(run as u32);
+        }
+        adaptive::decode(reader.take(reader.len())?, &mut self.adaptive, &mut self.builder)?;
+        let page = self.builder.build();
+        if !self.inferred.set_runs(&page, &runs) {
+            self.inferred.clear();
+            return Err(Violation::new("P12", "runs of no more floor spans than the page has", "more"));
+        }
+        Ok(page)
+    }
+
+    /// Which spans of the page decoded last are inferred.
+    pub fn inferred(&self) -> &Inferred {
+        &self.inferred
+    }
+
+    /// The page decoded last, which is `page`, without its inferred spans.
+    pub fn scanned(&mut self, page: &Page) -> Page {
+        self.inferred.without(page, &mut self.builder)
     }
 }
 

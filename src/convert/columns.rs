@@ -206,8 +206,9 @@ fn remove_moving(
     records: &mut Vec<Record>,
     removed: &mut Vec<(ColumnKey, Record)>,
 ) {
+    let places = views.places(key);
     records.retain(|&record| {
-        let is_moving = record.content() == Content::Point && views.is_moving(views.place(key, record));
+        let is_moving = record.content() == Content::Point && views.is_moving(places.of(record));
         if is_moving && area.holds(record.pixel()) {
             removed.push((key, record));
         }

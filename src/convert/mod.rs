@@ -10,6 +10,7 @@
 
 mod columns;
 mod facts;
+mod holes;
 mod meshes;
 mod options;
 mod pages;
@@ -43,15 +44,15 @@ use crate::input::spacing::{Spacing, estimate_spacing};
 use crate::input::{InputOptions, InputSet, PointCounts, ScanFile};
 use crate::mesh::{MeshOptions, MeshSet};
 use crate::output::{Existing, Output, OutputKind, Protected};
-use crate::plan::Plan;
-use crate::text::{counted, grouped};
+use crate::plan::{Plan, PlanOptions};
+use crate::text::{counted, grouped, number};
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
 use crate::voxel::spill::SpillPlace;
 use crate::voxel::views::Views;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use meshes::read_meshes;
-use pages::{Writing, write_columns};
+use pages::{Writing, write_archive};
 use points::{Reading, Seeing, read_points};
 use removed::RemovedPoints;
 use resume::{Earlier, Identity, Progress, TakenOver};
@@ -141,7 +142,25 @@ impl ConvertOptions {
     /// The plan for pixels of this size (m).
     fn plan_of(&self, pixel_m: f64) -> Result<Plan> {
         let slice_m = self.slice_m.unwrap_or(round_to_digits(3.0 * pixel_m, 12).min(MAX_CELL_M));
-        Ok(Plan { frame: Frame::new(pixel_m, slice_m)?, options: self.plan.clone() })
+        let fill_holes = self.fill_holes_pixels(pixel_m)?;
+        Ok(Plan { frame: Frame::new(pixel_m, slice_m)?, options: PlanOptions { fill_holes, ..self.plan.clone() } })
+    }
+
+    /// Widest holes that are closed (pixels of this size, m).
+    pub fn fill_holes_pixels(&self, pixel_m: f64) -> Result<u8> {
+        let Some(widest_m) = self.fill_holes_m else { return Ok(self.plan.fill_holes) };
+        // A little more, so that three pixels of 0.1 m make 0.3 m.
+        let pixels = (widest_m / pixel_m * (1.0 + 1e-9)).floor();
+        let (pixel, most) = (number(pixel_m), PlanOptions::MOST_FILL_PIXELS);
+        let reason = match pixels {
+            pixels if pixels < 1.0 => format!("{} m is narrower than a pixel of {pixel} m", number(widest_m)),
+            pixels if pixels > f64::from(most) => {
+                let widest = number(f64::from(most) * pixel_m);
+                format!("{} m is too wide: holes of up to {most} pixels, {widest} m, can be closed", number(widest_m))
+            }
+            _ => return Ok(pixels as u8),
+        };
+        Err(Error::parameter(Parameter::FillHoles, reason))
     }
 
     fn check(&self) -> Result<()> {
@@ -151,6 +170,10 @@ impl ConvertOptions {
         }
         if self.threads == 0 {
             return Err(Error::parameter(Parameter::Threads, "0 do no work; give at least 1"));
+        }
+        if let Some(widest_m) = self.fill_holes_m.filter(|widest_m| !(*widest_m > 0.0 && widest_m.is_finite())) {
+            let reason = format!("{} is no width of holes in metres; give a length above 0", number(widest_m));
+            return Err(Error::parameter(Parameter::FillHoles, reason));
         }
         match (self.plan.remove_moving, &self.stations) {
             (true, None) => {
@@ -396,8 +419,9 @@ impl Conversion<'_> {
         }
         let views = seeing.map(|seeing| &seeing.views);
         views.inspect(|views| views.finish());
-        let writing = Writing { memory_bytes: options.memory_bytes, threads, columns, views };
-        let left_out = write_columns(plan, store, writing, &mut writer, removed, monitor)?;
+        let temp_dir = &options.temp_dir;
+        let writing = Writing { memory_bytes: options.memory_bytes, threads, columns, views, temp_dir };
+        let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;
         let (voxels_dropped, points_moving) = (left_out.voxels, left_out.moving);
         read.own.kept -= points_moving;
         let crs = set.crs().unwrap_or_default().to_owned();

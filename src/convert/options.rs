@@ -44,6 +44,9 @@ pub struct ConvertOptions {
     pub slice_m: Option<f64>,
     /// What else decides the content of the archive.
     pub plan: PlanOptions,
+    /// Holes in floors of up to this width are closed by inferred floor (m; whole pixels of it, 1 to 45); `None`: as the plan
+    /// says, which by default closes none.
+    pub fill_holes_m: Option<f64>,
     /// Memory budget [bytes, at least 64 MiB].
     pub memory_bytes: u64,
     /// Worker threads (>= 1).
@@ -86,6 +89,7 @@ impl ConvertOptions {
             pixel: PixelSize::Auto,
             slice_m: None,
             plan: PlanOptions::default(),
+            fill_holes_m: None,
             memory_bytes: 512 << 20,
             threads: std::thread::available_parallelism().map_or(1, |n| n.get()),
             temp_dir: std::env::temp_dir(),

@@ -1,10 +1,11 @@
 //! Second pass: tile columns out of the runs, into the archive.
 
 use super::columns::{ColumnWork, Columns, Patches, TakeAreas};
+use super::holes::fill_holes;
 use super::removed::RemovedPoints;
-use crate::archive::{ArchiveWriter, EncodedPage, PageEncoder};
+use crate::archive::{ArchiveWriter, EncodedPage, PageEncoder, Totals};
 use crate::frame::PageKey;
-use crate::plan::Plan;
+use crate::plan::{Plan, PlanOptions};
 use crate::voxel::floaters::{Dropped, Frontier, PieceFinder, Pieces};
 use crate::voxel::fold::{Area, Patch, Sums};
 use crate::voxel::judge::Judge;
@@ -13,6 +14,7 @@ use crate::voxel::runs::{ColumnJob, Merge, RunBuilder, RunStore};
 use crate::voxel::spans::ColumnPages;
 use crate::voxel::views::Views;
 use crate::{Monitor, Result};
+use std::path::Path;
 
 /// Memory of a small page that waits to be written, beyond its bytes.
 const PAGE_BYTES: u64 = 320;
@@ -30,6 +32,8 @@ pub(super) struct Writing<'a> {
     pub columns: Option<(u64, u64)>,
     /// What stations saw, where points that others saw through are to be removed.
     pub views: Option<&'a Views>,
+    /// Folder for temporary data.
+    pub temp_dir: &'a Path,
 }
 
 /// What was left out in the second pass.
@@ -38,6 +42,31 @@ pub(super) struct LeftOut {
     pub voxels: u64,
     /// Points removed as moving.
     pub moving: u64,
+}
+
+/// Second pass and, where holes are to be closed, a third: first the archive of what was scanned as temporary data, then with
+/// inferred floor.
+pub(super) fn write_archive(
+    plan: &Plan,
+    store: &RunStore,
+    writing: Writing<'_>,
+    writer: &mut ArchiveWriter,
+    removed: Option<&mut RemovedPoints>,
+    monitor: &dyn Monitor,
+) -> Result<LeftOut> {
+    if plan.options.fill_holes == 0 {
+        return write_columns(plan, store, writing, writer, removed, monitor);
+    }
+    // Heights are coarsened last, with those of inferred floor.
+    let options = PlanOptions { fill_holes: 0, tolerance_m: 0.0, ..plan.options.clone() };
+    let exact = Plan { frame: plan.frame, options };
+    let output = writer.scratch(writing.temp_dir)?;
+    let mut scanned = ArchiveWriter::on(output, &exact)?;
+    // Of parts, the columns around theirs, too.
+    let all = Writing { columns: None, ..writing };
+    let left_out = write_columns(&exact, store, all, &mut scanned, removed, monitor)?;
+    fill_holes(&scanned.read_back(Totals::default())?, plan, writing, writer, monitor)?;
+    Ok(left_out)
 }
 
 /// Second pass: tile columns out of the runs, into the archive; the points that it removes as moving go to `removed`.
@@ -49,7 +78,7 @@ pub(super) fn write_columns(
     mut removed: Option<&mut RemovedPoints>,
     monitor: &dyn Monitor,
 ) -> Result<LeftOut> {
-    let Writing { memory_bytes, threads, columns, views } = writing;
+    let Writing { memory_bytes, threads, columns, views, .. } = writing;
     let mut merge = Merge::new(store);
     if plan.options.drop_floaters > 1 {
         mark_floaters(plan, store, &merge, writing, monitor)?;
@@ -65,7 +94,7 @@ pub(super) fn write_columns(
         left_out.voxels += done.voxels_dropped;
         left_out.moving += done.moving.len() as u64;
         if let (Some(removed), Some(views)) = (&mut removed, views) {
-            done.moving.into_iter().try_for_each(|(key, record)| removed.push(views.place(key, record)))?;
+            done.moving.into_iter().try_for_each(|(key, record)| removed.push(views.places(key).of(record)))?;
         }
         done.pages.into_iter().try_for_each(|(key, page)| writer.put(key, page))
     })?;
@@ -82,7 +111,7 @@ fn mark_floaters(
     writing: Writing<'_>,
     monitor: &dyn Monitor,
 ) -> Result<()> {
-    let Writing { memory_bytes, threads, columns, views } = writing;
+    let Writing { memory_bytes, threads, columns, views, .. } = writing;
     monitor.stage("finding floaters", merge.records(), "records");
     let most = plan.options.drop_floaters;
     let mut frontier = Frontier::new(most, memory_bytes / 16);

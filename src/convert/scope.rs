@@ -1,6 +1,7 @@
 //! One part of a conversion: which files it reads, and which points count in it.
 
 use super::facts::{InputFacts, name_of};
+use super::holes::Closer;
 use super::options::{ConvertOptions, ShardOptions};
 use super::plan_file::PlanFile;
 use super::split::{QuadCell, TileRect, tiles};
@@ -39,10 +40,16 @@ struct Role {
 
 /// How far from a pixel matter may lie that decides what becomes of it (pixels): connected matter that reaches farther than
 /// it has voxels to be dropped stays, whatever is behind.
+///
+/// And holes are closed by floors around them.
 fn reach(plan: &Plan) -> i64 {
+    let holes = match plan.options.fill_holes {
+        0 => 0,
+        widest => Closer::reach(widest),
+    };
     match plan.options.drop_floaters {
-        0 | 1 => HALO_PIXELS,
-        most => HALO_PIXELS + i64::from(most),
+        0 | 1 => HALO_PIXELS + holes,
+        most => HALO_PIXELS + holes + i64::from(most),
     }
 }
 

@@ -1,6 +1,6 @@
 //! An archive of points that a program holds in memory, batch by batch.
 
-use super::pages::{Writing, write_columns};
+use super::pages::{Writing, write_archive};
 use super::points::{Own, Read, bounds, out_of_reach};
 use super::report::Report;
 use super::{ConvertOptions, Limits, PixelSize};
@@ -135,8 +135,8 @@ impl PointWriter {
         drop(self.runs);
         let (options, own) = (&self.options, &self.read.own);
         let ConvertOptions { memory_bytes, threads, .. } = *options;
-        let writing = Writing { memory_bytes, threads, columns: None, views: None };
-        let left_out = write_columns(&self.plan, &self.store, writing, &mut self.output, None, monitor)?;
+        let writing = Writing { memory_bytes, threads, columns: None, views: None, temp_dir: &options.temp_dir };
+        let left_out = write_archive(&self.plan, &self.store, writing, &mut self.output, None, monitor)?;
         let units = vec![LengthUnit::METRE];
         Ok(Report {
             header: self.output.finish(own.totals(&self.crs, &units))?,

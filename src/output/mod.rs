@@ -73,6 +73,24 @@ impl Output {
         Ok(Self { name, kind, protected, files, target, temporary, position: 0, failed: false })
     }
 
+    /// A file beside `target` that never gets a name: it is written and read back, and gone when this is dropped.
+    pub(crate) fn scratch(files: &Files, target: &Path) -> Result<Self> {
+        remove_leftovers(files, target)?;
+        let temporary = Temporary::beside(files, target)?;
+        let folder = crate::disk::split(target)?.0;
+        let folder = files.open_folder(folder).map_err(|error| Error::io(folder, "open", error))?;
+        Ok(Self {
+            name: target.to_path_buf(),
+            kind: OutputKind::Result,
+            protected: Protected::default(),
+            files: files.clone(),
+            target: Target::File { path: target.to_path_buf(), folder, existed: false },
+            temporary,
+            position: 0,
+            failed: false,
+        })
+    }
+
     /// Writes `bytes` at `offset`.
     pub fn write_at(&mut self, offset: u64, bytes: &[u8]) -> Result<()> {
         let written = self.temporary.write_at(offset, bytes);

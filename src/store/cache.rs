@@ -11,7 +11,7 @@ use super::publish::{Current, Retired};
 use super::snapshot::{Held, Index, Snapshot, View};
 use super::start::pause_after;
 use super::tally::Counters;
-use crate::archive::{PageDecoder, Storage};
+use crate::archive::{PageDecoder, PageEntry, Storage};
 use crate::frame::PageKey;
 use crate::slice::Page;
 use crate::{Error, Result};
@@ -275,7 +275,9 @@ impl Cache {
     /// Room for a run: its bytes, the pages, and the scratch of decoding them one after the other.
     fn need(&self, bytes: &Range<u64>, contents: &[(u32, u32)]) -> usize {
         let entries = || contents.iter().map(|&(content, _)| self.views.index.entry(content));
-        let scratch = entries().map(|entry| PageDecoder::scratch_bytes(entry.size)).max().unwrap_or(0);
+        // Without its inferred matter a page is built a second time.
+        let whole = |entry: &PageEntry| if self.views.index.ignores_inferred() { entry.weight_bytes() } else { 0 };
+        let scratch = entries().map(|entry| PageDecoder::scratch_bytes(entry.size) + whole(entry)).max().unwrap_or(0);
         (bytes.end - bytes.start) as usize + scratch + entries().map(|entry| entry.weight_bytes()).sum::<usize>()
     }
 

@@ -63,6 +63,8 @@ pub(super) struct Index {
     shift: u32,
     /// Number of each group's first page, and the number of all pages.
     groups: Box<[u32]>,
+    /// Whether pages are decoded without inferred matter.
+    ignores_inferred: bool,
 }
 
 impl Index {
@@ -70,7 +72,7 @@ impl Index {
     pub const LEAST_PAGE_BYTES: usize =
         size_of::<PageEntry>() + size_of::<PageKey>() + size_of::<u32>() + size_of::<ViewSlot>();
 
-    pub fn new(frame: Frame, entries: Vec<PageEntry>) -> Self {
+    pub fn new(frame: Frame, entries: Vec<PageEntry>, ignores_inferred: bool) -> Self {
         let contents = contents(&entries);
         let keys: Box<[PageKey]> = entries.iter().map(|entry| entry.key).collect();
         let entries = SlotTable::new(entries.into_iter().map(|entry| (entry.key, entry)).collect());
@@ -92,11 +94,15 @@ impl Index {
         }
         groups.push(first as u32);
         let (tiles, shift) = (TileTable::new(cells), size.trailing_zeros());
-        Self { frame, entries, keys, contents, tiles, shift, groups: groups.into() }
+        Self { frame, entries, keys, contents, tiles, shift, groups: groups.into(), ignores_inferred }
     }
 
     pub fn frame(&self) -> &Frame {
         &self.frame
+    }
+
+    pub fn ignores_inferred(&self) -> bool {
+        self.ignores_inferred
     }
 
     pub fn len(&self) -> usize {

@@ -35,6 +35,25 @@ fn margin_m(distance_m: f64) -> f64 {
     0.05 + 0.01 * distance_m
 }
 
+/// The distance that a cell's value tells (m); the value is not 0.
+fn seen_m(value: u16) -> f64 {
+    f64::from(FARTHEST_CM - (value - 1)) * 0.01
+}
+
+/// Greatest value of a cell that tells of a distance beyond `distance_m`, which is less than the farthest one.
+#[inline]
+fn beyond(distance_m: f64) -> u16 {
+    // Within one of the right number, which the comparison itself finds.
+    let mut cm = (distance_m * 100.0) as u16;
+    while cm > 0 && f64::from(cm) * 0.01 > distance_m {
+        cm -= 1;
+    }
+    while f64::from(cm) * 0.01 <= distance_m {
+        cm += 1;
+    }
+    FARTHEST_CM - cm + 1
+}
+
 /// What a station says of a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Says {
@@ -54,17 +73,17 @@ struct Direction {
 }
 
 impl Direction {
+    #[inline]
     fn of(d: [f64; 3]) -> Self {
-        let size = d.map(f64::abs);
-        let axis = if size[0] >= size[1] && size[0] >= size[2] {
-            0
-        } else if size[1] >= size[2] {
-            1
+        let [x, y, z] = d.map(f64::abs);
+        let (axis, u, v, size) = if x >= y && x >= z {
+            (0, d[1], d[2], x)
+        } else if y >= z {
+            (1, d[2], d[0], y)
         } else {
-            2
+            (2, d[0], d[1], z)
         };
-        let at = [1, 2].map(|step| d[(axis + step) % 3] / size[axis]);
-        Self { face: 2 * axis + usize::from(d[axis] < 0.0), at }
+        Self { face: 2 * axis + usize::from(d[axis] < 0.0), at: [u / size, v / size] }
     }
 
     /// The middle of a cell, which may lie beyond the edges of the face.
@@ -78,6 +97,7 @@ impl Direction {
         Self::of(d)
     }
 
+    #[inline]
     fn cell(self, edge: usize) -> [i64; 2] {
         self.at.map(|at| (((at + 1.0) / 2.0 * edge as f64) as i64).clamp(0, edge as i64 - 1))
     }
@@ -104,21 +124,6 @@ impl View {
     fn cell(&self, level: usize, face: usize, cell: [i64; 2]) -> &AtomicU16 {
         let edge = EDGE >> level;
         &self.levels[level][(face * edge + cell[1] as usize) * edge + cell[0] as usize]
-    }
-
-    /// Least distance in a cell, which may lie beyond the edges of the face (m).
-    fn distance(&self, level: usize, face: usize, cell: [i64; 2]) -> Option<f64> {
-        let edge = EDGE >> level;
-        let value = if cell.iter().all(|&at| (0..edge as i64).contains(&at)) {
-            self.cell(level, face, cell)
-        } else {
-            let direction = Direction::of_cell(face, cell, edge);
-            self.cell(level, direction.face, direction.cell(edge))
-        };
-        match value.load(Ordering::Relaxed) {
-            0 => None,
-            value => Some(f64::from(FARTHEST_CM - (value - 1)) * 0.01),
-        }
     }
 
     fn to(&self, point: [f64; 3]) -> ([f64; 3], f64) {
@@ -162,36 +167,50 @@ impl View {
             return Says::Nothing;
         }
         let direction = Direction::of(d);
-        // A cell's distance is rounded down by up to a centimetre.
-        let of = |seen: f64| {
-            if seen > distance + margin {
-                Says::Through
-            } else if seen + margin + 0.01 >= distance {
-                Says::Hit
-            } else {
-                Says::Nothing
-            }
-        };
+        // Greater values are nearer: these are not behind the place. A cell's distance is rounded down by up to a centimetre.
+        let behind = beyond(distance + margin);
+        let nearer = |value: u16| if seen_m(value) + margin + 0.01 >= distance { Says::Hit } else { Says::Nothing };
+        let fine = direction.cell(EDGE);
         for level in 0..LEVELS {
-            let [x, y] = direction.cell(EDGE >> level);
-            let Some(seen) = self.distance(level, direction.face, [x, y]) else { continue };
-            if of(seen) != Says::Through {
-                return of(seen);
+            // Edges are powers of two, so the cells of coarser images follow.
+            let (edge, cell) = (EDGE >> level, fine.map(|at| at >> level));
+            match self.cell(level, direction.face, cell).load(Ordering::Relaxed) {
+                0 => continue,
+                value if value > behind => return nearer(value),
+                _ => {}
             }
-            let mut count = 1;
-            for step in (0..9).filter(|&step| step != 4) {
-                if let Some(seen) = self.distance(level, direction.face, [x + step % 3 - 1, y + step / 3 - 1]) {
-                    if of(seen) != Says::Through {
-                        return of(seen);
-                    }
-                    count += 1;
-                }
+            let around = self.around(level, direction.face, cell, edge);
+            if let Some(&value) = around.iter().find(|&&value| value > behind) {
+                return nearer(value);
             }
-            if count >= LEAST_SEEN {
+            if 1 + around.iter().filter(|&&value| value != 0).count() >= LEAST_SEEN {
                 return Says::Through;
             }
         }
         Says::Nothing
+    }
+
+    /// The values of the eight cells around one, row by row.
+    #[inline]
+    fn around(&self, level: usize, face: usize, [x, y]: [i64; 2], edge: usize) -> [u16; 8] {
+        const STEPS: [[i64; 2]; 8] = [[-1, -1], [0, -1], [1, -1], [-1, 0], [1, 0], [-1, 1], [0, 1], [1, 1]];
+        let inner = 1..edge as i64 - 1;
+        if inner.contains(&x) && inner.contains(&y) {
+            // Most cells have all neighbours on their own face.
+            let first = (face * edge + y as usize - 1) * edge + x as usize - 1;
+            let row = |row: usize| &self.levels[level][first + row * edge..first + row * edge + 3];
+            let (above, own, below) = (row(0), row(1), row(2));
+            let cells = [&above[0], &above[1], &above[2], &own[0], &own[2], &below[0], &below[1], &below[2]];
+            return cells.map(|cell| cell.load(Ordering::Relaxed));
+        }
+        STEPS.map(|[dx, dy]| {
+            let cell = [x + dx, y + dy];
+            if cell.iter().all(|&at| (0..edge as i64).contains(&at)) {
+                return self.cell(level, face, cell).load(Ordering::Relaxed);
+            }
+            let direction = Direction::of_cell(face, cell, edge);
+            self.cell(level, direction.face, direction.cell(edge)).load(Ordering::Relaxed)
+        })
     }
 }
 
@@ -228,28 +247,50 @@ impl Views {
     /// Whether a point (m) is taken for moving.
     pub fn is_moving(&self, point: [f64; 3]) -> bool {
         let (mut through, mut hit) = (0, 0);
-        for view in &self.views {
+        for (asked, view) in (1..).zip(&self.views) {
             match view.says(point) {
                 Says::Through => through += 1,
                 Says::Hit => hit += 1,
                 Says::Nothing => {}
             }
+            // Those that were not asked cannot outvote so many.
+            if hit > through + (self.views.len() - asked) {
+                return false;
+            }
         }
         through > 0 && through >= hit
     }
 
-    /// Where the point of a record of a column lies, to the precision of records (m).
-    pub fn place(&self, column: ColumnKey, record: Record) -> [f64; 3] {
+    /// Where the points of records of a column lie.
+    pub fn places(&self, column: ColumnKey) -> Places {
         let PageKey { tx, ty, .. } = PageKey::from_column(column.column, 0);
-        let along = |tile: i32, patch: usize, sub: u32| {
-            let pixel = i64::from(tile) * TILE_PIXELS + patch as i64 - HALO_PIXELS;
+        let corner = [tx, ty].map(|tile| i64::from(tile) * TILE_PIXELS - HALO_PIXELS);
+        Places { corner, first_slice: column.first_slice(), frame: self.frame }
+    }
+}
+
+/// Where the points of records of one column lie.
+#[derive(Debug, Clone, Copy)]
+pub struct Places {
+    /// First pixel of the column with its halo.
+    corner: [i64; 2],
+    first_slice: i64,
+    frame: Frame,
+}
+
+impl Places {
+    /// Where the point of a record lies, to the precision of records (m).
+    #[inline]
+    pub fn of(&self, record: Record) -> [f64; 3] {
+        let along = |corner: i64, patch: usize, sub: u32| {
+            let pixel = corner + patch as i64;
             (pixel as f64 + (f64::from(sub) + 0.5) / SUBPIXELS as f64) * self.frame.pixel_m()
         };
         let (u, v) = record.place();
-        let slice = (column.first_slice() + i64::from(record.slice())) as f64;
+        let slice = (self.first_slice + i64::from(record.slice())) as f64;
         let height = f64::from(record.height()) / SLICE_STEPS as f64;
         let (px, py) = (record.pixel() % PATCH_PIXELS, record.pixel() / PATCH_PIXELS);
-        [along(tx, px, u), along(ty, py, v), (slice + height) * self.frame.slice_m()]
+        [along(self.corner[0], px, u), along(self.corner[1], py, v), (slice + height) * self.frame.slice_m()]
     }
 }
 
@@ -268,7 +309,7 @@ mod tests {
         fn records_tell_where_their_points_lie(x in -500f64..500.0, y in -500f64..500.0, z in -90f64..90.0) {
             let views = Views::new(&[], frame(), 0).unwrap();
             Recorder::new(frame()).record(&[x], &[y], &[z], |index, record| {
-                let place = views.place(index.key(), record);
+                let place = views.places(index.key()).of(record);
                 let near = (place[0] - x).abs() < 0.0005 && (place[1] - y).abs() < 0.0005 && (place[2] - z).abs() < 0.0001;
                 assert!(near, "{place:?}");
             });
@@ -292,6 +333,88 @@ mod tests {
             let (a, b) = (vector(middle), vector(Direction::of_cell(face, inside, 512)));
             let apart = (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt();
             prop_assert!(apart < 3.0 * 2.0 / 512.0, "{}", apart);
+        }
+    }
+
+    /// Least distance in a cell, which may lie beyond the edges of the face (m).
+    fn distance(view: &View, level: usize, face: usize, cell: [i64; 2]) -> Option<f64> {
+        let edge = EDGE >> level;
+        let value = if cell.iter().all(|&at| (0..edge as i64).contains(&at)) {
+            view.cell(level, face, cell)
+        } else {
+            let direction = Direction::of_cell(face, cell, edge);
+            view.cell(level, direction.face, direction.cell(edge))
+        };
+        Some(value.load(Ordering::Relaxed)).filter(|&value| value != 0).map(seen_m)
+    }
+
+    /// What a station says by the definition, distance by distance.
+    fn says_by_definition(view: &View, point: [f64; 3]) -> Says {
+        let (d, distance_m) = view.to(point);
+        let margin = margin_m(distance_m);
+        if distance_m < NEAREST_M || distance_m + margin >= f64::from(FARTHEST_CM) * 0.01 {
+            return Says::Nothing;
+        }
+        let direction = Direction::of(d);
+        let of = |seen: f64| {
+            if seen > distance_m + margin {
+                Says::Through
+            } else if seen + margin + 0.01 >= distance_m {
+                Says::Hit
+            } else {
+                Says::Nothing
+            }
+        };
+        for level in 0..LEVELS {
+            let [x, y] = direction.cell(EDGE >> level);
+            let Some(seen) = distance(view, level, direction.face, [x, y]) else { continue };
+            if of(seen) != Says::Through {
+                return of(seen);
+            }
+            let near = (0..9).filter(|&step| step != 4).map(|step| [x + step % 3 - 1, y + step / 3 - 1]);
+            let seen: Vec<f64> = near.filter_map(|cell| distance(view, level, direction.face, cell)).collect();
+            if let Some(&seen) = seen.iter().find(|&&seen| of(seen) != Says::Through) {
+                return of(seen);
+            }
+            if seen.len() + 1 >= LEAST_SEEN {
+                return Says::Through;
+            }
+        }
+        Says::Nothing
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(6))]
+        #[test]
+        fn stations_say_what_the_definition_says(seed: u64, spread in 0.01f64..0.5) {
+            let mut state = seed;
+            let mut uniform = || {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                (state >> 11) as f64 / (1u64 << 53) as f64
+            };
+            let mut place = |r: f64| -> [f64; 3] {
+                // Near the corners and edges of the faces, too.
+                let d = [1.0, 1.0, -1.0].map(|at| at + spread * (2.0 * uniform() - 1.0));
+                d.map(|v| v * r * (0.2 + uniform()))
+            };
+            let view = View::new([0.0; 3]);
+            (0..30_000).for_each(|_| view.add(place(6.0)));
+            view.make_coarser();
+            let mut counts = [0; 3];
+            for _ in 0..3_000 {
+                let point = place(5.0);
+                let says = view.says(point);
+                prop_assert_eq!(says, says_by_definition(&view, point));
+                counts[says as usize] += 1;
+            }
+            prop_assert!(counts[0] > 20 && counts[2] > 20, "{counts:?}");
+        }
+
+        #[test]
+        fn values_beyond_a_distance_are_those_that_tell_of_more(distance_m in 0.0f64..655.3) {
+            let most = beyond(distance_m);
+            prop_assert!(most > 0 && seen_m(most) > distance_m);
+            prop_assert!(most > FARTHEST_CM || seen_m(most + 1) <= distance_m);
         }
     }
 

@@ -1,7 +1,7 @@
 //! All content of an archive as JSON, in the shape that `spec/reader.py --json` prints.
 
 use serde_json::{Value, json};
-use slicewalk::archive::{Archive, Level, PageEntry, Storage};
+use slicewalk::archive::{Archive, Level, PageDecoder, PageEntry, Storage};
 use slicewalk::slice::Span;
 use slicewalk::{Error, NoMonitor, Result, info};
 
@@ -62,9 +62,14 @@ fn page(archive: &Archive, entry: &PageEntry) -> Result<Value> {
     value["length"] = extent.len.into();
     value["blocks"] = entry.size.blocks().into();
     value["words"] = entry.size.words().into();
-    let page = archive.page(entry)?;
+    let mut decoder = PageDecoder::new();
+    let page = archive.page_with(entry, &mut decoder)?;
     let pixels = page.columns().map(|(px, py, spans)| {
-        let spans = spans.iter().map(triple);
+        let inferred = decoder.inferred().of(px, py);
+        let spans = spans.iter().enumerate().map(|(at, span)| match inferred >> (at & 63) & 1 {
+            1 => json!([span.bottom(), span.top(), 2]),
+            _ => triple(span),
+        });
         [json!(px), json!(py)].into_iter().chain(spans).collect::<Value>()
     });
     value["pixels"] = pixels.collect();

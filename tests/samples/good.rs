@@ -7,7 +7,7 @@ use crate::common::{
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::frame::Frame;
 use slicewalk::plan::{Classifier, Plan, PlanOptions, Up};
-use slicewalk::slice::{Page, Span};
+use slicewalk::slice::{Inferred, Page, Span};
 use slicewalk::unit::{LengthUnit, US_SURVEY_FOOT_M};
 use std::collections::BTreeMap;
 
@@ -34,6 +34,7 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("leaves", archive(&(leaves(), totals()))),
         ("unknown-metadata", unknown_metadata()),
         ("newer-minor-version", newer()),
+        ("holes", holes()),
         ("levels", archive_with_levels(&plan(), &(city(), totals()), None)),
         ("levels-of-one-page", archive_with_levels(&plan(), &two_pixels(), None)),
     ]
@@ -193,10 +194,46 @@ fn options() -> Plan {
         min_points: 3,
         drop_floaters: 1,
         remove_moving: false,
+        fill_holes: 0,
         up: Up::Y,
         exclude_classes: [7, 18, 255].into_iter().collect(),
     };
     Plan { frame: Frame::new(0.3048 / 7.0, 0.17).unwrap(), options }
+}
+
+/// A floor and a wall with closed holes: rows of inferred spans, one above a scanned floor, one in all of a page.
+fn holes() -> Vec<u8> {
+    let plan = Plan { options: PlanOptions { fill_holes: 7, ..plan().options }, ..plan() };
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("holes.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+    let mut encoder = PageEncoder::new(plan.frame);
+    let in_hole = |x: u32, y: u32| (20..27).contains(&x) && (30..33).contains(&y) || (x, y) == (63, 63);
+    let column = |x: u32, y: u32| match (x, y) {
+        (x, _) if x < 2 => vec![span(90, 3000, true)],
+        (40, 40) => vec![span(20, 22, false), span(1000, 1001, false)],
+        _ => vec![span(100 + x / 8, 103 + x / 8, false)],
+    };
+    let floor = page((0..4096).map(|at| ((at % 64, at / 64), column(at % 64, at / 64))));
+    let mut inferred = Inferred::new();
+    for at in 0..4096 {
+        let (x, y) = (at % 64, at / 64);
+        let mask = if (x, y) == (40, 40) { 2 } else { u64::from(in_hole(x, y)) };
+        assert!(inferred.push(x, y, mask));
+    }
+    let flat = page((0..4096).map(|at| ((at % 64, at / 64), vec![span(5, 6, false)])));
+    let mut all = Inferred::new();
+    (0..4096).for_each(|at| assert!(all.push(at % 64, at / 64, 1)));
+    for (key, page, inferred) in [
+        (key(0, 0, 0), &floor, &inferred),
+        (key(1, 0, 0), &flat, &Inferred::new()),
+        (key(0, 1, 0), &flat, &all),
+        (key(1, 1, 0), &flat, &all),
+    ] {
+        writer.put(key, encoder.encode_inferred(key, page, inferred)).unwrap();
+    }
+    writer.finish(totals()).unwrap();
+    std::fs::read(target).unwrap()
 }
 
 /// All columns from that of page (0, 0).

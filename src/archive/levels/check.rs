@@ -12,7 +12,7 @@ use crate::bytes::ByteSource;
 use crate::codec::Violation;
 use crate::disk::Files;
 use crate::frame::PageKey;
-use crate::slice::Page;
+use crate::slice::{Inferred, Page};
 use crate::{Error, Result};
 
 /// Compares the levels of an archive with those that its pages make.
@@ -186,7 +186,7 @@ impl Checked<'_> {
             return Err(Violation::new("D10", "no shared page in a level", "one").at(name, extent.offset));
         }
         let page = decoder.decode(entry, bytes)?;
-        let one = bytes.is_empty() || encoder.gives(&page, bytes);
+        let one = bytes.is_empty() || encoder.gives(&page, &Inferred::NONE, bytes);
         match bytes.get(..4) {
             Some(magic) if magic != LEVEL_MAGIC => {
                 Err(Violation::new("P1", "the magic of a page of a level", "another").at(name, self.next))

@@ -101,6 +101,10 @@ struct Arguments {
     /// Write the points that were removed as moving to a LAS file
     #[arg(long, requires = "remove_moving", value_name = "REMOVED.las")]
     removed: Option<PathBuf>,
+    /// Close holes in floors of up to this width in metres (1 to 45 whole pixels) by the floor around them; the archive marks what is
+    /// inferred so. Takes one more pass, and temporary data of about the archive's size
+    #[arg(long, allow_negative_numbers = true, value_name = "METRES", value_parser = length)]
+    fill_holes: Option<f64>,
     /// Axis of the input that points up (glTF files state theirs)
     #[arg(long, value_enum, default_value_t = Axis::Z)]
     up: Axis,
@@ -329,6 +333,7 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Shard => "--shard",
         Parameter::Resume => "--resume",
         Parameter::Stations => "--stations",
+        Parameter::FillHoles => "--fill-holes",
         _ => return None,
     })
 }
@@ -356,6 +361,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.plan.min_points = arguments.min_points;
     options.plan.drop_floaters = arguments.drop_floaters.unwrap_or(arguments.drop_isolated.into());
     options.plan.remove_moving = arguments.remove_moving;
+    options.fill_holes_m = arguments.fill_holes;
     options.stations = arguments.stations.clone();
     options.removed = arguments.removed.clone();
     options.plan.up = match arguments.up {
@@ -396,6 +402,11 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
 
 /// Refuses options on the command line that say otherwise than the plan, whose options are `planned`.
 fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &ConvertOptions) -> Result<(), Failure> {
+    let pixel_m = match planned.pixel {
+        PixelSize::Metres(pixel_m) => pixel_m,
+        _ => f64::NAN,
+    };
+    let same_holes = wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes);
     let options = [
         ("pixel", "--pixel", wanted.pixel == planned.pixel),
         ("slice", "--slice", wanted.slice_m == planned.slice_m),
@@ -407,6 +418,7 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("drop_isolated", "--drop-isolated", wanted.plan.drop_floaters == planned.plan.drop_floaters),
         ("drop_floaters", "--drop-floaters", wanted.plan.drop_floaters == planned.plan.drop_floaters),
         ("remove_moving", "--remove-moving", wanted.plan.remove_moving == planned.plan.remove_moving),
+        ("fill_holes", "--fill-holes", same_holes),
         ("up", "--up", wanted.plan.up == planned.plan.up),
         ("units", "--units", wanted.units == planned.units),
         ("crs", "--crs", wanted.epsg == planned.epsg),

@@ -81,6 +81,11 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
         let dropped = counted(report.voxels_dropped, "voxel");
         say(&format!("dropped: {dropped} with too few points or without neighbours, and their points"));
     }
+    if header.plan.options.fill_holes > 0 {
+        let widest = number(f64::from(header.plan.options.fill_holes) * frame.pixel_m());
+        let inferred = counted(header.voxels.inferred, "voxel");
+        say(&format!("holes of up to {widest} m: closed by {inferred} of inferred floor"));
+    }
     if let Some(spacing) = &report.spacing {
         say(&format!("pixel size {} m: {}", number(frame.pixel_m()), from_spacing(spacing)));
     }

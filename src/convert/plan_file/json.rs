@@ -34,6 +34,7 @@ impl PlanFile {
             "drop_isolated": plan.options.drop_floaters == 1,
             "drop_floaters": plan.options.drop_floaters,
             "remove_moving": plan.options.remove_moving,
+            "fill_holes_pixels": plan.options.fill_holes,
             "up": plan.options.up.name(),
             "excluded_classes": plan.options.exclude_classes.iter().collect::<Vec<_>>(),
             "plan_hash": format!("{:032x}", plan.hash()),
@@ -147,6 +148,10 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         None => false,
         Some(_) => field(value, "remove_moving", "true or false", Value::as_bool)?,
     };
+    let fill_holes = match value.get("fill_holes_pixels") {
+        None => 0,
+        Some(_) => field(value, "fill_holes_pixels", "a number of pixels", |v| u8::try_from(v.as_u64()?).ok())?,
+    };
     let frame = frame.map_err(|error| Wrong::new("pixel_size, slice_height", format!("a grid, but {error}")))?;
     let options = PlanOptions {
         max_slope_deg: field(value, "max_slope", "an angle in degrees", number)?,
@@ -155,6 +160,7 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         min_points: field(value, "min_points", "a number of points", |v| u32::try_from(v.as_u64()?).ok())?,
         drop_floaters,
         remove_moving,
+        fill_holes,
         up: field(value, "up", "z or y", up)?,
         exclude_classes: field(value, "excluded_classes", "a list of classes from 0 to 255", classes)?,
     };
@@ -263,6 +269,7 @@ mod tests {
                 min_points,
                 drop_floaters,
                 remove_moving: flags.1,
+                fill_holes: (drop_floaters % 46) as u8,
                 up: if flags.0 { Up::Y } else { Up::Z },
                 exclude_classes: ClassSet::from_words(classes),
             };

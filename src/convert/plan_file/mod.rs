@@ -107,6 +107,7 @@ impl PlanFile {
         options.pixel = PixelSize::Metres(self.plan.frame.pixel_m());
         options.slice_m = Some(self.plan.frame.slice_m());
         options.plan = self.plan.options.clone();
+        options.fill_holes_m = None;
         options.units = self.units;
         options.epsg = self.epsg;
         options.columns = self.columns;

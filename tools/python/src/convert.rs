@@ -38,6 +38,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     min_points: drop voxels of fewer points (1)
 ///     drop_isolated: drop voxels without matter in any of the 26 around them
 ///     drop_floaters: drop connected matter of up to this many voxels (1 to 65535); 1 is `drop_isolated`
+///     fill_holes: close holes in floors of up to this width (m) by floor that the archive marks as inferred
 ///     remove_moving, stations, removed: remove points that other stations of the scan saw through; a table `file,x,y,z` of the
 ///         stations; a LAS file for what is removed
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``

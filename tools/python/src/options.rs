@@ -94,6 +94,7 @@ impl Asked {
                     options.plan.drop_floaters = options.plan.drop_floaters.max(value.extract()?);
                 }
                 "remove_moving" => options.plan.remove_moving = value.extract()?,
+                "fill_holes" => options.fill_holes_m = Some(value.extract()?),
                 "stations" => options.stations = value.extract()?,
                 "removed" => options.removed = value.extract()?,
                 "up" => options.plan.up = one_of("up", &value, &[("z", Up::Z), ("y", Up::Y)])?,
@@ -163,6 +164,12 @@ impl Asked {
 
 /// Refuses options that were named and say otherwise than the plan.
 fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &ConvertOptions) -> PyResult<()> {
+    let same_holes = || match planned.pixel {
+        PixelSize::Metres(pixel_m) => {
+            wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes)
+        }
+        _ => false,
+    };
     let differs = |name: &str| match name {
         "pixel" => wanted.pixel != planned.pixel,
         "slice" => wanted.slice_m != planned.slice_m,
@@ -178,6 +185,7 @@ fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &Co
         "min_points" => wanted.plan.min_points != planned.plan.min_points,
         "drop_isolated" | "drop_floaters" => wanted.plan.drop_floaters != planned.plan.drop_floaters,
         "remove_moving" => wanted.plan.remove_moving != planned.plan.remove_moving,
+        "fill_holes" => !same_holes(),
         "up" => wanted.plan.up != planned.plan.up,
         _ => false,
     };

@@ -21,7 +21,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 ///     output: the archive to write
 ///     pixel: edge of a pixel (m)
 ///     crs: coordinate reference system of the points (WKT, or any text)
-///     options: ``slice, max_slope, tolerance, classifier, memory, threads, temp_dir, min_points, drop_isolated, drop_floaters, up, levels, force``
+///     options: ``slice, max_slope, tolerance, classifier, memory, threads, temp_dir, min_points, drop_isolated, drop_floaters, fill_holes, up, levels, force``
 ///         as for :func:`convert`
 ///
 /// Raises:

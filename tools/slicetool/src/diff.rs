@@ -3,7 +3,7 @@
 use crate::{Failure, Outcome};
 use serde_json::json;
 use slicewalk::archive::{Archive, PageEntry, PageReader};
-use slicewalk::slice::{Page, Span};
+use slicewalk::slice::{Inferred, Page, Span};
 use slicewalk::text::grouped;
 use std::fmt::Write;
 use std::path::Path;
@@ -20,6 +20,9 @@ struct Difference {
     /// In both, but obstacle in one alone.
     obstacle_only_a: u64,
     obstacle_only_b: u64,
+    /// Inferred alone in one, and not so in the other.
+    inferred_only_a: u64,
+    inferred_only_b: u64,
     /// In both, with another bottom or top.
     other_height: u64,
     greatest_bottom: Quanta,
@@ -27,6 +30,9 @@ struct Difference {
 }
 
 type Quanta = u8;
+
+/// A page, and which of its spans are inferred.
+type Marked<'a> = (&'a Page, &'a Inferred);
 
 /// Compares the archives at `a` and `b`, which must share their grid.
 pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
@@ -66,6 +72,8 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
                 "other_kind": difference.obstacle_only_a + difference.obstacle_only_b,
                 "obstacle_only_a": difference.obstacle_only_a,
                 "obstacle_only_b": difference.obstacle_only_b,
+                "inferred_only_a": difference.inferred_only_a,
+                "inferred_only_b": difference.inferred_only_b,
                 "other_height": difference.other_height,
             },
             "greatest_height_difference": bottom.max(top),
@@ -91,6 +99,10 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
             grouped(difference.obstacle_only_a),
             grouped(difference.obstacle_only_b)
         )?;
+        if difference.inferred_only_a + difference.inferred_only_b > 0 {
+            let [only_a, only_b] = [difference.inferred_only_a, difference.inferred_only_b].map(grouped);
+            writeln!(text, "inferred voxels: {only_a} only in A, {only_b} only in B")?;
+        }
         writeln!(
             text,
             "voxels of other height: {} (bottoms by up to {bottom:.4} m, tops by up to {top:.4} m)",
@@ -107,7 +119,7 @@ fn entries<'a>(archive: &'a Archive, path: &'a Path) -> impl Iterator<Item = Res
 
 impl Difference {
     /// Between two pages of the same key; `None` where an archive has none.
-    fn between(a: Option<&Page>, b: Option<&Page>, empty: &Page) -> Self {
+    fn between(a: Option<Marked<'_>>, b: Option<Marked<'_>>, empty: Marked<'_>) -> Self {
         let mut difference = Self::default();
         match (a, b) {
             (Some(_), None) => difference.pages_only_a += 1,
@@ -115,7 +127,7 @@ impl Difference {
             (a, b) => difference.pages_differing += u64::from(a != b),
         }
         if a == b {
-            difference.voxels_in_both += a.map_or(0, |page| page.voxel_counts().0);
+            difference.voxels_in_both += a.map_or(0, |(page, _)| page.voxel_counts().0);
         } else {
             count(a.unwrap_or(empty), b.unwrap_or(empty), &mut difference);
         }
@@ -131,6 +143,8 @@ impl Difference {
         self.voxels_in_both += more.voxels_in_both;
         self.obstacle_only_a += more.obstacle_only_a;
         self.obstacle_only_b += more.obstacle_only_b;
+        self.inferred_only_a += more.inferred_only_a;
+        self.inferred_only_b += more.inferred_only_b;
         self.other_height += more.other_height;
         self.greatest_bottom = self.greatest_bottom.max(more.greatest_bottom);
         self.greatest_top = self.greatest_top.max(more.greatest_top);
@@ -143,7 +157,7 @@ fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Re
     let (mut entries_a, mut entries_b) = (entries(a, path_a), entries(b, path_b));
     let (mut next_a, mut next_b) = (entries_a.next().transpose()?, entries_b.next().transpose()?);
     let (mut pages_a, mut pages_b) = (PageReader::new(a), PageReader::new(b));
-    let empty = slicewalk::slice::PageBuilder::default().build();
+    let (empty, nothing) = (slicewalk::slice::PageBuilder::default().build(), Inferred::new());
     // Contents that lie over each other mostly do so more than once.
     let mut last = None;
     while next_a.is_some() || next_b.is_some() {
@@ -154,11 +168,11 @@ fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Re
         let between = match last {
             Some((same, between)) if same == contents => between,
             _ => {
-                let page_a = entry_a.map(|entry| pages_a.page(&entry)).transpose();
+                let page_a = entry_a.map(|entry| pages_a.page_and_inferred(&entry)).transpose();
                 let page_a = page_a.map_err(|error| crate::broken(path_a, &error))?;
-                let page_b = entry_b.map(|entry| pages_b.page(&entry)).transpose();
+                let page_b = entry_b.map(|entry| pages_b.page_and_inferred(&entry)).transpose();
                 let page_b = page_b.map_err(|error| crate::broken(path_b, &error))?;
-                Difference::between(page_a, page_b, &empty)
+                Difference::between(page_a, page_b, (&empty, &nothing))
             }
         };
         last = Some((contents, between));
@@ -173,10 +187,14 @@ fn compare((a, path_a): (&Archive, &Path), (b, path_b): (&Archive, &Path)) -> Re
     Ok(difference)
 }
 
-fn count(a: &Page, b: &Page, difference: &mut Difference) {
+fn count((a, marks_a): Marked<'_>, (b, marks_b): Marked<'_>, difference: &mut Difference) {
     let slices = a.slices() | b.slices();
     for pixel in 0..64 * 64 {
-        let (a, b) = (a.column(pixel & 63, pixel >> 6), b.column(pixel & 63, pixel >> 6));
+        let (px, py) = (pixel & 63, pixel >> 6);
+        let inferred = [inferred(a, marks_a, px, py), inferred(b, marks_b, px, py)];
+        difference.inferred_only_a += u64::from((inferred[0] & !inferred[1]).count_ones());
+        difference.inferred_only_b += u64::from((inferred[1] & !inferred[0]).count_ones());
+        let (a, b) = (a.column(px, py), b.column(px, py));
         if a.is_empty() && b.is_empty() {
             continue;
         }
@@ -197,6 +215,19 @@ fn count(a: &Page, b: &Page, difference: &mut Difference) {
             }
         }
     }
+}
+
+/// Slices of a pixel whose matter is inferred alone.
+fn inferred(page: &Page, marks: &Inferred, px: u32, py: u32) -> u64 {
+    let mask = marks.of(px, py);
+    if mask == 0 {
+        return 0;
+    }
+    let slices = page.column(px, py).iter().enumerate().fold([0; 2], |mut slices, (at, span)| {
+        slices[(mask >> (at & 63) & 1) as usize] |= span.slice_mask();
+        slices
+    });
+    slices[1] & !slices[0]
 }
 
 /// Lowest bottom and highest top in one slice of a pixel's spans, and whether any is an obstacle.

@@ -23,6 +23,8 @@ pub struct Walks {
     /// Deepest drop it takes (m) [default: the climb height, so that every way can be walked back]
     #[arg(long, value_name = "METRES", allow_negative_numbers = true, value_parser = finite_number)]
     max_drop: Option<f64>,
+    #[command(flatten)]
+    inferred: crate::Inferred,
     /// Memory for pages
     #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -67,7 +69,8 @@ impl Loader {
     pub fn open(archive: &Path, walks: &Walks) -> Result<Self, Failure> {
         let budget = usize::try_from(walks.cache).unwrap_or(usize::MAX);
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
-        let stream = Stream::open(crate::open(archive)?, options).map_err(|error| crate::broken(archive, &error))?;
+        let stream =
+            Stream::open(walks.inferred.open(archive)?, options).map_err(|error| crate::broken(archive, &error))?;
         Ok(Self { stream, archive: archive.to_path_buf() })
     }
 

@@ -65,9 +65,13 @@ fn as_text(path: &Path) -> Result<String, Failure> {
     rows.push((
         "voxels",
         format!(
-            "{} ({}) in {}",
+            "{} ({}{}) in {}",
             grouped(header.voxels.occupied),
             counted(header.voxels.obstacle, "obstacle"),
+            match header.voxels.inferred {
+                0 => String::new(),
+                inferred => format!(", {} inferred", grouped(inferred)),
+            },
             counted(slice_count(header) as u64, "slice")
         ),
     ));
@@ -137,6 +141,10 @@ fn options(header: &Header) -> String {
     }
     if options.remove_moving {
         text += ", without moving points";
+    }
+    if options.fill_holes > 0 {
+        let widest = number(f64::from(options.fill_holes) * header.plan.frame.pixel_m());
+        text += &format!(", holes of up to {widest} m closed");
     }
     match options.drop_floaters {
         0 => {}

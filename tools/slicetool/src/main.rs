@@ -130,7 +130,8 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
-    /// Draw one slice in the thesis' colours: red height, green 255, blue 255 obstacle or 26 floor, black empty
+    /// Draw one slice in the thesis' colours: red height, green 255, blue 255 obstacle, 26 floor or
+    /// 128 inferred floor, black empty
     Show(show::Arguments),
     /// Compare what two archives of one grid hold, not their bytes; exit code 0 whether they differ or not
     Diff {
@@ -182,6 +183,22 @@ enum Command {
 pub fn open(path: &Path) -> Result<Archive, Failure> {
     standard::refuse_archive(path)?;
     Archive::open(path).map_err(|error| info::other_file(path).unwrap_or_else(|| broken(path, &error)))
+}
+
+/// Whether inferred floor counts.
+#[derive(clap::Args)]
+pub struct Inferred {
+    /// Take no notice of inferred floor, by which holes of the scan were closed: only what was scanned counts
+    #[arg(long)]
+    ignore_inferred: bool,
+}
+
+impl Inferred {
+    /// The archive at `path`, whose pages hold what counts.
+    pub fn open(&self, path: &Path) -> Result<Archive, Failure> {
+        let archive = open(path)?;
+        Ok(if self.ignore_inferred { archive.ignoring_inferred() } else { archive })
+    }
 }
 
 /// A failure to read the archive at `path`: errors about its content name the part, but not the file.

@@ -28,6 +28,8 @@ pub struct Arguments {
     /// Rays: columns x,y,z,dx,dy,dz,max; adds hit,distance,nx,ny,nz. `-` reads standard input
     #[arg(long, value_name = "R.csv", group = "what")]
     rays: Option<PathBuf>,
+    #[command(flatten)]
+    inferred: crate::Inferred,
     /// Memory for pages
     #[arg(long, default_value = "1GiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -42,7 +44,7 @@ const LONGEST_LINE: u64 = 1 << 20;
 
 /// Answers row by row; rows before a faulty one are answered.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let archive = crate::open(&arguments.archive)?;
+    let archive = arguments.inferred.open(&arguments.archive)?;
     let cache = usize::try_from(arguments.cache).unwrap_or(usize::MAX);
     let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(cache) };
     let stream = Stream::open(archive, options).map_err(|error| crate::broken(&arguments.archive, &error))?;

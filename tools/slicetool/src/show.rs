@@ -1,15 +1,18 @@
 //! `slicetool show`: one slice as a picture in the thesis' colours.
 
 use crate::{Failure, Outcome, figures};
-use slicewalk::archive::{Archive, Level, PageEntry};
+use slicewalk::archive::{Archive, Level, PageDecoder, PageEntry};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::info::slice_count;
+use slicewalk::slice::Span;
 use slicewalk::text::{finite_number, grouped, number, one_line, rounded, whole_number};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// Colours in the blue channel of floors and obstacles.
-const BLUES: [u8; 2] = [26, 255];
+/// Colours in the blue channel of floors, obstacles and inferred floor.
+pub const BLUES: [u8; 3] = [26, 255, 128];
+/// Number of the last.
+pub const INFERRED: usize = 2;
 /// Around the parts of a legend, length of its ramps of colours, and its least width (pixels).
 const MARGIN: i64 = 8;
 const RAMP: i64 = 64;
@@ -37,8 +40,8 @@ pub struct Arguments {
     /// Picture to write (PNG); `-` is standard output
     #[arg(short, long, value_name = "S.png")]
     output: PathBuf,
-    /// Add a strip below with a scale bar and the colours of floors (left) and obstacles (right) from the bottom to the top of
-    /// the slice
+    /// Add a strip below with a scale bar and the colours of floors, obstacles and inferred floor (from left to right, the last
+    /// where holes are filled) from the bottom to the top of the slice
     #[arg(long)]
     legend: bool,
 }
@@ -119,7 +122,8 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path)
         )));
     }
     let mut output = crate::output(to, archive, &[])?;
-    let strip = legend.then(|| Strip::new(frame, slice, width));
+    let kinds = if archive.plan().options.fill_holes > 0 { &BLUES[..] } else { &BLUES[..INFERRED] };
+    let strip = legend.then(|| Strip::new(frame, slice, width, kinds));
     let (full_width, strip_height) = strip.as_ref().map_or((width, 0), |strip| (strip.width, strip.height()));
     let layer = slice.div_euclid(PAGE_SLICES) as i32;
     let in_page = slice.rem_euclid(PAGE_SLICES) as u32;
@@ -140,22 +144,30 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path)
     let mut writer = encoder.write_header()?;
     let mut stream = writer.stream_writer()?;
     let mut rows = vec![0u8; full_width as usize * 3 * TILE_PIXELS as usize];
-    let mut rest = &entries[..];
+    let (mut rest, mut decoder) = (&entries[..], PageDecoder::new());
     for ty in (low.div_euclid(TILE_PIXELS)..=high.div_euclid(TILE_PIXELS)).rev() {
         rows.fill(0);
         let count = rest.iter().take_while(|entry| i64::from(entry.key.ty) == ty).count();
         let (row, others) = rest.split_at(count);
         rest = others;
         for entry in row {
-            let page = archive.page(entry).map_err(broken)?;
+            let page = archive.page_with(entry, &mut decoder).map_err(broken)?;
             for (px, py, spans) in page.columns() {
-                let part = spans.iter().find_map(|span| Some((span.within_slice(in_page)?, span.is_obstacle())));
+                let inferred = decoder.inferred().of(px, py);
+                let kind = |at: usize, span: &Span| match inferred >> (at & 63) & 1 {
+                    1 => INFERRED,
+                    _ => usize::from(span.is_obstacle()),
+                };
+                // Of several in one slice the lowest, but inferred floor only where nothing was scanned.
+                let parts = spans.iter().enumerate();
+                let parts = parts.filter_map(|(at, span)| Some((span.within_slice(in_page)?, kind(at, span))));
+                let part = parts.min_by_key(|(_, kind)| *kind == INFERRED);
                 let x = i64::from(entry.key.tx) * TILE_PIXELS + i64::from(px) - left;
-                if let Some(((_, top), obstacle)) = part
+                if let Some(((_, top), kind)) = part
                     && (0..width).contains(&x)
                 {
                     let at = (i64::from(py) * full_width + x) as usize * 3;
-                    rows[at..at + 3].copy_from_slice(&[top, 255, BLUES[usize::from(obstacle)]]);
+                    rows[at..at + 3].copy_from_slice(&[top, 255, BLUES[kind]]);
                 }
             }
         }
@@ -184,7 +196,7 @@ struct Strip {
 impl Strip {
     const ROW: i64 = figures::HEIGHT + MARGIN;
 
-    fn new(frame: &Frame, slice: i64, width: i64) -> Self {
+    fn new(frame: &Frame, slice: i64, width: i64, blues: &[u8]) -> Self {
         let width = width.max(LEGEND_WIDTH);
         let mut strip = Self { width, pixels: vec![[0; 3]; (width * (2 * Self::ROW + MARGIN)) as usize] };
         let length = figures::round_length(width as f64 / 3.0 * frame.pixel_m());
@@ -194,7 +206,7 @@ impl Strip {
         let [bottom, top] = [slice, slice + 1].map(|slice| rounded(frame.bottom_of_slice(slice), frame.quantum_m()));
         let row = MARGIN + Self::ROW;
         let mut at = strip.write([MARGIN, row], &format!("z {bottom}"));
-        for blue in BLUES {
+        for &blue in blues {
             strip.fill([at, row], [RAMP, figures::HEIGHT], |x| [(x * 255 / (RAMP - 1)) as u8, 255, blue]);
             at += RAMP + MARGIN;
         }

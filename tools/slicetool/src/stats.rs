@@ -59,8 +59,13 @@ pub fn run(path: &Path, json: bool) -> Outcome {
             "slices": { "all": slices, "distinct": stats.distinct_slices },
             "columns": stats.columns,
             "columns_by_spans": stats.columns_by_spans,
-            "spans": { "all": stats.spans, "obstacle": stats.obstacle_spans },
-            "voxels": { "occupied": stats.voxels, "obstacle": stats.obstacle_voxels, "without_height": stats.inner_voxels },
+            "spans": { "all": stats.spans, "obstacle": stats.obstacle_spans, "inferred": stats.inferred_spans },
+            "voxels": {
+                "occupied": stats.voxels,
+                "obstacle": stats.obstacle_voxels,
+                "inferred": stats.inferred_voxels,
+                "without_height": stats.inner_voxels,
+            },
             "bytes": {
                 "file": header.file_len,
                 "tiles": header.bytes.pages,
@@ -106,6 +111,10 @@ pub fn run(path: &Path, json: bool) -> Outcome {
         counted(stats.obstacle_spans, "obstacle"),
         100.0 * per(stats.inner_voxels, stats.voxels)
     )?;
+    if stats.inferred_spans > 0 {
+        let (spans, voxels) = (counted(stats.inferred_spans, "span"), counted(stats.inferred_voxels, "voxel"));
+        writeln!(text, "Holes are closed by {spans} of inferred floor ({voxels}), where nothing was scanned.")?;
+    }
     writeln!(
         text,
         "The file has {} ({bytes_per_voxel:.2} a voxel): pages {}, directory {}, overview levels {}. In memory it takes {} \

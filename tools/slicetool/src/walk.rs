@@ -43,6 +43,8 @@ pub struct Arguments {
     /// Frames per second
     #[arg(long, default_value_t = 60.0, value_name = "HZ", value_parser = rate)]
     hz: f64,
+    #[command(flatten)]
+    inferred: crate::Inferred,
     /// Memory for pages
     #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -204,7 +206,7 @@ fn in_the_way(stop: Option<Stop>) -> &'static str {
 }
 
 fn stream(arguments: &Arguments) -> Result<Stream, Failure> {
-    let archive = crate::open(&arguments.archive)?;
+    let archive = arguments.inferred.open(&arguments.archive)?;
     let prefetch = if arguments.prefetch == Switch::On { Prefetch::Thread } else { Prefetch::Off };
     let budget = usize::try_from(arguments.cache).unwrap_or(usize::MAX);
     Ok(Stream::open(archive, StreamOptions { prefetch, ..StreamOptions::new(budget) })?)

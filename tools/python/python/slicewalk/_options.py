@@ -20,6 +20,7 @@ class _GridOptions(TypedDict, total=False):
     min_points: int
     drop_isolated: bool
     drop_floaters: int
+    fill_holes: float | None
     up: Literal["z", "y"]
     levels: bool | Literal["on", "off"]
     force: bool
@@ -36,6 +37,7 @@ class PlanOptions(_GridOptions, total=False):
 
     pixel: float | Literal["auto"]
     exclude_class: Sequence[int]
+    fill_holes: float | None
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
     columns: str | None

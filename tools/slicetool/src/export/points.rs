@@ -2,6 +2,7 @@
 
 use super::Crs;
 use crate::Failure;
+use crate::show::{BLUES, INFERRED};
 use e57::{E57Writer, Record, RecordDataType, RecordName, RecordValue};
 use slicewalk::archive::{Archive, PageReader};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
@@ -30,14 +31,15 @@ const MOST_STEPS: f64 = 4e9;
 /// Steps by which offsets are rounded: whole metres at the usual step.
 const ROUND_STEPS: f64 = 1e4;
 
-/// Slice in its page, top of the matter (quanta), and whether any of it is an obstacle.
-type Voxel = (u32, u8, bool);
+/// Slice in its page, top of the matter (quanta), and what it is, by number of its colour in [`BLUES`].
+type Voxel = (u32, u8, usize);
 
 /// A voxel as a point: pixel centre, top of the matter in the voxel, colour as in `show`.
 struct VoxelPoint {
     position: [f64; 3],
     colour: [u8; 3],
     obstacle: bool,
+    inferred: bool,
 }
 
 /// Fails if an archive is far too small to hold as many voxels as its head claims.
@@ -61,23 +63,26 @@ fn each_voxel(
     let mut pages = PageReader::new(archive);
     for entry in archive.entries() {
         let entry = entry.map_err(broken)?;
-        let page = pages.page(&entry).map_err(broken)?;
+        let (page, inferred) = pages.page_and_inferred(&entry).map_err(broken)?;
         for (px, py, spans) in page.columns() {
+            let mask = inferred.of(px, py);
             let centre = |tile: i32, pixel: u32| {
                 (f64::from(tile) * TILE_PIXELS as f64 + f64::from(pixel) + 0.5) * frame.pixel_m()
             };
             let (x, y) = (centre(entry.key.tx, px), centre(entry.key.ty, py));
-            let mut give_voxel = |(slice, top, obstacle): Voxel| {
+            let mut give_voxel = |(slice, top, kind): Voxel| {
                 let floor = frame.bottom_of_slice(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(slice));
                 give(&VoxelPoint {
                     position: [x, y, floor + f64::from(top) * frame.quantum_m()],
-                    colour: [top, 255, if obstacle { 255 } else { 26 }],
-                    obstacle,
+                    colour: [top, 255, BLUES[kind]],
+                    obstacle: kind == 1,
+                    inferred: kind == INFERRED,
                 })
             };
             // Spans ascend, and two may meet in one voxel, which is one point all the same.
             let mut voxel: Option<Voxel> = None;
-            for span in spans {
+            for (at, span) in spans.iter().enumerate() {
+                let kind = if mask >> (at & 63) & 1 == 1 { INFERRED } else { usize::from(span.is_obstacle()) };
                 let (first, last) = span.slices();
                 for slice in first..=last {
                     let Some((_, top)) = span.within_slice(slice) else { continue };
@@ -86,7 +91,13 @@ fn each_voxel(
                     if same.is_none() {
                         below.map_or(Ok(()), &mut give_voxel)?;
                     }
-                    voxel = Some((slice, top, span.is_obstacle() || same.is_some_and(|same| same.2)));
+                    let kind = match same.map_or(kind, |same| same.2) {
+                        // What was scanned says what the voxel is, and of that obstacles.
+                        INFERRED => kind,
+                        below if kind == INFERRED => below,
+                        below => below.max(kind),
+                    };
+                    voxel = Some((slice, top, kind));
                 }
             }
             voxel.map_or(Ok(()), give_voxel)?;
@@ -160,6 +171,7 @@ pub fn las(
             color: Some(las::Color { red, green, blue }),
             classification: las::point::Classification::new(CLASSES[usize::from(point.obstacle)])?,
             return_number: 1,
+            is_synthetic: point.inferred,
             number_of_returns: 1,
             ..Default::default()
         })?)
