@@ -114,7 +114,7 @@ fn area(archive: &Archive) -> f64 {
     let store = Store::resident(archive, &NoMonitor).unwrap();
     let pawn = Pawn::new(Body::Cylinder { radius: 0.15, height: 1.7 });
     let mut standing = StandingPlaces::new(&store, pawn).unwrap();
-    let start = known(standing.spot(&store, [10.0, 3.0, 0.1].into())).unwrap();
+    let start = known(standing.spot(&store, [10.0, 3.0, 0.1].into()).unwrap()).unwrap();
     let mut flood = Flood::from(start);
     known(flood.grow(&mut standing, &store, &NoMonitor).unwrap());
     flood.region(&standing).area_m2()
