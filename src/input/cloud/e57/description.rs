@@ -94,8 +94,13 @@ fn number(node: Option<Node<'_, '_>>) -> Option<Result<f64, String>> {
 
 impl Contents {
     pub fn parse(xml: &str) -> Result<Self, Wrong> {
-        if xml.bytes().filter(|&byte| byte == b'=').count() > MOST_ATTRIBUTES {
+        let count = |wanted: u8| xml.bytes().filter(|&byte| byte == wanted).count();
+        if count(b'=') > MOST_ATTRIBUTES {
             return damaged("XML", format!("more than {MOST_ATTRIBUTES} attributes"));
+        }
+        // The parser makes room for a node at each of them before it looks at its limit; elements have up to two.
+        if count(b'<') > 2 * MOST_NODES as usize {
+            return damaged("XML", format!("more than {MOST_NODES} nodes"));
         }
         let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
         let document = match Document::parse_with_options(xml, options) {
