@@ -38,7 +38,7 @@ const BETWEEN_LOOKS: usize = 1 << 14;
 /// let store = Store::from_pages(Frame::new(0.05, 0.15)?, [(key, builder.build())]);
 ///
 /// let mut standing = StandingPlaces::new(&store, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }))?;
-/// let Answer::Known(Some(start)) = standing.spot(&store, Point3::new(1.0, 1.0, 0.1)) else { panic!("it is all floor") };
+/// let Answer::Known(Some(start)) = standing.spot(&store, Point3::new(1.0, 1.0, 0.1))? else { panic!("it is all floor") };
 /// let mut flood = Flood::from(start);
 /// assert_eq!(flood.grow(&mut standing, &store, &NoMonitor)?, Answer::Known(()));
 /// let region = flood.region(&standing);

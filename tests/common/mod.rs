@@ -165,7 +165,8 @@ pub fn render(archive: &Archive) -> String {
     line(format_args!("bounds {:?}", header.bounds));
     line(format_args!("slices {:?}", header.slices));
     line(format_args!("{:?}", header.tiles));
-    line(format_args!("{:?}", header.voxels));
+    let voxels = &header.voxels;
+    line(format_args!("Voxels {{ occupied: {}, obstacle: {} }}", voxels.occupied, voxels.obstacle));
     line(format_args!("{:?}", header.pages));
     line(format_args!("crs {}", archive.crs().unwrap()));
     for entry in archive.entries().map(Result::unwrap) {
