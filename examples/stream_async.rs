@@ -20,6 +20,8 @@ async fn walk() -> Result<(), Box<dyn std::error::Error>> {
     let [url, start] = &arguments[..] else { return Err("usage: stream_async URL X,Y,Z".into()) };
     let start = start.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>()?;
     let [x, y, z] = start[..] else { return Err("the start is X,Y,Z".into()) };
+    // Cryptography for TLS is the program's choice; its own features of `object_store` may bring one instead.
+    let _ = rustls::crypto::ring::default_provider().install_default();
     let (store, path) = object_store::parse_url(&url::Url::parse(url)?)?;
     let store: Arc<dyn ObjectStore> = store.into();
 
