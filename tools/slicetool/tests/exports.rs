@@ -255,3 +255,36 @@ fn options_that_mean_nothing_for_a_format_are_refused() {
     assert!(out.status.code() == Some(1) && String::from_utf8_lossy(&out.stderr).contains("no such slice"));
     assert_eq!(fs::read_dir(at).unwrap().count(), 1);
 }
+
+/// An archive of a scan that states its system by this text.
+fn stated(folder: &Path, wkt: &str) {
+    let mut head = las::Builder::from((1, 4)).into_header().unwrap();
+    head.set_wkt_crs(wkt.as_bytes().to_vec()).unwrap();
+    let mut writer = las::Writer::from_path(folder.join("w.las"), head).unwrap();
+    for [x, y, z] in points() {
+        writer.write_point(las::Point { x: x - 200_000.0, y: y - 500_000.0, z, ..Default::default() }).unwrap();
+    }
+    writer.close().unwrap();
+    let mut options = ConvertOptions::new(vec![folder.join("w.las")], folder.join("a.slices"));
+    options.pixel = PixelSize::Metres(PIXEL_M);
+    options.overwrite = true;
+    convert(&options, &NoMonitor).unwrap();
+}
+
+#[test]
+fn well_known_text_goes_on_and_a_system_in_feet_does_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let system = |unit: &str| format!(r#"PROJCS["P",GEOGCS["G",UNIT["degree",0.0174532925199433]],UNIT[{unit}]]"#);
+    let metres = system(r#""metre",1"#);
+    stated(at, &metres);
+    done(at, &["-o", "m.las"]);
+    let reader = las::Reader::from_path(at.join("m.las")).unwrap();
+    let text = String::from_utf8_lossy(reader.header().get_wkt_crs_bytes().unwrap()).into_owned();
+    assert_eq!(text.trim_end_matches('\0'), metres);
+    stated(at, &system(r#""foot",0.3048"#));
+    let out = export(at, &["-o", "f.las"]);
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.success() && said.contains("states no reference system") && said.lines().count() == 1, "{said}");
+    assert!(!las::Reader::from_path(at.join("f.las")).unwrap().header().has_crs_vlrs());
+}
