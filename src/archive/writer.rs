@@ -1,5 +1,8 @@
 //! Writing an archive: pages in key order, then the directory, then the head, then the name (chapter 9).
 
+#[cfg(feature = "convert")]
+mod unnamed;
+
 use super::FORMAT_VERSION;
 use super::dedup::Window;
 use super::directory::{Extent, PageEntry, Storage, key_in_grid};
@@ -8,10 +11,8 @@ use super::levels::{CoarseSpan, LevelWriter};
 use super::matter::Matter;
 use super::metadata::{Metadata, Unknown};
 use super::page::EncodedPage;
-use super::reader::Archive;
 use super::shard::{InputRead, Shard};
 use super::spill::{Entries, write_leaves};
-use crate::bytes::ByteSource;
 use crate::codec::Violation;
 use crate::frame::PageKey;
 use crate::output::{Existing, Output, OutputKind, Protected};
@@ -76,22 +77,6 @@ pub struct ArchiveWriter {
     shard: Option<Shard>,
     read: Vec<InputRead>,
     unknown: Unknown,
-}
-
-/// An archive that is complete and has no name.
-struct Written {
-    output: Output,
-    len: u64,
-}
-
-impl ByteSource for Written {
-    fn len(&self) -> u64 {
-        self.len
-    }
-
-    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
-        self.output.read_at(offset, buf)
-    }
 }
 
 /// A page that was put: what its entry says, and what it takes to find its bytes again.
@@ -179,12 +164,6 @@ impl ArchiveWriter {
     /// Whether the archive gets overview levels.
     pub fn has_levels(&self) -> bool {
         self.levels.is_some()
-    }
-
-    /// A file for temporary data of the same work, in `folder`.
-    pub(crate) fn scratch(&self, folder: &Path) -> Result<Output> {
-        let name = self.output.beside().file_name().unwrap_or_default();
-        Output::scratch(self.output.files(), &folder.join(name))
     }
 
     /// Makes the archive a part of a conversion; its pages must lie in the columns of `shard`.
@@ -358,12 +337,6 @@ impl ArchiveWriter {
     pub(super) fn finish_or_keep(mut self, totals: Totals) -> Result<(Header, bool)> {
         let header = self.complete(totals)?;
         Ok((header, self.output.publish()?))
-    }
-
-    /// The archive that was written, to be read once before it is gone: it never gets a name.
-    pub(crate) fn read_back(mut self, totals: Totals) -> Result<Archive> {
-        let len = self.complete(totals)?.file_len;
-        Archive::from_source(Box::new(Written { output: self.output, len }))
     }
 
     fn complete(&mut self, totals: Totals) -> Result<Header> {

@@ -74,6 +74,7 @@ impl Output {
     }
 
     /// A file beside `target` that never gets a name: it is written and read back, and gone when this is dropped.
+    #[cfg(feature = "convert")]
     pub(crate) fn scratch(files: &Files, target: &Path) -> Result<Self> {
         remove_leftovers(files, target)?;
         let temporary = Temporary::beside(files, target)?;

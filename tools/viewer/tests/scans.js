@@ -77,6 +77,17 @@ export const city = () =>
     "las",
   );
 
+/** The real scan of two storeys at 5 cm, from the folder SLICEWALK_DATA. */
+export function twoStoreys() {
+  const path = join(kept, "indoor.slices");
+  if (existsSync(path)) return path;
+  const data = process.env.SLICEWALK_DATA;
+  if (data === undefined) throw new Error("set SLICEWALK_DATA to the folder of indoor_two_storey_zup.laz");
+  mkdirSync(kept, { recursive: true });
+  program("sliceconv", join(data, "indoor_two_storey_zup.laz"), "-o", path, "--quiet", "--pixel", "0.05", "--levels", "on");
+  return path;
+}
+
 /** A room with its floor at 0 and a table less: another archive for the same name. */
 export const other = () => made("other", ["house", "--param", "storeys=1", "--density", "400"], ["--pixel", "0.05"]);
 

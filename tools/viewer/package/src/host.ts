@@ -9,8 +9,9 @@ import type { Engine } from "./wasm/engine.js";
 
 /** Most bytes that the head of an archive takes. */
 const HEAD = 16 << 10;
-/** Rows of a batch that are answered at once. */
+/** Rows of a batch that are answered at once, and for how long (ms) before other messages come through. */
 const ROWS = 4096;
+const BATCH_MS = 4;
 const STATS_EVERY = 250;
 /** Numbers of a question of each kind, and of its answer. */
 const SHAPES = { overlaps: [6, 1], sweep: [9, 1], cast: [7, 5], floor: [6, 1] } as const;
@@ -251,10 +252,12 @@ export class Host {
     const [width, answers] = SHAPES[kind];
     const count = which?.length ?? rows.length / width;
     const unknown: number[] = [];
+    let begun = this.outside.now();
     for (let first = 0; first < count; first += ROWS) {
-      if (first > 0) {
+      if (this.outside.now() - begun > BATCH_MS) {
         // A long batch lets steps through.
         await this.pause();
+        begun = this.outside.now();
       }
       if (signal.aborted) {
         throw aborted();
@@ -269,10 +272,15 @@ export class Host {
         }
       }
       const found = this.questioned(() => this.ready()[kind](part), first);
+      if (!which) {
+        out.set(found, first * answers);
+      }
       for (let n = first; n < last; n++) {
-        const answer = found.subarray((n - first) * answers, (n - first + 1) * answers);
-        out.set(answer, row(n) * answers);
-        if (kind === "overlaps" ? answer[0] === NOT_LOADED : Number.isNaN(answer[0])) {
+        const at = (n - first) * answers;
+        if (which) {
+          out.set(found.subarray(at, at + answers), row(n) * answers);
+        }
+        if (kind === "overlaps" ? found[at] === NOT_LOADED : Number.isNaN(found[at])) {
           unknown.push(row(n));
         }
       }

@@ -219,7 +219,6 @@ export class App {
   #enter(session: Session, mode: Mode): void {
     this.#session = session;
     this.#error = null;
-    this.#ready = true;
     const { archive, world, pawn } = session;
     world.moveOrigin(pawn.at);
     this.#canvas.scene.add(world.group);
@@ -231,12 +230,16 @@ export class App {
     this.#sight = new Sight(session, this.#shell);
     this.#sight.colouring = colouring;
     this.#shell.opened(session.source.name, archive.info, this.#minimap);
-    this.#shell.messages.wait(null);
-    this.#shell.messages.say(pawn.flying ? texts.loading.found : texts.news.capture);
     this.setMode(mode);
     this.#shell.toolbars.flying = pawn.flying;
-    this.#shell.canvas.focus({ preventScroll: true });
     this.#overlays.opened(session);
+    // The first picture and the first texts take long; the walk begins after them.
+    this.#frame(0);
+    this.#write();
+    this.#ready = true;
+    this.#shell.messages.wait(null);
+    this.#shell.messages.say(pawn.flying ? texts.loading.found : texts.news.capture);
+    this.#shell.canvas.focus({ preventScroll: true });
     void session.describe();
   }
 

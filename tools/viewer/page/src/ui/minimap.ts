@@ -17,6 +17,9 @@ const ABOVE_M = 1.8;
 /** Red, green, blue and opacity of nothing, floor, obstacle and what is not loaded. */
 const COLOURS = new Uint32Array(Uint8Array.from([0, 0, 0, 0, 84, 97, 112, 255, 226, 230, 235, 255, 0, 0, 0, 70]).buffer);
 
+/** Drawn by the processor: where graphics are slow, their queue would hold up the main thread. */
+const IN_MEMORY: CanvasRenderingContext2DSettings = { willReadFrequently: true };
+
 export class Minimap {
   readonly element = h("div", { class: "panel minimap" });
   readonly #canvas = h("canvas", { width: SIZE_PX * 2, height: SIZE_PX * 2, role: "img" });
@@ -55,8 +58,8 @@ export class Minimap {
   }
 
   #paint({ width, height, cells }: SliceMap): void {
-    Object.assign(this.#picture, { width, height });
-    const context = this.#picture.getContext("2d");
+    if (this.#picture.width !== width || this.#picture.height !== height) Object.assign(this.#picture, { width, height });
+    const context = this.#picture.getContext("2d", IN_MEMORY);
     if (context === null || cells.length === 0) return;
     const image = context.createImageData(width, height);
     const pixels = new Uint32Array(image.data.buffer);
@@ -65,7 +68,7 @@ export class Minimap {
   }
 
   #draw(at: Vec3, heading: number): void {
-    const context = this.#canvas.getContext("2d");
+    const context = this.#canvas.getContext("2d", IN_MEMORY);
     const map = this.#map;
     const drawn = this.#drawn;
     if (context === null || (drawn?.map === map && drawn.heading === heading && distance(drawn.at, at) === 0)) return;

@@ -1,0 +1,62 @@
+// Takes the viewer's pictures of the documentation: `node pictures.js FOLDER`, on a quiet machine. Needs SLICEWALK_DATA, the
+// folder of the real scan of two storeys.
+
+import { join } from "node:path";
+import { launch, until, walkIn } from "./browser.js";
+import { DIST, twoStoreys } from "./scans.js";
+import { StaticServer } from "./static-server.js";
+import { address } from "./steer.js";
+
+const SIZE = { width: 1160, height: 720 };
+const JPEG = { type: "jpeg", quality: 80 };
+/** Software graphics draw few frames a second: a picture is whole when nothing came for so many of them. */
+const QUIET_FRAMES = 12;
+
+/** On the way to the stairs, looking along them. */
+const STAIRS = { at: [-10.2, -4.35, -1.2], look: [275, -8] };
+
+/** Opens a tool of the bar. */
+const tool = (name) => (page) => page.getByRole("button", { name }).click();
+
+const PICTURES = [
+  { name: "viewer-walk.jpg", place: STAIRS },
+  { name: "viewer-orbit.jpg", place: { ...STAIRS, view: "orbit" } },
+  { name: "viewer-slices.jpg", place: STAIRS, prepare: tool("Slices") },
+];
+
+const settled = (page) =>
+  page.evaluate(async (quiet) => {
+    let [last, since] = ["", 0];
+    while (since < quiet) {
+      await new Promise(requestAnimationFrame);
+      const { drawn, pages, bytesLoaded } = window.slicewalk.state();
+      const now = JSON.stringify([drawn, pages, bytesLoaded]);
+      [last, since] = [now, now === last ? since + 1 : 0];
+    }
+  }, QUIET_FRAMES);
+
+const [folder] = process.argv.slice(2);
+if (folder === undefined) {
+  console.error("usage: node pictures.js FOLDER");
+  process.exit(2);
+}
+const server = await new StaticServer(DIST, { "/indoor.slices": twoStoreys() }).start();
+const browser = await launch();
+try {
+  for (const { name, place, prepare = async () => {} } of PICTURES) {
+    const page = await browser.newPage({ viewport: SIZE });
+    try {
+      await walkIn(page, address(server, { archive: "indoor.slices", ...place }));
+      await until(page, "the first steps", ({ drawn }) => drawn.pages > 0);
+      await prepare(page);
+      await settled(page);
+      await page.screenshot({ path: join(folder, name), ...JPEG });
+      console.log(name);
+    } finally {
+      await page.end();
+    }
+  }
+} finally {
+  await browser.close();
+  await server.stop();
+}
