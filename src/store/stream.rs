@@ -7,14 +7,16 @@ use super::missing::Missing;
 use super::outlook::Outlook;
 use super::request::LoadReport;
 use super::snapshot::{Index, View};
+use super::sync::{
+    Arc, AtomicBool, AtomicU64, Builder, Condvar, JoinHandle, Mutex, MutexGuard, Thread, park, park_timeout,
+    wait_at_most, yield_now,
+};
 use super::tally::Counters;
 use crate::archive::Archive;
 use crate::frame::PageKey;
 use crate::{Error, Result};
+use std::sync::PoisonError;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
-use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread::{JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
 /// Who loads pages before they are needed.
@@ -179,7 +181,7 @@ impl Stream {
         let worker = match prefetch {
             Prefetch::Thread => {
                 let shared = shared.clone();
-                let builder = std::thread::Builder::new().name("slicewalk-prefetch".into());
+                let builder = Builder::new().name("slicewalk-prefetch".into());
                 let spawned = builder.spawn(move || shared.work());
                 Some(spawned.map_err(|error| Error::io("slicewalk-prefetch", "start a thread", error))?)
             }
@@ -251,7 +253,7 @@ impl Stream {
                     Step::Idle | Step::NoRoom(false) => return true,
                     _ if start.elapsed() >= at_most => return false,
                     Step::Loaded(_) => {}
-                    Step::Busy | Step::NoRoom(true) => std::thread::yield_now(),
+                    Step::Busy | Step::NoRoom(true) => yield_now(),
                 }
             },
             Prefetch::Thread => {
@@ -334,6 +336,11 @@ impl PawnHandle {
                 return;
             }
         }
+        self.told();
+    }
+
+    /// Lets the background thread know that there is something new.
+    fn told(&self) {
         self.shared.hints.fetch_add(1, Release);
         if let Some(worker) = &self.worker {
             worker.unpark();
@@ -344,7 +351,7 @@ impl PawnHandle {
 impl Drop for PawnHandle {
     fn drop(&mut self) {
         lock(&self.inbox).gone = true;
-        self.shared.hints.fetch_add(1, Release);
+        self.told();
     }
 }
 
@@ -381,11 +388,11 @@ impl Shared {
                     // Whatever happens meanwhile has left its token, and ends this at once.
                     let again = lock(&self.loader).retry_at();
                     match again {
-                        Some(at) => std::thread::park_timeout(at.saturating_sub(self.now())),
-                        None => std::thread::park(),
+                        Some(at) => park_timeout(at.saturating_sub(self.now())),
+                        None => park(),
                     }
                 }
-                Step::Busy | Step::NoRoom(true) => std::thread::park_timeout(Duration::from_millis(1)),
+                Step::Busy | Step::NoRoom(true) => park_timeout(Duration::from_millis(1)),
             }
         }
     }
@@ -457,8 +464,7 @@ impl Shared {
                 turn => {
                     // Another thread reads a page of these, or views hold the room.
                     let pause = Duration::from_millis(if matches!(turn, Turn::Busy) { 10 } else { 1 });
-                    let waited = self.settled.wait_timeout(loader, pause);
-                    loader = waited.unwrap_or_else(PoisonError::into_inner).0;
+                    loader = wait_at_most(&self.settled, &self.loader, loader, pause);
                 }
             }
         }
@@ -497,6 +503,18 @@ mod tests {
     fn a_budget_of_nothing_is_refused_by_name() {
         let refused = Stream::open(archive(), StreamOptions::new(0)).unwrap_err();
         assert!(matches!(refused, Error::Parameter { what: crate::Parameter::Cache, .. }), "{refused}");
+    }
+
+    #[test]
+    fn a_body_that_is_gone_leaves_nothing_to_wait_for() {
+        let stream = Stream::open(archive(), StreamOptions::new(1 << 20)).unwrap();
+        let long = Duration::from_secs(60);
+        assert!(stream.settle(long));
+        let mut pawn = stream.pawn();
+        pawn.hint(&Outlook::walking([0.52, 1.02, 0.1].into(), [0.6, 1.1, 1.0].into(), Default::default()));
+        assert!(stream.settle(long));
+        drop(pawn);
+        assert!(stream.settle(long));
     }
 
     /// A loader suspended at the worst moment, for ever: every lock is held, even that of the cell which a

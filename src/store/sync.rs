@@ -1,5 +1,48 @@
-//! What [`publish`](super::publish) is made of; its model in `tests/publish.rs` puts loom's in place of these.
+//! What the store's hand-over between threads is made of. `tests/publish.rs` puts loom's types in place of these, and the flag
+//! `--cfg slicewalk_schedules` puts shuttle's: `tests/schedules.rs` then runs streams in schedules of its own choice.
 
-pub(super) use std::hint::spin_loop as pause;
-pub(super) use std::sync::atomic::AtomicUsize;
-pub(super) use std::sync::{Arc, RwLock, RwLockReadGuard};
+#[cfg(not(slicewalk_schedules))]
+mod real {
+    pub use std::hint::spin_loop as pause;
+    pub use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
+    pub use std::sync::{Arc, Condvar, Mutex, MutexGuard, RwLock, RwLockReadGuard};
+    pub use std::thread::{Builder, JoinHandle, Thread, park, park_timeout, yield_now};
+
+    /// Gives the lock of `mutex` back until `condvar` is told, at most for `at_most`.
+    pub fn wait_at_most<'a, T>(
+        condvar: &Condvar,
+        _: &'a Mutex<T>,
+        guard: MutexGuard<'a, T>,
+        at_most: std::time::Duration,
+    ) -> MutexGuard<'a, T> {
+        condvar.wait_timeout(guard, at_most).unwrap_or_else(std::sync::PoisonError::into_inner).0
+    }
+}
+
+/// Shuttle has no time: what waits for a while may go on at any moment.
+#[cfg(slicewalk_schedules)]
+mod real {
+    pub use shuttle::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
+    pub use shuttle::sync::{Condvar, Mutex, MutexGuard, RwLock, RwLockReadGuard};
+    pub use shuttle::thread::{Builder, JoinHandle, Thread, park, yield_now, yield_now as pause};
+    // Only counts; what is published goes through the locks above.
+    pub use std::sync::Arc;
+
+    pub fn park_timeout(_: std::time::Duration) {
+        yield_now();
+    }
+
+    /// Lets others have the lock for a moment.
+    pub fn wait_at_most<'a, T>(
+        _: &Condvar,
+        mutex: &'a Mutex<T>,
+        guard: MutexGuard<'a, T>,
+        _: std::time::Duration,
+    ) -> MutexGuard<'a, T> {
+        drop(guard);
+        yield_now();
+        mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+pub(super) use real::*;

@@ -1,0 +1,119 @@
+//! Streams in schedules of a test's choice: threads are switched wherever they meet (shuttle), so a lost wake-up is a deadlock
+//! that the test sees. `.ci/long schedules` builds and runs it; `SLICEWALK_SCHEDULES` sets how many random schedules each
+//! scene gets, and a failing one is printed to be run again.
+#![cfg(slicewalk_schedules)]
+
+use nalgebra::{Point3, Vector3};
+use shuttle::thread;
+use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
+use slicewalk::frame::{Frame, PageKey};
+use slicewalk::plan::Plan;
+use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::slice::{PageBuilder, Span};
+use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
+use std::sync::{Arc, LazyLock};
+use std::time::Duration;
+
+/// Pages in a row along x, 3.2 m each.
+const PAGES: i32 = 4;
+const FOREVER: Duration = Duration::from_secs(1 << 20);
+
+/// A block of matter in each of the pages.
+static BYTES: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+    let mut encoder = PageEncoder::new(plan.frame);
+    for tx in 0..PAGES {
+        let mut builder = PageBuilder::default();
+        assert!(builder.set_column(10, 20, &[Span::new(0, 255 + tx as u32, false).unwrap()]));
+        let key = PageKey { tx, ty: 0, layer: 0 };
+        writer.put(key, encoder.encode(key, &builder.build())).unwrap();
+    }
+    writer.finish(Totals::default()).unwrap();
+    std::fs::read(&target).unwrap()
+});
+
+fn stream(budget_bytes: usize) -> Stream {
+    let options = StreamOptions { prefetch: Prefetch::Thread, ..StreamOptions::new(budget_bytes) };
+    Stream::open(Archive::from_bytes(BYTES.clone()).unwrap(), options).unwrap()
+}
+
+/// What stands on the block of page `page`, and a body there.
+fn body(page: i32) -> (Aabb, Outlook) {
+    let x = 3.2 * f64::from(page) + 0.5;
+    let (min, max) = (Point3::new(x, 1.0, 0.0), Point3::new(x + 0.1, 1.1, 0.1));
+    (Aabb::new(min, max).unwrap(), Outlook::walking(min, max, Vector3::zeros()))
+}
+
+/// Runs `scene` in random schedules, and in such with few switches at the worst places (PCT).
+fn schedules(scene: impl Fn() + Send + Sync + 'static) {
+    let runs = std::env::var("SLICEWALK_SCHEDULES").map_or(2_000, |runs| runs.parse().unwrap());
+    LazyLock::force(&BYTES);
+    let scene = Arc::new(scene);
+    let again = scene.clone();
+    shuttle::check_random(move || scene(), runs);
+    shuttle::check_pct(move || again(), runs, 3);
+}
+
+#[test]
+fn what_a_hint_wants_comes_without_another_call() {
+    schedules(|| {
+        let stream = stream(1 << 20);
+        let mut pawn = stream.pawn();
+        let (shape, outlook) = body(1);
+        pawn.hint(&outlook);
+        // In the moment in which the thread looks for hints, one is dropped and counted.
+        while stream.counters().hints_dropped > 0 && overlaps(&stream.view(), &shape) != Overlap::Hit {
+            pawn.hint(&outlook);
+            assert!(stream.settle(FOREVER));
+        }
+        assert!(stream.settle(FOREVER));
+        assert_eq!(overlaps(&stream.view(), &shape), Overlap::Hit);
+    });
+}
+
+#[test]
+fn bodies_on_their_threads_get_their_pages_or_not_loaded_and_never_free() {
+    schedules(|| {
+        let stream = Arc::new(stream(1 << 20));
+        let bodies: Vec<_> = (0..2)
+            .map(|page| {
+                let stream = stream.clone();
+                thread::spawn(move || {
+                    let mut pawn = stream.pawn();
+                    for page in [page, page + 1] {
+                        let (shape, outlook) = body(page);
+                        pawn.hint(&outlook);
+                        match overlaps(&pawn.view(), &shape) {
+                            Overlap::Hit => {}
+                            Overlap::NotLoaded(missing) => pawn.need(&missing),
+                            clear => panic!("{clear:?} where there is matter"),
+                        }
+                        stream.load_around(&outlook).unwrap();
+                        assert_eq!(overlaps(&pawn.view(), &shape), Overlap::Hit);
+                    }
+                })
+            })
+            .collect();
+        bodies.into_iter().for_each(|body| body.join().unwrap());
+        assert!(stream.settle(FOREVER));
+        assert!(stream.take_errors().is_empty());
+    });
+}
+
+#[test]
+fn a_stream_that_is_dropped_ends_its_thread_whatever_it_does() {
+    schedules(|| {
+        let stream = stream(1 << 20);
+        let mut pawn = stream.pawn();
+        let speaker = thread::spawn(move || {
+            for page in 0..PAGES {
+                pawn.hint(&body(page).1);
+            }
+        });
+        drop(stream);
+        speaker.join().unwrap();
+    });
+}
