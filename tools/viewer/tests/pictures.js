@@ -1,4 +1,4 @@
-// Takes the viewer's pictures of the documentation: `node pictures.js FOLDER`, on a quiet machine. Needs SLICEWALK_DATA, the
+// Takes the viewer's pictures of the documentation: `node pictures.js FOLDER [NAME...]`, on a quiet machine. Needs SLICEWALK_DATA, the
 // folder of the real scan of two storeys.
 
 import { join } from "node:path";
@@ -21,7 +21,7 @@ const tool = (name) => (page) => page.getByRole("button", { name }).click();
 const PICTURES = [
   { name: "viewer-walk.jpg", place: STAIRS },
   { name: "viewer-orbit.jpg", place: { ...STAIRS, view: "orbit" } },
-  { name: "viewer-slices.jpg", place: STAIRS, prepare: tool("Slices") },
+  { name: "viewer-slices.jpg", place: { ...STAIRS, view: "orbit" }, prepare: tool("Slices") },
 ];
 
 const settled = (page) =>
@@ -35,15 +35,16 @@ const settled = (page) =>
     }
   }, QUIET_FRAMES);
 
-const [folder] = process.argv.slice(2);
+const [folder, ...names] = process.argv.slice(2);
 if (folder === undefined) {
-  console.error("usage: node pictures.js FOLDER");
+  console.error("usage: node pictures.js FOLDER [NAME...]");
   process.exit(2);
 }
 const server = await new StaticServer(DIST, { "/indoor.slices": twoStoreys() }).start();
 const browser = await launch();
 try {
-  for (const { name, place, prepare = async () => {} } of PICTURES) {
+  const wanted = PICTURES.filter(({ name }) => names.length === 0 || names.includes(name));
+  for (const { name, place, prepare = async () => {} } of wanted) {
     const page = await browser.newPage({ viewport: SIZE });
     try {
       await walkIn(page, address(server, { archive: "indoor.slices", ...place }));
