@@ -2,6 +2,10 @@
 //! is broken is refused in one line; real files hold the points that other readers find in them.
 #![cfg(feature = "cli")]
 
+#[path = "cloud/boxes.rs"]
+mod boxes;
+#[path = "cloud/plain.rs"]
+mod plain;
 #[path = "common/scans.rs"]
 mod scans;
 #[path = "cloud/write.rs"]

@@ -40,7 +40,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     drop_floaters: drop connected matter of up to this many voxels (1 to 65535); 1 is `drop_isolated`
 ///     fill_holes: close holes in floors of up to this width (m) by floor that the archive marks as inferred
 ///     remove_moving, stations, removed: remove points that other stations of the scan saw through; a table `file,x,y,z` of the
-///         stations; a LAS file for what is removed
+///         stations, which E57 and PTX state themselves; a LAS file for what is removed
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
 ///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused
