@@ -401,7 +401,8 @@ fn station(position: &[f64], pose: &Pose) -> Option<[f64; 3]> {
     }
     match (stated == [0.0; 3], moved == [0.0; 3]) {
         (true, _) => Some(moved),
-        (_, true) => Some(stated),
+        // Points in common coordinates already.
+        (_, true) => Some(stated).filter(|_| *pose == Pose::IDENTITY),
         _ => (0..3).all(|axis| near(stated[axis], moved[axis])).then_some(moved),
     }
 }
