@@ -44,6 +44,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
 ///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused
+///     columns: columns of text from left to right, such as ``"x,y,z,i"``; by its header, else the first three, by default
 ///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
 ///     levels: whether the archive gets overview levels for first looks and distant views (no)
 ///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it

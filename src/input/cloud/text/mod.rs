@@ -253,7 +253,8 @@ pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let end = if packing == Packing::Plain { opening.bytes } else { u64::MAX };
     let mean = rows.iter().map(|row| row.len() as u64 + 1).sum::<u64>() / rows.len().max(1) as u64;
     let rows = if rows.len() < LOOKED_AT { rows.len() as u64 } else { opening.bytes / mean.max(1) };
-    let said = format!("read as text: {}", layout.describe(&header));
+    let named = opening.columns.map(|columns| columns.to_string().split(',').map(str::to_owned).collect());
+    let said = format!("read as text: {}", layout.describe(&named.unwrap_or(header)));
     let segments = vec![Segment::plain(start, end, rows)];
     let rows = Rows { format: "text", packing, layout, segments, zero_is_absent: false, stated: 0 };
     Ok(Opened { said: Some(said), ..Opened::new(rows) })
