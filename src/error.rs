@@ -165,6 +165,8 @@ pub enum Parameter {
     Resume,
     /// Where scanners stood.
     Stations,
+    /// Names of scans and meshes.
+    Input,
     /// The plan of a conversion or of a recovery.
     Plan,
     /// The region to cut out of an archive.
@@ -196,6 +198,7 @@ impl std::fmt::Display for Parameter {
             Self::Shard => "shard",
             Self::Resume => "resuming",
             Self::Stations => "stations",
+            Self::Input => "input",
             Self::Plan => "plan",
             Self::Bounds => "bounds",
             Self::Pawn(name) => name,
@@ -216,6 +219,7 @@ impl Parameter {
             Self::Incomplete => "or allow incomplete input, to take what can be read".into(),
             Self::Overwrite => "allow it to be replaced".into(),
             Self::Plan => "give its plan".into(),
+            Self::Input => "check the name: a file, a folder, or a pattern such as tiles/*.laz".into(),
             Self::Columns => "name the columns, such as x,y,z".into(),
             other => format!("set the {other} otherwise"),
         }

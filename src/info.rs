@@ -6,6 +6,10 @@ use crate::plan::Plan;
 use crate::unit::{LengthUnit, unit_name};
 use serde_json::{Value, json};
 
+/// To what coordinates of inputs are rounded before they meet the grid (m): to nothing. Integers with scale and offset, floats and
+/// decimals become the nearest `f64`.
+pub const INPUT_QUANTUM_M: f64 = 0.0;
+
 /// Facts of an archive under the keys of the command-line contract.
 pub fn info(archive: &Archive) -> Result<Value> {
     let mut facts = header_info(archive.header(), &archive.crs()?, &archive.units()?);

@@ -158,6 +158,13 @@ pub fn finite_number(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| "expected a number".into())
 }
 
+/// A word of a file for an error message: short, on one line.
+#[cfg(feature = "convert")]
+pub(crate) fn shown(word: &[u8]) -> String {
+    let text: String = String::from_utf8_lossy(word).chars().take(40).flat_map(char::escape_default).collect();
+    format!("\"{text}\"")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -119,7 +119,7 @@ fn unusable_inputs_are_named_in_one_line_that_says_the_way_out() {
     broken[len / 3..len / 3 + 200].fill(0xA5);
     fs::write(at.join("broken.laz"), broken).unwrap();
     for (input, words) in [
-        ("no.las", &["no.las", "cannot open"][..]),
+        ("no.las", &["no.las", "cannot open", "check the name"][..]),
         ("scan.lsa", &["scan.lsa", "cannot open"]),
         ("empty", &["empty", "no scan lies in it"]),
         ("*.e57", &["*.e57", "matches no"]),

@@ -2,6 +2,10 @@
 //! is broken is refused in one line; real files hold the points that other readers find in them.
 #![cfg(feature = "cli")]
 
+#[path = "cloud/boxes.rs"]
+mod boxes;
+#[path = "cloud/plain.rs"]
+mod plain;
 #[path = "common/scans.rs"]
 mod scans;
 #[path = "cloud/write.rs"]
@@ -138,8 +142,8 @@ fn every_format_gives_the_archive_of_the_same_points_as_las() {
     ] {
         assert!(archive(folder.path(), &[name], options) == expected, "{name}");
     }
-    // `--up` and `--units` apply to all formats.
-    let options = ["--up", "y", "--units", "ft", "--pixel", "0.1"];
+    // `--up`, `--units` and `--fill-holes` apply to all formats.
+    let options = ["--up", "y", "--units", "ft", "--pixel", "0.1", "--fill-holes", "0.3"];
     let (small, folder) = (&all[..5000], folder.path());
     las(&at("small.las"), small);
     put("small.ply", &ply(small, Ply::Little));
@@ -251,7 +255,12 @@ fn classes_systems_and_layouts_of_text_are_understood_and_said() {
     assert!(said.iter().any(|line| line.contains("separated by semicolons, decimal commas")), "{said:?}");
     let columns = InputOptions { columns: Some("-,x,y,z,class".parse().unwrap()), ..classes };
     fs::write(at("b.txt"), "9 1 2 3 7 8\n9 4 5 6 1 8\n").unwrap();
-    assert_eq!(read(&[at("b.txt")], columns).unwrap().0, [[4.0, 5.0, 6.0]]);
+    let (found, _, said) = read(&[at("b.txt")], columns).unwrap();
+    assert_eq!(found, [[4.0, 5.0, 6.0]]);
+    assert!(
+        said.iter().any(|line| line.contains("columns \"-\" \"x\" \"y\" \"z\" \"class\", separated by blanks")),
+        "{said:?}"
+    );
     // A number of points before rows of XYZ, and comments between them.
     fs::write(at("c.xyz"), "2\n# two points\n1 2 3\n\n4 5 6\n").unwrap();
     assert_eq!(read_one(&at("c.xyz")).unwrap().0, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]);

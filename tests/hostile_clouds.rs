@@ -23,21 +23,53 @@ fn read(path: &Path) -> Result<u64, Error> {
     Ok(points)
 }
 
-/// A sound E57 with another XML of the same pages, and its checksums put right.
-fn with_xml(good: &[u8], edit: impl Fn(&str) -> String) -> Vec<u8> {
-    let number = |bytes: &[u8], at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
-    let logical = |at: u64| at / 1024 * 1020 + at % 1024;
+/// The content of the pages of an E57, and its XML.
+fn content_and_xml(good: &[u8]) -> (Vec<u8>, usize, String) {
+    let number = |at: usize| u64::from_le_bytes(good[at..at + 8].try_into().unwrap());
     let content: Vec<u8> = good.chunks(1024).flat_map(|page| page[..1020].to_vec()).collect();
-    let (xml_at, xml_len) = (logical(number(good, 24)) as usize, number(good, 32) as usize);
-    let xml = edit(std::str::from_utf8(&content[xml_at..xml_at + xml_len]).unwrap());
-    let mut content = content[..xml_at].to_vec();
+    let (xml_at, xml_len) = (number(24) / 1024 * 1020 + number(24) % 1024, number(32) as usize);
+    let xml = std::str::from_utf8(&content[xml_at as usize..][..xml_len]).unwrap().to_owned();
+    (content, xml_at as usize, xml)
+}
+
+/// Pages with an XML behind `content`, which begins with a header.
+fn file_of(mut content: Vec<u8>, xml: &str) -> Vec<u8> {
+    let xml_at = content.len() as u64;
     content.extend(xml.as_bytes());
     content.resize(content.len().next_multiple_of(1020), 0);
-    let len = content.len() as u64 / 1020 * 1024;
-    content[16..24].copy_from_slice(&len.to_le_bytes());
-    content[32..40].copy_from_slice(&(xml.len() as u64).to_le_bytes());
+    let numbers = [content.len() as u64 / 1020 * 1024, xml_at / 1020 * 1024 + xml_at % 1020, xml.len() as u64];
+    for (number, place) in numbers.into_iter().zip(content[16..40].as_chunks_mut().0) {
+        *place = number.to_le_bytes();
+    }
     let page = |page: &[u8]| [page, &crc32c::crc32c(page).to_be_bytes()].concat();
     content.chunks(1020).flat_map(page).collect()
+}
+
+/// A sound E57 with another XML of the same pages, and its checksums put right.
+fn with_xml(good: &[u8], edit: impl Fn(&str) -> String) -> Vec<u8> {
+    let (content, xml_at, xml) = content_and_xml(good);
+    file_of(content[..xml_at].to_vec(), &edit(&xml))
+}
+
+/// A sound E57 with other packets.
+fn with_packets(good: &[u8], packets: &[u8]) -> Vec<u8> {
+    let (content, _, xml) = content_and_xml(good);
+    let (before, offset) = xml.split_once("fileOffset=\"").unwrap();
+    let behind = &offset[offset.find('"').unwrap()..];
+    // A section of points behind the header, and its packets behind the head of the section.
+    let section = [1, 32 + packets.len() as u64, 48 + 32, 0].map(u64::to_le_bytes);
+    let content = [&content[..48], section.as_flattened(), packets].concat();
+    file_of(content, &format!("{before}fileOffset=\"48{behind}"))
+}
+
+/// A packet of points with so many bytes in each column.
+fn packet(columns: &[u16]) -> Vec<u8> {
+    let sum: u16 = columns.iter().sum();
+    let len = (6 + 2 * columns.len() as u16 + sum).next_multiple_of(4);
+    let head = [1, len - 1, columns.len() as u16];
+    let mut bytes: Vec<u8> = head.iter().chain(columns).flat_map(|number| number.to_le_bytes()).collect();
+    bytes.resize(len.into(), 0);
+    bytes
 }
 
 #[test]
@@ -79,6 +111,10 @@ fn forged_counts_endless_lines_and_bombs_take_little_memory() {
     let mut lists = ply(&points, Ply::Little);
     let place = lists.windows(8).position(|w| w == b"camera 2").unwrap();
     lists.splice(place..place + 8, *b"camera 999999999999");
+    let mut lonely = [0; 9];
+    lonely[0] = 60_000;
+    let mut longer = packet(&[100; 9]);
+    longer[6..8].copy_from_slice(&u16::MAX.to_le_bytes());
     let cases: Vec<(&str, Vec<u8>, &str)> = vec![
         ("count.e57", with_xml(&good, |xml| count(xml, "18446744073709551615")), "its packets hold 24000 whole ones"),
         ("constant.e57", with_xml(&good, |xml| count(&constant(xml), "999999999999999")), "packet"),
@@ -87,6 +123,11 @@ fn forged_counts_endless_lines_and_bombs_take_little_memory() {
             with_xml(&good, |xml| xml.replacen("fileOffset=\"", "fileOffset=\"9999999999", 1)),
             "beyond the file",
         ),
+        // Chains of packets without points, and of packets with points that never become whole.
+        ("chain.e57", with_packets(&good, &[0, 0, 3, 0].repeat(2_000_000)), "its packets hold 0 whole ones"),
+        ("empty.e57", with_packets(&good, &packet(&[0; 9]).repeat(300_000)), "its packets hold 0 whole ones"),
+        ("apart.e57", with_packets(&good, &packet(&lonely).repeat(500)), "bytes apart"),
+        ("long.e57", with_packets(&good, &longer), "it is damaged"),
         ("bomb.e57", with_xml(&good, bomb), "XML"),
         ("nodes.e57", with_xml(&good, nodes), "XML"),
         ("attributes.e57", with_xml(&good, attributes), "XML"),

@@ -5,6 +5,7 @@
 #[path = "common/scans.rs"]
 mod scans;
 
+use scangen::{CloudFormat, Kind, Sample, WriteSpec, write_clouds};
 use scans::{Random, command, verifies, write_as};
 use std::fs;
 use std::io::Write;
@@ -80,6 +81,23 @@ fn a_strip_of_100_kilometres_stays_within_the_budget() {
 #[test]
 fn coincident_points_stay_within_the_budget() {
     peak_memory_kib("coincident", "0.1", |_, _| [12.34, 5.67, 8.9]);
+}
+
+#[test]
+fn clouds_of_scanners_stay_within_the_budget_and_go_to_disk() {
+    // Twice as many coordinates as the budget and what may come beyond it.
+    for (name, format, count) in [("scan.e57", CloudFormat::E57, POINTS), ("scan.ptx", CloudFormat::Ptx, POINTS)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut random = Random(6);
+        let samples = (0..count).map(|_| {
+            let position = uniform(&mut random, [400.0, 400.0, 0.3]);
+            Sample { position, kind: Kind::Surface, surface: 0 }
+        });
+        let spec = WriteSpec { scale: [0.01; 3], ..WriteSpec::default() };
+        write_clouds(&folder.path().join(name), format, samples, &spec, 2_000_000).unwrap();
+        let (_, temp) = peak_of_file(&folder, name, name, "0.2", count);
+        assert!(temp > 0, "the test shows little");
+    }
 }
 
 #[test]

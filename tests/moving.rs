@@ -3,6 +3,8 @@
 
 #[path = "common/scans.rs"]
 mod scans;
+#[path = "cloud/write.rs"]
+mod write;
 
 use scangen::sample::{Mode, ScannerSpec};
 use scangen::shape::{Cylinder, Shape};
@@ -43,6 +45,75 @@ fn convert(at: &Path, names: &[&str], options: &[&str]) -> (Vec<u8>, Vec<u8>, se
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     let report = serde_json::from_slice(&out.stdout).unwrap();
     (fs::read(at.join("out.slices")).unwrap(), fs::read(at.join("gone.las")).unwrap(), report)
+}
+
+#[test]
+fn scanners_of_e57_and_ptx_need_no_table() {
+    /// What floats and LAS hold exactly.
+    const STEP: f64 = 1.0 / 1024.0;
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = Scene::named("hall", &Params::new()).unwrap();
+    let round = |p: [f64; 3]| p.map(|v| (v / STEP).round() * STEP);
+    let clouds: Vec<([f64; 3], Vec<[f64; 3]>)> = (1..)
+        .zip(scene.stations())
+        .map(|(seed, station)| {
+            let scanner = ScannerSpec { stations: vec![*station], people: 2, ..ScannerSpec::default() };
+            let spec = SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(60_000) };
+            (round(*station), scene.samples(seed, &spec).unwrap().map(|sample| round(sample.position)).collect())
+        })
+        .collect();
+    let names: Vec<String> = (0..clouds.len()).map(|number| format!("{number}.las")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    for (name, (_, points)) in names.iter().zip(&clouds) {
+        scans::write_as(&at.join(name), points, STEP, [0.0; 3]);
+    }
+    table(at, &clouds.iter().map(|cloud| cloud.0).zip(names.iter().copied()).collect::<Vec<_>>());
+    let (archive, _, report) = convert(at, &names, &[]);
+    assert!(report["points_moving"].as_u64().unwrap() > 1000, "{report}");
+    write::e57_of_stations(&at.join("all.e57"), &clouds);
+    write::e57_of_stations(&at.join("two.e57"), &clouds[..2]);
+    fs::write(at.join("all.ptx"), write::ptx_of_stations(&clouds)).unwrap();
+    fs::write(at.join("all.ptx.zst"), zstd::encode_all(&fs::read(at.join("all.ptx")).unwrap()[..], 1).unwrap())
+        .unwrap();
+    fs::write(at.join("others.ptx"), write::ptx_of_stations(&clouds[2..])).unwrap();
+    for inputs in [&["all.e57"][..], &["all.ptx"], &["all.ptx.zst"], &["two.e57", "others.ptx"]] {
+        converts(at, &[inputs, &OPTIONS, &["--remove-moving", "-o", "out.slices"]].concat());
+        assert!(fs::read(at.join("out.slices")).unwrap() == archive, "{inputs:?}");
+    }
+    // A table is asked first, and need not name what states its own place.
+    table(at, &clouds[2..].iter().map(|cloud| cloud.0).zip(names[2..].iter().copied()).collect::<Vec<_>>());
+    convert(at, &[&["two.e57"], &names[2..]].concat(), &[]);
+    assert!(fs::read(at.join("out.slices")).unwrap() == archive);
+    let moved = [(clouds[0].0, "two.e57"), (clouds[2].0, "others.ptx")];
+    table(at, &moved);
+    assert!(convert(at, &["two.e57", "others.ptx"], &[]).0 != archive);
+
+    let turned = |from: &str, to: &str| fs::read_to_string(at.join("others.ptx")).unwrap().replace(from, to);
+    let [x, y, z] = clouds[2].0;
+    let (stated, moved) = (format!("\n{x} {y} {z}\n"), format!("\n{x} {y} {z} 1\n"));
+    fs::write(at.join("differ.ptx"), turned(&stated, "\n7 8 9\n")).unwrap();
+    fs::write(at.join("zero.ptx"), turned(&stated, "\n0 0 0\n")).unwrap();
+    fs::write(at.join("origin.ptx"), write::ptx_of_stations(&[([0.0; 3], vec![[1.0; 3]]), ([0.0; 3], vec![[2.0; 3]])]))
+        .unwrap();
+    fs::write(at.join("plain.xyz"), "1 2 3\n").unwrap();
+    let plain = write::Cloud { points: &[[1.0; 3]], form: write::E57::Double, posed: false, mixed: false };
+    write::e57(&at.join("plain.e57"), &[plain], None);
+    assert!(fs::read_to_string(at.join("differ.ptx")).unwrap().contains(&moved));
+    let options = [&OPTIONS[..], &["--remove-moving", "-o", "x.slices"]].concat();
+    for (name, words) in [
+        ("differ.ptx", "cloud 1: scanner position and matrix name different places"),
+        ("origin.ptx", "2 clouds state the origin"),
+        ("plain.xyz", "text does not say where the scanner stood"),
+        ("plain.e57", "cloud 1 has no pose"),
+        ("0.las", "LAS does not say where the scanner stood"),
+    ] {
+        let said = refuses(at, &[&["two.e57", name], &options[..]].concat(), 2);
+        assert!(said.contains(words) && said.contains(name) && said.contains("--stations"), "{said}");
+        refuses(at, &[&["two.e57", name, "--dry-run"], &options[..]].concat(), 2);
+    }
+    converts(at, &[&["two.e57", "zero.ptx"], &options[..]].concat());
+    assert!(fs::read(at.join("x.slices")).unwrap() == archive, "a position of 0 0 0 says nothing");
 }
 
 /// The points of a plain LAS file.

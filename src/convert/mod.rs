@@ -175,16 +175,9 @@ impl ConvertOptions {
             let reason = format!("{} is no width of holes in metres; give a length above 0", number(widest_m));
             return Err(Error::parameter(Parameter::FillHoles, reason));
         }
-        match (self.plan.remove_moving, &self.stations) {
-            (true, None) => {
-                let reason = "to remove what moved, it must be known where the scanners stood; name a table file,x,y,z";
-                return Err(Error::parameter(Parameter::Stations, reason));
-            }
-            (false, Some(_)) => {
-                let reason = "a table of stations changes nothing unless moving points are to be removed";
-                return Err(Error::parameter(Parameter::Stations, reason));
-            }
-            _ => {}
+        if self.stations.is_some() && !self.plan.remove_moving {
+            let reason = "a table of stations changes nothing unless moving points are to be removed";
+            return Err(Error::parameter(Parameter::Stations, reason));
         }
         if self.plan.remove_moving && self.shard.is_some() {
             let reason = "moving points are removed by what stations saw anywhere in the scan, which no part knows; convert \
@@ -260,12 +253,12 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     }
     let scope = scope(options, &set, &plan, monitor)?;
     let shard = scope.as_ref().map(|scope| scope.shard);
-    let seeing = match &options.stations {
-        Some(table) => {
-            let Stations { places, of_file } = Stations::read(table, &set)?;
-            Some(Seeing { views: Views::new(&places, plan.frame, limits.views_bytes)?, of_file })
+    let seeing = match plan.options.remove_moving {
+        true => {
+            let Stations { places, of_cloud } = Stations::find(options.stations.as_deref(), &set)?;
+            Some(Seeing { views: Views::new(&places, plan.frame, limits.views_bytes)?, of_cloud })
         }
-        None => None,
+        false => None,
     };
     let seeing = seeing.as_ref();
     let mut writer = ArchiveWriter::on(output, &plan)?;

@@ -110,10 +110,10 @@ pub(super) struct Reading<'a> {
     pub seeing: Option<&'a Seeing>,
 }
 
-/// What each station sees, and the station of each file.
+/// What each station sees, and the station of each cloud of each file.
 pub(super) struct Seeing {
     pub views: Views,
-    pub of_file: Vec<usize>,
+    pub of_cloud: Vec<Vec<usize>>,
 }
 
 /// First pass: all points, or those that a part needs, into runs; and what it found in each file.
@@ -165,9 +165,10 @@ pub(super) fn read_points(
                 if !recorder.reaches(min, max) {
                     return Err(out_of_reach(&plan.frame, min, max));
                 }
-                if let Some(Seeing { views, of_file }) = seeing {
+                if let Some(Seeing { views, of_cloud }) = seeing {
+                    let station = of_cloud[chunk.file()][batch.cloud];
                     let points = batch.x.iter().zip(&batch.y).zip(&batch.z);
-                    points.for_each(|((&x, &y), &z)| views.add(of_file[chunk.file()], [x, y, z]));
+                    points.for_each(|((&x, &y), &z)| views.add(station, [x, y, z]));
                 }
                 let (kept, own_min, own_max) = match scope {
                     Some(scope) => {

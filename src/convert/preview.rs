@@ -1,6 +1,7 @@
 //! What a conversion would read and make, without converting.
 
 use super::options::ConvertOptions;
+use super::stations::Stations;
 use super::{Limits, check_free_space, open_inputs, plan, scope, temp_bytes};
 use crate::archive::Bounds;
 use crate::disk::Files;
@@ -59,6 +60,9 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     let (plan, spacing) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
     scope(options, set, &plan, monitor)?;
+    if options.plan.remove_moving {
+        Stations::find(options.stations.as_deref(), set)?;
+    }
     let scenes: Vec<Scene> = set.files().iter().filter_map(ScanFile::scene_stated).collect();
     far_apart(&scenes).inspect(|warning| monitor.warn(warning));
     let scans = set.files().iter().filter(|file| file.points_expected() > 0).filter_map(ScanFile::bounds_stated);

@@ -2,7 +2,7 @@
 
 use super::Resumed;
 use crate::archive::{Header, Shard};
-use crate::info::{header_info, shard_info};
+use crate::info::{INPUT_QUANTUM_M, header_info, shard_info};
 use crate::input::spacing::Spacing;
 use crate::mesh::MeshCounts;
 use crate::unit::LengthUnit;
@@ -47,6 +47,7 @@ impl Report {
     /// Its facts under the keys of the command-line contract (`sliceconv --json`), but for the seconds.
     pub fn info(&self) -> Value {
         let mut facts = header_info(&self.header, &self.crs, &self.units);
+        facts["input_quantum"] = INPUT_QUANTUM_M.into();
         facts["points_not_finite"] = self.points_not_finite.into();
         facts["points_moving"] = self.points_moving.into();
         facts["complete"] = self.complete.into();

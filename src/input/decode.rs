@@ -133,6 +133,7 @@ impl PointDecoder {
             self.source = Some((piece.file, source));
         }
         let Some((_, source)) = &self.source else { return Ok(PointCounts::default()) };
+        self.batch.cloud = 0;
         self.log.begin(piece.file);
         self.lost = false;
         if let Content::Cloud(cloud) = &file.content {

@@ -6,9 +6,10 @@
 use super::losses::Losses;
 use super::{cloud, is_of_input, pattern};
 use crate::bytes::{FileId, open_regular};
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Expands `inputs` to files.
@@ -90,6 +91,9 @@ fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, m
             }
             Ok(())
         }
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            Err(Error::io(input, "open", error).with_way_out(Parameter::Input))
+        }
         Err(error) => Err(Error::io(input, "open", error)),
     }
 }
@@ -166,7 +170,11 @@ mod tests {
         assert_eq!(names(&["**/*.PLY", "*.obj"]).unwrap(), ["e.obj", "f.PLY"]);
         assert_eq!(names(&["c.txt"]).unwrap(), ["c.txt"]);
         assert!(names(&["*.e57"]).unwrap_err().to_string().contains("matches no scan"));
-        assert!(names(&["none.las"]).unwrap_err().to_string().contains("cannot open"));
+        let missing = names(&["none.las"]).unwrap_err().to_string();
+        assert!(
+            missing.contains("cannot open")
+                && missing.ends_with("; check the name: a file, a folder, or a pattern such as tiles/*.laz")
+        );
         fs::create_dir(dir.path().join("empty")).unwrap();
         assert!(names(&["empty"]).unwrap_err().to_string().contains("no scan lies in it"));
         assert!(expand(&[], None, &NoMonitor).is_err());

@@ -2,7 +2,7 @@
 //!
 //! LAS and LAZ are read here and in the modules beside this; every other format is a [`Cloud`].
 
-use super::cloud::{self, Cloud, Opened, Opening};
+use super::cloud::{self, Cloud, Opened, Opening, Standpoint};
 use super::convert::{Layout, Transform};
 use super::crs;
 use super::header::LasHeader;
@@ -206,6 +206,14 @@ impl ScanFile {
     /// Where a place in the file's own coordinates lies (m, z up); `None` if that is not finite.
     pub(crate) fn place_of(&self, at: [f64; 3]) -> Option<[f64; 3]> {
         self.transform.corner(at)
+    }
+
+    /// Where the scanner of each of its clouds stood, in its own coordinates.
+    pub(crate) fn standpoints(&self) -> Vec<Standpoint> {
+        match &self.content {
+            Content::Cloud(cloud) => cloud.standpoints(),
+            _ => vec![Standpoint::Unknown(format!("{} does not say where the scanner stood", self.format()))],
+        }
     }
 
     /// Where the file is.

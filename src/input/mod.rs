@@ -26,7 +26,9 @@ mod las;
 mod layers;
 mod laz;
 mod losses;
+pub(crate) mod number;
 mod pattern;
+pub(crate) mod ply_header;
 mod records;
 pub(crate) mod scenes;
 mod source;
@@ -45,6 +47,7 @@ use crate::text::number;
 use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
 use crate::{Error, Monitor, Parameter, Result, Warning};
 
+pub(crate) use self::cloud::Standpoint;
 pub use self::columns::Columns;
 pub(crate) use self::convert::FARTHEST_M;
 pub use self::crs::projected_epsg;
@@ -121,7 +124,7 @@ impl Default for InputOptions {
     }
 }
 
-/// Kept points in metres, z up; the three columns are equally long.
+/// Kept points of one cloud in metres, z up; the three columns are equally long.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct PointBatch {
     /// Coordinates along x (m).
@@ -130,6 +133,8 @@ pub struct PointBatch {
     pub y: Vec<f64>,
     /// Heights (m).
     pub z: Vec<f64>,
+    /// Cloud of the file that all of them belong to, from 0: an E57 or PTX may hold several.
+    pub cloud: usize,
 }
 
 impl PointBatch {

@@ -178,6 +178,35 @@ pub fn ptx(clouds: &[&[Point]]) -> (String, u64) {
     (text, absent)
 }
 
+/// PTX of clouds around their scanners, whose places the headers state.
+pub fn ptx_of_stations(clouds: &[(Point, Vec<Point>)]) -> String {
+    let mut text = String::new();
+    for ([a, b, c], points) in clouds {
+        let count = points.len();
+        writeln!(text, "{count}\n1\n{a} {b} {c}\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n{a} {b} {c} 1")
+            .unwrap();
+        points.iter().for_each(|[x, y, z]| writeln!(text, "{} {} {} 0.5", x - a, y - b, z - c).unwrap());
+    }
+    text
+}
+
+/// E57 of clouds around their scanners, whose places the poses state, with a half turn about z.
+pub fn e57_of_stations(path: &Path, clouds: &[(Point, Vec<Point>)]) {
+    let mut writer = E57Writer::from_file(path, "{00000000-0000-0000-0000-000000000002}").unwrap();
+    for ([a, b, c], points) in clouds {
+        let axes = [RecordName::CartesianX, RecordName::CartesianY, RecordName::CartesianZ];
+        let prototype = axes.map(|name| Record { name, data_type: RecordDataType::F64 }).to_vec();
+        let mut cloud = writer.add_pointcloud("cloud", prototype).unwrap();
+        let rotation = Quaternion { w: 0.0, x: 0.0, y: 0.0, z: 1.0 };
+        cloud.set_transform(Some(Transform { rotation, translation: Translation { x: *a, y: *b, z: *c } }));
+        for [x, y, z] in points {
+            cloud.add_point([a - x, b - y, z - c].map(RecordValue::Double).to_vec()).unwrap();
+        }
+        cloud.finalize().unwrap();
+    }
+    writer.finalize().unwrap();
+}
+
 /// How E57 holds coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum E57 {

@@ -93,9 +93,10 @@ struct Arguments {
     #[arg(long, conflicts_with = "drop_floaters")]
     drop_isolated: bool,
     /// Remove points that moved: those whose place other stations saw through
-    #[arg(long, requires = "stations")]
+    #[arg(long)]
     remove_moving: bool,
-    /// Where the scanner of each scan stood: a table with the columns file,x,y,z in the scan's coordinates
+    /// Where the scanner of each scan stood: a table with the columns file,x,y,z in the scan's coordinates. E57 with poses and PTX
+    /// state it themselves; the table comes first
     #[arg(long, requires = "remove_moving", value_name = "STATIONS.csv")]
     stations: Option<PathBuf>,
     /// Write the points that were removed as moving to a LAS file

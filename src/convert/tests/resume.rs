@@ -3,6 +3,9 @@
 use super::*;
 use std::time::SystemTime;
 
+#[path = "../../../tests/cloud/write.rs"]
+mod write;
+
 /// Names in the folder for temporary data.
 fn temporary(job: &Job) -> Vec<String> {
     let entries = fs::read_dir(&job.options.temp_dir).unwrap();
@@ -207,6 +210,32 @@ fn text_is_resumed_within_a_piece_plain_and_compressed() {
         assert!(kept > before && kept < 2 * ROWS, "{kept} after {before}");
         before = kept;
     }
+    let report = job.convert(true, &NoMonitor).unwrap();
+    assert_eq!(report.resumed.map(|resumed| resumed.points), Some(before));
+    assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
+}
+
+#[test]
+fn e57_and_binary_clouds_are_resumed() {
+    const POINTS: usize = 150_000;
+    let mut job = Job::new();
+    let mut random = Random(8);
+    let points: Vec<[f64; 3]> =
+        (0..POINTS).map(|_| [9000, 9000, 2000].map(|most: u64| random.below(most) as f64 / 1024.0)).collect();
+    let [e57, pcd] = ["a.e57", "b.pcd"].map(|name| job.folder.path().join(name));
+    let cloud = |points| write::Cloud { points, form: write::E57::Scaled, posed: true, mixed: true };
+    write::e57(&e57, &[cloud(&points[..100_000]), cloud(&points[100_000..])], None);
+    fs::write(&pcd, write::pcd(&points, write::Pcd::Packed)).unwrap();
+    job.options.inputs = vec![e57, pcd];
+    convert(&job.options, &NoMonitor).unwrap();
+    job.new = fs::read(&job.options.output).unwrap();
+    let mut before = 0;
+    for fifths in 1..5 {
+        let (_, kept) = interrupt(&job, (POINTS * 2 * fifths / 5) as u64);
+        assert!(kept >= before && kept < 2 * POINTS as u64, "{kept} after {before}");
+        before = kept;
+    }
+    assert!(before > POINTS as u64, "{before}");
     let report = job.convert(true, &NoMonitor).unwrap();
     assert_eq!(report.resumed.map(|resumed| resumed.points), Some(before));
     assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());

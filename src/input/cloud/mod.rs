@@ -11,7 +11,6 @@
 //! Memory of one piece: a block of the file of at most 1 MiB and a batch; each format states what it holds beyond that.
 
 mod e57;
-mod number;
 mod pcd;
 mod ply;
 mod records;
@@ -22,6 +21,7 @@ use super::losses::Findings;
 use super::source::Source;
 use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts};
 use crate::plan::{ClassSet, Up};
+use crate::text::shown;
 use crate::{Error, Monitor, Result};
 use std::fmt::Debug;
 use std::path::Path;
@@ -48,6 +48,22 @@ pub(super) trait Cloud: Debug + Send + Sync {
 
     /// All that decides, beside the bytes of the points, which pieces and coordinates these make.
     fn state(&self) -> Vec<u8>;
+
+    /// Where the scanner of each of its clouds stood.
+    fn standpoints(&self) -> Vec<Standpoint> {
+        vec![Standpoint::Unknown(format!("{} does not say where the scanner stood", self.format()))]
+    }
+}
+
+/// Where the scanner of a cloud stood, by what its file says.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Standpoint {
+    /// Here, in the coordinates of the file.
+    At([f64; 3]),
+    /// The cloud has no points.
+    Needless,
+    /// The file does not say; why.
+    Unknown(String),
 }
 
 /// A piece of work; its numbers mean what the format makes of them.
@@ -181,6 +197,7 @@ impl<'a> Taker<'a> {
         sink: &'a mut dyn FnMut(&PointBatch) -> Result<()>,
     ) -> Self {
         batch.clear();
+        batch.cloud = 0;
         let exclude = Some(&options.exclude_classes).filter(|classes| !classes.is_empty());
         let counts = PointCounts::default();
         Self { unit, up: options.up, exclude, batch, counts, since: 0, sink, refused: false }
@@ -189,6 +206,17 @@ impl<'a> Taker<'a> {
     /// Whether points are left out by class.
     pub fn wants_classes(&self) -> bool {
         self.exclude.is_some()
+    }
+
+    /// What follows belongs to this cloud of the file.
+    pub fn begin_cloud(&mut self, cloud: usize) -> Result<()> {
+        if cloud != self.batch.cloud {
+            if self.since > 0 {
+                self.flush()?;
+            }
+            self.batch.cloud = cloud;
+        }
+        Ok(())
     }
 
     /// A point, of a class if the file has classes.
@@ -264,10 +292,4 @@ impl Pose {
     fn bytes(&self) -> impl Iterator<Item = u8> + '_ {
         self.0.as_flattened().iter().flat_map(|v| v.to_le_bytes())
     }
-}
-
-/// A word of a file for an error message: short, on one line.
-fn shown(word: &[u8]) -> String {
-    let text: String = String::from_utf8_lossy(word).chars().take(40).flat_map(char::escape_default).collect();
-    format!("\"{text}\"")
 }

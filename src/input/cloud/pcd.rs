@@ -8,10 +8,10 @@
 //!
 //! Sources: "The PCD (Point Cloud Data) file format" (pointclouds.org); LZF as in liblzf 3.6.
 
-use super::number::Number;
 use super::records::{Field, MOST_BYTES, Records};
 use super::text::{Lines, RowLayout, Rows, Separator};
 use super::{Cloud, Format, Opened, Opening, Piece, Source, Taker, shown};
+use crate::input::number::Number;
 use crate::input::source::Window;
 use crate::{Error, Result};
 use std::io::{self, Read};

@@ -1,140 +1,40 @@
 //! PLY without faces: points, as text or binary of either byte order.
 //!
 //! Only the element `vertex` counts; those before it are passed over, those behind it never read. Its properties may
-//! come in any order and of any type, but for lists. Source: Greg Turk, "The PLY Polygon File Format", 1994. Memory:
-//! the header, at most 1 MiB.
+//! come in any order and of any type, but for lists. Memory: the header, at most 1 MiB.
 
-use super::number::Number;
 use super::records::{Field, MOST_BYTES, Records};
 use super::text::{Lines, RowLayout, Rows, Separator};
 use super::{Format, Opened, Opening, SPLATS, shown};
 use crate::bytes::open_regular;
+use crate::input::ply_header::{Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
 use crate::{Error, Result};
 use std::io::Read;
 use std::path::Path;
 
-/// Longest header (bytes).
-const MOST_HEADER: usize = 1 << 20;
-/// Most elements, and most properties of one.
-const MOST_PARTS: usize = 1024;
 /// Most numbers in a list.
 const MOST_IN_LIST: f64 = 65_536.0;
 
-#[derive(Debug)]
-struct Property {
-    name: String,
-    /// Type of the count, of a list.
-    list: Option<Number>,
-    number: Number,
-}
-
-#[derive(Debug)]
-struct Element {
-    name: String,
-    count: u64,
-    properties: Vec<Property>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Encoding {
-    Text,
-    Little,
-    Big,
-}
-
-#[derive(Debug)]
-struct Header {
-    encoding: Encoding,
-    elements: Vec<Element>,
-    /// First byte of the body.
+/// A header, and the first byte of the body.
+struct Start {
+    header: Header,
     end: u64,
 }
 
-fn number_named(name: &str) -> Option<Number> {
-    Some(match name {
-        "char" | "int8" => Number::I8,
-        "uchar" | "uint8" => Number::U8,
-        "short" | "int16" => Number::I16,
-        "ushort" | "uint16" => Number::U16,
-        "int" | "int32" => Number::I32,
-        "uint" | "uint32" => Number::U32,
-        "float" | "float32" => Number::F32,
-        "double" | "float64" => Number::F64,
-        _ => return None,
-    })
-}
-
-/// Line and reason of what is wrong with a header.
-type Wrong = (usize, String);
-
-impl Header {
-    fn parse(start: &[u8]) -> Result<Self, Wrong> {
-        let (mut encoding, mut elements): (_, Vec<Element>) = (None, Vec::new());
-        let (mut at, mut number) = (0, 0);
+impl Start {
+    /// From the first bytes of a file; else the line and what is wrong with it.
+    fn parse(start: &[u8]) -> Result<Self, (usize, String)> {
+        let (mut reader, mut at, mut number) = (HeaderReader::default(), 0, 0);
         loop {
             number += 1;
-            let wrong = |reason: String| (number, reason);
-            let Some(len) = start[at..].iter().position(|&byte| byte == b'\n') else {
-                return Err(wrong(match start.len() < MOST_HEADER {
-                    true => "the file ends before \"end_header\": it is cut; fetch it again".into(),
-                    false => format!("no \"end_header\" in the first {MOST_HEADER} bytes: this is no PLY, or damaged"),
-                }));
+            let Some(len) = memchr::memchr(b'\n', &start[at..]) else {
+                let reason = if start.len() < MOST_HEADER { reader.cut() } else { HeaderReader::LONG };
+                return Err((number, reason.into()));
             };
             let line = &start[at..at + len];
             at += len + 1;
-            let text = String::from_utf8_lossy(line);
-            let words: Vec<&str> = text.split_whitespace().collect();
-            if number == 1 {
-                if words != ["ply"] {
-                    return Err(wrong("expected \"ply\": this is no PLY file".into()));
-                }
-                continue;
-            }
-            match words[..] {
-                ["format", name, "1.0"] => {
-                    encoding = Some(match name {
-                        "ascii" => Encoding::Text,
-                        "binary_little_endian" => Encoding::Little,
-                        "binary_big_endian" => Encoding::Big,
-                        other => {
-                            let expected = "expected format ascii, binary_little_endian or binary_big_endian";
-                            return Err(wrong(format!("{expected}, found {}", shown(other.as_bytes()))));
-                        }
-                    });
-                }
-                ["element", name, count] => {
-                    let unclear =
-                        |_| wrong(format!("expected a number of elements, found {}", shown(count.as_bytes())));
-                    let count = count.parse().map_err(unclear)?;
-                    elements.push(Element { name: name.into(), count, properties: Vec::new() });
-                }
-                ["property", ref property @ ..] => {
-                    let parsed = match *property {
-                        ["list", count, number, name] => number_named(count)
-                            .zip(number_named(number))
-                            .map(|(count, number)| Property { name: name.into(), list: Some(count), number }),
-                        [number, name] => {
-                            number_named(number).map(|number| Property { name: name.into(), list: None, number })
-                        }
-                        _ => None,
-                    };
-                    let unknown = || {
-                        wrong(format!("a property that PLY does not know: {}", shown(property.join(" ").as_bytes())))
-                    };
-                    let element = elements.last_mut().ok_or_else(|| wrong("a property before any element".into()))?;
-                    element.properties.push(parsed.ok_or_else(unknown)?);
-                }
-                ["end_header"] => {
-                    let encoding = encoding.ok_or_else(|| wrong("no line \"format\" before the end".into()))?;
-                    return Ok(Self { encoding, elements, end: at as u64 });
-                }
-                [] | ["comment" | "obj_info", ..] => {}
-                [other, ..] => {
-                    return Err(wrong(format!("expected a line of a PLY header, found {}", shown(other.as_bytes()))));
-                }
-            }
-            if elements.len() > MOST_PARTS || elements.last().is_some_and(|e| e.properties.len() > MOST_PARTS) {
-                return Err(wrong(format!("more than {MOST_PARTS} elements or properties")));
+            if let Some(header) = reader.take(line).map_err(|reason| (number, reason))? {
+                return Ok(Self { header, end: at as u64 });
             }
         }
     }
@@ -144,12 +44,13 @@ impl Header {
         let named = |element: &Element| {
             element.properties.iter().any(|p| p.name == "packed_position" || p.name == "f_dc_0" || p.name == "rot_0")
         };
-        self.elements.iter().filter(|element| element.name == "vertex").any(named)
+        self.header.elements.iter().filter(|element| element.name == "vertex").any(named)
     }
 
     /// Whether it has surfaces.
     fn has_faces(&self) -> bool {
-        self.elements.iter().any(|element| element.count > 0 && (element.name == "face" || element.name == "tristrips"))
+        let is_face = |name: &str| name == "face" || name == "tristrips";
+        self.header.elements.iter().any(|element| element.count > 0 && is_face(&element.name))
     }
 }
 
@@ -158,18 +59,18 @@ impl Header {
 pub(in crate::input) fn is_point_cloud(path: &Path) -> bool {
     let mut start = Vec::new();
     let read = open_regular(path).is_ok_and(|(file, _)| file.take(MOST_HEADER as u64).read_to_end(&mut start).is_ok());
-    read && Header::parse(&start).is_ok_and(|header| !header.has_faces() || header.is_splat())
+    read && Start::parse(&start).is_ok_and(|start| !start.has_faces() || start.is_splat())
 }
 
 pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let mut start = vec![0; opening.bytes.min(MOST_HEADER as u64) as usize];
     let got = opening.source.read_at(&mut start, 0)?;
     start.truncate(got);
-    let header = Header::parse(&start).map_err(|(line, reason)| opening.error(format!("line {line}"), reason))?;
-    drop(start);
-    if header.is_splat() {
+    let start = Start::parse(&start).map_err(|(line, reason)| opening.error(format!("line {line}"), reason))?;
+    if start.is_splat() {
         return Err(opening.error("header", SPLATS));
     }
+    let Start { header, end } = start;
     let Some(number) = header.elements.iter().position(|element| element.name == "vertex") else {
         return Err(opening.error("header", "it has no element \"vertex\": there are no points in it"));
     };
@@ -188,13 +89,13 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     if header.encoding == Encoding::Text {
         let rows_before = header.elements[..number].iter().fold(0u64, |sum, e| sum.saturating_add(e.count));
         let layout = RowLayout::new([x, y, z], class, Separator::Blanks, false);
-        let mut lines = Lines::begin(opening.source, header.end);
+        let mut lines = Lines::begin(opening.source, end);
         lines.skip_rows(rows_before, opening.monitor)?;
         let rows = Rows::counted(opening, Format::Ply, layout, lines, vertex.count)?;
         return Ok(Opened::new(rows));
     }
     let big = header.encoding == Encoding::Big;
-    let mut at = header.end;
+    let mut at = end;
     for element in &header.elements[..number] {
         at = skip(opening, element, at, big)?;
     }

@@ -1,8 +1,8 @@
 //! Binary records of one length: PLY and PCD.
 
-use super::number::Number;
 use super::{Cloud, Opening, Piece, Source, Taker};
 use crate::Result;
+use crate::input::number::Number;
 
 /// Points of a piece.
 const PIECE_POINTS: u64 = 1 << 17;

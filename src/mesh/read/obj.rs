@@ -4,11 +4,12 @@
 //! Source: "Object Files (.obj)", Wavefront Advanced Visualizer, appendix B1.
 
 use super::polygon::Polygon;
-use super::text::{Lines, shown};
+use super::text::Lines;
 use super::vertices::Vertices;
 use super::watch::{Digest, Watch};
 use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
 use crate::Result;
+use crate::text::shown;
 use std::path::Path;
 
 /// Lines read for one batch of triangles.

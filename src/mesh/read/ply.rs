@@ -4,48 +4,20 @@
 //! Source: Greg Turk, "The PLY Polygon File Format", 1994.
 
 use super::polygon::Polygon;
-use super::text::{Lines, shown};
+use super::text::Lines;
 use super::vertices::Vertices;
 use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
+use crate::input::number::Number;
+use crate::input::ply_header::{Element, Encoding, Header, HeaderReader, Property};
 use crate::{Error, Result};
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-/// Most elements, and most properties of one.
-const MOST_PARTS: usize = 256;
 /// Most numbers in a list, of which a face has one.
 const MOST_IN_LIST: f64 = 65_536.0;
 /// Faces read for one batch.
 const FACES: u64 = 512;
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Number {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Number {
-    fn named(name: &[u8]) -> Option<Self> {
-        Some(match name {
-            b"char" | b"int8" => Self::I8,
-            b"uchar" | b"uint8" => Self::U8,
-            b"short" | b"int16" => Self::I16,
-            b"ushort" | b"uint16" => Self::U16,
-            b"int" | b"int32" => Self::I32,
-            b"uint" | b"uint32" => Self::U32,
-            b"float" | b"float32" => Self::F32,
-            b"double" | b"float64" => Self::F64,
-            _ => return None,
-        })
-    }
-}
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Role {
@@ -56,35 +28,39 @@ enum Role {
     Other,
 }
 
-#[derive(Debug, Clone)]
-struct Property {
+/// A property, by what it is for.
+#[derive(Debug, Clone, Copy)]
+struct Column {
     role: Role,
     /// Type of the count, of a list.
     list: Option<Number>,
     number: Number,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum ElementKind {
-    Vertex,
-    Face,
-    Other,
-}
-
-#[derive(Debug, Clone)]
-struct Element {
-    kind: ElementKind,
-    count: u64,
-    properties: Vec<Property>,
+impl Column {
+    fn all_of(element: &Element) -> Vec<Self> {
+        let of_face = element.name == "face";
+        let column = |Property { name, list, number }: &Property| {
+            let role = match (&name[..], list) {
+                ("x", None) => Role::Axis(0),
+                ("y", None) => Role::Axis(1),
+                ("z", None) => Role::Axis(2),
+                ("vertex_indices" | "vertex_index", Some(_)) if of_face => Role::Corners,
+                _ => Role::Other,
+            };
+            Self { role, list: *list, number: *number }
+        };
+        element.properties.iter().map(column).collect()
+    }
 }
 
 /// The numbers of the body, one after the other.
-enum Encoding {
+enum Body {
     Text(Lines),
     Binary { reader: BufReader<MeshSource>, path: PathBuf, big: bool, at: u64 },
 }
 
-impl Encoding {
+impl Body {
     fn error(&self, reason: impl Into<String>) -> Error {
         match self {
             Self::Text(lines) => lines.error(reason),
@@ -110,12 +86,7 @@ impl Encoding {
             Self::Text(lines) => lines.next_number(),
             Self::Binary { reader, path, big, at } => {
                 let mut value = [0; 8];
-                let bytes = match number {
-                    Number::I8 | Number::U8 => &mut value[..1],
-                    Number::I16 | Number::U16 => &mut value[..2],
-                    Number::I32 | Number::U32 | Number::F32 => &mut value[..4],
-                    Number::F64 => &mut value[..],
-                };
+                let bytes = &mut value[..number.bytes()];
                 reader.read_exact(bytes).map_err(|e| match e.kind() {
                     ErrorKind::UnexpectedEof => Error::input(
                         &*path,
@@ -125,29 +96,16 @@ impl Encoding {
                     _ => Error::io(&*path, format!("read byte {at} of the body"), e),
                 })?;
                 *at += bytes.len() as u64;
-                if *big {
-                    bytes.reverse();
-                }
-                let [a, b, c, d, ..] = value;
-                Ok(match number {
-                    Number::I8 => f64::from(a as i8),
-                    Number::U8 => f64::from(a),
-                    Number::I16 => f64::from(i16::from_le_bytes([a, b])),
-                    Number::U16 => f64::from(u16::from_le_bytes([a, b])),
-                    Number::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
-                    Number::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
-                    Number::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
-                    Number::F64 => f64::from_le_bytes(value),
-                })
+                Ok(number.read(bytes, *big))
             }
         }
     }
 
     /// Reads one element; gives each number with its role.
-    fn element(&mut self, properties: &[Property], mut give: impl FnMut(Role, f64)) -> Result<()> {
+    fn element(&mut self, columns: &[Column], mut give: impl FnMut(Role, f64)) -> Result<()> {
         self.begin()?;
-        for property in properties {
-            let count = match property.list {
+        for column in columns {
+            let count = match column.list {
                 None => 1.0,
                 Some(count) => self.number(count)?,
             };
@@ -155,7 +113,7 @@ impl Encoding {
                 return Err(self.error(format!("a list of {count} numbers; expected 0 to {MOST_IN_LIST}")));
             }
             for _ in 0..count as u32 {
-                give(property.role, self.number(property.number)?);
+                give(column.role, self.number(column.number)?);
             }
         }
         Ok(())
@@ -163,9 +121,9 @@ impl Encoding {
 }
 
 pub(super) struct PlyReader {
-    body: Encoding,
+    body: Body,
     vertices: Vertices,
-    properties: Vec<Property>,
+    columns: Vec<Column>,
     faces_left: u64,
     corners: Vec<f64>,
     polygon: Polygon,
@@ -177,46 +135,47 @@ impl PlyReader {
         let mut vertices = Vertices::new(options);
         let mut faces = None;
         for element in elements {
-            let axes: Vec<Role> = element.properties.iter().map(|property| property.role).collect();
-            if element.kind == ElementKind::Vertex {
-                if !(0..3).all(|axis| axes.contains(&Role::Axis(axis))) {
+            let columns = Column::all_of(&element);
+            let has = |role: Role| columns.iter().any(|column| column.role == role);
+            if element.name == "vertex" {
+                if !(0..3).all(|axis| has(Role::Axis(axis))) {
                     return Err(Error::input(path, "header", "the element \"vertex\" has no properties x, y and z"));
                 }
                 for _ in 0..element.count {
                     watch.step()?;
                     let mut vertex = [f64::NAN; 3];
-                    body.element(&element.properties, |role, value| {
+                    body.element(&columns, |role, value| {
                         if let Role::Axis(axis) = role {
                             vertex[axis] = value;
                         }
                     })?;
                     vertices.push(vertex)?;
                 }
-            } else if element.kind == ElementKind::Face {
-                if !axes.contains(&Role::Corners) {
+            } else if element.name == "face" {
+                if !has(Role::Corners) {
                     return Err(Error::input(path, "header", "the element \"face\" has no list \"vertex_indices\""));
                 }
-                faces = Some(element);
+                faces = Some((columns, element.count));
                 break;
             } else {
                 for _ in 0..element.count {
                     watch.step()?;
-                    body.element(&element.properties, |_, _| ())?;
+                    body.element(&columns, |_, _| ())?;
                 }
             }
         }
         vertices.flush()?;
-        let (properties, faces_left) = faces.map_or((Vec::new(), 0), |faces| (faces.properties, faces.count));
-        Ok(Self { body, vertices, properties, faces_left, corners: Vec::new(), polygon: Polygon::default() })
+        let (columns, faces_left) = faces.unwrap_or_default();
+        Ok(Self { body, vertices, columns, faces_left, corners: Vec::new(), polygon: Polygon::default() })
     }
 }
 
 impl PlyReader {
     /// The corners of the next face, and its triangles; the inner error leaves the place of the next face known.
     fn face(&mut self, out: &mut Vec<Triangle>, watch: &Watch) -> Result<Result<()>> {
-        let Self { body, vertices, properties, corners, polygon, .. } = self;
+        let Self { body, vertices, columns, corners, polygon, .. } = self;
         corners.clear();
-        body.element(properties, |role, value| {
+        body.element(columns, |role, value| {
             if role == Role::Corners {
                 corners.push(value);
             }
@@ -261,50 +220,16 @@ impl Triangles for PlyReader {
 }
 
 /// Reads the header.
-fn open_body(path: &Path, digest: &Digest) -> Result<(Encoding, Vec<Element>)> {
-    let mut lines = Lines::open(path, false, digest)?;
-    if !lines.next()? || lines.words().next() != Some(b"ply") {
-        return Err(lines.error("expected \"ply\": this is no PLY file"));
-    }
-    let mut format = Vec::new();
-    let mut elements: Vec<Element> = Vec::new();
-    loop {
-        if !lines.next()? {
-            return Err(lines.error("the file ends before \"end_header\": it is cut; fetch it again"));
+fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
+    let (mut lines, mut reader) = (Lines::open(path, false, digest)?, HeaderReader::default());
+    let Header { encoding, elements } = loop {
+        let line = if lines.next()? { lines.line() } else { return Err(lines.error(reader.cut())) };
+        if let Some(header) = reader.take(line).map_err(|reason| lines.error(reason))? {
+            break header;
         }
-        let words: Vec<&[u8]> = lines.words().take(8).collect();
-        match words[..] {
-            [b"format", name, b"1.0"] => format = name[..name.len().min(40)].to_vec(),
-            [b"element", name, count] => {
-                let parsed = std::str::from_utf8(count).ok().and_then(|text| text.parse().ok());
-                let unclear = || lines.error(format!("expected a number of elements, found {}", shown(count)));
-                let kind = match name {
-                    b"vertex" => ElementKind::Vertex,
-                    b"face" => ElementKind::Face,
-                    _ => ElementKind::Other,
-                };
-                elements.push(Element { kind, count: parsed.ok_or_else(unclear)?, properties: Vec::new() });
-            }
-            [b"property", ref property @ ..] => {
-                let unknown = || {
-                    lines.error(format!("a property that PLY does not know: {}", shown(property.concat().as_slice())))
-                };
-                let element = elements.last_mut().ok_or_else(|| lines.error("a property before any element"))?;
-                element
-                    .properties
-                    .push(parse_property(property, element.kind == ElementKind::Face).ok_or_else(unknown)?);
-            }
-            [b"end_header"] => break,
-            [] | [b"comment" | b"obj_info", ..] => {}
-            [other, ..] => return Err(lines.error(format!("expected a line of a PLY header, found {}", shown(other)))),
-        }
-        if elements.len() > MOST_PARTS || elements.last().is_some_and(|e| e.properties.len() > MOST_PARTS) {
-            return Err(lines.error(format!("more than {MOST_PARTS} elements or properties")));
-        }
-    }
-    let faces = elements.iter().position(|element| element.kind == ElementKind::Face);
-    let corners = elements.iter().position(|element| element.kind == ElementKind::Vertex);
-    if let (Some(faces), Some(corners)) = (faces, corners)
+    };
+    let place = |name: &str| elements.iter().position(|element| element.name == name);
+    if let (Some(faces), Some(corners)) = (place("face"), place("vertex"))
         && faces < corners
     {
         return Err(Error::input(path, "header", "faces come before their corners; write the file with corners first"));
@@ -312,33 +237,14 @@ fn open_body(path: &Path, digest: &Digest) -> Result<(Encoding, Vec<Element>)> {
     if let Some(empty) = elements.iter().position(|element| element.properties.is_empty() && element.count > 0) {
         return Err(Error::input(path, "header", format!("element {} has no properties", empty + 1)));
     }
-    let body = match &format[..] {
-        b"ascii" => Encoding::Text(lines),
-        b"binary_little_endian" | b"binary_big_endian" => {
-            let big = format == b"binary_big_endian";
-            Encoding::Binary { reader: lines.into_reader(), path: path.to_path_buf(), big, at: 0 }
-        }
-        other => {
-            let reason =
-                format!("expected format ascii, binary_little_endian or binary_big_endian, found {}", shown(other));
-            return Err(Error::input(path, "header", reason));
-        }
+    let body = match encoding {
+        Encoding::Text => Body::Text(lines),
+        Encoding::Little | Encoding::Big => Body::Binary {
+            reader: lines.into_reader(),
+            path: path.to_path_buf(),
+            big: encoding == Encoding::Big,
+            at: 0,
+        },
     };
     Ok((body, elements))
-}
-
-fn parse_property(words: &[&[u8]], of_face: bool) -> Option<Property> {
-    let (list, number, name) = match *words {
-        [b"list", count, number, name] => (Some(Number::named(count)?), Number::named(number)?, name),
-        [number, name] => (None, Number::named(number)?, name),
-        _ => return None,
-    };
-    let role = match (name, list) {
-        (b"x", None) => Role::Axis(0),
-        (b"y", None) => Role::Axis(1),
-        (b"z", None) => Role::Axis(2),
-        (b"vertex_indices" | b"vertex_index", Some(_)) if of_face => Role::Corners,
-        _ => Role::Other,
-    };
-    Some(Property { role, list, number })
 }

@@ -3,9 +3,10 @@
 //! Source: "StereoLithography Interface Specification", 3D Systems, 1989. Many binary files begin with "solid" as the
 //! text form does; so a file whose length is that of its count is binary, and so is one whose first bytes are no text.
 
-use super::text::{BYTE_ORDER_MARK, Lines, shown};
+use super::text::{BYTE_ORDER_MARK, Lines};
 use super::watch::{Digest, MeshSource, Watch};
 use super::{Triangle, Triangles};
+use crate::text::shown;
 use crate::{Error, Result};
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};

@@ -1,6 +1,7 @@
 //! Lines and words of text formats, of bounded length.
 
 use super::watch::{Digest, MeshSource};
+use crate::text::shown;
 use crate::{Error, Result};
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -67,6 +68,11 @@ impl Lines {
         }
     }
 
+    /// The line, without what ends it.
+    pub(super) fn line(&self) -> &[u8] {
+        &self.line
+    }
+
     /// The words of the line.
     pub(super) fn words(&self) -> impl Iterator<Item = &[u8]> {
         self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
@@ -103,10 +109,4 @@ impl Lines {
     pub(super) fn corner<'a>(&self, words: &mut impl Iterator<Item = &'a [u8]>) -> Result<[f64; 3]> {
         Ok([self.number(words.next())?, self.number(words.next())?, self.number(words.next())?])
     }
-}
-
-/// A word for an error message: short, on one line.
-pub(super) fn shown(word: &[u8]) -> String {
-    let text: String = String::from_utf8_lossy(word).chars().take(40).flat_map(char::escape_default).collect();
-    format!("\"{text}\"")
 }

@@ -8,6 +8,8 @@ pub mod counts;
 pub mod data;
 #[cfg(feature = "peers")]
 mod heap;
+#[cfg(feature = "peers")]
+pub mod inputs;
 pub mod measured;
 pub mod pawns;
 #[cfg(feature = "peers")]

@@ -35,6 +35,8 @@ enum Command {
     Draw(Draw),
     /// Conversion against the size of its input, queries against the size of the scene, and a scene of great extent
     Scale(bench::scale::Scale),
+    /// Reading and conversion of E57 and text: speed beside bare reading, and memory
+    Inputs(bench::inputs::Inputs),
     /// One conversion, measured in a process of its own
     #[command(hide = true)]
     Measured(bench::measured::Conversion),
@@ -84,8 +86,8 @@ struct Stability {
 }
 
 /// The parts of `bench all`; charts last, for they draw what the others found.
-const ALL: [&[&str]; 7] =
-    [&["stability"], &["size"], &["walks"], &["thesis"], &["peers"], &["scale"], &["chart", "--fresh"]];
+const ALL: [&[&str]; 8] =
+    [&["stability"], &["size"], &["walks"], &["thesis"], &["peers"], &["scale"], &["inputs"], &["chart", "--fresh"]];
 
 fn run(command: Command) -> bench::stability::Result<()> {
     match command {
@@ -107,6 +109,7 @@ fn run(command: Command) -> bench::stability::Result<()> {
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
         Command::Draw(draw) => bench::chart::draw::run(&draw.out),
         Command::Scale(scale) => scale.run(),
+        Command::Inputs(inputs) => inputs.run(),
         Command::Measured(conversion) => conversion.run(),
     }
 }

@@ -40,10 +40,11 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     drop_floaters: drop connected matter of up to this many voxels (1 to 65535); 1 is `drop_isolated`
 ///     fill_holes: close holes in floors of up to this width (m) by floor that the archive marks as inferred
 ///     remove_moving, stations, removed: remove points that other stations of the scan saw through; a table `file,x,y,z` of the
-///         stations; a LAS file for what is removed
+///         stations, which E57 and PTX state themselves; a LAS file for what is removed
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
 ///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused
+///     columns: columns of text from left to right, such as ``"x,y,z,i"``; by its header, else the first three, by default
 ///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
 ///     levels: whether the archive gets overview levels for first looks and distant views (no)
 ///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it

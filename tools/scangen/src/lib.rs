@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Scene (surfaces in closed form) ─┬─ Truth: distances, floors, ceilings, slopes, rays     → truth.json, scene.obj
-//!                                  └─ Sampler: direct or scanner, noise, outliers, seeds   → LAS / LAZ of any size
+//!                                  └─ Sampler: direct or scanner, noise, outliers, seeds   → LAS, E57, text of any size
 //! ```
 //!
 //! The truth is computed from the surfaces, never from the points, and shares no code with what it judges. A seed gives
@@ -41,4 +41,4 @@ pub use params::{ParamInfo, Params};
 pub use sample::{Kind, Sample, SampleSpec};
 pub use scene::{SCENES, Scene, Surface, Walk};
 pub use truth::Truth;
-pub use write::{Chunks, WriteSpec, Written, write_las, write_samples};
+pub use write::{Chunks, CloudFormat, WriteSpec, Written, write_clouds, write_las, write_samples};

@@ -3,12 +3,14 @@
 use clap::{Parser, ValueEnum};
 use scangen::geometry::Placement;
 use scangen::sample::{Amount, Mode, Order, ScannerSpec, shuffle};
-use scangen::write::{Chunks, WriteSpec, Written, write_samples, write_triangles_obj, write_truth_json};
+use scangen::write::{
+    Chunks, CloudFormat, WriteSpec, Written, write_clouds, write_samples, write_triangles_obj, write_truth_json,
+};
 use scangen::{Params, Result, SCENES, SampleSpec, Scene};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Writes a seeded scan of a scene with closed-form truth as LAS or LAZ.
+/// Writes a seeded scan of a scene with closed-form truth as LAS, LAZ, E57, PTX, PTS or XYZ.
 ///
 /// `scangen list` names the scenes and their parameters; `scangen demo -o demo.laz` writes the demonstration house.
 #[derive(Debug, Parser)]
@@ -16,7 +18,7 @@ use std::process::ExitCode;
 struct Args {
     /// Scene, `demo`, or `list`
     scene: String,
-    /// Output; the name decides between .las and .laz
+    /// Output; the name decides between .las, .laz, .e57, .ptx, .pts and .xyz
     #[arg(short, long, required_unless_present = "truth", required_unless_present = "obj")]
     output: Option<PathBuf>,
     /// Same seed, same bytes
@@ -97,6 +99,9 @@ struct Args {
     /// Coordinate step (m)
     #[arg(long, default_value_t = 0.001)]
     scale: f64,
+    /// E57, PTX, PTS: points after which a new cloud begins
+    #[arg(long, default_value_t = u64::MAX, hide_default_value = true, value_parser = clap::value_parser!(u64).range(1..))]
+    cloud: u64,
     /// Points per LAZ chunk
     #[arg(long, default_value_t = 50_000)]
     chunk: u32,
@@ -245,13 +250,18 @@ fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &P
     } else {
         Box::new(scene.samples(args.seed, &sampling)?)
     };
+    let write = |samples: &mut dyn Iterator<Item = scangen::Sample>| match CloudFormat::of(path) {
+        Some(format) => write_clouds(path, format, samples, &writing, args.cloud),
+        None => write_samples(path, samples, &writing),
+    };
+    let mut samples = samples;
     if !args.shuffle {
-        return write_samples(path, samples, &writing);
+        return write(&mut samples);
     }
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
     let mut failed = None;
     let shuffled = shuffle(samples, args.seed, folder)?;
-    let good = shuffled.map_while(|s| s.map_err(|e| failed = Some(e)).ok());
-    let written = write_samples(path, good, &writing)?;
+    let mut good = shuffled.map_while(|s| s.map_err(|e| failed = Some(e)).ok());
+    let written = write(&mut good)?;
     failed.map_or(Ok(written), Err)
 }

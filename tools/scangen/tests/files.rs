@@ -3,7 +3,10 @@
 use las::Reader;
 use proptest::prelude::*;
 use scangen::write::{truth_json, write_triangles_obj, write_truth_json};
-use scangen::{Chunks, Kind, Params, Sample, SampleSpec, Scene, Truth, WriteSpec, write_las, write_samples};
+use scangen::{
+    Chunks, CloudFormat, Kind, Params, Sample, SampleSpec, Scene, Truth, WriteSpec, write_clouds, write_las,
+    write_samples,
+};
 use std::path::Path;
 use tempfile::TempDir;
 
@@ -188,5 +191,53 @@ proptest! {
             }
         }
         prop_assert_eq!(data.len(), points.len());
+    }
+}
+
+#[test]
+fn clouds_hold_what_was_drawn() {
+    let folder = TempDir::new().unwrap();
+    let samples = &samples(2500)[..2500];
+    let spec = WriteSpec { offset: [500_000.0, 0.0, -3.0], ..WriteSpec::default() };
+    let expected: Vec<[f64; 3]> = samples.iter().map(|sample| spec.rounded(sample.position).unwrap()).collect();
+    let near = |a: &[f64; 3], b: &[f64; 3]| (0..3).all(|axis| (a[axis] - b[axis]).abs() < 1e-9 * (1.0 + b[axis].abs()));
+    let write = |name: &str| {
+        let path = folder.path().join(name);
+        let format = CloudFormat::of(&path).unwrap();
+        let written = write_clouds(&path, format, samples.iter().copied(), &spec, 1000).unwrap();
+        assert_eq!((written.points, written.len_bytes), (2500, path.metadata().unwrap().len()));
+        assert!(
+            expected.iter().all(|p| (0..3).all(|a| written.bounds.min[a] <= p[a] && p[a] <= written.bounds.max[a]))
+        );
+        path
+    };
+    let mut reader = e57::E57Reader::from_file(write("a.e57")).unwrap();
+    let clouds = reader.pointclouds();
+    assert_eq!(clouds.iter().map(|cloud| cloud.records).collect::<Vec<_>>(), [1000, 1000, 500]);
+    let mut found = Vec::new();
+    for cloud in clouds {
+        found.extend(reader.pointcloud_simple(&cloud).unwrap().map(|point| match point.unwrap().cartesian {
+            e57::CartesianCoordinate::Valid { x, y, z } => [x, y, z],
+            other => panic!("{other:?}"),
+        }));
+    }
+    assert!(found.len() == 2500 && found.iter().zip(&expected).all(|(a, b)| near(a, b)));
+    for (name, head, columns) in [("a.ptx", 10usize, 4), ("a.pts", 1, 7), ("a.xyz", 0, 3)] {
+        let text = std::fs::read_to_string(write(name)).unwrap();
+        let mut lines = text.lines();
+        let mut found: Vec<[f64; 3]> = Vec::new();
+        while found.len() < 2500 {
+            let count = match head {
+                0 => 2500,
+                _ => lines.next().unwrap().trim().parse().unwrap(),
+            };
+            lines.by_ref().take(head.saturating_sub(1)).for_each(drop);
+            for line in lines.by_ref().take(count) {
+                let numbers: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();
+                assert_eq!(numbers.len(), columns, "{name}");
+                found.push([numbers[0], numbers[1], numbers[2]]);
+            }
+        }
+        assert!(lines.next().is_none() && found.iter().zip(&expected).all(|(a, b)| near(a, b)), "{name}");
     }
 }

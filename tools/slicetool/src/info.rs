@@ -4,7 +4,7 @@ use crate::{Failure, Outcome, broken, say};
 use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Header;
-use slicewalk::info::{crs_name, info, slice_count, units_in_words};
+use slicewalk::info::{INPUT_QUANTUM_M, crs_name, info, slice_count, units_in_words};
 use slicewalk::input::{InputOptions, InputSet};
 use slicewalk::text::{counted, extent, file_size, grouped, number, one_line, ranges, rounded};
 use std::fmt::Write;
@@ -51,7 +51,9 @@ pub fn run(paths: &[PathBuf], json: bool) -> Outcome {
 }
 
 fn as_json(path: &Path) -> Result<Value, Failure> {
-    info(&crate::open(path)?).map_err(|error| broken(path, &error))
+    let mut facts = info(&crate::open(path)?).map_err(|error| broken(path, &error))?;
+    facts["input_quantum"] = INPUT_QUANTUM_M.into();
+    Ok(facts)
 }
 
 fn as_text(path: &Path) -> Result<String, Failure> {

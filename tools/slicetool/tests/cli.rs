@@ -72,6 +72,7 @@ fn info_verify_and_stats_say_the_same_as_json_and_as_text() {
     let points = points().len();
     assert_eq!((&info["points_read"], &info["points_kept"]), (&points.into(), &points.into()));
     assert!((info["bounds"]["min"][2].as_f64().unwrap() - 0.35).abs() < 1e-12);
+    assert_eq!(info["input_quantum"], 0.0);
     assert_eq!(info["slices"], 7, "from 0.35 to 2.325 m in slices of 0.3 m");
     let text = done(at, &["info", "a.slices"]);
     assert!(text.contains(&format!("  points   {} read, all kept\n", grouped(points as u64))), "{text}");

@@ -55,6 +55,8 @@ pub(super) struct Description {
     pub columns: Vec<Column>,
     /// `None` where it is the identity.
     pub pose: Option<Pose>,
+    /// Where the scanner stood: the origin of its own coordinates. `None` where no pose is stated.
+    pub station: Option<[f64; 3]>,
 }
 
 /// What the XML says.
@@ -155,11 +157,9 @@ impl Description {
             }
             columns.push(Column::read(&name, node)?);
         }
-        let pose = match child(node, "pose") {
-            Some(pose) => read_pose(pose).or_else(|reason| damaged(name.clone(), reason))?,
-            None => Pose::IDENTITY,
-        };
-        Ok(Self { name, at, records, columns, pose: Some(pose).filter(|pose| *pose != Pose::IDENTITY) })
+        let pose = child(node, "pose").map(read_pose).transpose().or_else(|reason| damaged(name.clone(), reason))?;
+        let station = pose.map(|pose| pose.apply([0.0; 3]));
+        Ok(Self { name, at, records, columns, pose: pose.filter(|pose| *pose != Pose::IDENTITY), station })
     }
 }
 

@@ -15,7 +15,7 @@
 mod description;
 mod pages;
 
-use super::{Cloud, Opened, Opening, Piece, Pose, Source, Taker};
+use super::{Cloud, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::input::crs::Georeference;
 use crate::{Error, Result};
 use description::{Contents, Description, Kind, MOST_BYTES, Wrong};
@@ -52,6 +52,7 @@ struct Scan {
     spherical: bool,
     has_state: bool,
     pose: Option<Pose>,
+    station: Option<[f64; 3]>,
     marks: Vec<Mark>,
 }
 
@@ -141,7 +142,7 @@ struct Packet {
 
 impl Scan {
     fn open(cloud: Description, pages: &mut Pages<'_>, opening: &mut Opening<'_, '_>) -> Result<Self> {
-        let Description { name, at, records, columns, pose } = cloud;
+        let Description { name, at, records, columns, pose, station } = cloud;
         let find = |wanted: &str| columns.iter().position(|column| column.name == wanted);
         let all = |wanted: [&str; 3]| Some([find(wanted[0])?, find(wanted[1])?, find(wanted[2])?]);
         let cartesian =
@@ -159,6 +160,7 @@ impl Scan {
             spherical: is_spherical,
             has_state: false,
             pose,
+            station,
             marks: Vec::new(),
         };
         if records == 0 {
@@ -425,6 +427,7 @@ impl Cloud for E57 {
 
     fn decode(&self, piece: &Piece, source: &Source, _: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
         let Some(scan) = self.scans.get(piece.part) else { return Ok(0) };
+        taker.begin_cloud(piece.part)?;
         let mut pages = Pages::new(source, source.stamp().len());
         let columns = scan.gather(piece, &mut pages, source).map_err(|error| match error {
             Error::Input { path, at, reason, .. } if !at.starts_with(&scan.name) => {
@@ -460,5 +463,14 @@ impl Cloud for E57 {
             bytes.extend(scan.pose.iter().flat_map(Pose::bytes));
         }
         bytes
+    }
+
+    fn standpoints(&self) -> Vec<Standpoint> {
+        let of_scan = |scan: &Scan| match scan.station {
+            _ if scan.records == 0 => Standpoint::Needless,
+            Some(at) => Standpoint::At(at),
+            None => Standpoint::Unknown(format!("{} has no pose", scan.name)),
+        };
+        self.scans.iter().map(of_scan).collect()
     }
 }

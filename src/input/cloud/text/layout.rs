@@ -1,6 +1,7 @@
 //! What a row of text holds: separators, decimal commas, columns.
 
 use super::super::shown;
+use super::decimal::short;
 use crate::input::Columns;
 
 /// What stands between two columns.
@@ -53,41 +54,63 @@ impl RowLayout {
     #[inline]
     pub fn parse(&self, row: &[u8]) -> Result<([f64; 3], Option<f64>), String> {
         let (mut at, mut class) = ([0.0; 3], None);
+        let point = if self.decimal_comma { b',' } else { b'.' };
         let mut rest = row;
         for (column, &role) in self.roles.iter().enumerate() {
-            let word = match self.separator {
-                Separator::Blanks => {
-                    let Some(begin) = rest.iter().position(|byte| !byte.is_ascii_whitespace()) else {
-                        return Err(self.too_few(column, row));
-                    };
-                    rest = &rest[begin..];
-                    let len = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
-                    let (word, behind) = rest.split_at(len);
+            if column > 0
+                && let Separator::Byte(_) = self.separator
+            {
+                let Some((_, behind)) = rest.split_first() else { return Err(self.too_few(column, row)) };
+                rest = behind;
+            }
+            rest = rest.trim_ascii_start();
+            if rest.is_empty() && self.separator == Separator::Blanks {
+                return Err(self.too_few(column, row));
+            }
+            if role == OTHER {
+                rest = &rest[self.word_len(rest)..];
+                continue;
+            }
+            let value = match short(rest, point) {
+                Some((value, len)) if self.ends_word(&mut rest, len) => value,
+                _ => {
+                    let (word, behind) = rest.split_at(self.word_len(rest));
                     rest = behind;
-                    word
-                }
-                Separator::Byte(byte) => {
-                    if column > 0 {
-                        let Some((_, behind)) = rest.split_first() else { return Err(self.too_few(column, row)) };
-                        rest = behind;
-                    }
-                    let len = memchr::memchr(byte, rest).unwrap_or(rest.len());
-                    let (word, behind) = rest.split_at(len);
-                    rest = behind;
-                    word
+                    self.number(word).ok_or_else(|| {
+                        format!("expected a number in column {}, found {}", column + 1, shown(word.trim_ascii()))
+                    })?
                 }
             };
-            if role != OTHER {
-                let value = self.number(word).ok_or_else(|| {
-                    format!("expected a number in column {}, found {}", column + 1, shown(word.trim_ascii()))
-                })?;
-                match at.get_mut(usize::from(role)) {
-                    Some(axis) => *axis = value,
-                    None => class = Some(value),
-                }
+            match at.get_mut(usize::from(role)) {
+                Some(axis) => *axis = value,
+                None => class = Some(value),
             }
         }
         Ok((at, class))
+    }
+
+    /// Length of the word that `rest` begins with.
+    #[inline]
+    fn word_len(&self, rest: &[u8]) -> usize {
+        match self.separator {
+            Separator::Blanks => rest.iter().position(u8::is_ascii_whitespace),
+            Separator::Byte(byte) => memchr::memchr(byte, rest),
+        }
+        .unwrap_or(rest.len())
+    }
+
+    /// Whether a word ends behind `len` bytes; if so, goes on to what separates it from the next.
+    #[inline]
+    fn ends_word(&self, rest: &mut &[u8], len: usize) -> bool {
+        let behind = &rest[len..];
+        let ended = match self.separator {
+            Separator::Blanks => behind.first().is_none_or(u8::is_ascii_whitespace).then_some(behind),
+            Separator::Byte(byte) if behind.first() == Some(&byte) => Some(behind),
+            Separator::Byte(byte) => {
+                Some(behind.trim_ascii_start()).filter(|behind| behind.first().is_none_or(|first| *first == byte))
+            }
+        };
+        ended.inspect(|behind| *rest = behind).is_some()
     }
 
     #[cold]
@@ -95,7 +118,8 @@ impl RowLayout {
         format!("expected {} columns or more, found {found}: {}", self.roles.len(), shown(row.trim_ascii()))
     }
 
-    #[inline]
+    /// Any number, long or in quotes.
+    #[inline(never)]
     fn number(&self, word: &[u8]) -> Option<f64> {
         let word = word.trim_ascii();
         let word = word.strip_prefix(b"\"").and_then(|word| word.strip_suffix(b"\"")).unwrap_or(word);

@@ -7,10 +7,11 @@
 //! Sources: "Leica PTX / PTS format" as Cyclone writes it. PTX: columns, rows, four lines about the scanner, four rows of a
 //! matrix `M`; a point is `(x y z 1) · M`, and `0 0 0` means no return.
 
+mod decimal;
 mod layout;
 mod lines;
 
-use super::{Cloud, Format, Opened, Opening, Piece, Pose, Source, Taker};
+use super::{Cloud, Format, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::{Error, Parameter, Result};
 use layout::{columns, is_numeric, names, recognise};
 use lines::is_word;
@@ -36,6 +37,14 @@ struct Segment {
     /// About how many.
     rows: u64,
     pose: Option<Pose>,
+    station: Option<[f64; 3]>,
+}
+
+impl Segment {
+    /// Rows between two places, without a pose.
+    fn plain(start: u64, end: u64, rows: u64) -> Self {
+        Self { start, end, rows, pose: None, station: None }
+    }
 }
 
 /// Rows of text with a point each.
@@ -64,7 +73,7 @@ impl Rows {
         if rows < stated {
             opening.findings.lose(format!("the header states {stated} points, {rows} lines follow"))?;
         }
-        let segments = vec![Segment { start, end: lines.position(), rows, pose: None }];
+        let segments = vec![Segment::plain(start, lines.position(), rows)];
         let format = if format == Format::Ply { "PLY" } else { "PCD" };
         Ok(Self { format, packing: Packing::Plain, layout, segments, zero_is_absent: false, stated })
     }
@@ -110,8 +119,8 @@ impl Cloud for Rows {
     fn decode(&self, piece: &Piece, source: &Source, _: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
         if self.packing != Packing::Plain {
             let mut lines = Lines::open(source, source.stamp().len(), self.packing)?;
-            let mut segments = self.segments.iter().peekable();
-            while let Some(&segment) = segments.peek() {
+            let mut segments = self.segments.iter().enumerate().peekable();
+            while let Some(&(part, segment)) = segments.peek() {
                 let Some((at, line)) = lines.next_row()? else { break };
                 if at >= segment.end {
                     // Rows of the next cloud follow behind its header.
@@ -119,6 +128,7 @@ impl Cloud for Rows {
                     continue;
                 }
                 if at >= segment.start {
+                    taker.begin_cloud(part)?;
                     let row = self.layout.parse(line);
                     self.take(segment, row.map_err(|reason| lines.error(reason))?, taker)?;
                 }
@@ -126,6 +136,7 @@ impl Cloud for Rows {
             return Ok(0);
         }
         let Some(segment) = self.segments.get(piece.part) else { return Ok(0) };
+        taker.begin_cloud(piece.part)?;
         // A row belongs to the piece in which it begins.
         let mut lines = match piece.first == segment.start {
             true => Lines::begin(source, piece.first),
@@ -154,6 +165,19 @@ impl Cloud for Rows {
             bytes.extend(pose.iter().flat_map(Pose::bytes));
         }
         bytes
+    }
+
+    fn standpoints(&self) -> Vec<Standpoint> {
+        let of_segment = |(number, segment): (usize, &Segment)| match segment.station {
+            _ if segment.rows == 0 => Standpoint::Needless,
+            Some(at) => Standpoint::At(at),
+            None if self.format == "PTX" => {
+                let reason = "scanner position and matrix name different places";
+                Standpoint::Unknown(format!("cloud {}: {reason}", number + 1))
+            }
+            None => Standpoint::Unknown(format!("{} does not say where the scanner stood", self.format)),
+        };
+        self.segments.iter().enumerate().map(of_segment).collect()
     }
 }
 
@@ -229,8 +253,9 @@ pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let end = if packing == Packing::Plain { opening.bytes } else { u64::MAX };
     let mean = rows.iter().map(|row| row.len() as u64 + 1).sum::<u64>() / rows.len().max(1) as u64;
     let rows = if rows.len() < LOOKED_AT { rows.len() as u64 } else { opening.bytes / mean.max(1) };
-    let said = format!("read as text: {}", layout.describe(&header));
-    let segments = vec![Segment { start, end, rows, pose: None }];
+    let named = opening.columns.map(|columns| columns.to_string().split(',').map(str::to_owned).collect());
+    let said = format!("read as text: {}", layout.describe(&named.unwrap_or(header)));
+    let segments = vec![Segment::plain(start, end, rows)];
     let rows = Rows { format: "text", packing, layout, segments, zero_is_absent: false, stated: 0 };
     Ok(Opened { said: Some(said), ..Opened::new(rows) })
 }
@@ -277,7 +302,7 @@ pub(super) fn open_pts(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         }
         stated = stated.saturating_add(rows);
         check_clouds(segments.len(), opening)?;
-        segments.push(Segment { start, end: lines.position(), rows, pose: None });
+        segments.push(Segment::plain(start, lines.position(), rows));
         if row.is_none() {
             row = first_row(opening, packing, start)?;
         }
@@ -327,7 +352,8 @@ pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         let Some(rows) = parse_whole(&line).filter(|_| is_word(&line)) else {
             return Err(lines.expected("the number of rows of a cloud", &line));
         };
-        for _ in 0..4 {
+        let position = numbers(&mut lines, 3)?;
+        for _ in 0..3 {
             numbers(&mut lines, 3)?;
         }
         let mut matrix = [[0.0; 3]; 4];
@@ -350,9 +376,10 @@ pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         if found < count {
             opening.findings.lose(format!("cloud {number}: its header states {count} points, {found} lines follow"))?;
         }
+        let station = station(&position, &pose);
         let pose = Some(pose).filter(|pose| *pose != Pose::IDENTITY);
         check_clouds(segments.len(), opening)?;
-        segments.push(Segment { start, end: lines.position(), rows: found, pose });
+        segments.push(Segment { pose, station, ..Segment::plain(start, lines.position(), found) });
         if first.is_none() {
             first = first_row(opening, packing, start)?;
         }
@@ -362,6 +389,23 @@ pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     // By convention: Cyclone writes metres.
     opened.georeference.horizontal = Some(1.0);
     Ok(opened)
+}
+
+/// Where the scanner of a PTX stood: its position, which is where the matrix moves the origin to. Programs that write only one of
+/// the two leave the other 0; `None` where both are there and differ.
+fn station(position: &[f64], pose: &Pose) -> Option<[f64; 3]> {
+    let stated: [f64; 3] = std::array::from_fn(|axis| position[axis]);
+    let moved = pose.apply([0.0; 3]);
+    let near = |a: f64, b: f64| (a - b).abs() <= 0.001 + 1e-6 * b.abs();
+    if !stated.iter().all(|v| v.is_finite()) {
+        return None;
+    }
+    match (stated == [0.0; 3], moved == [0.0; 3]) {
+        (true, _) => Some(moved),
+        // Points in common coordinates already.
+        (_, true) => Some(stated).filter(|_| *pose == Pose::IDENTITY),
+        _ => (0..3).all(|axis| near(stated[axis], moved[axis])).then_some(moved),
+    }
 }
 
 /// The numbers of the next row, at least `least` of them.

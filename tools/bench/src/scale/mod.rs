@@ -8,7 +8,7 @@ mod converter;
 mod extent;
 mod queries;
 mod sizes;
-mod town;
+pub(crate) mod town;
 
 use crate::chart::lines::{self, Scaled, Value};
 use crate::stability::Result;
@@ -77,7 +77,7 @@ impl Found {
 }
 
 /// Median, least and greatest; the upper of two medians.
-fn spread(values: &[f64]) -> (f64, f64, f64) {
+pub(crate) fn spread(values: &[f64]) -> (f64, f64, f64) {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let at = |n: usize| sorted.get(n).copied().unwrap_or(f64::NAN);
@@ -123,7 +123,7 @@ impl Scale {
 }
 
 /// The machine, as far as the system tells.
-fn machine() -> String {
+pub(crate) fn machine() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = text.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
     let memory = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();

@@ -5,7 +5,7 @@ use crate::pawns;
 use crate::stability::Result;
 use nalgebra::Point3;
 use scangen::scene::build::Builder;
-use scangen::{Sample, SampleSpec, Scene, WriteSpec, write_samples};
+use scangen::{CloudFormat, Sample, SampleSpec, Scene, WriteSpec, write_clouds, write_samples};
 use slicewalk::query::Aabb;
 use slicewalk::store::PageSet;
 use std::path::Path;
@@ -75,13 +75,21 @@ impl Town {
     /// Writes a scan with so many points on a square metre: block after block in random order, in random order within
     /// each. The number of points.
     pub fn write(&self, path: &Path, density: u64) -> Result<u64> {
+        Ok(write_samples(path, self.all(density), &WriteSpec::for_path(path))?.points)
+    }
+
+    /// Writes the same scan in another format, with so many points in a cloud. The number of points.
+    pub fn write_clouds(&self, path: &Path, format: CloudFormat, density: u64, cloud_points: u64) -> Result<u64> {
+        Ok(write_clouds(path, format, self.all(density), &WriteSpec::default(), cloud_points)?.points)
+    }
+
+    fn all(&self, density: u64) -> impl Iterator<Item = Sample> {
         let mut order: Vec<u64> = (0..self.blocks).collect();
         let mut random = Random(1);
         for n in (1..order.len()).rev() {
             order.swap(n, (random.bits() % (n as u64 + 1)) as usize);
         }
-        let samples = order.into_iter().flat_map(|block| self.samples(block, density * SURFACE_M2));
-        Ok(write_samples(path, samples, &WriteSpec::for_path(path))?.points)
+        order.into_iter().flat_map(move |block| self.samples(block, density * SURFACE_M2))
     }
 
     fn samples(&self, block: u64, count: u64) -> Vec<Sample> {

@@ -75,7 +75,7 @@ impl WriteSpec {
     }
 
     #[inline]
-    fn grid(&self, p: Vec3) -> Option<[i32; 3]> {
+    pub(super) fn grid(&self, p: Vec3) -> Option<[i32; 3]> {
         let mut grid = [0; 3];
         for axis in 0..3 {
             let steps = ((p[axis] - self.offset[axis]) / self.scale[axis]).round();
@@ -88,7 +88,7 @@ impl WriteSpec {
         Some(grid)
     }
 
-    fn place(&self, grid: [i32; 3]) -> Vec3 {
+    pub(super) fn place(&self, grid: [i32; 3]) -> Vec3 {
         std::array::from_fn(|a| f64::from(grid[a]) * self.scale[a] + self.offset[a])
     }
 

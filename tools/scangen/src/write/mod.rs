@@ -1,10 +1,12 @@
-//! Files: points as LAS or LAZ, surfaces as JSON and OBJ.
+//! Files: points as LAS, LAZ, E57 or text, surfaces as JSON and OBJ.
 
+mod cloud;
 mod json;
 mod las;
 mod obj;
 mod record;
 
+pub use cloud::{CloudFormat, write_clouds};
 pub use json::{truth_json, write_truth_json};
 pub use las::{Chunks, WriteSpec, Written, write_las, write_samples};
 pub use obj::write_triangles_obj;

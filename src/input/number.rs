@@ -2,7 +2,7 @@
 
 /// How a number is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Number {
+pub(crate) enum Number {
     I8,
     U8,
     I16,

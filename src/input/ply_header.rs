@@ -1,0 +1,134 @@
+//! Headers of PLY files, of points and of meshes.
+//!
+//! Source: Greg Turk, "The PLY Polygon File Format", 1994. Memory: the header, at most 1 MiB.
+
+use super::number::Number;
+use crate::text::shown;
+
+/// Longest header (bytes).
+pub(crate) const MOST_HEADER: usize = 1 << 20;
+/// Most elements, and most properties of one.
+const MOST_PARTS: usize = 1024;
+
+const NO_PLY: &str = "expected \"ply\": this is no PLY file";
+
+/// How the body is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Encoding {
+    Text,
+    Little,
+    Big,
+}
+
+/// A property of an element.
+#[derive(Debug)]
+pub(crate) struct Property {
+    pub name: String,
+    /// Type of the count, of a list.
+    pub list: Option<Number>,
+    pub number: Number,
+}
+
+/// An element: so many rows of these properties.
+#[derive(Debug)]
+pub(crate) struct Element {
+    pub name: String,
+    pub count: u64,
+    pub properties: Vec<Property>,
+}
+
+/// What a header says.
+#[derive(Debug)]
+pub(crate) struct Header {
+    pub encoding: Encoding,
+    pub elements: Vec<Element>,
+}
+
+/// Takes a header line by line.
+#[derive(Debug, Default)]
+pub(crate) struct HeaderReader {
+    lines: u64,
+    bytes: usize,
+    encoding: Option<Encoding>,
+    elements: Vec<Element>,
+}
+
+impl HeaderReader {
+    /// The header is longer than [`MOST_HEADER`].
+    pub const LONG: &str = "no \"end_header\" in the first MiB: this is no PLY, or damaged";
+
+    /// What is wrong with a file that ends here.
+    pub fn cut(&self) -> &'static str {
+        if self.lines == 0 { NO_PLY } else { "the file ends before \"end_header\": it is cut; fetch it again" }
+    }
+
+    /// Takes the next line; gives the header with its last one, else what is wrong with the line.
+    pub fn take(&mut self, line: &[u8]) -> Result<Option<Header>, String> {
+        self.lines += 1;
+        self.bytes += line.len() + 1;
+        if self.bytes > MOST_HEADER {
+            return Err(Self::LONG.into());
+        }
+        let text = String::from_utf8_lossy(line);
+        let words: Vec<&str> = text.split_whitespace().collect();
+        if self.lines == 1 {
+            return if words == ["ply"] { Ok(None) } else { Err(NO_PLY.into()) };
+        }
+        match words[..] {
+            ["format", name, "1.0"] => {
+                self.encoding = Some(match name {
+                    "ascii" => Encoding::Text,
+                    "binary_little_endian" => Encoding::Little,
+                    "binary_big_endian" => Encoding::Big,
+                    other => {
+                        let expected = "expected format ascii, binary_little_endian or binary_big_endian";
+                        return Err(format!("{expected}, found {}", shown(other.as_bytes())));
+                    }
+                });
+            }
+            ["element", name, count] => {
+                let unclear = |_| format!("expected a number of elements, found {}", shown(count.as_bytes()));
+                let count = count.parse().map_err(unclear)?;
+                self.elements.push(Element { name: name.into(), count, properties: Vec::new() });
+            }
+            ["property", ref property @ ..] => {
+                let parsed = match *property {
+                    ["list", count, number, name] => number_named(count)
+                        .zip(number_named(number))
+                        .map(|(count, number)| Property { name: name.into(), list: Some(count), number }),
+                    [number, name] => {
+                        number_named(number).map(|number| Property { name: name.into(), list: None, number })
+                    }
+                    _ => None,
+                };
+                let unknown = || format!("a property that PLY does not know: {}", shown(property.join(" ").as_bytes()));
+                let element = self.elements.last_mut().ok_or("a property before any element")?;
+                element.properties.push(parsed.ok_or_else(unknown)?);
+            }
+            ["end_header"] => {
+                let encoding = self.encoding.ok_or("no line \"format\" before the end")?;
+                return Ok(Some(Header { encoding, elements: std::mem::take(&mut self.elements) }));
+            }
+            [] | ["comment" | "obj_info", ..] => {}
+            [other, ..] => return Err(format!("expected a line of a PLY header, found {}", shown(other.as_bytes()))),
+        }
+        if self.elements.len() > MOST_PARTS || self.elements.last().is_some_and(|e| e.properties.len() > MOST_PARTS) {
+            return Err(format!("more than {MOST_PARTS} elements or properties"));
+        }
+        Ok(None)
+    }
+}
+
+fn number_named(name: &str) -> Option<Number> {
+    Some(match name {
+        "char" | "int8" => Number::I8,
+        "uchar" | "uint8" => Number::U8,
+        "short" | "int16" => Number::I16,
+        "ushort" | "uint16" => Number::U16,
+        "int" | "int32" => Number::I32,
+        "uint" | "uint32" => Number::U32,
+        "float" | "float32" => Number::F32,
+        "double" | "float64" => Number::F64,
+        _ => return None,
+    })
+}
