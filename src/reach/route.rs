@@ -98,7 +98,9 @@ impl Goal {
         }
         let mut least = least_cost(region.pixels[place as usize], self.pixel);
         // A way from a landmark over this place to the goal costs no less than the cheapest one to the goal.
-        for (&own, &to) in region.landmarks.get(place as usize).iter().flat_map(|own| own.iter().zip(&self.from_landmarks)) {
+        for (&own, &to) in
+            region.landmarks.get(place as usize).iter().flat_map(|own| own.iter().zip(&self.from_landmarks))
+        {
             if own != UNREACHED {
                 if to == UNREACHED {
                     return UNREACHED;

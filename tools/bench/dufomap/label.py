@@ -12,7 +12,7 @@ points = np.fromfile(sys.argv[1], dtype="<f8").reshape(-1, 4)
 stations = np.array([[float(v) for v in place.split(",")] for place in sys.argv[3:]])
 labels = np.zeros(len(points), dtype=np.uint8)
 clouds = [np.flatnonzero(points[:, 3] == number) for number in range(len(stations))]
-poses = [np.array([*place, 1.0, 0.0, 0.0, 0.0]) for place in stations]
+poses = [[*map(float, place), 1.0, 0.0, 0.0, 0.0] for place in stations]
 peer = dufomap(0.1, 0.2, 1, num_threads=2)
 peer.setCluster(0, 20, 0.2)
 for cloud, pose in zip(clouds, poses):

@@ -48,7 +48,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let started = Instant::now();
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
-    let (found, level) = if arguments.coarse { on_levels(arguments, &loader)? } else { (find(arguments, &loader)?, None) };
+    let mut bytes = 0;
+    let (found, level) = if arguments.coarse {
+        on_levels(arguments, &loader, &mut bytes)?
+    } else {
+        (find(arguments, &loader, &mut bytes)?, None)
+    };
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
     for point in found.iter().flat_map(|route| &route.points) {
@@ -64,7 +69,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "length_m": found.as_ref().ok().map(|route| route.length_m),
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
             "level": level,
-            "memory_bytes": loader.memory_bytes(),
+            "memory_bytes": bytes.max(loader.memory_bytes()),
             "seconds": seconds,
         });
         return Ok(format!("{summary:#}\n"));
@@ -83,16 +88,18 @@ pub fn run(arguments: &Arguments) -> Outcome {
 type Found = Result<Route, Refusal>;
 
 /// The way in the archive itself: near the straight line first, and farther if it leads farther; long ways along a coarse one.
-fn find(arguments: &Arguments, loader: &Loader) -> Result<Found, Failure> {
+fn find(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Found, Failure> {
     let (pawn, ends) = (arguments.walks.pawn(), [arguments.from, arguments.to]);
     if (ends[1] - ends[0]).xy().norm() > FAR_M
-        && let Some((number, guide)) = coarse(arguments, loader)?
-        && let Some(route) = refined(arguments, loader, number, guide)?
+        && let Some((number, guide)) = coarse(arguments, loader, bytes)?
+        && let Some(route) = refined(arguments, loader, number, guide, bytes)?
     {
         return Ok(Ok(route));
     }
     let mut planner = Planner::new(&loader.view(), pawn, ends[0], ends[1])?;
-    loader.known(|view| planned(&mut planner, view))
+    let found = loader.known(|view| planned(&mut planner, view))?;
+    *bytes = (*bytes).max(loader.memory_bytes() + planner.peak_bytes());
+    Ok(found)
 }
 
 fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found>> {
@@ -106,20 +113,20 @@ fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found
 }
 
 /// The way on levels alone, with the level that it was found on.
-fn on_levels(arguments: &Arguments, loader: &Loader) -> Result<(Found, Option<u32>), Failure> {
+fn on_levels(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<(Found, Option<u32>), Failure> {
     if loader.archive().levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
         let archive = arguments.archive.display();
         let text = format!("{archive}: it has no overview levels; convert with --levels on, or leave out --coarse");
         return Err(Failure::Text(text));
     }
-    Ok(match coarse(arguments, loader)? {
+    Ok(match coarse(arguments, loader, bytes)? {
         Some((number, route)) => (Ok(route), Some(number)),
         None => (Err(Refusal::NotConnected), None),
     })
 }
 
 /// The way on the coarsest level that has one, and the level's number; `None` where there are no levels, or no way on them.
-fn coarse(arguments: &Arguments, loader: &Loader) -> Result<Option<(u32, Route)>, Failure> {
+fn coarse(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Option<(u32, Route)>, Failure> {
     let broken = |error| crate::broken(&arguments.archive, &error);
     for level in loader.archive().levels().map_err(broken)?.iter().rev() {
         // A body is a few pixels wide at least where doors matter; a whole level of one page says nothing of ways.
@@ -129,7 +136,9 @@ fn coarse(arguments: &Arguments, loader: &Loader) -> Result<Option<(u32, Route)>
         let on_level = loader.level(level.number(), &arguments.walks)?;
         let pawn = arguments.walks.pawn().on_level(level.frame());
         let mut planner = Planner::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
-        if let Ok(route) = on_level.known(|view| planned(&mut planner, view))? {
+        let found = on_level.known(|view| planned(&mut planner, view))?;
+        *bytes = (*bytes).max(on_level.memory_bytes() + planner.peak_bytes());
+        if let Ok(route) = found {
             return Ok(Some((level.number(), route)));
         }
     }
@@ -137,7 +146,13 @@ fn coarse(arguments: &Arguments, loader: &Loader) -> Result<Option<(u32, Route)>
 }
 
 /// The exact way along a coarse one on level `number`, level by level; `None` where no corridor connects.
-fn refined(arguments: &Arguments, loader: &Loader, number: u32, guide: Route) -> Result<Option<Route>, Failure> {
+fn refined(
+    arguments: &Arguments,
+    loader: &Loader,
+    number: u32,
+    guide: Route,
+    bytes: &mut usize,
+) -> Result<Option<Route>, Failure> {
     let pawn = arguments.walks.pawn();
     let fine = *loader.archive().frame();
     let pixel = |number: u32| fine.pixel_m() * f64::from(4u32.pow(number));
@@ -146,10 +161,14 @@ fn refined(arguments: &Arguments, loader: &Loader, number: u32, guide: Route) ->
         let on_level = loader.level(number, &arguments.walks)?;
         let pawn = pawn.on_level(on_level.archive().frame());
         let mut along = Along::new(pawn, arguments.from, arguments.to, &guide, BESIDE * pixel(of));
-        if let Ok(route) = on_level.known(|view| along.go_on(view, &NoMonitor))? {
+        let found = on_level.known(|view| along.go_on(view, &NoMonitor))?;
+        *bytes = (*bytes).max(on_level.memory_bytes() + along.peak_bytes());
+        if let Ok(route) = found {
             (guide, of) = (route, number);
         }
     }
     let mut along = Along::new(pawn, arguments.from, arguments.to, &guide, BESIDE * pixel(of));
-    Ok(loader.known(|view| along.go_on(view, &NoMonitor))?.ok())
+    let found = loader.known(|view| along.go_on(view, &NoMonitor))?;
+    *bytes = (*bytes).max(loader.memory_bytes() + along.peak_bytes());
+    Ok(found.ok())
 }

@@ -22,7 +22,11 @@ const CACHE: &str = "16MiB";
 /// The program beside this one.
 fn slicetool() -> Result<PathBuf> {
     let path = std::env::current_exe()?.with_file_name("slicetool");
-    if path.is_file() { Ok(path) } else { Err(format!("{}: build it first, in the same profile", path.display()).into()) }
+    if path.is_file() {
+        Ok(path)
+    } else {
+        Err(format!("{}: build it first, in the same profile", path.display()).into())
+    }
 }
 
 /// The city as an archive with overview levels.

@@ -42,8 +42,7 @@ impl Points {
         let (mut next, mut items) = (starts.clone(), vec![(0.0, false); samples.len()]);
         for sample in samples {
             let [x, y, z] = sample.position;
-            let is_floor =
-                sample.kind == Kind::Surface && scene.slope_at(sample.surface as usize, x, y) <= SLOPE_DEG;
+            let is_floor = sample.kind == Kind::Surface && scene.slope_at(sample.surface as usize, x, y) <= SLOPE_DEG;
             let place = &mut next[cell(pixel(sample))];
             items[*place as usize] = (z, is_floor);
             *place += 1;

@@ -29,9 +29,9 @@ fn rects(random: &mut Random, most: usize, taken: &[Rect]) -> Vec<Rect> {
         let size = [0, 1].map(|_| random.between(0.6, 1.6));
         let at = [0, 1].map(|axis| random.between(APART_M, ROOM[axis] - APART_M - size[axis]));
         let rect = [at[0], at[1], at[0] + size[0], at[1] + size[1]];
-        let apart = |other: &Rect| (0..2).any(|axis| {
-            rect[axis] > other[axis + 2] + APART_M || other[axis] > rect[axis + 2] + APART_M
-        });
+        let apart = |other: &Rect| {
+            (0..2).any(|axis| rect[axis] > other[axis + 2] + APART_M || other[axis] > rect[axis + 2] + APART_M)
+        };
         let is_start = rect[0] < 2.4 && rect[1] < 2.4;
         if !is_start && rects.iter().chain(taken).all(apart) {
             rects.push(rect);
@@ -113,7 +113,8 @@ pub fn page(effort: &Effort) -> Result<String> {
                     listed += usize::from(own.next().is_some_and(|leak| leak.1 == LeakKind::Hole));
                 }
                 // The tops of the boxes are ledges only to who stands on them.
-                let others: Vec<_> = found.iter().filter(|leak| !holes.iter().any(|hole| is_in(leak.0, hole))).collect();
+                let others: Vec<_> =
+                    found.iter().filter(|leak| !holes.iter().any(|hole| is_in(leak.0, hole))).collect();
                 beside += others.len();
                 strange.extend(others.iter().map(|leak| format!("{what}, room {seed}: {leak:?}")));
             }

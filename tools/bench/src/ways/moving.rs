@@ -47,7 +47,9 @@ impl Moving {
     }
 
     fn options(&self) -> Result<ConvertOptions> {
-        let mut scans: Vec<PathBuf> = std::fs::read_dir(&self.folder)?.map(|entry| entry.map(|entry| entry.path())).collect::<std::io::Result<_>>()?;
+        let mut scans: Vec<PathBuf> = std::fs::read_dir(&self.folder)?
+            .map(|entry| entry.map(|entry| entry.path()))
+            .collect::<std::io::Result<_>>()?;
         scans.retain(|path| path.extension().is_some_and(|ending| ending == "las") && !path.ends_with("removed.las"));
         scans.sort();
         let mut options = ConvertOptions {
@@ -165,10 +167,15 @@ pub fn page(effort: &Effort) -> Result<String> {
             };
             let share = |kind: Kind, is_gone: &dyn Fn(usize, &Sample) -> bool| {
                 let mut share = Share::default();
-                samples.iter().enumerate().filter(|(_, sample)| sample.kind == kind).for_each(|(n, sample)| share.add(is_gone(n, sample)));
+                samples
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, sample)| sample.kind == kind)
+                    .for_each(|(n, sample)| share.add(is_gone(n, sample)));
                 share
             };
-            let [people_points, surfaces] = [Kind::Moving, Kind::Surface].map(|kind| share(kind, &|_, sample| is_gone(sample)));
+            let [people_points, surfaces] =
+                [Kind::Moving, Kind::Surface].map(|kind| share(kind, &|_, sample| is_gone(sample)));
             let peer = dufomap(&scene, folder.path(), &samples)?;
             let peers = [Kind::Moving, Kind::Surface].map(|kind| {
                 peer.as_ref().map_or("–".into(), |dynamic| percent(share(kind, &|n, _| dynamic[n]).value()))
@@ -227,7 +234,17 @@ fn many(effort: &Effort) -> Result<String> {
     let folder = tempfile::tempdir()?;
     let rays = effort.of(MANY, MANY / 100) / scene.stations().len();
     scans(&scene, rays, 2, 1, folder.path(), false)?;
-    let mut table = Table::new(["memory", "round", "plain (s)", "processor time", "peak (MiB)", "removing (s)", "processor time", "peak (MiB)", "share of the speed"]);
+    let mut table = Table::new([
+        "memory",
+        "round",
+        "plain (s)",
+        "processor time",
+        "peak (MiB)",
+        "removing (s)",
+        "processor time",
+        "peak (MiB)",
+        "share of the speed",
+    ]);
     for memory in [512u64 << 20, 128 << 20] {
         for round in 1..=effort.of(2, 1) {
             let moving = Moving { folder: folder.path().into(), remove: false, memory };

@@ -187,7 +187,10 @@ pub fn page(effort: &Effort) -> Result<String> {
             same += usize::from(route.is_some() == *is_connected);
             single.push(seconds);
         }
-        eprintln!("{name}: lost {:?}; a prepared search is at most {longer:.4} times as long", &lost[..lost.len().min(8)]);
+        eprintln!(
+            "{name}: lost {:?}; a prepared search is at most {longer:.4} times as long",
+            &lost[..lost.len().min(8)]
+        );
         table.row([
             name.to_owned(),
             places.len().to_string(),
@@ -199,11 +202,7 @@ pub fn page(effort: &Effort) -> Result<String> {
             times(&mut guided),
             times(&mut plain),
             times(&mut single),
-            format!(
-                "{}, {}",
-                number(preparing * 1e3, 0),
-                number(region.memory_bytes() as f64 / f64::from(1 << 20), 1)
-            ),
+            format!("{}, {}", number(preparing * 1e3, 0), number(region.memory_bytes() as f64 / f64::from(1 << 20), 1)),
         ]);
     }
     Ok(format!("{}\n{}\n", include_str!("routes.head.md"), table.markdown()))

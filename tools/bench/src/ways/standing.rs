@@ -141,7 +141,12 @@ impl Causes {
 
     fn text(self, at: usize) -> String {
         let headroom = if at == 0 { self.headroom } else { 0 };
-        let all = [("noise", self.noise[at]), ("verdict", self.verdict[at]), ("headroom", headroom), ("definition", self.definition[at])];
+        let all = [
+            ("noise", self.noise[at]),
+            ("verdict", self.verdict[at]),
+            ("headroom", headroom),
+            ("definition", self.definition[at]),
+        ];
         let some: Vec<String> =
             all.iter().filter(|cause| cause.1 > 0).map(|(name, count)| format!("{name} {count}")).collect();
         if some.is_empty() { "–".into() } else { some.join(", ") }

@@ -70,7 +70,8 @@ fn walk(store: &Store, starts: &[Point3<f64>], body: Body, steps: usize) -> Resu
 
 /// Steps in each scene, as a table.
 pub fn section(effort: &Effort) -> Result<String> {
-    let mut table = Table::new(["scene", "steps (M)", "way (km)", "stopped at ledges and voids", "deepest drop (m)", "fallen"]);
+    let mut table =
+        Table::new(["scene", "steps (M)", "way (km)", "stopped at ledges and voids", "deepest drop (m)", "fallen"]);
     let cylinder = Body::Cylinder { radius: 0.25, height: 1.8 };
     let mut row = |name: &str, store: &Store, body: Body| -> Result<()> {
         let (_, region) = everywhere(store, Pawn::new(body))?;

@@ -73,9 +73,7 @@ impl<'a> Floors<'a> {
     /// Highest surface within a radius that is climbed onto (m).
     fn highest(&self, [x, y, z]: [f64; 3], radius: f64) -> f64 {
         let t = self.pixel_m;
-        let [low, high] = [-radius, radius].map(|r| {
-            [x, y].map(|v| ((v + r) / t).floor() as i64)
-        });
+        let [low, high] = [-radius, radius].map(|r| [x, y].map(|v| ((v + r) / t).floor() as i64));
         let mut highest = z;
         for j in low[1].max(self.first[1])..=(high[1] + 1).min(self.first[1] + self.size[1] as i64 - 1) {
             for i in low[0].max(self.first[0])..=(high[0] + 1).min(self.first[0] + self.size[0] as i64 - 1) {
