@@ -22,17 +22,18 @@ fn peak_memory_kib(name: &str, pixel: &str, mut point: impl FnMut(usize, &mut Ra
     let points: Vec<[f64; 3]> = (0..POINTS).map(|number| point(number, &mut random)).collect();
     write_as(&folder.path().join("scan.las"), &points, 0.01, [0.0; 3]);
     drop(points);
-    let (peak, temp) = peak_of_file(&folder, name, "scan.las", pixel, POINTS);
+    let (peak, temp) = peak_of_file(&folder, name, "scan.las", pixel, POINTS, &[]);
     assert!(temp <= 12 * POINTS as u64, "{name}: {temp} temporary bytes");
     (peak, temp)
 }
 
 /// Converts `file`, of so many points or triangles, at 64 MiB.
-fn peak_of_file(folder: &TempDir, name: &str, file: &str, pixel: &str, count: usize) -> (u64, u64) {
+fn peak_of_file(folder: &TempDir, name: &str, file: &str, pixel: &str, count: usize, options: &[&str]) -> (u64, u64) {
     let report = folder.path().join("report.json");
     let mut child = command(folder.path())
         .args([file, "-o", "a.slices", "--pixel", pixel, "--memory", "64MiB", "--threads", "2", "--json"])
         .args(["--temp-dir", ".", "--quiet"])
+        .args(options)
         .stdout(fs::File::create(&report).unwrap())
         .spawn()
         .unwrap();
@@ -71,6 +72,22 @@ fn shuffled_points_with_an_outlier_stay_within_the_budget_and_go_to_disk() {
         _ => uniform(random, [400.0, 400.0, 0.3]),
     });
     assert!(temp > 0, "the test shows little");
+}
+
+#[test]
+fn filling_holes_stays_within_the_budget() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = Random(8);
+    // A floor of 9 hectares with a hole of 0.8 m every 2 m.
+    let points: Vec<[f64; 3]> = std::iter::repeat_with(|| uniform(&mut random, [300.0, 300.0, 0.01]))
+        .filter(|p| [p[0], p[1]].iter().any(|v| v.rem_euclid(2.0) > 0.8))
+        .take(POINTS)
+        .collect();
+    write_as(&folder.path().join("scan.las"), &points, 0.001, [0.0; 3]);
+    drop(points);
+    peak_of_file(&folder, "holes", "scan.las", "0.2", POINTS, &["--fill-holes", "1.0"]);
+    let archive = slicewalk::archive::Archive::open(folder.path().join("a.slices")).unwrap();
+    assert!(archive.header().voxels.inferred > 10_000, "nothing was filled");
 }
 
 #[test]
@@ -126,6 +143,6 @@ fn a_mesh_larger_than_the_budget_stays_within_it_and_goes_to_disk() {
         }
     }
     out.into_inner().unwrap();
-    let (_, temp) = peak_of_file(&folder, "mesh", "terrain.ply", "0.25", faces);
+    let (_, temp) = peak_of_file(&folder, "mesh", "terrain.ply", "0.25", faces, &[]);
     assert!(temp > 0, "the test shows little");
 }

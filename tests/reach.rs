@@ -7,6 +7,8 @@ mod flat;
 mod leaks;
 #[path = "reach/oracle.rs"]
 mod oracle;
+#[path = "reach/plans.rs"]
+mod plans;
 #[path = "reach/routes.rs"]
 mod routes;
 #[path = "reach/scenes.rs"]

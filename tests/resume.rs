@@ -34,24 +34,31 @@ struct Place {
     memory: String,
     /// Bytes of a point in the scan.
     point_bytes: u64,
+    options: &'static [&'static str],
     new: Vec<u8>,
 }
 
 impl Place {
+    /// Points anywhere in a room.
     fn new(points: u64) -> Self {
+        Self::with(points, 2_500.0, |_| true, &[])
+    }
+
+    /// Points in a room up to `height` (mm), those that are wanted (m).
+    fn with(points: u64, height: f64, wanted: fn(&[f64; 3]) -> bool, options: &'static [&'static str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scan.las");
         let mut random = Random(9);
         let mut millimetres = |most: f64| (random.uniform() * most).round() / 1000.0;
-        let cloud = (0..points).map(|_| [millimetres(20_000.0), millimetres(20_000.0), millimetres(2_500.0)]);
-        write_las(&path, cloud, &WriteSpec::for_path(&path)).unwrap();
+        let cloud = (0..points).map(|_| [millimetres(20_000.0), millimetres(20_000.0), millimetres(height)]);
+        let points = write_las(&path, cloud.filter(wanted), &WriteSpec::for_path(&path)).unwrap().points;
         let header = fs::File::open(&path).unwrap();
         let mut bytes = [0; 2];
         std::os::unix::fs::FileExt::read_exact_at(&header, &mut bytes, 105).unwrap();
         fs::create_dir(folder.path().join("temp")).unwrap();
         let memory = std::env::var("SLICEWALK_RESUME_MEMORY").unwrap_or_else(|_| "64MiB".into());
         let point_bytes = u64::from(u16::from_le_bytes(bytes));
-        let mut place = Self { folder, points, memory, point_bytes, new: Vec::new() };
+        let mut place = Self { folder, points, memory, point_bytes, options, new: Vec::new() };
         let whole = place.finishes(&[]);
         assert!(whole["temp_bytes"].as_u64().unwrap() > 0, "the scan fits in memory");
         place.new = fs::read(place.path().join("a.slices")).unwrap();
@@ -64,7 +71,7 @@ impl Place {
 
     fn arguments(&self) -> Vec<&str> {
         let fixed = ["scan.las", "-o", "a.slices", "--pixel", "0.05", "--force", "--quiet", "--units", "m", "--json"];
-        [&fixed[..], &["--threads", "2", "--temp-dir", "temp", "--memory", &self.memory]].concat()
+        [&fixed[..], &["--threads", "2", "--temp-dir", "temp", "--memory", &self.memory], self.options].concat()
     }
 
     fn starts(&self, more: &[&str]) -> Child {
@@ -126,7 +133,25 @@ impl Place {
 
 #[test]
 fn killed_at_any_moment_a_conversion_goes_on_and_repeats_little() {
-    let place = Place::new(setting("SLICEWALK_RESUME_POINTS", 6_000_000));
+    kills(&Place::new(setting("SLICEWALK_RESUME_POINTS", 6_000_000)), setting("SLICEWALK_RESUME_KILLS", 4));
+}
+
+/// A floor with holes of 20 and of 50 cm.
+#[test]
+fn killed_at_any_moment_a_conversion_that_fills_holes_goes_on() {
+    let wanted = |p: &[f64; 3]| {
+        let gap = [p[0], p[1]].map(|v| (v.rem_euclid(2.0) - 1.0).abs());
+        let half = if p[0].rem_euclid(4.0) < 2.0 { 0.1 } else { 0.25 };
+        gap[0] > half || gap[1] > half
+    };
+    let place = Place::with(6_000_000, 4.0, wanted, &["--fill-holes", "0.3"]);
+    kills(&place, 2);
+    let archive = slicewalk::archive::Archive::open(place.path().join("a.slices")).unwrap();
+    assert!(archive.header().voxels.inferred > 100, "nothing was filled");
+}
+
+/// Kills conversions at random moments and resumes them.
+fn kills(place: &Place, kills: u64) {
     // The journal of a whole run, to know where its moments are.
     let mut child = place.starts(&[]);
     let mut longest = 0;
@@ -136,7 +161,7 @@ fn killed_at_any_moment_a_conversion_goes_on_and_repeats_little() {
     }
     let mut random = Random(setting("SLICEWALK_RESUME_SEED", 3));
     let (mut killed, mut most_points, mut most_bytes) = (0, 0, 0);
-    for number in 0..setting("SLICEWALK_RESUME_KILLS", 4) {
+    for number in 0..kills {
         // Every other time, the run that resumes is killed, too.
         let mut read = 0;
         for run in 0..=number % 2 {

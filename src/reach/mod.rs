@@ -6,8 +6,12 @@
 //!
 //! ```text
 //! spans → StandingPlaces (intervals that block the pawn, per pixel) → Region (flood, clearance) ┬→ storeys, passages, leaks
-//!                                                                                        └→ Search → Route
+//!                                                                                        └→ Search → Route → Along
 //! ```
+//!
+//! [`Planner`] is a route as a task: it goes on a bounded number of steps at a time, names the pages that it needs, and never reads. For
+//! long distances, plan on a coarse [level](crate::archive::Level) of the archive with the pawn [as it is there](Pawn::on_level), and let
+//! [`Along`] find the exact way along that one, piece by piece.
 //!
 //! # What counts as standing
 //!
@@ -32,19 +36,23 @@
 //! [`Region`] holds 33 bytes for each place that it reaches; [`Search`] another 12. Pages are needed only while their tile is
 //! computed.
 
+mod along;
 mod distance;
 mod intervals;
 mod leaks;
 mod passages;
 mod pawn;
+mod planner;
 mod region;
 mod route;
 mod standing;
 mod storeys;
 
+pub use along::Along;
 pub use leaks::{Leak, LeakKind};
 pub use passages::Passage;
 pub use pawn::Pawn;
+pub use planner::{Planned, Planner};
 pub use region::{Flood, Place, Region};
 pub use route::{Refusal, Route, Search};
 pub use standing::{Spot, StandingPlaces};

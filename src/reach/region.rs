@@ -2,6 +2,7 @@
 
 use super::distance::nearest_ends;
 use super::pawn::{Grid, Pawn};
+use super::route::LANDMARKS;
 use super::standing::{Kind, Spot, StandingPlaces, Step};
 use super::{Needs, answer};
 use crate::frame::PageKey;
@@ -51,16 +52,18 @@ pub struct Flood {
     reached: Vec<Vec<u64>>,
     /// Places reached whose neighbours have not been looked at.
     open: Vec<([i32; 2], usize)>,
-    /// Of these, those outside of the ellipse.
+    /// Of these, those outside of the ellipse or the corridor.
     parked: Vec<([i32; 2], usize)>,
     /// Two places and the length of the ways between them within which the flood stays (m).
     ellipse: Option<([Point2<f64>; 2], f64)>,
+    /// A line and the distance from it within which the flood stays (m).
+    corridor: Option<(Vec<Point2<f64>>, f64)>,
 }
 
 impl Flood {
     /// A flood from a standing place.
     pub fn from(start: Spot) -> Self {
-        Self { reached: Vec::new(), open: vec![(start.pixel, start.place)], parked: Vec::new(), ellipse: None }
+        Self::of(vec![(start.pixel, start.place)])
     }
 
     /// A flood from all standing places of the set at once: what routes between any two of them need. Load what is missing, and
@@ -81,17 +84,31 @@ impl Flood {
                 open.extend(blocks.filter(|block| block.1.kind == Kind::Standing).map(|block| (pixel, block.0)));
             }
         }
-        ControlFlow::Continue(Self { reached: Vec::new(), open, parked: Vec::new(), ellipse: None })
+        ControlFlow::Continue(Self::of(open))
+    }
+
+    fn of(open: Vec<([i32; 2], usize)>) -> Self {
+        Self { reached: Vec::new(), open, parked: Vec::new(), ellipse: None, corridor: None }
     }
 
     /// Stays where ways from one of `ends` to the other are no longer than `length` (m), to the width of a tile. A greater
     /// length later goes on from there.
     pub fn within(&mut self, ends: [Point2<f64>; 2], length: f64) {
-        self.ellipse = Some((ends, length));
-        self.open.append(&mut self.parked);
+        if self.ellipse != Some((ends, length)) {
+            self.ellipse = Some((ends, length));
+            self.open.append(&mut self.parked);
+        }
     }
 
-    /// Whether there is nothing left outside of the ellipse.
+    /// Stays within `distance` (m) of a line of these points. Another line or a greater distance later goes on from there.
+    pub fn along(&mut self, line: &[Point2<f64>], distance: f64) {
+        if self.corridor.as_ref().is_none_or(|corridor| corridor.0 != line || corridor.1 != distance) {
+            self.corridor = Some((line.to_vec(), distance));
+            self.open.append(&mut self.parked);
+        }
+    }
+
+    /// Whether there is nothing left outside of the ellipse or the corridor.
     pub fn is_whole(&self) -> bool {
         self.parked.is_empty() && self.open.is_empty()
     }
@@ -104,10 +121,25 @@ impl Flood {
         set: &S,
         monitor: &dyn Monitor,
     ) -> Result<Answer<()>> {
-        let mut steps = 0;
-        while let Some(place) = self.open.pop() {
-            steps += 1;
-            if usize::is_multiple_of(steps, BETWEEN_LOOKS) {
+        Ok(match self.grow_some(standing, set, usize::MAX, monitor)? {
+            Answer::Known(_) => Answer::Known(()),
+            Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
+        })
+    }
+
+    /// The same for at most `steps` places; whether all is reached.
+    pub fn grow_some<S: PageSet>(
+        &mut self,
+        standing: &mut StandingPlaces,
+        set: &S,
+        steps: usize,
+        monitor: &dyn Monitor,
+    ) -> Result<Answer<bool>> {
+        let mut taken = 0;
+        while taken < steps {
+            let Some(place) = self.open.pop() else { break };
+            taken += 1;
+            if usize::is_multiple_of(taken, BETWEEN_LOOKS) {
                 if monitor.cancelled() {
                     return Err(Error::Interrupted);
                 }
@@ -118,7 +150,7 @@ impl Flood {
                 return stop.answer();
             }
         }
-        Ok(Answer::Known(()))
+        Ok(Answer::Known(self.open.is_empty()))
     }
 
     fn spread<S: PageSet>(
@@ -150,6 +182,19 @@ impl Flood {
     }
 
     fn is_near(&self, grid: &Grid, pixel: [i32; 2]) -> bool {
+        if let Some((line, distance)) = &self.corridor {
+            let at = Point2::new(grid.middle(pixel[0], 0), grid.middle(pixel[1], 1));
+            let is_beside = |ends: &[Point2<f64>]| {
+                let along = ends[1] - ends[0];
+                let share = ((at - ends[0]).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
+                // A line of one place has no direction.
+                let share = if share.is_finite() { share } else { 0.0 };
+                (at - (ends[0] + along * share)).norm_squared() <= distance * distance
+            };
+            if !line.windows(2).any(is_beside) {
+                return false;
+            }
+        }
         let Some((ends, length)) = self.ellipse else { return true };
         let corner = pixel.map(|pixel| pixel & !63);
         let gap = |end: &Point2<f64>| {
@@ -195,6 +240,7 @@ impl Flood {
             standing: Vec::new(),
             links: Vec::new(),
             clearances: Vec::new(),
+            landmarks: Vec::new(),
             lowest_headroom: None,
             highest_step: None,
         };
@@ -295,6 +341,8 @@ pub struct Region {
     pub(super) standing: Vec<bool>,
     pub(super) links: Vec<[u32; 4]>,
     pub(super) clearances: Vec<f32>,
+    /// What ways from some far places cost; empty unless prepared.
+    pub(super) landmarks: Vec<[u32; LANDMARKS]>,
     lowest_headroom: Option<(i32, u32)>,
     highest_step: Option<(i32, u32)>,
 }
@@ -386,8 +434,9 @@ impl Region {
 
     /// Bytes of memory that the region takes.
     pub fn memory_bytes(&self) -> usize {
-        self.len()
-            * (size_of::<[i32; 2]>() + size_of::<i32>() + size_of::<bool>() + size_of::<[u32; 4]>() + size_of::<f32>())
+        let place =
+            size_of::<[i32; 2]>() + size_of::<i32>() + size_of::<bool>() + size_of::<[u32; 4]>() + size_of::<f32>();
+        self.len() * place + size_of_val(&self.landmarks[..])
     }
 
     /// Tiles that hold a place, as keys of the pages in their lowest layer.

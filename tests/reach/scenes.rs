@@ -7,7 +7,7 @@ use nalgebra::{Point2, Point3};
 use scangen::{Params, Scene};
 use slicewalk::reach::{Pawn, Search};
 use slicewalk::store::Store;
-use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
+use slicewalk::walk::{Body, Config, State, Walker, Waypoints, Wish};
 
 fn named(name: &str, params: &[(&str, f64)]) -> Store {
     let params = params.iter().fold(Params::new(), |params, (name, value)| params.with(name, *value));
@@ -140,4 +140,39 @@ fn the_walker_arrives_along_routes_through_a_house_of_three_storeys() {
         looked_at.sort_unstable();
         eprintln!("{body:?}: median {} places looked at, {} lost", looked_at[pairs / 2], lost.len());
     }
+}
+
+#[test]
+fn who_keeps_from_drops_falls_out_of_no_scene() {
+    const MAX_DROP: f64 = 0.35;
+    let mut stops = 0;
+    for (name, params) in
+        [("stairs", &[("risers", 6.0)][..]), ("tower", &[("storeys", 3.0)]), ("plane", &[("size", 5.0)])]
+    {
+        let store = named(name, params);
+        for body in [Body::Box { x: 0.5, y: 0.5, height: 1.8 }, Body::Cylinder { radius: 0.25, height: 1.8 }] {
+            let (_, region) = everywhere(&store, Pawn::new(body));
+            let starts: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();
+            let config = Config { tick_s: 1.0 / 60.0, max_drop: Some(MAX_DROP), speed: 3.0, ..Config::new(body) };
+            let mut random = Random(11);
+            for _ in 0..8 {
+                let start = starts[random.below(starts.len() as u32) as usize];
+                let mut walker = Walker::new(config, start).unwrap();
+                let (mut ground, mut heading) = (start.z, 0.0f64);
+                for step in 0..2500 {
+                    if step % 40 == 0 {
+                        heading = f64::from(random.below(6283)) / 1000.0;
+                    }
+                    let wish = Wish::Direction([heading.cos(), heading.sin()].into());
+                    stops += usize::from(walker.step(&store, 1.0 / 60.0, wish).stop.is_some());
+                    let feet = walker.feet();
+                    assert!(ground - feet.z <= MAX_DROP + 0.005, "{name}, {body:?}: from {ground} m to {feet}");
+                    if walker.state() != State::Falling {
+                        ground = feet.z;
+                    }
+                }
+            }
+        }
+    }
+    assert!(stops > 1000, "{stops}");
 }

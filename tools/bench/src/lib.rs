@@ -26,5 +26,7 @@ pub mod thesis;
 pub mod voxels;
 pub mod walks;
 mod watch;
+#[cfg(feature = "peers")]
+pub mod ways;
 
 pub use random::Random;

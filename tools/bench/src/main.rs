@@ -23,6 +23,8 @@ enum Command {
     Size(Common),
     /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
     Walks(Common),
+    /// Where pawns can walk: standing places, routes, leaks, and walking people removed
+    Ways(bench::ways::Options),
     /// Speed beside accuracy: every method in every scene at six pixel sizes
     Chart(bench::chart::Options),
     /// The same questions to ours and to its peers, about a real scan, with the wrong answers
@@ -40,6 +42,9 @@ enum Command {
     /// One conversion, measured in a process of its own
     #[command(hide = true)]
     Measured(bench::measured::Conversion),
+    /// One conversion without what moved, in a process of its own
+    #[command(hide = true)]
+    Moving(bench::ways::Moving),
 }
 
 #[derive(Debug, clap::Args)]
@@ -106,11 +111,13 @@ fn run(command: Command) -> bench::stability::Result<()> {
         Command::Peers(common) => bench::peers::run(&common.out(), common.quick),
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
+        Command::Ways(options) => bench::ways::run(&options),
         Command::Thesis(common) => bench::thesis::run(&common.out(), common.quick),
         Command::Draw(draw) => bench::chart::draw::run(&draw.out),
         Command::Scale(scale) => scale.run(),
         Command::Inputs(inputs) => inputs.run(),
         Command::Measured(conversion) => conversion.run(),
+        Command::Moving(conversion) => conversion.run(),
     }
 }
 

@@ -74,6 +74,16 @@ impl Loader {
         Ok(Self { stream, archive: archive.to_path_buf() })
     }
 
+    /// Of an overview level of the same archive.
+    pub fn level(&self, number: u32, walks: &Walks) -> Result<Self, Failure> {
+        let broken = |error| crate::broken(&self.archive, &error);
+        let budget = usize::try_from(walks.cache).unwrap_or(usize::MAX);
+        let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
+        let level = self.archive().level(number).map_err(broken)?;
+        let stream = Stream::open(level, options).map_err(broken)?;
+        Ok(Self { stream, archive: self.archive.clone() })
+    }
+
     /// The pages in memory now.
     pub fn view(&self) -> View {
         self.stream.view()

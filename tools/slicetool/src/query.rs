@@ -30,6 +30,9 @@ pub struct Arguments {
     rays: Option<PathBuf>,
     #[command(flatten)]
     inferred: crate::Inferred,
+    /// Add a column `inferred`: 1 where inferred floor, by which holes of the scan were closed, makes the answer another one
+    #[arg(long, conflicts_with = "ignore_inferred")]
+    show_inferred: bool,
     /// Memory for pages
     #[arg(long, default_value = "1GiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -45,31 +48,49 @@ const LONGEST_LINE: u64 = 1 << 20;
 /// Answers row by row; rows before a faulty one are answered.
 pub fn run(arguments: &Arguments) -> Outcome {
     let archive = arguments.inferred.open(&arguments.archive)?;
-    let cache = usize::try_from(arguments.cache).unwrap_or(usize::MAX);
-    let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(cache) };
-    let stream = Stream::open(archive, options).map_err(|error| crate::broken(&arguments.archive, &error))?;
+    // Two sets of pages share the memory.
+    let sets = 1 + u64::from(arguments.show_inferred);
+    let cache = usize::try_from(arguments.cache / sets).unwrap_or(usize::MAX);
+    let open = |archive| {
+        let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(cache) };
+        Stream::open(archive, options).map_err(|error| crate::broken(&arguments.archive, &error))
+    };
+    let scanned =
+        if arguments.show_inferred { Some(open(crate::open(&arguments.archive)?.ignoring_inferred())?) } else { None };
+    let stream = open(archive)?;
+    let more = if arguments.show_inferred { ",inferred" } else { "" };
+    let inferred = |text: &mut String, differs: &dyn Fn(&Stream) -> Result<bool, Failure>| -> Result<(), Failure> {
+        if let Some(scanned) = &scanned {
+            write!(text, ",{}", u8::from(differs(scanned)?))?;
+        }
+        Ok(())
+    };
     match (&arguments.boxes, &arguments.rays) {
-        (Some(path), _) => answer(path, BOX_COLUMNS, "hit,obstacle,floor_z", |values, text| {
+        (Some(path), _) => answer(path, BOX_COLUMNS, &format!("hit,obstacle,floor_z{more}"), |values, text| {
             let [x0, y0, z0, x1, y1, z1] = values;
             let shape = Aabb::new([x0, y0, z0].into(), [x1, y1, z1].into())?;
-            let found = complete(&stream, arguments, [shape.min(), shape.max()], |view| probe(view, &shape))?;
+            let ask =
+                |stream: &Stream| complete(stream, arguments, [shape.min(), shape.max()], |view| probe(view, &shape));
+            let found = ask(&stream)?;
             write!(text, "{},{},", u8::from(found.hit), u8::from(found.obstacle))?;
             found.floor_z.map_or(Ok(()), |z| write!(text, "{z}"))?;
-            Ok(())
+            inferred(text, &|scanned| Ok(ask(scanned)? != found))
         }),
-        (None, Some(path)) => answer(path, RAY_COLUMNS, "hit,distance,nx,ny,nz", |values, text| {
+        (None, Some(path)) => answer(path, RAY_COLUMNS, &format!("hit,distance,nx,ny,nz{more}"), |values, text| {
             let [x, y, z, dx, dy, dz, max] = values;
             let ray = Ray::new([x, y, z].into(), [dx, dy, dz].into(), max)?;
             let end = ray.at(ray.max().min(FARTHEST_M));
             let region = [ray.origin().inf(&end), ray.origin().sup(&end)];
-            match complete(&stream, arguments, region, |view| cast(view, &ray))? {
+            let ask = |stream: &Stream| complete(stream, arguments, region, |view| cast(view, &ray));
+            let found = ask(&stream)?;
+            match &found {
                 Some(hit) => {
                     let normal = hit.normal;
                     write!(text, "1,{},{},{},{}", hit.distance, normal.x, normal.y, normal.z)?;
                 }
                 None => text.push_str("0,,,,"),
             }
-            Ok(())
+            inferred(text, &|scanned| Ok(ask(scanned)? != found))
         }),
         (None, None) => Err(Failure::Text("give --boxes or --rays".into())),
     }

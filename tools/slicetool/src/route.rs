@@ -4,10 +4,19 @@ use crate::ground::{Loader, Walks};
 use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, Refusal, Route, Search, Spot, StandingPlaces};
+use slicewalk::query::Answer;
+use slicewalk::reach::{Along, Planned, Planner, Refusal, Route};
+use slicewalk::store::View;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::time::Instant;
+
+/// Ways between places farther apart are planned on overview levels first (m).
+const FAR_M: f64 = 150.0;
+/// Largest pixels of a level on which ways are planned (m).
+const COARSEST_M: f64 = 4.0;
+/// From a coarse way to the edge of the corridor about it (pixels of its level).
+const BESIDE: f64 = 3.0;
 
 /// From where to where, and who.
 #[derive(clap::Args)]
@@ -22,6 +31,9 @@ pub struct Arguments {
     to: Point3<f64>,
     #[command(flatten)]
     walks: Walks,
+    /// Answer from the overview levels alone (`sliceconv --levels on`): at once, over any distance, and only about right
+    #[arg(long)]
+    coarse: bool,
     /// File to write: x,y,z of the places to reach one after the other; `walk --waypoints` takes it. `-` is standard output
     #[arg(short, long, value_name = "ROUTE.csv")]
     output: Option<PathBuf>,
@@ -36,7 +48,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let started = Instant::now();
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
-    let found = find(arguments, &loader)?;
+    let mut bytes = 0;
+    let (found, level) = if arguments.coarse {
+        on_levels(arguments, &loader, &mut bytes)?
+    } else {
+        (find(arguments, &loader, &mut bytes)?, None)
+    };
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
     for point in found.iter().flat_map(|route| &route.points) {
@@ -51,36 +68,107 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "found": found.is_ok(),
             "length_m": found.as_ref().ok().map(|route| route.length_m),
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
+            "level": level,
+            "memory_bytes": bytes.max(loader.memory_bytes()),
             "seconds": seconds,
         });
         return Ok(format!("{summary:#}\n"));
     }
     match &found {
-        Ok(route) => crate::say(&format!("{:.2} m over {} places", route.length_m, route.points.len())),
+        Ok(route) => {
+            let about = level.map_or(String::new(), |level| format!("about, on overview level {level}: "));
+            crate::say(&format!("{about}{:.2} m over {} places", route.length_m, route.points.len()));
+        }
         Err(refusal) => crate::say(&format!("no route: {}", refusal.name())),
     }
     Ok(if arguments.output.is_some() { String::new() } else { rows })
 }
 
-fn find(arguments: &Arguments, loader: &Loader) -> Result<Result<Route, Refusal>, Failure> {
-    let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
-    let mut spot = |at: Point3<f64>| -> Result<Option<Spot>, Failure> { loader.known(|view| standing.spot(view, at)) };
-    let Some(from) = spot(arguments.from)? else { return Ok(Err(Refusal::NotStandingFrom)) };
-    let Some(to) = spot(arguments.to)? else { return Ok(Err(Refusal::NotStandingTo)) };
-    let mut flood = Flood::from(from);
-    let mut search = Search::new();
-    let ends = [arguments.from.xy(), arguments.to.xy()];
-    // What a way of this length can touch; a shorter way lies in it whole.
-    let mut length = 1.5 * (ends[1] - ends[0]).norm() + 10.0;
+/// A route, or why there is none.
+type Found = Result<Route, Refusal>;
+
+/// The way in the archive itself: near the straight line first, and farther if it leads farther; long ways along a coarse one.
+fn find(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Found, Failure> {
+    let (pawn, ends) = (arguments.walks.pawn(), [arguments.from, arguments.to]);
+    if (ends[1] - ends[0]).xy().norm() > FAR_M
+        && let Some((number, guide)) = coarse(arguments, loader, bytes)?
+        && let Some(route) = refined(arguments, loader, number, guide, bytes)?
+    {
+        return Ok(Ok(route));
+    }
+    let mut planner = Planner::new(&loader.view(), pawn, ends[0], ends[1])?;
+    let found = loader.known(|view| planned(&mut planner, view))?;
+    *bytes = (*bytes).max(loader.memory_bytes() + planner.peak_bytes());
+    Ok(found)
+}
+
+fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found>> {
     loop {
-        flood.within(ends, length);
-        loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
-        let region = flood.region(&standing);
-        match search.route(&region, &from, &to, &NoMonitor)? {
-            Some(route) if route.length_m <= length || flood.is_whole() => return Ok(Ok(route)),
-            Some(route) => length = route.length_m,
-            None if flood.is_whole() => return Ok(Err(Refusal::NotConnected)),
-            None => length *= 2.0,
+        match planner.go_on(view, usize::MAX, &NoMonitor)? {
+            Planned::Done(found) => return Ok(Answer::Known(found)),
+            Planned::NotLoaded(missing) => return Ok(Answer::NotLoaded(missing)),
+            _ => {}
         }
     }
+}
+
+/// The way on levels alone, with the level that it was found on.
+fn on_levels(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<(Found, Option<u32>), Failure> {
+    if loader.archive().levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
+        let archive = arguments.archive.display();
+        let text = format!("{archive}: it has no overview levels; convert with --levels on, or leave out --coarse");
+        return Err(Failure::Text(text));
+    }
+    Ok(match coarse(arguments, loader, bytes)? {
+        Some((number, route)) => (Ok(route), Some(number)),
+        None => (Err(Refusal::NotConnected), None),
+    })
+}
+
+/// The way on the coarsest level that has one, and the level's number; `None` where there are no levels, or no way on them.
+fn coarse(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Option<(u32, Route)>, Failure> {
+    let broken = |error| crate::broken(&arguments.archive, &error);
+    for level in loader.archive().levels().map_err(broken)?.iter().rev() {
+        // A body is a few pixels wide at least where doors matter; a whole level of one page says nothing of ways.
+        if level.frame().pixel_m() > COARSEST_M {
+            continue;
+        }
+        let on_level = loader.level(level.number(), &arguments.walks)?;
+        let pawn = arguments.walks.pawn().on_level(level.frame());
+        let mut planner = Planner::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
+        let found = on_level.known(|view| planned(&mut planner, view))?;
+        *bytes = (*bytes).max(on_level.memory_bytes() + planner.peak_bytes());
+        if let Ok(route) = found {
+            return Ok(Some((level.number(), route)));
+        }
+    }
+    Ok(None)
+}
+
+/// The exact way along a coarse one on level `number`, level by level; `None` where no corridor connects.
+fn refined(
+    arguments: &Arguments,
+    loader: &Loader,
+    number: u32,
+    guide: Route,
+    bytes: &mut usize,
+) -> Result<Option<Route>, Failure> {
+    let pawn = arguments.walks.pawn();
+    let fine = *loader.archive().frame();
+    let pixel = |number: u32| fine.pixel_m() * f64::from(4u32.pow(number));
+    let (mut guide, mut of) = (guide, number);
+    for number in (1..number).rev() {
+        let on_level = loader.level(number, &arguments.walks)?;
+        let pawn = pawn.on_level(on_level.archive().frame());
+        let mut along = Along::new(pawn, arguments.from, arguments.to, &guide, BESIDE * pixel(of));
+        let found = on_level.known(|view| along.go_on(view, &NoMonitor))?;
+        *bytes = (*bytes).max(on_level.memory_bytes() + along.peak_bytes());
+        if let Ok(route) = found {
+            (guide, of) = (route, number);
+        }
+    }
+    let mut along = Along::new(pawn, arguments.from, arguments.to, &guide, BESIDE * pixel(of));
+    let found = loader.known(|view| along.go_on(view, &NoMonitor))?;
+    *bytes = (*bytes).max(loader.memory_bytes() + along.peak_bytes());
+    Ok(found.ok())
 }

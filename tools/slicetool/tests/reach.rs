@@ -69,6 +69,24 @@ fn reach_reports_area_passages_and_leaks() {
     let door = passages.iter().find(|passage| (number(&passage["x"]) - 4.0).abs() < 0.11);
     assert!(door.is_some_and(|door| (number(&door["width"]) - 0.9).abs() < 0.11), "{found}");
     assert!(number(&found["memory_bytes"]) > 0.0 && number(&found["seconds"]) >= 0.0);
+    assert!(found["way_m"].is_null());
+    let there =
+        done(at, &["reach", "a.slices", "--from", "1,1,1.1", "--to", "7.3,3.3,1.1", "-o", "way.geojson", "--json"]);
+    let way = number(&json(&there)["way_m"]);
+    assert!((6.6..8.0).contains(&way), "{way}");
+    let collection = json(&fs::read_to_string(at.join("way.geojson")).unwrap());
+    let line =
+        collection["features"].as_array().unwrap().iter().find(|feature| feature["geometry"]["type"] == "LineString");
+    assert!(line.is_some_and(|line| line["properties"]["length_m"] == way), "{collection}");
+    let dark = |name: &str, more: &[&str]| {
+        done(at, &[&["reach", "a.slices", "--from", "1,1,1.1", "-o", name], more].concat());
+        let bytes = fs::read(at.join(name)).unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
+        let mut image = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut image).unwrap();
+        image.chunks_exact(3).filter(|pixel| *pixel == [30; 3]).count()
+    };
+    assert!(dark("way.png", &["--to", "7.3,3.3,1.1"]) > dark("plain.png", &[]) + 1000);
     // Who is wider than the door stays, and sees no hole.
     let wide = ["reach", "a.slices", "--from", "1,1,1.1", "--json", "--pawn", "cylinder:0.5x1.8"];
     let found = json(&done(at, &wide));
@@ -152,6 +170,76 @@ fn a_route_is_written_as_waypoints_and_walked() {
     // In the first riser, too near to the wall of the next step for the body.
     let refused = json(&done(at, &["route", "a.slices", "--from", "-1,0,0", "--to", "2.4,0,-3", "--json"]));
     assert_eq!(refused["reason"], "not_standing_to");
+}
+
+/// A hall of 190 × 20 m, with overview levels, or without.
+fn long_hall(levels: bool) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let params = [("length", 190.0), ("width", 20.0), ("door", 20.0), ("beam", 5.0)];
+    let params = params.iter().fold(Params::new(), |params, (name, value)| params.with(name, *value));
+    let scene = Scene::named("corridor", &params).unwrap();
+    let scan = folder.path().join("hall.las");
+    let spec = SampleSpec { mode: Mode::Direct(Order::Grid), ..SampleSpec::direct_density(64.0) };
+    write_samples(&scan, scene.samples(5, &spec).unwrap(), &WriteSpec::for_path(&scan)).unwrap();
+    let mut options = ConvertOptions::new(vec![scan], folder.path().join("a.slices"));
+    (options.pixel, options.threads, options.levels) = (PixelSize::Metres(0.2), 1, levels);
+    convert(&options, &NoMonitor).unwrap();
+    folder
+}
+
+#[test]
+fn a_long_route_is_planned_on_levels_first_and_a_coarse_one_says_that_it_is() {
+    let base = ["route", "a.slices", "--from", "2,3,0.1", "--to", "187,-6,0.1", "--json"];
+    let straight = f64::hypot(185.0, 9.0);
+    let folder = long_hall(true);
+    let at = folder.path();
+    let found = json(&done(at, &[&base[..], &["--coarse"]].concat()));
+    assert!(found["found"] == true && found["level"].as_u64().is_some_and(|level| level >= 1), "{found}");
+    let length = |found: &serde_json::Value| found["length_m"].as_f64().unwrap_or_else(|| panic!("{found}"));
+    assert!((straight..1.1 * straight).contains(&length(&found)), "{found}");
+    let found = json(&done(at, &[&base[..], &["-o", "route.csv"]].concat()));
+    assert!(found["found"] == true && found["level"].is_null(), "{found}");
+    assert!((straight - 0.3..1.05 * straight).contains(&length(&found)), "{found}");
+    let walk = ["walk", "a.slices", "--start", "2,3,0.1", "--waypoints", "route.csv", "-o", "path.csv", "--json"];
+    assert_eq!(json(&done(at, &walk))["state"], "arrived");
+    let folder = long_hall(false);
+    let at = folder.path();
+    let found = json(&done(at, &base));
+    assert!((straight - 0.3..1.05 * straight).contains(&length(&found)), "{found}");
+    let out = slicetool(at, &[&base[..], &["--coarse"]].concat());
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.code() == Some(1) && said.contains("--levels on") && said.lines().count() == 1, "{said}");
+}
+
+#[test]
+fn answers_that_rest_on_inferred_floor_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let middle = |n: i32| f64::from(n) * 0.05 + 0.025;
+    let floor = (0..80).flat_map(|i| (0..80).map(move |j| [middle(i), middle(j), 1.0]));
+    let floor = floor.filter(|[x, y, _]| !((1.8..2.2).contains(x) && (1.8..2.2).contains(y)));
+    let scan = at.join("scan.las");
+    write_las(&scan, floor, &WriteSpec::for_path(&scan)).unwrap();
+    let mut options = ConvertOptions::new(vec![scan], at.join("a.slices"));
+    (options.pixel, options.threads, options.fill_holes_m) = (PixelSize::Metres(0.1), 1, Some(0.6));
+    convert(&options, &NoMonitor).unwrap();
+    let answers = |table: &str, rows: &str, more: &[&str]| -> Vec<Vec<String>> {
+        fs::write(at.join("q.csv"), rows).unwrap();
+        let said = done(at, &[&["query", "a.slices", table, "q.csv"], more].concat());
+        said.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect()
+    };
+    let boxes =
+        "xmin,ymin,zmin,xmax,ymax,zmax\n0.5,0.5,0.9,0.9,0.9,1.1\n1.9,1.9,0.9,2.1,2.1,1.1\n1.9,1.9,1.5,2.1,2.1,2.0\n";
+    let found = answers("--boxes", boxes, &["--show-inferred"]);
+    let last = |rows: &[Vec<String>]| -> Vec<String> { rows.iter().map(|row| row[row.len() - 1].clone()).collect() };
+    assert_eq!(last(&found), ["inferred", "0", "1", "0"]);
+    let hits = |rows: &[Vec<String>]| -> Vec<String> { rows[1..].iter().map(|row| row[6].clone()).collect() };
+    assert_eq!(hits(&found), ["1", "1", "0"]);
+    assert_eq!(hits(&answers("--boxes", boxes, &["--ignore-inferred"])), ["1", "0", "0"]);
+    let rays = "x,y,z,dx,dy,dz,max\n0.7,0.7,2,0,0,-1,5\n2,2,2,0,0,-1,5\n";
+    assert_eq!(last(&answers("--rays", rays, &["--show-inferred"])), ["inferred", "0", "1"]);
+    let wrong = ["query", "a.slices", "--boxes", "q.csv", "--show-inferred", "--ignore-inferred"];
+    assert_eq!(slicetool(at, &wrong).status.code(), Some(2));
 }
 
 #[test]

@@ -65,6 +65,11 @@ pub fn of_mesh(mesh: &TriMesh, origin: Vector3<f64>) -> Vec<Triangle> {
 impl Navmesh {
     /// Makes one with cells of `cell_m` (m). Triangles may wind either way: each counts as seen from above.
     pub fn build(triangles: &[Triangle], cell_m: f64) -> Result<Self> {
+        Self::build_for(RADIUS, triangles, cell_m)
+    }
+
+    /// The same for an agent of another radius (m).
+    pub fn build_for(radius: f64, triangles: &[Triangle], cell_m: f64) -> Result<Self> {
         let mut corners = triangles.iter().flatten();
         let first = *corners.next().ok_or("no triangles")?;
         let (low, high) = corners.fold((first, first), |(low, high), p| (low.inf(p), high.sup(p)));
@@ -74,7 +79,7 @@ impl Navmesh {
             return Err(format!("{cells}; 40 million are the most here, and Recast counts to 65,535 a side").into());
         }
         let start = Instant::now();
-        let (heightfield, polygons, detail) = make(triangles, low, cell_m)?;
+        let (heightfield, polygons, detail) = make(triangles, low, cell_m, radius)?;
         let build_s = start.elapsed().as_secs_f64();
         let floor = floor(&detail, low);
         let mut index: HashMap<[i64; 2], Vec<u32>> = HashMap::new();
@@ -101,7 +106,12 @@ fn cell(value: f64) -> i64 {
 }
 
 /// The stages of Recast; gives the bytes of the compact heightfield, which is as large as it gets.
-fn make(triangles: &[Triangle], low: Point3<f64>, cell_m: f64) -> Result<(u64, PolygonNavmesh, DetailNavmesh)> {
+fn make(
+    triangles: &[Triangle],
+    low: Point3<f64>,
+    cell_m: f64,
+    radius: f64,
+) -> Result<(u64, PolygonNavmesh, DetailNavmesh)> {
     let mut mesh = rerecast::TriMesh::default();
     for corners in triangles {
         let mut corners = corners.map(|p| turned(p - low));
@@ -115,10 +125,10 @@ fn make(triangles: &[Triangle], low: Point3<f64>, cell_m: f64) -> Result<(u64, P
     }
     let aabb = mesh.compute_aabb().ok_or("no triangles")?;
     let settings = ConfigBuilder {
-        cell_size_fraction: (RADIUS / cell_m) as f32,
-        cell_height_fraction: (RADIUS / (cell_m / 2.0).max(LEAST_CELL_HEIGHT_M)) as f32,
+        cell_size_fraction: (radius / cell_m) as f32,
+        cell_height_fraction: (radius / (cell_m / 2.0).max(LEAST_CELL_HEIGHT_M)) as f32,
         agent_height: HEIGHT as f32,
-        agent_radius: RADIUS as f32,
+        agent_radius: radius as f32,
         walkable_climb: CLIMB as f32,
         walkable_slope_angle: SLOPE_DEG.to_radians() as f32,
         aabb,

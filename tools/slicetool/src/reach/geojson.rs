@@ -29,6 +29,11 @@ pub fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failur
     for passage in &reach.passages {
         features.push(feature(point(passage.at), json!({ "what": "passage", "width": passage.width })));
     }
+    if let Some(way) = &reach.way {
+        let line = way.points.iter().map(|at| json!([at.x, at.y, at.z])).collect::<Vec<_>>();
+        let properties = json!({ "what": "way", "length_m": way.length_m });
+        features.push(feature(json!({ "type": "LineString", "coordinates": line }), properties));
+    }
     for leak in &reach.leaks {
         let properties = json!({ "what": "leak", "kind": leak.kind.name(), "width": leak.width, "drop": leak.drop });
         features.push(feature(point(leak.at), properties));

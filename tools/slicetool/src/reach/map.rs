@@ -1,7 +1,7 @@
 //! The map of a region: a panel for each storey, the highest on top, north up.
 //!
 //! Standing places are coloured by height, from blue (the lowest of the region) over green to yellow (the highest); matter at
-//! the height of the body is grey. Red dots are leaks, orange ones passages. Each panel names its height, the bar at the bottom its
+//! the height of the body is grey. Red dots are leaks, orange ones passages, a black line is the way that was asked for. Each panel names its height, the bar at the bottom its
 //! length.
 
 use super::Reach;
@@ -60,6 +60,14 @@ pub fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failur
     let dots = reach.passages.iter().map(|passage| (passage.at, PASSAGE));
     for (at, colour) in dots.chain(reach.leaks.iter().map(|leak| (leak.at, LEAK))) {
         map.dot(storey_of(at), [frame.pixel_of(at.x), frame.pixel_of(at.y)], colour);
+    }
+    let ways = reach.way.iter().flat_map(|way| way.points.windows(2));
+    for pair in ways {
+        let steps = ((pair[1] - pair[0]).xy().norm() / frame.pixel_m() * 8.0).ceil().max(1.0);
+        for n in 0..=steps as usize {
+            let at = pair[0] + (pair[1] - pair[0]) * (n as f64 / steps);
+            map.pen(storey_of(at), [at.x / frame.pixel_m(), at.y / frame.pixel_m()]);
+        }
     }
     for (number, storey) in reach.storeys.all.iter().enumerate() {
         let top = map.top(number);
@@ -185,6 +193,19 @@ impl Map {
         for (dx, dy) in (-6i64..=6).flat_map(|dx| (-6i64..=6).map(move |dy| (dx, dy))) {
             if dx * dx + dy * dy <= 30 {
                 self.set([x + half + dx, y + half + dy], colour);
+            }
+        }
+    }
+
+    /// A round spot of ink about a place (pixels of the scan).
+    fn pen(&mut self, storey: usize, at: [f64; 2]) {
+        let Some(corner) = self.place(storey, at.map(|v| v.floor() as i64)) else { return };
+        let within = at.map(|v| (v - v.floor()) * self.enlarge as f64);
+        // Rows go down.
+        let [x, y] = [corner[0] + within[0] as i64, corner[1] + self.enlarge - 1 - within[1] as i64];
+        for (dx, dy) in (-2i64..=2).flat_map(|dx| (-2i64..=2).map(move |dy| (dx, dy))) {
+            if dx * dx + dy * dy <= 5 {
+                self.set([x + dx, y + dy], INK);
             }
         }
     }

@@ -7,7 +7,7 @@ mod map;
 use crate::ground::{Loader, Walks};
 use crate::{Failure, Outcome};
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, Leak, Passage, Region, StandingPlaces, Storeys};
+use slicewalk::reach::{Flood, Leak, Passage, Region, Route, Search, StandingPlaces, Storeys};
 use std::fmt::Write;
 use std::io::{BufWriter, IntoInnerError};
 use std::path::PathBuf;
@@ -21,6 +21,9 @@ pub struct Arguments {
     /// Where the feet stand (m); in the air, the floor below counts
     #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
     from: nalgebra::Point3<f64>,
+    /// Another place (m): maps show the way there as a black line, GeoJSON has it as a line
+    #[arg(long, value_name = "X,Y,Z", value_parser = crate::walk::point, allow_hyphen_values = true)]
+    to: Option<nalgebra::Point3<f64>>,
     #[command(flatten)]
     walks: Walks,
     /// File to write: a map (.png), x,y,z,clearance of each standing place (.csv, .ply), or areas and leaks (.geojson). `-`
@@ -38,6 +41,8 @@ struct Reach {
     storeys: Storeys,
     passages: Vec<Passage>,
     leaks: Vec<Leak>,
+    /// The way to another place, if one was asked for and can be reached.
+    way: Option<Route>,
 }
 
 /// Finds all that can be reached; a file appears whole, or not at all.
@@ -59,8 +64,17 @@ pub fn run(arguments: &Arguments) -> Outcome {
     loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
     let region = flood.region(&standing);
     let leaks = loader.known(|view| region.leaks(&mut standing, view))?;
+    let mut way = None;
+    if let Some(to) = arguments.to {
+        if let Some(goal) = loader.known(|view| standing.spot(view, to))? {
+            way = Search::new().route(&region, &start, &goal, &NoMonitor)?;
+        }
+        if way.is_none() {
+            crate::say(&format!("--to {},{},{}: no way leads there", to.x, to.y, to.z));
+        }
+    }
     let own = standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes();
-    let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, region };
+    let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, way, region };
     if let (Some(write), Some(output)) = (write, output) {
         let mut out = BufWriter::new(output);
         write(&reach, &loader, &mut out)?;
@@ -89,6 +103,7 @@ fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
         "lowest_headroom": region.lowest_headroom().map(|(place, room)| at(place.feet, "height", room)),
         "highest_step": region.highest_step().map(|(place, rise)| at(place.feet, "height", rise)),
         "places": region.places().count(),
+        "way_m": reach.way.as_ref().map(|way| way.length_m),
         "memory_bytes": memory_bytes,
         "seconds": seconds,
     });
@@ -114,6 +129,9 @@ fn text(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
     for Leak { at, width, drop, kind, .. } in &reach.leaks {
         let depth = drop.map_or("nothing scanned below".into(), |drop| format!("drop {drop:.2} m"));
         writeln!(text, "{} {width:.2} m wide at {:.2},{:.2},{:.2}: {depth}", kind.name(), at.x, at.y, at.z)?;
+    }
+    if let Some(way) = &reach.way {
+        writeln!(text, "way of {:.2} m", way.length_m)?;
     }
     writeln!(text, "{:.1} MiB, {seconds:.2} s", memory_bytes as f64 / f64::from(1 << 20))?;
     Ok(text)

@@ -1,0 +1,170 @@
+//! Routes as tasks, guided searches, and long ways along coarse ones.
+
+use super::flat::{FLOOR, T, room};
+use super::{everywhere, known, spot, way};
+use crate::common::part::Part;
+use crate::common::random::Random;
+use nalgebra::Point3;
+use slicewalk::NoMonitor;
+use slicewalk::query::Answer;
+use slicewalk::reach::{Along, Pawn, Planned, Planner, Refusal, Route, Search};
+use slicewalk::store::{PageSet, Store};
+use slicewalk::walk::Body;
+
+/// As wide as a pixel: it stands on each pixel of floor.
+fn thin() -> Pawn {
+    Pawn::new(Body::Box { x: T, y: T, height: 1.0 })
+}
+
+fn at(i: usize, j: usize) -> Point3<f64> {
+    Point3::new((i as f64 + 0.5) * T, (j as f64 + 0.5) * T, FLOOR)
+}
+
+/// A hall of `width` by 60 pixels with a wall across every 100 pixels, whose gaps lie on alternate sides.
+fn hall(width: usize, gap: usize) -> Store {
+    room(width, 60, |i, j| {
+        let is_gap = if i / 100 % 2 == 0 { j < 1 + gap } else { j > 58 - gap };
+        (i % 100 == 99 && !is_gap).then_some(b'#')
+    })
+}
+
+/// Runs a task to its end, some steps at a time.
+fn finish<S: PageSet>(planner: &mut Planner, set: &S, steps: usize) -> (Result<Route, Refusal>, usize) {
+    for turns in 1.. {
+        match planner.go_on(set, steps, &NoMonitor).unwrap() {
+            Planned::Done(found) => return (found, turns),
+            Planned::NotLoaded(missing) => panic!("{missing:?}"),
+            _ => {}
+        }
+    }
+    unreachable!()
+}
+
+#[test]
+fn a_task_goes_on_step_by_step_to_the_same_route() {
+    let store = hall(420, 8);
+    let plan = |steps: usize, to: Point3<f64>| {
+        let mut planner = Planner::new(&store, thin(), at(5, 30), to).unwrap();
+        let (found, turns) = finish(&mut planner, &store, steps);
+        assert!(found.is_err() || planner.peak_bytes() > 0);
+        (found, turns)
+    };
+    let (whole, turns) = plan(usize::MAX, at(415, 30));
+    assert!(turns <= 4, "{turns}");
+    let (mut standing, region) = everywhere(&store, thin());
+    let [a, b] = [at(5, 30), at(415, 30)].map(|at| spot(&mut standing, &store, at).unwrap());
+    let expected = way(&mut Search::new(), &region, &a, &b).unwrap();
+    assert!((whole.as_ref().unwrap().length_m - expected.length_m).abs() < 0.01 * expected.length_m);
+    let (in_steps, turns) = plan(500, at(415, 30));
+    assert_eq!(in_steps, whole);
+    assert!(turns > 20, "{turns}");
+    assert_eq!(plan(500, at(199, 30)).0, Err(Refusal::NotStandingTo));
+    let closed = hall(420, 0);
+    let mut planner = Planner::new(&closed, thin(), at(5, 30), at(415, 30)).unwrap();
+    assert_eq!(finish(&mut planner, &closed, 500).0, Err(Refusal::NotConnected));
+}
+
+#[test]
+fn a_task_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
+    struct Stops;
+    impl slicewalk::Monitor for Stops {
+        fn cancelled(&self) -> bool {
+            true
+        }
+    }
+    let store = hall(1000, 8);
+    let pages = (0..store.column_count()).map(|number| store.column_at(number)).flat_map(|(tx, ty, slots)| {
+        use slicewalk::store::PageSlot;
+        slots.iter().map(move |slot| (crate::common::key(tx, ty, slot.layer()), slot.page().unwrap().clone()))
+    });
+    let mut partly = Part::new(*store.frame(), pages.collect::<Vec<_>>());
+    let mut planner = Planner::new(&partly, thin(), at(5, 30), at(95, 40)).unwrap();
+    let mut loaded = 0;
+    let found = loop {
+        match planner.go_on(&partly, usize::MAX, &NoMonitor).unwrap() {
+            Planned::Done(found) => break found,
+            Planned::NotLoaded(missing) => loaded += partly.load(missing.keys()),
+            _ => {}
+        }
+    };
+    let mut whole = Planner::new(&store, thin(), at(5, 30), at(95, 40)).unwrap();
+    assert_eq!(found, finish(&mut whole, &store, usize::MAX).0);
+    assert!((2..8).contains(&loaded), "{loaded} of 16 pages");
+    let mut planner = Planner::new(&store, thin(), at(5, 30), at(995, 30)).unwrap();
+    assert!(matches!(planner.go_on(&store, usize::MAX, &Stops), Err(slicewalk::Error::Interrupted)));
+}
+
+#[test]
+fn a_prepared_region_gives_as_good_routes_and_looks_at_less() {
+    let store = hall(700, 10);
+    let pawn = Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 });
+    let (mut standing, region) = everywhere(&store, pawn);
+    let mut prepared = region.clone();
+    prepared.prepare(&NoMonitor).unwrap();
+    assert_eq!(prepared.memory_bytes() - region.memory_bytes(), 32 * region.len());
+    let (mut plain, mut guided, mut random) = (Search::new(), Search::new(), Random(4));
+    let (mut looked_at, mut found) = ([0, 0], 0);
+    while found < 60 {
+        let [from, to] = [0, 1].map(|_| at(3 + random.below(690) as usize, 3 + random.below(54) as usize));
+        let [a, b] = [from, to].map(|at| spot(&mut standing, &store, at));
+        let (Some(a), Some(b)) = (a, b) else { continue };
+        let [one, other] = [way(&mut plain, &region, &a, &b), way(&mut guided, &prepared, &a, &b)];
+        let (one, other) = (one.unwrap(), other.unwrap());
+        // Of the same cost; straightening may make a little of difference.
+        assert!((one.length_m - other.length_m).abs() <= 0.03 * one.length_m, "{from} to {to}: {one:?}, {other:?}");
+        looked_at[0] += plain.looked_at();
+        looked_at[1] += guided.looked_at();
+        found += 1;
+    }
+    eprintln!("{looked_at:?} places looked at");
+    assert!(looked_at[1] * 2 < looked_at[0], "{looked_at:?}");
+    // From a part that is closed off, the guide says at once that there is no way.
+    let closed = room(300, 60, |i, _| (i == 200).then_some(b'#'));
+    let (mut standing, mut region) = everywhere(&closed, pawn);
+    region.prepare(&NoMonitor).unwrap();
+    let [a, b] = [at(20, 30), at(260, 30)].map(|at| spot(&mut standing, &closed, at).unwrap());
+    let mut search = Search::new();
+    assert_eq!((way(&mut search, &region, &a, &b), search.looked_at()), (None, 0));
+    assert_eq!(way(&mut search, &region, &b, &a), None);
+}
+
+#[test]
+fn the_exact_way_along_a_coarse_one_takes_little_memory() {
+    // 450 m.
+    let (width, pawn) = (4500, Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.8 }));
+    let store = hall(width, 20);
+    let (from, to) = (at(5, 30), at(width - 6, 30));
+    let (mut standing, region) = everywhere(&store, pawn);
+    let [a, b] = [from, to].map(|at| spot(&mut standing, &store, at).unwrap());
+    let best = way(&mut Search::new(), &region, &a, &b).unwrap();
+    // What the way would be without walls.
+    let empty = room(width, 60, |_, _| None);
+    let (mut other, free) = everywhere(&empty, pawn);
+    let [c, d] = [from, to].map(|at| spot(&mut other, &empty, at).unwrap());
+    let straight = way(&mut Search::new(), &free, &c, &d).unwrap();
+    for (guide, distance, longest) in [(&best, 1.0, 1.01), (&straight, 4.0, 1.05), (&straight, 0.5, 1.1)] {
+        let mut along = Along::new(pawn, from, to, guide, distance);
+        let found = known(along.go_on(&store, &NoMonitor).unwrap()).unwrap();
+        assert!(
+            (0.999..longest).contains(&(found.length_m / best.length_m)),
+            "{} of {}",
+            found.length_m,
+            best.length_m
+        );
+        let [first, last] = [found.points[0], found.points[found.points.len() - 1]];
+        assert!((first - from).norm() < 0.01 && (last - to).norm() < 0.01);
+        // Every stretch can be walked straight.
+        for pair in found.points.windows(2) {
+            let ends = [pair[0], pair[1]].map(|at| spot(&mut standing, &store, at).unwrap());
+            let direct = way(&mut Search::new(), &region, &ends[0], &ends[1]).unwrap();
+            assert!((direct.length_m - (pair[1] - pair[0]).norm()).abs() < 0.01, "{pair:?}");
+        }
+        let whole = standing.memory_bytes() + region.memory_bytes();
+        assert!(along.peak_bytes() * 2 < whole, "{} of {whole}", along.peak_bytes());
+    }
+    let closed = hall(width, 0);
+    let mut along = Along::new(pawn, from, to, &straight, 1.0);
+    assert_eq!(along.go_on(&closed, &NoMonitor).unwrap(), Answer::Known(Err(Refusal::NotConnected)));
+    let mut along = Along::new(pawn, from, at(99, 40), &straight, 1.0);
+    assert_eq!(known(along.go_on(&store, &NoMonitor).unwrap()), Err(Refusal::NotStandingTo));
+}
