@@ -26,6 +26,7 @@ mod las;
 mod layers;
 mod laz;
 mod losses;
+mod noise;
 mod pattern;
 mod records;
 pub(crate) mod scenes;

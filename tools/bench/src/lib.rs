@@ -8,6 +8,7 @@ pub mod counts;
 pub mod data;
 #[cfg(feature = "peers")]
 mod heap;
+pub mod lossy;
 pub mod measured;
 pub mod pawns;
 #[cfg(feature = "peers")]

@@ -21,6 +21,8 @@ enum Command {
     Stability(Stability),
     /// Bytes of scans as archives, pictures and octrees, and what the scenes needed
     Size(Common),
+    /// Bytes and time of coarser heights, relative to exact ones
+    Lossy(Common),
     /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
     Walks(Common),
     /// Speed beside accuracy: every method in every scene at six pixel sizes
@@ -84,8 +86,8 @@ struct Stability {
 }
 
 /// The parts of `bench all`; charts last, for they draw what the others found.
-const ALL: [&[&str]; 7] =
-    [&["stability"], &["size"], &["walks"], &["thesis"], &["peers"], &["scale"], &["chart", "--fresh"]];
+const ALL: [&[&str]; 8] =
+    [&["stability"], &["size"], &["lossy"], &["walks"], &["thesis"], &["peers"], &["scale"], &["chart", "--fresh"]];
 
 fn run(command: Command) -> bench::stability::Result<()> {
     match command {
@@ -100,6 +102,7 @@ fn run(command: Command) -> bench::stability::Result<()> {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
         Command::Size(common) => bench::size::run(&common.out(), common.quick),
+        Command::Lossy(common) => bench::lossy::run(&common.out(), common.quick),
         Command::Chart(options) => bench::chart::run(&options),
         Command::Peers(common) => bench::peers::run(&common.out(), common.quick),
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
