@@ -10,10 +10,9 @@ use serde_json::{Value, json};
 /// Facts of an archive under the keys of the command-line contract.
 pub fn info(archive: &Archive) -> Result<Value> {
     let mut facts = header_info(archive.header(), &archive.crs()?, &archive.units()?);
-    facts.as_object_mut().into_iter().try_for_each(|facts| {
-        facts.extend(noise_info(archive.noise()?));
-        Result::Ok(())
-    })?;
+    if let Some(noise) = archive.noise()? {
+        facts["tolerance_auto"] = noise_info(&noise);
+    }
     if let Some(shard) = archive.shard()? {
         facts["shard"] = shard_info(&shard);
     }
@@ -94,10 +93,9 @@ pub fn plan_info(plan: &Plan) -> Value {
     facts
 }
 
-/// By which noise an automatic tolerance was chosen; nothing if it was given.
-pub fn noise_info(noise: Option<Noise>) -> Option<(String, Value)> {
-    let Noise { noise_m, regions, region_m } = noise?;
-    Some(("tolerance_auto".into(), json!({ "noise": noise_m, "regions": regions, "region_size": region_m })))
+/// By which noise an automatic tolerance was chosen.
+pub fn noise_info(noise: &Noise) -> Value {
+    json!({ "noise": noise.noise_m, "regions": noise.regions, "region_size": noise.region_m })
 }
 
 /// The same in words.

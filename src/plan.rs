@@ -271,7 +271,9 @@ mod tests {
     #[test]
     fn a_tolerance_by_noise_is_never_above_it() {
         let tolerance = |noise_m| Noise { noise_m, ..Noise::default() }.tolerance_m();
-        for (noise_m, expected) in [(0.0, 0.0), (0.00299999, 0.0029), (0.003, 0.003), (1.0, 1.0), (12.99, 12.0), (1e-9, 1e-9)] {
+        for (noise_m, expected) in
+            [(0.0, 0.0), (0.00299999, 0.0029), (0.003, 0.003), (1.0, 1.0), (12.99, 12.0), (1e-9, 1e-9)]
+        {
             assert_eq!(tolerance(noise_m), expected);
         }
         assert_eq!(tolerance(f64::NAN), 0.0);

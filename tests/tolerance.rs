@@ -5,7 +5,7 @@
 #[path = "common/scans.rs"]
 mod scans;
 
-use scans::{Random, converts, data, refuses, text, verifies, write_as};
+use scans::{Random, converts, data, refuses, verifies, write_as};
 use serde_json::Value;
 use slicewalk::archive::{Archive, extract, merge, recover};
 use slicewalk::convert::{ConvertOptions, PixelSize, PointWriter, Tolerance};
@@ -164,7 +164,11 @@ fn order_files_threads_memory_and_parts_do_not_change_an_automatic_tolerance() {
         for how in [["--threads", "1", "--memory", "64MiB"], ["--threads", "4", "--memory", "256MiB"]] {
             assert!(convert(&["c.las", "b.laz"], "again.slices", &[&auto[..], &how].concat()) == expected, "{how:?}");
         }
-        converts(at, &[&["b.laz", "c.las", "--units", "m", "--write-plan", "plan.json", "--force", "--quiet"], &auto[..]].concat());
+        converts(
+            at,
+            &[&["b.laz", "c.las", "--units", "m", "--write-plan", "plan.json", "--force", "--quiet"], &auto[..]]
+                .concat(),
+        );
         for options in [&["--plan", "plan.json"][..], &["--plan", "plan.json", "--tolerance", "auto"], &auto] {
             let parts = ["1/3", "2/3", "3/3"].map(|shard| {
                 let output = format!("{}.slices", &shard[..1]);

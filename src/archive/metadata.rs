@@ -130,7 +130,11 @@ fn decode_noise(content: &[u8]) -> Result<Noise, Violation> {
     let noise = Noise { noise_m: reader.f64()?, regions: reader.u64()?, region_m: reader.f64()? };
     let sound = |length: f64| (0.0..=1e6).contains(&length) && length.is_sign_positive();
     if !reader.is_empty() || !sound(noise.noise_m) || !sound(noise.region_m) {
-        return Err(Violation::new("M7", "24 bytes, lengths of 0 to 1000000 m", format!("{noise:?}, {} bytes", content.len())));
+        return Err(Violation::new(
+            "M7",
+            "24 bytes, lengths of 0 to 1000000 m",
+            format!("{noise:?}, {} bytes", content.len()),
+        ));
     }
     Ok(noise)
 }

@@ -66,11 +66,11 @@ impl Loose {
         builder: &mut PageBuilder,
     ) -> (Page, &mut Tried) {
         self.set(page, tolerance, merges);
-        let mut shortest = u64::MAX;
+        let mut shortest = None;
         for lattice in self.lattices(frame, tolerance) {
             let length = self.try_on(lattice, scratch);
-            if length < shortest {
-                shortest = length;
+            if shortest.is_none_or(|shortest| length < shortest) {
+                shortest = Some(length);
                 std::mem::swap(&mut self.best, &mut self.tried);
             }
         }
@@ -97,7 +97,10 @@ impl Loose {
         let Self { blocks, first, spans, room, is_narrow, heights, .. } = self;
         *blocks = Some(page).blocks();
         *is_narrow = false;
-        (first.clear(), spans.clear(), room.clear(), heights.clear());
+        first.clear();
+        spans.clear();
+        room.clear();
+        heights.clear();
         for pixel in 0..PIXELS as u32 {
             let start = spans.len();
             first.push(start as u32);
@@ -144,7 +147,8 @@ impl Loose {
         let own = Lattice::find(frame, &[], &self.heights);
         if let Some((own, most)) = own.and_then(|own| Some((own, together(own.step, tolerance)?))) {
             let on = |count: u64| {
-                let phases = (0..count.min(PHASES)).map(|phase| own.phase + phase * count / count.min(PHASES) * own.step);
+                let phases =
+                    (0..count.min(PHASES)).map(|phase| own.phase + phase * count / count.min(PHASES) * own.step);
                 self.with_best_phase(count * own.step, phases)
             };
             let half = Some(most.div_ceil(2)).filter(|&half| half < most);
@@ -154,7 +158,10 @@ impl Loose {
             let step = u64::from(step);
             // Choices make up for a phase.
             let phases = if number == 0 { PHASES.min(step) } else { 1 };
-            self.with_best_phase(step * ONE as u64, (0..phases).map(|phase| (phase * step / phases) * ONE as u64 + ONE as u64 / 2))
+            self.with_best_phase(
+                step * ONE as u64,
+                (0..phases).map(|phase| (phase * step / phases) * ONE as u64 + ONE as u64 / 2),
+            )
         };
         steps(tolerance).enumerate().filter_map(on).collect()
     }
@@ -266,7 +273,8 @@ impl Choices {
                 End::Bottom => (high, high / SLICE * SLICE),
                 End::Top => (low, low.next_multiple_of(SLICE)),
             };
-            let height = if lattice.index(exact, end).is_none() && (low..=high).contains(&border) { border } else { exact };
+            let height =
+                if lattice.index(exact, end).is_none() && (low..=high).contains(&border) { border } else { exact };
             let step = lattice.index(height, end);
             choices.list[0] = (height, step.map_or_else(|| lattice.at_or_above(height), |step| step.0), step);
             choices.len = 1;
@@ -309,7 +317,8 @@ impl Given for &Loose {
             let bottom = follow(candidates.bottom, room.bottom);
             return with(bottom, follow(bottom as i32 + thickness, room.top));
         }
-        let (bottoms, tops) = (Choices::of(lattice, End::Bottom, room.bottom), Choices::of(lattice, End::Top, room.top));
+        let (bottoms, tops) =
+            (Choices::of(lattice, End::Bottom, room.bottom), Choices::of(lattice, End::Top, room.top));
         if let ([bottom], [top]) = (bottoms.all(), tops.all()) {
             return with(bottom.0, top.0);
         }
@@ -354,7 +363,10 @@ mod tests {
             let mut exact = page.column(px, py).iter().peekable();
             for span in loose.column(px, py) {
                 let first = exact.next().expect("matter");
-                assert!(span.bottom() <= first.bottom() && first.bottom() <= span.bottom() + tolerance, "{first:?} {span:?}");
+                assert!(
+                    span.bottom() <= first.bottom() && first.bottom() <= span.bottom() + tolerance,
+                    "{first:?} {span:?}"
+                );
                 let mut last = first;
                 while let Some(next) = exact.next_if(|next| next.bottom() <= span.top() && next.top() <= span.top()) {
                     assert!(inferred.is_empty() && next.bottom() - last.top() <= 2 * tolerance, "{last:?} {next:?}");
@@ -374,7 +386,8 @@ mod tests {
         let mut builder = PageBuilder::default();
         for (px, py, spans) in page.columns() {
             let whole = |height: u32| height / step * step;
-            let on_steps = |span: &Span| Span::new(whole(span.bottom()), (whole(span.top()) + 1).min(16320), span.is_obstacle());
+            let on_steps =
+                |span: &Span| Span::new(whole(span.bottom()), (whole(span.top()) + 1).min(16320), span.is_obstacle());
             let spans: Vec<_> = spans.iter().filter_map(on_steps).collect();
             assert!(builder.set_column(px, py, &spans) || spans.len() > 1);
         }
@@ -452,9 +465,16 @@ mod tests {
     #[ignore]
     fn experiment() {
         let folder = tempfile::tempdir().unwrap();
-        for (path, pixel) in [("pump_room", 0.02), ("delft_city_block_ahn3", 1.0), ("corridor_three_stations", 0.05), ("corridor_three_stations", 0.02), ("indoor_two_storey_zup", 0.05)] {
+        for (path, pixel) in [
+            ("pump_room", 0.02),
+            ("delft_city_block_ahn3", 1.0),
+            ("corridor_three_stations", 0.05),
+            ("corridor_three_stations", 0.02),
+            ("indoor_two_storey_zup", 0.05),
+        ] {
             let out = folder.path().join("a.slices");
-            let mut options = crate::convert::ConvertOptions::new(vec![format!("/work/shared/data/{path}.laz").into()], out.clone());
+            let mut options =
+                crate::convert::ConvertOptions::new(vec![format!("/work/shared/data/{path}.laz").into()], out.clone());
             options.pixel = crate::convert::PixelSize::Metres(pixel);
             options.overwrite = true;
             crate::convert::convert(&options, &crate::NoMonitor).unwrap();
@@ -462,7 +482,8 @@ mod tests {
             let frame = *archive.frame();
             for div in [4.0, 1.0] {
                 let e = ((frame.pixel_m() / div) / frame.quantum_m()).floor().clamp(0.0, 255.0) as u32;
-                let (mut scratch, mut loose, mut builder) = (Scratch::default(), Loose::default(), PageBuilder::default());
+                let (mut scratch, mut loose, mut builder) =
+                    (Scratch::default(), Loose::default(), PageBuilder::default());
                 let names = ["auto", "22p0", "22pp", "11p0", "11pp", "15p0", "15pp", "17p0", "1"];
                 let mut sums = vec![0u64; names.len()];
                 let mut exact = 0u64;
@@ -482,10 +503,21 @@ mod tests {
                     let one = ONE as u64;
                     let of = |loose: &Loose, step: u32, phases: u64| {
                         let step = u64::from(step.clamp(2, 255));
-                        loose.with_best_phase(step * one, (0..phases).map(|phase| (phase * step / phases) * one + one / 2))
+                        loose.with_best_phase(
+                            step * one,
+                            (0..phases).map(|phase| (phase * step / phases) * one + one / 2),
+                        )
                     };
-                    let list = [of(&loose, e + 1, 1), of(&loose, e + 1, 8), of(&loose, (e + 1) / 2, 1), of(&loose, (e + 1) / 2, 8),
-                        of(&loose, (e + 1) * 2 / 3, 1), of(&loose, (e + 1) * 2 / 3, 8), of(&loose, 17, 1), Some(Lattice::QUANTA)];
+                    let list = [
+                        of(&loose, e + 1, 1),
+                        of(&loose, e + 1, 8),
+                        of(&loose, (e + 1) / 2, 1),
+                        of(&loose, (e + 1) / 2, 8),
+                        of(&loose, (e + 1) * 2 / 3, 1),
+                        of(&loose, (e + 1) * 2 / 3, 8),
+                        of(&loose, 17, 1),
+                        Some(Lattice::QUANTA),
+                    ];
                     for lattice in list {
                         costs.push(loose.try_on(lattice.unwrap(), &mut scratch) / 512);
                     }
@@ -493,8 +525,18 @@ mod tests {
                     all.push(costs);
                 }
                 print!("{path} {pixel} t/{div} e={e} exact={exact}");
-                for (n, s) in names.iter().zip(&sums) { print!(" {n} {:.3}", *s as f64 / exact as f64); }
-                for set in [&[1, 3][..], &[2, 3], &[2, 4], &[2, 3, 5], &[1, 2, 3, 4], &[1, 2, 3, 4, 5, 6], &[1, 2, 3, 4, 5, 6, 7, 8]] {
+                for (n, s) in names.iter().zip(&sums) {
+                    print!(" {n} {:.3}", *s as f64 / exact as f64);
+                }
+                for set in [
+                    &[1, 3][..],
+                    &[2, 3],
+                    &[2, 4],
+                    &[2, 3, 5],
+                    &[1, 2, 3, 4],
+                    &[1, 2, 3, 4, 5, 6],
+                    &[1, 2, 3, 4, 5, 6, 7, 8],
+                ] {
                     let best: u64 = all.iter().map(|c| set.iter().map(|&i| c[i]).min().unwrap()).sum();
                     print!(" {set:?} {:.3}", best as f64 / exact as f64);
                 }

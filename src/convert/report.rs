@@ -62,7 +62,9 @@ impl Report {
         facts["points_resumed"] = self.resumed.map_or(0, |resumed| resumed.points).into();
         facts["temp_bytes_resumed"] = self.resumed.map_or(0, |resumed| resumed.bytes).into();
         facts["point_spacing"] = self.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
-        facts.as_object_mut().into_iter().for_each(|facts| facts.extend(noise_info(self.noise)));
+        if let Some(noise) = &self.noise {
+            facts["tolerance_auto"] = noise_info(noise);
+        }
         if let Some(shard) = &self.shard {
             facts["shard"] = shard_info(shard);
         }

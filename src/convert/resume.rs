@@ -8,8 +8,8 @@
 //!
 //! Meshes are read again. The second pass, from runs to pages, begins anew.
 
-use super::{ConvertOptions, PixelSize, Surveyed};
 use super::points::{OfFile, Read};
+use super::{ConvertOptions, PixelSize, Surveyed};
 use crate::archive::Shard;
 use crate::codec::ByteReader;
 use crate::input::spacing::Spacing;
@@ -65,13 +65,7 @@ impl InputState {
 }
 
 impl Identity {
-    pub fn of(
-        options: &ConvertOptions,
-        plan: &Plan,
-        surveyed: Surveyed,
-        shard: Option<Shard>,
-        set: &InputSet,
-    ) -> Self {
+    pub fn of(options: &ConvertOptions, plan: &Plan, surveyed: Surveyed, shard: Option<Shard>, set: &InputSet) -> Self {
         let unit = match options.units {
             Units::Auto => 0.0,
             Units::Factor(factor) => factor,

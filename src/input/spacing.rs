@@ -75,7 +75,10 @@ impl Survey {
 
     fn of(shared: Shared, points: u64) -> Self {
         let levels = shared.levels.map(|l| l.into_inner().unwrap_or_else(|e| e.into_inner()));
-        Self { samples: levels.into_iter().enumerate().map(|(number, level)| Sample::of(number, level)).collect(), points }
+        Self {
+            samples: levels.into_iter().enumerate().map(|(number, level)| Sample::of(number, level)).collect(),
+            points,
+        }
     }
 
     /// The distance between neighbouring points; fails when there are fewer than two distinct points.
@@ -284,12 +287,15 @@ fn hand_over(held: &mut Vec<[f64; 3]>, level: usize, shared: &Shared) -> u32 {
 fn choose(samples: &[Sample], points: u64) -> Option<Spacing> {
     let result = |sample: &Sample, factor: f64| {
         let spacing_m = median_distance(&sample.points)? * factor;
-        Some(Spacing { spacing_m, sampled: sample.points.len() as u64, block_m: sample.edge_m().unwrap_or(0.0), points })
+        Some(Spacing {
+            spacing_m,
+            sampled: sample.points.len() as u64,
+            block_m: sample.edge_m().unwrap_or(0.0),
+            points,
+        })
     };
     let crowded = |least: usize| {
-        move |sample: &&Sample| {
-            sample.points.len() >= ENOUGH_POINTS.max(least * sample.blocks) && sample.blocks > 0
-        }
+        move |sample: &&Sample| sample.points.len() >= ENOUGH_POINTS.max(least * sample.blocks) && sample.blocks > 0
     };
     let (single, blocks) = samples.split_last()?;
     let best = blocks

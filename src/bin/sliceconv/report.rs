@@ -41,7 +41,8 @@ fn from_spacing(spacing: &Spacing) -> String {
 
 /// What an automatic tolerance is, and why.
 fn of_tolerance(plan: &Plan, noise: &Noise) -> String {
-    let finer = if plan.tolerance_quanta() == 0 { ", finer than the steps of heights, which stay as they are" } else { "" };
+    let finer =
+        if plan.tolerance_quanta() == 0 { ", finer than the steps of heights, which stay as they are" } else { "" };
     format!("tolerance {} m: {}{finer}", number(plan.options.tolerance_m), noise_in_words(noise))
 }
 
@@ -142,7 +143,9 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
             facts.extend(plan.clone());
         }
         facts["point_spacing"] = preview.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
-        facts.as_object_mut().into_iter().for_each(|facts| facts.extend(noise_info(preview.noise)));
+        if let Some(noise) = &preview.noise {
+            facts["tolerance_auto"] = noise_info(noise);
+        }
         facts["memory_bytes"] = arguments.memory.into();
         facts["temp_bytes"] = preview.temp_bytes.into();
         facts["temp_dir"] = temp_dir.to_string_lossy().into();

@@ -52,7 +52,7 @@ impl PlanFile {
             },
             "levels": self.levels,
             "point_spacing": self.spacing_m,
-            "tolerance_auto": noise_info(self.noise).map(|(_, noise)| noise),
+            "tolerance_auto": self.noise.as_ref().map(noise_info),
             "inputs": inputs,
         })
     }

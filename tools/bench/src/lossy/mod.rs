@@ -58,7 +58,18 @@ fn spread(values: &mut [f64]) -> String {
 pub fn run(out: &Path, quick: bool) -> Result<()> {
     let folder = tempfile::tempdir()?;
     let mut table = Table::new([
-        "scan", "t (m)", "bytes", "ms", "t/4: bytes", "time", "t: bytes", "time", "noise (mm)", "auto (mm)", "auto: bytes", "time",
+        "scan",
+        "t (m)",
+        "bytes",
+        "ms",
+        "t/4: bytes",
+        "time",
+        "t: bytes",
+        "time",
+        "noise (mm)",
+        "auto (mm)",
+        "auto: bytes",
+        "time",
     ]);
     let (cases, rounds) = if quick { (2, 3) } else { (CASES.len(), ROUNDS) };
     for (name, pixel_m) in &CASES[..cases] {
