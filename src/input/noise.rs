@@ -212,10 +212,7 @@ mod tests {
             .filter(|(at, _)| at % 200 < 80)
             .for_each(|(at, p)| p[2] += 0.05 * random(at as u64 + 5));
         let found = measured(&points, &[0.25]).unwrap();
-        assert!(
-            (0.8..1.2).contains(&(found.noise_m / clean.noise_m)),
-            "{found:?} {clean:?}"
-        );
+        assert!((0.8..1.2).contains(&(found.noise_m / clean.noise_m)), "{found:?} {clean:?}");
     }
 
     #[test]
