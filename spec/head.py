@@ -63,7 +63,7 @@ class Head:
         """Where the levels of chapter 15 are told of; `pages_len` is then that of the pages alone."""
         self.has_levels = self.minor >= 1 and self.features_optional & 1 == 1
         zero = self.has_levels or not any(self.reserved[: LEVELS.size])
-        need(self.minor > 2 or zero, "H10", "reserved bytes are not zero")
+        need(self.minor > 3 or zero, "H10", "reserved bytes are not zero")
         self.level_count = self.levels_len = self.table_len = self.table_crc = 0
         if self.has_levels:
             fields = LEVELS.unpack(self.reserved[: LEVELS.size])
@@ -80,7 +80,7 @@ class Head:
         right = fills == (self.fill_holes > 0) and (self.minor >= 2 or not fills)
         need(right, "H7", f"holes of {self.fill_holes} pixels, features {self.features_required}, minor {self.minor}")
         known = INFERRED.stop if fills else INFERRED.start
-        need(self.minor > 2 or not any(self.reserved[known:]), "H10", "reserved bytes are not zero")
+        need(self.minor > 3 or not any(self.reserved[known:]), "H10", "reserved bytes are not zero")
         self.voxels_inferred = int.from_bytes(self.reserved[INFERRED], "little") if fills else 0
 
     def check_plan(self):

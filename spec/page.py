@@ -317,7 +317,7 @@ class Page:
     # Section 6.5: the one encoding. The symbols of a page are those of a writer, if blocks, steps and heights are
     # coded as a writer must; states and words follow from the symbols.
 
-    def check_encoding(self, slice_height):
+    def check_encoding(self, slice_height, moved=0):
         for at, kind in enumerate(self.blocks):
             first = at // 8 * 8 * SIDE + at % 8 * 8
             pixels = [bool(self.columns[first + SIDE * y + x]) for y in range(8) for x in range(8)]
@@ -325,9 +325,10 @@ class Page:
             need(kind == true_kind, "P10", f"block {at} has kind {kind}, should have {true_kind}")
         spans = [span for column in self.columns for span in column]
         heights = [(end, height) for span in spans for end, height in enumerate((span.bottom, span.top))]
-        lattice = find_lattice(heights, slice_height)
         mine = self.lattice.step, self.lattice.phase
-        need(mine == lattice, "P10", f"step and phase are {mine}, should be {lattice}")
+        # Coarsened heights of archives before 1.3 are on none but the steps of scans.
+        lattices = [find_lattice(heights, slice_height, moved), find_lattice(heights, slice_height)]
+        need(mine in lattices, "P10", f"step and phase are {mine}, should be {lattices[0]}")
         codes = (code for span in spans for code in span.codes)
         for (end, height), code in zip(heights, codes):
             best = self.code_of(end, height)
@@ -357,8 +358,8 @@ def read_runs(body):
     return runs, b"\1" + body[1 + content.at :]
 
 
-def find_lattice(heights, slice_height):
-    """Step and phase that a writer uses; without a slice height, in a page of a level."""
+def find_lattice(heights, slice_height, moved=0):
+    """Step and phase that a writer uses, by the tolerance in quanta; without a slice height, in a page of a level."""
     heights = [(end, height) for end, height in heights if height % SLICE]
     if len(heights) < 32:
         return ONE, 0
@@ -367,7 +368,21 @@ def find_lattice(heights, slice_height):
     foot, us_foot = 0.3048, 1200
     units = [0.1, 0.1 * foot, 0.1 * us_foot / 3937, 0.01, 0.005, 0.01 * foot, 0.01 * us_foot / 3937, 0.002, 0.001]
     units += [0.0005, 0.001 * foot, 0.001 * us_foot / 3937, 0.00025, 0.0001]
-    return fit(heights, [int(unit * 255 / slice_height * ONE + 0.5) for unit in units])
+    scans = [int(unit * 255 / slice_height * ONE + 0.5) for unit in units]
+    return fit(heights, steps_within(scans, moved) + scans)
+
+
+def steps_within(scans, moved):
+    """Steps that heights may have been put on within a tolerance of so many quanta."""
+    if moved == 0:
+        return []
+    steps = []
+    for step in scans:
+        if 2 * ONE <= step <= 255 * ONE:
+            most = min(max(moved - 2, 0) * ONE // step + 1, 255 * ONE // step)
+            if most <= 6:
+                steps += [count * step for count in (most, (most + 1) // 2) if count > 1]
+    return steps + [min((moved + 1) // parts, 255) * ONE for parts in (1, 2)]
 
 
 def fit(heights, steps):

@@ -116,7 +116,7 @@ def read_span(entry, word):
 # Chapter 5: pages.
 
 
-def read_page(entry, data, slice_height, fills=False):
+def read_page(entry, data, slice_height, fills=False, moved=0):
     """The page of an entry; without a slice height, of a level."""
     magic, tx, ty, layer, body_len, crc = struct.unpack("<4siiiII", data[:LEADER_LEN])
     need(magic == (LEVEL_MAGIC if slice_height is None else PAGE_MAGIC), "P1", "a page does not begin as one")
@@ -137,7 +137,7 @@ def read_page(entry, data, slice_height, fills=False):
     need(mask == entry.mask, "P9", f"slices {mask:#x}, not {entry.mask:#x}")
     size = size_of(page.columns)
     need(size == (entry.blocks, entry.words), "P11", f"{size} blocks and words, not {(entry.blocks, entry.words)}")
-    page.check_encoding(slice_height)
+    page.check_encoding(slice_height, moved)
     return page
 
 
@@ -191,7 +191,14 @@ def read_metadata(data, crc):
         need(all(a < b for a, b in zip(units, units[1:])), "M5", f"units {units}")
     if b"READ" in records:
         check_inputs(records[b"READ"])
-    return crs, part, units
+    noise = None
+    if b"NOIS" in records:
+        record = records[b"NOIS"]
+        need(len(record) == 24, "M7", f"the record of the noise has {len(record)} bytes")
+        noise = struct.unpack("<dQd", record)
+        sound = lambda length: 0 <= length <= 1e6 and math.copysign(1, length) > 0
+        need(sound(noise[0]) and sound(noise[2]), "M7", f"noise {noise}")
+    return crs, part, units, noise
 
 
 def check_inputs(record):
@@ -264,12 +271,17 @@ def on_grid(metres, per_metre, direction):
     return direction(max(min(metres * per_metre, 2.0**50), -(2.0**50)))
 
 
+def moved_by(head):
+    """How far heights may have been coarsened (quanta)."""
+    return min(255, math.floor(head.tolerance / (head.slice_height / 255)))
+
+
 def check_bounds(head, part, matter):
     need(head.bounds or not head.pages, "T6", "matter without bounds")
     if not head.bounds:
         return
     units = 1 / head.pixel_size, 1 / head.pixel_size, 255 / head.slice_height
-    moved = min(255, math.floor(head.tolerance / (head.slice_height / 255)))
+    moved = moved_by(head)
     tight = head.min_points == 1 and not head.drop_floaters and not head.up & 2 and not part
     for axis, unit in enumerate(units):
         low = on_grid(head.bounds["min"][axis], unit, math.floor)
@@ -310,7 +322,7 @@ def read_archive(data):
         ends.append(ends[-1] + length)
     pages, section, directory, metadata = (data[a:b] for a, b in zip(ends, ends[1:]))
     check_footer(head, data[ends[-1] :])
-    crs, part, units = read_metadata(metadata, head.metadata_crc)
+    crs, part, units, noise = read_metadata(metadata, head.metadata_crc)
     entries = read_entries(head, directory)
     occupied = obstacle = inferred = 0
     matter = Matter()
@@ -331,7 +343,7 @@ def read_archive(data):
             stored = pages[entry.offset : entry.offset + entry.length]
             # Shared pages are compared with their entry by rule D10; their leader and key are checked here.
             if entry.kind == "stored" or entry.offset not in decoded:
-                page = read_page(entry, stored, head.slice_height, head.fill_holes > 0)
+                page = read_page(entry, stored, head.slice_height, head.fill_holes > 0, moved_by(head))
                 kind = lambda span: 2 if span.inferred else span.obstacle
                 kinds = [[(span.bottom, span.top, kind(span)) for span in column] for column in page.columns]
                 pixels = [[at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(kinds) if spans]
@@ -349,7 +361,7 @@ def read_archive(data):
     right = (occupied, obstacle, inferred) == (head.voxels_occupied, head.voxels_obstacle, head.voxels_inferred)
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles, {inferred} inferred")
     check_bounds(head, part, matter)
-    content = {"info": show(head, crs, part, units), "pages": contents}
+    content = {"info": show(head, crs, part, units, noise), "pages": contents}
     if head.has_levels:
         levels = read_table(head, section)
         content["levels"] = check_levels(head, levels, all_columns, read_entries, level_columns)
@@ -364,7 +376,7 @@ def level_columns(entry, pages):
     return [[(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns]
 
 
-def show(head, crs, part, units):
+def show(head, crs, part, units, noise):
     """As `slicetool info --json` shows it."""
     named = lambda prefix, *names: {name: getattr(head, f"{prefix}_{name}") for name in names}
     facts = {
@@ -406,6 +418,8 @@ def show(head, crs, part, units):
         facts["drop_floaters"] = head.drop_floaters
     for name in ("read", "kept", "withheld", "excluded"):
         facts[f"points_{name}"] = getattr(head, f"points_{name}")
+    if noise:
+        facts["tolerance_auto"] = {"noise": noise[0], "regions": noise[1], "region_size": noise[2]}
     if part:
         columns = {f"{end}_column": f"{part[end]:016x}" for end in ("first", "last")}
         facts["shard"] = {"index": part["index"], "count": part["count"], "plan_file": part["plan_file"], **columns}

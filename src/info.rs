@@ -2,7 +2,8 @@
 
 use crate::Result;
 use crate::archive::{Archive, Header, Shard};
-use crate::plan::Plan;
+use crate::plan::{Noise, Plan};
+use crate::text::{counted, number, rounded};
 use crate::unit::{LengthUnit, unit_name};
 use serde_json::{Value, json};
 
@@ -13,6 +14,9 @@ pub const INPUT_QUANTUM_M: f64 = 0.0;
 /// Facts of an archive under the keys of the command-line contract.
 pub fn info(archive: &Archive) -> Result<Value> {
     let mut facts = header_info(archive.header(), &archive.crs()?, &archive.units()?);
+    if let Some(noise) = archive.noise()? {
+        facts["tolerance_auto"] = noise_info(&noise);
+    }
     if let Some(shard) = archive.shard()? {
         facts["shard"] = shard_info(&shard);
     }
@@ -91,6 +95,22 @@ pub fn plan_info(plan: &Plan) -> Value {
         facts["drop_floaters"] = plan.options.drop_floaters.into();
     }
     facts
+}
+
+/// By which noise an automatic tolerance was chosen.
+pub fn noise_info(noise: &Noise) -> Value {
+    json!({ "noise": noise.noise_m, "regions": noise.regions, "region_size": noise.region_m })
+}
+
+/// The same in words.
+pub fn noise_in_words(noise: &Noise) -> String {
+    match noise.regions {
+        0 => "too little is flat to measure the noise of the scan".into(),
+        regions => {
+            let (noise, edge) = (rounded(1000.0 * noise.noise_m, 0.01), number(noise.region_m));
+            format!("the noise of the scan is {noise} mm, on {} of {edge} m", counted(regions, "flat region"))
+        }
+    }
 }
 
 /// Name of a reference system, whose text may be long: the first name in it, or its beginning. `None` if it is empty.

@@ -124,6 +124,27 @@ pub(crate) fn rise_of(deg: f64) -> f64 {
     if deg >= 90.0 { f64::INFINITY } else { libm::tan(deg.to_radians()) }
 }
 
+/// The noise of a scan's heights, by which an automatic tolerance is chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Noise {
+    /// Standard deviation of heights from planes fitted to what is flat (m): the lower quartile of all regions. 0 where too few
+    /// were found to tell.
+    pub noise_m: f64,
+    /// Flat regions that were found; 0 where they were too few.
+    pub regions: u64,
+    /// Edge of a region (m).
+    pub region_m: f64,
+}
+
+impl Noise {
+    /// The tolerance that hides in the noise (m): two digits of it, rounded down.
+    pub fn tolerance_m(&self) -> f64 {
+        let text = format!("{:.15e}", self.noise_m);
+        let digits = text.split_once('e').map(|(digits, exponent)| format!("{}e{exponent}", &digits[..3]));
+        digits.and_then(|text| text.parse().ok()).filter(|tolerance_m: &f64| tolerance_m.is_finite()).unwrap_or(0.0)
+    }
+}
+
 /// Grid and options that decide an archive's content.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
@@ -246,6 +267,18 @@ impl PlanOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_tolerance_by_noise_is_never_above_it() {
+        let tolerance = |noise_m| Noise { noise_m, ..Noise::default() }.tolerance_m();
+        for (noise_m, expected) in
+            [(0.0, 0.0), (0.00299999, 0.0029), (0.003, 0.003), (1.0, 1.0), (12.99, 12.0), (1e-9, 1e-9)]
+        {
+            assert_eq!(tolerance(noise_m), expected);
+        }
+        assert_eq!(tolerance(f64::NAN), 0.0);
+        assert!((1..2000).map(|n| f64::from(n) * 1.37e-5).all(|noise_m| tolerance(noise_m) <= noise_m));
+    }
 
     #[test]
     fn rises_have_the_same_bits_everywhere() {

@@ -49,6 +49,7 @@ fn totals(points: u64) -> Totals {
         bounds: None,
         crs: "here".into(),
         units: vec![slicewalk::unit::LengthUnit::of(0.3048)],
+        noise: None,
     }
 }
 

@@ -105,7 +105,7 @@ mod tests {
             }
             builder.build()
         };
-        let (mut copier, mut encoder) = (Copier::new(), PageEncoder::new(plan.frame));
+        let (mut copier, mut encoder) = (Copier::new(), PageEncoder::of_plan(&plan));
         let mut made = [0; 4];
         for layer in 0..40 {
             let (key, content) = (PageKey { tx: 0, ty: 0, layer }, layer as usize % 4);

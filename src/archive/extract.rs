@@ -117,7 +117,7 @@ pub fn extract(
     let (frame, header) = (archive.frame(), archive.header());
     let region = Region::around(frame, bounds);
     monitor.stage("extract", header.pages.total(), "pages");
-    let Metadata { crs, shard, units, unknown, .. } = archive.metadata()?;
+    let Metadata { crs, shard, units, noise, unknown, .. } = archive.metadata()?;
     let mut protected = Protected::default();
     protected.add_source(archive.source());
     let mut writer = ArchiveWriter::begin(output, archive.plan(), Existing::replaced_if(overwrite), protected)?;
@@ -126,7 +126,7 @@ pub fn extract(
         writer.set_levels();
     }
     let (mut decoder, mut builder) = (PageDecoder::new(), PageBuilder::default());
-    let mut encoder = PageEncoder::new(*frame).for_levels(levels);
+    let mut encoder = PageEncoder::of_plan(archive.plan()).for_levels(levels);
     let mut copier = Copier::new();
     for entry in archive.entries() {
         if monitor.cancelled() {
@@ -148,7 +148,7 @@ pub fn extract(
     let mut dropped: Vec<_> = unknown.keys().map(|tag| format!("metadata {}", tag_name(tag))).collect();
     dropped.extend(shard.map(|shard| format!("that it is {shard}")));
     dropped.extend(beyond_this_version(header));
-    let header = writer.finish(Totals { bounds, crs, units, ..Totals::of_points(header) })?;
+    let header = writer.finish(Totals { bounds, crs, units, noise, ..Totals::of_points(header) })?;
     Ok(Extracted { header, dropped })
 }
 

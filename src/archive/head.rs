@@ -15,11 +15,12 @@ use xxhash_rust::xxh3::xxh3_128;
 pub(super) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
 /// Minor version and required features of an archive of `plan`.
 pub(super) fn needs(plan: &Plan, levels: bool) -> (u16, u64) {
-    match (plan.options.fill_holes > 0, levels) {
+    let (minor, required) = match (plan.options.fill_holes > 0, levels) {
         (true, _) => (INFERRED_MINOR, INFERRED),
         (false, true) => (LEVELS_MINOR, 0),
         (false, false) => (0, 0),
-    }
+    };
+    (if plan.tolerance_quanta() > 0 { STEPS_MINOR } else { minor }, required)
 }
 
 /// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
@@ -49,6 +50,8 @@ const LEVELS_MINOR: u16 = 1;
 pub(super) const INFERRED: u64 = 1;
 /// Minor version from which there is inferred matter.
 const INFERRED_MINOR: u16 = 2;
+/// Minor version from which coarsened heights may lie on steps of the tolerance.
+const STEPS_MINOR: u16 = 3;
 /// Where the fields of levels end among those that were reserved first, and those of inferred matter.
 const LEVELS_END: usize = 19;
 const INFERRED_END: usize = LEVELS_END + 8;

@@ -14,6 +14,7 @@ use super::shard::{InputRead, Shard};
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::{ByteSource, FileSource};
 use crate::output::Existing;
+use crate::plan::Noise;
 use crate::text::ranges;
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result};
@@ -49,6 +50,7 @@ struct OpenShard<'a> {
     crs: String,
     units: Vec<LengthUnit>,
     read: Vec<InputRead>,
+    noise: Option<Noise>,
     unknown: Unknown,
 }
 
@@ -64,8 +66,8 @@ impl<'a> OpenShard<'a> {
             let reason = "it is a whole archive and no part of one: it has no SHRD record; convert it as one shard";
             return Err(Error::input(path, "metadata", reason));
         };
-        let Metadata { crs, units, read, unknown, .. } = metadata;
-        Ok(Self { path, header: archive.header().clone(), shard, crs, units, read, unknown })
+        let Metadata { crs, units, read, noise, unknown, .. } = metadata;
+        Ok(Self { path, header: archive.header().clone(), shard, crs, units, read, noise, unknown })
     }
 
     /// The archive once more.
@@ -115,7 +117,9 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     if first.header.levels.is_some() {
         writer.set_levels();
     }
-    let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), ..Totals::default() };
+    // Of one plan file, so that all say the same, unless somebody changed it in between.
+    let noise = first.noise.filter(|_| parts.iter().all(|part| part.noise == first.noise));
+    let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), noise, ..Totals::default() };
     for part in &parts {
         copy(part, &mut writer, monitor)?;
         add(&mut totals, part)?;

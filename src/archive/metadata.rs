@@ -3,6 +3,7 @@
 use super::head::{MAX_METADATA, hex};
 use super::shard::{InputRead, Shard};
 use crate::codec::{ByteReader, Violation};
+use crate::plan::Noise;
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
@@ -12,6 +13,9 @@ pub(super) type Tag = [u8; 4];
 
 /// Tag of the coordinate reference system, as the input states it.
 const CRS: Tag = *b"CRS ";
+
+/// Tag of the noise of the scan by which the tolerance was chosen.
+const NOISE: Tag = *b"NOIS";
 
 /// Tag of what a part read of inputs that other parts read too.
 const READ: Tag = *b"READ";
@@ -40,6 +44,8 @@ pub(super) struct Metadata {
     pub read: Vec<InputRead>,
     /// Units of the inputs, ascending and each once; none if unknown.
     pub units: Vec<LengthUnit>,
+    /// Noise of the scan, if the tolerance was chosen by it.
+    pub noise: Option<Noise>,
     pub unknown: Unknown,
 }
 
@@ -55,9 +61,13 @@ impl Metadata {
         let shard = self.shard.as_ref().map(Shard::encode);
         let units = self.units.iter().flat_map(|unit| [unit.horizontal_m, unit.vertical_m]);
         let units: Vec<u8> = units.flat_map(f64::to_le_bytes).collect();
+        let noise = self.noise.map(|Noise { noise_m, regions, region_m }| {
+            [noise_m.to_bits(), regions, region_m.to_bits()].map(u64::to_le_bytes)
+        });
         let mut records: BTreeMap<Tag, &[u8]> =
             self.unknown.iter().map(|(tag, content)| (*tag, &content[..])).collect();
         records.extend((!self.crs.is_empty()).then_some((CRS, self.crs.as_bytes())));
+        records.extend(noise.as_ref().map(|noise| (NOISE, noise.as_flattened())));
         records.extend(read.as_ref().map(|read| (READ, &read[..])));
         records.extend(shard.as_ref().map(|shard| (SHARD, &shard[..])));
         records.extend((!units.is_empty()).then_some((UNIT, &units[..])));
@@ -99,6 +109,7 @@ impl Metadata {
                         return Err(Violation::new("M3", "a text", "none"));
                     }
                 }
+                NOISE => metadata.noise = Some(decode_noise(content)?),
                 READ => metadata.read = InputRead::decode(content)?,
                 SHARD => metadata.shard = Some(Shard::decode(content)?),
                 UNIT => metadata.units = decode_units(content)?,
@@ -111,6 +122,21 @@ impl Metadata {
         }
         Ok(metadata)
     }
+}
+
+/// Rule M7.
+fn decode_noise(content: &[u8]) -> Result<Noise, Violation> {
+    let mut reader = ByteReader::new(content, "M7");
+    let noise = Noise { noise_m: reader.f64()?, regions: reader.u64()?, region_m: reader.f64()? };
+    let sound = |length: f64| (0.0..=1e6).contains(&length) && length.is_sign_positive();
+    if !reader.is_empty() || !sound(noise.noise_m) || !sound(noise.region_m) {
+        return Err(Violation::new(
+            "M7",
+            "24 bytes, lengths of 0 to 1000000 m",
+            format!("{noise:?}, {} bytes", content.len()),
+        ));
+    }
+    Ok(noise)
 }
 
 /// Rule M5.
@@ -163,6 +189,13 @@ mod tests {
             assert_eq!(read(&units(wrong)), Err("M5"), "{wrong:?}");
         }
         assert_eq!(read(&record(b"READ", b"")), Err("M6"));
+        let noise = |numbers: [f64; 3]| record(b"NOIS", numbers.map(f64::to_le_bytes).as_flattened());
+        assert!(read(&noise([0.003, 0.0, 0.25])).is_ok());
+        for wrong in [[-0.0, 0.0, 0.0], [f64::NAN, 0.0, 0.0], [0.0, 0.0, 1e7]] {
+            assert_eq!(read(&noise(wrong)), Err("M7"), "{wrong:?}");
+        }
+        assert_eq!(read(&record(b"NOIS", &[0; 23])), Err("M7"));
+        assert_eq!(read(&record(b"NOIS", &[0; 25])), Err("M7"));
         let long = Metadata { crs: "x".repeat(1 << 20), ..Metadata::default() };
         assert!(matches!(long.encode(), Err(Error::Limit { .. })));
     }
@@ -173,9 +206,10 @@ mod tests {
             crs in ".{0,40}", part in proptest::option::of((0u32..5, any::<u128>())),
             units in proptest::collection::vec((1e-9f64..1e9, 1e-9f64..1e9), 0..4),
             inputs in proptest::collection::btree_map(any::<u32>(), (any::<u128>(), ".{0,300}"), 0..4),
+            noise in proptest::option::of((0.0f64..1e3, any::<u64>(), 0.0f64..1e3)),
             mut unknown in proptest::collection::btree_map(any::<Tag>(), proptest::collection::vec(any::<u8>(), 0..9), 0..4)
         ) {
-            unknown.retain(|tag, _| ![CRS, READ, SHARD, UNIT].contains(tag));
+            unknown.retain(|tag, _| ![CRS, NOISE, READ, SHARD, UNIT].contains(tag));
             let shard = part.map(|(index, plan_file)| {
                 let first = u64::from(index) << 60;
                 let last = if index == 4 { u64::MAX } else { first + (1 << 60) - 1 };
@@ -183,7 +217,8 @@ mod tests {
             });
             let units = units.into_iter().map(|(horizontal_m, vertical_m)| LengthUnit { horizontal_m, vertical_m });
             let read = inputs.into_iter().map(|(input, (hash, name))| InputRead { input, hash, name }).collect();
-            let metadata = Metadata { crs, shard, read, unknown, units: LengthUnit::distinct(units) };
+            let noise = noise.map(|(noise_m, regions, region_m)| Noise { noise_m, regions, region_m });
+            let metadata = Metadata { crs, shard, read, noise, unknown, units: LengthUnit::distinct(units) };
             let bytes = metadata.encode().unwrap();
             let mut found = Metadata::decode(&bytes, crc32c::crc32c(&bytes)).unwrap();
             for (found, given) in found.read.iter_mut().zip(&metadata.read) {

@@ -60,7 +60,7 @@ pub use writer::{ArchiveWriter, Totals};
 
 /// Latest version of the format that is read and written: major, minor. Archives state 1.2 where holes are filled, else 1.1
 /// with overview levels and 1.0 without.
-pub const FORMAT_VERSION: (u16, u16) = (1, 2);
+pub const FORMAT_VERSION: (u16, u16) = (1, 3);
 
 #[cfg(test)]
 mod tests;

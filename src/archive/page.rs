@@ -6,6 +6,7 @@ use super::levels::{CoarseSpan, coarse};
 use crate::Result;
 use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
+use crate::plan::Plan;
 use crate::slice::{Inferred, Page, PageBounds, PageBuilder, PageSize, Span};
 use std::sync::Arc;
 use xxhash_rust::xxh3::xxh3_64;
@@ -79,6 +80,12 @@ impl EncodedPage {
         }
     }
 
+    fn with_bytes(self, mut bytes: Vec<u8>) -> Self {
+        seal(&mut bytes);
+        bytes.shrink_to_fit();
+        Self { hash: xxh3_64(&bytes[LEADER..]), bytes, ..self }
+    }
+
     /// The bytes that decide whether two pages are equal.
     pub(super) fn body(&self) -> &[u8] {
         &self.bytes[LEADER..]
@@ -129,9 +136,14 @@ pub struct PageEncoder {
 }
 
 impl PageEncoder {
-    /// An encoder for pages of an archive with this grid, with its own scratch memory (about 2 MiB once used).
+    /// An encoder for pages of an archive with this grid and no tolerance, with its own scratch memory (about 2 MiB once used).
     pub fn new(frame: Frame) -> Self {
-        Self { encoder: Encoder::new(frame), magic: MAGIC, levels: true, body: Vec::new() }
+        Self { encoder: Encoder::new(frame, 0), magic: MAGIC, levels: true, body: Vec::new() }
+    }
+
+    /// An encoder for pages of an archive of this plan.
+    pub fn of_plan(plan: &Plan) -> Self {
+        Self { encoder: Encoder::new(plan.frame, plan.tolerance_quanta()), ..Self::new(plan.frame) }
     }
 
     /// Whether pages are prepared for overview levels, as they are unless this says otherwise. An archive without levels costs
@@ -150,15 +162,14 @@ impl PageEncoder {
         Self { encoder: Encoder::of_levels(), magic: LEVEL_MAGIC, levels: false, body: Vec::new() }
     }
 
-    /// See [`Encoder::simplify`].
-    pub fn simplify(&mut self, page: &Page, tolerance: u32) -> Page {
-        self.encoder.simplify(page, tolerance)
-    }
-
     /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds (rule P10).
     pub(super) fn gives(&mut self, page: &Page, inferred: &Inferred, bytes: &[u8]) -> bool {
         self.body.clear();
         self.encoder.encode_inferred(page, inferred, &mut self.body);
+        if self.body != bytes[LEADER..] && self.encoder.has_changed() {
+            self.body.clear();
+            self.encoder.encode_as_before(page, inferred, &mut self.body);
+        }
         self.body == bytes[LEADER..]
     }
 
@@ -170,16 +181,28 @@ impl PageEncoder {
     /// Encodes `page`, some of whose spans are inferred, under `key`. Only archives whose plan
     /// [fills holes](crate::plan::PlanOptions::fill_holes) take such pages.
     pub fn encode_inferred(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> EncodedPage {
-        let uniform = if inferred.is_empty() { uniform_span(page) } else { None };
-        let encoded = EncodedPage { uniform, ..EncodedPage::without_bytes(key, page, inferred, self.levels) };
+        let encoded = self.without_bytes(key, page, inferred);
         if encoded.uniform.is_some() || encoded.bounds.is_none() {
             return encoded;
         }
         let mut bytes = leader(self.magic, key);
         self.encoder.encode_inferred(page, inferred, &mut bytes);
-        seal(&mut bytes);
-        bytes.shrink_to_fit();
-        EncodedPage { hash: xxh3_64(&bytes[LEADER..]), bytes, ..encoded }
+        encoded.with_bytes(bytes)
+    }
+
+    /// As [`encode_inferred`](Self::encode_inferred), with heights coarsened by up to the tolerance of the plan; some spans may
+    /// become one. The page must hold matter.
+    pub fn encode_loose(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> EncodedPage {
+        let mut bytes = leader(self.magic, key);
+        let page = self.encoder.encode_loose(page, inferred, &mut bytes);
+        let encoded = self.without_bytes(key, &page, inferred);
+        if encoded.uniform.is_some() { encoded } else { encoded.with_bytes(bytes) }
+    }
+
+    /// All but the bytes.
+    fn without_bytes(&self, key: PageKey, page: &Page, inferred: &Inferred) -> EncodedPage {
+        let uniform = if inferred.is_empty() { uniform_span(page) } else { None };
+        EncodedPage { uniform, ..EncodedPage::without_bytes(key, page, inferred, self.levels) }
     }
 }
 

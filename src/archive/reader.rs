@@ -10,7 +10,7 @@ use super::page::PageDecoder;
 use super::shard::Shard;
 use crate::bytes::{ByteSource, FileSource, MapSource, MemorySource};
 use crate::frame::{Frame, PageKey};
-use crate::plan::Plan;
+use crate::plan::{Noise, Plan};
 use crate::slice::{Inferred, Page};
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
@@ -151,6 +151,11 @@ impl Archive {
     /// Which part of a conversion the archive holds, if it was converted in parts. One read.
     pub fn shard(&self) -> Result<Option<Shard>> {
         Ok(self.metadata()?.shard)
+    }
+
+    /// The noise of the scan, if the tolerance was chosen by it. One read.
+    pub fn noise(&self) -> Result<Option<Noise>> {
+        Ok(self.metadata()?.noise)
     }
 
     /// The units in which the inputs came, ascending and each once; none if unknown. One read.

@@ -96,7 +96,7 @@ pub fn recover(
         writer: ArchiveWriter::begin(output, &plan, Existing::replaced_if(overwrite), [path].into_iter().collect())?,
         copier: Copier::new(),
         decoder: PageDecoder::new(),
-        encoder: PageEncoder::new(plan.frame).for_levels(levels),
+        encoder: PageEncoder::of_plan(&plan).for_levels(levels),
         found: Pages::default(),
         columns: None,
         encoded_anew: 0,
@@ -291,7 +291,7 @@ impl Rescue<'_> {
         let all_found = lost.is_some_and(|lost| lost.total() == 0);
         let metadata = old.and_then(|archive| archive.metadata().ok());
         let metadata_lost = metadata.is_none();
-        let Metadata { crs, shard, read, units, unknown } = metadata.unwrap_or_default();
+        let Metadata { crs, shard, read, units, noise, unknown } = metadata.unwrap_or_default();
         if let Some(shard) = shard {
             let inside = |(first, last)| shard.columns().contains(&first) && shard.columns().contains(&last);
             if all_found && self.columns.is_none_or(inside) {
@@ -305,8 +305,11 @@ impl Rescue<'_> {
         self.writer.set_unknown(unknown);
         dropped.extend(header.and_then(beyond_this_version));
         let totals = match header {
-            Some(header) => Totals { bounds: self.writer.fit(header.bounds), crs, units, ..Totals::of_points(header) },
-            None => Totals { crs, units, ..Totals::default() },
+            Some(header) => {
+                let bounds = self.writer.fit(header.bounds);
+                Totals { bounds, crs, units, noise, ..Totals::of_points(header) }
+            }
+            None => Totals { crs, units, noise, ..Totals::default() },
         };
         let new = self.writer.finish(totals)?;
         let mut say = |broken: bool, what: String| mended.extend(broken.then_some(what));

@@ -25,7 +25,16 @@ fn plan() -> Plan {
 
 fn totals() -> Totals {
     let (crs, units) = ("EPSG:28992".into(), Vec::new());
-    Totals { points_read: 9, points_kept: 5, points_withheld: 1, points_excluded: 2, bounds: None, crs, units }
+    Totals {
+        points_read: 9,
+        points_kept: 5,
+        points_withheld: 1,
+        points_excluded: 2,
+        bounds: None,
+        crs,
+        units,
+        noise: None,
+    }
 }
 
 fn write(target: &Path, pages: &BTreeMap<PageKey, Page>) -> Result<Header> {

@@ -89,7 +89,7 @@ impl Archive {
             counts: HashMap::new(),
             summary: VerifySummary { bytes: header.bytes.head + super::head::FOOTER as u64, ..Default::default() },
             decoder: PageDecoder::new(),
-            encoder: PageEncoder::new(*self.frame()),
+            encoder: PageEncoder::of_plan(self.plan()),
             chunk: (0, Vec::new()),
             next: Some(header.pages_offset()),
             lost_leaf: false,

@@ -16,7 +16,7 @@ use super::spill::{Entries, write_leaves};
 use crate::codec::Violation;
 use crate::frame::PageKey;
 use crate::output::{Existing, Output, OutputKind, Protected};
-use crate::plan::Plan;
+use crate::plan::{Noise, Plan};
 use crate::slice::{PageBounds, PageSize};
 use crate::unit::LengthUnit;
 use crate::{Error, Result};
@@ -44,6 +44,8 @@ pub struct Totals {
     pub crs: String,
     /// Units in which the inputs came, ascending and each once, at most 256; none if unknown.
     pub units: Vec<LengthUnit>,
+    /// Noise of the scan, if the tolerance was chosen by it.
+    pub noise: Option<Noise>,
 }
 
 impl Totals {
@@ -355,7 +357,8 @@ impl ArchiveWriter {
         let entries = std::mem::replace(&mut self.entries, Entries::new(self.output.files(), self.output.beside()));
         let leaves = write_leaves(&entries, leaf_entries, &mut |bytes| self.append(bytes))?;
         let (read, unknown) = (std::mem::take(&mut self.read), std::mem::take(&mut self.unknown));
-        let metadata = Metadata { crs: totals.crs, shard: self.shard, read, units: totals.units, unknown }.encode()?;
+        let Totals { crs, units, noise, .. } = totals;
+        let metadata = Metadata { crs, shard: self.shard, read, units, noise, unknown }.encode()?;
         self.append(&metadata)?;
 
         let directory = leaves.iter().map(|leaf| leaf.stored_len as u64).sum();

@@ -7,15 +7,16 @@
 //! little is left to say.
 
 use super::lattice::{End, Lattice};
-use super::rans::{Bit, Coder, Dry, Nibble, RansDecoder, RansEncoder};
+use super::loose::Tried;
+use super::rans::{Bit, COST_BIT, Coder, Nibble, RansDecoder, RansEncoder};
 use super::{MAX_PAGE_SPANS, Violation};
 use crate::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
 use crate::slice::{Page, PageBuilder, Span};
 
-const PIXELS: usize = 64 * 64;
+pub(super) const PIXELS: usize = 64 * 64;
 /// Most spans in one pixel.
 const MAX_COLUMN: u32 = 64;
-const SLICE: u32 = SLICE_QUANTA as u32;
+pub(super) const SLICE: u32 = SLICE_QUANTA as u32;
 /// Bits of a lattice's step and phase: 8 before the point, 32 behind it.
 const LATTICE_BITS: u32 = 40;
 
@@ -54,7 +55,7 @@ const RARE: Bit = Bit::new(1 << 10);
 
 /// Everything that learns. Made anew for each page, so that a page can be read alone.
 #[derive(Debug, Clone)]
-struct Models {
+pub(super) struct Models {
     /// By the kinds of the blocks in the west and north: matter at all, and in all pixels.
     matter: [Bit; 9],
     full: [Bit; 9],
@@ -129,12 +130,12 @@ impl Default for Scratch {
 }
 
 /// What the neighbours say of the next span: its candidates in them.
-struct Candidates {
+pub(super) struct Candidates {
     count: usize,
     obstacles: usize,
     /// Expected step of the bottom, and thickness (steps).
-    bottom: i32,
-    thickness: i32,
+    pub bottom: i32,
+    pub thickness: i32,
     /// Greatest less least among the candidates (steps).
     bottom_spread: u32,
     thickness_spread: u32,
@@ -212,7 +213,7 @@ fn class(size: u32) -> usize {
 impl Candidates {
     /// Model of the bottom.
     #[inline]
-    fn bottom_context(&self) -> usize {
+    pub fn bottom_context(&self) -> usize {
         match self.count {
             0 | 1 => self.count,
             2 => 2 + class(self.bottom_spread) / 2,
@@ -222,7 +223,7 @@ impl Candidates {
 
     /// Model of the thickness.
     #[inline]
-    fn thickness_context(&self) -> usize {
+    pub fn thickness_context(&self) -> usize {
         let agreement = match self.count {
             0 | 1 => self.count,
             _ => 2 + class(self.thickness_spread),
@@ -232,15 +233,42 @@ impl Candidates {
 }
 
 /// A walk over a page, with its coder.
-struct Traversal<'a, C> {
+pub(super) struct Traversal<'a, C> {
     coder: C,
-    lattice: Lattice,
+    pub lattice: Lattice,
     models: &'a mut Models,
     last_off: &'a mut [[u8; 1 << 14]; 2],
 }
 
 /// A height of a span: the quantum and the step.
 type Height = (u32, u32);
+
+impl<C> Traversal<'_, C> {
+    /// What a height of `end` would take (1/64 bit) near step `expected`, which steps of `context` code: a step, and how far
+    /// the height lies off its usual one; or a slice boundary.
+    #[inline]
+    pub fn cost(&self, end: End, context: usize, expected: i32, step: Option<(u32, i32)>) -> u32 {
+        let side = end as usize;
+        let models = match end {
+            End::Bottom => &self.models.bottom[..],
+            End::Top => &self.models.thickness[..],
+        };
+        let Some((index, off)) = step else { return models[context].cost(15) + 7 * COST_BIT };
+        let residual = fold(index as i32 - expected);
+        let length = bits(residual);
+        let mut cost = models[context].cost(length);
+        if length > 1 {
+            cost += self.models.second[side][length as usize].cost(residual >> (length - 2) & 1 == 1);
+            cost += (length - 2) * COST_BIT;
+        }
+        if !self.lattice.is_quanta() {
+            let last = self.last_off[side][index as usize];
+            cost += self.models.off[side][last as usize].cost(off != 0);
+            cost += if off != 0 { COST_BIT } else { 0 };
+        }
+        cost
+    }
+}
 
 impl<C: Coder> Traversal<'_, C> {
     /// Which blocks have matter, and which in all pixels, as masks.
@@ -332,13 +360,13 @@ fn unfold(folded: u32) -> i32 {
 }
 
 /// Where the values of a walk come from.
-trait Given {
+pub(super) trait Given {
     /// Blocks with matter, blocks with matter in all pixels.
     fn blocks(&self) -> (u64, u64);
     fn spans(&self, px: u32, py: u32) -> &[Span];
-    /// `span`, or one that says less, as `candidates` and the span `below` would have it; `above` is the bottom of the
-    /// next span.
-    fn simplest(&self, span: Span, _: &Candidates, _: &Lattice, _below: Option<Coded>, _above: Option<u32>) -> Span {
+    /// `span`, the one of number `_at.1` in pixel `_at.0`, or what it is to be in its place.
+    #[inline]
+    fn chosen<C>(&self, span: Span, _at: (usize, usize), _: &Candidates, _: &Traversal<'_, C>) -> Span {
         span
     }
 }
@@ -358,68 +386,6 @@ impl Given for Option<&Page> {
     }
 }
 
-/// A page whose heights may be moved outwards.
-struct Loose<'a> {
-    page: &'a Page,
-    /// How far (quanta).
-    tolerance: u32,
-}
-
-impl Given for Loose<'_> {
-    fn blocks(&self) -> (u64, u64) {
-        Some(self.page).blocks()
-    }
-
-    fn spans(&self, px: u32, py: u32) -> &[Span] {
-        self.page.column(px, py)
-    }
-
-    /// The expected heights if they lie within the tolerance; else a third of the way across it, since the surface has
-    /// left the expected one and may go on. Ends may pass into the next slice: where a floor straddles a slice boundary,
-    /// half of its pixels could otherwise not be level with the other half.
-    fn simplest(
-        &self,
-        span: Span,
-        candidates: &Candidates,
-        lattice: &Lattice,
-        below: Option<Coded>,
-        above: Option<u32>,
-    ) -> Span {
-        let pick = |expected: i32, (low, high): (u32, u32)| {
-            let (low, high) = (low as i32, high as i32);
-            match expected {
-                _ if expected < low => low + (high - low) / 3,
-                _ if expected > high => high - (high - low) / 3,
-                _ => expected,
-            }
-        };
-        let (mut bottom, mut top) = (span.bottom(), span.top());
-        let mut bottom_step = lattice.at_or_above(bottom);
-        if let Some((step, _)) = lattice.index(bottom, End::Bottom) {
-            let lowest = bottom
-                .saturating_sub(self.tolerance)
-                .max(below.map_or(0, |below| u32::from(below.top) + 1))
-                .min(bottom);
-            let steps = (lattice.at_or_above(lowest).min(step), step);
-            bottom_step = pick(candidates.bottom, steps) as u32;
-            if bottom_step != step {
-                bottom = (lattice.usual(bottom_step, End::Bottom) as u32).clamp(lowest, bottom);
-            }
-        }
-        if let Some((step, _)) = lattice.index(top, End::Top) {
-            let highest = (top + self.tolerance).min(PAGE_QUANTA as u32);
-            let highest = highest.min(above.map_or(u32::MAX, |above| above.saturating_sub(1))).max(top);
-            // The last step whose usual height is not above the highest.
-            let last = lattice.at_or_above(highest).saturating_sub(!lattice.is_quanta() as u32).max(step);
-            let top_step = pick(bottom_step as i32 + candidates.thickness, (step, last)) as u32;
-            if top_step != step {
-                top = (lattice.usual(top_step, End::Top) as u32).clamp(top, highest);
-            }
-        }
-        Span::new(bottom, top, span.is_obstacle()).unwrap_or(span)
-    }
-}
-
 /// Which of the six pixels before pixel `px` have matter, by the masks of its row, the row to the north and the next: west 2,
 /// west, north-west, north, north-east, north 2, from the lowest bit up.
 #[inline]
@@ -431,7 +397,7 @@ fn pixel_context(rows: [u64; 3], px: u32) -> usize {
 }
 
 /// Walks over the page that `given` tells or the coder reads, and hands each pixel's spans to `give`.
-fn walk<C: Coder, G: Given>(
+pub(super) fn walk<C: Coder, G: Given>(
     coder: C,
     lattice: Lattice,
     scratch: &mut Scratch,
@@ -476,9 +442,8 @@ fn walk<C: Coder, G: Given>(
             let mut below = None;
             for index in 0..count as usize {
                 let candidates = candidates(spans, &mut around, below);
-                let above = given_spans.get(index + 1).map(|span| span.bottom());
                 let span = given_spans.get(index);
-                let span = span.map(|&span| given.simplest(span, &candidates, &traversal.lattice, below, above));
+                let span = span.map(|&span| given.chosen(span, (pixel, index), &candidates, &traversal));
                 let (bottom, bottom_step) = traversal.height(
                     End::Bottom,
                     candidates.bottom_context(),
@@ -516,19 +481,19 @@ fn walk<C: Coder, G: Given>(
     Ok(traversal.coder)
 }
 
-fn lattice_of(frame: Option<&Frame>, page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
+pub(super) fn lattice_of(frame: Option<&Frame>, steps: &[u64], page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
     heights.clear();
     for (_, _, spans) in page.columns() {
         heights.extend(spans.iter().flat_map(|span| [(span.bottom(), End::Bottom), (span.top(), End::Top)]));
     }
     // Heights on slice boundaries may be those of cuts, and say nothing.
     heights.retain(|(height, _)| height % SLICE != 0);
-    Lattice::find(frame, heights).unwrap_or(Lattice::QUANTA)
+    Lattice::find(frame, steps, heights).unwrap_or(Lattice::QUANTA)
 }
 
-/// Appends the encoding of `page`, at most [`MAX_LEN`] bytes.
-pub fn encode(frame: Option<&Frame>, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
-    let lattice = lattice_of(frame, page, &mut scratch.heights);
+/// Appends the encoding of `page`, at most [`MAX_LEN`] bytes; `steps` (1/2³² quantum) are looked for first.
+pub fn encode(frame: Option<&Frame>, steps: &[u64], page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+    let lattice = lattice_of(frame, steps, page, &mut scratch.heights);
     let mut encoder = std::mem::take(&mut scratch.encoder);
     encoder.clear();
     code_lattice(&mut encoder, lattice);
@@ -536,6 +501,45 @@ pub fn encode(frame: Option<&Frame>, page: &Page, scratch: &mut Scratch, out: &m
         encoder.finish(out);
         scratch.encoder = encoder;
     }
+}
+
+/// Codes what `given` chooses on the lattice of `tried`: its spans, and their symbols.
+pub(super) fn choose(given: impl Given, tried: &mut Tried, scratch: &mut Scratch) {
+    let Tried { lattice, encoder, spans } = tried;
+    let mut coder = std::mem::take(encoder);
+    coder.clear();
+    spans.clear();
+    code_lattice(&mut coder, *lattice);
+    let walked = walk(coder, *lattice, scratch, given, |_, _, column| {
+        spans.extend_from_slice(column);
+        Ok(())
+    });
+    debug_assert!(walked.is_ok(), "chosen spans lie inside the page");
+    *encoder = walked.unwrap_or_default();
+}
+
+/// Appends the encoding of `page`, which has just been chosen as `tried`, as [`encode`] does.
+pub(super) fn encode_chosen(
+    frame: Option<&Frame>,
+    steps: &[u64],
+    page: &Page,
+    tried: &mut Tried,
+    scratch: &mut Scratch,
+    out: &mut Vec<u8>,
+) {
+    let found = lattice_of(frame, steps, page, &mut scratch.heights);
+    // Found in the heights, a phase may differ a little from the one they were chosen on.
+    let borders = (0..=PAGE_QUANTA as u32).step_by(SLICE as usize).flat_map(|at| [(at, End::Bottom), (at, End::Top)]);
+    let mut heights = scratch.heights.iter().copied().chain(borders);
+    let step = |lattice: &Lattice, height, end| (lattice.index(height, end), lattice.at_or_above(height));
+    let is_same = |(height, end)| step(&found, height, end) == step(&tried.lattice, height, end);
+    if !found.is_like(&tried.lattice) && !(found.step == tried.lattice.step && heights.all(is_same)) {
+        return encode(frame, steps, page, scratch, out);
+    }
+    let mut head = RansEncoder::default();
+    code_lattice(&mut head, found);
+    tried.encoder.replace_first(&head);
+    tried.encoder.finish(out);
 }
 
 /// A bit that says whether there is a lattice, then its step and phase, 10 bits at a time, highest first.
@@ -561,18 +565,6 @@ pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut PageBuilder) -> 
         builder.set_column(px, py, spans).then_some(()).ok_or_else(apart)
     })?;
     decoder.finish("P6")
-}
-
-/// Fills `builder`, which must be empty, with a page that is cheaper to encode than `page` and holds all its matter:
-/// bottoms up to `tolerance` (quanta) lower and tops as much higher, in the same page.
-pub fn simplify(frame: Option<&Frame>, page: &Page, tolerance: u32, scratch: &mut Scratch, builder: &mut PageBuilder) {
-    let lattice = lattice_of(frame, page, &mut scratch.heights);
-    let taken = walk(Dry, lattice, scratch, Loose { page, tolerance }, |px, py, spans| {
-        let taken = builder.set_column(px, py, spans);
-        debug_assert!(taken, "pixel ({px}, {py}): {spans:?}");
-        Ok(())
-    });
-    debug_assert!(taken.is_ok() || page.span_count() == 0);
 }
 
 #[cfg(test)]
@@ -616,7 +608,7 @@ pub(crate) mod tests {
 
     fn encoded(frame: &Frame, page: &Page) -> Vec<u8> {
         let mut body = Vec::new();
-        Encoder::new(*frame).encode(page, &mut body);
+        Encoder::new(*frame, 0).encode(page, &mut body);
         body
     }
 
@@ -711,7 +703,7 @@ pub(crate) mod tests {
     proptest! {
         #[test]
         fn pages_round_trip(pages in proptest::collection::vec(pages(), 1..4), centimetres: bool) {
-            let (mut encoder, mut decoder) = (Encoder::new(frame()), Decoder::default());
+            let (mut encoder, mut decoder) = (Encoder::new(frame(), 0), Decoder::default());
             for page in pages {
                 let page = if centimetres { in_centimetres(&page) } else { page };
                 prop_assume!(page.span_count() > 0);
@@ -719,30 +711,6 @@ pub(crate) mod tests {
                 encoder.encode(&page, &mut body);
                 prop_assert!(body.len() <= MAX_BODY && body == encoded(&frame(), &page));
                 prop_assert_eq!(decoder.decode(&body).unwrap(), page);
-            }
-        }
-
-        #[test]
-        fn simple_pages_hold_all_matter_and_grow_no_further_than_the_tolerance(
-            page in pages(), tolerance in prop_oneof![0u32..4, 0u32..256], centimetres: bool
-        ) {
-            let page = if centimetres { in_centimetres(&page) } else { page };
-            prop_assume!(page.span_count() > 0);
-            let mut encoder = Encoder::new(frame());
-            let simple = encoder.simplify(&page, tolerance);
-            for (px, py, spans) in page.columns() {
-                let simple = simple.column(px, py);
-                prop_assert_eq!(spans.len(), simple.len());
-                for (exact, loose) in spans.iter().zip(simple) {
-                    prop_assert!(loose.bottom() <= exact.bottom() && exact.bottom() <= loose.bottom() + tolerance);
-                    prop_assert!(loose.top() >= exact.top() && loose.top() <= exact.top() + tolerance);
-                    prop_assert_eq!(exact.is_obstacle(), loose.is_obstacle());
-                }
-            }
-            let body = encoded(&frame(), &simple);
-            prop_assert_eq!(&Decoder::default().decode(&body).unwrap(), &simple);
-            if tolerance == 0 {
-                prop_assert_eq!(simple, page);
             }
         }
 

@@ -8,11 +8,11 @@ use crate::frame::{Frame, SLICE_QUANTA};
 
 /// Fractional bits of [`Lattice`]'s numbers.
 pub const FRACTION_BITS: u32 = 32;
-const ONE: i64 = 1 << FRACTION_BITS;
+pub const ONE: i64 = 1 << FRACTION_BITS;
 /// How far a height may lie off its step (in 1/2³² quantum): coordinates were rounded, and so is the step.
 const SLACK: i64 = 1 << 14;
 /// Fewest heights from which a lattice saves more than the 10 bytes that it takes.
-const LEAST_HEIGHTS: usize = 32;
+pub const LEAST_HEIGHTS: usize = 32;
 /// Steps looked for (m), coarse to fine: decimals of metres, feet and US survey feet, as LAS files are scaled.
 const STEPS_M: [f64; 14] = [
     0.1,
@@ -62,6 +62,17 @@ impl Lattice {
             .then_some(Self { step, phase })
     }
 
+    /// Whether all heights have the same steps on both, where that is seen at once: steps of whole quanta, begun within the same.
+    pub fn is_like(&self, other: &Self) -> bool {
+        let inside = |lattice: &Self| lattice.phase % ONE as u64 > 0;
+        self == other
+            || self.step == other.step
+                && self.step.is_multiple_of(ONE as u64)
+                && self.phase >> FRACTION_BITS == other.phase >> FRACTION_BITS
+                && inside(self)
+                && inside(other)
+    }
+
     /// Whether the steps are the quanta themselves.
     #[inline]
     pub fn is_quanta(&self) -> bool {
@@ -103,9 +114,9 @@ impl Lattice {
         })
     }
 
-    /// The coarsest lattice on which all `heights` (quanta) of a page on the grid `frame` lie; without a grid, of a page of an
-    /// overview level.
-    pub fn find(frame: Option<&Frame>, heights: &[(u32, End)]) -> Option<Self> {
+    /// The lattice of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page on the grid `frame` lie, else
+    /// the coarsest of those that scans have; without a grid, of a page of an overview level.
+    pub fn find(frame: Option<&Frame>, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
         if heights.len() < LEAST_HEIGHTS {
             return None;
         }
@@ -113,11 +124,17 @@ impl Lattice {
             let lattice = Self::new(step, 0)?;
             Some(Self { phase: lattice.phase_of(heights)?, ..lattice })
         };
+        if let Some(found) = steps.iter().find_map(|&step| with_step(step)) {
+            return Some(found);
+        }
         let Some(frame) = frame else { return with_step(LEVEL_STEP * ONE as u64) };
-        STEPS_M.iter().find_map(|step_m| {
-            let step = (step_m * SLICE_QUANTA as f64 / frame.slice_m() * ONE as f64 + 0.5).floor();
-            with_step(step as u64)
-        })
+        Self::steps_of_scans(frame).find_map(with_step)
+    }
+
+    /// Steps that scans have on this grid (1/2³² quantum), coarse to fine; some are out of the limits of a lattice.
+    pub fn steps_of_scans(frame: &Frame) -> impl Iterator<Item = u64> {
+        let slice_m = frame.slice_m();
+        STEPS_M.iter().map(move |step_m| (step_m * SLICE_QUANTA as f64 / slice_m * ONE as f64 + 0.5).floor() as u64)
     }
 
     /// The middle of all phases at which the heights lie on steps.
@@ -168,7 +185,7 @@ mod tests {
             let points: Vec<f64> = steps.iter().map(|&n| offset + f64::from(n % count) * step).collect();
             let floor = frame.quantum_floor(offset) - 3;
             let heights = heights(&frame, &points, floor);
-            let lattice = Lattice::find(Some(&frame), &heights).expect("a lattice");
+            let lattice = Lattice::find(Some(&frame), &[], &heights).expect("a lattice");
             for &(height, end) in &heights {
                 let (index, off) = lattice.index(height, end).expect("a step");
                 prop_assert_eq!(lattice.usual(index, end) + off, height as i32);
@@ -206,7 +223,7 @@ mod tests {
             let points: Vec<_> = points.into_iter().filter(on_page).collect();
             let mut heights = heights(&frame, &points, floor);
             heights.retain(|(height, _)| height % SLICE_QUANTA as u32 != 0);
-            let Some(lattice) = Lattice::find(Some(&frame), &heights) else { continue };
+            let Some(lattice) = Lattice::find(Some(&frame), &[], &heights) else { continue };
             found += 1;
             for &(height, end) in &heights {
                 assert!(lattice.index(height, end).is_some(), "{height} {end:?} of {pixel_m} m in layer {layer}");
@@ -224,7 +241,7 @@ mod tests {
         };
         let heights: Vec<_> = (0..200).map(|_| (next(), End::Bottom)).collect();
         let frame = Frame::new(0.05, 0.15).unwrap();
-        assert_eq!(Lattice::find(Some(&frame), &heights), None);
-        assert_eq!(Lattice::find(Some(&frame), &heights[..5]), None);
+        assert_eq!(Lattice::find(Some(&frame), &[], &heights), None);
+        assert_eq!(Lattice::find(Some(&frame), &[], &heights[..5]), None);
     }
 }

@@ -12,6 +12,7 @@ mod adaptive;
 mod bytes;
 mod compress;
 mod lattice;
+mod loose;
 mod rans;
 
 #[doc(hidden)]
@@ -66,68 +67,78 @@ const MARKED: u8 = 2;
 pub struct Encoder {
     /// `None` for pages of levels.
     frame: Option<Frame>,
+    /// How far heights may be moved (quanta), and the steps that they may have been put on then.
+    tolerance: u32,
+    steps: Vec<u64>,
     adaptive: adaptive::Scratch,
+    loose: loose::Loose,
     builder: PageBuilder,
-    body: Vec<u8>,
 }
 
 impl Encoder {
-    /// An encoder for pages of an archive with this grid.
-    pub fn new(frame: Frame) -> Self {
-        Self { frame: Some(frame), ..Self::of_levels() }
+    /// An encoder for pages of an archive with this grid and heights coarsened by up to `tolerance` (quanta).
+    pub fn new(frame: Frame, tolerance: u32) -> Self {
+        Self { frame: Some(frame), tolerance, steps: loose::all_steps(&frame, tolerance), ..Self::of_levels() }
     }
 
     /// An encoder for pages of overview levels.
     pub fn of_levels() -> Self {
-        Self { frame: None, adaptive: Default::default(), builder: PageBuilder::default(), body: Vec::new() }
+        Self {
+            frame: None,
+            tolerance: 0,
+            steps: Vec::new(),
+            adaptive: Default::default(),
+            loose: Default::default(),
+            builder: PageBuilder::default(),
+        }
     }
 
     /// Appends the encoding of `page`, which must hold matter: at most [`MAX_BODY`] bytes. Equal pages have equal
     /// encodings, whatever was encoded before.
     pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
         out.push(ADAPTIVE);
-        adaptive::encode(self.frame.as_ref(), page, &mut self.adaptive, out);
+        adaptive::encode(self.frame.as_ref(), &self.steps, page, &mut self.adaptive, out);
     }
 
     /// As [`encode`](Self::encode), of a page some of whose spans are inferred.
     pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
-        if inferred.is_empty() {
-            return self.encode(page, out);
-        }
-        out.push(MARKED);
-        let runs = inferred.runs(page);
-        put_varint(out, runs.len() as u64);
-        runs.iter().for_each(|&run| put_varint(out, run.into()));
-        adaptive::encode(self.frame.as_ref(), page, &mut self.adaptive, out);
+        put_model(page, inferred, out);
+        adaptive::encode(self.frame.as_ref(), &self.steps, page, &mut self.adaptive, out);
     }
 
-    /// The page of fewest bytes among some that hold all matter of `page`: itself, and those of which bottoms are up to
-    /// `tolerance` (quanta), or its half, quarter and so on, lower, and tops as much higher. Of equals the nearest.
-    ///
-    /// A wide tolerance does not always take fewer bytes than a narrow one: heights follow their neighbours as far as
-    /// they may, and may be further from where the surface goes next.
-    pub fn simplify(&mut self, page: &Page, tolerance: u32) -> Page {
-        let mut body = std::mem::take(&mut self.body);
-        let mut length = |encoder: &mut Self, page: &Page| {
-            body.clear();
-            encoder.encode(page, &mut body);
-            body.len()
-        };
-        let mut best = (length(self, page), None);
-        let halves = std::iter::successors(Some(tolerance), |tolerance| Some(tolerance / 2));
-        let widths: Vec<u32> = halves.take_while(|&width| width > 0).collect();
-        for &width in widths.iter().rev() {
-            self.builder.clear();
-            adaptive::simplify(self.frame.as_ref(), page, width, &mut self.adaptive, &mut self.builder);
-            let simple = self.builder.build();
-            let len = length(self, &simple);
-            if len < best.0 {
-                best = (len, Some(simple));
-            }
-        }
-        self.body = body;
-        best.1.unwrap_or_else(|| page.clone())
+    /// As [`encode_inferred`](Self::encode_inferred), as archives before version 1.3 have it: heights on none but the steps of scans.
+    pub fn encode_as_before(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
+        put_model(page, inferred, out);
+        adaptive::encode(self.frame.as_ref(), &[], page, &mut self.adaptive, out);
     }
+
+    /// Whether [`encode_as_before`](Self::encode_as_before) may differ.
+    pub fn has_changed(&self) -> bool {
+        !self.steps.is_empty()
+    }
+
+    /// As [`encode_inferred`](Self::encode_inferred), of a page that takes fewer bytes and holds all matter of `page`, which is
+    /// returned: bottoms are up to the tolerance lower, tops as much higher. Spans of one kind between which that leaves no gap
+    /// become one, but in pages with inferred ones.
+    pub fn encode_loose(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) -> Page {
+        let Self { frame, tolerance, steps, adaptive, loose, builder } = self;
+        let wanted = (page, *tolerance, inferred.is_empty());
+        let (page, tried) = loose.simplify(frame.as_ref(), wanted, adaptive, builder);
+        put_model(&page, inferred, out);
+        adaptive::encode_chosen(frame.as_ref(), steps, &page, tried, adaptive, out);
+        page
+    }
+}
+
+/// Appends the model of a page, and which of its spans are inferred.
+fn put_model(page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
+    if inferred.is_empty() {
+        return out.push(ADAPTIVE);
+    }
+    out.push(MARKED);
+    let runs = inferred.runs(page);
+    put_varint(out, runs.len() as u64);
+    runs.iter().for_each(|&run| put_varint(out, run.into()));
 }
 
 /// Decodes pages; keeps its scratch, so that a page costs no more than its own allocations.

@@ -57,6 +57,12 @@ impl Nibble {
         (start(symbol), end - start(symbol))
     }
 
+    /// What `symbol` would take (1/64 bit).
+    #[inline]
+    pub fn cost(&self, symbol: u32) -> u32 {
+        cost_of(self.slots(symbol).1)
+    }
+
     #[inline]
     fn symbol_at(&self, slot: u32) -> u32 {
         let slot = slot as i16;
@@ -75,6 +81,38 @@ impl Nibble {
             *below += if index as i16 > symbol { up } else { -down };
         }
     }
+}
+
+/// Fractions of a bit in which lengths of symbols are counted.
+pub const COST_BIT: u32 = 64;
+/// log₂(1 + i/64), in 1/64.
+const LOG: [u8; 64] = {
+    let (mut table, mut at) = ([0; 64], 0);
+    while at < 64 {
+        // Squaring doubles the logarithm: its bits come out one by one.
+        let (mut power, mut bits, mut rounds) = ((64 + at as u64) << 24, 0u8, 0);
+        while rounds < 6 {
+            power = (power * power) >> 30;
+            bits <<= 1;
+            if power >= 2 << 30 {
+                power >>= 1;
+                bits |= 1;
+            }
+            rounds += 1;
+        }
+        table[at] = bits;
+        at += 1;
+    }
+    table
+};
+
+/// What a symbol of `count` slots takes (1/64 bit).
+#[inline]
+fn cost_of(count: u32) -> u32 {
+    let whole = count.ilog2();
+    // The six bits below the highest.
+    let fraction = LOG[((count << 6 >> whole) & 63) as usize];
+    (SCALE_BITS - whole) * COST_BIT - fraction as u32
 }
 
 /// Adaptive probability of a bit.
@@ -97,6 +135,12 @@ impl Bit {
         if bit { (SCALE - ones, ones) } else { (0, SCALE - ones) }
     }
 
+    /// What `bit` would take (1/64 bit).
+    #[inline]
+    pub fn cost(&self, bit: bool) -> u32 {
+        cost_of(self.slots(bit).1)
+    }
+
     #[inline]
     fn learn(&mut self, bit: bool) {
         let rate = BIT_RATES[self.seen as usize & 15] as u32;
@@ -117,24 +161,6 @@ pub trait Coder {
     fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
     /// `bits` bits [1..=15] of equal probability.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
-}
-
-/// Returns what it is given: a walk that writes nothing.
-#[derive(Debug, Default)]
-pub struct Dry;
-
-impl Coder for Dry {
-    fn nibble(&mut self, _: &mut Nibble, symbol: u32) -> u32 {
-        symbol
-    }
-
-    fn bit(&mut self, _: &mut Bit, bit: bool) -> bool {
-        bit
-    }
-
-    fn raw(&mut self, _: u32, value: u32) -> u32 {
-        value
-    }
 }
 
 /// Writes symbols; reusable.
@@ -165,6 +191,16 @@ impl RansEncoder {
         }
         out.extend(state.to_le_bytes());
         out.extend(self.words.iter().rev().flat_map(|word| word.to_le_bytes()));
+    }
+
+    /// What all symbols since [`clear`](Self::clear) take, but for rounding (1/64 bit).
+    pub fn cost(&self) -> u64 {
+        self.slots.iter().map(|&(_, count)| u64::from(cost_of(count.into()))).sum()
+    }
+
+    /// Replaces the first symbols by those of `other`.
+    pub fn replace_first(&mut self, other: &Self) {
+        self.slots[..other.slots.len()].copy_from_slice(&other.slots);
     }
 
     #[inline]
@@ -281,6 +317,14 @@ impl Coder for RansDecoder<'_> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn costs_are_logarithms() {
+        for count in 1..=SCALE {
+            let exact = f64::from(COST_BIT) * (f64::from(SCALE) / f64::from(count)).log2();
+            assert!((f64::from(cost_of(count)) - exact).abs() < 2.5, "{count}");
+        }
+    }
 
     #[derive(Debug, Clone)]
     enum Symbol {

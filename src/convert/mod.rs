@@ -29,22 +29,22 @@ mod work;
 mod writer;
 
 pub use facts::InputFacts;
-pub use options::{ConvertOptions, PixelSize, ShardOptions};
+pub use options::{ConvertOptions, PixelSize, ShardOptions, Tolerance};
 pub use plan_file::PlanFile;
 pub use preview::{Preview, PreviewInput, preview};
 pub use report::Report;
 pub use resume::Resumed;
 pub use writer::PointWriter;
 
-use crate::archive::{ArchiveWriter, Header, MAX_UNITS};
+use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Totals};
 use crate::disk::Files;
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
-use crate::input::spacing::{Spacing, estimate_spacing};
+use crate::input::spacing::{Spacing, Survey};
 use crate::input::{InputOptions, InputSet, PointCounts, ScanFile};
 use crate::mesh::{MeshOptions, MeshSet};
 use crate::output::{Existing, Output, OutputKind, Protected};
-use crate::plan::{Plan, PlanOptions};
+use crate::plan::{Noise, Plan, PlanOptions};
 use crate::text::{counted, grouped, number};
 use crate::unit::LengthUnit;
 use crate::voxel::runs::RunStore;
@@ -112,30 +112,60 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
     Ok(Inputs { scans, meshes })
 }
 
-/// The plan of a conversion of `inputs`, and the point spacing if the pixel size follows from it. Both may be `known` from
-/// an earlier run.
+/// What automatic options follow from; `None` where they were given.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Surveyed {
+    /// For the pixel size.
+    pub spacing: Option<Spacing>,
+    /// For the tolerance.
+    pub noise: Option<Noise>,
+}
+
+impl Surveyed {
+    /// Reads the scans once, if something is to follow from them that is not `known` from an earlier run.
+    fn of(options: &ConvertOptions, set: &InputSet, known: Option<Self>, monitor: &dyn Monitor) -> Result<Self> {
+        if let Some(known) = known {
+            return Ok(known);
+        }
+        let auto_pixel = options.pixel == PixelSize::Auto && !set.files().is_empty();
+        let no_noise = options.tolerance_auto.then(Noise::default);
+        if set.files().is_empty() || !(auto_pixel || options.tolerance_auto) {
+            return Ok(Self { spacing: None, noise: no_noise });
+        }
+        let survey = Survey::read(set, options.threads, if auto_pixel { "spacing" } else { "noise" }, monitor)?;
+        let spacing = auto_pixel.then(|| survey.spacing()).transpose()?;
+        // Where losses are allowed, they come up again in the pass that counts, and are told then.
+        set.check_complete(&NoMonitor)?;
+        Ok(Self { spacing, noise: no_noise.map(|none| survey.noise().unwrap_or(none)) })
+    }
+}
+
+/// The plan of a conversion of `inputs`, and what it follows from, which may be `known` from an earlier run.
 pub(crate) fn plan(
     options: &ConvertOptions,
     Inputs { scans: set, meshes }: &Inputs,
-    known: Option<(f64, Spacing)>,
+    known: Option<Surveyed>,
     monitor: &dyn Monitor,
-) -> Result<(Plan, Option<Spacing>)> {
-    let (pixel_m, spacing) = match (options.pixel, known) {
-        (PixelSize::Metres(pixel_m), _) => (pixel_m, None),
-        (PixelSize::Auto, _) if set.files().is_empty() => (pixel_of_extent(meshes, monitor)?, None),
-        (PixelSize::Auto, Some((pixel_m, spacing))) => (pixel_m, Some(spacing)),
-        (PixelSize::Auto, None) => {
-            let spacing = estimate_spacing(set, options.threads, monitor)?;
-            // Where losses are allowed, they come up again in the pass that counts, and are told then.
-            set.check_complete(&NoMonitor)?;
-            (round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2), Some(spacing))
-        }
+) -> Result<(Plan, Surveyed)> {
+    let surveyed = Surveyed::of(options, set, known, monitor)?;
+    let pixel_m = match (options.pixel, surveyed.spacing) {
+        (PixelSize::Metres(pixel_m), _) => pixel_m,
+        (PixelSize::Auto, Some(spacing)) => round_to_digits(AUTO_PIXEL_SPACINGS * spacing.spacing_m, 2),
+        (PixelSize::Auto, None) => pixel_of_extent(meshes, monitor)?,
     };
+    if surveyed.noise.is_some_and(|noise| noise.regions == 0) {
+        let text = "--tolerance auto: too little of the input is flat to measure its noise; heights stay as they are";
+        monitor.warn(&text.into());
+    }
     if options.pixel == PixelSize::Auto && !(1e-6..=MAX_CELL_M).contains(&pixel_m) {
         let reason = format!("the input asks for pixels of {pixel_m} m; give the pixel size in metres");
         return Err(Error::parameter(Parameter::AutomaticPixelSize, reason));
     }
-    Ok((options.plan_of(pixel_m)?, spacing))
+    let mut plan = options.plan_of(pixel_m)?;
+    if let Some(noise) = surveyed.noise {
+        plan.options.tolerance_m = noise.tolerance_m().min(MAX_CELL_M);
+    }
+    Ok((plan, surveyed))
 }
 
 impl ConvertOptions {
@@ -244,7 +274,9 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let files = output.files().clone();
     let target = std::path::absolute(output.beside()).map_err(|error| Error::io(&options.output, "find", error))?;
     let earlier = Earlier::find(options, &output, &target)?;
-    let (plan, spacing) = plan(options, &inputs, earlier.as_ref().and_then(Earlier::automatic), monitor)?;
+    let known = earlier.as_ref().and_then(|earlier| earlier.surveyed(options));
+    let (plan, surveyed) = plan(options, &inputs, known, monitor)?;
+    let noise = surveyed.noise.or(options.plan_file.as_ref().and_then(|file| file.noise));
     let Inputs { scans: mut set, meshes } = inputs;
     let units = LengthUnit::distinct(set.length_units().chain(meshes.length_unit()));
     if units.len() > MAX_UNITS {
@@ -277,7 +309,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     if notes || shard.is_some() {
         set.start_hashing();
     }
-    let identity = Identity::of(options, &plan, spacing, shard, &set);
+    let identity = Identity::of(options, &plan, surveyed, shard, &set);
     let name = target.file_name().unwrap_or_default().to_owned();
     let place = SpillPlace { files, folder: options.temp_dir.clone(), name, head: identity.head(&target) };
     let nothing = || Progress::nothing(set.files().len());
@@ -298,6 +330,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         progress,
         notes,
         units,
+        noise,
         seeing,
         monitor,
     };
@@ -306,7 +339,7 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         removed.finish()?;
     }
     match done {
-        Ok(report) => Ok(Report { spacing, resumed, temp_bytes: store.temp_bytes(), ..report }),
+        Ok(report) => Ok(Report { spacing: surveyed.spacing, resumed, temp_bytes: store.temp_bytes(), ..report }),
         Err(error) => Err(keep(options, &mut store, error)),
     }
 }
@@ -365,6 +398,7 @@ struct Conversion<'a> {
     progress: Progress,
     notes: bool,
     units: Vec<LengthUnit>,
+    noise: Option<Noise>,
     seeing: Option<&'a Seeing>,
     monitor: &'a dyn Monitor,
 }
@@ -376,7 +410,7 @@ impl Conversion<'_> {
         mut writer: ArchiveWriter,
         mut removed: Option<&mut RemovedPoints>,
     ) -> Result<Report> {
-        let Self { options, limits, plan, set, meshes, scope, progress, notes, units, seeing, monitor } = self;
+        let Self { options, limits, plan, set, meshes, scope, progress, notes, units, noise, seeing, monitor } = self;
         let threads = options.threads;
         let scope = scope.as_ref();
         let reading = Reading { build_bytes: limits.build_bytes, threads, scope, progress: &progress, notes, seeing };
@@ -418,7 +452,7 @@ impl Conversion<'_> {
         let (voxels_dropped, points_moving) = (left_out.voxels, left_out.moving);
         read.own.kept -= points_moving;
         let crs = set.crs().unwrap_or_default().to_owned();
-        let header = writer.finish(read.own.totals(&crs, &units))?;
+        let header = writer.finish(Totals { noise, ..read.own.totals(&crs, &units) })?;
         if whole && header.points_read > 0 && header.voxels.occupied == 0 {
             monitor.warn(&nothing_kept(&header, voxels_dropped, points_moving).into());
         }
@@ -427,6 +461,7 @@ impl Conversion<'_> {
             shard: scope.map(|scope| scope.shard),
             crs,
             units,
+            noise,
             spacing: None,
             input_bytes: set.bytes().saturating_add(meshes.bytes()),
             temp_bytes: 0,

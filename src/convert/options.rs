@@ -31,6 +31,29 @@ impl FromStr for PixelSize {
     }
 }
 
+/// How far heights are coarsened.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Tolerance {
+    /// By no more than the scan's own noise (costs one more pass over the input).
+    Auto,
+    /// This many metres.
+    Metres(f64),
+}
+
+/// As the command line takes it: `auto`, or metres.
+impl FromStr for Tolerance {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            _ if text == "auto" => Ok(Self::Auto),
+            Ok(value) if value.is_finite() => Ok(Self::Metres(value)),
+            _ => Err("expected auto, or a length in metres".into()),
+        }
+    }
+}
+
 /// What to convert, and how. See the README for the command line that sets these.
 #[derive(Debug, Clone)]
 pub struct ConvertOptions {
@@ -44,6 +67,9 @@ pub struct ConvertOptions {
     pub slice_m: Option<f64>,
     /// What else decides the content of the archive.
     pub plan: PlanOptions,
+    /// Whether the tolerance follows from the scan's own noise, in place of that of the plan (costs one more pass over the input,
+    /// the same as for an automatic pixel size).
+    pub tolerance_auto: bool,
     /// Holes in floors of up to this width are closed by inferred floor (m; whole pixels of it, 1 to 45); `None`: as the plan
     /// says, which by default closes none.
     pub fill_holes_m: Option<f64>,
@@ -82,6 +108,14 @@ pub struct ConvertOptions {
 }
 
 impl ConvertOptions {
+    /// Sets how far heights are coarsened.
+    pub fn set_tolerance(&mut self, tolerance: Tolerance) {
+        (self.tolerance_auto, self.plan.tolerance_m) = match tolerance {
+            Tolerance::Auto => (true, 0.0),
+            Tolerance::Metres(tolerance_m) => (false, tolerance_m),
+        };
+    }
+
     /// Defaults of the command line for these inputs and this output.
     pub fn new(inputs: Vec<PathBuf>, output: PathBuf) -> Self {
         Self {
@@ -90,6 +124,7 @@ impl ConvertOptions {
             pixel: PixelSize::Auto,
             slice_m: None,
             plan: PlanOptions::default(),
+            tolerance_auto: false,
             fill_holes_m: None,
             memory_bytes: 512 << 20,
             threads: std::thread::available_parallelism().map_or(1, |n| n.get()),

@@ -6,6 +6,7 @@ use super::removed::RemovedPoints;
 use crate::archive::{ArchiveWriter, EncodedPage, PageEncoder, Totals};
 use crate::frame::PageKey;
 use crate::plan::{Plan, PlanOptions};
+use crate::slice::Inferred;
 use crate::voxel::floaters::{Dropped, Frontier, PieceFinder, Pieces};
 use crate::voxel::fold::{Area, Patch, Sums};
 use crate::voxel::judge::Judge;
@@ -205,7 +206,8 @@ struct PageMaker {
     drop_isolated: bool,
     verdicts: Vec<bool>,
     columns: ColumnPages,
-    tolerance: u32,
+    /// Whether heights may be coarsened.
+    is_loose: bool,
     encoder: PageEncoder,
     done: KeyedPages,
 }
@@ -217,8 +219,8 @@ impl PageMaker {
             drop_isolated: plan.options.drop_floaters == 1,
             verdicts: Vec::new(),
             columns: ColumnPages::default(),
-            tolerance: plan.tolerance_quanta(),
-            encoder: PageEncoder::new(plan.frame).for_levels(levels),
+            is_loose: plan.tolerance_quanta() > 0,
+            encoder: PageEncoder::of_plan(plan).for_levels(levels),
             done: KeyedPages::new(),
         }
     }
@@ -233,11 +235,14 @@ impl TakeAreas for PageMaker {
     }
 
     fn end(&mut self, column: ColumnKey) -> Result<()> {
-        let Self { columns, encoder, tolerance, done, .. } = self;
+        let Self { columns, encoder, is_loose, done, .. } = self;
         columns.finish(column.first_slice(), |layer, page| {
             let key = PageKey::from_column(column.column, layer);
-            let simple = (*tolerance > 0).then(|| encoder.simplify(page, *tolerance));
-            done.push((key, encoder.encode(key, simple.as_ref().unwrap_or(page))));
+            let encoded = match is_loose {
+                true => encoder.encode_loose(key, page, &Inferred::NONE),
+                false => encoder.encode(key, page),
+            };
+            done.push((key, encoded));
             Ok(())
         })
     }

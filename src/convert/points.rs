@@ -67,6 +67,7 @@ impl Own {
             bounds: (self.min[0] <= self.max[0]).then_some((self.min, self.max)),
             crs: crs.to_owned(),
             units: units.to_vec(),
+            noise: None,
         }
     }
 }

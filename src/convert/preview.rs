@@ -2,14 +2,14 @@
 
 use super::options::ConvertOptions;
 use super::stations::Stations;
-use super::{Limits, check_free_space, open_inputs, plan, scope, temp_bytes};
+use super::{Limits, Surveyed, check_free_space, open_inputs, plan, scope, temp_bytes};
 use crate::archive::Bounds;
 use crate::disk::Files;
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::Spacing;
 use crate::input::{ScanFile, StatedBounds};
 use crate::output::{Existing, OutputKind, check};
-use crate::plan::Plan;
+use crate::plan::{Noise, Plan};
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Result};
 use std::path::PathBuf;
@@ -21,6 +21,8 @@ pub struct Preview {
     pub plan: Plan,
     /// Point spacing found, if the pixel size follows from it.
     pub spacing: Option<Spacing>,
+    /// Noise of the scan, if the tolerance follows from it.
+    pub noise: Option<Noise>,
     /// The files that would be read: scans, then meshes.
     pub inputs: Vec<PreviewInput>,
     /// Bounds (m, z up): of scans as their headers state them, of meshes as their triangles have them.
@@ -57,7 +59,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     }
     let temp_bytes = temp_bytes(options, &opened.scans, Limits::of(options).retain_bytes).1;
     check_free_space(options, &Files::current(), temp_bytes)?;
-    let (plan, spacing) = plan(options, &opened, None, monitor)?;
+    let (plan, Surveyed { spacing, noise }) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
     scope(options, set, &plan, monitor)?;
     if options.plan.remove_moving {
@@ -81,6 +83,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     Ok(Preview {
         plan,
         spacing,
+        noise: noise.or(options.plan_file.as_ref().and_then(|file| file.noise)),
         bounds,
         crs: set.crs().unwrap_or_default().to_owned(),
         units: LengthUnit::distinct(set.length_units().chain(meshes.length_unit())),

@@ -2,9 +2,10 @@
 
 use super::Resumed;
 use crate::archive::{Header, Shard};
-use crate::info::{INPUT_QUANTUM_M, header_info, shard_info};
+use crate::info::{INPUT_QUANTUM_M, header_info, noise_info, shard_info};
 use crate::input::spacing::Spacing;
 use crate::mesh::MeshCounts;
+use crate::plan::Noise;
 use crate::unit::LengthUnit;
 use serde_json::Value;
 
@@ -18,6 +19,8 @@ pub struct Report {
     pub shard: Option<Shard>,
     /// Point spacing found, if the pixel size was chosen automatically.
     pub spacing: Option<Spacing>,
+    /// Noise of the scan, if the tolerance was chosen by it.
+    pub noise: Option<Noise>,
     /// Text of the coordinate reference system; empty if the input names none.
     pub crs: String,
     /// Units in which the inputs came, each once.
@@ -60,6 +63,9 @@ impl Report {
         facts["points_resumed"] = self.resumed.map_or(0, |resumed| resumed.points).into();
         facts["temp_bytes_resumed"] = self.resumed.map_or(0, |resumed| resumed.bytes).into();
         facts["point_spacing"] = self.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
+        if let Some(noise) = &self.noise {
+            facts["tolerance_auto"] = noise_info(noise);
+        }
         if let Some(shard) = &self.shard {
             facts["shard"] = shard_info(shard);
         }

@@ -8,15 +8,15 @@
 //!
 //! Meshes are read again. The second pass, from runs to pages, begins anew.
 
-use super::ConvertOptions;
 use super::points::{OfFile, Read};
+use super::{ConvertOptions, PixelSize, Surveyed};
 use crate::archive::Shard;
 use crate::codec::ByteReader;
 use crate::input::spacing::Spacing;
 use crate::input::{InputSet, PointCounts, ReadLog, Reads, ScanFile, Units};
 use crate::mesh::MeshMode;
 use crate::output::Output;
-use crate::plan::Plan;
+use crate::plan::{Noise, Plan};
 use crate::voxel::spill::{Leftover, Spill, SpillPlace, SpilledRun};
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::{BTreeMap, HashSet};
@@ -37,8 +37,8 @@ pub struct Resumed {
 pub(super) struct Identity {
     version: String,
     plan: Vec<u8>,
-    /// If the pixel size was chosen automatically.
-    spacing: Option<Spacing>,
+    /// What automatic options follow from.
+    surveyed: Surveyed,
     /// Unit of the input and mode of meshes, as numbers.
     numbers: [f64; 2],
     shard: Option<Shard>,
@@ -65,13 +65,7 @@ impl InputState {
 }
 
 impl Identity {
-    pub fn of(
-        options: &ConvertOptions,
-        plan: &Plan,
-        spacing: Option<Spacing>,
-        shard: Option<Shard>,
-        set: &InputSet,
-    ) -> Self {
+    pub fn of(options: &ConvertOptions, plan: &Plan, surveyed: Surveyed, shard: Option<Shard>, set: &InputSet) -> Self {
         let unit = match options.units {
             Units::Auto => 0.0,
             Units::Factor(factor) => factor,
@@ -83,7 +77,7 @@ impl Identity {
         Self {
             version: env!("CARGO_PKG_VERSION").into(),
             plan: plan.to_bytes().to_vec(),
-            spacing,
+            surveyed,
             numbers: [unit, mesh],
             shard,
             inputs: set.files().iter().map(InputState::of).collect(),
@@ -100,7 +94,7 @@ impl Identity {
         put(target.as_os_str().as_encoded_bytes());
         put(self.version.as_bytes());
         put(&self.plan);
-        let spacing = self.spacing.map(|Spacing { spacing_m, sampled, block_m, points }| {
+        let spacing = self.surveyed.spacing.map(|Spacing { spacing_m, sampled, block_m, points }| {
             [spacing_m.to_bits(), sampled, block_m.to_bits(), points].map(u64::to_le_bytes)
         });
         put(spacing.as_ref().map_or(&[][..], |spacing| spacing.as_flattened()));
@@ -113,6 +107,9 @@ impl Identity {
         let inputs: Vec<_> =
             self.inputs.iter().flat_map(|input| [input.path, input.state]).map(u64::to_le_bytes).collect();
         put(inputs.as_flattened());
+        if let Some(Noise { noise_m, regions, region_m }) = self.surveyed.noise {
+            put([noise_m.to_bits(), regions, region_m.to_bits()].map(u64::to_le_bytes).as_flattened());
+        }
         out
     }
 
@@ -129,7 +126,7 @@ impl Identity {
     }
 
     fn from_fields(fields: &[&[u8]]) -> Option<Self> {
-        let &[version, plan, spacing, numbers, shard, inputs] = fields else { return None };
+        let (&[version, plan, spacing, numbers, shard, inputs], noise) = fields.split_first_chunk()?;
         let u64s =
             |bytes: &[u8]| bytes.as_chunks().0.iter().map(|&bytes| u64::from_le_bytes(bytes)).collect::<Vec<_>>();
         let spacing = match u64s(spacing)[..] {
@@ -137,6 +134,14 @@ impl Identity {
             [spacing, sampled, block, points] => {
                 let (spacing_m, block_m) = (f64::from_bits(spacing), f64::from_bits(block));
                 Some(Spacing { spacing_m, sampled, block_m, points })
+            }
+            _ => return None,
+        };
+        let noise = match noise {
+            [] => None,
+            [noise] => {
+                let [noise, regions, region] = u64s(noise)[..] else { return None };
+                Some(Noise { noise_m: f64::from_bits(noise), regions, region_m: f64::from_bits(region) })
             }
             _ => return None,
         };
@@ -156,7 +161,7 @@ impl Identity {
         Some(Self {
             version: String::from_utf8(version.to_vec()).ok()?,
             plan: plan.to_vec(),
-            spacing,
+            surveyed: Surveyed { spacing, noise },
             numbers: numbers.map(f64::from_bits),
             shard,
             inputs,
@@ -248,10 +253,14 @@ impl Earlier {
         self.leftover.bytes()
     }
 
-    /// The pixel size (m) that was chosen automatically, and why.
-    pub fn automatic(&self) -> Option<(f64, Spacing)> {
-        let pixel = self.identity.plan.first_chunk().map(|&bytes| f64::from_le_bytes(bytes));
-        pixel.zip(self.identity.spacing)
+    /// What the automatic options of `options` follow from; `None` if that is not all known.
+    pub fn surveyed(&self, options: &ConvertOptions) -> Option<Surveyed> {
+        let Surveyed { spacing, noise } = self.identity.surveyed;
+        let (auto_pixel, auto_tolerance) = (options.pixel == PixelSize::Auto, options.tolerance_auto);
+        if auto_pixel && spacing.is_none() || auto_tolerance && noise.is_none() {
+            return None;
+        }
+        Some(Surveyed { spacing: spacing.filter(|_| auto_pixel), noise: noise.filter(|_| auto_tolerance) })
     }
 
     /// Goes on from it, for a run of `identity` that spills at `place`.

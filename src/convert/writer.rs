@@ -63,6 +63,10 @@ impl PointWriter {
             let reason = "points that are not there yet tell no pixel size; give it in metres";
             return Err(Error::parameter(Parameter::PixelSize, reason));
         };
+        if options.tolerance_auto {
+            let reason = "points that are not there yet tell no noise; give the tolerance in metres";
+            return Err(Error::parameter(Parameter::Tolerance, reason));
+        }
         let plan = options.plan_of(pixel_m)?;
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
         let output = Output::create(&options.output, kind, Protected::default())?;
@@ -142,6 +146,7 @@ impl PointWriter {
             header: self.output.finish(own.totals(&self.crs, &units))?,
             shard: None,
             spacing: None,
+            noise: None,
             crs: self.crs,
             units,
             input_bytes: 0,

@@ -26,6 +26,7 @@ mod las;
 mod layers;
 mod laz;
 mod losses;
+mod noise;
 pub(crate) mod number;
 mod pattern;
 pub(crate) mod ply_header;

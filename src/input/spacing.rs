@@ -1,6 +1,7 @@
-//! How far apart the points of a scan lie: the distance of a point to its nearest neighbour, as the automatic pixel size needs it.
+//! What an automatic pixel size and tolerance need to know of a scan: how far apart its points lie, by the distance of a point to
+//! its nearest neighbour, and how much noise their heights have.
 //!
-//! In: a set of scans. Out: the median over a sample, the same bits whatever the order of points and files and the
+//! In: a set of scans. Out: figures of a sample, the same bits whatever the order of points and files and the
 //! number of threads (guarantee G4). Memory: below 24 MiB for any input and number of threads.
 //!
 //! A nearest neighbour can only be found where *all* points of a neighbourhood are kept, so whole blocks are sampled, not
@@ -13,7 +14,9 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
 
+use super::noise::{Blocks, noise_of};
 use super::{InputSet, PointBatch, PointChunk, PointDecoder};
+use crate::plan::Noise;
 use crate::{Error, Monitor, Parameter, Result};
 
 /// Points per metre of the finest grid of indices: a power of two, so that the product is exact.
@@ -35,7 +38,7 @@ const LEAST_M: f64 = 1e-140;
 /// Points that a thread gathers at a level before it takes the lock.
 const LOCAL_POINTS: usize = 512;
 
-/// Result of [`estimate_spacing`].
+/// Result of [`Survey::spacing`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Spacing {
@@ -53,7 +56,76 @@ pub struct Spacing {
 ///
 /// Fails when the scans hold fewer than two distinct points.
 pub fn estimate_spacing(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Spacing> {
-    monitor.stage("spacing", set.points_stated(), "points");
+    Survey::read(set, threads, "spacing", monitor)?.spacing()
+}
+
+/// Samples of a scan.
+pub struct Survey {
+    samples: Vec<Sample>,
+    points: u64,
+}
+
+impl Survey {
+    /// Reads all of `set` once, a stage of this name.
+    pub fn read(set: &InputSet, threads: usize, stage: &'static str, monitor: &dyn Monitor) -> Result<Self> {
+        monitor.stage(stage, set.points_stated(), "points");
+        let (shared, points) = sample(set, threads, monitor)?;
+        Ok(Self::of(shared, points))
+    }
+
+    fn of(shared: Shared, points: u64) -> Self {
+        let levels = shared.levels.map(|l| l.into_inner().unwrap_or_else(|e| e.into_inner()));
+        Self {
+            samples: levels.into_iter().enumerate().map(|(number, level)| Sample::of(number, level)).collect(),
+            points,
+        }
+    }
+
+    /// The distance between neighbouring points; fails when there are fewer than two distinct points.
+    pub fn spacing(&self) -> Result<Spacing> {
+        choose(&self.samples, self.points).ok_or_else(|| {
+            Error::parameter(
+                Parameter::AutomaticPixelSize,
+                "the scans hold fewer than two points apart; give the pixel size in metres",
+            )
+        })
+    }
+
+    /// The noise of heights; `None` where too little is flat to tell.
+    pub fn noise(&self) -> Option<Noise> {
+        let blocks = self.samples.iter().filter(|sample| sample.points.len() > 1);
+        noise_of(blocks.filter_map(|sample| Some(Blocks { edge_m: sample.edge_m()?, points: &sample.points })))
+    }
+}
+
+/// Points of the blocks of one level, each once and in order.
+struct Sample {
+    level: usize,
+    round: u32,
+    points: Vec<[f64; 3]>,
+    blocks: usize,
+}
+
+impl Sample {
+    fn of(level: usize, Level { round, mut points }: Level) -> Self {
+        // Squares of distances among numbers as small as this vanish; a search among points without distances is endless.
+        points.as_flattened_mut().iter_mut().filter(|v| v.abs() < LEAST_M).for_each(|v| *v = 0.0);
+        points.sort_unstable_by(order);
+        points.dedup_by(|a, b| order(a, b).is_eq());
+        let mut blocks: Vec<[i64; 3]> = points.iter().map(|&p| block_of(p, level)).collect();
+        blocks.sort_unstable();
+        blocks.dedup();
+        Self { level, round, points, blocks: blocks.len() }
+    }
+
+    /// Edge of the blocks (m); `None` where single points were sampled.
+    fn edge_m(&self) -> Option<f64> {
+        SHIFTS.get(self.level).map(|&shift| (1u64 << shift) as f64 / FINEST_PER_M)
+    }
+}
+
+/// The sample of all levels, and the number of kept points.
+fn sample(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<(Shared, u64)> {
     let shared = Shared::default();
     let chunks = Mutex::new(set.chunks());
     let failed = AtomicBool::new(false);
@@ -86,13 +158,7 @@ pub fn estimate_spacing(set: &InputSet, threads: usize, monitor: &dyn Monitor) -
         outcomes
     });
     outcomes.into_iter().collect::<Result<()>>()?;
-    let levels = shared.levels.map(|l| l.into_inner().unwrap_or_else(|e| e.into_inner()));
-    choose(levels, points.into_inner() as u64).ok_or_else(|| {
-        Error::parameter(
-            Parameter::AutomaticPixelSize,
-            "the scans hold fewer than two points apart; give the pixel size in metres",
-        )
-    })
+    Ok((shared, points.into_inner() as u64))
 }
 
 /// Top bits of this decide whether a block is sampled: the finaliser of SplitMix64 over a weighted sum.
@@ -218,40 +284,30 @@ fn hand_over(held: &mut Vec<[f64; 3]>, level: usize, shared: &Shared) -> u32 {
 /// up to 2.2 times off with the largest blocks); with fewer points in them, too many neighbours are cut off at
 /// their faces. Then, in this order: blocks that hold the whole scan; few blocks; single points, whose distances
 /// grow by √2 for each halving of the sample as on a surface.
-fn choose(levels: [Level; LEVELS], points: u64) -> Option<Spacing> {
-    let mut samples = Vec::new();
-    for (level, mut sample) in levels.into_iter().enumerate() {
-        // Squares of distances among numbers as small as this vanish; a search among points without distances is endless.
-        sample.points.as_flattened_mut().iter_mut().filter(|v| v.abs() < LEAST_M).for_each(|v| *v = 0.0);
-        sample.points.sort_unstable_by(order);
-        sample.points.dedup_by(|a, b| order(a, b).is_eq());
-        let mut blocks: Vec<[i64; 3]> = sample.points.iter().map(|&p| block_of(p, level)).collect();
-        blocks.sort_unstable();
-        blocks.dedup();
-        samples.push((level, sample, blocks.len()));
-    }
-    let result = |level: usize, sample: &[[f64; 3]], factor: f64| {
-        let block_m = SHIFTS.get(level).map_or(0.0, |&s| (1u64 << s) as f64 / FINEST_PER_M);
-        let spacing_m = median_distance(sample)? * factor;
-        Some(Spacing { spacing_m, sampled: sample.len() as u64, block_m, points })
+fn choose(samples: &[Sample], points: u64) -> Option<Spacing> {
+    let result = |sample: &Sample, factor: f64| {
+        let spacing_m = median_distance(&sample.points)? * factor;
+        Some(Spacing {
+            spacing_m,
+            sampled: sample.points.len() as u64,
+            block_m: sample.edge_m().unwrap_or(0.0),
+            points,
+        })
     };
     let crowded = |least: usize| {
-        move |(_, sample, blocks): &&(usize, Level, usize)| {
-            sample.points.len() >= ENOUGH_POINTS.max(least * blocks) && *blocks > 0
-        }
+        move |sample: &&Sample| sample.points.len() >= ENOUGH_POINTS.max(least * sample.blocks) && sample.blocks > 0
     };
-    let blocks = &samples[..SHIFTS.len()];
+    let (single, blocks) = samples.split_last()?;
     let best = blocks
         .iter()
-        .filter(|(_, _, blocks)| *blocks >= ENOUGH_BLOCKS)
+        .filter(|sample| sample.blocks >= ENOUGH_BLOCKS)
         .find(crowded(ENOUGH_IN_BLOCK))
-        .or_else(|| blocks.iter().rfind(|(_, sample, _)| sample.round == 0 && sample.points.len() > 1))
+        .or_else(|| blocks.iter().rfind(|sample| sample.round == 0 && sample.points.len() > 1))
         .or_else(|| blocks.iter().find(crowded(ENOUGH_IN_BLOCK / 2)));
-    if let Some((level, sample, _)) = best {
-        return result(*level, &sample.points, 1.0);
+    match best {
+        Some(sample) => result(sample, 1.0),
+        None => result(single, 0.5f64.powi(single.round as i32).sqrt()),
     }
-    let (level, single, _) = &samples[SHIFTS.len()];
-    result(*level, &single.points, 0.5f64.powi(single.round as i32).sqrt())
 }
 
 fn order(a: &[f64; 3], b: &[f64; 3]) -> std::cmp::Ordering {
@@ -316,7 +372,7 @@ fn nearest(tree: &[[f64; 3]], depth: usize, from: &[f64; 3], least: &mut f64) {
 mod tests {
     use super::*;
 
-    fn estimate(points: &[[f64; 3]]) -> Option<Spacing> {
+    fn survey(points: &[[f64; 3]]) -> Survey {
         let shared = Shared::default();
         for part in points.chunks(1000) {
             let mut local = Local::default();
@@ -324,7 +380,11 @@ mod tests {
             local.take(&PointBatch { x: column(0), y: column(1), z: column(2), cloud: 0 }, &shared);
             local.flush(&shared);
         }
-        choose(shared.levels.map(|l| l.into_inner().unwrap()), points.len() as u64)
+        Survey::of(shared, points.len() as u64)
+    }
+
+    fn estimate(points: &[[f64; 3]]) -> Option<Spacing> {
+        survey(points).spacing().ok()
     }
 
     /// A floor of `n × n` points `step` apart, scattered by up to a quarter of it.

@@ -91,6 +91,7 @@ pub fn scene() -> (Pages, Totals) {
         bounds: Some(([-6.4, -19.2, -19.2], [19.2, 6.4, 115.5])),
         crs: "a made-up place".into(),
         units: Vec::new(),
+        noise: None,
     };
     (pages, totals)
 }
@@ -130,7 +131,7 @@ fn written(plan: &Plan, pages: &Pages, totals: &Totals, begin: impl FnOnce(&mut 
     let target = folder.path().join("test.slices");
     let mut writer = ArchiveWriter::create(&target, plan, false).unwrap();
     begin(&mut writer);
-    let mut encoder = PageEncoder::new(plan.frame);
+    let mut encoder = PageEncoder::of_plan(plan);
     for (&key, page) in pages {
         writer.put(key, encoder.encode(key, page)).unwrap();
     }

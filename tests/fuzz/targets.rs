@@ -97,7 +97,7 @@ pub fn page(bytes: &[u8]) {
     let mut decoder = Decoder::default();
     if let (Ok(page), Ok(frame)) = (decoder.decode(bytes), Frame::new(0.05, 0.15)) {
         let mut again = Vec::new();
-        Encoder::new(frame).encode(&page, &mut again);
+        Encoder::new(frame, 0).encode(&page, &mut again);
         assert_eq!(decoder.decode(&again).as_ref(), Ok(&page));
     }
 }

@@ -6,8 +6,8 @@ use crate::common::{
 };
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::frame::Frame;
-use slicewalk::plan::{Classifier, Plan, PlanOptions, Up};
-use slicewalk::slice::{Inferred, Page, Span};
+use slicewalk::plan::{Classifier, Noise, Plan, PlanOptions, Up};
+use slicewalk::slice::{Inferred, Span};
 use slicewalk::unit::{LengthUnit, US_SURVEY_FOOT_M};
 use std::collections::BTreeMap;
 
@@ -25,7 +25,8 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("shared-and-uniform", archive(&scene())),
         ("centimetres", archive_of(&in_centimetres, &(slope, totals()), None)),
         ("centimetres-cut", archive_of(&in_feet, &(pillars, totals()), None)),
-        ("tolerance", archive_of(&tolerant(), &(simple(floor()), totals_within(floor())), None)),
+        ("tolerance", tolerance()),
+        ("tolerance-1.0", include_bytes!("tolerance-1.0.bin").to_vec()),
         ("options", archive_of(&options(), &(floor(), totals_beyond()), None)),
         ("part", archive_of(&plan(), &(stairs(), totals_beyond()), Some(part()))),
         ("part-with-inputs", part_with_inputs()),
@@ -163,10 +164,18 @@ fn centimetres_cut() -> (Plan, Pages) {
     (plan, pages)
 }
 
-/// Pages with heights that are cheaper to encode, within six quanta.
-fn simple(pages: Pages) -> Pages {
-    let mut encoder = PageEncoder::new(plan().frame);
-    pages.into_iter().map(|(key, page): (_, Page)| (key, encoder.simplify(&page, 6))).collect()
+/// Heights moved outwards by up to 17 quanta, by a tolerance that the noise of the scan allows.
+fn tolerance() -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("test.slices");
+    let mut writer = ArchiveWriter::create(&target, &tolerant(), false).unwrap();
+    let mut encoder = PageEncoder::of_plan(&tolerant());
+    for (key, page) in floor() {
+        writer.put(key, encoder.encode_loose(key, &page, &Inferred::NONE)).unwrap();
+    }
+    let noise = Some(Noise { noise_m: 0.0203, regions: 1234, region_m: 0.25 });
+    writer.finish(Totals { noise, ..totals_within(floor()) }).unwrap();
+    std::fs::read(&target).unwrap()
 }
 
 /// The plan of the samples, but coarse heights.

@@ -7,7 +7,7 @@ use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use signal_hook::{consts, flag};
 use slicewalk::convert::{ConvertOptions, PixelSize, Preview, Report, convert, preview};
-use slicewalk::convert::{PlanFile, ShardOptions};
+use slicewalk::convert::{PlanFile, ShardOptions, Tolerance};
 use slicewalk::input::{Columns, Units};
 use slicewalk::mesh::MeshMode;
 use slicewalk::output::{Existing, Output, OutputKind, is_standard};
@@ -65,9 +65,10 @@ struct Arguments {
     /// Steepest slope that can be stood on, in degrees
     #[arg(long, default_value_t = 45.0, allow_negative_numbers = true, value_name = "DEG", value_parser = finite_number)]
     max_slope: f64,
-    /// Coarsen heights by up to this much, always outwards, in metres
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_name = "METRES", value_parser = finite_number)]
-    tolerance: f64,
+    /// Coarsen heights by up to this much, always outwards, in metres; `auto`: by no more than the scan's own noise, which takes one
+    /// more pass over the input
+    #[arg(long, default_value = "0", allow_negative_numbers = true, value_name = "auto|METRES")]
+    tolerance: Tolerance,
     /// How floors and obstacles are distinguished
     #[arg(long, value_enum, default_value_t = Rule::Plane)]
     classifier: Rule,
@@ -349,7 +350,7 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
     options.pixel = arguments.pixel;
     options.slice_m = arguments.slice;
     options.plan.max_slope_deg = arguments.max_slope;
-    options.plan.tolerance_m = arguments.tolerance;
+    options.set_tolerance(arguments.tolerance);
     options.plan.classifier = match arguments.classifier {
         Rule::Span => Classifier::Span,
         Rule::Thesis => Classifier::Thesis,
@@ -388,12 +389,14 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         return Ok(Done::Plan(Box::new(file)));
     }
     let plan_file = arguments.plan.as_deref().map(PlanFile::read).transpose()?;
+    let wanted = options.clone();
     if let Some(file) = &plan_file {
-        let wanted = options.clone();
         file.apply_to(&mut options);
-        refuse_contradictions(given, &wanted, &options)?;
     }
     options.plan_file = plan_file;
+    if options.plan_file.is_some() {
+        refuse_contradictions(given, &wanted, &options)?;
+    }
     options.shard = arguments.shard.map(|(index, count)| ShardOptions { index, count });
     if arguments.dry_run {
         return Ok(Done::Preview(Box::new(preview(&options, monitor)?)));
@@ -408,11 +411,12 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         _ => f64::NAN,
     };
     let same_holes = wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes);
+    let same_tolerance = planned.plan_file.as_ref().is_some_and(|file| file.has_tolerance_of(wanted));
     let options = [
         ("pixel", "--pixel", wanted.pixel == planned.pixel),
         ("slice", "--slice", wanted.slice_m == planned.slice_m),
         ("max_slope", "--max-slope", wanted.plan.max_slope_deg == planned.plan.max_slope_deg),
-        ("tolerance", "--tolerance", wanted.plan.tolerance_m == planned.plan.tolerance_m),
+        ("tolerance", "--tolerance", same_tolerance),
         ("classifier", "--classifier", wanted.plan.classifier == planned.plan.classifier),
         ("exclude_class", "--exclude-class", wanted.plan.exclude_classes == planned.plan.exclude_classes),
         ("min_points", "--min-points", wanted.plan.min_points == planned.plan.min_points),

@@ -4,8 +4,9 @@ use crate::Arguments;
 use serde_json::json;
 use slicewalk::archive::Header;
 use slicewalk::convert::{PlanFile, Preview, Report};
-use slicewalk::info::{crs_name, plan_info, slice_count, unit_info, units_in_words};
+use slicewalk::info::{crs_name, noise_in_words, noise_info, plan_info, slice_count, unit_info, units_in_words};
 use slicewalk::input::spacing::Spacing;
+use slicewalk::plan::{Noise, Plan};
 use slicewalk::terminal::say;
 use slicewalk::text::{counted, extent, file_size, grouped, lines, memory_size, number, one_line, rounded};
 use std::fmt::Display;
@@ -28,6 +29,7 @@ pub fn of_plan(arguments: &Arguments, file: &PlanFile) {
         let frame = &file.plan.frame;
         let (pixel, slice) = (number(frame.pixel_m()), number(frame.slice_m()));
         say(&format!("plan: pixels of {pixel} m, slices of {slice} m, {}", counted(file.inputs.len() as u64, "input")));
+        file.noise.iter().for_each(|noise| say(&of_tolerance(&file.plan, noise)));
     }
 }
 
@@ -35,6 +37,13 @@ pub fn of_plan(arguments: &Arguments, file: &PlanFile) {
 fn from_spacing(spacing: &Spacing) -> String {
     let Spacing { spacing_m, sampled, .. } = *spacing;
     format!("4 × the point spacing of {spacing_m:.4} m (median of {})", counted(sampled, "sampled point"))
+}
+
+/// What an automatic tolerance is, and why.
+fn of_tolerance(plan: &Plan, noise: &Noise) -> String {
+    let finer =
+        if plan.tolerance_quanta() == 0 { ", finer than the steps of heights, which stay as they are" } else { "" };
+    format!("tolerance {} m: {}{finer}", number(plan.options.tolerance_m), noise_in_words(noise))
 }
 
 pub fn of_conversion(arguments: &Arguments, report: &Report, seconds: f64) {
@@ -89,6 +98,9 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     if let Some(spacing) = &report.spacing {
         say(&format!("pixel size {} m: {}", number(frame.pixel_m()), from_spacing(spacing)));
     }
+    if let Some(noise) = &report.noise {
+        say(&of_tolerance(&header.plan, noise));
+    }
     if let Some(resumed) = report.resumed {
         let (points, bytes) = (counted(resumed.points, "point"), file_size(resumed.bytes));
         say(&format!("resumed: {points} from {bytes} of temporary data"));
@@ -131,6 +143,9 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
             facts.extend(plan.clone());
         }
         facts["point_spacing"] = preview.spacing.as_ref().map(|spacing| spacing.spacing_m).into();
+        if let Some(noise) = &preview.noise {
+            facts["tolerance_auto"] = noise_info(noise);
+        }
         facts["memory_bytes"] = arguments.memory.into();
         facts["temp_bytes"] = preview.temp_bytes.into();
         facts["temp_dir"] = temp_dir.to_string_lossy().into();
@@ -159,6 +174,7 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
     rows.push(("crs", crs_name(&preview.crs).unwrap_or_else(|| "not stated".into())));
     rows.push(("unit", units_in_words(&preview.units)));
     rows.push(("grid", format!("pixels of {pixel} m{spacing}; slices of {slice} m")));
+    rows.extend(preview.noise.iter().map(|noise| ("heights", of_tolerance(&preview.plan, noise))));
     let most = memory_size(arguments.memory + BESIDE_MEMORY);
     rows.push(("memory", format!("at most {most} (--memory {} and 64 MiB more)", memory_size(arguments.memory))));
     rows.push((

@@ -132,7 +132,8 @@ struct Worker<'a> {
     leaves: VecDeque<(usize, Arc<Vec<PageEntry>>)>,
     decoder: PageDecoder,
     closer: Closer,
-    tolerance: u32,
+    /// Whether heights may be coarsened.
+    is_loose: bool,
     builder: PageBuilder,
     encoder: PageEncoder,
 }
@@ -151,9 +152,9 @@ impl<'a> Worker<'a> {
             leaves: VecDeque::new(),
             decoder: PageDecoder::new(),
             closer: Closer::new(&plan.frame, plan.options.fill_holes),
-            tolerance: plan.tolerance_quanta(),
+            is_loose: plan.tolerance_quanta() > 0,
             builder: PageBuilder::default(),
-            encoder: PageEncoder::new(plan.frame).for_levels(levels),
+            encoder: PageEncoder::of_plan(plan).for_levels(levels),
         }
     }
 
@@ -264,8 +265,11 @@ impl<'a> Worker<'a> {
             if page.slices() == 0 {
                 continue;
             }
-            let simple = (self.tolerance > 0).then(|| self.encoder.simplify(page, self.tolerance));
-            done.push((key, self.encoder.encode_inferred(key, simple.as_ref().unwrap_or(page), &inferred)));
+            let encoded = match self.is_loose {
+                true => self.encoder.encode_loose(key, page, &inferred),
+                false => self.encoder.encode_inferred(key, page, &inferred),
+            };
+            done.push((key, encoded));
         }
     }
 }

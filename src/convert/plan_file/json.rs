@@ -3,10 +3,11 @@
 use super::{InputFacts, PlanFile};
 use crate::bytes::open_regular;
 use crate::frame::Frame;
+use crate::info::noise_info;
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
 use crate::output::{Existing, Output, OutputKind, PLAN_KEY, Protected};
-use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
+use crate::plan::{ClassSet, Classifier, Noise, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use serde_json::{Value, json};
 use std::io::Read;
@@ -51,6 +52,7 @@ impl PlanFile {
             },
             "levels": self.levels,
             "point_spacing": self.spacing_m,
+            "tolerance_auto": self.noise.as_ref().map(noise_info),
             "inputs": inputs,
         })
     }
@@ -209,10 +211,23 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         // Plans of earlier builds do not say: their archives have none.
         levels: value.get("levels").map_or(Ok(false), |_| field(value, "levels", "true or false", Value::as_bool))?,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
+        // Plans of earlier builds have none.
+        noise: match value.get("tolerance_auto") {
+            None | Some(Value::Null) => None,
+            Some(noise) => Some(noise_from_json(noise)?),
+        },
         inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
     };
     file.sort_inputs();
     Ok(file)
+}
+
+fn noise_from_json(value: &Value) -> Result<Noise, Wrong> {
+    let length = |v: &Value| number(v).filter(|length| (0.0..=1e6).contains(length));
+    let field = |name: &str| field(value, name, "a length in metres", length);
+    let regions = self::field(value, "regions", "a number of regions", Value::as_u64);
+    let noise = (|| Ok(Noise { noise_m: field("noise")?, regions: regions?, region_m: field("region_size")? }))();
+    noise.map_err(|wrong: Wrong| Wrong { at: format!("tolerance_auto.{}", wrong.at), ..wrong })
 }
 
 fn input_from_json(value: &Value) -> Result<InputFacts, Wrong> {
@@ -276,8 +291,9 @@ mod tests {
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };
             let units = units.map_or(Units::Auto, Units::Factor);
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
+            let noise = flags.0.then_some(Noise { noise_m: pixel / 7.0, regions: u64::from(min_points), region_m: 0.25 });
             let columns = [None, Some("z,-,y,x".parse().unwrap()), Some("x,y,z,class".parse().unwrap())][rule];
-            let mut file = PlanFile { plan, units, epsg, columns, mesh, levels: rule % 2 == 0, spacing_m, inputs };
+            let mut file = PlanFile { plan, units, epsg, columns, mesh, levels: rule % 2 == 0, spacing_m, noise, inputs };
             file.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
@@ -298,7 +314,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, spacing_m: None, inputs: Vec::new() }.to_json().to_string();
+            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, spacing_m: None, noise: None, inputs: Vec::new() }.to_json().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

@@ -16,6 +16,7 @@
 
 mod json;
 
+use super::Surveyed;
 use super::facts::InputFacts;
 use super::options::{ConvertOptions, PixelSize};
 use super::split::split;
@@ -23,7 +24,7 @@ use crate::archive::{MAX_SHARDS, Shard};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::{Columns, ScanFile, Units};
 use crate::mesh::MeshMode;
-use crate::plan::Plan;
+use crate::plan::{Noise, Plan};
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use xxhash_rust::xxh3::xxh3_128;
@@ -45,25 +46,28 @@ pub struct PlanFile {
     pub levels: bool,
     /// Point spacing found, if the pixel size was chosen from it (m).
     pub spacing_m: Option<f64>,
+    /// Noise of the scan, if the tolerance was chosen by it.
+    pub noise: Option<Noise>,
     /// The inputs, in order of their fingerprints: the same on every machine.
     pub inputs: Vec<InputFacts>,
 }
 
 impl PlanFile {
-    /// The plan file that `options` describe: headers are read, and the points once if the pixel size is to follow from them.
+    /// The plan file that `options` describe: headers are read, and the points once if pixel size or tolerance is to follow from
+    /// them.
     /// Files whose headers state no bounds are read once for these.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let inputs = super::open_inputs(options, monitor)?;
-        let (plan, spacing) = super::plan(options, &inputs, None, monitor)?;
+        let (plan, Surveyed { spacing, noise }) = super::plan(options, &inputs, None, monitor)?;
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
         far_apart(&scenes).inspect(|warning| monitor.warn(warning));
         let file = Self::of(InputFacts::measured(&inputs.scans, options.threads, monitor)?, plan, options);
-        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), ..file })
+        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), noise, ..file })
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
         let ConvertOptions { units, epsg, columns, mesh, levels, .. } = *options;
-        let mut file = Self { plan, units, epsg, columns, mesh, levels, spacing_m: None, inputs };
+        let mut file = Self { plan, units, epsg, columns, mesh, levels, spacing_m: None, noise: None, inputs };
         file.sort_inputs();
         file
     }
@@ -108,11 +112,20 @@ impl PlanFile {
         options.slice_m = Some(self.plan.frame.slice_m());
         options.plan = self.plan.options.clone();
         options.fill_holes_m = None;
+        options.tolerance_auto = false;
         options.units = self.units;
         options.epsg = self.epsg;
         options.columns = self.columns;
         options.mesh = self.mesh;
         options.levels = self.levels;
+    }
+
+    /// Whether the tolerance of the plan is the one that `wanted` asks for: as long, or chosen by the noise, too.
+    pub fn has_tolerance_of(&self, wanted: &ConvertOptions) -> bool {
+        match wanted.tolerance_auto {
+            true => self.noise.is_some(),
+            false => wanted.plan.tolerance_m == self.plan.options.tolerance_m,
+        }
     }
 
     /// Part `index` of `count`.
@@ -187,6 +200,7 @@ mod tests {
             mesh: MeshMode::Exact,
             levels: true,
             spacing_m: None,
+            noise: None,
             inputs: areas.iter().enumerate().map(facts).collect(),
         }
     }

@@ -10,6 +10,7 @@ pub mod data;
 mod heap;
 #[cfg(feature = "peers")]
 pub mod inputs;
+pub mod lossy;
 pub mod measured;
 pub mod pawns;
 #[cfg(feature = "peers")]

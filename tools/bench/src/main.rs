@@ -21,6 +21,8 @@ enum Command {
     Stability(Stability),
     /// Bytes of scans as archives, pictures and octrees, and what the scenes needed
     Size(Common),
+    /// Bytes and time of coarser heights, relative to exact ones
+    Lossy(Common),
     /// How near walks stay to the exact ones, and falls through storeys that are read meanwhile
     Walks(Common),
     /// Where pawns can walk: standing places, routes, leaks, and walking people removed
@@ -91,8 +93,18 @@ struct Stability {
 }
 
 /// The parts of `bench all`; charts last, for they draw what the others found.
-const ALL: [&[&str]; 8] =
-    [&["stability"], &["size"], &["walks"], &["thesis"], &["peers"], &["scale"], &["inputs"], &["chart", "--fresh"]];
+const ALL: [&[&str]; 9] =
+    [
+        &["stability"],
+        &["size"],
+        &["lossy"],
+        &["walks"],
+        &["thesis"],
+        &["peers"],
+        &["scale"],
+        &["inputs"],
+        &["chart", "--fresh"],
+    ];
 
 fn run(command: Command) -> bench::stability::Result<()> {
     match command {
@@ -107,6 +119,7 @@ fn run(command: Command) -> bench::stability::Result<()> {
             bench::stability::run(&common.out(), common.quick, only.as_deref())
         }
         Command::Size(common) => bench::size::run(&common.out(), common.quick),
+        Command::Lossy(common) => bench::lossy::run(&common.out(), common.quick),
         Command::Chart(options) => bench::chart::run(&options),
         Command::Peers(common) => bench::peers::run(&common.out(), common.quick),
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),

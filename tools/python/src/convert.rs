@@ -29,7 +29,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     pixel: edge of a pixel (m), or ``"auto"``: four times the scan's point spacing
 ///     slice: height of a slice (m); three pixels by default
 ///     max_slope: steepest slope that can be stood on (degrees, 45)
-///     tolerance: how far heights may be coarsened, always outwards (m, 0)
+///     tolerance: how far heights may be coarsened, always outwards (m, 0), or ``"auto"``: by no more than the scan's own noise
 ///     classifier: ``"plane"``, ``"span"`` or ``"thesis"``
 ///     memory: memory to use, at least 64 MiB: bytes, or a text such as ``"512MiB"``
 ///     threads: worker threads; all cores by default

@@ -4,7 +4,7 @@ use crate::errors::Failure;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions};
+use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions, Tolerance};
 use slicewalk::input::{Columns, Units};
 use slicewalk::mesh::MeshMode;
 use slicewalk::plan::{Classifier, Up};
@@ -76,7 +76,7 @@ impl Asked {
                 "pixel" => options.pixel = number_or("pixel", &value, PixelSize::Metres)?,
                 "slice" => options.slice_m = Some(value.extract()?),
                 "max_slope" => options.plan.max_slope_deg = value.extract()?,
-                "tolerance" => options.plan.tolerance_m = value.extract()?,
+                "tolerance" => options.set_tolerance(number_or("tolerance", &value, Tolerance::Metres)?),
                 "classifier" => {
                     let all = Classifier::ALL.map(|classifier| (classifier.name(), classifier));
                     options.plan.classifier = one_of("classifier", &value, &all)?;
@@ -136,7 +136,7 @@ impl Asked {
         if let Some(file) = &plan_file {
             let wanted = options.clone();
             file.apply_to(&mut options);
-            refuse_contradictions(&named, &wanted, &options)?;
+            refuse_contradictions(&named, &wanted, &options, file)?;
         }
         options.plan_file = plan_file;
         options.shard = shard.map(|(index, count)| ShardOptions { index, count });
@@ -163,7 +163,12 @@ impl Asked {
 }
 
 /// Refuses options that were named and say otherwise than the plan.
-fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &ConvertOptions) -> PyResult<()> {
+fn refuse_contradictions(
+    named: &[String],
+    wanted: &ConvertOptions,
+    planned: &ConvertOptions,
+    file: &PlanFile,
+) -> PyResult<()> {
     let same_holes = || match planned.pixel {
         PixelSize::Metres(pixel_m) => {
             wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes)
@@ -179,7 +184,7 @@ fn refuse_contradictions(named: &[String], wanted: &ConvertOptions, planned: &Co
         "mesh" => wanted.mesh != planned.mesh,
         "levels" => wanted.levels != planned.levels,
         "max_slope" => wanted.plan.max_slope_deg != planned.plan.max_slope_deg,
-        "tolerance" => wanted.plan.tolerance_m != planned.plan.tolerance_m,
+        "tolerance" => !file.has_tolerance_of(wanted),
         "classifier" => wanted.plan.classifier != planned.plan.classifier,
         "exclude_class" => wanted.plan.exclude_classes != planned.plan.exclude_classes,
         "min_points" => wanted.plan.min_points != planned.plan.min_points,

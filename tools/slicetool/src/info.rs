@@ -4,7 +4,7 @@ use crate::{Failure, Outcome, broken, say};
 use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Header;
-use slicewalk::info::{INPUT_QUANTUM_M, crs_name, info, slice_count, units_in_words};
+use slicewalk::info::{INPUT_QUANTUM_M, crs_name, info, noise_in_words, slice_count, units_in_words};
 use slicewalk::input::{InputOptions, InputSet};
 use slicewalk::text::{counted, extent, file_size, grouped, number, one_line, ranges, rounded};
 use std::fmt::Write;
@@ -86,6 +86,8 @@ fn as_text(path: &Path) -> Result<String, Failure> {
     let (pixel, slice) = (number(frame.pixel_m()), number(frame.slice_m()));
     rows.push(("grid", format!("pixels of {pixel} m, slices of {slice} m, heights in steps of {heights} mm")));
     rows.push(("options", options(header)));
+    let noise = archive.noise().map_err(failed)?;
+    rows.extend(noise.map(|noise| ("auto", format!("tolerance: {}", noise_in_words(&noise)))));
     let [occupied, stored, unique] = [header.tiles.occupied, header.tiles.stored, header.tiles.unique].map(grouped);
     rows.push(("tiles", format!("{occupied} occupied, {stored} stored, {unique} unique")));
     let directory = header.bytes.head + header.bytes.directory;

@@ -12,7 +12,7 @@ StrPath = str | PathLike[str]
 class _GridOptions(TypedDict, total=False):
     slice: float | None
     max_slope: float
-    tolerance: float
+    tolerance: float | Literal["auto"]
     classifier: Literal["plane", "span", "thesis"]
     memory: int | str
     threads: int | None

@@ -1,0 +1,547 @@
+//! Pages whose heights may be moved outwards: which heights within a tolerance take few bytes.
+//!
+//! Heights go onto steps as far apart as the tolerance allows, bottoms down and tops up, so that what lies between two steps is
+//! not coded at all. Where a scan has steps of its own, several of them are taken together: with a tolerance of 1.25 cm, heights
+//! in whole centimetres become even ones. Steps half as wide leave most heights a choice; it falls on what the models of the
+//! coder expect at that place. Of few such ways the one with the shortest symbols is taken, page by page.
+
+use super::adaptive::{Candidates, Given, PIXELS, SLICE, Scratch, Traversal, choose};
+use super::lattice::{End, LEAST_HEIGHTS, Lattice, ONE};
+use super::rans::RansEncoder;
+use crate::frame::{Frame, PAGE_QUANTA};
+use crate::slice::{Page, PageBuilder, Span};
+
+/// Phases of steps that are compared.
+const PHASES: u64 = 8;
+/// Most pairs of spans by which they are compared.
+const MOST_PAIRS: usize = 1024;
+/// What a height takes that lies below the lowest step, in that comparison.
+const BELOW: u32 = 20;
+
+/// How far the ends of a span may move (quanta): from the first to the second.
+#[derive(Debug, Clone, Copy)]
+struct Room {
+    bottom: (u32, u32),
+    top: (u32, u32),
+}
+
+/// A page whose heights may be moved outwards; its memory is reused.
+#[derive(Debug, Default)]
+pub struct Loose {
+    /// Blocks with matter, and with matter in all pixels.
+    blocks: (u64, u64),
+    /// Per pixel, and one more: number of its first span.
+    first: Vec<u32>,
+    spans: Vec<Span>,
+    room: Vec<Room>,
+    /// Whether some spans are so close to each other that steps may not suit them.
+    is_narrow: bool,
+    heights: Vec<(u32, End)>,
+    tried: Tried,
+    best: Tried,
+}
+
+/// Heights on steps, and their symbols.
+#[derive(Debug)]
+pub struct Tried {
+    pub lattice: Lattice,
+    pub encoder: RansEncoder,
+    pub spans: Vec<Span>,
+}
+
+impl Default for Tried {
+    fn default() -> Self {
+        Self { lattice: Lattice::QUANTA, encoder: RansEncoder::default(), spans: Vec::new() }
+    }
+}
+
+impl Loose {
+    /// A page that takes few bytes and holds all matter of `page`: bottoms are up to `tolerance` (quanta) lower, tops as much
+    /// higher. If `merges` says so, spans of one kind between which no gap is left become one. Returns the way it is encoded, too.
+    pub fn simplify(
+        &mut self,
+        frame: Option<&Frame>,
+        (page, tolerance, merges): (&Page, u32, bool),
+        scratch: &mut Scratch,
+        builder: &mut PageBuilder,
+    ) -> (Page, &mut Tried) {
+        self.set(page, tolerance, merges);
+        let mut shortest = None;
+        for lattice in self.lattices(frame, tolerance) {
+            let length = self.try_on(lattice, scratch);
+            if shortest.is_none_or(|shortest| length < shortest) {
+                shortest = Some(length);
+                std::mem::swap(&mut self.best, &mut self.tried);
+            }
+        }
+        builder.clear();
+        for (pixel, ends) in self.first.windows(2).enumerate().filter(|(_, ends)| ends[0] < ends[1]) {
+            let own = &self.best.spans[ends[0] as usize..ends[1] as usize];
+            let taken = builder.set_column(pixel as u32 % 64, pixel as u32 / 64, own);
+            debug_assert!(taken, "pixel {pixel}: {own:?}");
+        }
+        (builder.build(), &mut self.best)
+    }
+
+    /// Chooses heights on `lattice`; returns what their symbols take (1/64 bit).
+    fn try_on(&mut self, lattice: Lattice, scratch: &mut Scratch) -> u64 {
+        let mut tried = std::mem::take(&mut self.tried);
+        tried.lattice = lattice;
+        choose(&*self, &mut tried, scratch);
+        let length = tried.encoder.cost();
+        self.tried = tried;
+        length
+    }
+
+    fn set(&mut self, page: &Page, tolerance: u32, merges: bool) {
+        let Self { blocks, first, spans, room, is_narrow, heights, .. } = self;
+        *blocks = Some(page).blocks();
+        *is_narrow = false;
+        first.clear();
+        spans.clear();
+        room.clear();
+        heights.clear();
+        for pixel in 0..PIXELS as u32 {
+            let start = spans.len();
+            first.push(start as u32);
+            for &span in page.column(pixel % 64, pixel / 64) {
+                let mut own = Room {
+                    bottom: (span.bottom().saturating_sub(tolerance), span.bottom()),
+                    top: (span.top(), (span.top() + tolerance).min(PAGE_QUANTA as u32)),
+                };
+                let below = spans[start..].last_mut().zip(room.last_mut());
+                if let Some((below, below_room)) = below.filter(|(_, room)| room.top.1 >= own.bottom.0) {
+                    let is_same = below.is_obstacle() == span.is_obstacle();
+                    let both = Span::new(below.bottom(), span.top(), span.is_obstacle());
+                    if let Some(both) = both.filter(|_| is_same && merges) {
+                        *below = both;
+                        below_room.top = own.top;
+                        continue;
+                    }
+                    // They may meet on the slice boundary between them, if they differ in kind.
+                    let border = below.top().next_multiple_of(SLICE);
+                    if !is_same && border <= span.bottom() {
+                        below_room.top.1 = border.min(below_room.top.1);
+                        own.bottom.0 = border.max(own.bottom.0);
+                    } else {
+                        *is_narrow = true;
+                        below_room.top.1 = below.top();
+                        own.bottom.0 = span.bottom();
+                    }
+                }
+                spans.push(span);
+                room.push(own);
+            }
+        }
+        first.push(spans.len() as u32);
+        heights.extend(room.iter().flat_map(|room| [(room.bottom.1, End::Bottom), (room.top.0, End::Top)]));
+        // Those on slice boundaries may be cuts, and say nothing.
+        heights.retain(|(height, _)| height % SLICE != 0);
+    }
+
+    /// The steps that are tried.
+    fn lattices(&self, frame: Option<&Frame>, tolerance: u32) -> Vec<Lattice> {
+        if self.heights.len() < LEAST_HEIGHTS || self.is_narrow || tolerance == 0 {
+            return vec![Lattice::QUANTA];
+        }
+        let own = Lattice::find(frame, &[], &self.heights);
+        if let Some((own, most)) = own.and_then(|own| Some((own, together(own.step, tolerance)?))) {
+            let on = |count: u64| {
+                let phases =
+                    (0..count.min(PHASES)).map(|phase| own.phase + phase * count / count.min(PHASES) * own.step);
+                self.with_best_phase(count * own.step, phases)
+            };
+            let half = Some(most.div_ceil(2)).filter(|&half| half < most);
+            return [Some(most), half].into_iter().flatten().filter_map(on).collect();
+        }
+        let on = |(number, step): (usize, u32)| {
+            let step = u64::from(step);
+            // Choices make up for a phase.
+            let phases = if number == 0 { PHASES.min(step) } else { 1 };
+            self.with_best_phase(
+                step * ONE as u64,
+                (0..phases).map(|phase| (phase * step / phases) * ONE as u64 + ONE as u64 / 2),
+            )
+        };
+        steps(tolerance).enumerate().filter_map(on).collect()
+    }
+
+    /// Steps of this distance (1/2³² quantum) at the phase of `phases` that suits the heights best.
+    fn with_best_phase(&self, step: u64, phases: impl Iterator<Item = u64>) -> Option<Lattice> {
+        let lattices = phases.filter_map(|phase| Lattice::new(step, phase % step));
+        let all: Vec<Lattice> = lattices.collect();
+        if all.len() < 2 {
+            return all.first().copied();
+        }
+        let pairs = self.pairs();
+        all.into_iter().min_by_key(|lattice| pairs.iter().map(|pair| changes(lattice, pair)).sum::<u32>())
+    }
+
+    /// Spans and those of the same number to the west of them, some hundred all over the page.
+    fn pairs(&self) -> Vec<[Span; 2]> {
+        let every = self.spans.len() / MOST_PAIRS + 1;
+        let mut pairs = Vec::with_capacity(MOST_PAIRS);
+        let mut left = 0;
+        for pixel in (0..PIXELS).filter(|pixel| pixel % 64 > 0) {
+            let of = |pixel: usize| &self.spans[self.first[pixel] as usize..self.first[pixel + 1] as usize];
+            for (west, span) in of(pixel - 1).iter().zip(of(pixel)) {
+                if left == 0 {
+                    pairs.push([*west, *span]);
+                    left = every;
+                }
+                left -= 1;
+            }
+        }
+        pairs
+    }
+}
+
+/// How far two spans differ on steps, in bits about.
+fn changes(lattice: &Lattice, pair: &[Span; 2]) -> u32 {
+    let ends = pair.map(|span| {
+        let bottom = lattice.at_or_above(span.bottom() + 1) as i32 - 1;
+        (bottom, lattice.at_or_above(span.top().saturating_sub(1)) as i32 - bottom)
+    });
+    let bits = |a: i32, b: i32| 2 * (u32::BITS - a.abs_diff(b).leading_zeros());
+    let below = if ends[1].0 < 0 { BELOW } else { 0 };
+    bits(ends[0].0, ends[1].0) + bits(ends[0].1, ends[1].1) + below
+}
+
+/// Steps of heights where a scan has none (quanta), by a tolerance of so many quanta: one for each height, or a choice of two.
+fn steps(tolerance: u32) -> impl Iterator<Item = u32> {
+    [1, 2].into_iter().map(move |parts| ((tolerance + 1) / parts).min(SLICE)).filter(|&step| step >= 2)
+}
+
+/// Most steps of a scan that are taken together: where more of them fit into the tolerance, steps without regard to them do as well.
+const MOST_TOGETHER: u64 = 6;
+
+/// How many steps of a scan, `step` apart (1/2³² quantum), can be taken together within the tolerance (quanta), two quanta of
+/// which go into rounding; at most a slice.
+fn together(step: u64, tolerance: u32) -> Option<u64> {
+    let slice = u64::from(SLICE) * ONE as u64;
+    if !(2 * ONE as u64..=slice).contains(&step) {
+        return None;
+    }
+    let most = u64::from(tolerance.saturating_sub(2)) * ONE as u64 / step + 1;
+    Some(most.min(slice / step)).filter(|&most| most <= MOST_TOGETHER)
+}
+
+/// Steps (1/2³² quantum) that heights may have been put on, on this grid and within a tolerance of so many quanta.
+pub fn all_steps(frame: &Frame, tolerance: u32) -> Vec<u64> {
+    if tolerance == 0 {
+        return Vec::new();
+    }
+    let of_scans = Lattice::steps_of_scans(frame).filter_map(|step| Some((step, together(step, tolerance)?)));
+    let of_scans = of_scans.flat_map(|(step, most)| [most, most.div_ceil(2)].map(|count| (step, count)));
+    let of_scans = of_scans.filter(|&(_, count)| count > 1).map(|(step, count)| step * count);
+    let mut all: Vec<u64> = of_scans.chain(steps(tolerance).map(|step| u64::from(step) * ONE as u64)).collect();
+    all.dedup();
+    all
+}
+
+/// A height that an end may get: the quantum, the step or the next above, and the step and how far off it if it is on one.
+type Choice = (u32, u32, Option<(u32, i32)>);
+
+/// Most heights that an end has to choose from.
+const MOST_CHOICES: usize = 3;
+
+/// The heights that an end may get, the exact one's neighbour first.
+struct Choices {
+    list: [Choice; MOST_CHOICES],
+    len: usize,
+}
+
+impl Choices {
+    fn of(lattice: &Lattice, end: End, (low, high): (u32, u32)) -> Self {
+        let mut choices = Self { list: [(0, 0, None); MOST_CHOICES], len: 0 };
+        let mut index = match end {
+            End::Bottom => lattice.at_or_above(high + 1).wrapping_sub(1),
+            End::Top => lattice.at_or_above(low.saturating_sub(1)),
+        };
+        while choices.len < MOST_CHOICES && index < 1 << 14 {
+            let height = lattice.usual(index, end);
+            if height < low as i32 || height > high as i32 {
+                break;
+            }
+            choices.list[choices.len] = (height as u32, index, Some((index, 0)));
+            choices.len += 1;
+            index = if end == End::Bottom { index.wrapping_sub(1) } else { index + 1 };
+        }
+        if choices.len == 0 {
+            // A slice boundary, or as it is.
+            let (exact, border) = match end {
+                End::Bottom => (high, high / SLICE * SLICE),
+                End::Top => (low, low.next_multiple_of(SLICE)),
+            };
+            let height =
+                if lattice.index(exact, end).is_none() && (low..=high).contains(&border) { border } else { exact };
+            let step = lattice.index(height, end);
+            choices.list[0] = (height, step.map_or_else(|| lattice.at_or_above(height), |step| step.0), step);
+            choices.len = 1;
+        }
+        choices
+    }
+
+    fn all(&self) -> &[Choice] {
+        &self.list[..self.len]
+    }
+}
+
+/// Where every quantum is a step: the expected height if it lies in the room; else a third of the way across it, since the surface has
+/// left the expected one and may go on.
+fn follow(expected: i32, (low, high): (u32, u32)) -> u32 {
+    let (low, high) = (low as i32, high as i32);
+    let height = match expected {
+        _ if expected < low => low + (high - low) / 3,
+        _ if expected > high => high - (high - low) / 3,
+        _ => expected,
+    };
+    height as u32
+}
+
+impl Given for &Loose {
+    fn blocks(&self) -> (u64, u64) {
+        self.blocks
+    }
+
+    fn spans(&self, px: u32, py: u32) -> &[Span] {
+        let pixel = (py * 64 + px) as usize;
+        &self.spans[self.first[pixel] as usize..self.first[pixel + 1] as usize]
+    }
+
+    fn chosen<C>(&self, span: Span, at: (usize, usize), candidates: &Candidates, walk: &Traversal<'_, C>) -> Span {
+        let room = self.room[self.first[at.0] as usize + at.1];
+        let (lattice, thickness) = (&walk.lattice, candidates.thickness);
+        let with = |bottom: u32, top: u32| Span::new(bottom, top, span.is_obstacle()).unwrap_or(span);
+        if lattice.is_quanta() {
+            let bottom = follow(candidates.bottom, room.bottom);
+            return with(bottom, follow(bottom as i32 + thickness, room.top));
+        }
+        let (bottoms, tops) =
+            (Choices::of(lattice, End::Bottom, room.bottom), Choices::of(lattice, End::Top, room.top));
+        if let ([bottom], [top]) = (bottoms.all(), tops.all()) {
+            return with(bottom.0, top.0);
+        }
+        let (bottom_context, top_context) = (candidates.bottom_context(), candidates.thickness_context());
+        let mut best = (u32::MAX, span);
+        for bottom in bottoms.all() {
+            let bottom_cost = walk.cost(End::Bottom, bottom_context, candidates.bottom, bottom.2);
+            for top in tops.all() {
+                let cost = bottom_cost + walk.cost(End::Top, top_context, bottom.1 as i32 + thickness, top.2);
+                if cost < best.0 {
+                    best = (cost, with(bottom.0, top.0));
+                }
+            }
+        }
+        best.1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::archive::Archive;
+    use crate::codec::adaptive::{self, tests::pages};
+    use crate::codec::{Decoder, Encoder, MAX_BODY};
+    use crate::slice::Inferred;
+    use proptest::prelude::*;
+
+    fn frame() -> Frame {
+        Frame::new(0.05, 0.15).unwrap()
+    }
+
+    /// Encodes `page` loosely, and requires that the result holds its matter and no more than the tolerance allows.
+    fn check(page: &Page, tolerance: u32, inferred: &Inferred) -> (Page, usize) {
+        let mut encoder = Encoder::new(frame(), tolerance);
+        let (mut body, mut again) = (Vec::new(), Vec::new());
+        let loose = encoder.encode_loose(page, inferred, &mut body);
+        encoder.encode_inferred(&loose, inferred, &mut again);
+        assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
+        assert_eq!(Decoder::default().decode(&body).unwrap(), loose);
+        for pixel in 0..PIXELS as u32 {
+            let (px, py) = (pixel % 64, pixel / 64);
+            let mut exact = page.column(px, py).iter().peekable();
+            for span in loose.column(px, py) {
+                let first = exact.next().expect("matter");
+                assert!(
+                    span.bottom() <= first.bottom() && first.bottom() <= span.bottom() + tolerance,
+                    "{first:?} {span:?}"
+                );
+                let mut last = first;
+                while let Some(next) = exact.next_if(|next| next.bottom() <= span.top() && next.top() <= span.top()) {
+                    assert!(inferred.is_empty() && next.bottom() - last.top() <= 2 * tolerance, "{last:?} {next:?}");
+                    assert_eq!(next.is_obstacle(), first.is_obstacle());
+                    last = next;
+                }
+                assert!(last.top() <= span.top() && span.top() <= last.top() + tolerance, "{last:?} {span:?}");
+                assert_eq!(first.is_obstacle(), span.is_obstacle());
+            }
+            assert!(exact.next().is_none());
+        }
+        (loose, body.len())
+    }
+
+    /// `page` with heights in steps of so many quanta, as far as its spans are apart then.
+    fn in_steps(page: &Page, step: u32) -> Page {
+        let mut builder = PageBuilder::default();
+        for (px, py, spans) in page.columns() {
+            let whole = |height: u32| height / step * step;
+            let on_steps =
+                |span: &Span| Span::new(whole(span.bottom()), (whole(span.top()) + 1).min(16320), span.is_obstacle());
+            let spans: Vec<_> = spans.iter().filter_map(on_steps).collect();
+            assert!(builder.set_column(px, py, &spans) || spans.len() > 1);
+        }
+        builder.build()
+    }
+
+    proptest! {
+        #[test]
+        fn loose_pages_hold_all_matter_within_the_tolerance_in_the_one_encoding(
+            page in pages(), tolerance in prop_oneof![1u32..4, 1u32..256, Just(21), Just(255)], step in prop_oneof![Just(1u32), Just(17)],
+            holes: bool
+        ) {
+            let page = if step > 1 { in_steps(&page, step) } else { page };
+            prop_assume!(page.span_count() > 0);
+            let mut inferred = Inferred::new();
+            let first_floor = page.columns().find(|(_, _, spans)| !spans[0].is_obstacle());
+            if let Some((px, py, _)) = first_floor.filter(|_| holes) {
+                prop_assert!(inferred.push(px, py, 1));
+            }
+            check(&page, tolerance, &inferred);
+        }
+    }
+
+    /// A floor with noise of some quanta on a slope.
+    fn floor(unit: u32, noise: u32) -> Page {
+        let mut builder = PageBuilder::default();
+        for pixel in 0..PIXELS as u32 {
+            let random = pixel.wrapping_mul(2654435761) >> 16;
+            let bottom = (2000 + pixel % 64 * 3 + random % noise) / unit * unit;
+            let span = Span::new(bottom, bottom + (random >> 8) % 20 / unit * unit + 1, false).unwrap();
+            assert!(builder.set_column(pixel % 64, pixel / 64, &[span]));
+        }
+        builder.build()
+    }
+
+    fn exact_len(page: &Page) -> usize {
+        let mut body = Vec::new();
+        Encoder::new(frame(), 0).encode(page, &mut body);
+        body.len()
+    }
+
+    #[test]
+    fn a_quarter_of_a_pixel_saves_most_of_the_bits_below_it() {
+        let page = floor(1, 40);
+        let (exact, (_, loose)) = (exact_len(&page), check(&page, 21, &Inferred::NONE));
+        assert!(loose * 5 < exact * 2, "{loose} of {exact} bytes");
+        let (_, wider) = check(&page, 85, &Inferred::NONE);
+        assert!(wider * 2 < loose, "{wider} and {loose} bytes");
+    }
+
+    #[test]
+    fn steps_of_a_scan_are_taken_together() {
+        let page = floor(17, 200);
+        let (loose, len) = check(&page, 21, &Inferred::NONE);
+        let exact = exact_len(&page);
+        assert!(len * 10 < exact * 8, "{len} of {exact} bytes");
+        let heights = loose.columns().flat_map(|(_, _, spans)| spans).map(|span| span.bottom() / 17 % 2);
+        let odd: u32 = heights.sum();
+        assert!(odd == 0 || odd == PIXELS as u32, "{odd} odd heights");
+    }
+
+    #[test]
+    fn a_gap_that_is_closed_joins_spans_of_one_kind() {
+        let column = |pixel: u32| {
+            let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
+            vec![span(300, 400, true), span(540, 600, pixel % 2 == 0), span(900, 1000, true)]
+        };
+        let mut builder = PageBuilder::default();
+        assert!((0..PIXELS as u32).all(|pixel| builder.set_column(pixel % 64, pixel / 64, &column(pixel))));
+        let (loose, _) = check(&builder.build(), 85, &Inferred::NONE);
+        assert_eq!((loose.column(0, 0).len(), loose.column(1, 0).len()), (2, 3));
+    }
+
+    #[test]
+    #[ignore]
+    fn experiment() {
+        let folder = tempfile::tempdir().unwrap();
+        for (path, pixel) in [
+            ("pump_room", 0.02),
+            ("delft_city_block_ahn3", 1.0),
+            ("corridor_three_stations", 0.05),
+            ("corridor_three_stations", 0.02),
+            ("indoor_two_storey_zup", 0.05),
+        ] {
+            let out = folder.path().join("a.slices");
+            let mut options =
+                crate::convert::ConvertOptions::new(vec![format!("/work/shared/data/{path}.laz").into()], out.clone());
+            options.pixel = crate::convert::PixelSize::Metres(pixel);
+            options.overwrite = true;
+            crate::convert::convert(&options, &crate::NoMonitor).unwrap();
+            let archive = Archive::from_bytes(std::fs::read(&out).unwrap()).unwrap();
+            let frame = *archive.frame();
+            for div in [4.0, 1.0] {
+                let e = ((frame.pixel_m() / div) / frame.quantum_m()).floor().clamp(0.0, 255.0) as u32;
+                let (mut scratch, mut loose, mut builder) =
+                    (Scratch::default(), Loose::default(), PageBuilder::default());
+                let names = ["auto", "22p0", "22pp", "11p0", "11pp", "15p0", "15pp", "17p0", "1"];
+                let mut sums = vec![0u64; names.len()];
+                let mut exact = 0u64;
+                let mut all = Vec::new();
+                for entry in archive.entries() {
+                    let page = archive.page(&entry.unwrap()).unwrap();
+                    let mut body = Vec::new();
+                    adaptive::encode(Some(&frame), &[], &page, &mut scratch, &mut body);
+                    exact += body.len() as u64;
+                    let (simple, tried) = loose.simplify(Some(&frame), (&page, e, true), &mut scratch, &mut builder);
+                    let (mut body, mut again) = (Vec::new(), Vec::new());
+                    let steps = all_steps(&frame, e);
+                    adaptive::encode_chosen(Some(&frame), &steps, &simple, tried, &mut scratch, &mut body);
+                    adaptive::encode(Some(&frame), &steps, &simple, &mut scratch, &mut again);
+                    assert_eq!(body, again);
+                    let mut costs = vec![body.len() as u64];
+                    let one = ONE as u64;
+                    let of = |loose: &Loose, step: u32, phases: u64| {
+                        let step = u64::from(step.clamp(2, 255));
+                        loose.with_best_phase(
+                            step * one,
+                            (0..phases).map(|phase| (phase * step / phases) * one + one / 2),
+                        )
+                    };
+                    let list = [
+                        of(&loose, e + 1, 1),
+                        of(&loose, e + 1, 8),
+                        of(&loose, (e + 1) / 2, 1),
+                        of(&loose, (e + 1) / 2, 8),
+                        of(&loose, (e + 1) * 2 / 3, 1),
+                        of(&loose, (e + 1) * 2 / 3, 8),
+                        of(&loose, 17, 1),
+                        Some(Lattice::QUANTA),
+                    ];
+                    for lattice in list {
+                        costs.push(loose.try_on(lattice.unwrap(), &mut scratch) / 512);
+                    }
+                    sums.iter_mut().zip(&costs).for_each(|(s, c)| *s += c);
+                    all.push(costs);
+                }
+                print!("{path} {pixel} t/{div} e={e} exact={exact}");
+                for (n, s) in names.iter().zip(&sums) {
+                    print!(" {n} {:.3}", *s as f64 / exact as f64);
+                }
+                for set in [
+                    &[1, 3][..],
+                    &[2, 3],
+                    &[2, 4],
+                    &[2, 3, 5],
+                    &[1, 2, 3, 4],
+                    &[1, 2, 3, 4, 5, 6],
+                    &[1, 2, 3, 4, 5, 6, 7, 8],
+                ] {
+                    let best: u64 = all.iter().map(|c| set.iter().map(|&i| c[i]).min().unwrap()).sum();
+                    print!(" {set:?} {:.3}", best as f64 / exact as f64);
+                }
+                println!();
+            }
+        }
+    }
+}
