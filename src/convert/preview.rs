@@ -58,7 +58,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     check_free_space(options, &Files::current(), temp_bytes)?;
     let (plan, spacing) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
-    scope(options, set, &plan, monitor)?;
+    scope(options, set, &plan, None, monitor)?;
     let scenes: Vec<Scene> = set.files().iter().filter_map(ScanFile::scene_stated).collect();
     far_apart(&scenes).inspect(|warning| monitor.warn(warning));
     let scans = set.files().iter().filter(|file| file.points_expected() > 0).filter_map(ScanFile::bounds_stated);

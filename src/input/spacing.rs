@@ -321,7 +321,7 @@ mod tests {
         for part in points.chunks(1000) {
             let mut local = Local::default();
             let column = |axis: usize| part.iter().map(|p| p[axis]).collect();
-            local.take(&PointBatch { x: column(0), y: column(1), z: column(2) }, &shared);
+            local.take(&PointBatch { x: column(0), y: column(1), z: column(2), ..PointBatch::default() }, &shared);
             local.flush(&shared);
         }
         choose(shared.levels.map(|l| l.into_inner().unwrap()), points.len() as u64)

@@ -10,10 +10,14 @@ mod tests;
 
 use super::pages::Writing;
 use super::work::on_threads;
-use crate::archive::{Archive, ArchiveWriter, EncodedPage, PageDecoder, PageEncoder, PageEntry};
+use crate::archive::{
+    Archive, ArchiveWriter, ColourReader, EncodedColours, EncodedPage, PageDecoder, PageEncoder, PageEntry,
+};
+use crate::codec::ColourEncoder;
+use crate::colour::ColourPlan;
 use crate::frame::{PAGE_QUANTA, PageKey};
 use crate::plan::Plan;
-use crate::slice::{Inferred, Page, PageBuilder, Span};
+use crate::slice::{Inferred, Occupancy, Page, PageBuilder, Span};
 use crate::{Error, Monitor, Parameter, Result};
 pub(super) use closing::Closer;
 use closing::{Fill, ScannedColumn};
@@ -57,8 +61,11 @@ pub(super) fn fill_holes(
     let share = memory_bytes / 4 / threads as u64;
     let mut jobs = Jobs { entries: scanned.entries(), next: None, max_words: share / BYTES_PER_WORD / 4 };
     let levels = writer.has_levels();
-    let workers: Vec<Mutex<Worker<'_>>> =
-        (0..threads).map(|_| Mutex::new(Worker::new(scanned, plan, levels, memory_bytes / 4))).collect();
+    let worker = |_| -> Result<Mutex<Worker<'_>>> {
+        let colours = writer.colours().zip(ColourReader::new(scanned)?);
+        Ok(Mutex::new(Worker { colours, ..Worker::new(scanned, plan, levels, memory_bytes / 4) }))
+    };
+    let workers = (0..threads).map(worker).collect::<Result<Vec<_>>>()?;
     let large = Mutex::new(());
     loop {
         let round: Vec<Job> = jobs.by_ref().take(JOBS_PER_THREAD * threads).collect::<Result<_>>()?;
@@ -135,6 +142,9 @@ struct Worker<'a> {
     tolerance: u32,
     builder: PageBuilder,
     encoder: PageEncoder,
+    /// How colours are made, and those of what was scanned.
+    colours: Option<(ColourPlan, ColourReader)>,
+    colour_encoder: ColourEncoder,
 }
 
 /// A column that was read: its pages, where it is to be written, and its spans.
@@ -154,6 +164,8 @@ impl<'a> Worker<'a> {
             tolerance: plan.tolerance_quanta(),
             builder: PageBuilder::default(),
             encoder: PageEncoder::new(plan.frame).for_levels(levels),
+            colours: None,
+            colour_encoder: ColourEncoder::default(),
         }
     }
 
@@ -205,7 +217,7 @@ impl<'a> Worker<'a> {
             let around = around(column).map(|near| Some(&columns.get(&near?)?.spans));
             let fills = self.closer.close(&around);
             if let Some(Read { pages, .. }) = columns.get(&column) {
-                self.encode(column, pages, &fills, &mut done);
+                self.encode(column, pages, &fills, &mut done)?;
             }
         }
         Ok(done)
@@ -243,7 +255,7 @@ impl<'a> Worker<'a> {
     }
 
     /// Encodes the pages of a column with its fills.
-    fn encode(&mut self, column: u64, pages: &[(i32, Page)], fills: &[Fill], done: &mut KeyedPages) {
+    fn encode(&mut self, column: u64, pages: &[(i32, Page)], fills: &[Fill], done: &mut KeyedPages) -> Result<()> {
         let mut layers: BTreeMap<i32, (Option<&Page>, Vec<Fill>)> =
             pages.iter().map(|(layer, page)| (*layer, (Some(page), Vec::new()))).collect();
         for &fill in fills {
@@ -252,6 +264,7 @@ impl<'a> Worker<'a> {
         }
         for (layer, (page, fills)) in layers {
             let key = PageKey::from_column(column, layer);
+            let scanned = page;
             let filled;
             let (page, inferred) = match (page, &fills[..]) {
                 (Some(page), []) => (page, Inferred::new()),
@@ -265,8 +278,26 @@ impl<'a> Worker<'a> {
                 continue;
             }
             let simple = (self.tolerance > 0).then(|| self.encoder.simplify(page, self.tolerance));
-            done.push((key, self.encoder.encode_inferred(key, simple.as_ref().unwrap_or(page), &inferred)));
+            let page = simple.as_ref().unwrap_or(page);
+            let colours = self.colours_of(key, scanned, page)?;
+            done.push((key, self.encoder.encode_inferred(key, page, &inferred).with_colours(colours)));
         }
+        Ok(())
+    }
+
+    /// Colours of a page that was made of the `scanned` one.
+    fn colours_of(&mut self, key: PageKey, scanned: Option<&Page>, page: &Page) -> Result<EncodedColours> {
+        let (Some((plan, reader)), Some(scanned)) = (&mut self.colours, scanned) else {
+            return Ok(EncodedColours::default());
+        };
+        let exact = reader.colours_of(key, scanned)?;
+        let occupancy = Occupancy::of(page);
+        let colour = |(pixel, k): (usize, u32)| {
+            let rgb = exact.of(pixel as u32 & 63, pixel as u32 >> 6, k)?;
+            Some(rgb.map(|channel| u16::from(channel) * 257))
+        };
+        let colours: Vec<_> = occupancy.voxels().map(colour).collect();
+        Ok(EncodedColours::new(plan, &occupancy, &colours, &mut self.colour_encoder))
     }
 }
 
