@@ -528,9 +528,9 @@ fn decode_colours(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<
     let mut number = || reader.array().map(u16::from_le_bytes);
     let (low, high, error_milli) = (number()?, number()?, number()?);
     let [source, rest @ ..]: [u8; 6] = reader.array()?;
-    let source = usize::from(source).checked_sub(1).and_then(|code| ColourSource::ALL.get(code));
+    let source = usize::from(source).checked_sub(1).and_then(|code| ColourSource::ALL.get(code).copied());
     match source {
-        Some(&source) if low < high && (minor > FORMAT_VERSION.1 || rest == [0; 5]) => {
+        Some(source) if low < high && (minor > FORMAT_VERSION.1 || rest == [0; 5]) => {
             let plan = ColourPlan { scale: ColourScale { source, low, high }, error_milli };
             Ok((Some(ColourHead { plan, voxels, table_crc }), len))
         }

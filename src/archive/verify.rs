@@ -249,10 +249,10 @@ impl Pass<'_> {
     /// Checks the colours of the next page of the leaf: of a page that is not sound only where they lie.
     fn page_colours(&mut self, entry: &PageEntry, sound: bool) {
         let Some(mut check) = self.colours.take() else { return };
-        if let Some(place) = check.leaf.pop() {
-            if let Err(error) = self.check_colours(&mut check, &place, entry, sound) {
-                self.error(error, &format!("colours of page {}", entry.key), place.offset);
-            }
+        if let Some(place) = check.leaf.pop()
+            && let Err(error) = self.check_colours(&mut check, &place, entry, sound)
+        {
+            self.error(error, &format!("colours of page {}", entry.key), place.offset);
         }
         self.colours = Some(check);
     }

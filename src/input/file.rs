@@ -296,7 +296,11 @@ impl ScanFile {
 
     /// Whether its points have such values, as far as its header tells.
     pub(super) fn has_values(&self, source: ColourSource) -> bool {
-        self.field(source).is_some() && self.points_expected() > 0
+        let of_cloud = match &self.content {
+            Content::Cloud(cloud) => source == ColourSource::Rgb && cloud.has_rgb(),
+            _ => self.field(source).is_some(),
+        };
+        of_cloud && self.points_expected() > 0
     }
 
     /// XXH3-128 of what its header says about the points: with the bytes of the points it makes their coordinates.

@@ -9,7 +9,7 @@
 //! Sources: "The PCD (Point Cloud Data) file format" (pointclouds.org); LZF as in liblzf 3.6.
 
 use super::number::Number;
-use super::records::{Field, MOST_BYTES, Records};
+use super::records::{Field, MOST_BYTES, Records, Rgb};
 use super::text::{Lines, RowLayout, Rows, Separator};
 use super::{Cloud, Format, Opened, Opening, Piece, Source, Taker, shown};
 use crate::input::source::Window;
@@ -181,6 +181,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
                 points,
                 axes: axes.map(field),
                 class: class.map(field),
+                rgb: header.field(&["rgb", "rgba"]).filter(|field| field.size == 4 && field.count == 1).map(field).map(Rgb::Bytes),
                 big: false,
             }))
         }

@@ -5,7 +5,7 @@
 //! the header, at most 1 MiB.
 
 use super::number::Number;
-use super::records::{Field, MOST_BYTES, Records};
+use super::records::{Field, MOST_BYTES, Records, Rgb};
 use super::text::{Lines, RowLayout, Rows, Separator};
 use super::{Format, Opened, Opening, SPLATS, shown};
 use crate::bytes::open_regular;
@@ -220,6 +220,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         points,
         axes: [x, y, z].map(field),
         class: class.map(field),
+        rgb: Rgb::of(["red", "green", "blue"].map(|name| find(&[name]).map(field))),
         big,
     }))
 }
