@@ -112,7 +112,7 @@ pub(super) fn source_of(
     match options.colour {
         ColourMode::Of(source) if !set.files().is_empty() => {
             let reason = format!(
-                "no point of the input has {} that Slicewalk reads (LAS, LAZ, COPC); choose another source, or off",
+                "no point of the input has {} that Slicewalk reads (LAS, LAZ, COPC; RGB of binary PLY and PCD); choose another source, or off",
                 match source {
                     ColourSource::Rgb => "an RGB value other than 0",
                     ColourSource::Intensity => "an intensity other than 0",

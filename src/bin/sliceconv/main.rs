@@ -126,7 +126,7 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = Switch::Off)]
     levels: Switch,
     /// Colour of each voxel, beside the geometry: red, green and blue of the points, their intensity as grey, their LAS class by a
-    /// palette, `auto` (RGB where the input has it, else intensity, else none), or none. Of LAS, LAZ and COPC
+    /// palette, `auto` (RGB where the input has it, else intensity, else none), or none. Of LAS, LAZ and COPC, RGB of binary PLY and PCD too
     #[arg(long, default_value = "off", value_name = "rgb|intensity|class|auto|off")]
     colour: ColourMode,
     /// Greatest mean difference of a page's colours from the means of the points, in CIELAB; 0 keeps these exactly, to 8 bits

@@ -90,9 +90,8 @@ pub struct ColumnJob {
     pub columns: Vec<(ColumnKey, u64)>,
     /// Sum of the records of all columns.
     pub records: u64,
-    /// How many records of values each column has, and their sum.
+    /// How many records of values each column has.
     pub values: Vec<u64>,
-    pub all_values: u64,
     stretches: Vec<Stretch>,
     value_stretches: Vec<Stretch>,
 }
@@ -161,7 +160,6 @@ impl<'a> Merge<'a> {
             job.columns.push((key, records));
             job.records += records;
             job.values.push(values);
-            job.all_values += values;
             for &run in &same {
                 let stretches = match self.runs[run].kind {
                     RunKind::Matter => &mut job.stretches,

@@ -5,7 +5,7 @@
 //! archive order, each with the ranges of records that belong to it. Every run is read from front to back, whatever the
 //! order of the input, so neither shuffled points nor a huge extent turn the disk's work into single small reads.
 //!
-//! Runs of values ([`RunKind::Values`]) lie beside those of matter in one store, and come out with the same columns.
+//! Runs of values, for colours, lie beside those of matter in one store and come out with the same columns.
 //!
 //! A run says what of the input it stands for, so that after a kill another process can go on from the runs on disk.
 //!
@@ -20,7 +20,7 @@ mod store;
 
 pub use builder::RunBuilder;
 pub use merge::{ColumnJob, Merge};
-pub use store::{RunKind, RunStore};
+pub use store::RunStore;
 #[cfg(test)]
 pub use {builder::BUILD_BYTES, store::MOST_IN_MEMORY_WHILE_SPILLING};
 

@@ -288,7 +288,7 @@ impl Archive {
     ///     pixel in row order, in each from the lowest slice up: the bits of :attr:`Page.occupancy`. None where the archive has no
     ///     colours, or no such page
     ///
-    /// >>> slicewalk.convert("room.las", "grey.slices", pixel=0.1, units="m", colour="auto", quiet=True)["bytes"]["colours"] >= 0
+    /// >>> slicewalk.open("room.slices").colours((0, 0, 0)) is None
     /// True
     fn colours<'py>(&self, py: Python<'py>, key: (i32, i32, i32)) -> PyResult<Option<Bound<'py, PyArray2<u8>>>> {
         let key = PageKey { tx: key.0, ty: key.1, layer: key.2 };
