@@ -8,7 +8,6 @@ mod scans;
 use scangen::{Chunks, Params, SampleSpec, Scene, Texture, WriteSpec, write_las};
 use scans::{converts, data, refuses, text, verifies};
 use slicewalk::archive::{Archive, ColourReader, extract, merge, recover};
-use slicewalk::bytes::ByteSource;
 use slicewalk::colour::{LabTable, difference, to_8_bits};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::{Error, NoMonitor};
