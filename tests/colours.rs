@@ -356,15 +356,13 @@ fn colours_go_with_filled_holes_floaters_and_tolerance() {
             let inferred = archive.header().voxels.inferred;
             let none = colours(&archive).values().filter(|colour| colour.is_none()).count();
             assert!(inferred > 0 && none as u64 >= inferred);
-            for count in [2] {
-                let parts: Vec<PathBuf> = (1..=count).map(|index| at.join(format!("{index}.slices"))).collect();
-                for (index, part) in parts.iter().enumerate() {
-                    let shard = format!("{}/{count}", index + 1);
-                    convert(at, &["a.laz"], text(part), &[&["--colour", "rgb", "--shard", &shard], options].concat());
-                }
-                merge(&parts, &at.join("merged.slices"), true, &NoMonitor).unwrap();
-                assert!(fs::read(at.join("merged.slices")).unwrap() == fs::read(at.join("a.slices")).unwrap());
+            let parts = [1, 2].map(|index| at.join(format!("{index}.slices")));
+            for (index, part) in parts.iter().enumerate() {
+                let shard = format!("{}/2", index + 1);
+                convert(at, &["a.laz"], text(part), &[&["--colour", "rgb", "--shard", &shard], options].concat());
             }
+            merge(&parts, &at.join("merged.slices"), true, &NoMonitor).unwrap();
+            assert!(fs::read(at.join("merged.slices")).unwrap() == fs::read(at.join("a.slices")).unwrap());
         }
     }
 }

@@ -6,9 +6,9 @@
 mod common;
 
 use common::{archive, archive_with_colours, render, scene, two_pixels};
-use slicewalk::colour::ColourScale;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, Totals};
+use slicewalk::colour::ColourScale;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 

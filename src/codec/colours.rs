@@ -207,7 +207,11 @@ impl ColourBlock {
         let sound = walk(occupancy, steps, &mut values, &mut decoder);
         decoder.finish("K6")?;
         if !sound || values.iter().all(|value| value[0] == ABSENT) {
-            return Err(Violation::new("K7", "numbers of steps within the range of colours, and some colour", "others"));
+            return Err(Violation::new(
+                "K7",
+                "numbers of steps within the range of colours, and some colour",
+                "others",
+            ));
         }
         Ok(Self { steps, values })
     }
@@ -449,7 +453,8 @@ mod tests {
     fn parts_keep_the_colours_of_their_voxels() {
         let whole = occupancy((0..40).map(|at| ((at, 3), (at * 100, 900))));
         let part = occupancy((10..20).map(|at| ((at, 3), (at * 100, 300))));
-        let colours: Vec<_> = whole.voxels().map(|(pixel, k)| Some([(pixel * 900) as u16, (k * 1000) as u16, 5])).collect();
+        let colours: Vec<_> =
+            whole.voxels().map(|(pixel, k)| Some([(pixel * 900) as u16, (k * 1000) as u16, 5])).collect();
         let block = ColourBlock::quantise(&colours, 2000).unwrap();
         let cut = block.part(&whole, &part).unwrap();
         let (all, some) = (block.colours(whole).unwrap(), cut.colours(part.clone()).unwrap());

@@ -106,7 +106,8 @@ impl Colours {
     /// All voxels with matter in row order, lowest first: pixel x and y, slice of the page, colour.
     pub fn voxels(&self) -> impl Iterator<Item = (u32, u32, u32, Option<[u8; 3]>)> + '_ {
         let places = self.occupancy.voxels().zip(&self.values);
-        places.map(|((pixel, k), &[r, g, b, a])| (pixel as u32 & 63, pixel as u32 >> 6, k, (a != 0).then_some([r, g, b])))
+        places
+            .map(|((pixel, k), &[r, g, b, a])| (pixel as u32 & 63, pixel as u32 >> 6, k, (a != 0).then_some([r, g, b])))
     }
 
     /// Colours in order of voxels: red, green, blue, and 255 where there is a colour (0, 0, 0, 0 elsewhere).

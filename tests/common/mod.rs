@@ -98,7 +98,12 @@ pub fn scene() -> (Pages, Totals) {
 }
 
 /// The bytes of an archive with colours by a formula; every seventh voxel has none, nor has every fifth page.
-pub fn archive_with_colours((pages, totals): &(Pages, Totals), scale: ColourScale, error_milli: u16, levels: bool) -> Vec<u8> {
+pub fn archive_with_colours(
+    (pages, totals): &(Pages, Totals),
+    scale: ColourScale,
+    error_milli: u16,
+    levels: bool,
+) -> Vec<u8> {
     let colours = ColourPlan { scale, error_milli };
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("a.slices");
@@ -113,7 +118,8 @@ pub fn archive_with_colours((pages, totals): &(Pages, Totals), scale: ColourScal
         let mut random = Congruential(number as u64);
         let value = |(pixel, k): (usize, u32)| {
             let base = (pixel as u32 % 64 * 700 + k * 900) % 60_000;
-            let colour = [base, base / 2 + 9000, 50_000 - base / 2].map(|channel| (channel + random.below(3000)) as u16);
+            let colour =
+                [base, base / 2 + 9000, 50_000 - base / 2].map(|channel| (channel + random.below(3000)) as u16);
             (random.below(7) > 0 && number % 5 < 4).then_some(colour)
         };
         let values: Vec<_> = occupancy.voxels().map(value).collect();

@@ -181,7 +181,11 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
                 points,
                 axes: axes.map(field),
                 class: class.map(field),
-                rgb: header.field(&["rgb", "rgba"]).filter(|field| field.size == 4 && field.count == 1).map(field).map(Rgb::Bytes),
+                rgb: header
+                    .field(&["rgb", "rgba"])
+                    .filter(|field| field.size == 4 && field.count == 1)
+                    .map(field)
+                    .map(Rgb::Bytes),
                 big: false,
             }))
         }

@@ -60,7 +60,8 @@ fn pictures_and_exports_have_the_colours_of_voxels() {
     assert_eq!(colours.count(), archive.header().voxels.occupied, "one page, and every voxel has a colour");
 
     done(at, &["show", "a.slices", "--z", "0.35", "--colour", "-o", "slice.png"]);
-    let mut png = png::Decoder::new(std::io::BufReader::new(fs::File::open(at.join("slice.png")).unwrap())).read_info().unwrap();
+    let mut png =
+        png::Decoder::new(std::io::BufReader::new(fs::File::open(at.join("slice.png")).unwrap())).read_info().unwrap();
     let mut pixels = vec![0; png.output_buffer_size().unwrap()];
     let (width, height) = (png.info().width as usize, png.info().height as usize);
     png.next_frame(&mut pixels).unwrap();
