@@ -5,6 +5,7 @@
 #[path = "common/scans.rs"]
 mod scans;
 
+use scangen::{Texture, WriteSpec, write_las};
 use scans::{Random, command, verifies, write_as};
 use std::fs;
 use std::io::Write;
@@ -21,17 +22,25 @@ fn peak_memory_kib(name: &str, pixel: &str, mut point: impl FnMut(usize, &mut Ra
     let points: Vec<[f64; 3]> = (0..POINTS).map(|number| point(number, &mut random)).collect();
     write_as(&folder.path().join("scan.las"), &points, 0.01, [0.0; 3]);
     drop(points);
-    let (peak, temp) = peak_of_file(&folder, name, "scan.las", pixel, POINTS);
+    let (peak, temp) = peak_of_file(&folder, name, "scan.las", pixel, POINTS, &[]);
     assert!(temp <= 12 * POINTS as u64, "{name}: {temp} temporary bytes");
     (peak, temp)
 }
 
 /// Converts `file`, of so many points or triangles, at 64 MiB.
-fn peak_of_file(folder: &TempDir, name: &str, file: &str, pixel: &str, count: usize) -> (u64, u64) {
+fn peak_of_file(
+    folder: &TempDir,
+    name: &str,
+    file: &str,
+    pixel: &str,
+    count: usize,
+    more: &[&str],
+) -> (u64, u64) {
     let report = folder.path().join("report.json");
     let mut child = command(folder.path())
         .args([file, "-o", "a.slices", "--pixel", pixel, "--memory", "64MiB", "--threads", "2", "--json"])
         .args(["--temp-dir", ".", "--quiet"])
+        .args(more)
         .stdout(fs::File::create(&report).unwrap())
         .spawn()
         .unwrap();
@@ -73,6 +82,18 @@ fn shuffled_points_with_an_outlier_stay_within_the_budget_and_go_to_disk() {
 }
 
 #[test]
+fn shuffled_points_with_colours_stay_within_the_budget() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = Random(8);
+    let texture = Some(Texture { period_m: 37.0, eight_bits: false });
+    let spec = WriteSpec { format: 2, texture, scale: [0.01; 3], ..WriteSpec::default() };
+    let points = (0..POINTS).map(|_| uniform(&mut random, [400.0, 400.0, 0.3]));
+    write_las(&folder.path().join("scan.las"), points, &spec).unwrap();
+    let (_, temp) = peak_of_file(&folder, "colours", "scan.las", "0.2", POINTS, &["--colour", "rgb"]);
+    assert!(temp > 0 && temp <= 30 * POINTS as u64, "{temp} temporary bytes");
+}
+
+#[test]
 fn a_strip_of_100_kilometres_stays_within_the_budget() {
     peak_memory_kib("strip", "0.5", |_, random| uniform(random, [100_000.0, 20.0, 5.0]));
 }
@@ -108,6 +129,6 @@ fn a_mesh_larger_than_the_budget_stays_within_it_and_goes_to_disk() {
         }
     }
     out.into_inner().unwrap();
-    let (_, temp) = peak_of_file(&folder, "mesh", "terrain.ply", "0.25", faces);
+    let (_, temp) = peak_of_file(&folder, "mesh", "terrain.ply", "0.25", faces, &[]);
     assert!(temp > 0, "the test shows little");
 }
