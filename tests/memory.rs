@@ -28,14 +28,7 @@ fn peak_memory_kib(name: &str, pixel: &str, mut point: impl FnMut(usize, &mut Ra
 }
 
 /// Converts `file`, of so many points or triangles, at 64 MiB.
-fn peak_of_file(
-    folder: &TempDir,
-    name: &str,
-    file: &str,
-    pixel: &str,
-    count: usize,
-    more: &[&str],
-) -> (u64, u64) {
+fn peak_of_file(folder: &TempDir, name: &str, file: &str, pixel: &str, count: usize, more: &[&str]) -> (u64, u64) {
     let report = folder.path().join("report.json");
     let mut child = command(folder.path())
         .args([file, "-o", "a.slices", "--pixel", pixel, "--memory", "64MiB", "--threads", "2", "--json"])
