@@ -4,6 +4,7 @@ import math
 import struct
 import sys
 
+import colours
 from encoding import crc32c, xxh3_128
 from page import need
 
@@ -53,6 +54,7 @@ class Head:
         need(sections == self.file_len, "H9", f"sections of {sections} bytes in a file of {self.file_len}")
         need(self.metadata_len <= 1 << 20, "H9", f"metadata of {self.metadata_len} bytes")
         self.read_levels()
+        colours.read_head(self)
         root_end = FIXED_LEN + RECORD_LEN * self.leaf_count
         need(root_end + 4 <= head_len, "R1", f"{self.leaf_count} leaves in a head of {head_len} bytes")
         need(not any(head[root_end:-4]), "H10", "padding is not zero")
@@ -79,8 +81,8 @@ class Head:
         fills = self.features_required == 1
         right = fills == (self.fill_holes > 0) and (self.minor >= 2 or not fills)
         need(right, "H7", f"holes of {self.fill_holes} pixels, features {self.features_required}, minor {self.minor}")
-        known = INFERRED.stop if fills else INFERRED.start
-        need(self.minor > 3 or not any(self.reserved[known:]), "H10", "reserved bytes are not zero")
+        zero = fills or not any(self.reserved[INFERRED])
+        need(self.minor > 3 or zero, "H10", "reserved bytes are not zero")
         self.voxels_inferred = int.from_bytes(self.reserved[INFERRED], "little") if fills else 0
 
     def check_plan(self):

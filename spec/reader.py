@@ -17,6 +17,7 @@ import sys
 from bisect import bisect_left
 from collections import deque
 
+from colours import SOURCES, check_colours
 from encoding import U64, Bytes, column_of, crc32c, tile_of, unpack_frame
 from head import INDEX, Head
 from levels import check_levels, read_table
@@ -318,9 +319,9 @@ def read_archive(data):
     """Checks an archive and gives its content as a structure of lists and dictionaries."""
     head = Head(data)
     ends = [len(head.bytes)]
-    for length in (head.pages_len, head.levels_len, head.directory_len, head.metadata_len):
+    for length in (head.pages_len, head.colours_len, head.levels_len, head.directory_len, head.metadata_len):
         ends.append(ends[-1] + length)
-    pages, section, directory, metadata = (data[a:b] for a, b in zip(ends, ends[1:]))
+    pages, colours, section, directory, metadata = (data[a:b] for a, b in zip(ends, ends[1:]))
     check_footer(head, data[ends[-1] :])
     crs, part, units, noise = read_metadata(metadata, head.metadata_crc)
     entries = read_entries(head, directory)
@@ -355,13 +356,16 @@ def read_archive(data):
         occupied, obstacle, inferred = (sum(pair) for pair in zip((occupied, obstacle, inferred), counts))
         matter.add(entry, box)
         contents.append(item)
-        if head.has_levels:
+        if head.has_levels or head.has_colours:
             all_columns[entry.tx, entry.ty, entry.layer] = columns
     check_entries(head, entries, part)
     right = (occupied, obstacle, inferred) == (head.voxels_occupied, head.voxels_obstacle, head.voxels_inferred)
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles, {inferred} inferred")
     check_bounds(head, part, matter)
     content = {"info": show(head, crs, part, units, noise), "pages": contents}
+    shown = check_colours(head, colours, entries, lambda entry: all_columns[entry.tx, entry.ty, entry.layer])
+    for item, of_page in zip(contents, shown or ()):
+        item["colours"] = of_page
     if head.has_levels:
         levels = read_table(head, section)
         content["levels"] = check_levels(head, levels, all_columns, read_entries, level_columns)
@@ -397,7 +401,7 @@ def show(head, crs, part, units, noise):
             "tiles": head.pages_len,
             "directory": len(head.bytes) + head.directory_len,
             "levels": head.levels_len,
-            "colours": 0,
+            "colours": head.colours_len,
         },
         "max_slope": head.max_slope,
         "tolerance": head.tolerance,
@@ -410,6 +414,13 @@ def show(head, crs, part, units, noise):
         "crs": crs,
         "unit": show_units(units),
     }
+    if head.has_colours:
+        facts["colour"] = {
+            "source": SOURCES[head.colour_source - 1],
+            "range": [head.colour_low, head.colour_high],
+            "error": head.colour_error / 1000,
+            "voxels": head.voxels_coloured,
+        }
     if head.up & 2:
         facts["remove_moving"] = True
     if head.fill_holes:

@@ -143,6 +143,10 @@ pub enum Parameter {
     MinPoints,
     /// The widest holes in floors that are closed.
     FillHoles,
+    /// What colours are made of.
+    Colour,
+    /// How far colours may differ.
+    ColourError,
     /// The memory budget of a conversion.
     Memory,
     /// The number of worker threads.
@@ -187,6 +191,8 @@ impl std::fmt::Display for Parameter {
             Self::Tolerance => "tolerance",
             Self::MinPoints => "least points of a voxel",
             Self::FillHoles => "widest holes to close",
+            Self::Colour => "colour",
+            Self::ColourError => "error of colours",
             Self::Memory => "memory budget",
             Self::Threads => "number of threads",
             Self::TempDir => "folder for temporary data",

@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::archive::{Archive, Header, Shard};
+use crate::colour::{ColourPlan, ColourSource};
 use crate::plan::{Noise, Plan};
 use crate::text::{counted, number, rounded};
 use crate::unit::{LengthUnit, unit_name};
@@ -56,17 +57,39 @@ pub fn header_info(header: &Header, crs: &str, units: &[LengthUnit]) -> Value {
             "tiles": header.bytes.pages,
             "directory": header.bytes.head + header.bytes.directory,
             "levels": header.bytes.levels,
-            "colours": 0,
+            "colours": header.bytes.colours,
         },
         "plan_hash": format!("{:032x}", header.plan_hash),
         "crs": (!crs.is_empty()).then_some(crs),
         "unit": unit_info(units),
     });
     let mut all = plan_info(&header.plan);
+    if let Some(colours) = &header.colours {
+        all["colour"] = json!({
+            "source": colours.plan.scale.source.name(),
+            "range": [colours.plan.scale.low, colours.plan.scale.high],
+            "error": f64::from(colours.plan.error_milli) / 1000.0,
+            "voxels": colours.voxels,
+        });
+    }
     if let (Value::Object(all), Value::Object(facts)) = (&mut all, facts) {
         all.extend(facts);
     }
     all
+}
+
+/// How colours were made, in words.
+pub fn colour_words(plan: &ColourPlan) -> String {
+    let source = match plan.scale.source {
+        ColourSource::Rgb if plan.scale.high <= u16::from(u8::MAX) => "RGB (8-bit values)".to_owned(),
+        ColourSource::Rgb => "RGB (16-bit values)".to_owned(),
+        ColourSource::Intensity => format!("intensity ({} to {})", plan.scale.low, plan.scale.high),
+        ColourSource::Class => "classes by a palette".to_owned(),
+    };
+    match plan.error_milli {
+        0 => format!("{source}, exact to 8 bits,"),
+        milli => format!("{source}, mean error up to {} ΔE,", f64::from(milli) / 1000.0),
+    }
 }
 
 /// Grid and options.

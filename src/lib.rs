@@ -110,6 +110,8 @@ pub mod text;
 
 pub mod frame;
 
+pub mod colour;
+
 pub mod bytes;
 
 mod disk;

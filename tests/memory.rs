@@ -5,7 +5,7 @@
 #[path = "common/scans.rs"]
 mod scans;
 
-use scangen::{CloudFormat, Kind, Sample, WriteSpec, write_clouds};
+use scangen::{CloudFormat, Kind, Sample, Texture, WriteSpec, write_clouds, write_las};
 use scans::{Random, command, verifies, write_as};
 use std::fs;
 use std::io::Write;
@@ -88,6 +88,18 @@ fn filling_holes_stays_within_the_budget() {
     peak_of_file(&folder, "holes", "scan.las", "0.2", POINTS, &["--fill-holes", "1.0"]);
     let archive = slicewalk::archive::Archive::open(folder.path().join("a.slices")).unwrap();
     assert!(archive.header().voxels.inferred > 10_000, "nothing was filled");
+}
+
+#[test]
+fn shuffled_points_with_colours_stay_within_the_budget() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = Random(8);
+    let texture = Some(Texture { period_m: 37.0, eight_bits: false });
+    let spec = WriteSpec { format: 2, texture, scale: [0.01; 3], ..WriteSpec::default() };
+    let points = (0..POINTS).map(|_| uniform(&mut random, [400.0, 400.0, 0.3]));
+    write_las(&folder.path().join("scan.las"), points, &spec).unwrap();
+    let (_, temp) = peak_of_file(&folder, "colours", "scan.las", "0.2", POINTS, &["--colour", "rgb"]);
+    assert!(temp > 0 && temp <= 30 * POINTS as u64, "{temp} temporary bytes");
 }
 
 #[test]

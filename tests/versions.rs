@@ -5,14 +5,19 @@
 
 mod common;
 
-use common::{archive, render, scene, two_pixels};
+use common::{archive, archive_with_colours, render, scene, two_pixels};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, Totals};
+use slicewalk::colour::ColourScale;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Archives of version 1.0.
-const GOLDEN: [&str; 3] = ["empty", "scene", "two-pixels"];
+/// Archives of version 1.0, and one of 1.3 with colours and levels.
+const GOLDEN: [&str; 4] = ["empty", "scene", "two-pixels", "colours"];
+
+fn with_colours() -> Vec<u8> {
+    archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)
+}
 
 fn golden(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name)
@@ -23,8 +28,7 @@ fn write_missing() {
         return;
     }
     let made = [(Default::default(), Totals::default()), scene(), two_pixels()];
-    for (name, made) in GOLDEN.iter().zip(&made) {
-        let bytes = archive(made);
+    for (name, bytes) in GOLDEN.iter().zip(made.iter().map(archive).chain([with_colours()])) {
         let path = golden(&format!("{name}.slices"));
         if !path.exists() {
             std::fs::write(path, &bytes).unwrap();
@@ -59,9 +63,11 @@ fn no_golden_archive_is_unlisted() {
 
 #[test]
 fn what_is_written_today_holds_what_was_written_then() {
-    for (name, made) in [("scene", scene()), ("two-pixels", two_pixels())] {
+    for (name, bytes) in
+        [("scene", archive(&scene())), ("two-pixels", archive(&two_pixels())), ("colours", with_colours())]
+    {
         let expected = std::fs::read_to_string(golden(&format!("{name}.txt"))).unwrap();
-        assert_eq!(render(&Archive::from_bytes(archive(&made)).unwrap()), expected, "{name}");
+        assert_eq!(render(&Archive::from_bytes(bytes).unwrap()), expected, "{name}");
     }
 }
 

@@ -91,7 +91,7 @@ impl Catalog {
             entries: leaf.entries,
             first: leaf.first,
             end: self.leaves.get(index + 1).map(|next| next.first),
-            pages: self.header.pages_offset()..self.header.levels_offset(),
+            pages: self.header.pages_offset()..self.header.colours_offset(),
         };
         let unpacked = self.unpack_leaf(leaf, stored).map_err(|violation| place.broken(violation));
         LeafEntries::new(unpacked?, place)

@@ -1,8 +1,9 @@
 //! Putting pages of one archive into another: content that occurs again is neither read nor decoded again.
 
 use super::FORMAT_VERSION;
+use super::colours::EncodedColours;
 use super::dedup::WINDOW;
-use super::head::{Header, LEVELS};
+use super::head::{COLOURS, Header, LEVELS};
 use super::levels::CoarseSpan;
 use super::page::EncodedPage;
 use super::writer::{ArchiveWriter, Placed};
@@ -36,23 +37,26 @@ impl<K: Copy + Eq + Hash> Copier<K> {
         Self { known: HashMap::new(), order: VecDeque::new(), coarse_kept: 0 }
     }
 
-    /// Puts the page `key` of this content into `writer`. `make` reads and encodes it, where that is needed; a page that
+    /// Puts the page `key` of this content, with its own `colours`, into `writer`. `make` reads and encodes it, where that is needed; a page that
     /// it leaves out is `None`.
     pub fn put(
         &mut self,
         writer: &mut ArchiveWriter,
         key: PageKey,
         content: K,
+        colours: EncodedColours,
         make: impl FnOnce() -> Result<Option<EncodedPage>>,
     ) -> Result<Option<Placed>> {
         match self.known.get(&content) {
             Some(Known { placed: None, .. }) => return Ok(None),
-            Some(Known { placed: Some(placed), coarse: Some(coarse) }) if writer.put_again(key, placed, coarse)? => {
+            Some(Known { placed: Some(placed), coarse: Some(coarse) })
+                if writer.put_again(key, placed, coarse, &colours)? =>
+            {
                 return Ok(Some(*placed));
             }
             _ => {}
         }
-        let page = make()?;
+        let page = make()?.map(|page| page.with_colours(colours));
         let coarse = page.as_ref().and_then(|page| page.coarse.clone()).unwrap_or_default();
         let placed = page.map(|page| writer.put_placed(key, &page)).transpose()?;
         self.coarse_kept += coarse.len();
@@ -76,7 +80,7 @@ impl<K: Copy + Eq + Hash> Copier<K> {
 pub(super) fn beyond_this_version(header: &Header) -> Option<String> {
     let (major, minor) = header.version;
     let newer = minor > FORMAT_VERSION.1;
-    let features = header.features_optional & !LEVELS;
+    let features = header.features_optional & !(LEVELS | COLOURS);
     (newer || features != 0).then(|| match newer {
         true => format!("what format {major}.{minor} adds to the head"),
         false => format!("optional features {features:#x}"),
@@ -109,7 +113,7 @@ mod tests {
         let mut made = [0; 4];
         for layer in 0..40 {
             let (key, content) = (PageKey { tx: 0, ty: 0, layer }, layer as usize % 4);
-            let placed = copier.put(&mut writer, key, content, || {
+            let placed = copier.put(&mut writer, key, content, EncodedColours::default(), || {
                 made[content] += 1;
                 Ok((content < 3).then(|| encoder.encode(key, &page(content as u32))))
             });

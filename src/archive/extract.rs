@@ -1,11 +1,13 @@
 //! Cutting a region out of an archive: an archive of its own whose answers inside the region are those of the whole.
 
+use super::colours::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
 use super::head::{Bounds, Header};
 use super::metadata::{Metadata, tag_name};
 use super::page::{PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::writer::{ArchiveWriter, Totals};
+use crate::codec::ColourEncoder;
 use crate::frame::{Frame, PAGE_SLICES, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::output::{Existing, Protected};
 use crate::slice::{Inferred, Page, PageBuilder, Span};
@@ -125,7 +127,12 @@ pub fn extract(
     if levels {
         writer.set_levels();
     }
+    let mut colours = ColourReader::new(archive)?;
+    if let Some(colours) = header.colours {
+        writer.set_colours(colours.plan);
+    }
     let (mut decoder, mut builder) = (PageDecoder::new(), PageBuilder::default());
+    let mut colour_encoder = ColourEncoder::default();
     let mut encoder = PageEncoder::of_plan(archive.plan()).for_levels(levels);
     let mut copier = Copier::new();
     for entry in archive.entries() {
@@ -135,7 +142,19 @@ pub fn extract(
         let entry = entry?;
         monitor.advance(1);
         let Some(part) = region.part_of(entry.key) else { continue };
-        copier.put(&mut writer, entry.key, (entry.content(), part), || {
+        let own = match &mut colours {
+            Some(colours) => {
+                let page = archive.page_with(&entry, &mut decoder)?;
+                if part == PagePart::WHOLE {
+                    colours.copied(entry.key, &page)?
+                } else {
+                    let (cut, _) = part.cut(&page, decoder.inferred(), &mut builder);
+                    colours.part(entry.key, &page, &cut, &mut colour_encoder)?
+                }
+            }
+            None => EncodedColours::default(),
+        };
+        copier.put(&mut writer, entry.key, (entry.content(), part), own, || {
             let page = archive.page_with(&entry, &mut decoder)?;
             if part == PagePart::WHOLE {
                 return Ok(Some(encoder.copied(entry.key, &decoder.bytes, &page, decoder.inferred())));

@@ -3,8 +3,10 @@
 //! The head is read and checked as a whole: magic, length, checksum, then version and features, then every field.
 
 use super::FORMAT_VERSION;
+use super::colours::ColourHead;
 use super::levels::{Levels, MAX_LEVELS, MAX_STORED_TABLE};
 use crate::codec::{ByteReader, Violation};
+use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
 use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
@@ -14,13 +16,16 @@ use xxhash_rust::xxh3::xxh3_128;
 /// Last bytes of an archive.
 pub(super) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
 /// Minor version and required features of an archive of `plan`.
-pub(super) fn needs(plan: &Plan, levels: bool) -> (u16, u64) {
-    let (minor, required) = match (plan.options.fill_holes > 0, levels) {
-        (true, _) => (INFERRED_MINOR, INFERRED),
-        (false, true) => (LEVELS_MINOR, 0),
-        (false, false) => (0, 0),
-    };
-    (if plan.tolerance_quanta() > 0 { STEPS_MINOR } else { minor }, required)
+pub(super) fn needs(plan: &Plan, levels: bool, colours: bool) -> (u16, u64) {
+    let fills = plan.options.fill_holes > 0;
+    let needed = [
+        (levels, LEVELS_MINOR),
+        (fills, INFERRED_MINOR),
+        (plan.tolerance_quanta() > 0, STEPS_MINOR),
+        (colours, COLOURS_MINOR),
+    ];
+    let minor = needed.into_iter().filter(|(needs, _)| *needs).map(|(_, minor)| minor).max();
+    (minor.unwrap_or(0), if fills { INFERRED } else { 0 })
 }
 
 /// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
@@ -52,9 +57,16 @@ pub(super) const INFERRED: u64 = 1;
 const INFERRED_MINOR: u16 = 2;
 /// Minor version from which coarsened heights may lie on steps of the tolerance.
 const STEPS_MINOR: u16 = 3;
+/// Bit of `features_optional`: the archive has colours.
+pub(super) const COLOURS: u64 = 2;
+/// Minor version from which the head tells of colours.
+const COLOURS_MINOR: u16 = 3;
 /// Where the fields of levels end among those that were reserved first, and those of inferred matter.
 const LEVELS_END: usize = 19;
 const INFERRED_END: usize = LEVELS_END + 8;
+/// Bytes of what the head says of colours.
+const COLOURS_LEN: usize = 32;
+const _: () = assert!(325 + INFERRED_END + COLOURS_LEN == FIXED);
 /// Where the canonical bytes of the plan lie in the head.
 const PLAN: std::ops::Range<usize> = 56..128;
 
@@ -105,6 +117,8 @@ pub struct Sections {
     pub head: u64,
     /// Pages.
     pub pages: u64,
+    /// Colours of voxels.
+    pub colours: u64,
     /// Overview levels: their pages and directories.
     pub levels: u64,
     /// Leaf directories.
@@ -157,6 +171,8 @@ pub struct Header {
     pub leaf_entries: u32,
     /// Where the overview levels are told of; `None` if the archive was written without.
     pub levels: Option<Levels>,
+    /// What is said of colours; `None` if the archive was written without.
+    pub colours: Option<ColourHead>,
     /// Which overview level this is the head of; 0 for the archive itself.
     pub level: u32,
 }
@@ -188,9 +204,14 @@ impl Header {
         self.bytes.head
     }
 
-    /// Offset of the overview levels, where the pages end (bytes).
-    pub fn levels_offset(&self) -> u64 {
+    /// Offset of the colours, where the pages end (bytes).
+    pub fn colours_offset(&self) -> u64 {
         self.bytes.head + self.bytes.pages
+    }
+
+    /// Offset of the overview levels (bytes).
+    pub fn levels_offset(&self) -> u64 {
+        self.colours_offset() + self.bytes.colours
     }
 
     /// Offset of the leaf directories (bytes).
@@ -276,7 +297,7 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
         header.pages.stored,
         header.pages.shared,
         header.pages.uniform,
-        header.bytes.pages + header.bytes.levels,
+        header.bytes.pages + header.bytes.colours + header.bytes.levels,
         header.bytes.directory,
         header.bytes.metadata,
     ] {
@@ -292,6 +313,14 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
     out.extend(levels.table_len.to_le_bytes());
     out.extend(levels.table_crc.to_le_bytes());
     word(&mut out, header.voxels.inferred);
+    if let Some(ColourHead { plan, voxels, table_crc }) = header.colours {
+        word(&mut out, header.bytes.colours);
+        word(&mut out, voxels);
+        out.extend(table_crc.to_le_bytes());
+        let ColourScale { source, low, high } = plan.scale;
+        [low, high, plan.error_milli].iter().for_each(|value| out.extend(value.to_le_bytes()));
+        out.extend(ColourSource::ALL.iter().zip(1u8..).filter(|(one, _)| **one == source).map(|(_, code)| code));
+    }
     out.resize(FIXED, 0);
     leaves.iter().for_each(|leaf| leaf.encode(&mut out));
     out.resize(header.bytes.head as usize - CRC, 0);
@@ -401,8 +430,14 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
         let reserved = reader.take(FIXED - 325)?;
         reader = ByteReader::new(&[], "H2");
         let (levels, levels_len) = decode_levels(version.1, features_optional, &reserved[..LEVELS_END])?;
-        let inferred = decode_inferred(version.1, features_required, &plan, &reserved[LEVELS_END..])?;
-        let Some(pages_len) = words[20].checked_sub(levels_len) else {
+        let inferred = decode_inferred(version.1, features_required, &plan, &reserved[LEVELS_END..INFERRED_END])?;
+        let (colours, colours_len) = decode_colours(version.1, features_optional, &reserved[INFERRED_END..])?;
+        let table_len = 12 * u64::from(leaf_count);
+        if colours.is_some() && colours_len < table_len {
+            let expected = format!("colours of {table_len} bytes or more");
+            return Err(Violation::new("K1", expected, colours_len));
+        }
+        let Some(pages_len) = words[20].checked_sub(levels_len).and_then(|len| len.checked_sub(colours_len)) else {
             return Err(Violation::new("L1", format!("levels of at most {} bytes", words[20]), levels_len));
         };
         let float = |at: usize| f64::from_bits(words[at]);
@@ -428,6 +463,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
             bytes: Sections {
                 head: head_len as u64,
                 pages: pages_len,
+                colours: colours_len,
                 levels: levels_len,
                 directory: words[21],
                 metadata: words[22],
@@ -435,6 +471,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
             metadata_crc,
             leaf_entries,
             levels,
+            colours,
             level: 0,
         };
         check_sums(&header)?;
@@ -474,11 +511,34 @@ fn decode_inferred(minor: u16, features: u64, plan: &Plan, reserved: &[u8]) -> R
         let found = format!("holes of {} pixels, version 1.{minor}, features {features:#x}", plan.options.fill_holes);
         return Err(Violation::new("H7", expected, found));
     }
-    let known = if fills { INFERRED_END - LEVELS_END } else { 0 };
-    if minor <= FORMAT_VERSION.1 && reserved[known..].iter().any(|&byte| byte != 0) {
+    if !fills && minor <= FORMAT_VERSION.1 && reserved.iter().any(|&byte| byte != 0) {
         return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
     }
     if fills { ByteReader::new(reserved, "H2").u64() } else { Ok(0) }
+}
+
+/// What the last reserved fields say of colours, and the length of their section (rules H10 and K1).
+fn decode_colours(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<ColourHead>, u64), Violation> {
+    let has_colours = minor >= COLOURS_MINOR && features & COLOURS != 0;
+    if !has_colours {
+        if minor <= FORMAT_VERSION.1 && reserved.iter().any(|&byte| byte != 0) {
+            return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
+        }
+        return Ok((None, 0));
+    }
+    let mut reader = ByteReader::new(reserved, "K1");
+    let (len, voxels, table_crc) = (reader.u64()?, reader.u64()?, reader.u32()?);
+    let mut number = || reader.array().map(u16::from_le_bytes);
+    let (low, high, error_milli) = (number()?, number()?, number()?);
+    let [source, rest @ ..]: [u8; 6] = reader.array()?;
+    let source = usize::from(source).checked_sub(1).and_then(|code| ColourSource::ALL.get(code).copied());
+    match source {
+        Some(source) if low < high && (minor > FORMAT_VERSION.1 || rest == [0; 5]) => {
+            let plan = ColourPlan { scale: ColourScale { source, low, high }, error_milli };
+            Ok((Some(ColourHead { plan, voxels, table_crc }), len))
+        }
+        _ => Err(Violation::new("K1", "a source 1 to 3, a range of values, and zeros", hex(reserved))),
+    }
 }
 
 fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
@@ -568,11 +628,15 @@ fn check_sums(header: &Header) -> Result<(), Violation> {
             format!("{pages:?}, {tiles:?}"),
         );
     }
-    let sections = [bytes.head, bytes.pages, bytes.levels, bytes.directory, bytes.metadata, FOOTER as u64];
+    let sections =
+        [bytes.head, bytes.pages, bytes.colours, bytes.levels, bytes.directory, bytes.metadata, FOOTER as u64];
     let sum = sections.iter().try_fold(0u64, |sum, &len| sum.checked_add(len));
     if sum != Some(header.file_len) {
         let expected = format!("sections that fill {} bytes", header.file_len);
         return Err(Violation::new("H9", expected, format!("{sections:?}")));
+    }
+    if header.colours.is_some_and(|colours| colours.voxels > voxels.occupied) {
+        return Err(Violation::new("K1", format!("at most {} voxels with colours", voxels.occupied), "more"));
     }
     if bytes.metadata > MAX_METADATA {
         return Err(Violation::new("H9", format!("metadata of at most {MAX_METADATA} bytes"), bytes.metadata));

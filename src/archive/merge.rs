@@ -4,6 +4,7 @@
 //! other; sharing, directory and head are made anew, since they look across parts. Every page is decoded and checked on
 //! its way. Memory: that of one writer and one page.
 
+use super::colours::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
 use super::head::{Bounds, Header, Voxels};
 use super::matter::Matter;
@@ -117,6 +118,9 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     if first.header.levels.is_some() {
         writer.set_levels();
     }
+    if let Some(colours) = first.header.colours {
+        writer.set_colours(colours.plan);
+    }
     // Of one plan file, so that all say the same, unless somebody changed it in between.
     let noise = first.noise.filter(|_| parts.iter().all(|part| part.noise == first.noise));
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), noise, ..Totals::default() };
@@ -192,6 +196,11 @@ fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBu
             let reason = format!("only one of it and {} has overview levels", pair[0].path.display());
             return pair[1].refuse(format!("{reason}; convert both with the same --levels"));
         }
+        let colours = |part: &OpenShard<'_>| part.header.colours.map(|colours| colours.plan);
+        if colours(&pair[0]) != colours(&pair[1]) {
+            let reason = format!("its colours were not made as those of {}", pair[0].path.display());
+            return pair[1].refuse(format!("{reason}; convert both by one plan, with the same --colour"));
+        }
         if pair[0].crs != pair[1].crs {
             return pair[1].refuse(format!("its reference system is not that of {}", pair[0].path.display()));
         }
@@ -254,6 +263,8 @@ fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor)
     let archive = part.reopen()?;
     let levels = writer.has_levels();
     let (mut decoder, mut copier) = (PageDecoder::new(), Copier::new());
+    let mut colours = ColourReader::new(&archive).map_err(|error| named(part.path, error))?;
+    let (mut coloured, mut pixels) = (0, PageDecoder::new());
     let (mut tiles, mut voxels, mut pages, mut matter) = (0, Voxels::default(), 0, Matter::default());
     for entry in archive.entries() {
         if monitor.cancelled() {
@@ -263,7 +274,15 @@ fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor)
         if !part.shard.columns().contains(&entry.key.column()) {
             return part.refuse(format!("page {} lies outside its columns (rule T5); convert it again", entry.key));
         }
-        let placed = copier.put(writer, entry.key, entry.content(), || {
+        let own = match &mut colours {
+            Some(colours) => {
+                let page = archive.page_with(&entry, &mut pixels).map_err(|error| named(part.path, error))?;
+                colours.copied(entry.key, &page).map_err(|error| named(part.path, error))?
+            }
+            None => EncodedColours::default(),
+        };
+        coloured += own.voxels;
+        let placed = copier.put(writer, entry.key, entry.content(), own, || {
             let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
             Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page, decoder.inferred(), levels)))
         })?;
@@ -278,6 +297,9 @@ fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor)
         monitor.advance(1);
     }
     let header = &part.header;
+    if header.colours.is_some_and(|colours| colours.voxels != coloured) {
+        return part.refuse("its voxels with colours are not as many as it says (rule K10); convert it again".into());
+    }
     if (pages, tiles, voxels) != (header.pages.total(), header.tiles.occupied, header.voxels) {
         return part.refuse("its totals are not those of its pages (rules T1 to T3); convert it again".into());
     }

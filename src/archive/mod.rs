@@ -15,6 +15,8 @@ mod metadata;
 
 mod matter;
 
+mod colours;
+
 mod levels;
 
 mod shard;
@@ -44,6 +46,7 @@ mod salvage;
 mod recover;
 
 pub use catalog::Catalog;
+pub use colours::{ColourEntry, ColourHead, ColourReader, ColourTable, EncodedColours};
 pub use directory::{Content, Extent, PageEntry, Storage};
 pub use extract::{Extracted, extract};
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
@@ -58,8 +61,8 @@ pub use shard::{InputRead, MAX_SHARDS, Shard};
 pub use verify::{Finding, LISTED, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};
 
-/// Latest version of the format that is read and written: major, minor. Archives state 1.2 where holes are filled, else 1.1
-/// with overview levels and 1.0 without.
+/// Latest version of the format that is read and written: major, minor. Archives state 1.3 with colours or a tolerance of a quantum
+/// or more, else 1.2 where holes are filled, else 1.1 with overview levels and 1.0 without.
 pub const FORMAT_VERSION: (u16, u16) = (1, 3);
 
 #[cfg(test)]

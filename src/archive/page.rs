@@ -1,5 +1,6 @@
 //! Pages as they lie in the file: a leader that tells what they are, and the encoded page (chapter 5).
 
+use super::colours::EncodedColours;
 use super::directory::{Extent, PageEntry, Storage, key_in_grid};
 use super::head::hex;
 use super::levels::{CoarseSpan, coarse};
@@ -40,12 +41,19 @@ pub struct EncodedPage {
     pub inferred: u64,
     /// What the page gives to overview levels, if it is to give anything.
     pub(super) coarse: Option<Arc<[CoarseSpan]>>,
+    /// Colours of its voxels, for an archive that gets colours.
+    pub(super) colours: EncodedColours,
 }
 
 impl EncodedPage {
     /// Bytes that the page takes in the archive, unless it shares those of another.
     pub fn len_bytes(&self) -> usize {
         self.bytes.len()
+    }
+
+    /// The page with these colours of its voxels.
+    pub fn with_colours(self, colours: EncodedColours) -> Self {
+        Self { colours, ..self }
     }
 
     pub(super) fn crc(&self) -> u32 {
@@ -77,6 +85,7 @@ impl EncodedPage {
             voxels: page.voxel_counts(),
             inferred: inferred.voxel_count(page),
             coarse: levels.then(|| coarse(page).into()),
+            colours: EncodedColours::default(),
         }
     }
 
@@ -191,12 +200,12 @@ impl PageEncoder {
     }
 
     /// As [`encode_inferred`](Self::encode_inferred), with heights coarsened by up to the tolerance of the plan; some spans may
-    /// become one. The page must hold matter.
-    pub fn encode_loose(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> EncodedPage {
+    /// become one: the page as it was encoded comes with it. It must hold matter.
+    pub fn encode_loose(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> (EncodedPage, Page) {
         let mut bytes = leader(self.magic, key);
         let page = self.encoder.encode_loose(page, inferred, &mut bytes);
         let encoded = self.without_bytes(key, &page, inferred);
-        if encoded.uniform.is_some() { encoded } else { encoded.with_bytes(bytes) }
+        (if encoded.uniform.is_some() { encoded } else { encoded.with_bytes(bytes) }, page)
     }
 
     /// All but the bytes.

@@ -7,6 +7,7 @@
 //! one writer.
 
 use super::catalog::Catalog;
+use super::colours::{ColourReader, EncodedColours};
 use super::copy::{Copier, beyond_this_version};
 use super::directory::{Content, Extent, PageEntry, Storage};
 use super::head::{self, Header, MAX_HEAD, Pages};
@@ -101,7 +102,13 @@ pub fn recover(
         columns: None,
         encoded_anew: 0,
         entries_wrong: 0,
+        // Without their table no colours are found.
+        colours: old.as_ref().and_then(|archive| ColourReader::new(archive).ok().flatten()),
+        colours_found: 0,
     };
+    if let Some(colours) = old.as_ref().and_then(|archive| archive.header().colours) {
+        rescue.writer.set_colours(colours.plan);
+    }
     if levels {
         rescue.writer.set_levels();
     }
@@ -158,6 +165,9 @@ struct Rescue<'a> {
     encoded_anew: u64,
     /// Pages of which the directory said something else than they hold.
     entries_wrong: u64,
+    colours: Option<ColourReader>,
+    /// Voxels whose colours were found.
+    colours_found: u64,
 }
 
 impl Rescue<'_> {
@@ -177,7 +187,7 @@ impl Rescue<'_> {
                 let end = sound.map(|sound| archive.leaf_first(sound));
                 let to = match sound.and_then(|sound| places[sound].as_ref()) {
                     Some(place) => place.start,
-                    None if in_place => header.levels_offset(),
+                    None if in_place => header.colours_offset(),
                     None => self.source.len(),
                 };
                 let inside = |key| first <= key && end.is_none_or(|end| key < end);
@@ -185,7 +195,7 @@ impl Rescue<'_> {
             }
             let Some(sound) = sound else { break };
             let place = places[sound].clone().unwrap_or(from..from);
-            let next = places[sound + 1..].iter().flatten().next().map_or(header.levels_offset(), |next| next.start);
+            let next = places[sound + 1..].iter().flatten().next().map_or(header.colours_offset(), |next| next.start);
             let displaced = self.displaced(archive, sound, place.start..next)?;
             for entry in archive.open_leaf(sound)? {
                 let entry = entry?;
@@ -240,8 +250,10 @@ impl Rescue<'_> {
         self.source.read_at(found.offset, &mut bytes)?;
         let Some((key, page)) = self.decoder.salvage(&bytes) else { return Ok(()) };
         let inferred = self.decoder.inferred();
+        let colours = self.colours.as_mut().and_then(|colours| colours.copied(key, &page).ok()).unwrap_or_default();
         let page = in_the_one_encoding(&mut self.encoder, &mut self.encoded_anew, key, &bytes, (&page, inferred));
-        self.writer.put(key, page)?;
+        self.colours_found += colours.voxels;
+        self.writer.put(key, page.with_colours(colours))?;
         self.found.stored += 1;
         self.count(key, found.len as u64)
     }
@@ -249,13 +261,16 @@ impl Rescue<'_> {
     /// Takes the page of an entry, if it is sound. A page with bytes of its own counts by its leader: what the entry says
     /// of its content may be wrong.
     fn listed(&mut self, archive: &Archive, entry: &PageEntry) -> Result<()> {
-        let Self { writer, copier, decoder, encoder, encoded_anew, entries_wrong, .. } = self;
-        let placed = copier.put(writer, entry.key, entry.content(), || {
-            let page = match entry.storage {
-                Storage::Stored(extent) => own_page(archive, extent, decoder).filter(|(key, _)| *key == entry.key),
-                _ => archive.page_with(entry, decoder).ok().map(|page| (entry.key, page)),
-            };
-            let Some((key, page)) = page else { return Ok(None) };
+        let Self { writer, copier, decoder, encoder, encoded_anew, entries_wrong, colours, .. } = self;
+        let read = |decoder: &mut PageDecoder| match entry.storage {
+            Storage::Stored(extent) => own_page(archive, extent, decoder).filter(|(key, _)| *key == entry.key),
+            _ => archive.page_with(entry, decoder).ok().map(|page| (entry.key, page)),
+        };
+        let own = colours.as_mut().and_then(|colours| colours.copied(entry.key, &read(decoder)?.1).ok());
+        let own: EncodedColours = own.unwrap_or_default();
+        let coloured = own.voxels;
+        let placed = copier.put(writer, entry.key, entry.content(), own, || {
+            let Some((key, page)) = read(decoder) else { return Ok(None) };
             *entries_wrong += u64::from((page.slices(), page.size()) != (entry.slices, entry.size));
             let content = (&page, decoder.inferred());
             Ok(Some(in_the_one_encoding(encoder, encoded_anew, key, &decoder.bytes, content)))
@@ -263,6 +278,7 @@ impl Rescue<'_> {
         if placed.is_none() {
             return Ok(());
         }
+        self.colours_found += coloured;
         let (count, len) = match entry.storage {
             Storage::Stored(extent) => (&mut self.found.stored, extent.len),
             Storage::Shared(_) => (&mut self.found.shared, 0),
@@ -303,6 +319,11 @@ impl Rescue<'_> {
             }
         }
         self.writer.set_unknown(unknown);
+        if let Some(stated) = header.and_then(|header| header.colours).map(|colours| colours.voxels)
+            && stated > self.colours_found
+        {
+            dropped.push(format!("colours of {} of {stated} voxels (damaged)", stated - self.colours_found));
+        }
         dropped.extend(header.and_then(beyond_this_version));
         let totals = match header {
             Some(header) => {

@@ -1,7 +1,7 @@
 //! Directory entries of an archive in the making: a few in memory, the rest in a temporary file.
 //!
 //! How many entries a leaf holds depends on how many there are in all, so leaves are made at the end. Memory: 1.5 MiB
-//! for any number of pages; disk: 40 bytes a page beyond the first 32,768.
+//! for any number of pages; disk: 40 bytes a page beyond the first 32,768. A [`Spool`] holds what waits for the pages to end.
 
 use super::directory::{Extent, PageEntry, Storage, encode_leaf};
 use super::head::Leaf;
@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 /// Entries kept in memory.
 const KEPT: usize = 1 << 15;
 const RECORD: usize = 40;
+/// Bytes of a spool in memory.
+const SPOOL_KEPT: usize = 1 << 18;
 
 /// The entries so far, in the order in which they came.
 #[derive(Debug)]
@@ -135,6 +137,56 @@ fn entry(record: &[u8]) -> Option<PageEntry> {
         _ => return None,
     };
     Some(PageEntry { key, slices, size, storage })
+}
+
+/// Bytes that are read back once, in order.
+#[derive(Debug)]
+pub(super) struct Spool {
+    kept: Vec<u8>,
+    files: Files,
+    file: Option<Temporary>,
+    written: u64,
+    beside: PathBuf,
+}
+
+impl Spool {
+    /// Empty; a temporary file, once needed, lies beside `target`.
+    pub fn new(files: &Files, target: &Path) -> Self {
+        Self { kept: Vec::new(), files: files.clone(), file: None, written: 0, beside: target.to_path_buf() }
+    }
+
+    /// Bytes so far.
+    pub fn len(&self) -> u64 {
+        self.written + self.kept.len() as u64
+    }
+
+    /// Adds bytes.
+    pub fn push(&mut self, bytes: &[u8]) -> Result<()> {
+        if self.kept.len() + bytes.len() > SPOOL_KEPT && !self.kept.is_empty() {
+            let file = match &mut self.file {
+                Some(file) => file,
+                none => none.insert(Temporary::beside(&self.files, &self.beside)?),
+            };
+            file.write_at(self.written, &self.kept)?;
+            self.written += self.kept.len() as u64;
+            self.kept.clear();
+        }
+        self.kept.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// Gives all bytes in order, in pieces.
+    pub fn read(&self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        let mut piece = vec![0; SPOOL_KEPT.min(self.written as usize)];
+        let mut at = 0;
+        while let Some(file) = self.file.as_ref().filter(|_| at < self.written) {
+            let len = (self.written - at).min(SPOOL_KEPT as u64) as usize;
+            file.read_at(at, &mut piece[..len])?;
+            give(&piece[..len])?;
+            at += len as u64;
+        }
+        give(&self.kept)
+    }
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 //! Memory: the bytes of one leaf, 1 MiB of pages, and what was found of the last 65,536 stored pages (about 8 MiB): a page
 //! that shares their bytes is checked by that. Time: linear in the bytes of the pages and in their number.
 
+use super::colours::{ColourEntry, ColourReader};
 use super::dedup::WINDOW;
 use super::directory::{Content, Extent, PageEntry, Storage};
 use super::head::{Pages, Tiles, Voxels};
@@ -13,7 +14,7 @@ use super::matter::Matter;
 use super::page::{PageDecoder, PageEncoder, check_entry, check_key, check_leader};
 use super::reader::Archive;
 use super::shard::Shard;
-use crate::codec::Violation;
+use crate::codec::{ColourEncoder, Violation};
 use crate::frame::TILE_PIXELS;
 use crate::monitor::Monitor;
 use crate::slice::{Inferred, Page, PageBounds, PageSize, Span};
@@ -99,8 +100,10 @@ impl Archive {
             levels: None,
             coarse: HashMap::new(),
             coarse_kept: 0,
+            colours: None,
         };
         pass.metadata();
+        pass.colour_table();
         if header.levels.is_some() {
             match LevelCheck::new(self) {
                 Ok(levels) => pass.levels = Some(levels),
@@ -183,6 +186,20 @@ struct Pass<'a> {
     /// What contents give to levels, as many as are kept, and how many spans that is.
     coarse: HashMap<Content, Arc<[CoarseSpan]>>,
     coarse_kept: usize,
+    /// `None` without colours, and where their table is damaged.
+    colours: Option<ColourCheck>,
+}
+
+/// Colours and how far they were checked.
+struct ColourCheck {
+    reader: ColourReader,
+    encoder: ColourEncoder,
+    decoder: PageDecoder,
+    /// Those of the directory leaf at hand that are to come, last first; none if they are not known.
+    leaf: Vec<ColourEntry>,
+    /// Where the next block must begin; unknown after a damaged leaf.
+    next: Option<u64>,
+    voxels: u64,
 }
 
 impl Pass<'_> {
@@ -194,6 +211,77 @@ impl Pass<'_> {
             }
             Err(error) => self.error(error, "metadata", self.archive.header().metadata_offset()),
         }
+    }
+
+    fn colour_table(&mut self) {
+        let header = self.archive.header();
+        match ColourReader::new(self.archive) {
+            Ok(reader) => {
+                self.colours = reader.map(|reader| ColourCheck {
+                    reader,
+                    encoder: ColourEncoder::default(),
+                    decoder: PageDecoder::new(),
+                    leaf: Vec::new(),
+                    next: Some(header.colours_offset()),
+                    voxels: 0,
+                });
+            }
+            Err(error) => self.error(error, "table of colours", header.colours_offset()),
+        }
+    }
+
+    /// Takes the colour leaf of directory leaf `index`.
+    fn colour_leaf(&mut self, index: usize) {
+        let Some(check) = &mut self.colours else { return };
+        match check.reader.leaf_entries(index) {
+            Ok(mut entries) => {
+                entries.reverse();
+                check.leaf = entries;
+            }
+            Err(error) => {
+                (check.leaf, check.next) = (Vec::new(), None);
+                let at = self.archive.header().colours_offset();
+                self.error(error, &format!("colour leaf {index}"), at);
+            }
+        }
+    }
+
+    /// Checks the colours of the next page of the leaf: of a page that is not sound only where they lie.
+    fn page_colours(&mut self, entry: &PageEntry, sound: bool) {
+        let Some(mut check) = self.colours.take() else { return };
+        if let Some(place) = check.leaf.pop()
+            && let Err(error) = self.check_colours(&mut check, &place, entry, sound)
+        {
+            self.error(error, &format!("colours of page {}", entry.key), place.offset);
+        }
+        self.colours = Some(check);
+    }
+
+    /// Rules K4 to K9.
+    fn check_colours(
+        &mut self,
+        check: &mut ColourCheck,
+        place: &ColourEntry,
+        entry: &PageEntry,
+        sound: bool,
+    ) -> Result<()> {
+        let expected = check.next.replace(place.range().end);
+        if let Some(expected) = expected.filter(|&expected| expected != place.offset) {
+            let violation = Violation::new("K8", format!("the block at byte {expected}"), place.offset);
+            return Err(place.broken(entry.key, violation));
+        }
+        if place.len == 0 || !sound {
+            return Ok(());
+        }
+        let page = self.archive.page_with(entry, &mut check.decoder)?;
+        let Some(block) = check.reader.block(place, entry.key, &page)? else { return Ok(()) };
+        check.voxels += block.count();
+        self.summary.bytes += u64::from(place.len);
+        if !check.reader.is_canonical(block, &mut check.encoder) {
+            let violation = Violation::new("K9", "the one encoding of its content", "another");
+            return Err(place.broken(entry.key, violation));
+        }
+        Ok(())
     }
 
     /// Counts a finding of `rule`, and lists it if there are not too many.
@@ -228,6 +316,7 @@ impl Pass<'_> {
     }
 
     fn leaf(&mut self, index: usize, monitor: &dyn Monitor) -> Result<()> {
+        self.colour_leaf(index);
         for (number, entry) in (0u64..).zip(self.archive.open_leaf(index)?) {
             if number.is_multiple_of(STRIDE) && monitor.cancelled() {
                 return Err(Error::Interrupted);
@@ -255,6 +344,7 @@ impl Pass<'_> {
             Storage::Stored(extent) => self.stored(entry, extent),
             Storage::Shared(extent) => self.shared(entry, extent),
         };
+        self.page_colours(entry, facts.is_some());
         if let Some(facts) = facts {
             self.summary.voxels.occupied += facts.voxels.0;
             self.summary.voxels.obstacle += facts.voxels.1;
@@ -401,7 +491,7 @@ impl Pass<'_> {
         let (start, bytes) = &mut self.chunk;
         let end = extent.offset + extent.len as u64;
         if extent.offset < *start || end > *start + bytes.len() as u64 {
-            let section = self.archive.header().levels_offset();
+            let section = self.archive.header().colours_offset();
             let ahead = (section - extent.offset).min(CHUNK.max(extent.len as u64)) as usize;
             *start = extent.offset;
             bytes.resize(ahead, 0);
@@ -422,10 +512,24 @@ impl Pass<'_> {
     /// there. Says nothing about totals where damage makes them wrong anyway.
     fn totals(&mut self) {
         let header = self.archive.header();
-        let pages_end = header.levels_offset();
+        let pages_end = header.colours_offset();
         if let Some(end) = self.next.filter(|&end| end != pages_end) {
             let violation = Violation::new("D9", format!("pages up to byte {pages_end}"), end);
             self.error(violation.at("pages", header.pages_offset()), "pages", 0);
+        }
+        if let Some(check) = self.colours.take() {
+            let end = check.reader.blocks_end();
+            if let Some(found) = check.next.filter(|&found| found != end) {
+                let violation = Violation::new("K8", format!("blocks up to byte {end}"), found);
+                self.error(violation.at("colours", header.colours_offset()), "colours", 0);
+            }
+            let stated = header.colours.map_or(0, |colours| colours.voxels);
+            if self.summary.findings == 0 && stated != check.voxels {
+                self.error(Violation::new("K10", check.voxels, stated).at("head", 0), "head", 0);
+            }
+            if self.summary.findings == 0 {
+                self.summary.bytes += header.levels_offset() - end;
+            }
         }
         if let Some(mut levels) = self.levels.take() {
             if self.summary.findings > 0 {

@@ -4,6 +4,7 @@
 mod unnamed;
 
 use super::FORMAT_VERSION;
+use super::colours::{ColourWriter, EncodedColours};
 use super::dedup::Window;
 use super::directory::{Extent, PageEntry, Storage, key_in_grid};
 use super::head::{self, Bounds, Header, MAX_HEAD, MAX_LEAF_ENTRIES, MAX_LEAVES, MIN_LEAF_ENTRIES, Sections};
@@ -14,6 +15,7 @@ use super::page::EncodedPage;
 use super::shard::{InputRead, Shard};
 use super::spill::{Entries, write_leaves};
 use crate::codec::Violation;
+use crate::colour::ColourPlan;
 use crate::frame::PageKey;
 use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::plan::{Noise, Plan};
@@ -76,6 +78,7 @@ pub struct ArchiveWriter {
     counts: Header,
     matter: Matter,
     levels: Option<LevelWriter>,
+    colours: Option<ColourWriter>,
     shard: Option<Shard>,
     read: Vec<InputRead>,
     unknown: Unknown,
@@ -109,7 +112,7 @@ impl ArchiveWriter {
     /// Starts an archive of `plan` that will be `output`.
     pub(crate) fn on(output: Output, plan: &Plan) -> Result<Self> {
         plan.options.check()?;
-        let (minor, features_required) = head::needs(plan, false);
+        let (minor, features_required) = head::needs(plan, false, false);
         let counts = Header {
             version: (FORMAT_VERSION.0, minor),
             features_required,
@@ -130,6 +133,7 @@ impl ArchiveWriter {
             metadata_crc: 0,
             leaf_entries: MIN_LEAF_ENTRIES,
             levels: None,
+            colours: None,
             level: 0,
         };
         Ok(Self {
@@ -144,6 +148,7 @@ impl ArchiveWriter {
             counts,
             matter: Matter::default(),
             levels: None,
+            colours: None,
             shard: None,
             read: Vec::new(),
             unknown: Unknown::new(),
@@ -159,8 +164,21 @@ impl ArchiveWriter {
     pub fn set_levels(&mut self) {
         debug_assert!(self.last.is_none(), "levels are of all pages");
         self.levels = Some(LevelWriter::new(&self.plan.frame, self.output.files(), self.output.beside()));
-        self.counts.version.1 = head::needs(&self.plan, true).0;
-        self.counts.features_optional = head::LEVELS;
+        self.counts.version.1 = head::needs(&self.plan, true, self.colours.is_some()).0;
+        self.counts.features_optional |= head::LEVELS;
+    }
+
+    /// Gives the archive colours of `plan`: before its first page.
+    pub fn set_colours(&mut self, plan: ColourPlan) {
+        debug_assert!(self.last.is_none(), "every page says which colours it has");
+        self.colours = Some(ColourWriter::new(plan, self.output.files(), self.output.beside()));
+        self.counts.version.1 = head::needs(&self.plan, self.levels.is_some(), true).0;
+        self.counts.features_optional |= head::COLOURS;
+    }
+
+    /// How the colours of the archive are made, if it gets some.
+    pub fn colours(&self) -> Option<ColourPlan> {
+        self.colours.as_ref().map(|colours| colours.plan)
     }
 
     /// Whether the archive gets overview levels.
@@ -221,12 +239,18 @@ impl ArchiveWriter {
             inferred: page.inferred,
             hash: page.hash,
         };
-        self.push(key, &placed, page.coarse.as_deref().unwrap_or_default())?;
+        self.push(key, &placed, page.coarse.as_deref().unwrap_or_default(), &page.colours)?;
         Ok(placed)
     }
 
     /// Puts the content of `like`, which was put before, under `key` as well; `false` if it must be put with its bytes.
-    pub(super) fn put_again(&mut self, key: PageKey, like: &Placed, coarse: &[CoarseSpan]) -> Result<bool> {
+    pub(super) fn put_again(
+        &mut self,
+        key: PageKey,
+        like: &Placed,
+        coarse: &[CoarseSpan],
+        colours: &EncodedColours,
+    ) -> Result<bool> {
         let storage = match like.storage {
             Storage::Uniform(span) => Storage::Uniform(span),
             Storage::Stored(extent) | Storage::Shared(extent) => {
@@ -237,7 +261,7 @@ impl ArchiveWriter {
             }
         };
         self.check_key(key)?;
-        self.push(key, &Placed { storage, ..*like }, coarse)?;
+        self.push(key, &Placed { storage, ..*like }, coarse, colours)?;
         Ok(true)
     }
 
@@ -255,7 +279,7 @@ impl ArchiveWriter {
     }
 
     /// Adds an entry whose bytes have their place, and counts it.
-    fn push(&mut self, key: PageKey, placed: &Placed, coarse: &[CoarseSpan]) -> Result<()> {
+    fn push(&mut self, key: PageKey, placed: &Placed, coarse: &[CoarseSpan], colours: &EncodedColours) -> Result<()> {
         let &Placed { storage, slices, size, bounds, voxels, inferred, .. } = placed;
         let entry = PageEntry { key, slices, size, storage };
         self.entries.push(entry)?;
@@ -282,7 +306,8 @@ impl ArchiveWriter {
         let (low, high) = entry.slice_range();
         let (first, last) = self.counts.slices.unwrap_or((low, high));
         self.counts.slices = Some((first.min(low), last.max(high)));
-        self.levels.as_mut().map_or(Ok(()), |levels| levels.add(key, coarse))
+        self.levels.as_mut().map_or(Ok(()), |levels| levels.add(key, coarse))?;
+        self.colours.as_mut().map_or(Ok(()), |writer| writer.add(key, colours))
     }
 
     /// Finds equal bytes or appends those of `page`.
@@ -349,7 +374,11 @@ impl ArchiveWriter {
             self.base = head::exact_len(leaf_count) as u64;
         }
         let pages = self.flushed + self.buffer.len() as u64;
-        let mut levels_len = 0;
+        let (mut colours_len, mut levels_len) = (0, 0);
+        if let Some(colours) = self.colours.take() {
+            let (colours, len) = colours.finish(leaf_entries, &mut |bytes| self.append(bytes))?;
+            (header.colours, colours_len) = (Some(colours), len);
+        }
         if let Some(levels) = self.levels.take() {
             let (levels, len) = levels.finish(&mut |bytes| self.append(bytes))?;
             (header.levels, levels_len) = (Some(levels), len);
@@ -362,8 +391,14 @@ impl ArchiveWriter {
         self.append(&metadata)?;
 
         let directory = leaves.iter().map(|leaf| leaf.stored_len as u64).sum();
-        header.bytes =
-            Sections { head: self.base, pages, levels: levels_len, directory, metadata: metadata.len() as u64 };
+        header.bytes = Sections {
+            head: self.base,
+            pages,
+            colours: colours_len,
+            levels: levels_len,
+            directory,
+            metadata: metadata.len() as u64,
+        };
         header.file_len = header.metadata_offset() + header.bytes.metadata + head::FOOTER as u64;
         header.points_read = totals.points_read;
         header.points_kept = totals.points_kept;

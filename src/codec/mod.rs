@@ -10,6 +10,7 @@
 
 mod adaptive;
 mod bytes;
+mod colours;
 mod compress;
 mod lattice;
 mod loose;
@@ -18,6 +19,7 @@ mod rans;
 #[doc(hidden)]
 pub use bytes::put_varint;
 pub(crate) use bytes::{ByteReader, unzigzag, zigzag};
+pub use colours::{ColourBlock, ColourEncoder, MAX_COLOUR_BLOCK};
 #[doc(hidden)]
 pub use compress::{Packer, Unpacker};
 

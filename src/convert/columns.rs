@@ -15,6 +15,8 @@ use std::thread::Builder;
 /// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel (with its
 /// verdicts and the place of its sums) and span that it may become.
 const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Voxel>() as u64 + 8 + 16;
+/// The same where values are wanted: two of them, and the sum and the mean of a voxel.
+const VALUE_BYTES_PER_RECORD: u64 = 2 * size_of::<Record>() as u64 + 32 + 16;
 /// Records of a job; patches count in 32 bits.
 const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
@@ -47,6 +49,8 @@ pub(super) struct Columns<'a> {
     pub max_columns: u64,
     /// What stations saw, where points that others saw through are to be removed.
     pub views: Option<&'a Views>,
+    /// Whether the values of points are wanted.
+    pub values: bool,
     pub monitor: &'a dyn Monitor,
 }
 
@@ -59,8 +63,8 @@ impl Columns<'_> {
         mut worker: impl FnMut(Patches<'w>) -> W,
         take: impl FnMut(W::Done) -> Result<()>,
     ) -> Result<()> {
-        let Self { merge, memory_bytes, threads, ahead, max_columns, views, monitor } = *self;
-        let max_records = (memory_bytes / 4 / threads as u64 / job_bytes_per_record(views)).min(MOST_RECORDS);
+        let Self { merge, memory_bytes, threads, ahead, max_columns, views, values, monitor } = *self;
+        let max_records = (memory_bytes / 4 / threads as u64 / job_bytes_per_record(views, values)).min(MOST_RECORDS);
         let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
         let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
         let (job_in, job_out) = bounded::<(u64, ColumnJob)>(threads);
@@ -74,7 +78,7 @@ impl Columns<'_> {
         std::thread::scope(|scope| {
             for number in 0..threads {
                 let (jobs, done) = (job_out.clone(), done_in.clone());
-                let worker = worker(Patches::new(plan, max_records, dense.clone(), views, monitor));
+                let worker = worker(Patches::new(plan, max_records, dense.clone(), (views, values), monitor));
                 let started = Builder::new().spawn_scoped(scope, move || work_on_columns(worker, merge, &jobs, &done));
                 match started {
                     Ok(_) => {}
@@ -172,10 +176,19 @@ struct Dense {
     max_voxels: u64,
 }
 
+/// Gives records to its argument, piece by piece.
+pub(super) type EachRecords<'a> = dyn FnMut(&mut dyn FnMut(&[Record])) -> Result<()> + 'a;
+
 /// What is made of the voxels of tile columns, area by area.
 pub(super) trait TakeAreas {
     /// The voxels of an area of a column with its halo, and their sums; returns how many it dropped.
     fn area(&mut self, column: ColumnKey, area: Area, patch: &mut Patch, sums: &mut Sums) -> u64;
+
+    /// The values of the points of an area, whose voxels are those of `patch` now: `each` gives them to its argument, piece by piece,
+    /// with others that lie elsewhere. Called after [`area`](Self::area), where values are wanted.
+    fn values(&mut self, _patch: &Patch, _area: Area, _each: &mut EachRecords<'_>) -> Result<()> {
+        Ok(())
+    }
 
     /// All areas of the column have come.
     fn end(&mut self, column: ColumnKey) -> Result<()>;
@@ -196,6 +209,9 @@ pub(super) struct Patches<'a> {
     /// Points removed as moving since they were taken out last, without the copies in halos.
     pub removed: Vec<(ColumnKey, Record)>,
     staying: Vec<Record>,
+    /// Whether the values of points are wanted, and those of a job.
+    wants_values: bool,
+    values: Vec<Record>,
 }
 
 /// Removes the points of an area and its halo that are taken for moving, and notes those of the area.
@@ -217,9 +233,10 @@ fn remove_moving(
 }
 
 /// Memory of a worker per record of a column.
-fn job_bytes_per_record(views: Option<&Views>) -> u64 {
+fn job_bytes_per_record(views: Option<&Views>, values: bool) -> u64 {
     let removed = size_of::<Record>() + size_of::<(ColumnKey, Record)>();
-    JOB_BYTES_PER_RECORD + if views.is_some() { removed as u64 } else { 0 }
+    let removed = if views.is_some() { removed as u64 } else { 0 };
+    JOB_BYTES_PER_RECORD + removed + if values { VALUE_BYTES_PER_RECORD } else { 0 }
 }
 
 impl<'a> Patches<'a> {
@@ -227,7 +244,7 @@ impl<'a> Patches<'a> {
         plan: &Plan,
         max_records: u64,
         dense: Arc<Dense>,
-        views: Option<&'a Views>,
+        (views, wants_values): (Option<&'a Views>, bool),
         monitor: &'a dyn Monitor,
     ) -> Self {
         let bands = Bands::new(plan);
@@ -244,6 +261,8 @@ impl<'a> Patches<'a> {
             records: Vec::new(),
             removed: Vec::new(),
             staying: Vec::new(),
+            wants_values,
+            values: Vec::new(),
         }
     }
 
@@ -265,11 +284,18 @@ impl<'a> Patches<'a> {
         }
         let mut dropped = 0;
         let mut records = std::mem::take(&mut self.records);
+        let mut values = std::mem::take(&mut self.values);
         merge.load(job, &mut records)?;
+        if self.wants_values {
+            merge.load_values(job, &mut values)?;
+        }
         let mut rest = &records[..];
-        for &(key, count) in &job.columns {
+        let mut rest_of_values = &values[..];
+        for (&(key, count), &of_values) in job.columns.iter().zip(&job.values) {
             let (own, others) = rest.split_at(count as usize);
             rest = others;
+            let (own_values, others) = rest_of_values.split_at(if self.wants_values { of_values as usize } else { 0 });
+            rest_of_values = others;
             if wanted(key) {
                 let mut staying = std::mem::take(&mut self.staying);
                 let own = match self.views {
@@ -283,10 +309,17 @@ impl<'a> Patches<'a> {
                 };
                 dropped += self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums);
                 dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
+                if self.wants_values {
+                    take.values(&self.patch, Area::TILE, &mut |give| {
+                        give(own_values);
+                        Ok(())
+                    })?;
+                }
                 take.end(key)?;
                 self.staying = staying;
             }
         }
+        self.values = values;
         self.records = records;
         Ok(dropped)
     }
@@ -326,6 +359,7 @@ impl<'a> Patches<'a> {
                 self.remove_moving(key, area, &mut own);
                 dropped += self.patch.fold(&own, self.min_points, area, &mut self.sums);
                 dropped += take.area(key, area, &mut self.patch, &mut self.sums);
+                self.stream_values(merge, job, area, take)?;
                 self.records = own;
             } else if let Some([low, high]) = area.halves() {
                 // The last is taken first, and spans are to come in order of pixels where they can.
@@ -379,7 +413,28 @@ impl<'a> Patches<'a> {
         self.removed.append(&mut moving);
         let dropped = self.patch.set_folded(&folded, self.min_points, area, &mut self.sums);
         drop(folded);
-        Ok(Some(dropped + take.area(job.columns[0].0, area, &mut self.patch, &mut self.sums)))
+        let dropped = dropped + take.area(job.columns[0].0, area, &mut self.patch, &mut self.sums);
+        self.stream_values(merge, job, area, take)?;
+        Ok(Some(dropped))
+    }
+
+    /// Gives `take` the values of the points of a column in `area`.
+    fn stream_values(&self, merge: &Merge<'_>, job: &ColumnJob, area: Area, take: &mut impl TakeAreas) -> Result<()> {
+        if !self.wants_values {
+            return Ok(());
+        }
+        let chunk = (self.max_records / 4).max(1 << 12) as usize;
+        // Rows of a patch begin with the halo.
+        let rows = (area.y.0 + 1, area.y.1 + 1);
+        take.values(&self.patch, area, &mut |give| {
+            merge.stream_values(job, rows, chunk, |records| {
+                if self.monitor.cancelled() {
+                    return Err(Error::Interrupted);
+                }
+                give(records);
+                Ok(true)
+            })
+        })
     }
 
     /// The records of a column in `area` and its halo, and others, piece by piece, until `take` has enough; whether it

@@ -8,6 +8,7 @@
 //! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
 //! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
 
+mod colours;
 mod columns;
 mod facts;
 mod holes;
@@ -29,7 +30,7 @@ mod work;
 mod writer;
 
 pub use facts::InputFacts;
-pub use options::{ConvertOptions, PixelSize, ShardOptions, Tolerance};
+pub use options::{ColourMode, ConvertOptions, PixelSize, ShardOptions, Tolerance};
 pub use plan_file::PlanFile;
 pub use preview::{Preview, PreviewInput, preview};
 pub use report::Report;
@@ -37,6 +38,7 @@ pub use resume::Resumed;
 pub use writer::PointWriter;
 
 use crate::archive::{ArchiveWriter, Header, MAX_UNITS, Totals};
+use crate::colour::{ColourPlan, ColourSource};
 use crate::disk::Files;
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
@@ -71,6 +73,8 @@ pub const AUTO_PIXELS: f64 = 700.0;
 /// Disk per point in the temporary file: its record, copies in the halo of other tile columns, and the index. Points that
 /// lie closer together than tiles do may have up to three copies, which no header tells.
 const TEMP_BYTES_PER_POINT: u64 = 9;
+/// The same for the values of a point, twice for RGB of 16 bits.
+const VALUE_BYTES_PER_POINT: u64 = 8;
 
 /// The files of a conversion.
 pub(crate) struct Inputs {
@@ -94,6 +98,8 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
         up: options.plan.up,
         exclude_classes: options.plan.exclude_classes,
         memory_bytes: options.memory_bytes / 8 / options.threads as u64,
+        // Known later, and not needed for an automatic pixel size.
+        colour: None,
         allow_incomplete: options.allow_incomplete,
         // Only what the points of the archive are read from counts, not the pass for an automatic pixel size.
         hash: false,
@@ -218,6 +224,7 @@ impl ConvertOptions {
             let reason = "what stations saw is not kept with temporary data; begin anew without resuming";
             return Err(Error::parameter(Parameter::Resume, reason));
         }
+        self.check_colour()?;
         self.plan.check()
     }
 }
@@ -238,7 +245,9 @@ impl Limits {
     const MOST_BUILD_BYTES: u64 = 240 << 20;
 
     fn of(options: &ConvertOptions) -> Self {
-        let build_bytes = (options.memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / options.threads as u64;
+        // Runs of values take a half where there are some.
+        let builders = options.threads as u64 * if options.colour == ColourMode::Off { 1 } else { 2 };
+        let build_bytes = (options.memory_bytes / 4).min(Self::MOST_BUILD_BYTES) / builders;
         // What stations saw takes a half of what runs have otherwise.
         let views_bytes = if options.plan.remove_moving { options.memory_bytes / 4 } else { 0 };
         Self { retain_bytes: options.memory_bytes / 2 - views_bytes, build_bytes, views_bytes }
@@ -248,7 +257,7 @@ impl Limits {
 /// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
 ///
 /// Cost: time linear in the points, memory at most the budget plus a constant. Where the points do not fit the budget, disk:
-/// about 9 bytes a point, and up to 36 for points that all lie in the corners of tiles. Errors: unusable input or options,
+/// about 9 bytes a point, and up to 36 for points that all lie in the corners of tiles; 8 or 16 more with colours. Errors: unusable input or options,
 /// full disk, interruption by `monitor`. With [`ConvertOptions::resume`] an error may leave temporary data, from which a
 /// later call goes on: [`Error::Resumable`] says where.
 pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report> {
@@ -283,7 +292,8 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
         return Err(error.with_way_out(Parameter::Units));
     }
-    let scope = scope(options, &set, &plan, monitor)?;
+    let (source, colours) = colours_of(options, &mut set, monitor)?;
+    let scope = scope(options, &set, &plan, colours, monitor)?;
     let shard = scope.as_ref().map(|scope| scope.shard);
     let seeing = match plan.options.remove_moving {
         true => {
@@ -332,6 +342,8 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         units,
         noise,
         seeing,
+        source,
+        colours,
         monitor,
     };
     let done = conversion.run(&store, writer, removed.as_mut());
@@ -344,10 +356,36 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     }
 }
 
+/// What colours are made of, and their plan where it must be known before points are read: in a part, which does not see
+/// all of them.
+fn colours_of(
+    options: &ConvertOptions,
+    set: &mut InputSet,
+    monitor: &dyn Monitor,
+) -> Result<(Option<ColourSource>, Option<ColourPlan>)> {
+    let (source, plan) = match &options.plan_file {
+        Some(file) => (file.colour.map(|plan| plan.scale.source), file.colour),
+        None => {
+            let source = colours::source_of(options, set, monitor)?;
+            let part = source.filter(|_| options.shard.is_some());
+            let scale = part.map(|source| colours::measure(set, source, options.threads, monitor)).transpose()?;
+            (source, scale.map(|scale| options.colour_plan(scale)))
+        }
+    };
+    set.set_colour(source);
+    Ok((source, plan))
+}
+
 /// The part that the options ask for, if not the whole; refuses inputs that are not those of the options' plan file.
-fn scope(options: &ConvertOptions, set: &InputSet, plan: &Plan, monitor: &dyn Monitor) -> Result<Option<ShardScope>> {
+fn scope(
+    options: &ConvertOptions,
+    set: &InputSet,
+    plan: &Plan,
+    colour: Option<ColourPlan>,
+    monitor: &dyn Monitor,
+) -> Result<Option<ShardScope>> {
     if let Some(shard) = options.shard {
-        return ShardScope::new(shard, set, plan, options, monitor).map(Some);
+        return ShardScope::new(shard, set, plan, options, colour, monitor).map(Some);
     }
     if let Some(file) = &options.plan_file {
         file.check_same_inputs(&PlanFile::of(InputFacts::of(set, monitor)?, plan.clone(), options))?;
@@ -400,6 +438,9 @@ struct Conversion<'a> {
     units: Vec<LengthUnit>,
     noise: Option<Noise>,
     seeing: Option<&'a Seeing>,
+    source: Option<ColourSource>,
+    /// Plan of colours, where it does not follow from the points that are read.
+    colours: Option<ColourPlan>,
     monitor: &'a dyn Monitor,
 }
 
@@ -410,11 +451,30 @@ impl Conversion<'_> {
         mut writer: ArchiveWriter,
         mut removed: Option<&mut RemovedPoints>,
     ) -> Result<Report> {
-        let Self { options, limits, plan, set, meshes, scope, progress, notes, units, noise, seeing, monitor } = self;
+        let Self {
+            options,
+            limits,
+            plan,
+            set,
+            meshes,
+            scope,
+            progress,
+            notes,
+            units,
+            noise,
+            seeing,
+            source,
+            colours,
+            monitor,
+        } = self;
         let threads = options.threads;
         let scope = scope.as_ref();
-        let reading = Reading { build_bytes: limits.build_bytes, threads, scope, progress: &progress, notes, seeing };
-        let (mut read, of_files) = read_points(set, plan, store, reading, monitor)?;
+        let build_bytes = limits.build_bytes;
+        let reading = Reading { build_bytes, threads, scope, progress: &progress, notes, seeing, source };
+        let (mut read, of_files, values) = read_points(set, plan, store, reading, monitor)?;
+        if let Some(colours) = colours.or(values.map(|values| options.colour_plan(values.scale()))) {
+            writer.set_colours(colours);
+        }
         // A part that leaves files out cannot say of the whole that nothing in it can be used.
         let whole = scope.is_none_or(ShardScope::reads_all);
         if whole {
@@ -500,7 +560,12 @@ fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
 fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u64, u64) {
     let parts = options.shard.map_or(1, |shard| u64::from(shard.count.max(1)));
     let points = set.points_stated().min(set.bytes()) / parts;
-    (points, points.saturating_mul(TEMP_BYTES_PER_POINT).saturating_sub(retain_bytes))
+    let values = match options.colour {
+        ColourMode::Off => 0,
+        ColourMode::Of(ColourSource::Intensity | ColourSource::Class) => VALUE_BYTES_PER_POINT,
+        _ => 2 * VALUE_BYTES_PER_POINT,
+    };
+    (points, points.saturating_mul(TEMP_BYTES_PER_POINT + values).saturating_sub(retain_bytes))
 }
 
 /// Refuses to begin what the disk will not hold.

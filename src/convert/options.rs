@@ -1,6 +1,7 @@
 //! What to convert, and how.
 
 use super::plan_file::PlanFile;
+use crate::colour::ColourSource;
 use crate::input::{Columns, Units};
 use crate::mesh::MeshMode;
 use crate::plan::PlanOptions;
@@ -54,6 +55,41 @@ impl FromStr for Tolerance {
     }
 }
 
+/// Which values of points become colours of voxels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum ColourMode {
+    /// None: the archive has no colours.
+    #[default]
+    Off,
+    /// RGB where the input has it, else intensity, else none. Values that are zero throughout count as none.
+    Auto,
+    /// These; an input without them is refused.
+    Of(ColourSource),
+}
+
+impl ColourMode {
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::Auto => "auto",
+            Self::Of(source) => source.name(),
+        }
+    }
+}
+
+/// As the command line takes it: `rgb`, `intensity`, `class`, `auto`, `off`.
+impl FromStr for ColourMode {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let all = ColourSource::ALL.map(Self::Of).into_iter().chain([Self::Auto, Self::Off]);
+        let found = all.into_iter().find(|mode| mode.name() == text);
+        found.ok_or_else(|| "expected rgb, intensity, class, auto or off".into())
+    }
+}
+
 /// What to convert, and how. See the README for the command line that sets these.
 #[derive(Debug, Clone)]
 pub struct ConvertOptions {
@@ -89,6 +125,10 @@ pub struct ConvertOptions {
     pub mesh: MeshMode,
     /// Whether the archive gets overview levels (see [`Level`](crate::archive::Level)); off by default.
     pub levels: bool,
+    /// What colours of voxels are made of; off by default.
+    pub colour: ColourMode,
+    /// Greatest mean difference of a page's colours from the means of the points (ΔE*ab of CIELAB, 0 to 65.535); 0: exact to 8 bits.
+    pub colour_error: f64,
     /// Whether input that can be read in part only is converted so, with warnings, instead of being refused.
     pub allow_incomplete: bool,
     /// Where the scanners stood, a table with the columns `file,x,y,z`: needed where the plan removes moving points, for scans
@@ -108,6 +148,8 @@ pub struct ConvertOptions {
 }
 
 impl ConvertOptions {
+    /// Default of [`colour_error`](Self::colour_error): a difference that is seen side by side, if at all.
+    pub const DEFAULT_COLOUR_ERROR: f64 = 2.0;
     /// Sets how far heights are coarsened.
     pub fn set_tolerance(&mut self, tolerance: Tolerance) {
         (self.tolerance_auto, self.plan.tolerance_m) = match tolerance {
@@ -134,6 +176,8 @@ impl ConvertOptions {
             columns: None,
             mesh: MeshMode::Exact,
             levels: false,
+            colour: ColourMode::Off,
+            colour_error: Self::DEFAULT_COLOUR_ERROR,
             allow_incomplete: false,
             stations: None,
             removed: None,

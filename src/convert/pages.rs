@@ -1,12 +1,15 @@
 //! Second pass: tile columns out of the runs, into the archive.
 
-use super::columns::{ColumnWork, Columns, Patches, TakeAreas};
+use super::columns::{ColumnWork, Columns, EachRecords, Patches, TakeAreas};
 use super::holes::fill_holes;
 use super::removed::RemovedPoints;
-use crate::archive::{ArchiveWriter, EncodedPage, PageEncoder, Totals};
+use crate::archive::{ArchiveWriter, EncodedColours, EncodedPage, PageEncoder, Totals};
+use crate::codec::ColourEncoder;
+use crate::colour::ColourPlan;
 use crate::frame::PageKey;
 use crate::plan::{Plan, PlanOptions};
-use crate::slice::Inferred;
+use crate::slice::{Inferred, Occupancy, Page};
+use crate::voxel::colours::ColumnColours;
 use crate::voxel::floaters::{Dropped, Frontier, PieceFinder, Pieces};
 use crate::voxel::fold::{Area, Patch, Sums};
 use crate::voxel::judge::Judge;
@@ -23,6 +26,10 @@ const PAGE_BYTES: u64 = 320;
 const JOBS_AHEAD_PER_THREAD: usize = 8;
 /// The same where what is finished are pieces of matter.
 const PIECES_AHEAD_PER_THREAD: usize = 2;
+
+/// Memory for the colours of a tile column, at least, and of each of its voxels.
+const LEAST_COLOUR_BYTES: u64 = 4 << 20;
+const BYTES_PER_COLOUR: u64 = 16;
 
 /// How the second pass works.
 #[derive(Clone, Copy)]
@@ -63,6 +70,9 @@ pub(super) fn write_archive(
     let exact = Plan { frame: plan.frame, options };
     let output = writer.scratch(writing.temp_dir)?;
     let mut scanned = ArchiveWriter::on(output, &exact)?;
+    if let Some(colours) = writer.colours() {
+        scanned.set_colours(ColourPlan { error_milli: 0, ..colours });
+    }
     // Of parts, the columns around theirs, too.
     let all = Writing { columns: None, ..writing };
     let left_out = write_columns(&exact, store, all, &mut scanned, removed, monitor)?;
@@ -88,8 +98,13 @@ pub(super) fn write_columns(
     monitor.stage("writing slices", merge.records(), "records");
     let (ahead, levels) = (JOBS_AHEAD_PER_THREAD * threads, writer.has_levels());
     let max_columns = (memory_bytes / 8 / ahead as u64 / PAGE_BYTES).max(1);
-    let pass = Columns { merge: &merge, memory_bytes, threads, ahead, max_columns, views, monitor };
-    let worker = |patches| PageWorker { patches, pages: PageMaker::new(plan, levels), columns };
+    let colours = writer.colours();
+    let values = colours.is_some();
+    let pass = Columns { merge: &merge, memory_bytes, threads, ahead, max_columns, views, values, monitor };
+    let most = (memory_bytes / 16 / threads as u64).max(LEAST_COLOUR_BYTES) / BYTES_PER_COLOUR;
+    let maker =
+        || PageMaker { colours: colours.map(|plan| PageColours::new(plan, most)), ..PageMaker::new(plan, levels) };
+    let worker = |patches| PageWorker { patches, pages: maker(), columns };
     let mut left_out = LeftOut::default();
     pass.work_in_order(plan, worker, |done: PagesDone| {
         left_out.voxels += done.voxels_dropped;
@@ -121,7 +136,7 @@ fn mark_floaters(
         runs = runs.only(move |index: ColumnIndex| (first..=last).contains(&index.key().column));
     }
     let ahead = PIECES_AHEAD_PER_THREAD * threads;
-    let pass = Columns { merge, memory_bytes, threads, ahead, max_columns: 1 << 10, views, monitor };
+    let pass = Columns { merge, memory_bytes, threads, ahead, max_columns: 1 << 10, views, values: false, monitor };
     let worker = |patches| PieceWorker { patches, finder: PieceFinder::new(most) };
     let mut dropped: Vec<Dropped> = Vec::new();
     pass.work_in_order(plan, worker, |areas: Vec<Pieces>| {
@@ -209,7 +224,32 @@ struct PageMaker {
     /// Whether heights may be coarsened.
     is_loose: bool,
     encoder: PageEncoder,
+    colours: Option<PageColours>,
     done: KeyedPages,
+}
+
+/// Makes the colours of pages; its scratch is reused.
+struct PageColours {
+    plan: ColourPlan,
+    column: ColumnColours,
+    occupancy: Occupancy,
+    found: Vec<Option<[u16; 3]>>,
+    encoder: ColourEncoder,
+}
+
+impl PageColours {
+    /// Of up to `most` voxels a column.
+    fn new(plan: ColourPlan, most: u64) -> Self {
+        let column = ColumnColours::new(plan.scale, usize::try_from(most).unwrap_or(usize::MAX));
+        let (occupancy, encoder) = (Occupancy::default(), ColourEncoder::default());
+        Self { plan, column, occupancy, found: Vec::new(), encoder }
+    }
+
+    fn of(&mut self, column: ColumnKey, layer: i32, page: &Page) -> EncodedColours {
+        let Self { plan, column: colours, occupancy, found, encoder } = self;
+        colours.of_page(column.first_slice(), layer, page, occupancy, found);
+        EncodedColours::new(plan, occupancy, found, encoder)
+    }
 }
 
 impl PageMaker {
@@ -221,6 +261,7 @@ impl PageMaker {
             columns: ColumnPages::default(),
             is_loose: plan.tolerance_quanta() > 0,
             encoder: PageEncoder::of_plan(plan).for_levels(levels),
+            colours: None,
             done: KeyedPages::new(),
         }
     }
@@ -234,16 +275,32 @@ impl TakeAreas for PageMaker {
         dropped
     }
 
+    fn values(&mut self, patch: &Patch, area: Area, each: &mut EachRecords<'_>) -> Result<()> {
+        let Some(PageColours { column, .. }) = &mut self.colours else { return Ok(()) };
+        column.begin(patch);
+        each(&mut |records| column.add(patch, area, records))?;
+        column.end(patch, area)
+    }
+
     fn end(&mut self, column: ColumnKey) -> Result<()> {
-        let Self { columns, encoder, is_loose, done, .. } = self;
-        columns.finish(column.first_slice(), |layer, page| {
+        let Self { columns, encoder, is_loose, colours, done, .. } = self;
+        columns.finish(column.first_slice(), |layer, page| -> Result<()> {
             let key = PageKey::from_column(column.column, layer);
-            let encoded = match is_loose {
-                true => encoder.encode_loose(key, page, &Inferred::NONE),
-                false => encoder.encode(key, page),
+            let (encoded, loose) = match is_loose {
+                true => {
+                    let (encoded, page) = encoder.encode_loose(key, page, &Inferred::NONE);
+                    (encoded, Some(page))
+                }
+                false => (encoder.encode(key, page), None),
             };
-            done.push((key, encoded));
+            let page = loose.as_ref().unwrap_or(page);
+            let colours = colours.as_mut().map(|colours| colours.of(column, layer, page));
+            done.push((key, encoded.with_colours(colours.unwrap_or_default())));
             Ok(())
-        })
+        })?;
+        if let Some(colours) = colours {
+            colours.column.clear();
+        }
+        Ok(())
     }
 }

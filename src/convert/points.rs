@@ -1,14 +1,17 @@
 //! First pass over scans: points into runs.
 
+use super::colours::Values;
 use super::resume::{Progress, put_reads, result_bytes};
 use super::work::on_threads;
 use crate::archive::Totals;
+use crate::colour::ColourSource;
 use crate::convert::ShardScope;
 use crate::frame::Frame;
 use crate::input::scenes::Scene;
 use crate::input::{InputSet, PointBatch, PointCounts, PointDecoder, ScanFile};
 use crate::plan::Plan;
 use crate::unit::LengthUnit;
+use crate::voxel::colours::values_of;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::voxel::views::Views;
@@ -109,6 +112,8 @@ pub(super) struct Reading<'a> {
     pub notes: bool,
     /// What each station saw, to be filled.
     pub seeing: Option<&'a Seeing>,
+    /// Values of points that become colours.
+    pub source: Option<ColourSource>,
 }
 
 /// What each station sees, and the station of each cloud of each file.
@@ -117,15 +122,15 @@ pub(super) struct Seeing {
     pub of_cloud: Vec<Vec<usize>>,
 }
 
-/// First pass: all points, or those that a part needs, into runs; and what it found in each file.
+/// First pass: all points, or those that a part needs, into runs; what it found in each file, and in the values of the points.
 pub(super) fn read_points(
     set: &InputSet,
     plan: &Plan,
     store: &RunStore,
     reading: Reading<'_>,
     monitor: &dyn Monitor,
-) -> Result<(Read, Vec<OfFile>)> {
-    let Reading { build_bytes, threads, scope, progress, notes, seeing } = reading;
+) -> Result<(Read, Vec<OfFile>, Option<Values>)> {
+    let Reading { build_bytes, threads, scope, progress, notes, seeing, source } = reading;
     monitor.stage("reading points", set.points_stated(), "points");
     monitor.advance(progress.read.counts.read);
     let recorder = Recorder::new(plan.frame);
@@ -138,11 +143,14 @@ pub(super) fn read_points(
     // What one worker cannot do ends the work of all, not only its own.
     let failed = AtomicBool::new(false);
     let of_files = Mutex::new(progress.of_files.clone());
-    let work = || -> Result<Read> {
+    let work = || -> Result<(Read, Option<Values>)> {
         let mut decoder = PointDecoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
+        let mut values =
+            source.map(|source| (source, Values::new(source), RunBuilder::of_values(recorder, build_bytes)));
         if let Some(scope) = scope {
             builder = builder.only(scope.keeps());
+            values = values.map(|(source, found, builder)| (source, found, builder.only(scope.keeps())));
         }
         if notes {
             let log = decoder.log();
@@ -182,7 +190,15 @@ pub(super) fn read_points(
                 of_chunk.merge(&Read { min, max, own, ..Read::NOTHING });
                 let begin = at;
                 at += batch.len() as u64;
-                push_missing(&mut builder, batch, begin, covered, store)
+                push_missing(&mut builder, batch, begin, covered, store)?;
+                match &mut values {
+                    Some((source, found, builder)) if !batch.values.is_empty() => {
+                        found.add(batch);
+                        let of_point = |number: usize| values_of(*source, batch.values[number]);
+                        builder.push_values(&batch.x, &batch.y, &batch.z, of_point, store)
+                    }
+                    _ => Ok(()),
+                }
             })?;
             if scope.is_none_or(|scope| scope.owns(chunk.file())) {
                 of_chunk.own.left_out = of_chunk.counts;
@@ -199,15 +215,20 @@ pub(super) fn read_points(
             return Err(Error::Interrupted);
         }
         builder.flush(store)?;
-        Ok(read)
+        let values = values.map(|(_, found, mut builder)| builder.flush(store).map(|()| found)).transpose()?;
+        Ok((read, values))
     };
-    let mut all = progress.read;
-    for read in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
+    let (mut all, mut values) = (progress.read, None::<Values>);
+    for (read, of_worker) in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
         all.merge(&read);
+        match (&mut values, of_worker) {
+            (Some(values), Some(more)) => values.merge(&more),
+            (none, more) => *none = more,
+        }
     }
     let of_files = of_files.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     warn_of_bounds(set, &of_files, monitor);
-    Ok((all, of_files))
+    Ok((all, of_files, values))
 }
 
 /// Hands `batch`, whose first point is number `begin` of its chunk, to `builder`, but for points that are `covered`.

@@ -61,7 +61,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     check_free_space(options, &Files::current(), temp_bytes)?;
     let (plan, Surveyed { spacing, noise }) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
-    scope(options, set, &plan, monitor)?;
+    scope(options, set, &plan, None, monitor)?;
     if options.plan.remove_moving {
         Stations::find(options.stations.as_deref(), set)?;
     }

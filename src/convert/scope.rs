@@ -6,6 +6,7 @@ use super::options::{ConvertOptions, ShardOptions};
 use super::plan_file::PlanFile;
 use super::split::{QuadCell, TileRect, tiles};
 use crate::archive::{InputRead, Shard};
+use crate::colour::ColourPlan;
 use crate::frame::{Frame, TILE_PIXELS, morton};
 use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds};
 use crate::plan::Plan;
@@ -60,6 +61,7 @@ impl ShardScope {
         set: &InputSet,
         plan: &Plan,
         options: &ConvertOptions,
+        colour: Option<ColourPlan>,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
         let facts = match &options.plan_file {
@@ -67,7 +69,7 @@ impl ShardScope {
             None => InputFacts::measured(set, options.threads, monitor)?,
         };
         let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();
-        let here = PlanFile::of(facts, plan.clone(), options);
+        let here = PlanFile { colour, ..PlanFile::of(facts, plan.clone(), options) };
         let file = match &options.plan_file {
             Some(file) => {
                 file.check_same_inputs(&here)?;

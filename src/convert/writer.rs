@@ -59,6 +59,10 @@ impl PointWriter {
             let reason = "points from memory have no stations; convert files to remove what moved";
             return Err(Error::parameter(Parameter::Stations, reason));
         }
+        if options.colour != super::ColourMode::Off {
+            let reason = "points from memory come without values for colours; convert files";
+            return Err(Error::parameter(Parameter::Colour, reason));
+        }
         let PixelSize::Metres(pixel_m) = options.pixel else {
             let reason = "points that are not there yet tell no pixel size; give it in metres";
             return Err(Error::parameter(Parameter::PixelSize, reason));

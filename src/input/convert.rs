@@ -58,6 +58,30 @@ pub(super) enum Layout {
     Extended,
 }
 
+/// Where values for colours lie in a record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Field {
+    /// Three numbers of 16 bits from this byte on.
+    Rgb(usize),
+    /// A number of 16 bits.
+    Intensity,
+    /// The class.
+    Class(Layout),
+}
+
+impl Field {
+    #[inline]
+    fn of(self, record: &[u8]) -> [u16; 3] {
+        let number = |at: usize| u16::from_le_bytes([record[at], record[at + 1]]);
+        match self {
+            Self::Rgb(at) => [number(at), number(at + 2), number(at + 4)],
+            Self::Intensity => [number(12), 0, 0],
+            Self::Class(Layout::Old) => [u16::from(record[15] & 31), 0, 0],
+            Self::Class(Layout::Extended) => [u16::from(record[16]), 0, 0],
+        }
+    }
+}
+
 const WITHHELD: u8 = 1;
 const EXCLUDED: u8 = 2;
 
@@ -85,19 +109,21 @@ impl Filter {
     }
 }
 
-/// Replaces `batch` by the kept points of `records`, each `stride` (at least 20) bytes long; the rest of a record is
-/// ignored. Adds to `counts` all but `missing`.
+/// Replaces `batch` by the kept points of `records`, each `stride` (at least 20) bytes long, with the values of a `field`, if one
+/// is given; the rest of a record is ignored. Adds to `counts` all but `missing`.
 pub(super) fn convert(
     records: &[u8],
     stride: usize,
     transform: &Transform,
     filter: &Filter,
+    field: Option<Field>,
     batch: &mut PointBatch,
     counts: &mut PointCounts,
 ) {
     let n = records.len() / stride;
     counts.read += n as u64;
     batch.resize(n);
+    batch.values.clear();
     let flagged = records.chunks_exact(stride).fold(0, |any, record| any | filter.verdict(record));
     // Where no raw value can be out of range, records without flags need no look at their coordinates.
     if flagged == 0 && transform.always_near() {
@@ -112,8 +138,11 @@ pub(super) fn convert(
             38 => whole::<38>(records, transform, batch),
             _ => place(records.chunks_exact(stride), transform, batch),
         }
+        if let Some(field) = field {
+            batch.values.extend(records.chunks_exact(stride).map(|record| field.of(record)));
+        }
     } else {
-        let kept = sieve(records, stride, transform, filter, batch, counts);
+        let kept = sieve(records, stride, transform, filter, field, batch, counts);
         batch.resize(kept);
     }
     if transform.up == Up::Y {
@@ -149,6 +178,7 @@ fn sieve(
     stride: usize,
     transform: &Transform,
     filter: &Filter,
+    field: Option<Field>,
     batch: &mut PointBatch,
     counts: &mut PointCounts,
 ) -> usize {
@@ -166,6 +196,7 @@ fn sieve(
             continue;
         }
         [batch.x[kept], batch.y[kept], batch.z[kept]] = point;
+        batch.values.extend(field.map(|field| field.of(record)));
         kept += 1;
     }
     kept
@@ -186,7 +217,7 @@ mod tests {
     fn run(records: &[Vec<u8>], layout: Layout, exclude: ClassSet, transform: Transform) -> (PointBatch, PointCounts) {
         let (mut batch, mut counts) = (PointBatch::default(), PointCounts::default());
         let filter = Filter::new(layout, &exclude);
-        convert(&records.concat(), records[0].len(), &transform, &filter, &mut batch, &mut counts);
+        convert(&records.concat(), records[0].len(), &transform, &filter, None, &mut batch, &mut counts);
         (batch, counts)
     }
 
@@ -216,6 +247,38 @@ mod tests {
             [(0, 0), (4, 0), (0, 7), (4, 7), (3, 130), (0x80, 2)].map(|(f, c)| record(30, [1, 2, 3], f, c)).into();
         let (batch, counts) = run(&extended, Layout::Extended, exclude, PLAIN);
         assert_eq!((batch.len(), counts.withheld, counts.excluded, counts.read), (2, 2, 2, 6));
+    }
+
+    #[test]
+    fn values_belong_to_the_points_that_are_kept() {
+        let exclude: ClassSet = [7].into_iter().collect();
+        for (layout, stride, classes) in [(Layout::Old, 26, [2, 7, 3]), (Layout::Extended, 36, [2, 7, 3])] {
+            for exclude in [ClassSet::default(), exclude] {
+                let records: Vec<u8> = (0u8..3)
+                    .flat_map(|at| {
+                        let class = classes[usize::from(at)];
+                        let (b15, b16) = if layout == Layout::Old { (class, 0) } else { (0, class) };
+                        let mut record = record(stride, [at.into(), 0, 0], b15, b16);
+                        record[12..14].copy_from_slice(&(1000 + u16::from(at)).to_le_bytes());
+                        record[stride - 6..].copy_from_slice(&[at, 1, at, 2, at, 3]);
+                        record
+                    })
+                    .collect();
+                let filter = Filter::new(layout, &exclude);
+                let kept: Vec<u16> = (0..3).filter(|&at| exclude.is_empty() || at != 1).collect();
+                for field in [Field::Rgb(stride - 6), Field::Intensity, Field::Class(layout)] {
+                    let (mut batch, mut counts) = (PointBatch::default(), PointCounts::default());
+                    convert(&records, stride, &PLAIN, &filter, Some(field), &mut batch, &mut counts);
+                    let expected = kept.iter().map(|&at| match field {
+                        Field::Rgb(_) => [256 + at, 512 + at, 768 + at],
+                        Field::Intensity => [1000 + at, 0, 0],
+                        Field::Class(_) => [u16::from(classes[usize::from(at)]), 0, 0],
+                    });
+                    assert_eq!(batch.values, expected.collect::<Vec<_>>());
+                    assert_eq!(batch.len(), kept.len());
+                }
+            }
+        }
     }
 
     #[test]

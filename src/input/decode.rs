@@ -3,9 +3,10 @@
 use super::cloud;
 use super::convert;
 use super::file::Content;
-use super::laz::{Chunking, PackedPoints};
+use super::laz::{Chunking, PackedPoints, Wanted};
 use super::source::{ReadLog, Source};
 use super::{BATCH_POINTS, InputSet, PointBatch, PointCounts, las};
+use crate::colour::ColourSource;
 use crate::{Error, Result};
 
 /// Points of one [`PointChunk`] of a plain LAS file.
@@ -149,9 +150,12 @@ impl PointDecoder {
             let (counts, refused) = (taker.counts(), taker.refused);
             return self.settle(set, piece, outcome.map(|missing| (missing, 0)), counts, refused);
         }
+        let colour = set.options.colour;
+        let field = colour.and_then(|source| file.field(source));
+        let rgb = matches!(field, Some(convert::Field::Rgb(_)));
         let record_bytes = match &file.content {
             Content::Plain { .. } => usize::from(file.record_bytes),
-            Content::Packed { packing, .. } => packing.decoded_bytes(),
+            Content::Packed { packing, .. } => packing.decoded_bytes(rgb),
             Content::Cloud(_) => return Err(of_another_set()),
         };
         // A slab is at least one record (64 KiB at most) and never more than a batch.
@@ -160,13 +164,17 @@ impl PointDecoder {
         let (batch, mut counts, mut refused) = (&mut self.batch, PointCounts::default(), false);
         let filter = set.filter(file.layout());
         let mut take = |records: &[u8]| {
-            convert::convert(records, record_bytes, &file.transform, filter, batch, &mut counts);
+            convert::convert(records, record_bytes, &file.transform, filter, field, batch, &mut counts);
             sink(batch).inspect_err(|_| refused = true)
         };
-        let classes = !set.options.exclude_classes.is_empty();
+        let wanted = Wanted {
+            classes: !set.options.exclude_classes.is_empty() || colour == Some(ColourSource::Class),
+            intensity: colour == Some(ColourSource::Intensity),
+            rgb,
+        };
         let run = |packing, start, len, open, name| {
             let (points, memory_bytes) = (piece.points, set.options.memory_bytes);
-            PackedPoints { source, packing, start, len, points, open, classes, memory_bytes, name }
+            PackedPoints { source, packing, start, len, points, open, wanted, memory_bytes, name }
         };
         let slab = &mut self.slab;
         // Points decoded, and bytes left that hold something else.

@@ -3,7 +3,7 @@
 //! LAS and LAZ are read here and in the modules beside this; every other format is a [`Cloud`].
 
 use super::cloud::{self, Cloud, Opened, Opening, Standpoint};
-use super::convert::{Layout, Transform};
+use super::convert::{Field, Layout, Transform};
 use super::crs;
 use super::header::LasHeader;
 use super::laz::{Chunk, Chunking, Packing};
@@ -13,6 +13,7 @@ use super::scenes::Scene;
 use super::source::Source;
 use super::{InputOptions, StatedBounds, Units, las};
 use crate::bytes::Stamp;
+use crate::colour::ColourSource;
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -279,6 +280,35 @@ impl ScanFile {
             Content::Plain { .. } if self.format < 6 => Layout::Old,
             Content::Plain { .. } | Content::Cloud(_) => Layout::Extended,
         }
+    }
+
+    /// Where in a decoded record values for colours lie; `None` if the file has none.
+    pub(super) fn field(&self, source: ColourSource) -> Option<Field> {
+        let rgb = match &self.content {
+            Content::Packed { packing, .. } => packing.rgb_at,
+            // Of point formats 0 to 10.
+            Content::Plain { .. } => match self.format {
+                2 => Some(20),
+                3 | 5 => Some(28),
+                7 | 8 | 10 => Some(30),
+                _ => None,
+            },
+            Content::Cloud(_) => return None,
+        };
+        match source {
+            ColourSource::Rgb => rgb.filter(|at| at + 6 <= usize::from(self.record_bytes)).map(Field::Rgb),
+            ColourSource::Intensity => Some(Field::Intensity),
+            ColourSource::Class => Some(Field::Class(self.layout())),
+        }
+    }
+
+    /// Whether its points have such values, as far as its header tells.
+    pub(super) fn has_values(&self, source: ColourSource) -> bool {
+        let of_cloud = match &self.content {
+            Content::Cloud(cloud) => source == ColourSource::Rgb && cloud.has_rgb(),
+            _ => self.field(source).is_some(),
+        };
+        of_cloud && self.points_expected() > 0
     }
 
     /// XXH3-128 of what its header says about the points: with the bytes of the points it makes their coordinates.

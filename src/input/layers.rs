@@ -11,6 +11,18 @@ pub(super) const POINT_BYTES: usize = 30;
 /// Layers of a point.
 pub(super) const LAYERS: usize = 9;
 
+/// Places and flags of points, and what else is wanted.
+pub(super) fn selection(classes: bool, intensity: bool) -> DecompressionSelection {
+    let mut selection = DecompressionSelection::base().decompress_z().decompress_flags();
+    if classes {
+        selection = selection.decompress_classification();
+    }
+    if intensity {
+        selection = selection.decompress_intensity();
+    }
+    selection
+}
+
 /// Decodes one chunk.
 pub(super) enum Layers {
     V3(Box<v3::LasPoint6Decompressor>),
@@ -46,11 +58,10 @@ impl Layers {
         record: &mut [u8],
         others: usize,
         sizes: usize,
-        classes: bool,
+        (classes, intensity): (bool, bool),
     ) -> Result<()> {
         let decoder = self.decoder::<R>();
-        let selection = DecompressionSelection::base().decompress_z().decompress_flags();
-        decoder.set_selection(if classes { selection.decompress_classification() } else { selection });
+        decoder.set_selection(selection(classes, intensity));
         decoder.init_first_point(window, record, &mut 0)?;
         // Behind the other items stands the number of points, which is known.
         window.seek(SeekFrom::Current(others as i64 + 4))?;

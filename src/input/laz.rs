@@ -5,17 +5,17 @@
 //! decoding; chunk table, chunk heads and counts are read and checked here.
 //!
 //! Memory of one decoder: one slab of records, one [`Window`], and for formats 6 to 10 the compressed layers of one chunk
-//! that are needed (x, y, z, flags, class only when classes are excluded); more than the budget is an error.
+//! that are needed (x, y, z, flags; class, intensity and RGB only when they are wanted); more than the budget is an error.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use laz::laszip::ChunkTable;
-use laz::record::{RecordDecompressor, SequentialPointRecordDecompressor};
+use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
 use laz::{LazItemType, LazVlr};
 
 use super::convert::Layout;
 use super::header::{LasHeader, u16_at, u32_at, u64_at};
-use super::layers::{LAYERS, Layers, POINT_BYTES};
+use super::layers::{self, LAYERS, Layers, POINT_BYTES};
 use super::losses::Findings;
 use super::source::{Source, Window};
 use crate::{Error, Parameter, Result};
@@ -34,6 +34,9 @@ pub(super) struct Packing {
     layers: usize,
     /// Version of the point's own item.
     version: u16,
+    /// Where RGB lies in an unpacked record, and the number of its layer in a layered chunk.
+    pub rgb_at: Option<usize>,
+    rgb_layer: usize,
 }
 
 /// Size and points of one chunk.
@@ -75,6 +78,7 @@ impl Packing {
             return Err(bad(format!("compressor {compressor} does not fit its items; 1 and 2 pack old points, 3 new")));
         }
         let (mut record_bytes, mut layers, mut extra) = (0, 0, 0u64);
+        let (mut rgb_at, mut rgb_layer) = (None, 0);
         for item in vlr.items() {
             let (bytes, sizes) = match item.item_type() {
                 LazItemType::Point10 => (20, 0),
@@ -88,6 +92,9 @@ impl Packing {
                 LazItemType::WavePacket14 => (29, 1),
                 LazItemType::Byte14(n) => (usize::from(n), usize::from(n)),
             };
+            if matches!(item.item_type(), LazItemType::RGB12 | LazItemType::RGB14 | LazItemType::RGBNIR14) {
+                (rgb_at, rgb_layer) = (Some(record_bytes), layers);
+            }
             record_bytes += bytes;
             layers += sizes;
             if let LazItemType::Byte(n) = item.item_type() {
@@ -104,7 +111,8 @@ impl Packing {
             ));
         }
         let version = vlr.items()[0].version();
-        let packing = Self { vlr, layered, whole: compressor == 1, record_bytes, layout, layers, version };
+        let whole = compressor == 1;
+        let packing = Self { vlr, layered, whole, record_bytes, layout, layers, version, rgb_at, rgb_layer };
         packing.decoder_exists(source)?;
         Ok(packing)
     }
@@ -119,9 +127,9 @@ impl Packing {
         }
     }
 
-    /// Bytes of a decoded record: of layered ones, the fields behind the point's own are never decoded.
-    pub(super) fn decoded_bytes(&self) -> usize {
-        if self.layered { POINT_BYTES } else { self.record_bytes }
+    /// Bytes of a decoded record: of layered ones, the fields behind the point's own are decoded for RGB only.
+    pub(super) fn decoded_bytes(&self, rgb: bool) -> usize {
+        if self.layered && !rgb { POINT_BYTES } else { self.record_bytes }
     }
 
     /// Refuses item versions that have no decoder, before any point is read.
@@ -337,8 +345,9 @@ impl Packing {
         }
         let Some(bytes) = source.bytes_at(at, len)? else { return Ok(None) };
         let size = |layer: usize| u64::from(u32_at(&bytes, self.record_bytes + 4 + 4 * layer));
-        // Layers of a point: x and y, z, class, flags, then what is never needed here.
-        let needed = [size(0), size(1), size(2), size(3)];
+        // Layers of a point: x and y, z, class, flags, intensity, then what is never needed here.
+        let rgb = if self.rgb_at.is_some() { size(self.rgb_layer) } else { 0 };
+        let needed = [size(0), size(1), size(2), size(3), size(4), rgb];
         let layers: u64 = (0..self.layers).map(size).sum();
         Ok(Some(Head { points: u32_at(&bytes, self.record_bytes), bytes: len as u64 + layers, needed }))
     }
@@ -355,7 +364,7 @@ struct Lost {
 struct Head {
     points: u32,
     bytes: u64,
-    needed: [u64; 4],
+    needed: [u64; 6],
 }
 
 fn check_count(source: &Source, count: u64, most: u64) -> Result<()> {
@@ -373,6 +382,15 @@ fn too_much(source: &Source, what: &str, found: u64, most: u64) -> Error {
 /// Most bytes that the arithmetic coder writes for no symbol.
 const EMPTY_CODE_BYTES: u64 = 4;
 
+/// What is needed of points beside their places and flags.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Wanted {
+    pub classes: bool,
+    pub intensity: bool,
+    /// The file has RGB, and it is needed.
+    pub rgb: bool,
+}
+
 /// The packed points of a chunk or a stream, and what decoding them needs to know.
 pub(super) struct PackedPoints<'a> {
     pub source: &'a Source,
@@ -383,8 +401,7 @@ pub(super) struct PackedPoints<'a> {
     pub points: u64,
     /// Data may end before `points` are decoded.
     pub open: bool,
-    /// Classes are needed.
-    pub classes: bool,
+    pub wanted: Wanted,
     pub memory_bytes: u64,
     /// Name for messages: "LAZ chunk 3".
     pub name: String,
@@ -437,7 +454,9 @@ impl PackedPoints<'_> {
         let Some(head) = self.packing.head(self.source, self.start, self.len)? else {
             return Err(self.damaged(0, "it is too short for its head"));
         };
-        let needed = head.needed[0] + head.needed[1] + head.needed[3] + if self.classes { head.needed[2] } else { 0 };
+        let Wanted { classes, intensity, rgb } = self.wanted;
+        let wanted = [true, true, classes, true, intensity, rgb];
+        let needed: u64 = head.needed.iter().zip(wanted).filter(|(_, wanted)| *wanted).map(|(size, _)| size).sum();
         if head.bytes > self.len {
             return Err(self.damaged(0, &format!("its layers take {} bytes, it has {}", head.bytes, self.len)));
         }
@@ -449,16 +468,27 @@ impl PackedPoints<'_> {
         }
         if head.points == 1 {
             // It lies there as it is, and to begin a chunk is the dearest part of decoding.
-            let done = self.source.read_at(&mut slab[..POINT_BYTES], self.start)? / POINT_BYTES;
-            sink(&slab[..done * POINT_BYTES])?;
+            let len = self.packing.decoded_bytes(rgb);
+            let done = self.source.read_at(&mut slab[..len], self.start)? / len;
+            sink(&slab[..done * len])?;
             return Ok((done as u64, self.len - head.bytes));
         }
         let mut window = Window::new(self.source, self.start, self.len);
+        if rgb {
+            let mut decoder = LayeredPointRecordDecompressor::new(window);
+            let fields = isolate(|| decoder.set_fields_from(self.packing.vlr.items()));
+            if !matches!(fields, Ok(Ok(()))) {
+                return Err(self.damaged(0, "no decoder can be made of its items"));
+            }
+            decoder.set_selection(layers::selection(classes, intensity).decompress_rgb());
+            let done = self.fill(slab, sink, |record| decoder.decompress_next(record))?;
+            return Ok((done, self.len - head.bytes));
+        }
         let mut layers = Layers::new(self.packing.version);
         let (others, sizes) = (self.packing.record_bytes - POINT_BYTES, 4 * (self.packing.layers - LAYERS));
         let mut first = true;
         let done = self.fill(slab, sink, |record| match std::mem::take(&mut first) {
-            true => layers.begin(&mut window, record, others, sizes, self.classes),
+            true => layers.begin(&mut window, record, others, sizes, (classes, intensity)),
             false => layers.next::<Window>(record),
         })?;
         Ok((done, self.len - head.bytes))
@@ -471,7 +501,7 @@ impl PackedPoints<'_> {
         sink: &mut dyn FnMut(&[u8]) -> Result<()>,
         mut next: impl FnMut(&mut [u8]) -> std::io::Result<()>,
     ) -> Result<u64> {
-        let record_bytes = self.packing.decoded_bytes();
+        let record_bytes = self.packing.decoded_bytes(self.wanted.rgb);
         let mut done = 0;
         while done < self.points {
             let want = (slab.len() / record_bytes).min(usize::try_from(self.points - done).unwrap_or(usize::MAX));

@@ -43,6 +43,7 @@ use std::sync::{Mutex, PoisonError};
 use self::convert::{Filter, Layout};
 use self::file::Common;
 use self::losses::{Findings, Losses};
+use crate::colour::ColourSource;
 use crate::plan::{ClassSet, Up};
 use crate::text::number;
 use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
@@ -104,6 +105,8 @@ pub struct InputOptions {
     pub exclude_classes: ClassSet,
     /// What one decoder may hold of one compressed LAZ chunk, and the set of chunk tables (bytes).
     pub memory_bytes: u64,
+    /// Values of points that are read for colours, where a file has them.
+    pub colour: Option<ColourSource>,
     /// Whether input that can be read in part only is read so, with warnings, instead of being refused.
     pub allow_incomplete: bool,
     /// Whether all that is decoded is hashed, so that two runs can tell whether they read the same.
@@ -119,6 +122,7 @@ impl Default for InputOptions {
             up: Up::Z,
             exclude_classes: ClassSet::default(),
             memory_bytes: 64 << 20,
+            colour: None,
             allow_incomplete: false,
             hash: false,
         }
@@ -127,6 +131,7 @@ impl Default for InputOptions {
 
 /// Kept points of one cloud in metres, z up; the three columns are equally long.
 #[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
 pub struct PointBatch {
     /// Coordinates along x (m).
     pub x: Vec<f64>,
@@ -136,6 +141,9 @@ pub struct PointBatch {
     pub z: Vec<f64>,
     /// Cloud of the file that all of them belong to, from 0: an E57 or PTX may hold several.
     pub cloud: usize,
+    /// Values for colours, as many as points, or none where the file has none or none are asked for: red, green and blue; else the
+    /// intensity or the class, and zeros.
+    pub values: Vec<[u16; 3]>,
 }
 
 impl PointBatch {
@@ -165,6 +173,7 @@ impl PointBatch {
         for column in [&mut self.x, &mut self.y, &mut self.z] {
             column.resize(points, 0.0);
         }
+        self.values.truncate(points);
     }
 }
 
@@ -367,6 +376,16 @@ impl InputSet {
     pub(crate) fn start_hashing(&mut self) {
         self.options.hash = true;
         self.hashes = Mutex::new(vec![0; self.files.len()]);
+    }
+
+    /// Reads values for colours from here on.
+    pub(crate) fn set_colour(&mut self, source: Option<ColourSource>) {
+        self.options.colour = source;
+    }
+
+    /// Whether points of some file have such values, as far as headers tell.
+    pub(crate) fn has_values(&self, source: ColourSource) -> bool {
+        self.files.iter().any(|file| file.has_values(source))
     }
 
     pub(crate) fn add_hash(&self, file: usize, hash: u128) {

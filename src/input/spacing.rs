@@ -377,7 +377,7 @@ mod tests {
         for part in points.chunks(1000) {
             let mut local = Local::default();
             let column = |axis: usize| part.iter().map(|p| p[axis]).collect();
-            local.take(&PointBatch { x: column(0), y: column(1), z: column(2), cloud: 0 }, &shared);
+            local.take(&PointBatch { x: column(0), y: column(1), z: column(2), ..PointBatch::default() }, &shared);
             local.flush(&shared);
         }
         Survey::of(shared, points.len() as u64)

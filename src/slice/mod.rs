@@ -7,10 +7,12 @@
 //! A span is a maximal vertical run of matter in one pixel. Inside it no height is stored, so a wall costs one span
 //! however many slices it crosses, and slices inside a wall are equal by construction.
 
+mod colours;
 mod inferred;
 mod page;
 mod span;
 
+pub use colours::{Colours, Occupancy};
 pub use inferred::Inferred;
 pub use page::{BLOCK_PIXELS, BlockView, Page, PageBounds, PageBuilder, PageSize};
 pub use span::Span;

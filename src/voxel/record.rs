@@ -33,6 +33,8 @@ const _: () = assert!(13 + SLICE_BITS + HEIGHT_BITS + 2 * SUBPIXEL_BITS == 64);
 
 /// Bits of a record below its slice.
 const PLACE_BITS: u32 = HEIGHT_BITS + 2 * SUBPIXEL_BITS;
+/// Bits of a value in a record of values.
+pub const VALUE_BITS: u32 = PLACE_BITS;
 /// Least content of these bits in the record of a surface; bottom (8 bits), top (8) and steepness (1) are added.
 const SURFACE: u64 = (SLICE_STEPS as u64) << (2 * SUBPIXEL_BITS);
 /// Content of these bits in a record that says that its voxel is dropped.
@@ -106,6 +108,12 @@ impl Record {
     #[inline]
     pub fn height(self) -> u32 {
         (self.0 >> (2 * SUBPIXEL_BITS)) as u32 & ((1 << HEIGHT_BITS) - 1)
+    }
+
+    /// The value that a record of values holds in place of a place.
+    #[inline]
+    pub fn value(self) -> u32 {
+        (self.0 & ((1 << VALUE_BITS) - 1)) as u32
     }
 
     /// Place of a point inside its pixel (1/128 pixel).
@@ -214,6 +222,37 @@ impl Recorder {
     /// Gives `sink` each point's record, and its copies for tile columns whose halo it lies in. The points, at most
     /// [`BATCH`], must be within [`reaches`](Self::reaches).
     pub fn record(&self, x: &[f64], y: &[f64], z: &[f64], mut sink: impl FnMut(ColumnIndex, Record)) {
+        self.places(x, y, z, |_, fx, fy, steps| self.place(fx, fy, steps, &mut sink));
+    }
+
+    /// Gives `sink` one or two records of each point's voxel with `values` of the point with this number, and no copies. The
+    /// points are those of [`record`](Self::record).
+    pub fn record_values(
+        &self,
+        x: &[f64],
+        y: &[f64],
+        z: &[f64],
+        mut values: impl FnMut(usize) -> (u32, Option<u32>),
+        mut sink: impl FnMut(ColumnIndex, Record),
+    ) {
+        self.places(x, y, z, |number, fx, fy, steps| {
+            let (i, j) = (fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS);
+            let slice = slice_of(steps);
+            let block = (slice + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
+            let slice = (slice + BLOCK_SLICES / 2 - block * BLOCK_SLICES) as u64;
+            let pixel = ((j & 63) + HALO_PIXELS) * PATCH_PIXELS as i64 + (i & 63) + HALO_PIXELS;
+            let index = ColumnIndex { tx: (i >> 6) as i32, ty: (j >> 6) as i32, block: block as i16 };
+            let (first, second) = values(number);
+            sink(index, Record::new(pixel as u64, slice, u64::from(first)));
+            if let Some(second) = second {
+                sink(index, Record::new(pixel as u64, slice, u64::from(second)));
+            }
+        });
+    }
+
+    /// Gives `take` the number of each point, its place in subpixels, and its height in steps.
+    #[inline]
+    fn places(&self, x: &[f64], y: &[f64], z: &[f64], mut take: impl FnMut(usize, i64, i64, i64)) {
         let count = x.len().min(y.len()).min(z.len());
         // One array per coordinate, so that the arithmetic compiles to vector instructions.
         let [mut fx, mut fy, mut steps] = [[0i64; BATCH]; 3];
@@ -229,15 +268,14 @@ impl Recorder {
             let cell = floor_small(cells);
             *steps = 2 * cell + (cell as f64 != cells) as i64;
         }
-        for ((&fx, &fy), &steps) in fx.iter().zip(&fy).zip(&steps).take(count) {
-            self.place(fx, fy, steps, &mut sink);
+        for (number, ((&fx, &fy), &steps)) in fx.iter().zip(&fy).zip(&steps).take(count).enumerate() {
+            take(number, fx, fy, steps);
         }
     }
 
     #[inline]
     fn place(&self, fx: i64, fy: i64, steps: i64, sink: &mut impl FnMut(ColumnIndex, Record)) {
-        // Moved above zero by whole slices: an unsigned division by a constant is a multiplication.
-        let slice = ((steps + MOST_SLICES * SLICE_STEPS) as u64 / SLICE_STEPS as u64) as i64 - MOST_SLICES;
+        let slice = slice_of(steps);
         let height = (steps - slice * SLICE_STEPS) as u64;
         let (u, v) = ((fx & (SUBPIXELS - 1)) as u64, (fy & (SUBPIXELS - 1)) as u64);
         let place = (height << SUBPIXEL_BITS | u) << SUBPIXEL_BITS | v;
@@ -250,6 +288,13 @@ impl Recorder {
         let place = SURFACE + (u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep));
         spread(voxel.pixel, voxel.slice, place, &mut sink);
     }
+}
+
+/// Slice of a height in steps.
+#[inline]
+fn slice_of(steps: i64) -> i64 {
+    // Moved above zero by whole slices: an unsigned division by a constant is a multiplication.
+    ((steps + MOST_SLICES * SLICE_STEPS) as u64 / SLICE_STEPS as u64) as i64 - MOST_SLICES
 }
 
 /// Gives `sink` the record that says that a voxel on the grid is dropped, and its copies.

@@ -1,7 +1,7 @@
 //! All content of an archive as JSON, in the shape that `spec/reader.py --json` prints.
 
 use serde_json::{Value, json};
-use slicewalk::archive::{Archive, Level, PageDecoder, PageEntry, Storage};
+use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry, Storage};
 use slicewalk::slice::Span;
 use slicewalk::{Error, NoMonitor, Result, info};
 
@@ -34,7 +34,16 @@ fn checked(archive: &Archive) -> Result<Value> {
 
 /// What an archive holds: `info`, then each page with its pixels.
 pub fn content(archive: &Archive) -> Result<Value> {
-    let pages = archive.entries().map(|entry| page(archive, &entry?)).collect::<Result<Vec<_>>>()?;
+    let mut reader = ColourReader::new(archive)?;
+    let one = |entry: Result<PageEntry>| {
+        let entry = entry?;
+        let mut value = page(archive, &entry)?;
+        if let Some(reader) = &mut reader {
+            value["colours"] = colours(reader, &entry)?;
+        }
+        Ok(value)
+    };
+    let pages = archive.entries().map(one).collect::<Result<Vec<_>>>()?;
     let mut content = json!({ "info": info::info(archive)?, "pages": pages });
     if archive.header().levels.is_some() {
         let level = |level: &Level| json!({ "pages": level.catalog().header().pages.total(), "pixel_size": level.frame().pixel_m() });
@@ -74,6 +83,16 @@ fn page(archive: &Archive, entry: &PageEntry) -> Result<Value> {
     });
     value["pixels"] = pixels.collect();
     Ok(value)
+}
+
+/// The colours of a page's voxels as hexadecimal digits, `-` where there is none; null if no voxel has one.
+fn colours(reader: &mut ColourReader, entry: &PageEntry) -> Result<Value> {
+    let colours = reader.colours(entry)?;
+    let text = colours.values().iter().map(|&[r, g, b, a]| match a {
+        0 => "-".to_owned(),
+        _ => format!("{r:02x}{g:02x}{b:02x}"),
+    });
+    Ok(if colours.count() == 0 { Value::Null } else { text.collect::<Vec<_>>().join(" ").into() })
 }
 
 /// Bottom, top (quanta above the page's floor), 1 for an obstacle.

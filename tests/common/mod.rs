@@ -9,11 +9,13 @@ pub mod part;
 
 pub mod random;
 
-use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Shard, Storage, Totals};
+use slicewalk::archive::{Archive, ArchiveWriter, ColourReader, EncodedColours, PageEncoder, Shard, Storage, Totals};
 use slicewalk::bytes::{ByteSource, MemorySource};
+use slicewalk::codec::ColourEncoder;
+use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::frame::{Frame, PageKey};
 use slicewalk::plan::{Classifier, Plan, PlanOptions};
-use slicewalk::slice::{Page, PageBuilder, Span};
+use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
 use slicewalk::{Error, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -96,6 +98,39 @@ pub fn scene() -> (Pages, Totals) {
     (pages, totals)
 }
 
+/// The bytes of an archive with colours by a formula; every seventh voxel has none, nor has every fifth page.
+pub fn archive_with_colours(
+    (pages, totals): &(Pages, Totals),
+    scale: ColourScale,
+    error_milli: u16,
+    levels: bool,
+) -> Vec<u8> {
+    let colours = ColourPlan { scale, error_milli };
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    if levels {
+        writer.set_levels();
+    }
+    writer.set_colours(colours);
+    let (mut encoder, mut colour_encoder) = (PageEncoder::new(plan().frame), ColourEncoder::default());
+    for (number, (&key, page)) in pages.iter().enumerate() {
+        let occupancy = Occupancy::of(page);
+        let mut random = Congruential(number as u64);
+        let value = |(pixel, k): (usize, u32)| {
+            let base = (pixel as u32 % 64 * 700 + k * 900) % 60_000;
+            let colour =
+                [base, base / 2 + 9000, 50_000 - base / 2].map(|channel| (channel + random.below(3000)) as u16);
+            (random.below(7) > 0 && number % 5 < 4).then_some(colour)
+        };
+        let values: Vec<_> = occupancy.voxels().map(value).collect();
+        let made = EncodedColours::new(&colours, &occupancy, &values, &mut colour_encoder);
+        writer.put(key, encoder.encode(key, page).with_colours(made)).unwrap();
+    }
+    writer.finish(totals.clone()).unwrap();
+    std::fs::read(&target).unwrap()
+}
+
 /// One page with bytes, and many that share them: the bytes of the archive.
 pub fn sharing() -> Vec<u8> {
     let span = |at| Span::new(at, at + 40, at % 2 == 0).unwrap();
@@ -170,6 +205,10 @@ pub fn render(archive: &Archive) -> String {
     line(format_args!("Voxels {{ occupied: {}, obstacle: {} }}", voxels.occupied, voxels.obstacle));
     line(format_args!("{:?}", header.pages));
     line(format_args!("crs {}", archive.crs().unwrap()));
+    let mut reader = ColourReader::new(archive).unwrap();
+    if let Some(colours) = header.colours {
+        line(format_args!("colours {:?} voxels {}", colours.plan, colours.voxels));
+    }
     for entry in archive.entries().map(Result::unwrap) {
         let kind = match entry.storage {
             Storage::Stored(_) => "stored",
@@ -177,6 +216,11 @@ pub fn render(archive: &Archive) -> String {
             Storage::Uniform(_) => "uniform",
         };
         line(format_args!("page {} {kind} slices {:016x}", entry.key, entry.slices));
+        if let Some(reader) = &mut reader {
+            let colours = reader.colours(&entry).unwrap();
+            let hash = crc32c::crc32c(colours.values().as_flattened());
+            line(format_args!("  {} coloured voxels, crc {hash:08x}", colours.count()));
+        }
         if let Storage::Uniform(span) = entry.storage {
             line(format_args!("  all: {span:?}"));
             continue;

@@ -1,11 +1,13 @@
 //! The fuzz targets as plain functions: any bytes in; a panic is a finding. The fuzzer and `tests/seeds.rs` call them.
 
 use slicewalk::NoMonitor;
-use slicewalk::archive::Archive;
-use slicewalk::codec::{Decoder, Encoder};
+use slicewalk::archive::{Archive, ColourReader};
+use slicewalk::codec::{ColourBlock, ColourEncoder, Decoder, Encoder};
+use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
 use slicewalk::input::{InputOptions, InputSet, PointDecoder, quiet_decoder_panics};
 use slicewalk::mesh::{MeshOptions, MeshSet};
+use slicewalk::slice::{Occupancy, PageBuilder, Span};
 use std::path::PathBuf;
 
 /// Points and triangles after which reading ends: a few bytes may stand for billions.
@@ -18,6 +20,7 @@ pub type Target = (&'static str, fn(&[u8]));
 pub const TARGETS: &[Target] = &[
     ("archive", archive),
     ("page", page),
+    ("colours", colours),
     ("scan", scan),
     ("obj", |bytes| mesh("obj", bytes)),
     ("ply", |bytes| mesh("ply", bytes)),
@@ -49,6 +52,12 @@ fn read_archive(bytes: Vec<u8>) {
     let summary = archive.verify(&NoMonitor, &mut |_| ()).expect("nobody asks to stop");
     let sound = |archive: &Archive| archive.entries().all(|entry| entry.and_then(|entry| archive.page(&entry)).is_ok());
     assert!(sound(&archive) || summary.findings > 0, "verify finds what reading refuses");
+    let with_colours = match ColourReader::new(&archive) {
+        Ok(Some(mut reader)) => archive.entries().all(|entry| entry.and_then(|entry| reader.colours(&entry)).is_ok()),
+        Ok(None) => true,
+        Err(_) => false,
+    };
+    assert!(with_colours || summary.findings > 0, "verify finds the colours that reading refuses");
     let Ok(levels) = archive.levels() else {
         return assert!(summary.findings > 0, "verify finds a table of levels that reading refuses");
     };
@@ -68,6 +77,7 @@ fn repair(bytes: &[u8]) -> Option<Vec<u8>> {
     bytes.get_mut(32..40)?.copy_from_slice(&(len as u64).to_le_bytes());
     let end = head_len.checked_sub(4).filter(|_| head_len <= len)?;
     repair_levels(&mut bytes, head_len);
+    repair_colours(&mut bytes, head_len);
     let crc = crc32c::crc32c(&bytes[..end]).to_le_bytes();
     bytes[end..head_len].copy_from_slice(&crc);
     let footer = len.checked_sub(24).filter(|&at| at >= head_len)?;
@@ -92,6 +102,21 @@ fn repair_levels(bytes: &mut [u8], head_len: usize) -> Option<()> {
     Some(())
 }
 
+/// Puts the checksum of the table of colour leaves right, if there is one.
+fn repair_colours(bytes: &mut [u8], head_len: usize) -> Option<()> {
+    let number = |at: usize, len: usize| {
+        let bytes = bytes.get(at..at + len)?;
+        Some(bytes.iter().rev().fold(0u64, |number, &byte| number << 8 | u64::from(byte)))
+    };
+    let (features, pages_len, levels_len, leaves) = (number(24, 1)?, number(288, 8)?, number(328, 8)?, number(320, 4)?);
+    let end = (head_len as u64).checked_add(pages_len)?.checked_sub(if features & 1 == 1 { levels_len } else { 0 })?;
+    let end = Some(end).filter(|&end| features & 2 == 2 && end <= bytes.len() as u64)?;
+    let start = end.checked_sub(12 * leaves).filter(|&start| start >= head_len as u64)?;
+    let crc = crc32c::crc32c(&bytes[start as usize..end as usize]).to_le_bytes();
+    bytes.get_mut(368..372)?.copy_from_slice(&crc);
+    Some(())
+}
+
 /// Decodes any bytes as an encoded page; what decodes must encode to bytes that decode to the same page.
 pub fn page(bytes: &[u8]) {
     let mut decoder = Decoder::default();
@@ -99,6 +124,23 @@ pub fn page(bytes: &[u8]) {
         let mut again = Vec::new();
         Encoder::new(frame, 0).encode(&page, &mut again);
         assert_eq!(decoder.decode(&again).as_ref(), Ok(&page));
+    }
+}
+
+/// Decodes any bytes as the colours of a page of walls and floor; what decodes must encode to bytes that decode to the same.
+pub fn colours(bytes: &[u8]) {
+    let mut builder = PageBuilder::default();
+    for at in 0..40 * 40 {
+        let (px, py) = (at % 40, at / 40);
+        let top = if px % 9 == 0 { 4000 } else { 1000 + 8 * px };
+        let span = Span::new(900, top, px % 9 == 0).expect("a span");
+        assert!(builder.set_column(px, py, &[span]));
+    }
+    let occupancy = Occupancy::of(&builder.build());
+    if let Ok(mut block) = ColourBlock::decode(bytes, &occupancy) {
+        let (mut again, before) = (Vec::new(), block.clone());
+        block.encode(&occupancy, &mut ColourEncoder::default(), &mut again);
+        assert_eq!(ColourBlock::decode(&again, &occupancy), Ok(before));
     }
 }
 
@@ -128,12 +170,15 @@ pub fn e57(bytes: &[u8]) {
 /// Opens any bytes as a scan with this ending, and decodes what they seem to hold.
 pub fn read_scan(ending: &str, bytes: &[u8]) {
     let file = File::new(ending, bytes);
-    let Ok(set) = InputSet::open(std::slice::from_ref(&file.0), InputOptions::default(), &NoMonitor) else { return };
+    // Of formats that have some.
+    let options = InputOptions { colour: Some(ColourSource::Rgb), ..InputOptions::default() };
+    let Ok(set) = InputSet::open(std::slice::from_ref(&file.0), options, &NoMonitor) else { return };
     let mut decoder = PointDecoder::new();
     let mut points = 0;
     for chunk in set.chunks().take(64) {
         let decoded = decoder.decode(&set, &chunk, &mut |batch| {
             points += batch.len();
+            assert!(batch.values.is_empty() || batch.values.len() == batch.len());
             assert!(batch.x.iter().chain(&batch.y).chain(&batch.z).all(|v| v.abs() <= 1e12));
             if points < ENOUGH { Ok(()) } else { Err(slicewalk::Error::Interrupted) }
         });

@@ -1,9 +1,10 @@
 //! Damaged and forged samples. Forged ones have right checksums and break the one rule that says so.
 
-use crate::common::forge::{Parts, put};
-use crate::common::{archive, archive_of, key, page, plan, scene, two_pixels};
+use crate::common::forge::{Parts, put, word};
+use crate::common::{archive, archive_of, archive_with_colours, key, page, plan, scene, two_pixels};
 use slicewalk::archive::{Archive, Totals};
-use slicewalk::codec::Encoder;
+use slicewalk::codec::{Encoder, Packer};
+use slicewalk::colour::ColourScale;
 use slicewalk::frame::Frame;
 use slicewalk::plan::{Plan, PlanOptions};
 use slicewalk::slice::Span;
@@ -25,6 +26,13 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
     // Where voxels were dropped, bounds may reach far beyond the matter, but not beyond the grid.
     let options = PlanOptions { min_points: 2, ..plan().options };
     let dropping = Parts::of(&archive_of(&Plan { options, ..plan() }, &two_pixels(), None));
+    let coloured = Parts::of(&archive_with_colours(&two_pixels(), ColourScale::of_rgb(65_535), 0, false));
+    let in_colours = |from_end: usize| {
+        let mut parts = coloured.clone();
+        let at = parts.pages.len() - from_end;
+        parts.pages[at] ^= 2;
+        parts.build(|_| ())
+    };
     let metadata = |metadata: &[u8]| Parts { metadata: metadata.to_vec(), ..parts.clone() }.build(|_| ());
     vec![
         ("cut-in-head", "H2", good[..300].to_vec()),
@@ -77,6 +85,15 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("inferred-without-holes", "P13", with_body(&parts, |body| drop(body.splice(..1, [2, 2, 1, 1])))),
         ("words-left", "P6", with_body(&parts, |body| body.extend([0, 0]))),
         ("not-the-one-encoding", "P10", other_encoding()),
+        ("colours-of-no-source", "K1", coloured.build(|head| put(head, 378, 4, 1))),
+        ("colours-without-a-table", "K1", coloured.build(|head| put(head, 352, 11, 8))),
+        ("flipped-in-table-of-colours", "K2", in_colours(1)),
+        ("flipped-in-colour-leaf", "K3", in_colours(13)),
+        ("flipped-in-colours", "K4", in_colours(coloured.pages.len() - 37)),
+        ("colours-of-an-unknown-model", "K5", with_block(&coloured, |block| block[0] = 2)),
+        ("words-left-in-colours", "K6", with_block(&coloured, |block| block.extend([0, 0]))),
+        ("colours-beyond-white", "K7", with_block(&coloured, |block| block[1] = 255)),
+        ("colours-miscounted", "K10", coloured.build(|head| put(head, 360, 1, 8))),
         ("unordered-metadata", "M2", metadata(b"zzzz\0\0\0\0aaaa\0\0\0\0")),
         ("crs-not-utf-8", "M3", metadata(b"CRS \x01\0\0\0\xFF")),
         ("page-of-another-part", "T5", metadata(&[b"SHRD\x28\0\0\0\x01\0\0\0\x02\0\0\0", &[0; 32][..]].concat())),
@@ -96,6 +113,26 @@ fn with_body(parts: &Parts, change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
     let mut body = parts.pages[24..].to_vec();
     change(&mut body);
     parts.with_page(&body).build(|_| ())
+}
+
+/// Colours of the only page, which has 37 bytes, changed and put together again.
+fn with_block(parts: &Parts, change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
+    let (mut parts, page) = (parts.clone(), parts.pages[..37].to_vec());
+    let table = parts.pages.len() - 12;
+    let leaf = word(&parts.pages, table);
+    let mut block = parts.pages[37..table - leaf].to_vec();
+    change(&mut block);
+    let crc = crc32c::crc32c(&[&[0; 12][..], &block].concat());
+    let raw = [&[0, block.len() as u8][..], &crc.to_le_bytes()].concat();
+    let mut stored = Vec::new();
+    Packer::new().pack(&raw, &mut stored);
+    let record = [stored.len() as u32, raw.len() as u32, crc32c::crc32c(&stored)].map(u32::to_le_bytes).concat();
+    parts.pages = [&page[..], &block, &stored, &record].concat();
+    let (len, crc) = (parts.pages.len() - 37, crc32c::crc32c(&record));
+    parts.build(|head| {
+        put(head, 352, len as u64, 8);
+        put(head, 368, crc.into(), 4);
+    })
 }
 
 /// The only shared page begins one byte beside the page that it shares.

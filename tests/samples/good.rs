@@ -2,9 +2,11 @@
 
 use crate::common::forge::{Parts, put};
 use crate::common::{
-    Congruential, Pages, archive, archive_of, archive_with_levels, key, page, plan, scene, two_pixels,
+    Congruential, Pages, archive, archive_of, archive_with_colours, archive_with_levels, key, page, plan, scene,
+    two_pixels,
 };
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
+use slicewalk::colour::ColourScale;
 use slicewalk::frame::Frame;
 use slicewalk::plan::{Classifier, Noise, Plan, PlanOptions, Up};
 use slicewalk::slice::{Inferred, Span};
@@ -37,6 +39,8 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("newer-minor-version", newer()),
         ("holes", holes()),
         ("levels", archive_with_levels(&plan(), &(city(), totals()), None)),
+        ("colours", archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)),
+        ("colours-exact", archive_with_colours(&two_pixels(), ColourScale::of_rgb(65_535), 0, false)),
         ("levels-of-one-page", archive_with_levels(&plan(), &two_pixels(), None)),
     ]
 }

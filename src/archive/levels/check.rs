@@ -205,7 +205,7 @@ impl Checked<'_> {
             }
             self.page(&entry, scratch)?;
         }
-        let end = self.catalog.header().levels_offset();
+        let end = self.catalog.header().colours_offset();
         match self.next == end {
             true => Ok(()),
             false => Err(self.error(Violation::new("D9", format!("pages up to byte {end}"), self.next))),

@@ -176,13 +176,21 @@ pub(super) fn decode_table(header: &Header, table: &[u8]) -> Result<Vec<Level>, 
         let own = Header {
             level: number,
             levels: None,
+            colours: None,
             plan,
             pages,
             leaf_entries,
             slices: header.slices.map(|(first, last)| (first >> (2 * number), last >> (2 * number))),
             tiles: Default::default(),
             voxels: Default::default(),
-            bytes: Sections { head: at, pages: pages_len, levels: 0, directory: directory_len, metadata: 0 },
+            bytes: Sections {
+                head: at,
+                pages: pages_len,
+                colours: 0,
+                levels: 0,
+                directory: directory_len,
+                metadata: 0,
+            },
             metadata_crc: crc32c::crc32c(&[]),
             ..header.clone()
         };

@@ -5,18 +5,15 @@
 use super::super::directory::{Extent, PageEntry, Storage};
 use super::super::head::{Pages, leaf_entries};
 use super::super::page::PageEncoder;
-use super::super::spill::{Entries, write_leaves};
+use super::super::spill::{Entries, Spool, write_leaves};
 use super::build::LevelBuilder;
 use super::coarse::CoarseSpan;
 use super::{LevelRecord, Levels, encode_table};
 use crate::Result;
-use crate::disk::{Files, Temporary};
+use crate::disk::Files;
 use crate::frame::{Frame, PageKey};
 use crate::slice::Page;
 use std::path::{Path, PathBuf};
-
-/// Bytes of a level's pages in memory.
-const KEPT: usize = 1 << 18;
 
 /// Makes and holds the levels of an archive.
 #[derive(Debug)]
@@ -110,53 +107,5 @@ impl Made {
             }
         };
         entries.push(PageEntry { key, slices: encoded.slices, size: encoded.size, storage })
-    }
-}
-
-/// Bytes that are read back once, in order.
-#[derive(Debug)]
-struct Spool {
-    kept: Vec<u8>,
-    files: Files,
-    file: Option<Temporary>,
-    written: u64,
-    beside: PathBuf,
-}
-
-impl Spool {
-    /// Empty; a temporary file, once needed, lies beside `target`.
-    pub fn new(files: &Files, target: &Path) -> Self {
-        Self { kept: Vec::new(), files: files.clone(), file: None, written: 0, beside: target.to_path_buf() }
-    }
-
-    pub fn len(&self) -> u64 {
-        self.written + self.kept.len() as u64
-    }
-
-    pub fn push(&mut self, bytes: &[u8]) -> Result<()> {
-        if self.kept.len() + bytes.len() > KEPT && !self.kept.is_empty() {
-            let file = match &mut self.file {
-                Some(file) => file,
-                none => none.insert(Temporary::beside(&self.files, &self.beside)?),
-            };
-            file.write_at(self.written, &self.kept)?;
-            self.written += self.kept.len() as u64;
-            self.kept.clear();
-        }
-        self.kept.extend_from_slice(bytes);
-        Ok(())
-    }
-
-    /// Gives all bytes in order, in pieces.
-    pub fn read(&self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<()> {
-        let mut piece = vec![0; KEPT.min(self.written as usize)];
-        let mut at = 0;
-        while let Some(file) = self.file.as_ref().filter(|_| at < self.written) {
-            let len = (self.written - at).min(KEPT as u64) as usize;
-            file.read_at(at, &mut piece[..len])?;
-            give(&piece[..len])?;
-            at += len as u64;
-        }
-        give(&self.kept)
     }
 }

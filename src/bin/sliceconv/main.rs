@@ -6,7 +6,7 @@ mod values;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use signal_hook::{consts, flag};
-use slicewalk::convert::{ConvertOptions, PixelSize, Preview, Report, convert, preview};
+use slicewalk::convert::{ColourMode, ConvertOptions, PixelSize, Preview, Report, convert, preview};
 use slicewalk::convert::{PlanFile, ShardOptions, Tolerance};
 use slicewalk::input::{Columns, Units};
 use slicewalk::mesh::MeshMode;
@@ -127,6 +127,13 @@ struct Arguments {
     /// time, most on sparse scans
     #[arg(long, value_enum, default_value_t = Switch::Off)]
     levels: Switch,
+    /// Colour of each voxel, beside the geometry: red, green and blue of the points, their intensity as grey, their LAS class by a
+    /// palette, `auto` (RGB where the input has it, else intensity, else none), or none. Of LAS, LAZ and COPC, RGB of binary PLY and PCD too
+    #[arg(long, default_value = "off", value_name = "rgb|intensity|class|auto|off")]
+    colour: ColourMode,
+    /// Greatest mean difference of a page's colours from the means of the points, in CIELAB; 0 keeps these exactly, to 8 bits
+    #[arg(long, default_value_t = ConvertOptions::DEFAULT_COLOUR_ERROR, allow_negative_numbers = true, value_name = "E", value_parser = finite_number)]
+    colour_error: f64,
     /// Convert what can be read of incomplete input (cut or damaged files, files that cannot be read), with warnings, instead
     /// of refusing it
     #[arg(long)]
@@ -336,6 +343,8 @@ fn option_of(parameter: &Parameter) -> Option<&'static str> {
         Parameter::Resume => "--resume",
         Parameter::Stations => "--stations",
         Parameter::FillHoles => "--fill-holes",
+        Parameter::Colour => "--colour",
+        Parameter::ColourError => "--colour-error",
         _ => return None,
     })
 }
@@ -378,6 +387,8 @@ fn run(arguments: &Arguments, given: &ArgMatches, monitor: &dyn Monitor) -> Resu
         Surfaces::Sampled => MeshMode::Sampled { step_m: None },
     };
     options.levels = arguments.levels == Switch::On;
+    options.colour = arguments.colour;
+    options.colour_error = arguments.colour_error;
     options.allow_incomplete = arguments.allow_incomplete;
     options.overwrite = arguments.force;
     options.resume = arguments.resume;
@@ -412,6 +423,8 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
     };
     let same_holes = wanted.fill_holes_pixels(pixel_m).is_ok_and(|pixels| pixels == planned.plan.fill_holes);
     let same_tolerance = planned.plan_file.as_ref().is_some_and(|file| file.has_tolerance_of(wanted));
+    // What `auto` finds is in the plan.
+    let same_colour = wanted.colour == ColourMode::Auto || wanted.colour == planned.colour;
     let options = [
         ("pixel", "--pixel", wanted.pixel == planned.pixel),
         ("slice", "--slice", wanted.slice_m == planned.slice_m),
@@ -430,6 +443,8 @@ fn refuse_contradictions(given: &ArgMatches, wanted: &ConvertOptions, planned: &
         ("columns", "--columns", wanted.columns == planned.columns),
         ("mesh", "--mesh", wanted.mesh == planned.mesh),
         ("levels", "--levels", wanted.levels == planned.levels),
+        ("colour", "--colour", same_colour),
+        ("colour_error", "--colour-error", wanted.colour_error == planned.colour_error),
     ];
     for (id, name, same) in options {
         if !same && given.value_source(id) == Some(ValueSource::CommandLine) {

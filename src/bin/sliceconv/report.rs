@@ -4,7 +4,9 @@ use crate::Arguments;
 use serde_json::json;
 use slicewalk::archive::Header;
 use slicewalk::convert::{PlanFile, Preview, Report};
-use slicewalk::info::{crs_name, noise_in_words, noise_info, plan_info, slice_count, unit_info, units_in_words};
+use slicewalk::info::{
+    colour_words, crs_name, noise_in_words, noise_info, plan_info, slice_count, unit_info, units_in_words,
+};
 use slicewalk::input::spacing::Spacing;
 use slicewalk::plan::{Noise, Plan};
 use slicewalk::terminal::say;
@@ -94,6 +96,10 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
         let widest = number(f64::from(header.plan.options.fill_holes) * frame.pixel_m());
         let inferred = counted(header.voxels.inferred, "voxel");
         say(&format!("holes of up to {widest} m: closed by {inferred} of inferred floor"));
+    }
+    if let Some(colours) = header.colours {
+        let (voxels, bytes) = (counted(colours.voxels, "voxel"), file_size(header.bytes.colours));
+        say(&format!("colours: {} of {voxels} in {bytes}", colour_words(&colours.plan)));
     }
     if let Some(spacing) = &report.spacing {
         say(&format!("pixel size {} m: {}", number(frame.pixel_m()), from_spacing(spacing)));

@@ -10,10 +10,14 @@ mod tests;
 
 use super::pages::Writing;
 use super::work::on_threads;
-use crate::archive::{Archive, ArchiveWriter, EncodedPage, PageDecoder, PageEncoder, PageEntry};
+use crate::archive::{
+    Archive, ArchiveWriter, ColourReader, EncodedColours, EncodedPage, PageDecoder, PageEncoder, PageEntry,
+};
+use crate::codec::ColourEncoder;
+use crate::colour::ColourPlan;
 use crate::frame::{PAGE_QUANTA, PageKey};
 use crate::plan::Plan;
-use crate::slice::{Inferred, Page, PageBuilder, Span};
+use crate::slice::{Inferred, Occupancy, Page, PageBuilder, Span};
 use crate::{Error, Monitor, Parameter, Result};
 pub(super) use closing::Closer;
 use closing::{Fill, ScannedColumn};
@@ -57,8 +61,11 @@ pub(super) fn fill_holes(
     let share = memory_bytes / 4 / threads as u64;
     let mut jobs = Jobs { entries: scanned.entries(), next: None, max_words: share / BYTES_PER_WORD / 4 };
     let levels = writer.has_levels();
-    let workers: Vec<Mutex<Worker<'_>>> =
-        (0..threads).map(|_| Mutex::new(Worker::new(scanned, plan, levels, memory_bytes / 4))).collect();
+    let worker = |_| -> Result<Mutex<Worker<'_>>> {
+        let colours = writer.colours().zip(ColourReader::new(scanned)?);
+        Ok(Mutex::new(Worker { colours, ..Worker::new(scanned, plan, levels, memory_bytes / 4) }))
+    };
+    let workers = (0..threads).map(worker).collect::<Result<Vec<_>>>()?;
     let large = Mutex::new(());
     loop {
         let round: Vec<Job> = jobs.by_ref().take(JOBS_PER_THREAD * threads).collect::<Result<_>>()?;
@@ -136,6 +143,9 @@ struct Worker<'a> {
     is_loose: bool,
     builder: PageBuilder,
     encoder: PageEncoder,
+    /// How colours are made, and those of what was scanned.
+    colours: Option<(ColourPlan, ColourReader)>,
+    colour_encoder: ColourEncoder,
 }
 
 /// A column that was read: its pages, where it is to be written, and its spans.
@@ -155,6 +165,8 @@ impl<'a> Worker<'a> {
             is_loose: plan.tolerance_quanta() > 0,
             builder: PageBuilder::default(),
             encoder: PageEncoder::of_plan(plan).for_levels(levels),
+            colours: None,
+            colour_encoder: ColourEncoder::default(),
         }
     }
 
@@ -206,7 +218,7 @@ impl<'a> Worker<'a> {
             let around = around(column).map(|near| Some(&columns.get(&near?)?.spans));
             let fills = self.closer.close(&around);
             if let Some(Read { pages, .. }) = columns.get(&column) {
-                self.encode(column, pages, &fills, &mut done);
+                self.encode(column, pages, &fills, &mut done)?;
             }
         }
         Ok(done)
@@ -244,7 +256,7 @@ impl<'a> Worker<'a> {
     }
 
     /// Encodes the pages of a column with its fills.
-    fn encode(&mut self, column: u64, pages: &[(i32, Page)], fills: &[Fill], done: &mut KeyedPages) {
+    fn encode(&mut self, column: u64, pages: &[(i32, Page)], fills: &[Fill], done: &mut KeyedPages) -> Result<()> {
         let mut layers: BTreeMap<i32, (Option<&Page>, Vec<Fill>)> =
             pages.iter().map(|(layer, page)| (*layer, (Some(page), Vec::new()))).collect();
         for &fill in fills {
@@ -253,6 +265,7 @@ impl<'a> Worker<'a> {
         }
         for (layer, (page, fills)) in layers {
             let key = PageKey::from_column(column, layer);
+            let scanned = page;
             let filled;
             let (page, inferred) = match (page, &fills[..]) {
                 (Some(page), []) => (page, Inferred::new()),
@@ -265,12 +278,32 @@ impl<'a> Worker<'a> {
             if page.slices() == 0 {
                 continue;
             }
-            let encoded = match self.is_loose {
-                true => self.encoder.encode_loose(key, page, &inferred),
-                false => self.encoder.encode_inferred(key, page, &inferred),
+            let (encoded, loose) = match self.is_loose {
+                true => {
+                    let (encoded, page) = self.encoder.encode_loose(key, page, &inferred);
+                    (encoded, Some(page))
+                }
+                false => (self.encoder.encode_inferred(key, page, &inferred), None),
             };
-            done.push((key, encoded));
+            let colours = self.colours_of(key, scanned, loose.as_ref().unwrap_or(page))?;
+            done.push((key, encoded.with_colours(colours)));
         }
+        Ok(())
+    }
+
+    /// Colours of a page that was made of the `scanned` one.
+    fn colours_of(&mut self, key: PageKey, scanned: Option<&Page>, page: &Page) -> Result<EncodedColours> {
+        let (Some((plan, reader)), Some(scanned)) = (&mut self.colours, scanned) else {
+            return Ok(EncodedColours::default());
+        };
+        let exact = reader.colours_of(key, scanned)?;
+        let occupancy = Occupancy::of(page);
+        let colour = |(pixel, k): (usize, u32)| {
+            let rgb = exact.of(pixel as u32 & 63, pixel as u32 >> 6, k)?;
+            Some(rgb.map(|channel| u16::from(channel) * 257))
+        };
+        let colours: Vec<_> = occupancy.voxels().map(colour).collect();
+        Ok(EncodedColours::new(plan, &occupancy, &colours, &mut self.colour_encoder))
     }
 }
 

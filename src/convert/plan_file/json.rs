@@ -2,6 +2,7 @@
 
 use super::{InputFacts, PlanFile};
 use crate::bytes::open_regular;
+use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::Frame;
 use crate::info::noise_info;
 use crate::input::{StatedBounds, Units};
@@ -51,6 +52,11 @@ impl PlanFile {
                 MeshMode::Sampled { step_m: Some(step_m) } => json!(step_m),
             },
             "levels": self.levels,
+            "colour": self.colour.map(|ColourPlan { scale, error_milli }| json!({
+                "source": scale.source.name(),
+                "range": [scale.low, scale.high],
+                "error": f64::from(error_milli) / 1000.0,
+            })),
             "point_spacing": self.spacing_m,
             "tolerance_auto": self.noise.as_ref().map(noise_info),
             "inputs": inputs,
@@ -199,6 +205,10 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         _ => None,
     };
     let spacing = |v: &Value| if v.is_null() { Some(None) } else { number(v).map(Some) };
+    let colour = match value.get("colour") {
+        None | Some(Value::Null) => None,
+        Some(colour) => Some(colour_from_json(colour).map_err(|w| Wrong::new(format!("colour.{}", w.at), w.expected))?),
+    };
     let inputs = field(value, "inputs", "a list of files", Value::as_array)?;
     let input =
         |(at, value)| input_from_json(value).map_err(|w| Wrong::new(format!("inputs[{at}].{}", w.at), w.expected));
@@ -210,6 +220,7 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         mesh: field(value, "mesh", "exact, sampled, or a distance of points in metres", mesh)?,
         // Plans of earlier builds do not say: their archives have none.
         levels: value.get("levels").map_or(Ok(false), |_| field(value, "levels", "true or false", Value::as_bool))?,
+        colour,
         spacing_m: field(value, "point_spacing", "a length in metres or null", spacing)?,
         // Plans of earlier builds have none.
         noise: match value.get("tolerance_auto") {
@@ -228,6 +239,23 @@ fn noise_from_json(value: &Value) -> Result<Noise, Wrong> {
     let regions = self::field(value, "regions", "a number of regions", Value::as_u64);
     let noise = (|| Ok(Noise { noise_m: field("noise")?, regions: regions?, region_m: field("region_size")? }))();
     noise.map_err(|wrong: Wrong| Wrong { at: format!("tolerance_auto.{}", wrong.at), ..wrong })
+}
+
+fn colour_from_json(value: &Value) -> Result<ColourPlan, Wrong> {
+    let source = |v: &Value| ColourSource::ALL.into_iter().find(|source| Some(source.name()) == v.as_str());
+    let range = |v: &Value| {
+        let ends = v.as_array().filter(|ends| ends.len() == 2)?;
+        let end = |at: usize| u16::try_from(ends[at].as_u64()?).ok();
+        Some((end(0)?, end(1)?)).filter(|(low, high)| low < high)
+    };
+    let milli = |v: &Value| {
+        let milli = (number(v)? * 1000.0).round();
+        (0.0..=f64::from(u16::MAX)).contains(&milli).then_some(milli as u16)
+    };
+    let (low, high) = field(value, "range", "two values from 0 to 65535, the lower one first", range)?;
+    let source = field(value, "source", "rgb, intensity or class", source)?;
+    let error_milli = field(value, "error", "a difference from 0 to 65.535", milli)?;
+    Ok(ColourPlan { scale: ColourScale { source, low, high }, error_milli })
 }
 
 fn input_from_json(value: &Value) -> Result<InputFacts, Wrong> {
@@ -293,7 +321,11 @@ mod tests {
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];
             let noise = flags.0.then_some(Noise { noise_m: pixel / 7.0, regions: u64::from(min_points), region_m: 0.25 });
             let columns = [None, Some("z,-,y,x".parse().unwrap()), Some("x,y,z,class".parse().unwrap())][rule];
-            let mut file = PlanFile { plan, units, epsg, columns, mesh, levels: rule % 2 == 0, spacing_m, noise, inputs };
+            let colour = (rule > 0).then(|| ColourPlan {
+                scale: ColourScale { source: ColourSource::ALL[rule], low: drop_floaters / 2, high: drop_floaters / 2 + 9 },
+                error_milli: drop_floaters,
+            });
+            let mut file = PlanFile { plan, units, epsg, columns, mesh, levels: rule % 2 == 0, colour, spacing_m, noise, inputs };
             file.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
@@ -314,7 +346,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, spacing_m: None, noise: None, inputs: Vec::new() }.to_json().to_string();
+            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, colour: None, spacing_m: None, noise: None, inputs: Vec::new() }.to_json().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

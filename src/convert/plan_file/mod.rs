@@ -18,9 +18,10 @@ mod json;
 
 use super::Surveyed;
 use super::facts::InputFacts;
-use super::options::{ConvertOptions, PixelSize};
+use super::options::{ColourMode, ConvertOptions, PixelSize};
 use super::split::split;
 use crate::archive::{MAX_SHARDS, Shard};
+use crate::colour::{ColourPlan, ColourScale};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::{Columns, ScanFile, Units};
 use crate::mesh::MeshMode;
@@ -44,6 +45,8 @@ pub struct PlanFile {
     pub mesh: MeshMode,
     /// Whether the parts and the whole get overview levels.
     pub levels: bool,
+    /// How colours are made, for all points of the inputs; `None` without.
+    pub colour: Option<ColourPlan>,
     /// Point spacing found, if the pixel size was chosen from it (m).
     pub spacing_m: Option<f64>,
     /// Noise of the scan, if the tolerance was chosen by it.
@@ -54,20 +57,24 @@ pub struct PlanFile {
 
 impl PlanFile {
     /// The plan file that `options` describe: headers are read, and the points once if pixel size or tolerance is to follow from
-    /// them.
-    /// Files whose headers state no bounds are read once for these.
+    /// them. Files whose headers state no bounds are read once for these, and all files once for the range of colours.
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
-        let inputs = super::open_inputs(options, monitor)?;
+        let mut inputs = super::open_inputs(options, monitor)?;
         let (plan, Surveyed { spacing, noise }) = super::plan(options, &inputs, None, monitor)?;
+        let source = super::colours::source_of(options, &mut inputs.scans, monitor)?;
+        let set = &mut inputs.scans;
+        let scale = source.map(|source| super::colours::measure(set, source, options.threads, monitor)).transpose()?;
+        let colour = scale.map(|scale| options.colour_plan(scale));
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
         far_apart(&scenes).inspect(|warning| monitor.warn(warning));
         let file = Self::of(InputFacts::measured(&inputs.scans, options.threads, monitor)?, plan, options);
-        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), noise, ..file })
+        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), noise, colour, ..file })
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
         let ConvertOptions { units, epsg, columns, mesh, levels, .. } = *options;
-        let mut file = Self { plan, units, epsg, columns, mesh, levels, spacing_m: None, noise: None, inputs };
+        let mut file =
+            Self { plan, units, epsg, columns, mesh, levels, colour: None, spacing_m: None, noise: None, inputs };
         file.sort_inputs();
         file
     }
@@ -96,6 +103,10 @@ impl PlanFile {
         bytes.extend([unit, mesh].map(f64::to_le_bytes).concat());
         bytes.extend(self.epsg.into_iter().flat_map(u32::to_le_bytes));
         bytes.extend(self.columns.into_iter().flat_map(|columns| columns.to_string().into_bytes()));
+        if let Some(ColourPlan { scale: ColourScale { source, low, high }, error_milli }) = self.colour {
+            bytes.extend(source.name().as_bytes());
+            bytes.extend([low, high, error_milli].map(u16::to_le_bytes).concat());
+        }
         for input in &self.inputs {
             bytes.extend(input.fingerprint.to_le_bytes());
             bytes.extend(input.points.to_le_bytes());
@@ -118,6 +129,10 @@ impl PlanFile {
         options.columns = self.columns;
         options.mesh = self.mesh;
         options.levels = self.levels;
+        options.colour = self.colour.map_or(ColourMode::Off, |plan| ColourMode::Of(plan.scale.source));
+        if let Some(plan) = self.colour {
+            options.colour_error = f64::from(plan.error_milli) / 1000.0;
+        }
     }
 
     /// Whether the tolerance of the plan is the one that `wanted` asks for: as long, or chosen by the noise, too.
@@ -199,6 +214,7 @@ mod tests {
             columns: None,
             mesh: MeshMode::Exact,
             levels: true,
+            colour: None,
             spacing_m: None,
             noise: None,
             inputs: areas.iter().enumerate().map(facts).collect(),
@@ -253,7 +269,7 @@ mod tests {
         let mut renamed = one.clone();
         renamed.inputs[0].name = "other.las".into();
         assert_eq!(renamed.hash(), one.hash());
-        let mut changes = vec![one.clone(); 8];
+        let mut changes = vec![one.clone(); 9];
         changes[0].plan.options.max_slope_deg = 44.0;
         changes[1].units = Units::Factor(1.0);
         changes[2].inputs[0].fingerprint = 9;
@@ -262,6 +278,7 @@ mod tests {
         changes[5].mesh = MeshMode::Sampled { step_m: None };
         changes[6].epsg = Some(25832);
         changes[7].columns = Some("y,x,z".parse().unwrap());
+        changes[8].colour = Some(ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 2000 });
         for (number, changed) in changes.iter().enumerate() {
             assert_ne!(changed.hash(), one.hash(), "{number}");
         }

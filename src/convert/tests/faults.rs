@@ -80,10 +80,22 @@ fn check(job: &Job, fault: Fault, done: &Result<Report>, left: &Content) {
 
 #[test]
 fn whichever_call_fails_in_whatever_way_nothing_is_lost_and_nothing_is_left_behind() {
-    let job = Job::new();
+    let (failed, resumed) = strike(&Job::new(), &[(false, false), (true, true), (false, true), (true, false)]);
+    assert!(failed > 100 && resumed > 10);
+}
+
+#[test]
+fn nor_is_anything_of_an_archive_with_colours() {
+    let job = Job::with(ColourMode::Of(ColourSource::Intensity));
+    assert!(strike(&job, &[(false, false), (true, false)]).0 > 50);
+}
+
+/// Lets each call fail once, or from then on where the fault lasts, with and without resuming; failures, and how many of these
+/// can be resumed.
+fn strike(job: &Job, ways: &[(bool, bool)]) -> (u64, u64) {
     let (mut struck, mut failed, mut resumed) = (0, 0, 0);
     for fault in Fault::ALL {
-        for (lasts, resume) in [(false, false), (true, true), (false, true), (true, false)] {
+        for &(lasts, resume) in ways {
             for strikes in 0.. {
                 let model = ModelDisk::new(job.content());
                 let (disk, calls) = faulty(model.clone(), fault, strikes, lasts);
@@ -94,7 +106,7 @@ fn whichever_call_fails_in_whatever_way_nothing_is_lost_and_nothing_is_left_behi
                 }
                 struck += 1;
                 let left = model.content();
-                check(&job, fault, &done, &left);
+                check(job, fault, &done, &left);
                 failed += u64::from(done.is_err());
                 resumed += u64::from(matches!(done, Err(Error::Resumable { .. })));
                 if let Some(wrong) = job.next_run_fails(left, resume) {
@@ -104,5 +116,5 @@ fn whichever_call_fails_in_whatever_way_nothing_is_lost_and_nothing_is_left_behi
         }
     }
     println!("{struck} faults, {failed} of them failures, {resumed} of these to be resumed");
-    assert!(failed > 100 && resumed > 10);
+    (failed, resumed)
 }

@@ -43,6 +43,11 @@ const POINTS: usize = 4_500;
 
 impl Job {
     fn new() -> Self {
+        Self::with(ColourMode::Off)
+    }
+
+    /// As [`new`](Self::new), of archives with colours.
+    fn with(colour: ColourMode) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let mut random = Random(7);
         for name in ["plain.las", "packed.laz"] {
@@ -61,6 +66,7 @@ impl Job {
         options.memory_bytes = MIN_MEMORY_BYTES;
         options.overwrite = true;
         options.units = Units::Factor(1.0);
+        options.colour = colour;
         fs::create_dir(&options.temp_dir).unwrap();
         let mut made = [1.0, 0.1].map(|pixel_m| {
             options.pixel = PixelSize::Metres(pixel_m);

@@ -20,6 +20,7 @@ use super::crs::Georeference;
 use super::losses::Findings;
 use super::source::Source;
 use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts};
+use crate::colour::ColourSource;
 use crate::plan::{ClassSet, Up};
 use crate::text::shown;
 use crate::{Error, Monitor, Result};
@@ -39,6 +40,11 @@ pub(super) trait Cloud: Debug + Send + Sync {
 
     /// Points that it can hold: a hint.
     fn points_expected(&self) -> u64;
+
+    /// Whether its points have red, green and blue that are read.
+    fn has_rgb(&self) -> bool {
+        false
+    }
 
     /// Independent pieces of work, made as they are asked for.
     fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_>;
@@ -187,6 +193,7 @@ pub(super) struct Taker<'a> {
     sink: &'a mut dyn FnMut(&PointBatch) -> Result<()>,
     /// The error came from whoever takes the batches.
     pub refused: bool,
+    rgb: bool,
 }
 
 impl<'a> Taker<'a> {
@@ -200,7 +207,8 @@ impl<'a> Taker<'a> {
         batch.cloud = 0;
         let exclude = Some(&options.exclude_classes).filter(|classes| !classes.is_empty());
         let counts = PointCounts::default();
-        Self { unit, up: options.up, exclude, batch, counts, since: 0, sink, refused: false }
+        let rgb = options.colour == Some(ColourSource::Rgb);
+        Self { unit, up: options.up, exclude, batch, counts, since: 0, sink, refused: false, rgb }
     }
 
     /// Whether points are left out by class.
@@ -219,9 +227,20 @@ impl<'a> Taker<'a> {
         Ok(())
     }
 
+    /// Whether red, green and blue are wanted.
+    pub fn wants_rgb(&self) -> bool {
+        self.rgb
+    }
+
     /// A point, of a class if the file has classes.
     #[inline]
     pub fn push(&mut self, at: [f64; 3], class: Option<f64>) -> Result<()> {
+        self.push_with(at, class, None)
+    }
+
+    /// As [`push`](Self::push), with 16-bit red, green and blue: either all points of a file come with some, or none.
+    #[inline]
+    pub fn push_with(&mut self, at: [f64; 3], class: Option<f64>, rgb: Option<[u16; 3]>) -> Result<()> {
         self.counts.read += 1;
         let point = [at[0] * self.unit[0], at[1] * self.unit[1], at[2] * self.unit[2]];
         let near = |v: f64| v.abs() <= FARTHEST_M;
@@ -232,6 +251,7 @@ impl<'a> Taker<'a> {
             self.counts.excluded += 1;
         } else if near(point[0]) && near(point[1]) && near(point[2]) {
             self.batch.push(point);
+            self.batch.values.extend(rgb);
         } else if at.iter().any(|v| v.is_nan()) {
             self.counts.withheld += 1;
         } else {

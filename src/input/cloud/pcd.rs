@@ -8,7 +8,7 @@
 //!
 //! Sources: "The PCD (Point Cloud Data) file format" (pointclouds.org); LZF as in liblzf 3.6.
 
-use super::records::{Field, MOST_BYTES, Records};
+use super::records::{Field, MOST_BYTES, Records, Rgb};
 use super::text::{Lines, RowLayout, Rows, Separator};
 use super::{Cloud, Format, Opened, Opening, Piece, Source, Taker, shown};
 use crate::input::number::Number;
@@ -181,6 +181,11 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
                 points,
                 axes: axes.map(field),
                 class: class.map(field),
+                rgb: header
+                    .field(&["rgb", "rgba"])
+                    .filter(|field| field.size == 4 && field.count == 1)
+                    .map(field)
+                    .map(Rgb::Bytes),
                 big: false,
             }))
         }

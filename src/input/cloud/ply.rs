@@ -3,7 +3,7 @@
 //! Only the element `vertex` counts; those before it are passed over, those behind it never read. Its properties may
 //! come in any order and of any type, but for lists. Memory: the header, at most 1 MiB.
 
-use super::records::{Field, MOST_BYTES, Records};
+use super::records::{Field, MOST_BYTES, Records, Rgb};
 use super::text::{Lines, RowLayout, Rows, Separator};
 use super::{Format, Opened, Opening, SPLATS, shown};
 use crate::bytes::open_regular;
@@ -121,6 +121,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         points,
         axes: [x, y, z].map(field),
         class: class.map(field),
+        rgb: Rgb::of(["red", "green", "blue"].map(|name| find(&[name]).map(field))),
         big,
     }))
 }

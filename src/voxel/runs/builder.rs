@@ -1,7 +1,7 @@
 //! Building runs: records by tile column, sorted by counting.
 
 use super::cover::Covering;
-use super::store::RunStore;
+use super::store::{RunKind, RunStore};
 use super::{SORTED_RECORDS, Segment, SegmentCoder};
 use crate::Result;
 use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, Record, Recorder, SurfaceVoxel, record_dropped};
@@ -75,6 +75,7 @@ fn place(index: ColumnIndex) -> usize {
 /// Collects the records of one worker and hands them to a [`RunStore`] run by run.
 #[derive(Debug)]
 pub struct RunBuilder {
+    kind: RunKind,
     recorder: Recorder,
     /// Tile columns whose records are kept; `None` for all.
     only: Option<Only>,
@@ -96,6 +97,7 @@ impl RunBuilder {
     pub fn new(recorder: Recorder, build_bytes: u64) -> Self {
         let capacity = (build_bytes / BUILD_BYTES).clamp(1 << 13, u32::MAX as u64) as usize;
         Self {
+            kind: RunKind::Matter,
             recorder,
             only: None,
             capacity,
@@ -107,6 +109,11 @@ impl RunBuilder {
             spare: Vec::new(),
             covering: None,
         }
+    }
+
+    /// As [`new`](Self::new), of runs of values.
+    pub fn of_values(recorder: Recorder, build_bytes: u64) -> Self {
+        Self { kind: RunKind::Values, ..Self::new(recorder, build_bytes) }
     }
 
     /// Notes what its runs stand for. `note` adds what else is to be known of a piece of a chunk.
@@ -153,6 +160,25 @@ impl RunBuilder {
             if let Some(covering) = &mut self.covering {
                 covering.add(count);
             }
+        }
+        Ok(())
+    }
+
+    /// Adds `values` of points (all within [`Recorder::reaches`]), one or two for each; a full run goes to `store`.
+    pub fn push_values(
+        &mut self,
+        x: &[f64],
+        y: &[f64],
+        z: &[f64],
+        values: impl Fn(usize) -> (u32, Option<u32>),
+        store: &RunStore,
+    ) -> Result<()> {
+        for start in (0..x.len()).step_by(BATCH) {
+            let chunk = start..(start + BATCH).min(x.len());
+            self.make_room(chunk.len(), store)?;
+            let recorder = self.recorder;
+            let of_chunk = |number: usize| values(start + number);
+            recorder.record_values(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], of_chunk, self.adder());
         }
         Ok(())
     }
@@ -254,7 +280,7 @@ impl RunBuilder {
         self.columns.clear();
         self.lookup.clear();
         index.shrink_to_fit();
-        self.spare = store.add(sorted, index, cover)?;
+        self.spare = store.add(self.kind, sorted, index, cover)?;
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! Merging runs: tile columns in archive order, each with the records that belong to it.
 
-use super::store::{Run, RunStorage, RunStore};
+use super::store::{Run, RunKind, RunStorage, RunStore};
 use super::{SORTED_RECORDS, Segment, SegmentCoder};
 use crate::Result;
 use crate::voxel::record::{ColumnKey, PATCH_PIXELS, Record};
@@ -90,7 +90,10 @@ pub struct ColumnJob {
     pub columns: Vec<(ColumnKey, u64)>,
     /// Sum of the records of all columns.
     pub records: u64,
+    /// How many records of values each column has.
+    pub values: Vec<u64>,
     stretches: Vec<Stretch>,
+    value_stretches: Vec<Stretch>,
 }
 
 /// Merges the runs: hands out jobs in archive order.
@@ -111,9 +114,9 @@ impl<'a> Merge<'a> {
         self.runs.append(&mut self.store.take_runs());
     }
 
-    /// Records of all runs.
+    /// Records of all runs but those of values.
     pub fn records(&self) -> u64 {
-        self.runs.iter().map(|run| run.records).sum()
+        self.runs.iter().filter(|run| run.kind == RunKind::Matter).map(|run| run.records).sum()
     }
 
     /// Calls `give` with one job after another, each of at most `max_columns` columns and `max_records` records, or of a
@@ -143,7 +146,11 @@ impl<'a> Merge<'a> {
                 heap.pop();
             }
             let segment_of = |run: usize, cursors: &[Cursor]| cursors[run].segment.map_or(0, |segment| segment.records);
-            let records: u64 = same.iter().map(|&run| u64::from(segment_of(run, &cursors))).sum();
+            let of_kind = |kind: RunKind| {
+                let own = same.iter().filter(|&&run| self.runs[run].kind == kind);
+                own.map(|&run| u64::from(segment_of(run, &cursors))).sum::<u64>()
+            };
+            let (records, values) = (of_kind(RunKind::Matter), of_kind(RunKind::Values));
             let full = job.records + records > max_records || job.columns.len() as u64 >= max_columns;
             if !job.columns.is_empty() && full {
                 part_of.fill(usize::MAX);
@@ -152,12 +159,17 @@ impl<'a> Merge<'a> {
             let column = job.columns.len() as u32;
             job.columns.push((key, records));
             job.records += records;
+            job.values.push(values);
             for &run in &same {
+                let stretches = match self.runs[run].kind {
+                    RunKind::Matter => &mut job.stretches,
+                    RunKind::Values => &mut job.value_stretches,
+                };
                 if part_of[run] == usize::MAX {
-                    part_of[run] = job.stretches.len();
-                    job.stretches.push(Stretch { run, first_record: cursors[run].first_record, columns: Vec::new() });
+                    part_of[run] = stretches.len();
+                    stretches.push(Stretch { run, first_record: cursors[run].first_record, columns: Vec::new() });
                 }
-                job.stretches[part_of[run]].columns.push((column, segment_of(run, &cursors)));
+                stretches[part_of[run]].columns.push((column, segment_of(run, &cursors)));
                 cursors[run].advance(&self.runs[run], self.store)?;
                 heap.extend(key_of(&cursors[run]).map(|key| Reverse((key, run))));
             }
@@ -167,16 +179,29 @@ impl<'a> Merge<'a> {
 
     /// Puts the records of all columns of `job` into `records`, column after column.
     pub fn load(&self, job: &ColumnJob, records: &mut Vec<Record>) -> Result<()> {
-        records.clear();
-        records.resize(job.records as usize, Record(0));
-        let mut next = Vec::with_capacity(job.columns.len());
-        let mut start = 0;
-        for &(_, count) in &job.columns {
+        self.load_from(&job.stretches, job.columns.iter().map(|column| column.1), records)
+    }
+
+    /// Puts the records of values of all columns of `job` into `records`, column after column.
+    pub fn load_values(&self, job: &ColumnJob, records: &mut Vec<Record>) -> Result<()> {
+        self.load_from(&job.value_stretches, job.values.iter().copied(), records)
+    }
+
+    fn load_from(
+        &self,
+        stretches: &[Stretch],
+        counts: impl Iterator<Item = u64>,
+        records: &mut Vec<Record>,
+    ) -> Result<()> {
+        let (mut start, mut next) = (0, Vec::new());
+        for count in counts {
             next.push(start as usize);
             start += count;
         }
+        records.clear();
+        records.resize(start as usize, Record(0));
         let mut buffer = Vec::new();
-        for stretch in &job.stretches {
+        for stretch in stretches {
             let run = &self.runs[stretch.run];
             let total: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
             let first = stretch.first_record as usize;
@@ -207,10 +232,31 @@ impl<'a> Merge<'a> {
         job: &ColumnJob,
         rows: (u32, u32),
         chunk: usize,
+        take: impl FnMut(&[Record]) -> Result<bool>,
+    ) -> Result<()> {
+        self.stream_from(&job.stretches, rows, chunk, take)
+    }
+
+    /// As [`stream`](Self::stream), of records of values.
+    pub fn stream_values(
+        &self,
+        job: &ColumnJob,
+        rows: (u32, u32),
+        chunk: usize,
+        take: impl FnMut(&[Record]) -> Result<bool>,
+    ) -> Result<()> {
+        self.stream_from(&job.value_stretches, rows, chunk, take)
+    }
+
+    fn stream_from(
+        &self,
+        stretches: &[Stretch],
+        rows: (u32, u32),
+        chunk: usize,
         mut take: impl FnMut(&[Record]) -> Result<bool>,
     ) -> Result<()> {
         let mut buffer = Vec::new();
-        for stretch in &job.stretches {
+        for stretch in stretches {
             let (mut first, mut end) = (0, stretch.columns.iter().map(|column| u64::from(column.1)).sum());
             if end >= SORTED_RECORDS && stretch.columns.len() == 1 {
                 (first, end) = (self.row_begins(stretch, end, rows.0)?, self.row_begins(stretch, end, rows.1)?);

@@ -5,6 +5,8 @@
 //! archive order, each with the ranges of records that belong to it. Every run is read from front to back, whatever the
 //! order of the input, so neither shuffled points nor a huge extent turn the disk's work into single small reads.
 //!
+//! Runs of values, for colours, lie beside those of matter in one store and come out with the same columns.
+//!
 //! A run says what of the input it stands for, so that after a kill another process can go on from the runs on disk.
 //!
 //! Memory: `retain_bytes` for runs kept, 20 bytes per record and 120 per tile column of each run under construction,

@@ -19,18 +19,28 @@ pub(super) enum RunStorage {
     Disk { records_at: u64, index_at: u64, index_bytes: u64 },
 }
 
+/// What the records of a run are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RunKind {
+    /// Points, surfaces, and what is dropped.
+    Matter,
+    /// Values of points, for colours.
+    Values,
+}
+
 #[derive(Debug)]
 pub(super) struct Run {
+    pub kind: RunKind,
     pub storage: RunStorage,
     pub records: u64,
     pub columns: u64,
 }
 
 impl Run {
-    fn spilled(run: SpilledRun) -> Self {
+    fn spilled(kind: RunKind, run: SpilledRun) -> Self {
         let SpilledRun { records_at, records, index_bytes, columns } = run;
         let index_at = records_at + records * RECORD_BYTES;
-        Self { storage: RunStorage::Disk { records_at, index_at, index_bytes }, records, columns }
+        Self { kind, storage: RunStorage::Disk { records_at, index_at, index_bytes }, records, columns }
     }
 
     fn memory_bytes(&self) -> u64 {
@@ -67,7 +77,7 @@ impl RunStore {
 
     /// A store that goes on from the `runs` in `spill`, which stand for so many points.
     pub fn resumed(retain_bytes: u64, spill: Spill, runs: Vec<SpilledRun>, points: u64) -> Self {
-        let runs = runs.into_iter().map(Run::spilled).collect();
+        let runs = runs.into_iter().map(|run| Run::spilled(RunKind::Matter, run)).collect();
         Self { retain_bytes, kept: Mutex::new(Kept { runs, memory_bytes: 0 }), spill, points: points.into() }
     }
 
@@ -108,7 +118,13 @@ impl RunStore {
     }
 
     /// Takes a run, and gives back its memory if it is not needed.
-    pub(super) fn add(&self, mut records: Vec<Record>, index: Vec<u8>, cover: Cover) -> Result<Vec<Record>> {
+    pub(super) fn add(
+        &self,
+        kind: RunKind,
+        mut records: Vec<Record>,
+        index: Vec<u8>,
+        cover: Cover,
+    ) -> Result<Vec<Record>> {
         let columns = count_segments(&index)?;
         let count = records.len() as u64;
         if !self.spill.is_open() {
@@ -118,11 +134,11 @@ impl RunStore {
                 kept.memory_bytes += bytes;
                 records.shrink_to_fit();
                 let storage = RunStorage::Memory { records, index, cover };
-                kept.runs.push(Run { storage, records: count, columns });
+                kept.runs.push(Run { kind, storage, records: count, columns });
                 return Ok(Vec::new());
             }
         }
-        self.write_run(&records, &index, columns, &cover)?;
+        self.write_run(kind, &records, &index, columns, &cover)?;
         self.lighten()?;
         Ok(records)
     }
@@ -139,12 +155,14 @@ impl RunStore {
             run
         };
         match &run.storage {
-            RunStorage::Memory { records, index, cover } => self.write_run(records, index, run.columns, cover),
+            RunStorage::Memory { records, index, cover } => {
+                self.write_run(run.kind, records, index, run.columns, cover)
+            }
             RunStorage::Disk { .. } => Ok(()),
         }
     }
 
-    fn write_run(&self, records: &[Record], index: &[u8], columns: u64, cover: &Cover) -> Result<()> {
+    fn write_run(&self, kind: RunKind, records: &[Record], index: &[u8], columns: u64, cover: &Cover) -> Result<()> {
         let (count, index_bytes) = (records.len() as u64, index.len() as u64);
         let records_at = self.spill.reserve(count * RECORD_BYTES + index_bytes)?;
         let (mut buffer, mut sum, mut at) = (vec![0u8; COPY_BYTES], RunSum::default(), records_at);
@@ -165,7 +183,7 @@ impl RunStore {
             self.spill.note(&run, sum.value(), &cover.bytes)?;
             self.points.fetch_add(cover.points, Ordering::Relaxed);
         }
-        self.lock().runs.push(Run::spilled(run));
+        self.lock().runs.push(Run::spilled(kind, run));
         Ok(())
     }
 

@@ -4,14 +4,15 @@ use crate::attend::{Audience, attended};
 use crate::convert::dictionary;
 use crate::errors::Failure;
 use crate::pages::{Pages, Set};
-use numpy::PyArray2;
+use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyByteArray, PyBytes, PyTuple};
 use slicewalk::Error;
-use slicewalk::archive::{Archive as Inner, Finding};
+use slicewalk::archive::{Archive as Inner, ColourReader, Finding};
 use slicewalk::bytes::{ByteSource, FileSource, RemoteOptions, RemoteSource};
+use slicewalk::frame::PageKey;
 use slicewalk::store::Store;
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -275,6 +276,35 @@ impl Archive {
     fn load(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<usize> {
         let store = self.opened.load(py, progress)?;
         Ok(store.weight_bytes() + store.table_bytes())
+    }
+
+    /// Colours of the voxels of a page, as `sliceconv --colour` made them.
+    ///
+    /// Args:
+    ///     key: ``tx, ty, layer`` of the page
+    ///
+    /// Returns:
+    ///     uint8 of shape (n, 4): red, green and blue (sRGB), and 255 for voxels that have a colour, 0 for others. Voxels come pixel by
+    ///     pixel in row order, in each from the lowest slice up: the bits of :attr:`Page.occupancy`. None where the archive has no
+    ///     colours, or no such page
+    ///
+    /// >>> slicewalk.open("room.slices").colours((0, 0, 0)) is None
+    /// True
+    fn colours<'py>(&self, py: Python<'py>, key: (i32, i32, i32)) -> PyResult<Option<Bound<'py, PyArray2<u8>>>> {
+        let key = PageKey { tx: key.0, ty: key.1, layer: key.2 };
+        let colours = py.detach(|| {
+            let Some(mut reader) = ColourReader::new(&self.opened.archive)? else { return Ok(None) };
+            let entry = self.opened.archive.find(key)?;
+            entry.map(|entry| reader.colours(&entry)).transpose()
+        });
+        let colours = colours.map_err(|error| self.failed(py, error))?;
+        let values = colours.map(|colours| colours.values().as_flattened().to_vec());
+        values
+            .map(|values| {
+                let count = values.len() / 4;
+                values.into_pyarray(py).reshape([count, 4])
+            })
+            .transpose()
     }
 
     /// Checks every byte; an empty list says that all is well.

@@ -47,6 +47,9 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     columns: columns of text from left to right, such as ``"x,y,z,i"``; by its header, else the first three, by default
 ///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
 ///     levels: whether the archive gets overview levels for first looks and distant views (no)
+///     colour: colour of each voxel: ``"rgb"``, ``"intensity"``, ``"class"``, ``"auto"`` (RGB where the scan has it, else intensity, else
+///         none) or ``"off"``; of LAS, LAZ and COPC
+///     colour_error: greatest mean difference of a page's colours, in CIELAB (2); 0 keeps them exactly, to 8 bits
 ///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it
 ///     resume: go on from what an interrupted conversion left, and leave it if this one is interrupted
 ///     force: replace an existing archive

@@ -4,7 +4,7 @@ use crate::errors::Failure;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
-use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions, Tolerance};
+use slicewalk::convert::{ColourMode, ConvertOptions, PixelSize, PlanFile, ShardOptions, Tolerance};
 use slicewalk::input::{Columns, Units};
 use slicewalk::mesh::MeshMode;
 use slicewalk::plan::{Classifier, Up};
@@ -113,6 +113,11 @@ impl Asked {
                         Err(_) => one_of("levels", &value, &[("on", true), ("off", false)])?,
                     };
                 }
+                "colour" => {
+                    let text = value.extract::<String>()?;
+                    options.colour = text.parse::<ColourMode>().map_err(|reason| refuse("colour", reason))?;
+                }
+                "colour_error" => options.colour_error = value.extract()?,
                 "allow_incomplete" => options.allow_incomplete = value.extract()?,
                 "resume" => options.resume = value.extract()?,
                 "force" => options.overwrite = value.extract()?,
@@ -183,6 +188,8 @@ fn refuse_contradictions(
         "columns" => wanted.columns != planned.columns,
         "mesh" => wanted.mesh != planned.mesh,
         "levels" => wanted.levels != planned.levels,
+        "colour" => wanted.colour != ColourMode::Auto && wanted.colour != planned.colour,
+        "colour_error" => wanted.colour_error != planned.colour_error,
         "max_slope" => wanted.plan.max_slope_deg != planned.plan.max_slope_deg,
         "tolerance" => !file.has_tolerance_of(wanted),
         "classifier" => wanted.plan.classifier != planned.plan.classifier,

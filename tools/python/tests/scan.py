@@ -38,14 +38,18 @@ def rubble(count: int, seed: int) -> np.ndarray:
     return millimetres(np.concatenate([scattered, clusters, ground]))
 
 
-def las(points: np.ndarray) -> bytes:
-    """LAS 1.2, point format 0, in steps of a millimetre."""
-    records = np.zeros(len(points), dtype=[("xyz", "<i4", 3), ("rest", "u1", 8)])
+def las(points: np.ndarray, rgb: np.ndarray | None = None) -> bytes:
+    """LAS 1.2, point format 0, or 2 with red, green and blue, in steps of a millimetre."""
+    fields = [("xyz", "<i4", 3), ("rest", "u1", 8)]
+    records = np.zeros(len(points), dtype=fields if rgb is None else [*fields, ("rgb", "<u2", 3)])
+    if rgb is not None:
+        records["rgb"] = rgb
+    form = 0 if rgb is None else 2
     records["xyz"] = np.round(points * 1000).astype("i4")
     low, high = points.min(axis=0), points.max(axis=0)
     head = struct.pack(
         "<4sHHIHH8sBB32s32sHHHIIBHI5I3d3d6d",
-        *(b"LASF", 0, 0, 0, 0, 0, b"", 1, 2, b"test", b"test", 1, 2025, 227, 227, 0, 0, 20, len(points)),
+        *(b"LASF", 0, 0, 0, 0, 0, b"", 1, 2, b"test", b"test", 1, 2025, 227, 227, 0, form, records.itemsize, len(points)),
         *(len(points), 0, 0, 0, 0, *[0.001] * 3, *[0.0] * 3),
         *(high[0], low[0], high[1], low[1], high[2], low[2]),
     )

@@ -266,3 +266,22 @@ def test_real_scan(real, tmp_path):
     again = slicewalk.open(tmp_path / "a.slices")
     assert again.voxels == archive.voxels
     assert (again.bounds == archive.bounds).all()
+
+
+def test_colours_are_the_means_of_the_points(tmp_path):
+    points = scan.millimetres(np.random.default_rng(4).uniform(0, (2, 2, 0.2), (5000, 3)))
+    rgb = np.stack([points[:, 0] * 30000, points[:, 1] * 20000 + 5000, 65535 - points[:, 0] * 9000], axis=1).astype("u2")
+    (tmp_path / "a.las").write_bytes(scan.las(points, rgb))
+    slicewalk.convert(tmp_path / "a.las", tmp_path / "a.slices", pixel=0.1, units="m", colour="rgb", colour_error=0)
+    archive = slicewalk.open(tmp_path / "a.slices")
+    assert archive.info()["colour"] == {"source": "rgb", "range": [0, 65535], "error": 0, "voxels": archive.voxels}
+    colours, page = archive.colours((0, 0, 0)), archive.page((0, 0, 0))
+    assert colours.shape == (archive.voxels, 4) and colours.dtype == np.uint8 and (colours[:, 3] == 255).all()
+    pixels = np.flatnonzero(page.occupancy.ravel())
+    at = np.floor(points[:, 1] * 10).astype(int) * 64 + np.floor(points[:, 0] * 10).astype(int)
+    # One slice, so one voxel a pixel.
+    means = np.array([rgb[at == pixel].mean(axis=0) / 257 for pixel in pixels])
+    assert np.abs(colours[:, :3] - means).max() <= 0.51
+    assert archive.colours((9, 9, 9)) is None
+    with pytest.raises(slicewalk.ParameterError):
+        slicewalk.convert(tmp_path / "a.las", tmp_path / "b.slices", colour="blue")

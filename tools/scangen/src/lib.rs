@@ -41,4 +41,4 @@ pub use params::{ParamInfo, Params};
 pub use sample::{Kind, Sample, SampleSpec};
 pub use scene::{SCENES, Scene, Surface, Walk};
 pub use truth::Truth;
-pub use write::{Chunks, CloudFormat, WriteSpec, Written, write_clouds, write_las, write_samples};
+pub use write::{Chunks, CloudFormat, Texture, WriteSpec, Written, write_clouds, write_las, write_samples};

@@ -4,7 +4,7 @@ use clap::{Parser, ValueEnum};
 use scangen::geometry::Placement;
 use scangen::sample::{Amount, Mode, Order, ScannerSpec, shuffle};
 use scangen::write::{
-    Chunks, CloudFormat, WriteSpec, Written, write_clouds, write_samples, write_triangles_obj, write_truth_json,
+    Chunks, CloudFormat, Texture, WriteSpec, Written, write_clouds, write_samples, write_triangles_obj, write_truth_json,
 };
 use scangen::{Params, Result, SCENES, SampleSpec, Scene};
 use std::path::{Path, PathBuf};
@@ -96,6 +96,12 @@ struct Args {
     /// LAS point data record format, 0 to 10
     #[arg(long, default_value_t = 0)]
     format: u8,
+    /// Colours by a formula that repeats after this distance (m); needs a format with RGB, such as 7
+    #[arg(long, value_name = "PERIOD")]
+    colour: Option<f64>,
+    /// Colour values of 8 bits in the 16 of a record
+    #[arg(long, requires = "colour")]
+    eight_bits: bool,
     /// Coordinate step (m)
     #[arg(long, default_value_t = 0.001)]
     scale: f64,
@@ -242,6 +248,7 @@ fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &P
         classes: args.class.clone(),
         moving_class: args.moving_class,
         withheld_share: args.withheld,
+        texture: args.colour.map(|period_m| Texture { period_m, eight_bits: args.eight_bits }),
         seed: args.seed,
         ..writing
     };

@@ -117,7 +117,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         let slice = frame.slice_of(height);
         if header.slices.is_some_and(|(lowest, highest)| (lowest..=highest).contains(&slice)) {
             let path = dir.join(format!("slice-{name}.png"));
-            show::draw(&archive, &output, slice, true, &path)?;
+            show::draw(&archive, &output, slice, show::Look::Legend, &path)?;
             table.row("picture", format!("{} (z = {height} m)", path.display()));
         }
     }

@@ -2,8 +2,9 @@
 
 use crate::{Failure, Outcome};
 use serde_json::json;
-use slicewalk::archive::{Archive, PageEntry, PageReader};
-use slicewalk::slice::{Inferred, Page, Span};
+use slicewalk::archive::{Archive, ColourReader, PageEntry, PageReader};
+use slicewalk::colour::{LabTable, difference as lab_difference};
+use slicewalk::slice::{Colours, Inferred, Page, Span};
 use slicewalk::text::grouped;
 use std::fmt::Write;
 use std::path::Path;
@@ -29,6 +30,19 @@ struct Difference {
     greatest_top: Quanta,
 }
 
+/// What differs in the colours of voxels.
+#[derive(Clone, Copy, Default)]
+struct ColourDifference {
+    only_a: u64,
+    only_b: u64,
+    /// In both, and in both with another colour.
+    in_both: u64,
+    other: u64,
+    /// Sum and greatest of the differences (ΔE*ab).
+    sum: f64,
+    greatest: f32,
+}
+
 type Quanta = u8;
 
 /// A page, and which of its spans are inferred.
@@ -49,7 +63,10 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
         )));
     }
     let difference = compare((&first, a), (&second, b))?;
-    let identical = difference.pages_only_a + difference.pages_only_b + difference.pages_differing == 0;
+    let colours = compare_colours((&first, a), (&second, b))?;
+    let same_colours = colours.is_none_or(|colours| colours.only_a + colours.only_b + colours.other == 0);
+    let same_matter = difference.pages_only_a + difference.pages_only_b + difference.pages_differing == 0;
+    let identical = same_matter && same_colours;
     let same_plan = first.header().plan_hash == second.header().plan_hash;
     let same_crs = first.crs().map_err(|e| crate::broken(a, &e))? == second.crs().map_err(|e| crate::broken(b, &e))?;
     let metres = |quanta: Quanta| f64::from(quanta) * first.frame().quantum_m();
@@ -76,6 +93,14 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
                 "inferred_only_b": difference.inferred_only_b,
                 "other_height": difference.other_height,
             },
+            "colours": colours.map(|colours| json!({
+                "only_a": colours.only_a,
+                "only_b": colours.only_b,
+                "in_both": colours.in_both,
+                "other": colours.other,
+                "mean_difference": colours.mean(),
+                "greatest_difference": colours.greatest,
+            })),
             "greatest_height_difference": bottom.max(top),
             "greatest_bottom_difference": bottom,
             "greatest_top_difference": top,
@@ -86,6 +111,8 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
     writeln!(text, "plans {}", if same_plan { "are the same" } else { "differ" })?;
     if identical {
         writeln!(text, "content is identical")?;
+    } else if same_matter {
+        writeln!(text, "matter is identical")?;
     } else {
         let Difference { pages_only_a, pages_only_b, pages_differing, .. } = &difference;
         let [only_a, only_b, differing] = [*pages_only_a, *pages_only_b, *pages_differing].map(grouped);
@@ -109,7 +136,79 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
             grouped(difference.other_height)
         )?;
     }
+    if let Some(colours) = colours.filter(|_| !same_colours) {
+        let [only_a, only_b, other, both] =
+            [colours.only_a, colours.only_b, colours.other, colours.in_both].map(grouped);
+        writeln!(text, "voxels with colours: {only_a} only in A, {only_b} only in B; {other} of {both} differ")?;
+        let (mean, greatest) = (colours.mean(), colours.greatest);
+        writeln!(text, "colours differ by {mean:.2} ΔE in the mean, by {greatest:.2} at most")?;
+    }
     Ok(text)
+}
+
+impl ColourDifference {
+    fn mean(&self) -> f64 {
+        if self.in_both == 0 { 0.0 } else { self.sum / self.in_both as f64 }
+    }
+
+    fn add(&mut self, a: Option<[u8; 3]>, b: Option<[u8; 3]>) {
+        match (a, b) {
+            (Some(a), Some(b)) => {
+                self.in_both += 1;
+                if a != b {
+                    let table = LabTable::get();
+                    let apart = lab_difference(table.of_8_bits(a), table.of_8_bits(b));
+                    self.other += 1;
+                    self.sum += f64::from(apart);
+                    self.greatest = self.greatest.max(apart);
+                }
+            }
+            (Some(_), None) => self.only_a += 1,
+            (None, Some(_)) => self.only_b += 1,
+            (None, None) => {}
+        }
+    }
+}
+
+/// Compares the colours of the voxels of two archives; `None` if neither has some.
+fn compare_colours(
+    (a, path_a): (&Archive, &Path),
+    (b, path_b): (&Archive, &Path),
+) -> Result<Option<ColourDifference>, Failure> {
+    let reader = |archive: &Archive, path: &Path| ColourReader::new(archive).map_err(|e| crate::broken(path, &e));
+    let (mut colours_a, mut colours_b) = (reader(a, path_a)?, reader(b, path_b)?);
+    if colours_a.is_none() && colours_b.is_none() {
+        return Ok(None);
+    }
+    let of = |reader: &mut Option<ColourReader>, entry: &PageEntry, path: &Path| -> Result<Option<Colours>, Failure> {
+        let colours = reader.as_mut().map(|reader| reader.colours(entry)).transpose();
+        colours.map_err(|error| crate::broken(path, &error))
+    };
+    let mut found = ColourDifference::default();
+    for entry in entries(a, path_a) {
+        let entry = entry?;
+        let other = b.find(entry.key).map_err(|error| crate::broken(path_b, &error))?;
+        let own = of(&mut colours_a, &entry, path_a)?;
+        let other = other.map(|other| of(&mut colours_b, &other, path_b)).transpose()?.flatten();
+        for (px, py, k, colour) in own.iter().flat_map(Colours::voxels) {
+            found.add(colour, other.as_ref().and_then(|other| other.of(px, py, k)));
+        }
+        for (px, py, k, colour) in other.iter().flat_map(Colours::voxels) {
+            // Those with matter in the first archive were looked at above.
+            let pixel = (py << 6 | px) as usize;
+            if own.as_ref().is_none_or(|own| own.occupancy().find(pixel, k).is_none()) {
+                found.add(None, colour);
+            }
+        }
+    }
+    for entry in entries(b, path_b) {
+        let entry = entry?;
+        if a.find(entry.key).map_err(|error| crate::broken(path_a, &error))?.is_none() {
+            let colours = of(&mut colours_b, &entry, path_b)?;
+            colours.iter().flat_map(Colours::voxels).for_each(|(.., colour)| found.add(None, colour));
+        }
+    }
+    Ok(Some(found))
 }
 
 /// The entries of an archive; errors with its name.

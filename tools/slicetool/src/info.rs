@@ -4,7 +4,7 @@ use crate::{Failure, Outcome, broken, say};
 use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Header;
-use slicewalk::info::{INPUT_QUANTUM_M, crs_name, info, noise_in_words, slice_count, units_in_words};
+use slicewalk::info::{INPUT_QUANTUM_M, colour_words, crs_name, info, noise_in_words, slice_count, units_in_words};
 use slicewalk::input::{InputOptions, InputSet};
 use slicewalk::text::{counted, extent, file_size, grouped, number, one_line, ranges, rounded};
 use std::fmt::Write;
@@ -100,6 +100,17 @@ fn as_text(path: &Path) -> Result<String, Failure> {
             grouped(directory)
         ),
     ));
+    if let Some(colours) = header.colours {
+        rows.push((
+            "colours",
+            format!(
+                "{} of {} in {}",
+                colour_words(&colours.plan),
+                counted(colours.voxels, "voxel"),
+                counted(header.bytes.colours, "byte")
+            ),
+        ));
+    }
     let unit = if units.is_empty() { "unknown".into() } else { format!("{} in the source", units_in_words(&units)) };
     rows.push(("unit", format!("{unit}; the archive is in metres")));
     rows.push(("crs", crs_name(&crs).unwrap_or_else(|| "unknown".into())));

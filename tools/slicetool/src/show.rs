@@ -1,7 +1,7 @@
-//! `slicetool show`: one slice as a picture in the thesis' colours.
+//! `slicetool show`: one slice as a picture, in the thesis' colours or in those of the scan.
 
 use crate::{Failure, Outcome, figures};
-use slicewalk::archive::{Archive, Level, PageDecoder, PageEntry};
+use slicewalk::archive::{Archive, ColourReader, Level, PageDecoder, PageEntry};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::info::slice_count;
 use slicewalk::slice::Span;
@@ -13,6 +13,8 @@ use std::path::{Path, PathBuf};
 pub const BLUES: [u8; 3] = [26, 255, 128];
 /// Number of the last.
 pub const INFERRED: usize = 2;
+/// Matter that has no colour, where voxels are drawn in their colours.
+pub const COLOURLESS: [u8; 3] = [96; 3];
 /// Around the parts of a legend, length of its ramps of colours, and its least width (pixels).
 const MARGIN: i64 = 8;
 const RAMP: i64 = 64;
@@ -44,6 +46,9 @@ pub struct Arguments {
     /// where holes are filled) from the bottom to the top of the slice
     #[arg(long)]
     legend: bool,
+    /// Draw voxels in their own colours (`sliceconv --colour`); those without one are grey
+    #[arg(long, conflicts_with_all = ["level", "legend"])]
+    colour: bool,
 }
 
 /// Draws the slice that `arguments` name.
@@ -54,7 +59,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
     let slice = slice(&archive, &arguments.archive, arguments.slice, arguments.z)?;
     let (lowest, _) = slices(&archive, &arguments.archive)?;
-    let (width, height) = draw(&archive, &arguments.archive, slice, arguments.legend, &arguments.output)?;
+    let strip = if arguments.legend { Look::Legend } else { Look::Plain };
+    let look = if arguments.colour { Look::Colour } else { strip };
+    let (width, height) = draw(&archive, &arguments.archive, slice, look, &arguments.output)?;
     let frame = archive.frame();
     let [bottom, top] = [slice, slice + 1].map(|slice| rounded(frame.bottom_of_slice(slice), frame.quantum_m()));
     let (number_of, all, pixel) =
@@ -100,10 +107,28 @@ fn fitting_level(archive: &Archive, pixels: i64) -> Option<u32> {
     levels.iter().map(Level::number).find(|&level| (pixels >> (2 * level)) + 1 < MAX_EDGE_PIXELS)
 }
 
+/// How a slice is drawn.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// In the thesis' colours.
+    Plain,
+    /// The same with a legend below.
+    Legend,
+    /// In the colours of the voxels.
+    Colour,
+}
+
+/// A reader of the colours of the archive at `path`, which must have some.
+pub fn colours(archive: &Archive, path: &Path) -> Result<ColourReader, Failure> {
+    let reader = ColourReader::new(archive).map_err(|error| crate::broken(path, &error))?;
+    reader.ok_or_else(|| {
+        Failure::Text(format!("{}: has no colours; convert the scan with --colour auto", path.display()))
+    })
+}
+
 /// Draws slice `slice` (absolute) of `archive`, which lies at `path`, as a PNG `to`: one pixel per pixel of the archive,
-/// north up, over the bounds of all points, with a legend below if asked for; returns its width and height. Memory: one row
-/// of tiles.
-pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path) -> Result<(i64, i64), Failure> {
+/// north up, over the bounds of all points; returns its width and height. Memory: one row of tiles.
+pub fn draw(archive: &Archive, path: &Path, slice: i64, look: Look, to: &Path) -> Result<(i64, i64), Failure> {
     let broken = |error| crate::broken(path, &error);
     let frame = archive.frame();
     let Some((min, max)) = archive.header().bounds else {
@@ -121,9 +146,10 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path)
                 .map_or(String::new(), |level| format!("draw --level {level}, or "))
         )));
     }
+    let mut colours = if look == Look::Colour { Some(colours(archive, path)?) } else { None };
     let mut output = crate::output(to, archive, &[])?;
     let kinds = if archive.plan().options.fill_holes > 0 { &BLUES[..] } else { &BLUES[..INFERRED] };
-    let strip = legend.then(|| Strip::new(frame, slice, width, kinds));
+    let strip = (look == Look::Legend).then(|| Strip::new(frame, slice, width, kinds));
     let (full_width, strip_height) = strip.as_ref().map_or((width, 0), |strip| (strip.width, strip.height()));
     let layer = slice.div_euclid(PAGE_SLICES) as i32;
     let in_page = slice.rem_euclid(PAGE_SLICES) as u32;
@@ -152,6 +178,7 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path)
         rest = others;
         for entry in row {
             let page = archive.page_with(entry, &mut decoder).map_err(broken)?;
+            let colours = colours.as_mut().map(|colours| colours.colours(entry)).transpose().map_err(broken)?;
             for (px, py, spans) in page.columns() {
                 let inferred = decoder.inferred().of(px, py);
                 let kind = |at: usize, span: &Span| match inferred >> (at & 63) & 1 {
@@ -167,7 +194,11 @@ pub fn draw(archive: &Archive, path: &Path, slice: i64, legend: bool, to: &Path)
                     && (0..width).contains(&x)
                 {
                     let at = (i64::from(py) * full_width + x) as usize * 3;
-                    rows[at..at + 3].copy_from_slice(&[top, 255, BLUES[kind]]);
+                    let colour = match &colours {
+                        Some(colours) => colours.of(px, py, in_page).unwrap_or(COLOURLESS),
+                        None => [top, 255, BLUES[kind]],
+                    };
+                    rows[at..at + 3].copy_from_slice(&colour);
                 }
             }
         }

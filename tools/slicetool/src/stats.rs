@@ -71,8 +71,14 @@ pub fn run(path: &Path, json: bool) -> Outcome {
                 "tiles": header.bytes.pages,
                 "directory": header.bytes.head + header.bytes.directory,
                 "levels": header.bytes.levels,
+                "colours": header.bytes.colours,
                 "per_voxel": bytes_per_voxel,
             },
+            "colours": header.colours.map(|colours| json!({
+                "voxels": colours.voxels,
+                "bytes": header.bytes.colours,
+                "per_voxel": per(header.bytes.colours, colours.voxels),
+            })),
             "levels": levels.iter().map(level_facts).collect::<Vec<_>>(),
             "resident_bytes": { "all": stats.memory_bytes, "per_voxel": memory_per_voxel },
         });
@@ -114,6 +120,15 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     if stats.inferred_spans > 0 {
         let (spans, voxels) = (counted(stats.inferred_spans, "span"), counted(stats.inferred_voxels, "voxel"));
         writeln!(text, "Holes are closed by {spans} of inferred floor ({voxels}), where nothing was scanned.")?;
+    }
+    if let Some(colours) = header.colours {
+        writeln!(
+            text,
+            "{} have a colour, in {} ({:.2} a voxel).",
+            counted(colours.voxels, "voxel"),
+            counted(header.bytes.colours, "byte"),
+            per(header.bytes.colours, colours.voxels)
+        )?;
     }
     writeln!(
         text,

@@ -42,6 +42,8 @@ class PlanOptions(_GridOptions, total=False):
     crs: str | None
     columns: str | None
     mesh: Literal["exact", "sampled"]
+    colour: Literal["rgb", "intensity", "class", "auto", "off"]
+    colour_error: float
     allow_incomplete: bool
     quiet: bool
 

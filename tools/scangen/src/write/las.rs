@@ -1,7 +1,8 @@
 //! LAS and LAZ of any size in bounded memory: records are formed here and streamed out; the header, by `las`, is
 //! written first with zeros and at the end with the true counts and bounds.
 
-use super::record::{MAX_RECORD, Record, class_of, encode, record_len};
+use super::record::{MAX_RECORD, Record, class_of, encode, has_colour, record_len};
+use super::texture::Texture;
 use crate::geometry::{Aabb, Vec3};
 use crate::sample::{Kind, Sample, Stream};
 use crate::{Error, Result};
@@ -41,6 +42,8 @@ pub struct WriteSpec {
     pub moving_class: Option<u8>,
     /// Share of points flagged as withheld `[0..=1]`.
     pub withheld_share: f64,
+    /// Colours of the points, by the places that readers get; none writes values that mean nothing.
+    pub texture: Option<Texture>,
     /// Draws classes, flags and variable chunks.
     pub seed: u64,
 }
@@ -57,6 +60,7 @@ impl Default for WriteSpec {
             classes: Vec::new(),
             moving_class: None,
             withheld_share: 0.0,
+            texture: None,
             seed: 0,
         }
     }
@@ -105,6 +109,11 @@ impl WriteSpec {
         }
         if let Some((class, _)) = self.classes.iter().find(|c| self.format < 6 && c.0 > 31) {
             return Err(fault(format!("class {class} does not fit format {}; use formats 6 to 10", self.format)));
+        }
+        if let Some(texture) = self.texture
+            && !(has_colour(self.format) && texture.period_m > 0.0 && texture.period_m.is_finite())
+        {
+            return Err(fault("colours need a format with RGB (2, 3, 5, 7, 8 or 10) and a period above 0".to_owned()));
         }
         let version = self.version.unwrap_or(match self.format {
             0..=3 => (1, 2),
@@ -277,7 +286,8 @@ impl<'a> Stock<'a> {
         let withheld = self.spec.withheld_share > 0.0 && self.rng.unit() < self.spec.withheld_share;
         let index = self.count;
         self.count += 1;
-        Ok(Record { grid, class, withheld, index })
+        let colour = self.spec.texture.map(|texture| texture.at(self.spec.place(grid)));
+        Ok(Record { grid, class, withheld, index, colour })
     }
 
     #[cold]

@@ -5,8 +5,10 @@ mod json;
 mod las;
 mod obj;
 mod record;
+mod texture;
 
 pub use cloud::{CloudFormat, write_clouds};
 pub use json::{truth_json, write_truth_json};
 pub use las::{Chunks, WriteSpec, Written, write_las, write_samples};
 pub use obj::write_triangles_obj;
+pub use texture::Texture;

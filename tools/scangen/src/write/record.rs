@@ -14,11 +14,18 @@ pub(super) struct Record {
     pub class: u8,
     pub withheld: bool,
     pub index: u64,
+    /// Red, green and blue, where the format has them; none for values that mean nothing.
+    pub colour: Option<[u16; 3]>,
 }
 
 /// Length of a record of `format` `[bytes]`; none for an unknown format.
 pub(super) fn record_len(format: u8) -> Option<usize> {
     LENGTHS.get(usize::from(format)).copied()
+}
+
+/// Whether records of `format` have colours.
+pub(super) fn has_colour(format: u8) -> bool {
+    matches!(format, 2 | 3 | 5 | 7 | 8 | 10)
 }
 
 /// ASPRS class of a kind: 7 low noise for what a filter should drop, 1 unclassified otherwise.
@@ -67,7 +74,8 @@ pub(super) fn encode(format: u8, record: &Record, out: &mut [u8]) {
     };
     if let Some((at, bands)) = color {
         for band in 0..bands {
-            out[at + 2 * band..at + 2 * band + 2].copy_from_slice(&(varied << 4).to_le_bytes());
+            let value = record.colour.map_or(varied << 4, |colour| colour.get(band).copied().unwrap_or_default());
+            out[at + 2 * band..at + 2 * band + 2].copy_from_slice(&value.to_le_bytes());
         }
     }
 }

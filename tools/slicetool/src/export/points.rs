@@ -2,9 +2,9 @@
 
 use super::Crs;
 use crate::Failure;
-use crate::show::{BLUES, INFERRED};
+use crate::show::{BLUES, COLOURLESS, INFERRED};
 use e57::{E57Writer, Record, RecordDataType, RecordName, RecordValue};
-use slicewalk::archive::{Archive, PageReader};
+use slicewalk::archive::{Archive, ColourReader, PageReader};
 use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
 use slicewalk::output::Output;
 use std::io::{self, BufWriter, IntoInnerError, Read, Seek, SeekFrom, Write};
@@ -34,7 +34,7 @@ const ROUND_STEPS: f64 = 1e4;
 /// Slice in its page, top of the matter (quanta), and what it is, by number of its colour in [`BLUES`].
 type Voxel = (u32, u8, usize);
 
-/// A voxel as a point: pixel centre, top of the matter in the voxel, colour as in `show`.
+/// A voxel as a point: pixel centre, top of the matter in the voxel, its colour; as in `show` where the archive has none.
 struct VoxelPoint {
     position: [f64; 3],
     colour: [u8; 3],
@@ -61,9 +61,11 @@ fn each_voxel(
     let frame = archive.frame();
     let broken = |error| crate::broken(path, &error);
     let mut pages = PageReader::new(archive);
+    let mut colours = ColourReader::new(archive).map_err(broken)?;
     for entry in archive.entries() {
         let entry = entry.map_err(broken)?;
         let (page, inferred) = pages.page_and_inferred(&entry).map_err(broken)?;
+        let colours = colours.as_mut().map(|colours| colours.colours(&entry)).transpose().map_err(broken)?;
         for (px, py, spans) in page.columns() {
             let mask = inferred.of(px, py);
             let centre = |tile: i32, pixel: u32| {
@@ -72,9 +74,13 @@ fn each_voxel(
             let (x, y) = (centre(entry.key.tx, px), centre(entry.key.ty, py));
             let mut give_voxel = |(slice, top, kind): Voxel| {
                 let floor = frame.bottom_of_slice(i64::from(entry.key.layer) * PAGE_SLICES + i64::from(slice));
+                let colour = match &colours {
+                    Some(colours) => colours.of(px, py, slice).unwrap_or(COLOURLESS),
+                    None => [top, 255, BLUES[kind]],
+                };
                 give(&VoxelPoint {
                     position: [x, y, floor + f64::from(top) * frame.quantum_m()],
-                    colour: [top, 255, BLUES[kind]],
+                    colour,
                     obstacle: kind == 1,
                     inferred: kind == INFERRED,
                 })

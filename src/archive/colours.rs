@@ -1,0 +1,441 @@
+//! Colours: a section of blocks beside the pages, one for each page with coloured voxels (chapter 17).
+//!
+//! The section holds the blocks in the order of their pages, then a *colour leaf* for each directory leaf, which says where the
+//! blocks of its pages lie, then a table of these leaves. Who only collides never reads a byte of it. [`ColourReader`] reads
+//! the colours of one page after another; a program that fetches bytes itself asks a [`Catalog`](super::Catalog) where they lie.
+
+use super::catalog::Catalog;
+use super::directory::PageEntry;
+use super::head::{MAX_LEAF_ENTRIES, MAX_LEAVES};
+use super::page::PageDecoder;
+use super::reader::Archive;
+use super::spill::Spool;
+use crate::codec::{ByteReader, ColourBlock, ColourEncoder, MAX_COLOUR_BLOCK, Packer, Unpacker, Violation, put_varint};
+use crate::colour::ColourPlan;
+use crate::disk::Files;
+use crate::frame::PageKey;
+use crate::slice::{Colours, Occupancy, Page};
+use crate::{Error, Result};
+use std::ops::Range;
+use std::path::Path;
+
+/// Bytes of a leaf's record in the table.
+const LEAF_RECORD: usize = 12;
+/// Least and greatest bytes of an entry of a leaf before compression.
+const MAX_ENTRY: u64 = 5 + 4;
+/// Bytes of an entry while an archive is written: length and checksum.
+const ENTRY: usize = 8;
+
+/// What the head says of colours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColourHead {
+    /// How they were made.
+    pub plan: ColourPlan,
+    /// Voxels with a colour.
+    pub voxels: u64,
+    /// CRC32C of the table of colour leaves.
+    pub(super) table_crc: u32,
+}
+
+/// Colours of a page, ready to be put into an archive; empty if no voxel has one.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct EncodedColours {
+    pub(super) bytes: Vec<u8>,
+    pub(super) voxels: u64,
+}
+
+impl EncodedColours {
+    /// Of exact colours (16 bits a channel) of the voxels of a page, in the order of `occupancy`, as `plan` says.
+    pub fn new(
+        plan: &ColourPlan,
+        occupancy: &Occupancy,
+        colours: &[Option<[u16; 3]>],
+        encoder: &mut ColourEncoder,
+    ) -> Self {
+        match ColourBlock::quantise(colours, plan.error_milli) {
+            Some(block) => Self::of_block(block, occupancy, encoder),
+            None => Self::default(),
+        }
+    }
+
+    /// A block as it is.
+    pub(super) fn of_block(mut block: ColourBlock, occupancy: &Occupancy, encoder: &mut ColourEncoder) -> Self {
+        let mut bytes = Vec::new();
+        block.encode(occupancy, encoder, &mut bytes);
+        Self { voxels: block.count(), bytes }
+    }
+
+    /// Bytes that the colours take.
+    pub fn len_bytes(&self) -> usize {
+        self.bytes.len()
+    }
+}
+
+/// Checksum of a block: of its page's key, then of its bytes.
+fn block_crc(key: PageKey, bytes: &[u8]) -> u32 {
+    let key = [key.tx, key.ty, key.layer].map(i32::to_le_bytes);
+    crc32c::crc32c_append(crc32c::crc32c(key.as_flattened()), bytes)
+}
+
+/// The colours of an archive that is being written: they wait until its pages are complete.
+///
+/// Memory: 512 KiB; the rest waits in temporary files beside the archive.
+#[derive(Debug)]
+pub(super) struct ColourWriter {
+    pub plan: ColourPlan,
+    blocks: Spool,
+    entries: Spool,
+    voxels: u64,
+}
+
+impl ColourWriter {
+    /// Temporary files lie beside `target`.
+    pub fn new(plan: ColourPlan, files: &Files, target: &Path) -> Self {
+        Self { plan, blocks: Spool::new(files, target), entries: Spool::new(files, target), voxels: 0 }
+    }
+
+    /// Adds the colours of the next page.
+    pub fn add(&mut self, key: PageKey, colours: &EncodedColours) -> Result<()> {
+        let mut entry = [0; ENTRY];
+        if !colours.bytes.is_empty() {
+            entry[..4].copy_from_slice(&(colours.bytes.len() as u32).to_le_bytes());
+            entry[4..].copy_from_slice(&block_crc(key, &colours.bytes).to_le_bytes());
+            self.blocks.push(&colours.bytes)?;
+            self.voxels += colours.voxels;
+        }
+        self.entries.push(&entry)
+    }
+
+    /// Gives all bytes of the section, in order, where each directory leaf but the last has `leaf_entries` entries; what the
+    /// head says of it, and its length (bytes).
+    pub fn finish(self, leaf_entries: u32, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<(ColourHead, u64)> {
+        let mut len = self.blocks.len();
+        self.blocks.read(give)?;
+        let (mut table, mut base, mut packer) = (Vec::new(), 0u64, Packer::new());
+        let mut entries: Vec<u8> = Vec::new();
+        let mut leaf = |entries: &[u8], give: &mut dyn FnMut(&[u8]) -> Result<()>| -> Result<()> {
+            let (raw, mut stored) = (encode_leaf(entries, &mut base), Vec::new());
+            packer.pack(&raw, &mut stored);
+            for value in [stored.len() as u32, raw.len() as u32, crc32c::crc32c(&stored)] {
+                table.extend(value.to_le_bytes());
+            }
+            len += stored.len() as u64;
+            give(&stored)
+        };
+        let whole = leaf_entries as usize * ENTRY;
+        self.entries.read(&mut |bytes| {
+            entries.extend_from_slice(bytes);
+            while entries.len() >= whole {
+                leaf(&entries[..whole], give)?;
+                entries.drain(..whole);
+            }
+            Ok(())
+        })?;
+        if !entries.is_empty() {
+            leaf(&entries, give)?;
+        }
+        give(&table)?;
+        let head = ColourHead { plan: self.plan, voxels: self.voxels, table_crc: crc32c::crc32c(&table) };
+        Ok((head, len + table.len() as u64))
+    }
+}
+
+/// The content of a leaf: where its blocks begin, their lengths, their checksums.
+fn encode_leaf(entries: &[u8], base: &mut u64) -> Vec<u8> {
+    let (entries, _) = entries.as_chunks::<ENTRY>();
+    let len = |entry: &[u8; ENTRY]| u32::from_le_bytes([entry[0], entry[1], entry[2], entry[3]]);
+    let mut raw = Vec::new();
+    put_varint(&mut raw, *base);
+    for entry in entries {
+        put_varint(&mut raw, u64::from(len(entry)));
+        *base += u64::from(len(entry));
+    }
+    entries.iter().filter(|entry| len(entry) > 0).for_each(|entry| raw.extend(&entry[4..]));
+    raw
+}
+
+/// Where the colours of a page lie.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColourEntry {
+    /// First byte (bytes from the start of the archive).
+    pub offset: u64,
+    /// Length (bytes); 0 if no voxel of the page has a colour.
+    pub len: u32,
+    /// CRC32C of the page's key and the block.
+    pub(super) crc: u32,
+}
+
+impl ColourEntry {
+    /// The bytes of the block.
+    pub fn range(&self) -> Range<u64> {
+        self.offset..self.offset + u64::from(self.len)
+    }
+
+    /// The block of page `key`, whose voxels are those of `occupancy`, from its bytes (rules K4 to K7).
+    pub(super) fn block(&self, key: PageKey, occupancy: &Occupancy, bytes: &[u8]) -> Result<ColourBlock, Violation> {
+        let crc = block_crc(key, bytes);
+        if bytes.len() != self.len as usize || crc != self.crc {
+            let expected = format!("{} bytes of checksum {:08x}", self.len, self.crc);
+            return Err(Violation::new("K4", expected, format!("{} of {crc:08x}", bytes.len())));
+        }
+        ColourBlock::decode(bytes, occupancy)
+    }
+
+    /// The colours of page `key` from the bytes of their [`range`](Self::range). The page is the one with inferred matter,
+    /// if the archive has some ([`Catalog::ignores_inferred`]). Errors of the [`Format`](Error::Format) family name the broken rule.
+    pub fn decode(&self, key: PageKey, page: &Page, bytes: &[u8]) -> Result<Colours> {
+        let occupancy = Occupancy::of(page);
+        if self.len == 0 {
+            let none = vec![[0; 4]; occupancy.len()];
+            return Ok(Colours::new(occupancy, none).unwrap_or_default());
+        }
+        let block = self.block(key, &occupancy, bytes).map_err(|violation| self.broken(key, violation))?;
+        Ok(block.colours(occupancy).unwrap_or_default())
+    }
+
+    pub(super) fn broken(&self, key: PageKey, violation: Violation) -> Error {
+        violation.at(format!("colours of page {key}"), self.offset)
+    }
+}
+
+/// The colour leaves of an archive.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ColourTable {
+    leaves: Vec<ColourLeaf>,
+}
+
+/// A colour leaf as the table tells of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct ColourLeaf {
+    offset: u64,
+    stored_len: u32,
+    raw_len: u32,
+    crc: u32,
+}
+
+impl ColourTable {
+    /// Where the leaf of directory leaf `index` lies.
+    pub fn leaf_range(&self, index: usize) -> Range<u64> {
+        let leaf = &self.leaves[index];
+        leaf.offset..leaf.offset + u64::from(leaf.stored_len)
+    }
+}
+
+impl Catalog {
+    /// Where all colours lie; `None` if the archive has none.
+    pub fn colours_section(&self) -> Option<Range<u64>> {
+        let header = self.header();
+        header.colours.map(|_| header.colours_offset()..header.levels_offset())
+    }
+
+    /// Where the table of colour leaves lies, at most 6 KiB; `None` if the archive has no colours.
+    pub fn colour_table_range(&self) -> Option<Range<u64>> {
+        let end = self.colours_section()?.end;
+        Some(end - (self.leaf_count() * LEAF_RECORD) as u64..end)
+    }
+
+    /// The table from the bytes of its range (rule K2).
+    pub fn decode_colour_table(&self, bytes: &[u8]) -> Result<ColourTable> {
+        let at = self.colour_table_range().map_or(0, |range| range.start);
+        self.colour_table(bytes).map_err(|violation| violation.at("table of colours", at))
+    }
+
+    fn colour_table(&self, bytes: &[u8]) -> Result<ColourTable, Violation> {
+        let (Some(head), Some(range)) = (self.header().colours, self.colour_table_range()) else {
+            return Err(Violation::new("K2", "an archive with colours", "one without"));
+        };
+        let crc = crc32c::crc32c(bytes);
+        if bytes.len() as u64 != range.end - range.start || crc != head.table_crc {
+            return Err(Violation::new("K2", format!("checksum {:08x}", head.table_crc), format!("{crc:08x}")));
+        }
+        let mut reader = ByteReader::new(bytes, "K2");
+        let mut leaves = Vec::with_capacity(self.leaf_count());
+        for index in 0..self.leaf_count() {
+            let [stored_len, raw_len, crc] = [reader.u32()?, reader.u32()?, reader.u32()?];
+            let most = max_raw_len(self.leaf_entries(index));
+            if u64::from(raw_len) > most {
+                return Err(Violation::new("K2", format!("colour leaves of at most {most} bytes"), raw_len));
+            }
+            leaves.push(ColourLeaf { offset: 0, stored_len, raw_len, crc });
+        }
+        // Leaves lie one after the other, before the table.
+        let section = self.header().colours_offset();
+        let mut end = range.start;
+        for leaf in leaves.iter_mut().rev() {
+            let start = end.checked_sub(u64::from(leaf.stored_len)).filter(|&start| start >= section);
+            end = start.ok_or_else(|| Violation::new("K2", "colour leaves inside their section", leaf.stored_len))?;
+            leaf.offset = end;
+        }
+        Ok(ColourTable { leaves })
+    }
+
+    /// Where the blocks of the pages of directory leaf `index` lie, in the order of its entries, from the bytes of the
+    /// leaf's range (rules K3 and K4).
+    pub fn decode_colour_leaf(&self, table: &ColourTable, index: usize, stored: &[u8]) -> Result<Vec<ColourEntry>> {
+        let leaf = table.leaves[index];
+        self.colour_leaf(table, index, stored)
+            .map_err(|violation| violation.at(format!("colour leaf {index}"), leaf.offset))
+    }
+
+    fn colour_leaf(&self, table: &ColourTable, index: usize, stored: &[u8]) -> Result<Vec<ColourEntry>, Violation> {
+        let leaf = table.leaves[index];
+        let crc = crc32c::crc32c(stored);
+        if crc != leaf.crc {
+            return Err(Violation::new("K3", format!("checksum {:08x}", leaf.crc), format!("{crc:08x}")));
+        }
+        let mut unpacker = Unpacker::new();
+        let content = unpacker.unpack(stored, leaf.raw_len as usize, "K3")?;
+        if content.len() != leaf.raw_len as usize {
+            return Err(Violation::new("K3", format!("{} bytes in the frame", leaf.raw_len), content.len()));
+        }
+        let mut reader = ByteReader::new(content, "K3");
+        let section = self.header().colours_offset();
+        // Blocks end where leaves begin.
+        let end = table.leaves.first().map_or(section, |first| first.offset);
+        let outside = || Violation::new("K4", format!("blocks in bytes {section} to {end}"), "one outside");
+        let mut at = section.checked_add(reader.varint()?).filter(|&at| at <= end).ok_or_else(outside)?;
+        let mut entries = Vec::with_capacity(self.leaf_entries(index) as usize);
+        for _ in 0..self.leaf_entries(index) {
+            let len = reader.varint()?;
+            if len > MAX_COLOUR_BLOCK as u64 || len > end - at {
+                return Err(outside());
+            }
+            entries.push(ColourEntry { offset: at, len: len as u32, crc: 0 });
+            at += len;
+        }
+        for entry in entries.iter_mut().filter(|entry| entry.len > 0) {
+            entry.crc = reader.u32()?;
+        }
+        if !reader.is_empty() {
+            return Err(Violation::new("K3", "no byte behind the checksums", format!("{} more", reader.len())));
+        }
+        Ok(entries)
+    }
+}
+
+/// Greatest length of a colour leaf of so many entries before compression (bytes).
+fn max_raw_len(entries: u32) -> u64 {
+    10 + u64::from(entries) * MAX_ENTRY
+}
+
+const _: () = assert!(10 + MAX_LEAF_ENTRIES as u64 * MAX_ENTRY < u32::MAX as u64 && MAX_LEAVES * LEAF_RECORD <= 6144);
+
+/// Reads the colours of pages. Memory: one directory leaf with its colour leaf, and a page.
+#[derive(Debug)]
+pub struct ColourReader {
+    archive: Archive,
+    table: ColourTable,
+    decoder: PageDecoder,
+    occupancy: Occupancy,
+    bytes: Vec<u8>,
+    /// Number of the leaf at hand, its keys, and where their colours lie.
+    leaf: Option<(usize, Vec<PageKey>, Vec<ColourEntry>)>,
+}
+
+impl ColourReader {
+    /// A reader of the colours of `archive`; `None` if it has none. One read.
+    pub fn new(archive: &Archive) -> Result<Option<Self>> {
+        let Some(range) = archive.catalog().colour_table_range() else { return Ok(None) };
+        let archive = archive.whole();
+        let table = archive.catalog().decode_colour_table(&read(&archive, range)?)?;
+        let (decoder, occupancy) = (PageDecoder::new(), Occupancy::default());
+        Ok(Some(Self { archive, table, decoder, occupancy, bytes: Vec::new(), leaf: None }))
+    }
+
+    /// The colours of the page of an entry of the archive. Up to four reads: directory leaf and colour leaf, which are
+    /// kept for the next page, the page and its colours.
+    pub fn colours(&mut self, entry: &PageEntry) -> Result<Colours> {
+        let place = self.find(entry.key)?;
+        let page = self.archive.page_with(entry, &mut self.decoder)?;
+        self.decode(&place, entry.key, &page)
+    }
+
+    /// As [`colours`](Self::colours), where the page is at hand: with its inferred matter.
+    pub fn colours_of(&mut self, key: PageKey, page: &Page) -> Result<Colours> {
+        let place = self.find(key)?;
+        self.decode(&place, key, page)
+    }
+
+    fn decode(&mut self, place: &ColourEntry, key: PageKey, page: &Page) -> Result<Colours> {
+        self.fetch(place)?;
+        place.decode(key, page, &self.bytes)
+    }
+
+    /// Where the colours of page `key` lie.
+    pub fn find(&mut self, key: PageKey) -> Result<ColourEntry> {
+        let unknown = || Error::parameter(format!("page {key}"), "the archive has no such page");
+        let index = self.archive.leaf_of(key).ok_or_else(unknown)?;
+        if self.leaf.as_ref().is_none_or(|leaf| leaf.0 != index) {
+            let keys = self.archive.leaf(index)?.into_iter().map(|entry| entry.key).collect();
+            self.leaf = Some((index, keys, self.leaf_entries(index)?));
+        }
+        let Some((_, keys, entries)) = &self.leaf else { return Err(unknown()) };
+        let at = keys.binary_search(&key).map_err(|_| unknown())?;
+        entries.get(at).copied().ok_or_else(unknown)
+    }
+
+    /// Where the colours of the pages of directory leaf `index` lie. One read.
+    pub(super) fn leaf_entries(&self, index: usize) -> Result<Vec<ColourEntry>> {
+        let stored = read(&self.archive, self.table.leaf_range(index))?;
+        self.archive.catalog().decode_colour_leaf(&self.table, index, &stored)
+    }
+
+    /// Where the blocks end.
+    pub(super) fn blocks_end(&self) -> u64 {
+        let first = self.table.leaves.first();
+        first.map_or(self.archive.header().colours_offset(), |first| first.offset)
+    }
+
+    fn fetch(&mut self, place: &ColourEntry) -> Result<()> {
+        self.bytes.resize(place.len as usize, 0);
+        if place.len > 0 {
+            self.archive.source().read_at(place.offset, &mut self.bytes)?;
+        }
+        Ok(())
+    }
+
+    /// The block at `place` of page `key`, whose content is `page`, as it lies there; `None` if it has no colours.
+    pub(super) fn block(&mut self, place: &ColourEntry, key: PageKey, page: &Page) -> Result<Option<ColourBlock>> {
+        if place.len == 0 {
+            return Ok(None);
+        }
+        self.fetch(place)?;
+        self.occupancy.set(page);
+        let block = place.block(key, &self.occupancy, &self.bytes);
+        block.map(Some).map_err(|violation| place.broken(key, violation))
+    }
+
+    /// The colours of page `key`, whose content is `page`, for another archive; they are decoded to be checked.
+    pub(super) fn copied(&mut self, key: PageKey, page: &Page) -> Result<EncodedColours> {
+        let place = self.find(key)?;
+        let Some(block) = self.block(&place, key, page)? else { return Ok(EncodedColours::default()) };
+        Ok(EncodedColours { bytes: self.bytes.clone(), voxels: block.count() })
+    }
+
+    /// Whether the block read last has the one encoding of its content (rule K9).
+    pub(super) fn is_canonical(&self, block: ColourBlock, encoder: &mut ColourEncoder) -> bool {
+        EncodedColours::of_block(block, &self.occupancy, encoder).bytes == self.bytes
+    }
+
+    /// The colours of those voxels of `page` that `part`, cut from it, has as well.
+    pub(super) fn part(
+        &mut self,
+        key: PageKey,
+        page: &Page,
+        part: &Page,
+        encoder: &mut ColourEncoder,
+    ) -> Result<EncodedColours> {
+        let place = self.find(key)?;
+        let Some(block) = self.block(&place, key, page)? else { return Ok(EncodedColours::default()) };
+        let occupancy = Occupancy::of(part);
+        let cut = block.part(&self.occupancy, &occupancy);
+        Ok(cut.map_or_else(EncodedColours::default, |cut| EncodedColours::of_block(cut, &occupancy, encoder)))
+    }
+}
+
+/// The bytes of `range`, whose length a rule of the format bounds.
+fn read(archive: &Archive, range: Range<u64>) -> Result<Vec<u8>> {
+    let mut bytes = vec![0; (range.end - range.start) as usize];
+    archive.source().read_at(range.start, &mut bytes)?;
+    Ok(bytes)
+}

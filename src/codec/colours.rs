@@ -1,0 +1,467 @@
+//! Colours of the voxels of a page as bytes (specification, chapter 17).
+//!
+//! A colour is three numbers of steps: of luma, and of two differences of channels (the reversible YCoCg of Malvar and Sullivan,
+//! 2003). Each is predicted from voxels around that are coded already, and what is left is coded with adaptive models. A
+//! block states its steps; the writer takes the widest ones whose mean difference from the exact colours, in CIELAB, stays
+//! within the error that was asked for. Steps of 1 keep 8-bit colours as they are.
+
+use super::rans::{Bit, Coder, Nibble, RansDecoder, RansEncoder};
+use super::{MAX_PAGE_SPANS, Violation, unzigzag, zigzag};
+use crate::colour::{LabTable, difference, to_8_bits};
+use crate::slice::{Colours, Occupancy};
+
+/// First byte of a block: its model.
+const MODEL: u8 = 1;
+/// Bytes of a block before its symbols.
+const LEAD: usize = 4;
+/// Most symbols of a voxel: whether it has a colour, and for each number a nibble, its bits, and the bits themselves.
+const VOXEL_SYMBOLS: usize = 1 + 3 * 3;
+/// Greatest length of a block (bytes): a page has no more voxels than it could have spans.
+pub const MAX_COLOUR_BLOCK: usize = LEAD + 4 + 2 * VOXEL_SYMBOLS * MAX_PAGE_SPANS;
+/// Greatest difference of channels, and greatest luma.
+const GREATEST: i32 = 255;
+/// In place of luma: no colour.
+const ABSENT: i16 = i16::MIN;
+/// Widest steps of luma that are tried.
+const MOST_STEP: u8 = 48;
+
+/// Number of models of each kind of number.
+const CONTEXTS: usize = 24;
+
+#[derive(Clone)]
+struct Models {
+    present: [Bit; 4],
+    number: [[Nibble; CONTEXTS]; 3],
+    long: [Nibble; 3],
+}
+
+/// Weights of a residual in places around which neighbours differ by more and more.
+const fn falling(shift: u32) -> Nibble {
+    let mut weights = [1u16; 16];
+    let mut at = 0;
+    while at < 15 {
+        // Halves every 2^shift symbols.
+        weights[at] = 1 + (4096 >> (at as u32 >> shift)) as u16;
+        at += 1;
+    }
+    weights[15] = 1 + (weights[14] >> 1);
+    Nibble::new(weights)
+}
+
+const CONTEXT_MODELS: [Nibble; CONTEXTS] = {
+    let mut models = [const { falling(0) }; CONTEXTS];
+    let mut at = 0;
+    while at < CONTEXTS {
+        models[at] = match at % 8 {
+            0 | 1 => falling(0),
+            2..=4 => falling(1),
+            _ => falling(2),
+        };
+        at += 1;
+    }
+    models
+};
+
+const FRESH: Models = Models {
+    present: [const { Bit::new(31 << 10) }; 4],
+    number: [const { CONTEXT_MODELS }; 3],
+    long: [const { Nibble::new([8, 8, 8, 8, 4, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]) }; 3],
+};
+
+/// The content of a block.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ColourBlock {
+    /// Quanta of a step of luma and of the two differences, each at least 1.
+    steps: [u8; 3],
+    /// Numbers of steps, in order of voxels; the first is [`ABSENT`] where there is no colour.
+    values: Vec<[i16; 3]>,
+}
+
+/// The steps that go with a step of luma. One step of each makes about the same difference in CIELAB.
+fn steps_for(luma: u8) -> [u8; 3] {
+    let n = u32::from(luma);
+    [luma, ((n * 9 + 4) / 8).max(1) as u8, ((n * 5 + 4) / 8).max(1) as u8]
+}
+
+/// `value / step`, rounded to the nearest.
+#[inline]
+fn nearest(value: i32, step: i32) -> i16 {
+    ((value.abs() + step / 2) / step * value.signum()) as i16
+}
+
+/// The 8-bit colour of luma and differences.
+#[inline]
+fn rgb_of([y, co, cg]: [i32; 3]) -> [u8; 3] {
+    let t = y - (cg >> 1);
+    let g = cg + t;
+    let b = t - (co >> 1);
+    [b + co, g, b].map(|channel| channel.clamp(0, GREATEST) as u8)
+}
+
+/// Luma and differences of an 8-bit colour; [`rgb_of`] gives it back.
+#[inline]
+fn ycocg([r, g, b]: [u8; 3]) -> [i32; 3] {
+    let [r, g, b] = [r, g, b].map(i32::from);
+    let co = r - b;
+    let t = b + (co >> 1);
+    let cg = g - t;
+    [t + (cg >> 1), co, cg]
+}
+
+/// Quantises one 16-bit colour.
+#[inline]
+fn quantised(colour: [u16; 3], steps: [u8; 3]) -> [i16; 3] {
+    if steps == [1; 3] {
+        return ycocg(colour.map(to_8_bits)).map(|value| value as i16);
+    }
+    // The same in 257ths, of which no halves are lost.
+    let [r, g, b] = colour.map(i32::from);
+    let all = [(r + 2 * g + b + 2) / 4, r - b, g - (r + b) / 2];
+    std::array::from_fn(|at| nearest(all[at], 257 * i32::from(steps[at])))
+}
+
+/// The colour of numbers of steps.
+#[inline]
+fn restored(value: [i16; 3], steps: [u8; 3]) -> [u8; 3] {
+    rgb_of(std::array::from_fn(|at| i32::from(value[at]) * i32::from(steps[at])))
+}
+
+impl ColourBlock {
+    /// Of exact colours (16 bits a channel) of voxels in order, with steps whose mean difference from them is at most
+    /// `error_milli` thousandths of ΔE*ab, or those of 8 bits where none wider are. `None` if there is no colour.
+    ///
+    /// Cost: about seven times a look at each voxel.
+    pub fn quantise(colours: &[Option<[u16; 3]>], error_milli: u16) -> Option<Self> {
+        let table = LabTable::get();
+        let exact: Vec<_> = colours.iter().flatten().map(|&colour| (colour, table.of_16_bits(colour))).collect();
+        if exact.is_empty() {
+            return None;
+        }
+        let most = f64::from(error_milli) / 1000.0 * exact.len() as f64;
+        let fits = |luma: u8| {
+            let steps = steps_for(luma);
+            let mut sum = 0.0;
+            for &(colour, lab) in &exact {
+                let found = table.of_8_bits(restored(quantised(colour, steps), steps));
+                sum += f64::from(difference(found, lab));
+            }
+            sum <= most
+        };
+        let (mut low, mut high) = (1, if error_milli == 0 { 1 } else { MOST_STEP });
+        // The widest that fits, where wider ones err more; one that fits in any case.
+        while low < high {
+            let middle = (low + high).div_ceil(2);
+            if fits(middle) { low = middle } else { high = middle - 1 }
+        }
+        let steps = steps_for(low);
+        let value = |colour: &Option<[u16; 3]>| colour.map_or([ABSENT, 0, 0], |colour| quantised(colour, steps));
+        Some(Self { steps, values: colours.iter().map(value).collect() })
+    }
+
+    /// The numbers of those voxels of `occupancy` that `part` has as well, for a page cut from this one.
+    pub fn part(&self, occupancy: &Occupancy, part: &Occupancy) -> Option<Self> {
+        let value = |(pixel, k)| {
+            let number = occupancy.find(pixel, k)?;
+            self.values.get(number).copied()
+        };
+        let values: Vec<_> = part.voxels().map(|voxel| value(voxel).unwrap_or([ABSENT, 0, 0])).collect();
+        values.iter().any(|value| value[0] != ABSENT).then_some(Self { steps: self.steps, values })
+    }
+
+    /// Number of voxels with a colour.
+    pub fn count(&self) -> u64 {
+        self.values.iter().filter(|value| value[0] != ABSENT).count() as u64
+    }
+
+    /// The colours.
+    pub fn colours(&self, occupancy: Occupancy) -> Option<Colours> {
+        let colour = |&value: &[i16; 3]| {
+            let [r, g, b] = restored(value, self.steps);
+            if value[0] == ABSENT { [0; 4] } else { [r, g, b, 255] }
+        };
+        Colours::new(occupancy, self.values.iter().map(colour).collect())
+    }
+
+    /// Appends the bytes of the block, whose voxels are those of `occupancy`.
+    pub fn encode(&mut self, occupancy: &Occupancy, encoder: &mut ColourEncoder, out: &mut Vec<u8>) {
+        debug_assert_eq!(occupancy.len(), self.values.len());
+        out.push(MODEL);
+        out.extend(self.steps);
+        encoder.rans.clear();
+        walk(occupancy, self.steps, &mut self.values, &mut encoder.rans);
+        encoder.rans.finish(out);
+    }
+
+    /// The block of a page with these voxels from its bytes; rules K5 to K7 are checked.
+    pub fn decode(bytes: &[u8], occupancy: &Occupancy) -> Result<Self, Violation> {
+        let Some((&[model, a, b, c], coded)) = bytes.split_first_chunk::<LEAD>() else {
+            return Err(Violation::new("K5", "a model and three steps", format!("{} bytes", bytes.len())));
+        };
+        let steps = [a, b, c];
+        if model != MODEL || steps.contains(&0) {
+            let found = format!("model {model}, steps {steps:?}");
+            return Err(Violation::new("K5", "model 1 and steps of 1 to 255", found));
+        }
+        let mut decoder = RansDecoder::new(coded, "K6")?;
+        let mut values = vec![[ABSENT, 0, 0]; occupancy.len()];
+        let sound = walk(occupancy, steps, &mut values, &mut decoder);
+        decoder.finish("K6")?;
+        if !sound || values.iter().all(|value| value[0] == ABSENT) {
+            return Err(Violation::new(
+                "K7",
+                "numbers of steps within the range of colours, and some colour",
+                "others",
+            ));
+        }
+        Ok(Self { steps, values })
+    }
+}
+
+/// Encodes blocks; keeps its scratch.
+#[derive(Debug, Default)]
+pub struct ColourEncoder {
+    rans: RansEncoder,
+}
+
+/// What is known around a voxel.
+#[derive(Default)]
+struct Near {
+    weight: i32,
+    sum: [i32; 3],
+    least: [i32; 3],
+    most: [i32; 3],
+    count: usize,
+}
+
+impl Near {
+    #[inline]
+    fn add(&mut self, value: [i16; 3], weight: i32) {
+        for (at, value) in value.into_iter().enumerate() {
+            let value = i32::from(value);
+            self.sum[at] += weight * value;
+            self.least[at] = if self.count == 0 { value } else { self.least[at].min(value) };
+            self.most[at] = if self.count == 0 { value } else { self.most[at].max(value) };
+        }
+        self.weight += weight;
+        self.count += 1;
+    }
+}
+
+/// Class of a spread between neighbours, 0 to 7.
+#[inline]
+fn class(spread: i32) -> usize {
+    const CLASSES: [u8; 12] = [0, 1, 2, 3, 3, 4, 4, 5, 5, 5, 6, 6];
+    CLASSES.get(spread as usize).map_or(7, |&class| usize::from(class))
+}
+
+/// Goes through the voxels with a coder, which reads or writes `values`; whether all numbers are within their range.
+fn walk<C: Coder>(occupancy: &Occupancy, steps: [u8; 3], values: &mut [[i16; 3]], coder: &mut C) -> bool {
+    let mut models = Box::new(FRESH);
+    let mut sound = true;
+    let most = steps.map(|step| (GREATEST + i32::from(step) / 2) / i32::from(step));
+    let mut last = [(128 / i32::from(steps[0])) as i16, 0, 0];
+    let mut present = [true; 2];
+    for pixel in 0..64 * 64usize {
+        let (mut mask, first) = occupancy.pixel(pixel);
+        if mask == 0 {
+            continue;
+        }
+        let (px, py) = (pixel & 63, pixel >> 6);
+        // West, north, north-west, north-east, with their weights.
+        let none = (0, 0);
+        let around = [
+            (if px > 0 { occupancy.pixel(pixel - 1) } else { none }, 3),
+            (if py > 0 { occupancy.pixel(pixel - 64) } else { none }, 3),
+            (if px > 0 && py > 0 { occupancy.pixel(pixel - 65) } else { none }, 1),
+            (if px < 63 && py > 0 { occupancy.pixel(pixel - 63) } else { none }, 2),
+        ];
+        let mut below: Option<(u32, [i16; 3])> = None;
+        let mut at = first;
+        while mask != 0 {
+            let k = mask.trailing_zeros();
+            mask &= mask - 1;
+            let number = at;
+            at += 1;
+            let Some(&value) = values.get(number) else { return false };
+            let context = usize::from(present[0]) << 1 | usize::from(present[1]);
+            let is_present = coder.bit(&mut models.present[context], value[0] != ABSENT);
+            present = [is_present, present[0]];
+            if !is_present {
+                values[number] = [ABSENT, 0, 0];
+                continue;
+            }
+            let mut near = Near::default();
+            if let Some((_, value)) = below.filter(|below| below.0 + 1 == k) {
+                near.add(value, 3);
+            }
+            for ((their_mask, their_first), weight) in around {
+                // The voxel beside this one, else the one below that, else the one above.
+                for slice in [k, k.wrapping_sub(1), k + 1] {
+                    if slice < 64 && their_mask >> slice & 1 == 1 {
+                        let rank = (their_mask & ((1u64 << slice) - 1)).count_ones() as usize;
+                        let value = values[their_first + rank];
+                        if value[0] != ABSENT {
+                            near.add(value, weight);
+                            break;
+                        }
+                    }
+                }
+            }
+            if near.count == 0 {
+                near.add(below.map_or(last, |below| below.1), 1);
+                near.count = 0;
+            }
+            let mut coded = value;
+            let mut before = 0;
+            for channel in 0..3 {
+                let expected = (2 * near.sum[channel] + near.weight).div_euclid(2 * near.weight);
+                let spread = match near.count {
+                    0 => 7,
+                    1 => 5,
+                    _ => class(near.most[channel] - near.least[channel]),
+                };
+                let context = spread + 8 * if channel == 0 { near.count.saturating_sub(1).min(2) } else { before };
+                let residual = i32::from(coded[channel]) - expected;
+                let folded = coder_number(coder, &mut models, channel, context, zigzag(i64::from(residual)) as u32);
+                let found = expected + unzigzag(u64::from(folded)) as i32;
+                before = (folded as usize).div_ceil(2).min(2);
+                let least = if channel == 0 { 0 } else { -most[channel] };
+                sound &= (least..=most[channel]).contains(&found);
+                coded[channel] = found.clamp(least, most[channel]) as i16;
+            }
+            values[number] = coded;
+            below = Some((k, coded));
+            last = coded;
+        }
+    }
+    sound
+}
+
+/// A number that is mostly small.
+#[inline]
+fn coder_number<C: Coder>(coder: &mut C, models: &mut Models, channel: usize, context: usize, value: u32) -> u32 {
+    let short = coder.nibble(&mut models.number[channel][context], value.min(15));
+    if short < 15 {
+        return short;
+    }
+    // One more than the rest has its highest bit at `bits`.
+    let rest = value.wrapping_sub(15).wrapping_add(1);
+    let bits = coder.nibble(&mut models.long[channel], 31 - rest.max(1).leading_zeros().min(31)).min(12);
+    let low = if bits > 0 { coder.raw(bits, rest & ((1 << bits) - 1)) } else { 0 };
+    15 + (1 << bits | low) - 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slice::{PageBuilder, Span};
+    use proptest::prelude::*;
+
+    fn occupancy(columns: impl IntoIterator<Item = ((u32, u32), (u32, u32))>) -> Occupancy {
+        let mut builder = PageBuilder::default();
+        for ((px, py), (bottom, height)) in columns {
+            let span = Span::new(bottom, (bottom + height).min(16320), false).unwrap();
+            assert!(builder.set_column(px, py, &[span]));
+        }
+        Occupancy::of(&builder.build())
+    }
+
+    fn mean_error(colours: &[Option<[u16; 3]>], found: &Colours) -> f64 {
+        let table = LabTable::get();
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (exact, (.., found)) in colours.iter().zip(found.voxels()) {
+            assert_eq!(exact.is_some(), found.is_some());
+            if let (Some(exact), Some(found)) = (exact, found) {
+                sum += f64::from(difference(table.of_16_bits(*exact), table.of_8_bits(found)));
+                count += 1.0;
+            }
+        }
+        sum / count
+    }
+
+    fn code(block: &mut ColourBlock, occupancy: &Occupancy) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        block.encode(occupancy, &mut ColourEncoder::default(), &mut bytes);
+        assert!(bytes.len() <= MAX_COLOUR_BLOCK);
+        bytes
+    }
+
+    fn any_columns() -> impl Strategy<Value = std::collections::BTreeMap<(u32, u32), (u32, u32)>> {
+        proptest::collection::btree_map((0u32..64, 0u32..64), (0u32..16000, 0u32..2000), 1..80)
+    }
+
+    proptest! {
+        #[test]
+        fn blocks_come_back_and_stay_within_their_error(
+            columns in any_columns(), seed: u64, smooth: bool, error_milli in prop_oneof![Just(0u16), Just(2000), 300u16..9000]
+        ) {
+            let occupancy = occupancy(columns);
+            let mut state = seed | 1;
+            let mut random = || {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                (state >> 33) as u32
+            };
+            let colours: Vec<Option<[u16; 3]>> = occupancy.voxels().map(|(pixel, k)| {
+                let base = (pixel as u32 * 7 + k * 300) % 40_000;
+                let colour = std::array::from_fn(|at| match smooth {
+                    true => (base + at as u32 * 3000 + random() % 2500) as u16,
+                    false => random() as u16,
+                });
+                (random() % 9 > 0).then_some(colour)
+            }).collect();
+            let Some(mut block) = ColourBlock::quantise(&colours, error_milli) else {
+                prop_assert!(colours.iter().all(Option::is_none));
+                return Ok(());
+            };
+            let before = block.clone();
+            let bytes = code(&mut block, &occupancy);
+            prop_assert_eq!(&block, &before);
+            prop_assert_eq!(&ColourBlock::decode(&bytes, &occupancy).unwrap(), &block);
+            let found = block.colours(occupancy.clone()).unwrap();
+            prop_assert_eq!(found.count(), block.count());
+            let error = mean_error(&colours, &found);
+            // Where 8 bits are not enough, those are taken.
+            prop_assert!(block.steps == [1; 3] || error <= f64::from(error_milli) / 1000.0 + 1e-4, "{}", error);
+            if error_milli == 0 {
+                for (exact, (.., found)) in colours.iter().zip(found.voxels()) {
+                    prop_assert_eq!(exact.map(|exact| exact.map(to_8_bits)), found);
+                }
+            }
+            // Bytes that nobody vouches for end in an error or in some block.
+            let mut damaged = bytes.clone();
+            let at = random() as usize % damaged.len();
+            damaged[at] ^= 1 << (random() % 8);
+            let _ = ColourBlock::decode(&damaged, &occupancy);
+            prop_assert!(ColourBlock::decode(&bytes[..bytes.len() - 1], &occupancy).is_err());
+        }
+
+        #[test]
+        fn any_bytes_are_refused_or_decoded(columns in any_columns(), bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+            let occupancy = occupancy(columns);
+            if let Ok(block) = ColourBlock::decode(&[&[1, 3, 4, 2][..], &bytes].concat(), &occupancy) {
+                prop_assert!(block.count() > 0);
+            }
+        }
+
+        #[test]
+        fn luma_and_differences_are_reversible(rgb: [u8; 3]) {
+            prop_assert_eq!(rgb_of(ycocg(rgb)), rgb);
+        }
+    }
+
+    #[test]
+    fn parts_keep_the_colours_of_their_voxels() {
+        let whole = occupancy((0..40).map(|at| ((at, 3), (at * 100, 900))));
+        let part = occupancy((10..20).map(|at| ((at, 3), (at * 100, 300))));
+        let colours: Vec<_> =
+            whole.voxels().map(|(pixel, k)| Some([(pixel * 900) as u16, (k * 1000) as u16, 5])).collect();
+        let block = ColourBlock::quantise(&colours, 2000).unwrap();
+        let cut = block.part(&whole, &part).unwrap();
+        let (all, some) = (block.colours(whole).unwrap(), cut.colours(part.clone()).unwrap());
+        for (pixel, k) in part.voxels() {
+            let (px, py) = (pixel as u32 & 63, pixel as u32 >> 6);
+            assert_eq!(some.of(px, py, k), all.of(px, py, k));
+            assert!(some.of(px, py, k).is_some());
+        }
+    }
+}

@@ -1,0 +1,341 @@
+//! Colours of voxels: where they come from, exact sums, sRGB and CIELAB.
+//!
+//! A colour is the mean of the values of a voxel's points, by exact integer sums, so that no order, thread or part changes it.
+//! Values of the input become 16-bit sRGB by one [`ColourScale`] for the whole input: RGB as it stands (8 or 16 bits), intensity
+//! stretched between two of its quantiles, classes by a palette.
+//!
+//! Differences are CIE 1976 ΔE*ab under D65. All of it is integers, or `f32` and `f64` with `+ − × ÷` and square roots alone,
+//! which IEEE 754 rounds alike everywhere: roots come from Newton's iteration, so that the same points give the same bytes on every
+//! platform. Sources: IEC 61966-2-1 (sRGB), CIE 15:2004 (CIELAB).
+
+use std::sync::OnceLock;
+
+/// What a colour was made of. The numbers are those of the archive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ColourSource {
+    /// Red, green and blue of the points.
+    Rgb,
+    /// Intensity of the points, as grey.
+    Intensity,
+    /// Class of the points, by a palette.
+    Class,
+}
+
+impl ColourSource {
+    /// All sources, in the order of their codes in the archive, which begin with 1.
+    pub const ALL: [Self; 3] = [Self::Rgb, Self::Intensity, Self::Class];
+
+    /// Name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rgb => "rgb",
+            Self::Intensity => "intensity",
+            Self::Class => "class",
+        }
+    }
+}
+
+/// How values of points become colours, the same for a whole input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColourScale {
+    /// What the values are.
+    pub source: ColourSource,
+    /// Value that becomes black, and all below it.
+    pub low: u16,
+    /// Value that becomes white, and all above it; more than `low`.
+    pub high: u16,
+}
+
+impl ColourScale {
+    /// Classes by the palette.
+    pub const CLASS: Self = Self { source: ColourSource::Class, low: 0, high: u8::MAX as u16 };
+
+    /// RGB of which `greatest` is the greatest value: 8 bits if that fits, else 16.
+    pub fn of_rgb(greatest: u16) -> Self {
+        let high = if greatest <= u16::from(u8::MAX) { u16::from(u8::MAX) } else { u16::MAX };
+        Self { source: ColourSource::Rgb, low: 0, high }
+    }
+
+    /// Intensities between the hundredth of the points with the least and the hundredth with the greatest ones.
+    pub fn of_intensity(counts: &[u64]) -> Self {
+        let all: u64 = counts.iter().sum();
+        let rank = all / 100;
+        let mut passed = 0u64;
+        let mut is_quantile = |count: u64| {
+            passed = passed.saturating_add(count);
+            passed > rank
+        };
+        let low = counts.iter().position(|&count| is_quantile(count)).unwrap_or(0) as u16;
+        passed = 0;
+        let mut is_quantile = |count: u64| {
+            passed = passed.saturating_add(count);
+            passed > rank
+        };
+        let high = counts.iter().rposition(|&count| is_quantile(count)).unwrap_or(0) as u16;
+        // Of one value alone, everything is white.
+        let low = if high > low { low } else { high.saturating_sub(1) };
+        Self { source: ColourSource::Intensity, low, high: high.max(1) }
+    }
+
+    /// The value of a point as 16-bit grey.
+    #[inline]
+    pub fn stretch(&self, value: u16) -> u16 {
+        let (low, width) = (u32::from(self.low), u32::from(self.high.max(self.low + 1) - self.low));
+        let above = u32::from(value).saturating_sub(low).min(width);
+        ((u64::from(above) * 0xFFFF + u64::from(width) / 2) / u64::from(width)) as u16
+    }
+}
+
+/// What the head of an archive says of its colours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ColourPlan {
+    /// How they were made.
+    pub scale: ColourScale,
+    /// Greatest mean difference from the exact colours in a page (thousandths of ΔE*ab); 0: exact to 8 bits.
+    pub error_milli: u16,
+}
+
+/// Palette of LAS classes (ASPRS LAS 1.4, table 17), in the colours that viewers commonly give them.
+const PALETTE: [[u8; 3]; 19] = [
+    [170, 170, 170], // never classified
+    [170, 170, 170], // unclassified
+    [160, 110, 60],  // ground
+    [170, 220, 120], // low vegetation
+    [90, 180, 60],   // medium vegetation
+    [30, 120, 30],   // high vegetation
+    [220, 90, 70],   // building
+    [255, 0, 255],   // low point
+    [120, 120, 120], // model key point, reserved
+    [60, 120, 220],  // water
+    [90, 80, 80],    // rail
+    [70, 70, 80],    // road surface
+    [130, 130, 130], // overlap, reserved
+    [255, 200, 60],  // wire, guard
+    [255, 160, 0],   // wire, conductor
+    [200, 140, 40],  // transmission tower
+    [255, 230, 140], // wire connector
+    [180, 160, 200], // bridge deck
+    [255, 0, 120],   // high noise
+];
+
+/// Colour of a LAS class (sRGB).
+pub fn class_colour(class: u8) -> [u8; 3] {
+    PALETTE.get(usize::from(class)).copied().unwrap_or_else(|| {
+        // Classes without a meaning of their own: apart from each other, and the same everywhere.
+        let hash = u32::from(class).wrapping_mul(0x9E37_79B1);
+        [24, 16, 8].map(|shift| 64 + ((hash >> shift) as u8 & 0x7F))
+    })
+}
+
+/// Exact sums of the colours of a voxel's points.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ColourSum {
+    /// Points.
+    pub n: u64,
+    /// Sums of red, green and blue.
+    pub sum: [u64; 3],
+}
+
+impl ColourSum {
+    /// Mean of values up to `high` as 16-bit sRGB, rounded to the nearest; `None` without points.
+    pub fn mean(&self, high: u16) -> Option<[u16; 3]> {
+        let whole = u128::from(self.n) * u128::from(high);
+        let mean = |sum: u64| (((u128::from(sum) * 0xFFFF + whole / 2) / whole) as u64).min(0xFFFF) as u16;
+        (whole > 0).then(|| self.sum.map(mean))
+    }
+}
+
+/// The nearest 8-bit value of a 16-bit one.
+#[inline]
+pub fn to_8_bits(value: u16) -> u8 {
+    ((u32::from(value) + 128) / 257) as u8
+}
+
+/// A colour in CIELAB.
+pub type Lab = [f32; 3];
+
+/// ΔE*ab.
+#[inline]
+pub fn difference(a: Lab, b: Lab) -> f32 {
+    let [l, m, n] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    (l * l + m * m + n * n).sqrt()
+}
+
+/// CIELAB of sRGB colours, by tables.
+#[derive(Debug)]
+pub struct LabTable {
+    /// Linear light of each 8-bit value.
+    linear: [f32; 257],
+    /// The function `f` of CIELAB over 0..=1, at steps of 1/4096.
+    f: Vec<f32>,
+}
+
+/// Root of degree `n` of a positive number, by Newton's iteration from above.
+fn root(value: f64, n: i32) -> f64 {
+    if value <= 0.0 {
+        return 0.0;
+    }
+    let power = |y: f64, n: i32| (0..n).fold(1.0, |product, _| product * y);
+    let mut y = value.max(1.0);
+    loop {
+        let next = y - (power(y, n) - value) / (f64::from(n) * power(y, n - 1));
+        // From above each step goes down, until rounding stops it.
+        if next >= y {
+            return y;
+        }
+        y = next;
+    }
+}
+
+impl LabTable {
+    const STEPS: usize = 4096;
+
+    /// The table. Cost: 20 KiB, made once.
+    pub fn get() -> &'static Self {
+        static TABLE: OnceLock<LabTable> = OnceLock::new();
+        TABLE.get_or_init(|| {
+            let linear = |value: usize| {
+                let u = value.min(255) as f64 / 255.0;
+                if u <= 0.04045 {
+                    return (u / 12.92) as f32;
+                }
+                let x = (u + 0.055) / 1.055;
+                // The power 12/5.
+                (x * x * root(x * x, 5)) as f32
+            };
+            let f = |step: usize| {
+                let t = step as f64 / Self::STEPS as f64;
+                let edge = 6.0 / 29.0;
+                let f = if t > edge * edge * edge { root(t, 3) } else { t / (3.0 * edge * edge) + 4.0 / 29.0 };
+                f as f32
+            };
+            // One entry more, so that interpolation never looks beyond.
+            Self { linear: std::array::from_fn(linear), f: (0..=Self::STEPS + 1).map(f).collect() }
+        })
+    }
+
+    #[inline]
+    fn f(&self, t: f32) -> f32 {
+        let at = t.clamp(0.0, 1.0) * Self::STEPS as f32;
+        let step = at as usize;
+        let (low, high) = (self.f[step], self.f[step + 1]);
+        low + (high - low) * (at - step as f32)
+    }
+
+    #[inline]
+    fn of_linear(&self, [r, g, b]: [f32; 3]) -> Lab {
+        // Rows of the matrix of sRGB, each divided by the white point of D65.
+        let x = self.f(r * 0.433_953 + g * 0.376_219 + b * 0.189_828);
+        let y = self.f(r * 0.212_671 + g * 0.715_160 + b * 0.072_169);
+        let z = self.f(r * 0.017_758 + g * 0.109_477 + b * 0.872_766);
+        [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+    }
+
+    /// Of an 8-bit colour.
+    #[inline]
+    pub fn of_8_bits(&self, rgb: [u8; 3]) -> Lab {
+        self.of_linear(rgb.map(|value| self.linear[usize::from(value)]))
+    }
+
+    /// Of a 16-bit colour.
+    #[inline]
+    pub fn of_16_bits(&self, rgb: [u16; 3]) -> Lab {
+        self.of_linear(rgb.map(|value| {
+            let (step, rest) = (usize::from(value / 257), f32::from(value % 257) / 257.0);
+            let (low, high) = (self.linear[step], self.linear[step + 1]);
+            low + (high - low) * rest
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// By the formulas, with the functions of the system.
+    fn by_definition(rgb: [f64; 3]) -> [f64; 3] {
+        let linear = |u: f64| if u <= 0.04045 { u / 12.92 } else { ((u + 0.055) / 1.055).powf(2.4) };
+        let [r, g, b] = rgb.map(linear);
+        let xyz = [
+            (0.4124564 * r + 0.3575761 * g + 0.1804375 * b) / 0.95047,
+            0.2126729 * r + 0.7151522 * g + 0.0721750 * b,
+            (0.0193339 * r + 0.1191920 * g + 0.9503041 * b) / 1.08883,
+        ];
+        let f = |t: f64| {
+            if t > (6.0f64 / 29.0).powi(3) { t.cbrt() } else { t * (29.0f64 / 6.0).powi(2) / 3.0 + 4.0 / 29.0 }
+        };
+        let [x, y, z] = xyz.map(f);
+        [116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)]
+    }
+
+    proptest! {
+        #[test]
+        fn tables_give_cielab_as_its_formulas_do(rgb: [u16; 3]) {
+            let table = LabTable::get();
+            let apart = |lab: Lab, exact: [f64; 3]| {
+                (0..3).map(|at| (f64::from(lab[at]) - exact[at]).powi(2)).sum::<f64>().sqrt()
+            };
+            let exact = by_definition(rgb.map(|value| f64::from(value) / 65535.0));
+            prop_assert!(apart(table.of_16_bits(rgb), exact) < 0.05, "{:?} {:?}", table.of_16_bits(rgb), exact);
+            let eight = rgb.map(to_8_bits);
+            let exact = by_definition(eight.map(|value| f64::from(value) / 255.0));
+            prop_assert!(apart(table.of_8_bits(eight), exact) < 0.02, "{:?} {:?}", table.of_8_bits(eight), exact);
+        }
+
+        #[test]
+        fn means_are_the_nearest_and_do_not_depend_on_the_order(values in proptest::collection::vec(any::<[u8; 3]>(), 1..60)) {
+            let mut sum = ColourSum::default();
+            for value in values.iter().rev() {
+                sum.n += 1;
+                (0..3).for_each(|channel| sum.sum[channel] += u64::from(value[channel]));
+            }
+            let mean = sum.mean(255).unwrap();
+            for channel in 0..3 {
+                let exact = values.iter().map(|value| f64::from(value[channel])).sum::<f64>() / values.len() as f64;
+                prop_assert!((f64::from(mean[channel]) - exact * 257.0).abs() <= 0.5 + 1e-9);
+                prop_assert!((f64::from(to_8_bits(mean[channel])) - exact).abs() <= 0.5 + 1.0 / 257.0);
+            }
+        }
+
+        #[test]
+        fn intensities_between_the_quantiles_are_stretched_over_the_whole_range(values in proptest::collection::vec(any::<u16>(), 1..500)) {
+            let mut counts = vec![0u64; 1 << 16];
+            values.iter().for_each(|&value| counts[usize::from(value)] += 1);
+            let scale = ColourScale::of_intensity(&counts);
+            prop_assert!(scale.low < scale.high);
+            prop_assert_eq!((scale.stretch(0), scale.stretch(u16::MAX)), (0, u16::MAX));
+            prop_assert_eq!(scale.stretch(scale.high), u16::MAX);
+            let below = values.iter().filter(|&&value| value < scale.low).count();
+            prop_assert!(below <= values.len() / 100);
+        }
+    }
+
+    #[test]
+    fn known_colours_have_the_coordinates_of_tables_in_print() {
+        let table = LabTable::get();
+        // Lindbloom's calculator, D65, 2 degrees.
+        for (rgb, lab) in [
+            ([255, 255, 255], [100.0, 0.0, 0.0]),
+            ([0, 0, 0], [0.0, 0.0, 0.0]),
+            ([255, 0, 0], [53.241, 80.092, 67.203]),
+            ([0, 255, 0], [87.735, -86.183, 83.179]),
+            ([0, 0, 255], [32.297, 79.188, -107.860]),
+            ([119, 119, 119], [50.034, 0.0, 0.0]),
+        ] {
+            let apart = difference(table.of_8_bits(rgb), lab);
+            assert!(apart < 0.1, "{rgb:?}: {:?}, {apart}", table.of_8_bits(rgb));
+        }
+    }
+
+    #[test]
+    fn greatest_values_tell_8_bits_from_16() {
+        assert_eq!(ColourScale::of_rgb(255).high, 255);
+        assert_eq!(ColourScale::of_rgb(256).high, 65535);
+        assert_eq!(ColourSum::default().mean(255), None);
+        assert_eq!(ColourSum { n: 2, sum: [510, 1, 0] }.mean(255), Some([65535, 129, 0]));
+        assert_ne!(class_colour(2), class_colour(6));
+        assert_ne!(class_colour(100), class_colour(101));
+    }
+}

@@ -1,0 +1,204 @@
+//! Colours of a conversion: which values of the points they are made of, and how these become colours.
+//!
+//! Whether the points have values is decided before anything is converted, by the first value that is not 0; so a file whose
+//! RGB is zero throughout counts as one without, and costs a pass. How values become colours (8 or 16 bits, the range of
+//! intensities) follows from all kept points of the whole input: a conversion of the whole learns it in its first pass. A
+//! part does not see all points, so it takes it from the plan file, or reads the whole input once before it begins.
+//! Parts of a plan therefore make the colours of a single run, and each voxel lies in one part.
+
+use super::options::{ColourMode, ConvertOptions};
+use super::work::on_threads;
+use crate::colour::{ColourPlan, ColourScale, ColourSource};
+use crate::input::{InputSet, PointBatch, PointDecoder};
+use crate::text::number;
+use crate::{Error, Monitor, NoMonitor, Parameter, Result};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// What is known of the values of all points; the same in any order.
+#[derive(Debug, Clone)]
+pub(super) struct Values {
+    source: ColourSource,
+    greatest: u16,
+    /// Points of each intensity.
+    counts: Vec<u64>,
+}
+
+impl Values {
+    /// Of no points.
+    pub fn new(source: ColourSource) -> Self {
+        let counts = if source == ColourSource::Intensity { vec![0; 1 << 16] } else { Vec::new() };
+        Self { source, greatest: 0, counts }
+    }
+
+    /// Adds the values of points.
+    pub fn add(&mut self, batch: &PointBatch) {
+        if self.source == ColourSource::Intensity {
+            batch.values.iter().for_each(|value| self.counts[usize::from(value[0])] += 1);
+        } else {
+            let any = |most: u16, value: &[u16; 3]| most.max(value[0]).max(value[1]).max(value[2]);
+            self.greatest = batch.values.iter().fold(self.greatest, any);
+        }
+    }
+
+    /// Adds those of other points.
+    pub fn merge(&mut self, other: &Self) {
+        self.greatest = self.greatest.max(other.greatest);
+        self.counts.iter_mut().zip(&other.counts).for_each(|(count, more)| *count += more);
+    }
+
+    /// How they become colours.
+    pub fn scale(&self) -> ColourScale {
+        match self.source {
+            ColourSource::Rgb => ColourScale::of_rgb(self.greatest),
+            ColourSource::Intensity => ColourScale::of_intensity(&self.counts),
+            ColourSource::Class => ColourScale::CLASS,
+        }
+    }
+}
+
+impl ConvertOptions {
+    /// Refuses colours that cannot be made.
+    pub(super) fn check_colour(&self) -> Result<()> {
+        let most = f64::from(u16::MAX) / 1000.0;
+        if !(0.0..=most).contains(&self.colour_error) {
+            let reason = format!("expected 0 to {} (CIELAB), found {}", number(most), number(self.colour_error));
+            return Err(Error::parameter(Parameter::ColourError, reason));
+        }
+        if self.colour == ColourMode::Off {
+            return Ok(());
+        }
+        let refuse = |reason: &str| Err(Error::parameter(Parameter::Colour, reason));
+        if self.plan.remove_moving {
+            return refuse(
+                "colours of points that are removed as moving cannot be left out; convert without one of both",
+            );
+        }
+        if self.resume {
+            return refuse("values for colours are not kept with temporary data; begin anew without resuming");
+        }
+        Ok(())
+    }
+
+    /// The plan of colours of this scale.
+    pub(super) fn colour_plan(&self, scale: ColourScale) -> ColourPlan {
+        ColourPlan { scale, error_milli: (self.colour_error * 1000.0).round() as u16 }
+    }
+}
+
+/// The values that colours are made of, if there are to be colours. Cost: mostly a piece of the input; where values are zero
+/// throughout, a pass over it.
+pub(super) fn source_of(
+    options: &ConvertOptions,
+    set: &mut InputSet,
+    monitor: &dyn Monitor,
+) -> Result<Option<ColourSource>> {
+    let wanted: &[ColourSource] = match options.colour {
+        ColourMode::Off => return Ok(None),
+        ColourMode::Auto => &[ColourSource::Rgb, ColourSource::Intensity],
+        ColourMode::Of(source) => &[source],
+    };
+    let mut found = None;
+    for &source in wanted {
+        if set.has_values(source) && any_value(set, source, options.threads, monitor)? {
+            found = Some(source);
+            break;
+        }
+    }
+    set.set_colour(found);
+    if found.is_some() {
+        return Ok(found);
+    }
+    match options.colour {
+        ColourMode::Of(source) if !set.files().is_empty() => {
+            let reason = format!(
+                "no point of the input has {} that Slicewalk reads (LAS, LAZ, COPC; RGB of binary PLY and PCD); choose another source, or off",
+                match source {
+                    ColourSource::Rgb => "an RGB value other than 0",
+                    ColourSource::Intensity => "an intensity other than 0",
+                    ColourSource::Class => "a class other than 0",
+                }
+            );
+            Err(Error::parameter(Parameter::Colour, reason))
+        }
+        ColourMode::Of(_) => {
+            let reason = "meshes have no colours that Slicewalk reads yet; convert them without";
+            Err(Error::parameter(Parameter::Colour, reason))
+        }
+        _ => {
+            monitor.warn(&"no point has RGB or intensity: the archive has no colours".into());
+            Ok(None)
+        }
+    }
+}
+
+/// Whether some kept point has a value other than 0.
+fn any_value(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<bool> {
+    let found = AtomicBool::new(false);
+    read_values(set, source, threads, monitor, &|batch: &PointBatch| {
+        if batch.values.iter().any(|value| *value != [0; 3]) {
+            found.store(true, Ordering::Relaxed);
+        }
+        !found.load(Ordering::Relaxed)
+    })?;
+    Ok(found.into_inner())
+}
+
+/// What is known of the values of all points: a pass over the input.
+pub(super) fn measure(
+    set: &mut InputSet,
+    source: ColourSource,
+    threads: usize,
+    monitor: &dyn Monitor,
+) -> Result<ColourScale> {
+    if source == ColourSource::Class {
+        return Ok(ColourScale::CLASS);
+    }
+    monitor.stage("reading colours", set.points_stated(), "points");
+    let all = Mutex::new(Values::new(source));
+    read_values(set, source, threads, monitor, &|batch: &PointBatch| {
+        monitor.advance(batch.len() as u64);
+        all.lock().unwrap_or_else(PoisonError::into_inner).add(batch);
+        true
+    })?;
+    Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner).scale())
+}
+
+/// Gives `take` the points of all files, until it has enough.
+fn read_values(
+    set: &mut InputSet,
+    source: ColourSource,
+    threads: usize,
+    monitor: &dyn Monitor,
+    take: &(dyn Fn(&PointBatch) -> bool + Sync),
+) -> Result<()> {
+    set.set_colour(Some(source));
+    let set = &*set;
+    let chunks = Mutex::new(set.chunks());
+    let (enough, failed) = (AtomicBool::new(false), AtomicBool::new(false));
+    let work = || -> Result<()> {
+        let mut decoder = PointDecoder::new();
+        while !enough.load(Ordering::Relaxed) {
+            let next = chunks.lock().unwrap_or_else(PoisonError::into_inner).next();
+            let Some(chunk) = next else { return Ok(()) };
+            let done = decoder.decode(set, &chunk, &mut |batch| {
+                if monitor.cancelled() || failed.load(Ordering::Relaxed) || enough.load(Ordering::Relaxed) {
+                    return Err(Error::Interrupted);
+                }
+                if !take(batch) {
+                    enough.store(true, Ordering::Relaxed);
+                }
+                Ok(())
+            });
+            match done {
+                // Stopped because there is no need to go on.
+                Err(Error::Interrupted) if enough.load(Ordering::Relaxed) && !monitor.cancelled() => return Ok(()),
+                done => drop(done?),
+            }
+        }
+        Ok(())
+    };
+    on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))?;
+    // Where losses are allowed, they come up again in the pass that counts, and are told then.
+    set.check_complete(&NoMonitor)
+}

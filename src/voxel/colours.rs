@@ -1,0 +1,239 @@
+//! Colours of the voxels of a tile column, by exact sums.
+//!
+//! The values of a point lie in records of their own beside that of the point, of 8 bytes and with the voxel in the same bits, so
+//! that one external sort serves both; without colours there are none. A point takes one record, or two where its RGB has 16
+//! bits that are not 8 bits made wider. Sums of records are the sums of points, in any order.
+
+use super::fold::{Area, Patch};
+use super::record::{PATCH_PIXELS, Record, VALUE_BITS};
+use crate::colour::{ColourScale, ColourSource, ColourSum, class_colour};
+use crate::frame::PAGE_SLICES;
+use crate::slice::{Occupancy, Page};
+use crate::{Error, Parameter, Result};
+
+/// What the lower bits of a record hold, in the bits above these.
+const BYTES: u32 = 0;
+const BYTES_257: u32 = 1;
+const BYTES_256: u32 = 2;
+const FIRST_HALF: u32 = 3;
+const SECOND_HALF: u32 = 4;
+const VALUE: u32 = 5;
+const PAYLOAD_BITS: u32 = 24;
+const _: () = assert!(PAYLOAD_BITS + 3 == VALUE_BITS);
+
+/// The lower bits of the records of a point's values: one or two.
+#[inline]
+pub fn values_of(source: ColourSource, [r, g, b]: [u16; 3]) -> (u32, Option<u32>) {
+    let packed = |tag: u32, [r, g, b]: [u16; 3]| {
+        tag << PAYLOAD_BITS | u32::from(r & 0xFF) << 16 | u32::from(g & 0xFF) << 8 | u32::from(b & 0xFF)
+    };
+    if source != ColourSource::Rgb {
+        return (VALUE << PAYLOAD_BITS | u32::from(r), None);
+    }
+    let (any, low) = (r | g | b, (r & 0xFF) | (g & 0xFF) | (b & 0xFF));
+    let high = [r >> 8, g >> 8, b >> 8];
+    if any < 256 {
+        return (packed(BYTES, [r, g, b]), None);
+    }
+    if low == 0 {
+        return (packed(BYTES_256, high), None);
+    }
+    if [r, g, b].iter().all(|&value| value >> 8 == value & 0xFF) {
+        return (packed(BYTES_257, high), None);
+    }
+    let first = FIRST_HALF << PAYLOAD_BITS | u32::from(r) << 8 | u32::from(g >> 8);
+    let second = SECOND_HALF << PAYLOAD_BITS | u32::from(g & 0xFF) << 16 | u32::from(b);
+    (first, Some(second))
+}
+
+/// Adds a record of values to sums.
+#[inline]
+fn add(sum: &mut ColourSum, scale: &ColourScale, value: u32) {
+    let payload = value & ((1 << PAYLOAD_BITS) - 1);
+    let bytes = [payload >> 16, payload >> 8 & 0xFF, payload & 0xFF];
+    let (points, channels) = match value >> PAYLOAD_BITS {
+        BYTES => (1, bytes),
+        BYTES_257 => (1, bytes.map(|byte| byte * 257)),
+        BYTES_256 => (1, bytes.map(|byte| byte * 256)),
+        FIRST_HALF => (1, [payload >> 8, (payload & 0xFF) << 8, 0]),
+        SECOND_HALF => (0, [0, payload >> 16, payload & 0xFFFF]),
+        _ if scale.source == ColourSource::Class => (1, class_colour(payload as u8).map(u32::from)),
+        _ => (1, [u32::from(scale.stretch(payload as u16)); 3]),
+    };
+    sum.n += points;
+    for (sum, channel) in sum.sum.iter_mut().zip(channels) {
+        *sum += u64::from(channel);
+    }
+}
+
+/// Greatest value of the channels that are summed.
+fn greatest(scale: &ColourScale) -> u16 {
+    match scale.source {
+        // Stretched before they are summed.
+        ColourSource::Intensity => u16::MAX,
+        ColourSource::Rgb | ColourSource::Class => scale.high,
+    }
+}
+
+/// The colours of one tile column after another; its scratch is reused.
+///
+/// Memory: 32 bytes for each voxel of the patch at hand, 16 for each coloured voxel of the column.
+#[derive(Debug)]
+pub struct ColumnColours {
+    scale: ColourScale,
+    /// Most voxels of a column.
+    most: usize,
+    sums: Vec<ColourSum>,
+    /// Place (layer, pixel, slice) and mean of voxels.
+    found: Vec<(u64, [u16; 3])>,
+}
+
+impl ColumnColours {
+    /// Colours by `scale`, of up to `most` voxels a column.
+    pub fn new(scale: ColourScale, most: usize) -> Self {
+        Self { scale, most, sums: Vec::new(), found: Vec::new() }
+    }
+
+    /// Begins an area whose voxels are those of `patch`.
+    pub fn begin(&mut self, patch: &Patch) {
+        self.sums.clear();
+        self.sums.resize(patch.voxels().len(), ColourSum::default());
+    }
+
+    /// Adds the records that lie in `area`; those of voxels that `patch` does not have were dropped with them.
+    pub fn add(&mut self, patch: &Patch, area: Area, records: &[Record]) {
+        for record in records.iter().filter(|record| area.holds(record.pixel())) {
+            let (pixel, slice) = (record.pixel(), record.slice());
+            for number in patch.between(pixel, slice..slice + 1) {
+                add(&mut self.sums[number], &self.scale, record.value());
+            }
+        }
+    }
+
+    /// Ends the area.
+    pub fn end(&mut self, patch: &Patch, area: Area) -> Result<()> {
+        let high = greatest(&self.scale);
+        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+            let (x, y) = (pixel % PATCH_PIXELS - 1, pixel / PATCH_PIXELS - 1);
+            for number in patch.range(pixel) {
+                let slice = u64::from(patch.voxels()[number].slice);
+                if let Some(mean) = self.sums[number].mean(high) {
+                    let place = slice >> 6 << 18 | ((y << 6 | x) as u64) << 6 | slice & 63;
+                    self.found.push((place, mean));
+                }
+            }
+        }
+        if self.found.len() > self.most {
+            let what = "voxels with colours in one tile column (larger slices are fewer)";
+            return Err(Error::limit(what, self.found.len(), self.most).with_way_out(Parameter::Memory));
+        }
+        Ok(())
+    }
+
+    /// Forgets the column.
+    pub fn clear(&mut self) {
+        self.found.clear();
+        self.found.shrink_to(1 << 16);
+    }
+
+    /// Gives `out` the colours of the voxels of a page in the order of `occupancy`, which becomes that of the page. The column's
+    /// lowest slice is `first_slice`.
+    pub fn of_page(
+        &mut self,
+        first_slice: i64,
+        layer: i32,
+        page: &Page,
+        occupancy: &mut Occupancy,
+        out: &mut Vec<Option<[u16; 3]>>,
+    ) {
+        if !self.found.is_sorted_by_key(|found| found.0) {
+            self.found.sort_unstable_by_key(|found| found.0);
+        }
+        occupancy.set(page);
+        out.clear();
+        out.resize(occupancy.len(), None);
+        let layer = (i64::from(layer) - first_slice.div_euclid(PAGE_SLICES)) as u64;
+        let start = self.found.partition_point(|found| found.0 >> 18 < layer);
+        for &(place, mean) in self.found[start..].iter().take_while(|found| found.0 >> 18 == layer) {
+            // Points on the upper boundary of a span lie in a slice without matter of its own; they colour nothing.
+            if let Some(number) = occupancy.find((place >> 6 & 0xFFF) as usize, place as u32 & 63) {
+                out[number] = Some(mean);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::fold::Sums;
+    use super::super::record::Recorder;
+    use super::*;
+    use crate::frame::Frame;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+
+    fn channel() -> impl Strategy<Value = u16> {
+        prop_oneof![0u16..256, (0u16..256).prop_map(|v| v * 257), (0u16..256).prop_map(|v| v << 8), any::<u16>()]
+    }
+
+    proptest! {
+        #[test]
+        fn records_of_values_add_up_to_those_of_points(
+            values in proptest::collection::vec([channel(), channel(), channel()], 1..60), source in 0usize..3
+        ) {
+            let source = ColourSource::ALL[source];
+            let scale = ColourScale { source, low: 100, high: if source == ColourSource::Class { 255 } else { 60_000 } };
+            let (mut sum, mut expected) = (ColourSum::default(), ColourSum::default());
+            for &value in &values {
+                let (first, second) = values_of(source, value);
+                prop_assert!(first < 1 << VALUE_BITS && second.is_none_or(|second| second < 1 << VALUE_BITS));
+                for record in second.into_iter().chain([first]) {
+                    add(&mut sum, &scale, record);
+                }
+                let channels = match source {
+                    ColourSource::Rgb => value,
+                    ColourSource::Intensity => [scale.stretch(value[0]); 3],
+                    _ => class_colour(value[0] as u8).map(u16::from),
+                };
+                expected.n += 1;
+                (0..3).for_each(|at| expected.sum[at] += u64::from(channels[at]));
+            }
+            prop_assert_eq!(sum, expected);
+        }
+
+        #[test]
+        fn voxels_have_the_means_of_their_points(
+            points in proptest::collection::vec(((0.0f64..6.3, 0.0f64..6.3, 0.0f64..3.0), [any::<u8>(), any::<u8>(), any::<u8>()]), 1..500),
+            pieces in 1usize..40
+        ) {
+            let frame = Frame::new(0.1, 0.3).unwrap();
+            let recorder = Recorder::new(frame);
+            let (mut records, mut colours) = (Vec::new(), Vec::new());
+            let mut sums: BTreeMap<(i64, i64, i64), ([u64; 3], u64)> = BTreeMap::new();
+            for &((x, y, z), rgb) in &points {
+                recorder.record(&[x], &[y], &[z], |index, record| {
+                    if (index.tx, index.ty) == (0, 0) { records.push(record); }
+                });
+                let value = values_of(ColourSource::Rgb, rgb.map(u16::from));
+                recorder.record_values(&[x], &[y], &[z], |_| value, |_, record| colours.push(record));
+                let at = sums.entry((frame.pixel_of(x), frame.pixel_of(y), frame.slice_of(z))).or_default();
+                (0..3).for_each(|c| at.0[c] += u64::from(rgb[c]));
+                at.1 += 1;
+            }
+            let mut patch = Patch::default();
+            patch.fold(&records, 1, Area::TILE, &mut Sums::default());
+            let mut column = ColumnColours::new(ColourScale::of_rgb(255), 1 << 20);
+            for area in Area::TILE.halves().unwrap().into_iter().rev() {
+                column.begin(&patch);
+                colours.chunks(pieces).for_each(|records| column.add(&patch, area, records));
+                column.end(&patch, area).unwrap();
+            }
+            prop_assert_eq!(column.found.len(), sums.len());
+            for &(place, mean) in &column.found {
+                let slice = ((place >> 18) as i64) * 64 + (place & 63) as i64 - super::super::record::BLOCK_SLICES / 2;
+                let (sum, n) = sums[&((place >> 6 & 63) as i64, (place >> 12 & 63) as i64, slice)];
+                prop_assert_eq!(Some(mean), ColourSum { n, sum }.mean(255));
+            }
+        }
+    }
+}
