@@ -175,7 +175,7 @@ fn tolerance() -> Vec<u8> {
     let mut writer = ArchiveWriter::create(&target, &tolerant(), false).unwrap();
     let mut encoder = PageEncoder::of_plan(&tolerant());
     for (key, page) in floor() {
-        writer.put(key, encoder.encode_loose(key, &page, &Inferred::NONE)).unwrap();
+        writer.put(key, encoder.encode_loose(key, &page, &Inferred::NONE).0).unwrap();
     }
     let noise = Some(Noise { noise_m: 0.0203, regions: 1234, region_m: 0.25 });
     writer.finish(Totals { noise, ..totals_within(floor()) }).unwrap();

@@ -93,18 +93,17 @@ struct Stability {
 }
 
 /// The parts of `bench all`; charts last, for they draw what the others found.
-const ALL: [&[&str]; 9] =
-    [
-        &["stability"],
-        &["size"],
-        &["lossy"],
-        &["walks"],
-        &["thesis"],
-        &["peers"],
-        &["scale"],
-        &["inputs"],
-        &["chart", "--fresh"],
-    ];
+const ALL: [&[&str]; 9] = [
+    &["stability"],
+    &["size"],
+    &["lossy"],
+    &["walks"],
+    &["thesis"],
+    &["peers"],
+    &["scale"],
+    &["inputs"],
+    &["chart", "--fresh"],
+];
 
 fn run(command: Command) -> bench::stability::Result<()> {
     match command {

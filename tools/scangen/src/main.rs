@@ -4,7 +4,8 @@ use clap::{Parser, ValueEnum};
 use scangen::geometry::Placement;
 use scangen::sample::{Amount, Mode, Order, ScannerSpec, shuffle};
 use scangen::write::{
-    Chunks, CloudFormat, Texture, WriteSpec, Written, write_clouds, write_samples, write_triangles_obj, write_truth_json,
+    Chunks, CloudFormat, Texture, WriteSpec, Written, write_clouds, write_samples, write_triangles_obj,
+    write_truth_json,
 };
 use scangen::{Params, Result, SCENES, SampleSpec, Scene};
 use std::path::{Path, PathBuf};
