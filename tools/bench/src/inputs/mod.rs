@@ -72,6 +72,7 @@ impl Inputs {
         if has(Part::Memory) {
             page += &self.memory(work.path(), &mut missed)?;
         }
+        let page = page.trim_end().to_owned() + "\n";
         println!("{page}");
         if self.only.is_empty() {
             std::fs::write(out.join("inputs.md"), page)?;
@@ -124,7 +125,7 @@ impl Inputs {
         }
         Ok(format!(
             "## E57\n\n{} M points in {} clouds, {} MB: scaled integers of 32 bits, intensity and colours. All on {threads} threads, in \
-             turn, medians of {} rounds; the crate reads a cloud on one thread.\n\n{}\n",
+             turn, medians of {} rounds; the crate reads a cloud on one thread.\n\n{}\n\n",
             number(points as f64 / 1e6, 1),
             4 * threads,
             number(bytes as f64 / 1e6, 0),
@@ -162,7 +163,7 @@ impl Inputs {
         }
         Ok(format!(
             "## Text\n\n5 M points each. Reading is opening (PTX and PTS are counted then) and all coordinates, from the cache; the \
-             conversion runs on all threads. Medians of {} rounds.\n\n{}\n",
+             conversion runs on all threads. Medians of {} rounds.\n\n{}\n\n",
             self.rounds(),
             table.markdown()
         ))
@@ -197,7 +198,7 @@ impl Inputs {
             }
         }
         Ok(format!(
-            "## Memory\n\n`--memory 256MiB --pixel {PIXEL_M}`; peak resident memory as the system counts it.\n\n{}\n",
+            "## Memory\n\n`--memory 256MiB --pixel {PIXEL_M}`; peak resident memory as the system counts it.\n\n{}\n\n",
             table.markdown()
         ))
     }

@@ -82,9 +82,9 @@ impl Stock<'_> {
             Error::output(self.path, reason)
         })?;
         let place = self.spec.place(grid);
-        for axis in 0..3 {
-            self.bounds.min[axis] = self.bounds.min[axis].min(place[axis]);
-            self.bounds.max[axis] = self.bounds.max[axis].max(place[axis]);
+        for (axis, value) in place.into_iter().enumerate() {
+            self.bounds.min[axis] = self.bounds.min[axis].min(value);
+            self.bounds.max[axis] = self.bounds.max[axis].max(value);
         }
         self.count += 1;
         Ok(grid)
