@@ -117,7 +117,7 @@ fn other_encoding() -> Vec<u8> {
     let parts = Parts::of(&archive(&([(key(0, 0, 0), page.clone())].into(), Totals::default())));
     let mut body = Vec::new();
     // An encoder of another grid finds no steps.
-    Encoder::new(Frame::new(1e5, 3e5).unwrap()).encode(&page, &mut body);
+    Encoder::new(Frame::new(1e5, 3e5).unwrap(), 0).encode(&page, &mut body);
     assert_ne!(body, parts.pages[24..], "steps in {:?}", plan().frame);
     parts.with_page(&body).build(|_| ())
 }
