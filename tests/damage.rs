@@ -293,7 +293,7 @@ fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
         let mut builder = PageBuilder::default();
         assert!(columns.iter().all(|(px, spans)| builder.set_column(*px, 0, spans)));
         let mut body = Vec::new();
-        Encoder::new(plan().frame).encode(&builder.build(), &mut body);
+        Encoder::new(plan().frame, 0).encode(&builder.build(), &mut body);
         body
     };
     let span = |bottom: u32, top: u32| Span::new(bottom, top, false).unwrap();
@@ -306,7 +306,7 @@ fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
     assert!(columns.iter().all(|(px, span)| builder.set_column(*px, 0, &[*span])));
     let page = builder.build();
     let mut body = Vec::new();
-    Encoder::new(Frame::new(1e5, 3e5).unwrap()).encode(&page, &mut body);
+    Encoder::new(Frame::new(1e5, 3e5).unwrap(), 0).encode(&page, &mut body);
     let steps = Parts::of(&archive(&([(common::key(0, 0, 0), page)].into(), Totals::default())));
     assert_eq!(rules(&steps.build(|_| ())), [""; 0]);
     assert_eq!(rules(&steps.with_page(&body).build(|_| ())), ["P10"]);

@@ -335,7 +335,7 @@ fn what_breaks_a_rule_is_mended_or_dropped_by_name() {
     let steps = page(columns);
     let parts = Parts::of(&common::archive(&(Pages::from([(key(0, 0, 0), steps.clone())]), Totals::default())));
     let mut body = Vec::new();
-    slicewalk::codec::Encoder::new(Frame::new(1e5, 3e5).unwrap()).encode(&steps, &mut body);
+    slicewalk::codec::Encoder::new(Frame::new(1e5, 3e5).unwrap(), 0).encode(&steps, &mut body);
     let (found, pages) = recovered(folder.path(), &parts.with_page(&body).build(|_| ()));
     assert_eq!(pages, Pages::from([(key(0, 0, 0), steps)]));
     assert!(found.is_complete() && found.mended == ["encoding of 1 page (rule P10)"], "{found:?}");

@@ -95,12 +95,10 @@ fn variance(places: &[Place]) -> Option<f64> {
     // Sums of products; those of the deviations from the means are exact, too, times n.
     let (mut sum, mut product) = ([0i128; 3], [[0i128; 3]; 3]);
     for (_, place) in places {
-        for axis in 0..3 {
+        (0..3).for_each(|axis| {
             sum[axis] += i128::from(place[axis]);
-            for other in axis..3 {
-                product[axis][other] += i128::from(place[axis] * place[other]);
-            }
-        }
+            (axis..3).for_each(|other| product[axis][other] += i128::from(place[axis] * place[other]));
+        });
     }
     let deviation = |axis: usize, other: usize| (n as i128 * product[axis][other] - sum[axis] * sum[other]) as f64;
     let (uu, uv, vv) = (deviation(0, 0), deviation(0, 1), deviation(1, 1));
