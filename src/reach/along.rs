@@ -11,8 +11,8 @@ use crate::{Monitor, Result};
 use nalgebra::{Point2, Point3};
 
 /// How far ahead a piece is planned, and how much of it is kept (m).
-const AHEAD_M: f64 = 90.0;
-const KEPT_M: f64 = 70.0;
+const AHEAD_M: f64 = 120.0;
+const KEPT_M: f64 = 100.0;
 /// A piece that leads less far along the guide leads nowhere (m).
 const LEAST_PROGRESS_M: f64 = 1.0;
 /// How often a corridor is widened to twice its width.
@@ -20,7 +20,7 @@ const MOST_WIDENINGS: u32 = 4;
 
 /// The exact way along a coarse one.
 ///
-/// Memory: about 45 bytes for each standing place in 90 m of the corridor, and 16 KiB for each tile that it touches.
+/// Memory: about 45 bytes for each standing place in 120 m of the corridor, and 16 KiB for each tile that it touches.
 ///
 /// The way is exact in that every place of it was checked at full resolution. It is the shortest one within its corridor, piece by
 /// piece: a shorter one may lead elsewhere.

@@ -76,8 +76,9 @@ impl Lists {
 
     /// The union over `length` neighbouring cells along an axis, from each cell on.
     fn windows(&self, length: usize, axis: usize, least: i32) -> Self {
-        let (mut lists, mut have) = (self.clone(), 1);
+        let (mut widened, mut have) = (None, 1);
         while have < length {
+            let lists: &Self = widened.as_ref().unwrap_or(self);
             let step = have.min(length - have);
             let (dx, dy) = if axis == 0 { (step, 0) } else { (0, step) };
             let (width, height) = (lists.width - dx, lists.height - dy);
@@ -88,10 +89,10 @@ impl Lists {
                     wider.end_cell();
                 }
             }
-            lists = wider;
+            widened = Some(wider);
             have += step;
         }
-        lists
+        widened.unwrap_or_else(|| self.clone())
     }
 
     /// The union over a footprint of `rects` about each pixel, without the outermost `half` pixels of the lists.
@@ -181,17 +182,35 @@ fn push(items: &mut Vec<Interval>, own: usize, next: Interval, least: i32) {
     }
 }
 
-/// The union of two lists; gaps below `least` are closed.
+/// The union of two lists; gaps below `least` are closed, as they are in both.
+#[inline]
 fn join(a: &[Interval], b: &[Interval], least: i32, to: &mut Vec<Interval>) {
+    match (a, b) {
+        // Most pixels: nothing, or one floor.
+        ([], _) => return to.extend_from_slice(b),
+        (_, []) => return to.extend_from_slice(a),
+        ([a], [b]) => {
+            let (low, high) = if a.bottom <= b.bottom { (a, b) } else { (b, a) };
+            let own = to.len();
+            to.push(*low);
+            return push(to, own, *high, least);
+        }
+        _ => {}
+    }
     let own = to.len();
-    let (mut a, mut b) = (a.iter().peekable(), b.iter().peekable());
+    let (mut i, mut j) = (0, 0);
     loop {
-        let next = match (a.peek(), b.peek()) {
-            (Some(left), Some(right)) if left.bottom <= right.bottom => a.next(),
-            (_, Some(_)) => b.next(),
-            _ => a.next(),
+        let next = match (a.get(i), b.get(j)) {
+            (Some(left), right) if right.is_none_or(|right| left.bottom <= right.bottom) => {
+                i += 1;
+                left
+            }
+            (_, Some(right)) => {
+                j += 1;
+                right
+            }
+            _ => return,
         };
-        let Some(next) = next else { return };
         push(to, own, *next, least);
     }
 }

@@ -26,8 +26,8 @@
 //! - is a **bridge** if it has floor but the middle of the feet hangs over a gap: a [walker](crate::walk) passes, so the
 //!   region connects over it, but it counts for neither area nor the list of places.
 //!
-//! From a place the pawn steps to the neighbouring pixels: up to its climb height above the floor that it stands on, with room
-//! for its head on both sides, and down at most [`Pawn::max_drop`]. These are the rules of [`walk`](crate::walk); all arithmetic on places is
+//! From a place the pawn steps to the neighbouring pixels: up to its climb height above the floor that it stands on (over an edge, the
+//! floor beside the edge counts), with room for its head on both sides, and down at most [`Pawn::max_drop`]. These are the rules of [`walk`](crate::walk); all arithmetic on places is
 //! on integers, so the answer does not depend on the order in which pages arrive.
 //!
 //! # Memory

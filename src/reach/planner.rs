@@ -36,7 +36,7 @@ impl Planner {
     /// Plans the way of `pawn` between two places (m); in the air, the floor below counts. Fails for a pawn that is none and for a set of pages
     /// that is too large, as [`StandingPlaces::new`] does.
     pub fn new<S: PageSet>(set: &S, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
-        let length = 1.5 * (to - from).xy().norm() + 10.0;
+        let length = 1.2 * (to - from).xy().norm() + 4.0;
         let standing = StandingPlaces::new(set, pawn)?;
         Ok(Self { ends: [from, to], standing, spots: [None; 2], flood: None, length, peak_bytes: 0 })
     }

@@ -33,6 +33,8 @@ pub(super) struct Block {
     pub top: i32,
     /// How far floor lies below the top, or [`NO_FLOOR`] (quanta).
     pub below: u16,
+    /// Without floor of its own, how much higher one stands on the floor beside it, as far as that counts (quanta).
+    pub above: u8,
     pub kind: Kind,
 }
 
@@ -135,9 +137,19 @@ impl StandingPlaces {
     /// Where the pawn gets from block `place` of `column` in the neighbouring pixel along an axis, with blocks `next`.
     pub(super) fn step(&self, column: &[Block], place: usize, next: &[Block], axis: usize) -> Step {
         let (grid, from) = (&self.grid, column[place]);
-        // Climbing counts from the floor, so that no ledge is climbed in parts.
-        let rise = if from.below == NO_FLOOR { grid.near } else { grid.up - i32::from(from.below) };
-        let limit = from.top + rise.max(0);
+        // Climbing counts from the floor, so that no ledge is climbed in parts: over an edge it ends on the floor beside it.
+        let limit = match from.below {
+            NO_FLOOR => from.top + grid.near,
+            below => {
+                let limit = from.top + (grid.up - i32::from(below)).max(0);
+                let is_too_high = |edge: &&Block| {
+                    edge.below == NO_FLOOR && edge.top > from.top && edge.top + i32::from(edge.above) > limit
+                };
+                let highest = next.partition_point(|block| block.top <= limit).checked_sub(1).map(|at| &next[at]);
+                // Such an edge is in the way.
+                highest.filter(is_too_high).map_or(limit, |edge| edge.top - 1)
+            }
+        };
         let (below, above) = next.split_at(next.partition_point(|block| block.top <= limit));
         let to = below.last();
         let level = to.map_or(from.top, |block| block.top.max(from.top));
@@ -189,18 +201,21 @@ fn floor_below(grid: &Grid, interval: &Interval) -> Option<u16> {
 
 fn judge(grid: &Grid, interval: &Interval, under: &Lists, [x, y]: [usize; 2], foot: &[Interval]) -> Block {
     let below = floor_below(grid, interval);
-    let is_beside_floor = || {
+    // The highest floor at about the same height around it.
+    let beside = below.is_none().then(|| {
         let ahead = 2 * grid.ahead as usize;
-        let level = |other: &Interval| (other.top - interval.top).abs() <= grid.near;
-        let beside =
-            |x: usize, y: usize| under.at(x, y).iter().any(|other| level(other) && floor_below(grid, other).is_some());
-        (y..=y + ahead).any(|y| (x..=x + ahead).any(|x| beside(x, y)))
-    };
+        let around = (y..=y + ahead).flat_map(|y| (x..=x + ahead).map(move |x| (x, y)));
+        let level = |other: &&Interval| (other.top - interval.top).abs() <= grid.near;
+        let floors = around.flat_map(|(x, y)| under.at(x, y)).filter(level);
+        floors.filter(|other| floor_below(grid, other).is_some()).map(|other| other.top - interval.top).max()
+    });
+    let beside = beside.flatten();
     let under_foot = foot.partition_point(|matter| matter.top <= interval.top).checked_sub(1);
     let kind = match under_foot {
-        _ if below.is_none() && !is_beside_floor() => Kind::Refused,
+        _ if below.is_none() && beside.is_none() => Kind::Refused,
         Some(matter) if interval.top - foot[matter].top <= grid.up => Kind::Standing,
         _ => Kind::Bridge,
     };
-    Block { bottom: interval.bottom, top: interval.top, below: below.unwrap_or(NO_FLOOR), kind }
+    let above = beside.unwrap_or(0).clamp(0, i32::from(u8::MAX)) as u8;
+    Block { bottom: interval.bottom, top: interval.top, below: below.unwrap_or(NO_FLOOR), above, kind }
 }

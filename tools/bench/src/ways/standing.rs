@@ -3,7 +3,7 @@
 use super::claims::{Judged, Pixel, Points, Question};
 use super::peer::{Meshes, claims};
 use super::truth::{Floors, HEIGHT, SLOPE_DEG};
-use super::{Effort, everywhere};
+use super::{Effort, everywhere, reached, spot};
 use crate::Random;
 use crate::peers::recast::Navmesh;
 use crate::stability::Result;
@@ -12,7 +12,7 @@ use crate::stability::table::{Table, number, percent};
 use scangen::sample::{Mode, Order, ScannerSpec};
 use scangen::{Params, Sample, SampleSpec, Scene};
 use slicewalk::plan::Classifier;
-use slicewalk::reach::Pawn;
+use slicewalk::reach::{Pawn, StandingPlaces};
 use slicewalk::walk::Body;
 use std::collections::HashMap;
 
@@ -96,8 +96,19 @@ impl Subject {
 struct Places(HashMap<Pixel, Vec<f64>>);
 
 impl Places {
-    fn new(converted: &Converted, radius: f64, height: f64) -> Result<Self> {
-        let (_, region) = everywhere(&converted.store, Pawn::new(Body::Cylinder { radius, height }))?;
+    /// All standing places; with `from`, those that can be reached on foot from there.
+    fn new(converted: &Converted, radius: f64, height: f64, from: Option<[f64; 3]>) -> Result<Self> {
+        let pawn = Pawn::new(Body::Cylinder { radius, height });
+        let region = match from {
+            Some([x, y, z]) => {
+                let mut standing = StandingPlaces::new(&converted.store, pawn)?;
+                match spot(&converted.store, &mut standing, [x, y, z + 0.1])? {
+                    Some(start) => reached(&converted.store, &mut standing, start)?,
+                    None => return Err("nowhere to start".into()),
+                }
+            }
+            None => everywhere(&converted.store, pawn)?.1,
+        };
         let frame = converted.archive.frame();
         let mut places: HashMap<Pixel, Vec<f64>> = HashMap::new();
         for place in region.places() {
@@ -172,9 +183,9 @@ impl Others<'_> {
             self.calm = Some(self.subject.scan(&self.subject.calm())?.0.convert(setting, Classifier::Plane)?);
             self.lenient = Some(self.scan.convert(setting.limit(89.0), Classifier::Plane)?);
         }
-        let places = |other: &Option<Converted>| Places::new(other.as_ref().ok_or("made above")?, radius, HEIGHT);
+        let places = |other: &Option<Converted>| Places::new(other.as_ref().ok_or("made above")?, radius, HEIGHT, None);
         let (calm, lenient) = (places(&self.calm)?, places(&self.lenient)?);
-        let low = Places::new(own, radius, LOW_M)?;
+        let low = Places::new(own, radius, LOW_M, None)?;
         for &place in &judged.missed {
             if calm.claims(place) {
                 causes.noise[0] += 1;
@@ -223,6 +234,7 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
         "at the border",
         "unseen",
         "why",
+        "wrong anywhere",
         "worst height (cm)",
     ]);
     let mut peers = Table::new([
@@ -260,8 +272,15 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
         let title = if how == How::Even { name.to_owned() } else { format!("{name}, from stations") };
         for radius in RADII {
             let question = Question { floors: &floors, points: &points, frame, radius, noise: NOISE_M };
-            let places = Places::new(&own, radius, HEIGHT)?;
-            let judged = question.judge(&pixels, |pixel| places.at(pixel), true);
+            let places = Places::new(&own, radius, HEIGHT, None)?;
+            let mut judged = question.judge(&pixels, |pixel| places.at(pixel), true);
+            let anywhere = judged.wrong_share();
+            if let Some(walk) = subject.scene.walk() {
+                let near = Places::new(&own, radius, HEIGHT, Some(walk.start))?;
+                let on_foot = question.judge(&pixels, |pixel| near.at(pixel), true);
+                (judged.claims, judged.border_wrong, judged.unseen, judged.wrong) =
+                    (on_foot.claims, on_foot.border_wrong, on_foot.unseen, on_foot.wrong);
+            }
             let causes = others.causes(&own, radius, &judged, &floors)?;
             table.row([
                 title.clone(),
@@ -275,6 +294,7 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
                 percent(judged.border_wrong as f64 / judged.claims.max(1) as f64),
                 judged.unseen.to_string(),
                 causes.text(1),
+                percent(anywhere),
                 number(judged.worst_m * 100.0, 1),
             ]);
             let peer = |triangles: Option<&Vec<_>>, excuse: bool| -> Result<[String; 2]> {
