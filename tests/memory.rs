@@ -124,7 +124,7 @@ fn clouds_of_scanners_stay_within_the_budget_and_go_to_disk() {
         });
         let spec = WriteSpec { scale: [0.01; 3], ..WriteSpec::default() };
         write_clouds(&folder.path().join(name), format, samples, &spec, 2_000_000).unwrap();
-        let (_, temp) = peak_of_file(&folder, name, name, "0.2", count);
+        let (_, temp) = peak_of_file(&folder, name, name, "0.2", count, &[]);
         assert!(temp > 0, "the test shows little");
     }
 }

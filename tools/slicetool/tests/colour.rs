@@ -79,8 +79,8 @@ fn pictures_and_exports_have_the_colours_of_voxels() {
     for name in ["a.las", "a.laz"] {
         done(at, &["export", "a.slices", "-o", name]);
         let points = las::Reader::from_path(at.join(name)).unwrap().read_all().unwrap();
-        let colour = |point: las::Point| point.color.map(|c| [c.red, c.green, c.blue].map(|value| (value / 257) as u8));
-        let found: Vec<_> = points.into_iter().map(|point| colour(point).unwrap()).collect();
+        let found: Vec<[u8; 3]> =
+            points.rgb().unwrap().map(|(r, g, b)| [r, g, b].map(|value| (value / 257) as u8)).collect();
         assert_eq!(found, expected, "{name}");
     }
     let out = slicetool(at, &["show", "plain.slices", "--slice", "0", "--colour", "-o", "no.png"]);
