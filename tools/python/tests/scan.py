@@ -49,7 +49,27 @@ def las(points: np.ndarray, rgb: np.ndarray | None = None) -> bytes:
     low, high = points.min(axis=0), points.max(axis=0)
     head = struct.pack(
         "<4sHHIHH8sBB32s32sHHHIIBHI5I3d3d6d",
-        *(b"LASF", 0, 0, 0, 0, 0, b"", 1, 2, b"test", b"test", 1, 2025, 227, 227, 0, form, records.itemsize, len(points)),
+        *(
+            b"LASF",
+            0,
+            0,
+            0,
+            0,
+            0,
+            b"",
+            1,
+            2,
+            b"test",
+            b"test",
+            1,
+            2025,
+            227,
+            227,
+            0,
+            form,
+            records.itemsize,
+            len(points),
+        ),
         *(len(points), 0, 0, 0, 0, *[0.001] * 3, *[0.0] * 3),
         *(high[0], low[0], high[1], low[1], high[2], low[2]),
     )

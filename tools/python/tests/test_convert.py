@@ -270,7 +270,9 @@ def test_real_scan(real, tmp_path):
 
 def test_colours_are_the_means_of_the_points(tmp_path):
     points = scan.millimetres(np.random.default_rng(4).uniform(0, (2, 2, 0.2), (5000, 3)))
-    rgb = np.stack([points[:, 0] * 30000, points[:, 1] * 20000 + 5000, 65535 - points[:, 0] * 9000], axis=1).astype("u2")
+    rgb = np.stack([points[:, 0] * 30000, points[:, 1] * 20000 + 5000, 65535 - points[:, 0] * 9000], axis=1).astype(
+        "u2"
+    )
     (tmp_path / "a.las").write_bytes(scan.las(points, rgb))
     slicewalk.convert(tmp_path / "a.las", tmp_path / "a.slices", pixel=0.1, units="m", colour="rgb", colour_error=0)
     archive = slicewalk.open(tmp_path / "a.slices")
