@@ -278,7 +278,9 @@ def test_colours_are_the_means_of_the_points(tmp_path):
     archive = slicewalk.open(tmp_path / "a.slices")
     assert archive.info()["colour"] == {"source": "rgb", "range": [0, 65535], "error": 0, "voxels": archive.voxels}
     colours, page = archive.colours((0, 0, 0)), archive.page((0, 0, 0))
-    assert colours.shape == (archive.voxels, 4) and colours.dtype == np.uint8 and (colours[:, 3] == 255).all()
+    assert colours.shape == (archive.voxels, 4)
+    assert colours.dtype == np.uint8
+    assert (colours[:, 3] == 255).all()
     pixels = np.flatnonzero(page.occupancy.ravel())
     at = np.floor(points[:, 1] * 10).astype(int) * 64 + np.floor(points[:, 0] * 10).astype(int)
     # One slice, so one voxel a pixel.
