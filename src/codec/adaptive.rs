@@ -533,7 +533,7 @@ pub(super) fn encode_chosen(
     let mut heights = scratch.heights.iter().copied().chain(borders);
     let step = |lattice: &Lattice, height, end| (lattice.index(height, end), lattice.at_or_above(height));
     let is_same = |(height, end)| step(&found, height, end) == step(&tried.lattice, height, end);
-    if !found.is_like(&tried.lattice) && !(found.step == tried.lattice.step && heights.all(is_same)) {
+    if !(found.is_like(&tried.lattice) || found.step == tried.lattice.step && heights.all(is_same)) {
         return encode(frame, steps, page, scratch, out);
     }
     let mut head = RansEncoder::default();

@@ -64,7 +64,7 @@ impl Lattice {
 
     /// Whether all heights have the same steps on both, where that is seen at once: steps of whole quanta, begun within the same.
     pub fn is_like(&self, other: &Self) -> bool {
-        let inside = |lattice: &Self| lattice.phase % ONE as u64 > 0;
+        let inside = |lattice: &Self| !lattice.phase.is_multiple_of(ONE as u64);
         self == other
             || self.step == other.step
                 && self.step.is_multiple_of(ONE as u64)

@@ -120,7 +120,7 @@ fn variance(places: &[Place]) -> Option<f64> {
     let mut parts = [(0i64, [0i64; 3]); 10];
     for (_, place) in places {
         let half = |axis: usize| (place[axis] >> 19) as usize;
-        let third = |axis: usize| (3 * place[axis] >> 20) as usize;
+        let third = |axis: usize| ((3 * place[axis]) >> 20) as usize;
         for part in [half(0) + 2 * half(1), 4 + third(0), 7 + third(1)] {
             parts[part].0 += 1;
             (0..3).for_each(|axis| parts[part].1[axis] += place[axis]);

@@ -2,6 +2,7 @@
 //! `--cfg slicewalk_schedules` puts shuttle's: `tests/schedules.rs` then runs streams in schedules of its own choice.
 
 #[cfg(not(slicewalk_schedules))]
+#[cfg_attr(target_family = "wasm", allow(unused_imports, dead_code, reason = "streams have a thread"))]
 mod real {
     pub use std::hint::spin_loop as pause;
     pub use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
