@@ -15,7 +15,6 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-const PIXEL_M: f64 = 0.1;
 const OPTIONS: [&str; 6] = ["--pixel", "0.1", "--units", "m", "--quiet", "--force"];
 
 /// Exact sums of the colours of points by pixel and slice.

@@ -450,7 +450,7 @@ mod tests {
     fn a_gap_that_is_closed_joins_spans_of_one_kind() {
         let column = |pixel: u32| {
             let span = |bottom, top, obstacle| Span::new(bottom, top, obstacle).unwrap();
-            vec![span(300, 400, true), span(540, 600, pixel % 2 == 0), span(900, 1000, true)]
+            vec![span(300, 400, true), span(540, 600, pixel.is_multiple_of(2)), span(900, 1000, true)]
         };
         let mut builder = PageBuilder::default();
         assert!((0..PIXELS as u32).all(|pixel| builder.set_column(pixel % 64, pixel / 64, &column(pixel))));

@@ -136,7 +136,7 @@ pub fn page(effort: &Effort) -> Result<String> {
         let places: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();
         let mut random = Random(21);
         let mut place = || places[(random.bits() % places.len().max(1) as u64) as usize];
-        let mut pairs: Vec<(Spot, Spot, Point3<f64>, Point3<f64>, bool)> = Vec::new();
+        let mut pairs = Vec::new();
         let (mut connected, mut all) = (0, 0);
         for _ in 0..side {
             let from = place();

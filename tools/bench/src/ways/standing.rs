@@ -34,8 +34,11 @@ enum How {
     Stations(f64),
 }
 
+/// Name of a scene, its parameters, and how it is scanned.
+type Case = (&'static str, &'static [(&'static str, f64)], How);
+
 /// Scenes whose surfaces are known, and how each is scanned. Plants are left out: a leaf is no floor, but as level as one.
-const CASES: [(&str, &[(&str, f64)], How); 16] = [
+const CASES: [Case; 16] = [
     ("plane", &[("size", 8.0)], How::Even),
     ("ramps", &[("slope_step", 10.0), ("heading_step", 30.0), ("size", 3.0)], How::Even),
     ("stairs", &[], How::Even),
