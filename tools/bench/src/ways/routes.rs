@@ -14,7 +14,7 @@ use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::input::Units;
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::query::Answer;
-use slicewalk::reach::{Pawn, Planned, Planner, Route, Search, Spot};
+use slicewalk::reach::{Pawn, Planned, Planner, Route, Search};
 use slicewalk::store::Store;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use std::path::Path;
