@@ -278,7 +278,8 @@ def moved_by(head):
 
 
 def check_bounds(head, part, matter):
-    need(head.bounds or not head.pages, "T6", "matter without bounds")
+    borrows = part and head.fill_holes > 0
+    need(head.bounds or not head.pages or borrows, "T6", "matter without bounds")
     if not head.bounds:
         return
     units = 1 / head.pixel_size, 1 / head.pixel_size, 255 / head.slice_height
@@ -290,7 +291,7 @@ def check_bounds(head, part, matter):
         text = f"bounds from {head.bounds['min'][axis]} to {head.bounds['max'][axis]} along axis {axis}"
         end = INDEX * SLICE if axis == 2 else INDEX
         need(-end <= low and high <= end, "T6", f"{text}, beyond the grid")
-        if not head.pages:
+        if not head.pages or borrows:
             continue
         slack = moved if axis == 2 else 0
         least, greatest = matter.low[axis], matter.high[axis]

@@ -51,7 +51,8 @@ impl Matter {
     pub fn check(&self, plan: &Plan, is_part: bool, bounds: Option<&Bounds>) -> Result<(), Violation> {
         let Some((min, max)) = bounds else {
             let wrong = |around| Violation::new("T6", format!("bounds around the matter, {around:?}"), "no bounds");
-            return self.bounds(&plan.frame).map_or(Ok(()), |around| Err(wrong(around)));
+            let around = self.bounds(&plan.frame).filter(|_| !borrows(plan, is_part));
+            return around.map_or(Ok(()), |around| Err(wrong(around)));
         };
         let (low, high) = on_grid(&plan.frame, min, max);
         for axis in 0..3 {
@@ -97,12 +98,21 @@ impl Matter {
         let PlanOptions { min_points, drop_floaters, remove_moving, .. } = plan.options;
         let close = min_points == 1 && drop_floaters == 0 && !remove_moving && !is_part;
         let margin = if close { PAGE[axis] } else { 2 * end };
-        let moved = if axis == 2 { i64::from(plan.tolerance_quanta()) } else { 0 };
+        let moved = match axis {
+            _ if borrows(plan, is_part) => 2 * end,
+            2 => i64::from(plan.tolerance_quanta()),
+            _ => 0,
+        };
         Allowed {
-            min: ((least - margin).max(-end), least + moved),
-            max: (greatest - moved, (greatest + margin).min(end)),
+            min: ((least - margin).max(-end), (least + moved).min(end)),
+            max: ((greatest - moved).max(-end), (greatest + margin).min(end)),
         }
     }
+}
+
+/// Whether matter may lie beyond the bounds: a part in which holes are closed has floor that follows from points of other parts.
+fn borrows(plan: &Plan, is_part: bool) -> bool {
+    is_part && plan.options.fill_holes > 0
 }
 
 /// Where bounds lie: the pixels that hold their ends, quanta at or below and at or above theirs.
