@@ -11,7 +11,7 @@ use super::loose::Tried;
 use super::rans::{Bit, COST_BIT, Coder, Nibble, RansDecoder, RansEncoder};
 use super::{MAX_PAGE_SPANS, Violation};
 use crate::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
-use crate::slice::{Page, PageBuilder, Span};
+use crate::slice::{BLOCK_PIXELS, Page, PageBuilder, Span};
 
 pub(super) const PIXELS: usize = 64 * 64;
 /// Most spans in one pixel.
@@ -360,10 +360,11 @@ fn unfold(folded: u32) -> i32 {
 }
 
 /// Where the values of a walk come from.
-pub(super) trait Given {
+pub(super) trait Given<'a> {
     /// Blocks with matter, blocks with matter in all pixels.
     fn blocks(&self) -> (u64, u64);
-    fn spans(&self, px: u32, py: u32) -> &[Span];
+    /// The spans of a pixel; all pixels are asked for in row order.
+    fn spans(&mut self, px: u32, py: u32) -> &'a [Span];
     /// `span`, the one of number `_at.1` in pixel `_at.0`, or what it is to be in its place.
     #[inline]
     fn chosen<C>(&self, span: Span, _at: (usize, usize), _: &Candidates, _: &Traversal<'_, C>) -> Span {
@@ -371,18 +372,50 @@ pub(super) trait Given {
     }
 }
 
-/// A page to write, or (for decoding) nothing.
-impl Given for Option<&Page> {
+/// For decoding: nothing.
+impl<'a> Given<'a> for () {
     fn blocks(&self) -> (u64, u64) {
-        let Some(page) = self else { return (0, 0) };
+        (0, 0)
+    }
+
+    #[inline]
+    fn spans(&mut self, _: u32, _: u32) -> &'a [Span] {
+        &[]
+    }
+}
+
+/// A page to write.
+pub(super) struct Rows<'a> {
+    page: &'a Page,
+    /// Spans of the block's row in work that are still to come.
+    rest: &'a [Span],
+}
+
+impl<'a> Rows<'a> {
+    pub fn of(page: &'a Page) -> Self {
+        Self { page, rest: &[] }
+    }
+}
+
+impl<'a> Given<'a> for Rows<'a> {
+    fn blocks(&self) -> (u64, u64) {
+        let page = self.page;
         let mask = |has: fn(u64) -> bool| {
             (0..64).fold(0, |mask, block| mask | (has(page.block_at(block).pixels()) as u64) << block)
         };
         (mask(|pixels| pixels != 0), mask(|pixels| pixels == u64::MAX))
     }
 
-    fn spans(&self, px: u32, py: u32) -> &[Span] {
-        self.map_or(&[], |page| page.column(px, py))
+    #[inline]
+    fn spans(&mut self, px: u32, py: u32) -> &'a [Span] {
+        if px.is_multiple_of(BLOCK_PIXELS) {
+            self.rest = self.page.block(px / BLOCK_PIXELS, py / BLOCK_PIXELS).rows(py % BLOCK_PIXELS, py % BLOCK_PIXELS);
+        }
+        let lane = px % BLOCK_PIXELS;
+        let count = self.rest.iter().take_while(|span| span.lane() == lane).count();
+        let (own, rest) = self.rest.split_at(count);
+        self.rest = rest;
+        own
     }
 }
 
@@ -397,11 +430,11 @@ fn pixel_context(rows: [u64; 3], px: u32) -> usize {
 }
 
 /// Walks over the page that `given` tells or the coder reads, and hands each pixel's spans to `give`.
-pub(super) fn walk<C: Coder, G: Given>(
+pub(super) fn walk<'a, C: Coder>(
     coder: C,
     lattice: Lattice,
     scratch: &mut Scratch,
-    given: G,
+    mut given: impl Given<'a>,
     mut give: impl FnMut(u32, u32, &[Span]) -> Result<(), Violation>,
 ) -> Result<C, Violation> {
     let Scratch { models, first, spans, last_off, column, .. } = scratch;
@@ -483,7 +516,7 @@ pub(super) fn walk<C: Coder, G: Given>(
 
 pub(super) fn lattice_of(frame: Option<&Frame>, steps: &[u64], page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
     heights.clear();
-    for (_, _, spans) in page.columns() {
+    for spans in page.spans_of_blocks() {
         heights.extend(spans.iter().flat_map(|span| [(span.bottom(), End::Bottom), (span.top(), End::Top)]));
     }
     // Heights on slice boundaries may be those of cuts, and say nothing.
@@ -497,14 +530,14 @@ pub fn encode(frame: Option<&Frame>, steps: &[u64], page: &Page, scratch: &mut S
     let mut encoder = std::mem::take(&mut scratch.encoder);
     encoder.clear();
     code_lattice(&mut encoder, lattice);
-    if let Ok(mut encoder) = walk(encoder, lattice, scratch, Some(page), |_, _, _| Ok(())) {
+    if let Ok(mut encoder) = walk(encoder, lattice, scratch, Rows::of(page), |_, _, _| Ok(())) {
         encoder.finish(out);
         scratch.encoder = encoder;
     }
 }
 
 /// Codes what `given` chooses on the lattice of `tried`: its spans, and their symbols.
-pub(super) fn choose(given: impl Given, tried: &mut Tried, scratch: &mut Scratch) {
+pub(super) fn choose<'a>(given: impl Given<'a>, tried: &mut Tried, scratch: &mut Scratch) {
     let Tried { lattice, encoder, spans } = tried;
     let mut coder = std::mem::take(encoder);
     coder.clear();
@@ -560,7 +593,7 @@ pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut PageBuilder) -> 
     let mut decoder = RansDecoder::new(body, "P6")?;
     let lattice = code_lattice(&mut decoder, Lattice::QUANTA)
         .ok_or_else(|| Violation::new("P7", "steps of 2 to 255 quanta, above their phase", "others"))?;
-    let decoder = walk(decoder, lattice, scratch, None, |px, py, spans| {
+    let decoder = walk(decoder, lattice, scratch, (), |px, py, spans| {
         let apart = || Violation::new("P8", "spans apart, lowest first", format!("{spans:?} in pixel ({px}, {py})"));
         builder.set_column(px, py, spans).then_some(()).ok_or_else(apart)
     })?;

@@ -5,7 +5,7 @@
 //! in whole centimetres become even ones. Steps half as wide leave most heights a choice; it falls on what the models of the
 //! coder expect at that place. Of few such ways the one with the shortest symbols is taken, page by page.
 
-use super::adaptive::{Candidates, Given, PIXELS, SLICE, Scratch, Traversal, choose};
+use super::adaptive::{Candidates, Given, PIXELS, Rows, SLICE, Scratch, Traversal, choose};
 use super::lattice::{End, LEAST_HEIGHTS, Lattice, ONE};
 use super::rans::RansEncoder;
 use crate::frame::{Frame, PAGE_QUANTA};
@@ -95,7 +95,7 @@ impl Loose {
 
     fn set(&mut self, page: &Page, tolerance: u32, merges: bool) {
         let Self { blocks, first, spans, room, is_narrow, heights, .. } = self;
-        *blocks = Some(page).blocks();
+        *blocks = Rows::of(page).blocks();
         *is_narrow = false;
         first.clear();
         spans.clear();
@@ -299,12 +299,12 @@ fn follow(expected: i32, (low, high): (u32, u32)) -> u32 {
     height as u32
 }
 
-impl Given for &Loose {
+impl<'a> Given<'a> for &'a Loose {
     fn blocks(&self) -> (u64, u64) {
         self.blocks
     }
 
-    fn spans(&self, px: u32, py: u32) -> &[Span] {
+    fn spans(&mut self, px: u32, py: u32) -> &'a [Span] {
         let pixel = (py * 64 + px) as usize;
         &self.spans[self.first[pixel] as usize..self.first[pixel + 1] as usize]
     }

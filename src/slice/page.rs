@@ -180,16 +180,36 @@ impl Page {
         self.spans.len() - further_unions
     }
 
+    /// The blocks with matter.
+    fn blocks_with_matter(&self) -> impl Iterator<Item = BlockView<'_>> {
+        (0..self.blocks.len() - 1).map(|place| BlockView { page: self, place })
+    }
+
+    /// All spans, block by block.
+    pub(crate) fn spans_of_blocks(&self) -> impl Iterator<Item = &[Span]> {
+        self.blocks_with_matter().map(|block| block.rows(0, BLOCK_PIXELS - 1))
+    }
+
     /// Number of occupied voxels, and how many of them hold obstacle.
     pub fn voxel_counts(&self) -> (u64, u64) {
         let mut counts = (0, 0);
-        for (_, _, spans) in self.columns() {
-            let mask = |only_obstacles: bool| {
-                let counted = spans.iter().filter(|s| s.is_obstacle() || !only_obstacles);
-                counted.fold(0u64, |mask, span| mask | span.slice_mask()).count_ones() as u64
+        for (block, y) in self.blocks_with_matter().flat_map(|block| (0..BLOCK_PIXELS).map(move |y| (block, y))) {
+            // Slices of the pixel at hand: with matter, and with obstacle.
+            let (mut lane, mut slices, mut obstacles) = (0, 0u64, 0u64);
+            let mut count = |slices: u64, obstacles: u64| {
+                counts.0 += u64::from(slices.count_ones());
+                counts.1 += u64::from(obstacles.count_ones());
             };
-            counts.0 += mask(false);
-            counts.1 += mask(true);
+            for span in block.rows(y, y) {
+                if span.lane() != lane {
+                    count(slices, obstacles);
+                    (lane, slices, obstacles) = (span.lane(), 0, 0);
+                }
+                let mask = span.slice_mask();
+                slices |= mask;
+                obstacles |= if span.is_obstacle() { mask } else { 0 };
+            }
+            count(slices, obstacles);
         }
         counts
     }

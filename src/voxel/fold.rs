@@ -233,6 +233,12 @@ impl Folder {
     fn fold(&mut self, points: &[Record]) -> &[(Voxel, u32)] {
         let Self { voxels, recent } = self;
         voxels.clear();
+        if let [point] = points {
+            let mut voxel = Voxel::empty(point.slice());
+            voxel.add(*point);
+            voxels.push((voxel, 1));
+            return voxels;
+        }
         for &point in points {
             let slice = point.slice();
             let place = &mut recent[slice as usize % RECENT];

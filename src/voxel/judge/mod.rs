@@ -31,6 +31,7 @@
 //! Surfaces of meshes have a true slope, whatever the classifier: a voxel with a surface steeper than the limit is an
 //! obstacle, one with other surfaces and no points is floor. Towards points, surfaces count as matter in the runs.
 
+mod extents;
 mod pieces;
 mod surface;
 #[cfg(test)]
@@ -40,6 +41,7 @@ use super::bands::Bands;
 use super::fold::{Area, Patch, Sums, Voxel};
 use crate::frame::SLICE_QUANTA;
 use crate::plan::{Classifier, Plan, rise_of};
+use extents::Extents;
 use pieces::Runs;
 use surface::{Around, Surfaces, Verdict};
 
@@ -105,24 +107,38 @@ impl Judge {
             Classifier::Span => self.steep_run,
             Classifier::Plane => self.clearly_steep_run,
         };
-        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+        // No run reaches further than the matter of its pixel.
+        let extents = Extents::of(patch);
+        let reaches_far = |&pixel: &usize| extents.height(pixel) as f64 > greatest_extent;
+        for pixel in patch.occupied().filter(reaches_far).filter(|&pixel| area.holds(pixel)) {
             self.runs.mark(patch, pixel, greatest_extent, verdicts);
         }
         if self.classifier == Classifier::Plane {
-            self.judge_surfaces(patch, sums, area, verdicts);
+            // What stays out of the fits is decided by each pixel alone, so that it does not depend on which neighbours of
+            // the halo are at hand.
+            let mut steep_alone = vec![false; verdicts.len()];
+            for pixel in patch.occupied().filter(reaches_far) {
+                self.runs.mark_alone(patch, pixel, greatest_extent, &mut steep_alone);
+            }
+            self.judge_surfaces(patch, sums, area, &extents, &steep_alone, verdicts);
         }
     }
 
     /// Verdicts on voxels that are in no clearly steep run.
-    fn judge_surfaces(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut [bool]) {
-        // What stays out of the fits is decided by each pixel alone, so that it does not depend on which neighbours of
-        // the halo are at hand.
-        let mut steep_alone = vec![false; verdicts.len()];
-        for pixel in patch.occupied() {
-            self.runs.mark_alone(patch, pixel, self.clearly_steep_run, &mut steep_alone);
-        }
+    fn judge_surfaces(
+        &self,
+        patch: &Patch,
+        sums: &mut Sums,
+        area: Area,
+        extents: &Extents,
+        steep_alone: &[bool],
+        verdicts: &mut [bool],
+    ) {
+        let extents_around = extents.around();
+        // Where all matter around a pixel is that low, all of it is floor, however it is connected.
+        let is_low = |pixel: &usize| self.surfaces.is_level(extents_around.height(*pixel));
         let (mut around, mut extents) = (Around::default(), Vec::new());
-        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
+        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)).filter(|pixel| !is_low(pixel)) {
             around.enter(patch, pixel);
             extents.clear();
             let range = patch.range(pixel);
@@ -133,7 +149,7 @@ impl Judge {
                 }
                 let centre = self.surfaces.centre(patch, first..range.end, verdicts);
                 rest.start = centre.numbers.end;
-                match self.surfaces.verdict(patch, sums, &steep_alone, &mut around, &centre) {
+                match self.surfaces.verdict(patch, sums, steep_alone, &mut around, &centre) {
                     Verdict::Floor => {}
                     Verdict::Obstacle => verdicts[centre.numbers].fill(true),
                     Verdict::ByRun => {

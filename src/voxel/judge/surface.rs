@@ -69,6 +69,12 @@ impl Surfaces {
         }
     }
 
+    /// Whether matter around a voxel that reaches no further in all (quanta) is floor, whatever its points.
+    #[inline]
+    pub fn is_level(&self, extent: i64) -> bool {
+        extent <= self.level && (extent + self.bin) as f64 <= self.steep_chain
+    }
+
     /// The voxels at the head of `numbers` that get one verdict: those in the band of the first that no gap parts into two
     /// surfaces, up to one that has its verdict already or holds no points.
     pub fn centre(&self, patch: &Patch, numbers: Range<usize>, verdicts: &[bool]) -> Centre {
