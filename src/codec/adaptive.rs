@@ -409,7 +409,8 @@ impl<'a> Given<'a> for Rows<'a> {
     #[inline]
     fn spans(&mut self, px: u32, py: u32) -> &'a [Span] {
         if px.is_multiple_of(BLOCK_PIXELS) {
-            self.rest = self.page.block(px / BLOCK_PIXELS, py / BLOCK_PIXELS).rows(py % BLOCK_PIXELS, py % BLOCK_PIXELS);
+            self.rest =
+                self.page.block(px / BLOCK_PIXELS, py / BLOCK_PIXELS).rows(py % BLOCK_PIXELS, py % BLOCK_PIXELS);
         }
         let lane = px % BLOCK_PIXELS;
         let count = self.rest.iter().take_while(|span| span.lane() == lane).count();

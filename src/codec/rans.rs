@@ -169,6 +169,27 @@ pub struct RansEncoder {
     /// First slot and number of slots of each symbol. What is decoded first is encoded last, so they wait here.
     slots: Vec<(u16, u16)>,
     words: Vec<u16>,
+    inverses: Inverses,
+}
+
+/// ⌊2⁶³ / n⌋ + 1 for each number of slots: with it, a division is a multiplication. Made when it is first wanted.
+#[derive(Debug, Default)]
+struct Inverses(Vec<u64>);
+
+impl Inverses {
+    fn of_all(&mut self) -> &[u64] {
+        if self.0.is_empty() {
+            self.0 = (0..=u64::from(SCALE)).map(|count| (1 << 63) / count.max(1) + 1).collect();
+        }
+        &self.0
+    }
+
+    /// `state / count` by the inverse of `count` [1..=`SCALE`]: it errs by less than `state / 2⁶³`, and no quotient lies closer
+    /// below the next whole number than `1 / SCALE`.
+    #[inline]
+    fn quotient(state: u32, inverse: u64) -> u32 {
+        ((u128::from(state) * u128::from(inverse)) >> 63) as u32
+    }
 }
 
 impl RansEncoder {
@@ -179,18 +200,22 @@ impl RansEncoder {
 
     /// Appends the bytes of all symbols since [`clear`](Self::clear): the state (u32), then its words (u16).
     pub fn finish(&mut self, out: &mut Vec<u8>) {
-        self.words.clear();
-        let mut state = LOW;
-        for &(start, count) in self.slots.iter().rev() {
-            let (start, count) = (start as u32, count as u32);
-            if state >= count << 17 {
-                self.words.push(state as u16);
-                state >>= 16;
-            }
-            state = (state / count) << SCALE_BITS | (state % count + start);
+        let Self { slots, words, inverses } = self;
+        let inverses = inverses.of_all();
+        words.resize(slots.len() + 1, 0);
+        let (mut state, mut length) = (LOW, 0);
+        for &(start, count) in slots.iter().rev() {
+            let inverse = inverses[usize::from(count)];
+            let (start, count) = (u32::from(start), u32::from(count));
+            // Whether a word goes out is hard to foresee, so each is written, and stays if it is to.
+            words[length] = state as u16;
+            let goes_out = u64::from(state) >= u64::from(count) << 17;
+            length += usize::from(goes_out);
+            state = if goes_out { state >> 16 } else { state };
+            state += start + Inverses::quotient(state, inverse) * (SCALE - count);
         }
         out.extend(state.to_le_bytes());
-        out.extend(self.words.iter().rev().flat_map(|word| word.to_le_bytes()));
+        out.extend(words[..length].iter().rev().flat_map(|word| word.to_le_bytes()));
     }
 
     /// What all symbols since [`clear`](Self::clear) take, but for rounding (1/64 bit).
@@ -317,6 +342,19 @@ impl Coder for RansDecoder<'_> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn multiplying_by_an_inverse_is_dividing() {
+        let mut inverses = Inverses::default();
+        let of_all = inverses.of_all();
+        for count in 1..=SCALE {
+            let multiples = [1, 2, 3, u32::MAX / count / 2, u32::MAX / count].map(|times| times * count);
+            for state in multiples.into_iter().flat_map(|at| [at - 1, at, at.saturating_add(1)]).chain([LOW, u32::MAX])
+            {
+                assert_eq!(Inverses::quotient(state, of_all[count as usize]), state / count, "{state} / {count}");
+            }
+        }
+    }
 
     #[test]
     fn costs_are_logarithms() {

@@ -403,8 +403,10 @@ impl PageBuilder {
             block.rows.iter_mut().for_each(|start| *start += filled as u16);
             let slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
             page_slices |= slices;
-            for (slice, blocks) in slice_blocks.iter_mut().enumerate() {
-                *blocks |= (slices >> slice & 1) << number;
+            let mut rest = slices;
+            while rest != 0 {
+                slice_blocks[rest.trailing_zeros() as usize] |= 1 << number;
+                rest &= rest - 1;
             }
             blocks.push(block);
             spans.extend_from_slice(&own);

@@ -35,6 +35,17 @@ pub struct Moments {
 }
 
 impl Moments {
+    /// The ten numbers, in the order of the fields.
+    pub fn numbers(&self) -> [i64; 10] {
+        [self.n, self.u, self.v, self.w, self.uu, self.uv, self.vv, self.uw, self.vw, self.ww]
+    }
+
+    /// The inverse of [`numbers`](Self::numbers).
+    #[inline]
+    pub fn from_numbers([n, u, v, w, uu, uv, vv, uw, vw, ww]: [i64; 10]) -> Self {
+        Self { n, u, v, w, uu, uv, vv, uw, vw, ww }
+    }
+
     /// Adds one point.
     #[inline]
     pub fn add(&mut self, u: i64, v: i64, w: i64) {
@@ -295,6 +306,12 @@ impl ByPixel {
         self.starts[pixel] as usize..self.starts[pixel + 1] as usize
     }
 
+    /// The records of a pixel; none where all records are gone.
+    #[inline]
+    fn of(&self, pixel: usize) -> &[Record] {
+        if self.starts.is_empty() { &[] } else { &self.records[self.range(pixel)] }
+    }
+
     /// Patch pixels with records, in order, and these.
     fn pixels(&self) -> impl Iterator<Item = (usize, &[Record])> {
         (0..PATCH_AREA).map(|pixel| (pixel, &self.records[self.range(pixel)])).filter(|(_, own)| !own.is_empty())
@@ -304,6 +321,8 @@ impl ByPixel {
 /// Sums kept at once; beyond that they are made again when they are wanted again.
 const KEPT_SUMS: usize = 1 << 16;
 const NO_SUM: u32 = u32::MAX;
+/// Records per voxel up to which summing all costs less than it saves.
+const MOST_RECORDS_FEW: usize = 6;
 
 /// Sums over the points of voxels, made when they are wanted: most voxels are judged by the extent of their matter alone.
 ///
@@ -313,6 +332,8 @@ const NO_SUM: u32 = u32::MAX;
 pub struct Sums {
     bands: Bands,
     records: ByPixel,
+    /// Whether `records` are those of the patch's voxels and no others.
+    are_all_kept: bool,
     /// Whether the records of a pixel are in order of slices.
     in_order: Vec<bool>,
     kept: Vec<Moments>,
@@ -324,6 +345,22 @@ impl Sums {
     /// No sums yet; heights will be those above the floors of `bands`.
     pub fn new(bands: Bands) -> Self {
         Self { bands, ..Self::default() }
+    }
+
+    /// Adds to `sums` those over the points of voxel `number` of `patch`, which lies in `pixel` and so many pixels and bands away
+    /// from the origin of `sums`.
+    #[inline]
+    pub fn add_to(&mut self, sums: &mut Moments, patch: &Patch, (pixel, number): (usize, usize), away: [i64; 3]) {
+        let [x, y, bands] = away;
+        match self.records.of(pixel) {
+            // Scans have many voxels of one point, whose sums need not be kept.
+            [record] if record.content() == Content::Point => {
+                let (u, v) = record.place();
+                let w = self.bands.height(*record) + bands * SLICE_STEPS;
+                sums.add(i64::from(u) + x * SUBPIXELS, i64::from(v) + y * SUBPIXELS, w);
+            }
+            _ => sums.add_shifted(self.of(patch, pixel, number), x, y, bands),
+        }
     }
 
     /// The sums over the points of voxel `number` of `patch`, which lies in `pixel`.
@@ -351,6 +388,13 @@ impl Sums {
         &self.kept[self.places[number] as usize]
     }
 
+    /// Patch pixels with records, in order, and these, if they are few for their voxels and those of no others.
+    pub fn few_by_pixel(&self) -> Option<impl Iterator<Item = (usize, &[Record])>> {
+        let count = self.records.records.len();
+        let are_few = count <= MOST_RECORDS_FEW * self.places.len() && count < 1 << 22;
+        (self.are_all_kept && are_few).then(|| self.records.pixels())
+    }
+
     /// Nothing is summed yet of the voxels of a patch made of `self.records`.
     fn begin(&mut self, voxels: usize) {
         self.in_order.clear();
@@ -363,6 +407,7 @@ impl Sums {
     /// The sums of all voxels, in order.
     fn set_all(&mut self, all: impl Iterator<Item = Moments>) {
         self.records = ByPixel::default();
+        self.are_all_kept = false;
         self.kept.clear();
         self.kept.extend(all);
         self.places.clear();
@@ -403,15 +448,17 @@ impl Patch {
         let mut folder = std::mem::take(&mut self.folder);
         self.clear();
         sums.records.set(records);
-        let mut dropped = 0;
+        let (mut dropped, mut folded) = (0, 0);
         for (pixel, own) in sums.records.pixels() {
             let kept = |(voxel, points): &(Voxel, u32)| voxel.is_kept(i64::from(*points), min_points);
             let voxels = folder.fold(own);
+            folded += voxels.len();
             dropped += self.push(pixel, voxels.iter().map(|voxel| (voxel.0, kept(voxel))), area);
         }
         self.end();
         self.folder = folder;
         sums.begin(self.voxels.len());
+        sums.are_all_kept = folded == self.voxels.len();
         dropped
     }
 
@@ -462,6 +509,7 @@ impl Patch {
         }
         self.end();
         self.folder = before.folder;
+        sums.are_all_kept &= kept.len() == self.voxels.len();
         let mut stay = kept.iter();
         sums.places.retain(|_| stay.next().is_none_or(|&stays| stays));
         (kept.len() - self.voxels.len()) as u64
@@ -495,10 +543,14 @@ impl Patch {
 
 /// The 3 × 3 pixels around a patch pixel that is not in the halo, with their places 0..3 in x and y.
 pub fn neighbourhood(patch_pixel: usize) -> impl Iterator<Item = (usize, i64, i64)> {
-    (0..9).map(move |place| {
-        let (dx, dy) = (place % 3, place / 3);
-        (patch_pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1, dx as i64, dy as i64)
-    })
+    (0..9).map(move |place| neighbour(patch_pixel, place))
+}
+
+/// The pixel of number `place` in the [`neighbourhood`].
+#[inline]
+pub fn neighbour(patch_pixel: usize, place: usize) -> (usize, i64, i64) {
+    let (dx, dy) = (place % 3, place / 3);
+    (patch_pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1, dx as i64, dy as i64)
 }
 
 const _: () = assert!(HALO_PIXELS == 1, "neighbourhoods are 3 × 3 pixels");

@@ -39,8 +39,8 @@ impl Extents {
 }
 
 /// `join` of the 3 × 3 values around each; rows first, then columns, in loops that compile to vector instructions.
-fn three_by_three(values: &[u32], join: impl Fn(u32, u32) -> u32) -> Vec<u32> {
-    let three = |values: &[u32], step: usize| {
+pub fn three_by_three<T: Copy>(values: &[T], join: impl Fn(T, T) -> T) -> Vec<T> {
+    let three = |values: &[T], step: usize| {
         let mut joined = values.to_vec();
         let inner = step..values.len() - step;
         let ends = values[..values.len() - 2 * step].iter().zip(&values[2 * step..]);

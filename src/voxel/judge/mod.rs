@@ -36,6 +36,7 @@ mod pieces;
 mod surface;
 #[cfg(test)]
 mod tests;
+mod windows;
 
 use super::bands::Bands;
 use super::fold::{Area, Patch, Sums, Voxel};
@@ -44,12 +45,15 @@ use crate::plan::{Classifier, Plan, rise_of};
 use extents::Extents;
 use pieces::Runs;
 use surface::{Around, Surfaces, Verdict};
+use windows::Windows;
 
 /// Runs are called steep without a fit from this far above the limit: below it, noise on a floor at the limit must
 /// not make it an obstacle, and the fit is exact enough to tell.
 const CLEARLY_STEEPER_DEG: f64 = 10.0;
 /// A neighbour belongs to the same surface if a plane this much steeper than the limit could connect the two.
 const CONNECTED_STEEPER_DEG: f64 = 15.0;
+/// Pixels to be fitted in a patch from which on the sums of all are made at once.
+const LEAST_WINDOWS: usize = 512;
 /// No angle beyond this is used as a bound: its tangent would connect everything.
 const STEEPEST_BOUND_DEG: f64 = 80.0;
 
@@ -57,11 +61,13 @@ const STEEPEST_BOUND_DEG: f64 = 80.0;
 #[derive(Debug, Clone, Copy)]
 pub struct Judge {
     classifier: Classifier,
+    bands: Bands,
     runs: Runs,
     surfaces: Surfaces,
     /// Extents of runs (quanta).
     steep_run: f64,
     clearly_steep_run: f64,
+    least_windows: usize,
 }
 
 impl Judge {
@@ -75,10 +81,12 @@ impl Judge {
         let reach = rise_of(bound(CONNECTED_STEEPER_DEG).min(STEEPEST_BOUND_DEG));
         Self {
             classifier: plan.options.classifier,
+            bands,
             runs: Runs::new(frame, bands, run(limit)),
             surfaces: Surfaces::new(frame, bands, rise_of(limit), reach),
             steep_run: run(limit),
             clearly_steep_run: run(bound(CLEARLY_STEEPER_DEG)),
+            least_windows: LEAST_WINDOWS,
         }
     }
 
@@ -137,11 +145,22 @@ impl Judge {
         let extents_around = extents.around();
         // Where all matter around a pixel is that low, all of it is floor, however it is connected.
         let is_low = |pixel: &usize| self.surfaces.is_level(extents_around.height(*pixel));
+        let open: Vec<usize> =
+            patch.occupied().filter(|&pixel| area.holds(pixel)).filter(|pixel| !is_low(pixel)).collect();
+        let is_one_layer =
+            |pixel: usize| self.surfaces.is_one_layer(extents_around.height(pixel), self.clearly_steep_run);
+        let layers = open.iter().filter(|&&pixel| is_one_layer(pixel)).count();
+        let windows = if layers >= self.least_windows { Windows::of(patch, sums, self.bands) } else { None };
         let (mut around, mut extents) = (Around::default(), Vec::new());
-        for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)).filter(|pixel| !is_low(pixel)) {
+        for pixel in open {
+            let range = patch.range(pixel);
+            let fitted = windows.as_ref().filter(|_| is_one_layer(pixel));
+            if let Some(is_steep) = fitted.and_then(|windows| self.surfaces.plane_is_steep(&windows.around(pixel))) {
+                verdicts[range].fill(is_steep);
+                continue;
+            }
             around.enter(patch, pixel);
             extents.clear();
-            let range = patch.range(pixel);
             let mut rest = range.clone();
             while let Some(first) = rest.next() {
                 if verdicts[first] || !patch.voxels()[first].has_points() {

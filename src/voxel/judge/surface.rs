@@ -2,7 +2,7 @@
 
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::voxel::bands::Bands;
-use crate::voxel::fold::{BINS, Moments, Patch, Sums, Voxel, neighbourhood};
+use crate::voxel::fold::{BINS, Moments, Patch, Sums, Voxel, neighbour, neighbourhood};
 use crate::voxel::record::{SLICE_STEPS, SUBPIXELS};
 use nalgebra::{Matrix2, Vector2};
 use std::ops::{BitOr, Range};
@@ -75,6 +75,22 @@ impl Surfaces {
         extent <= self.level && (extent + self.bin) as f64 <= self.steep_chain
     }
 
+    /// Whether all matter in a pixel and around it, of this extent (quanta), is one surface in three bands and takes part in fits, as
+    /// nothing up to `steep_run` is kept out of them; so that its plane is that of all points around.
+    #[inline]
+    pub fn is_one_layer(&self, extent: i64, steep_run: f64) -> bool {
+        let band = i64::from(self.bands.slices()) * SLICE_QUANTA;
+        extent > self.level && extent <= self.reach && extent < band && extent as f64 <= steep_run
+    }
+
+    /// Whether the plane of points is steeper than the limit; `None` where they determine none or lie on none.
+    pub fn plane_is_steep(&self, sums: &Moments) -> Option<bool> {
+        match self.fit(sums) {
+            Fit::Plane { slope_squared } => Some(slope_squared > self.steep_squared),
+            Fit::NoPlane | Fit::Undetermined => None,
+        }
+    }
+
     /// The voxels at the head of `numbers` that get one verdict: those in the band of the first that no gap parts into two
     /// surfaces, up to one that has its verdict already or holds no points.
     pub fn centre(&self, patch: &Patch, numbers: Range<usize>, verdicts: &[bool]) -> Centre {
@@ -106,17 +122,18 @@ impl Surfaces {
         centre: &Centre,
     ) -> Verdict {
         around.climb(patch, self.bands.around(centre.band));
-        let voxels = patch.voxels();
-        let is_connected = |other: usize, (bottom, top): (i64, i64)| {
-            !steep_alone[other] && (bottom - centre.high).max(centre.low - top) <= self.reach
-        };
+        let Around { places, connected, .. } = around;
+        connected.clear();
         let (mut lowest, mut highest) = (centre.low, centre.high);
         let (mut bottom_of_all, mut top_of_all) = (centre.low, centre.high);
-        for other in around.ranges().flatten() {
-            let (bottom, top) = voxels[other].quanta_above(centre.floor.into());
-            (bottom_of_all, top_of_all) = (bottom_of_all.min(bottom), top_of_all.max(top));
-            if is_connected(other, (bottom, top)) {
-                (lowest, highest) = (lowest.min(bottom), highest.max(top));
+        for (place, &[first, above, _]) in places.iter().enumerate() {
+            for (other, voxel) in (first..).zip(&patch.voxels()[first..above]) {
+                let (bottom, top) = voxel.quanta_above(centre.floor.into());
+                (bottom_of_all, top_of_all) = (bottom_of_all.min(bottom), top_of_all.max(top));
+                if !steep_alone[other] && (bottom - centre.high).max(centre.low - top) <= self.reach {
+                    (lowest, highest) = (lowest.min(bottom), highest.max(top));
+                    connected.push((other, place as u8));
+                }
             }
         }
         // A chain is no longer than everything around, but for the width of a bin.
@@ -129,14 +146,10 @@ impl Surfaces {
             return Verdict::Floor;
         }
         let mut sums = Moments::default();
-        for (range, (pixel, dx, dy)) in around.ranges().zip(neighbourhood(around.pixel)) {
-            for other in range {
-                let voxel = &voxels[other];
-                if is_connected(other, voxel.quanta_above(centre.floor.into())) {
-                    let band = i64::from(self.bands.of(voxel.slice)) + 1 - i64::from(centre.band);
-                    sums.add_shifted(of_voxels.of(patch, pixel, other), dx, dy, band);
-                }
-            }
+        for &(other, place) in &around.connected {
+            let (pixel, dx, dy) = neighbour(around.pixel, place.into());
+            let band = i64::from(self.bands.of(patch.voxels()[other].slice)) + 1 - i64::from(centre.band);
+            of_voxels.add_to(&mut sums, patch, (pixel, other), [dx, dy, band]);
         }
         let steep = match self.fit(&sums) {
             Fit::Plane { slope_squared } => slope_squared > self.steep_squared,
@@ -147,8 +160,11 @@ impl Surfaces {
     }
 
     fn fit(&self, sums: &Moments) -> Fit {
-        let central =
-            |n: i64, ab: i64, a: i64, b: i64| (i128::from(n) * i128::from(ab) - i128::from(a) * i128::from(b)) as f64;
+        // So few points overflow no 64 bits, even about the origin of a patch: (2²⁰ · 2¹¹)² < 2⁶³.
+        let central = |n: i64, ab: i64, a: i64, b: i64| match n < 1 << 11 {
+            true => (n * ab - a * b) as f64,
+            false => (i128::from(n) * i128::from(ab) - i128::from(a) * i128::from(b)) as f64,
+        };
         let Moments { n, u, v, w, .. } = *sums;
         let [cuu, cuv, cvv] =
             [(sums.uu, u, u), (sums.uv, u, v), (sums.vv, v, v)].map(|(ab, a, b)| central(n, ab, a, b));
@@ -248,6 +264,8 @@ pub struct Around {
     /// Per pixel of the neighbourhood: numbers of the first voxel in these bands, of the first above them, and of the
     /// first of the next pixel.
     places: [[usize; 3]; 9],
+    /// Voxels connected to those in work, each with the number of its pixel in the neighbourhood; scratch of a verdict.
+    connected: Vec<(usize, u8)>,
 }
 
 impl Around {

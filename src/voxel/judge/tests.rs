@@ -131,6 +131,41 @@ fn what_is_floor_without_a_fit_is_floor_by_the_fit_too() {
 }
 
 #[test]
+fn ground_fitted_in_one_go_gets_the_verdicts_of_single_fits() {
+    let mut random = Random(37);
+    let edge = 64.0 * T;
+    let mut steep = 0;
+    for (limit, slice, noise) in [(20.0, 3.0, 0.3), (45.0, 3.0, 0.2), (45.0, 0.7, 0.25), (60.0, 6.0, 0.5)] {
+        let options = PlanOptions { max_slope_deg: limit, ..PlanOptions::default() };
+        let plan = Plan { frame: Frame::new(T, slice * T).unwrap(), options };
+        // Ground that gets steeper, a wall, and leaves above both.
+        let points: Vec<_> = (0..9_000)
+            .map(|number| {
+                let (x, y) = (random.uniform() * edge, random.uniform() * edge);
+                let ground = 0.6 * x * x / edge + noise * T * random.normal();
+                let above = match number % 16 {
+                    0 => random.uniform() * edge / 4.0,
+                    1 if y > edge / 2.0 => 20.0 * T + noise * T * random.normal(),
+                    _ => 0.0,
+                };
+                [x, y, ground + above]
+            })
+            .collect();
+        let judge = Judge::new(&plan);
+        let mut one_by_one = judge;
+        one_by_one.least_windows = usize::MAX;
+        let (patch, mut sums) = folded(&plan, points.into_iter());
+        let [mut at_once, mut single] = [Vec::new(), Vec::new()];
+        judge.judge(&patch, &mut sums, Area::TILE, &mut at_once);
+        one_by_one.judge(&patch, &mut sums, Area::TILE, &mut single);
+        assert!(at_once == single, "limit {limit}, slices of {slice} pixels");
+        assert!(Windows::of(&patch, &sums, judge.bands).is_some(), "the test would show nothing");
+        steep += single.iter().filter(|&&verdict| verdict).count();
+    }
+    assert!(steep > 1000, "{steep}");
+}
+
+#[test]
 fn a_flat_floor_on_a_slice_boundary_is_floor() {
     let mut random = Random(3);
     for classifier in [Classifier::Plane, Classifier::Span] {
