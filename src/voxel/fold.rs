@@ -118,6 +118,14 @@ impl Voxel {
         Self { slice, bins: 0, bottom: u8::MAX, top: 0, kinds: 0 }
     }
 
+    /// Of one record.
+    #[inline]
+    fn of(record: Record) -> Self {
+        let mut voxel = Self::empty(record.slice());
+        voxel.add(record);
+        voxel
+    }
+
     #[inline]
     fn add(&mut self, record: Record) {
         match record.content() {
@@ -244,12 +252,6 @@ impl Folder {
     fn fold(&mut self, points: &[Record]) -> &[(Voxel, u32)] {
         let Self { voxels, recent } = self;
         voxels.clear();
-        if let [point] = points {
-            let mut voxel = Voxel::empty(point.slice());
-            voxel.add(*point);
-            voxels.push((voxel, 1));
-            return voxels;
-        }
         for &point in points {
             let slice = point.slice();
             let place = &mut recent[slice as usize % RECENT];
@@ -451,6 +453,12 @@ impl Patch {
         let (mut dropped, mut folded) = (0, 0);
         for (pixel, own) in sums.records.pixels() {
             let kept = |(voxel, points): &(Voxel, u32)| voxel.is_kept(i64::from(*points), min_points);
+            if let [record] = own {
+                let voxel = Voxel::of(*record);
+                folded += 1;
+                dropped += self.push(pixel, std::iter::once((voxel, kept(&(voxel, 1)))), area);
+                continue;
+            }
             let voxels = folder.fold(own);
             folded += voxels.len();
             dropped += self.push(pixel, voxels.iter().map(|voxel| (voxel.0, kept(voxel))), area);

@@ -41,12 +41,12 @@ impl Extents {
 /// `join` of the 3 × 3 values around each; rows first, then columns, in loops that compile to vector instructions.
 pub fn three_by_three<T: Copy>(values: &[T], join: impl Fn(T, T) -> T) -> Vec<T> {
     let three = |values: &[T], step: usize| {
-        let mut joined = values.to_vec();
-        let inner = step..values.len() - step;
-        let ends = values[..values.len() - 2 * step].iter().zip(&values[2 * step..]);
-        for (joined, (before, after)) in joined[inner].iter_mut().zip(ends) {
-            *joined = join(*joined, join(*before, *after));
-        }
+        let count = values.len() - 2 * step;
+        let threes = values[..count].iter().zip(&values[step..]).zip(&values[2 * step..]);
+        let mut joined = values[..step].to_vec();
+        joined.reserve_exact(count + step);
+        joined.extend(threes.map(|((&before, &own), &after)| join(own, join(before, after))));
+        joined.extend_from_slice(&values[count + step..]);
         joined
     };
     three(&three(values, 1), PATCH_PIXELS)
