@@ -1,9 +1,60 @@
-//! Streams in schedules of a test's choice: threads are switched wherever they meet (shuttle), so a lost wake-up is a deadlock
+//! Streams, and a conversion's hand-over of jobs, in schedules of a test's choice: threads are switched wherever they meet (shuttle), so a lost wake-up is a deadlock
 //! that the test sees. `.ci/long schedules` builds and runs it; `SLICEWALK_SCHEDULES` sets how many random schedules each
 //! scene gets, and a failing one is printed to be run again.
 #![cfg(slicewalk_schedules)]
 
+/// What `hand_over.rs` finds beside it, of shuttle's making.
+mod sync {
+    use shuttle::sync::{Arc, Mutex, mpsc};
+    pub use shuttle::thread::{Scope, scope};
+
+    pub struct Sender<T>(mpsc::SyncSender<T>);
+    pub struct Receiver<T>(Arc<Mutex<mpsc::Receiver<T>>>);
+
+    pub fn bounded<T>(capacity: usize) -> (Sender<T>, Receiver<T>) {
+        let (sender, receiver) = mpsc::sync_channel(capacity);
+        (Sender(sender), Receiver(Arc::new(Mutex::new(receiver))))
+    }
+
+    impl<T> Clone for Sender<T> {
+        fn clone(&self) -> Self {
+            Self(self.0.clone())
+        }
+    }
+
+    impl<T> Sender<T> {
+        pub fn send(&self, value: T) -> Result<(), mpsc::SendError<T>> {
+            self.0.send(value)
+        }
+    }
+
+    impl<T> Clone for Receiver<T> {
+        fn clone(&self) -> Self {
+            Self(self.0.clone())
+        }
+    }
+
+    impl<T> Receiver<T> {
+        pub fn recv(&self) -> Result<T, mpsc::RecvError> {
+            self.0.lock().unwrap().recv()
+        }
+    }
+
+    pub fn start<'scope, 'env>(
+        scope: &'scope Scope<'scope, 'env>,
+        work: impl FnOnce() + Send + 'scope,
+    ) -> std::io::Result<()> {
+        scope.spawn(work);
+        Ok(())
+    }
+}
+
+#[path = "../src/convert/hand_over.rs"]
+mod hand_over;
+
+use hand_over::{Closed, HandOver};
 use nalgebra::{Point3, Vector3};
+use shuttle::sync::atomic::{AtomicUsize, Ordering};
 use shuttle::thread;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::frame::{Frame, PageKey};
@@ -116,4 +167,73 @@ fn a_stream_that_is_dropped_ends_its_thread_whatever_it_does() {
         drop(stream);
         speaker.join().unwrap();
     });
+}
+
+/// What fails in a hand-over of `JOBS` jobs, and at which.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Fault {
+    None,
+    Give(u32),
+    Work(u32),
+    Take(u32),
+    Check,
+}
+
+const JOBS: u32 = 5;
+
+/// Hands jobs over once; what is taken must be the first jobs in order, all of them unless something fails.
+fn hand_over(threads: usize, ahead: usize, fault: Fault) {
+    let fails = |at: Fault| if at == fault { Err(fault) } else { Ok(()) };
+    let mut taken = Vec::new();
+    let (begun, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let done = HandOver { threads, ahead }.run(
+        |job| {
+            (0..JOBS).try_for_each(|number| {
+                fails(Fault::Give(number))?;
+                job(number).map_err(|Closed| Fault::None)
+            })
+        },
+        || {
+            |number: u32| {
+                let begun = begun.fetch_add(1, Ordering::SeqCst) + 1;
+                assert!(begun <= ended.load(Ordering::SeqCst) + ahead, "too many run ahead");
+                fails(Fault::Work(number)).map(|()| number)
+            }
+        },
+        |number| {
+            fails(Fault::Take(number))?;
+            taken.push(number);
+            ended.fetch_add(1, Ordering::SeqCst);
+            Ok(())
+        },
+        || fails(Fault::Check),
+        |_| Fault::None,
+    );
+    assert!(taken.iter().copied().eq(0..taken.len() as u32), "{taken:?}");
+    match fault {
+        Fault::None => assert_eq!((done, taken.len()), (Ok(()), JOBS as usize)),
+        Fault::Give(at) | Fault::Work(at) | Fault::Take(at) => {
+            assert_eq!(done, Err(fault));
+            assert!(taken.len() <= at as usize);
+        }
+        Fault::Check => assert_eq!((done, taken.len()), (Err(fault), 0)),
+    }
+}
+
+#[test]
+fn jobs_come_back_in_order_whatever_fails() {
+    let faults = [Fault::None, Fault::Give(3), Fault::Work(0), Fault::Work(2), Fault::Take(1), Fault::Check];
+    for (threads, ahead) in [(1, 1), (2, 1), (2, 3), (3, 2)] {
+        for fault in faults {
+            schedules(move || hand_over(threads, ahead, fault));
+        }
+    }
+}
+
+/// Every schedule of a small hand-over, as far as so many go.
+#[test]
+fn a_small_hand_over_ends_in_every_schedule() {
+    for fault in [Fault::None, Fault::Work(0), Fault::Take(0)] {
+        shuttle::check_dfs(move || hand_over(1, 1, fault), Some(200_000));
+    }
 }

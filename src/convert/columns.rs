@@ -1,5 +1,6 @@
 //! Tile columns out of the runs, folded to voxels by several threads, and what these make of them in archive order.
 
+use super::hand_over::{Closed, HandOver};
 use crate::plan::Plan;
 use crate::voxel::bands::Bands;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
@@ -7,10 +8,7 @@ use crate::voxel::record::{ColumnKey, Content, PATCH_AREA, Record};
 use crate::voxel::runs::{ColumnJob, Merge};
 use crate::voxel::views::Views;
 use crate::{Error, Monitor, Parameter, Result};
-use crossbeam_channel::{Receiver, Sender, bounded};
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::Builder;
 
 /// Memory of a worker per record of a column: the record as read and twice more while it is sorted, and the voxel (with its
 /// verdicts and the place of its sums) and span that it may become.
@@ -30,20 +28,13 @@ pub(super) trait ColumnWork {
     fn work(&mut self, merge: &Merge<'_>, job: &ColumnJob) -> Result<Self::Done>;
 }
 
-/// What comes of one job.
-struct Done<T> {
-    number: u64,
-    records: u64,
-    what: T,
-}
-
 /// A pass over all tile columns.
 pub(super) struct Columns<'a> {
     pub merge: &'a Merge<'a>,
     /// The budget of the conversion; a quarter of it is for columns at work.
     pub memory_bytes: u64,
     pub threads: usize,
-    /// Jobs that may be finished before the oldest unfinished one.
+    /// See [`HandOver`].
     pub ahead: usize,
     /// Most columns of a job.
     pub max_columns: u64,
@@ -61,110 +52,32 @@ impl Columns<'_> {
         &'w self,
         plan: &Plan,
         mut worker: impl FnMut(Patches<'w>) -> W,
-        take: impl FnMut(W::Done) -> Result<()>,
+        mut take: impl FnMut(W::Done) -> Result<()>,
     ) -> Result<()> {
         let Self { merge, memory_bytes, threads, ahead, max_columns, views, values, monitor } = *self;
         let max_records = (memory_bytes / 4 / threads as u64 / job_bytes_per_record(views, values)).min(MOST_RECORDS);
         let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
         let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
-        let (job_in, job_out) = bounded::<(u64, ColumnJob)>(threads);
-        let (done_in, done_out) = bounded::<Result<Done<W::Done>>>(ahead);
-        // A job is given out against a token, and a token comes back when what it made is taken: so no more than
-        // `ahead` jobs ever wait for an earlier one.
-        let (token_in, token_out) = bounded::<()>(ahead);
-        for _ in 0..ahead {
-            let _ = token_in.send(());
-        }
-        std::thread::scope(|scope| {
-            for number in 0..threads {
-                let (jobs, done) = (job_out.clone(), done_in.clone());
-                let worker = worker(Patches::new(plan, max_records, dense.clone(), (views, values), monitor));
-                let started = Builder::new().spawn_scoped(scope, move || work_on_columns(worker, merge, &jobs, &done));
-                match started {
-                    Ok(_) => {}
-                    Err(error) if number == 0 => return Err(no_thread(error)),
-                    // Fewer do the same.
-                    Err(_) => break,
-                }
-            }
-            drop(job_out);
-            let giver = Builder::new().spawn_scoped(scope, move || {
-                let mut number = 0;
-                let given = merge.jobs(max_records, max_columns, |job| {
-                    // A closed channel means that the writer gave up; it knows why.
-                    if token_out.recv().is_err() || job_in.send((number, job)).is_err() {
-                        return Err(Error::Interrupted);
-                    }
-                    number += 1;
-                    Ok(())
-                });
-                if let Err(error) = given {
-                    let _ = done_in.send(Err(error));
-                }
-            });
-            let written = match giver {
-                Ok(_) => take_in_order(take, &done_out, &token_in, monitor),
-                Err(error) => Err(no_thread(error)),
-            };
-            // Both ends must go before the scope waits for the threads that may be blocked on them.
-            drop((done_out, token_in));
-            written
-        })
-    }
-}
-
-fn no_thread(error: std::io::Error) -> Error {
-    Error::io("worker threads", "start a thread (end other programs, or raise the limit of processes)", error)
-}
-
-fn take_in_order<T>(
-    mut take: impl FnMut(T) -> Result<()>,
-    done: &Receiver<Result<Done<T>>>,
-    tokens: &Sender<()>,
-    monitor: &dyn Monitor,
-) -> Result<()> {
-    let mut waiting = BTreeMap::new();
-    let mut next = 0;
-    for result in done {
-        if monitor.cancelled() {
-            return Err(Error::Interrupted);
-        }
-        let result = result?;
-        waiting.insert(result.number, result);
-        while let Some(result) = waiting.remove(&next) {
-            next += 1;
-            take(result.what)?;
-            monitor.advance(result.records);
-            let _ = tokens.send(());
-        }
-    }
-    Ok(())
-}
-
-fn work_on_columns<W: ColumnWork>(
-    mut worker: W,
-    merge: &Merge<'_>,
-    jobs: &Receiver<(u64, ColumnJob)>,
-    done: &Sender<Result<Done<W::Done>>>,
-) {
-    let _alarm = Alarm(done);
-    for (number, job) in jobs {
-        let result = worker.work(merge, &job).map(|what| Done { number, records: job.records, what });
-        let failed = result.is_err();
-        if done.send(result).is_err() || failed {
-            return;
-        }
-    }
-}
-
-/// Wakes the taking thread if a worker panics; it would else wait for ever for that worker's job.
-struct Alarm<'a, T>(&'a Sender<Result<Done<T>>>);
-
-impl<T> Drop for Alarm<'_, T> {
-    fn drop(&mut self) {
-        if std::thread::panicking() {
-            let _ = self.0.send(Err(Error::Interrupted));
-        }
+        HandOver { threads, ahead }.run(
+            |job| merge.jobs(max_records, max_columns, |next| job(next).map_err(|Closed| Error::Interrupted)),
+            || {
+                let mut worker = worker(Patches::new(plan, max_records, dense.clone(), (views, values), monitor));
+                move |job: ColumnJob| worker.work(merge, &job).map(|what| (job.records, what))
+            },
+            |(records, what)| {
+                take(what)?;
+                monitor.advance(records);
+                Ok(())
+            },
+            || if monitor.cancelled() { Err(Error::Interrupted) } else { Ok(()) },
+            |error| {
+                Error::io(
+                    "worker threads",
+                    "start a thread (end other programs, or raise the limit of processes)",
+                    error,
+                )
+            },
+        )
     }
 }
 

@@ -11,6 +11,7 @@
 mod colours;
 mod columns;
 mod facts;
+mod hand_over;
 mod holes;
 mod meshes;
 mod options;
@@ -24,6 +25,7 @@ mod resume;
 mod scope;
 mod split;
 mod stations;
+mod sync;
 #[cfg(test)]
 mod tests;
 mod work;

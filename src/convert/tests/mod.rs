@@ -2,6 +2,7 @@
 
 mod faults;
 mod floaters;
+mod hand_over;
 mod power;
 mod resume;
 
