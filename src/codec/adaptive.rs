@@ -363,7 +363,7 @@ fn unfold(folded: u32) -> i32 {
 pub(super) trait Given<'a> {
     /// Blocks with matter, blocks with matter in all pixels.
     fn blocks(&self) -> (u64, u64);
-    /// The spans of a pixel; all pixels are asked for in row order.
+    /// The spans of a pixel; all pixels of blocks with matter are asked for in row order.
     fn spans(&mut self, px: u32, py: u32) -> &'a [Span];
     /// `span`, the one of number `_at.1` in pixel `_at.0`, or what it is to be in its place.
     #[inline]
@@ -420,14 +420,43 @@ impl<'a> Given<'a> for Rows<'a> {
     }
 }
 
-/// Which of the six pixels before pixel `px` have matter, by the masks of its row, the row to the north and the next: west 2,
-/// west, north-west, north, north-east, north 2, from the lowest bit up.
-#[inline]
-fn pixel_context(rows: [u64; 3], px: u32) -> usize {
-    let [row, north, north_2] = rows;
-    let west = ((u128::from(row) << 2) >> px) as u64 & 3;
-    let north = ((u128::from(north) << 1) >> px) as u64 & 7;
-    (west + 4 * north + 32 * (north_2 >> px & 1)) as usize
+/// Which of the six pixels before the one in work have matter.
+#[derive(Default)]
+struct Before {
+    /// West 2, west.
+    west: u64,
+    /// Of the row to the north, the pixel to the west, and the others from the one in work on.
+    north_west: u64,
+    north: u64,
+    /// The next row to the north, from the pixel in work on.
+    north_2: u64,
+}
+
+impl Before {
+    /// Before the first pixel of a row, under two others.
+    fn row(north: u64, north_2: u64) -> Self {
+        Self { north, north_2, ..Self::default() }
+    }
+
+    /// West 2, west, north-west, north, north-east, north 2, from the lowest bit up.
+    #[inline]
+    fn context(&self) -> usize {
+        (self.west | self.north_west << 2 | (self.north & 3) << 3 | (self.north_2 & 1) << 5) as usize
+    }
+
+    #[inline]
+    fn pass(&mut self, has_matter: bool) {
+        self.west = self.west >> 1 | u64::from(has_matter) << 1;
+        self.north_west = self.north & 1;
+        (self.north, self.north_2) = (self.north >> 1, self.north_2 >> 1);
+    }
+
+    /// Passes the row of a block without matter.
+    fn pass_block(&mut self) {
+        self.west = 0;
+        self.north_west = self.north >> (BLOCK_PIXELS - 1) & 1;
+        (self.north, self.north_2) = (self.north >> BLOCK_PIXELS, self.north_2 >> BLOCK_PIXELS);
+    }
 }
 
 /// Walks over the page that `given` tells or the coder reads, and hands each pixel's spans to `give`.
@@ -449,22 +478,32 @@ pub(super) fn walk<'a, C: Coder>(
     if matter == 0 {
         return Err(Violation::new("P6", "matter in some pixel", "none"));
     }
-    // Rows of pixels with matter: the one in work and the two before.
-    let (mut row, mut row_north, mut row_north_2) = (0u64, 0u64, 0u64);
-    for pixel in 0..PIXELS {
+    // Rows of pixels with matter: the one in work and the one before.
+    let (mut row, mut row_north) = (0u64, 0u64);
+    let mut before = Before::default();
+    first[0] = 0;
+    let mut pixel = 0;
+    while pixel < PIXELS {
         let (px, py) = (pixel as u32 % 64, pixel as u32 / 64);
         if px == 0 {
-            (row_north_2, row_north, row) = (row_north, row, 0);
+            before = Before::row(row, row_north);
+            (row_north, row) = (row, 0);
         }
-        first[pixel] = spans.len() as u32;
         let block = py / 8 * 8 + px / 8;
+        if matter >> block & 1 == 0 {
+            let end = pixel + BLOCK_PIXELS as usize;
+            first[pixel + 1..=end].fill(spans.len() as u32);
+            before.pass_block();
+            pixel = end;
+            continue;
+        }
         let given_spans = given.spans(px, py);
-        if matter >> block & 1 == 1
-            && (full >> block & 1 == 1 || {
-                let context = pixel_context([row, row_north, row_north_2], px);
-                traversal.coder.bit(&mut traversal.models.pixel[context], !given_spans.is_empty())
-            })
-        {
+        let has_matter = full >> block & 1 == 1 || {
+            let model = &mut traversal.models.pixel[before.context()];
+            traversal.coder.bit(model, !given_spans.is_empty())
+        };
+        before.pass(has_matter);
+        if has_matter {
             row |= 1 << px;
             let mut around = neighbours(first, pixel);
             let [west, north, ..] = &around;
@@ -510,7 +549,8 @@ pub(super) fn walk<'a, C: Coder>(
             }
             give(px, py, column)?;
         }
-        first[pixel + 1] = spans.len() as u32;
+        pixel += 1;
+        first[pixel] = spans.len() as u32;
     }
     Ok(traversal.coder)
 }
