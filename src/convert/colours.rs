@@ -5,11 +5,14 @@
 //! intensities) follows from all kept points of the whole input: a conversion of the whole learns it in its first pass. A
 //! part does not see all points, so it takes it from the plan file, or reads the whole input once before it begins.
 //! Parts of a plan therefore make the colours of a single run, and each voxel lies in one part.
+//!
+//! Where files of 8 bits come with files of 16, those of 8 are made wider. LAS does not say which it has: beside files that do,
+//! its values are read once more, up to the first that needs more than 8 bits.
 
 use super::options::{ColourMode, ConvertOptions};
 use super::work::on_threads;
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
-use crate::input::{InputSet, PointBatch, PointDecoder};
+use crate::input::{Depth, InputSet, PointBatch, PointDecoder};
 use crate::text::number;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -100,9 +103,12 @@ pub(super) fn source_of(
     };
     let mut found = None;
     for &source in wanted {
-        if set.has_values(source) && any_value(set, source, options.threads, monitor)? {
-            found = Some(source);
-            break;
+        if set.has_values(source) {
+            prepare(set, source, options.threads, monitor)?;
+            if any_value(set, source, options.threads, monitor)? {
+                found = Some(source);
+                break;
+            }
         }
     }
     set.set_colour(found);
@@ -112,7 +118,7 @@ pub(super) fn source_of(
     match options.colour {
         ColourMode::Of(source) if !set.files().is_empty() => {
             let reason = format!(
-                "no point of the input has {} that Slicewalk reads (LAS, LAZ, COPC; RGB of binary PLY and PCD); choose another source, or off",
+                "no point of the input has {}; choose another source, or off, or name the columns of text without a header",
                 match source {
                     ColourSource::Rgb => "an RGB value other than 0",
                     ColourSource::Intensity => "an intensity other than 0",
@@ -132,10 +138,42 @@ pub(super) fn source_of(
     }
 }
 
+/// Finds out what values of `source` mean in each file, where only the points tell that.
+pub(super) fn prepare(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<()> {
+    set.prepare_values(source)?;
+    if source != ColourSource::Rgb {
+        return Ok(());
+    }
+    let mut depths = set.depths();
+    let has = |depths: &[Option<Depth>], depth| depths.contains(&Some(depth));
+    if has(&depths, Depth::Unstated) && (has(&depths, Depth::Eight) || has(&depths, Depth::Sixteen)) {
+        let is_wide: Vec<AtomicBool> = depths.iter().map(|_| AtomicBool::new(false)).collect();
+        let wanted = |file: usize| depths[file] == Some(Depth::Unstated) && !is_wide[file].load(Ordering::Relaxed);
+        monitor.stage("reading colours", 0, "points");
+        read_values(set, source, threads, monitor, &wanted, &|file, batch: &PointBatch| {
+            monitor.advance(batch.len() as u64);
+            if batch.values.as_flattened().iter().any(|&value| value > u16::from(u8::MAX)) {
+                is_wide[file].store(true, Ordering::Relaxed);
+            }
+            true
+        })?;
+        for (depth, is_wide) in depths.iter_mut().zip(is_wide) {
+            if *depth == Some(Depth::Unstated) {
+                *depth = Some(if is_wide.into_inner() { Depth::Sixteen } else { Depth::Eight });
+            }
+        }
+    }
+    if has(&depths, Depth::Sixteen) {
+        let narrow = |depth: &Option<Depth>| *depth == Some(Depth::Eight);
+        depths.iter().enumerate().filter(|(_, depth)| narrow(depth)).for_each(|(file, _)| set.widen(file));
+    }
+    Ok(())
+}
+
 /// Whether some kept point has a value other than 0.
 fn any_value(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<bool> {
     let found = AtomicBool::new(false);
-    read_values(set, source, threads, monitor, &|batch: &PointBatch| {
+    read_values(set, source, threads, monitor, &|_| true, &|_, batch: &PointBatch| {
         if batch.values.iter().any(|value| *value != [0; 3]) {
             found.store(true, Ordering::Relaxed);
         }
@@ -156,7 +194,7 @@ pub(super) fn measure(
     }
     monitor.stage("reading colours", set.points_stated(), "points");
     let all = Mutex::new(Values::new(source));
-    read_values(set, source, threads, monitor, &|batch: &PointBatch| {
+    read_values(set, source, threads, monitor, &|_| true, &|_, batch: &PointBatch| {
         monitor.advance(batch.len() as u64);
         all.lock().unwrap_or_else(PoisonError::into_inner).add(batch);
         true
@@ -164,17 +202,18 @@ pub(super) fn measure(
     Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner).scale())
 }
 
-/// Gives `take` the points of all files, until it has enough.
+/// Gives `take` the points of the `wanted` files, and the number of the file, until it has enough.
 fn read_values(
     set: &mut InputSet,
     source: ColourSource,
     threads: usize,
     monitor: &dyn Monitor,
-    take: &(dyn Fn(&PointBatch) -> bool + Sync),
+    wanted: &(dyn Fn(usize) -> bool + Sync),
+    take: &(dyn Fn(usize, &PointBatch) -> bool + Sync),
 ) -> Result<()> {
     set.set_colour(Some(source));
     let set = &*set;
-    let chunks = Mutex::new(set.chunks());
+    let chunks = Mutex::new(set.chunks().filter(|chunk| wanted(chunk.file())));
     let (enough, failed) = (AtomicBool::new(false), AtomicBool::new(false));
     let work = || -> Result<()> {
         let mut decoder = PointDecoder::new();
@@ -185,7 +224,7 @@ fn read_values(
                 if monitor.cancelled() || failed.load(Ordering::Relaxed) || enough.load(Ordering::Relaxed) {
                     return Err(Error::Interrupted);
                 }
-                if !take(batch) {
+                if !take(chunk.file(), batch) {
                     enough.store(true, Ordering::Relaxed);
                 }
                 Ok(())

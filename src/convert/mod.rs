@@ -364,7 +364,11 @@ fn colours_of(
     monitor: &dyn Monitor,
 ) -> Result<(Option<ColourSource>, Option<ColourPlan>)> {
     let (source, plan) = match &options.plan_file {
-        Some(file) => (file.colour.map(|plan| plan.scale.source), file.colour),
+        Some(file) => {
+            let source = file.colour.map(|plan| plan.scale.source);
+            source.map(|source| colours::prepare(set, source, options.threads, monitor)).transpose()?;
+            (source, file.colour)
+        }
         None => {
             let source = colours::source_of(options, set, monitor)?;
             let part = source.filter(|_| options.shard.is_some());
