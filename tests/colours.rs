@@ -244,8 +244,7 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
     assert_eq!((none.header().colours, none.header().version), (None, (1, 0)));
     assert!(ColourReader::new(&none).unwrap().is_none());
     for (arguments, word) in [
-        (&["--colour", "rgb", "--resume"][..], "resum"),
-        (&["--colour", "rgb", "--colour-error", "-1"], "--colour-error"),
+        (&["--colour", "rgb", "--colour-error", "-1"][..], "--colour-error"),
         (&["--colour", "blue"], "rgb, intensity"),
     ] {
         let said = refuses(at, &[&["a.laz", "-o", "c.slices"], arguments].concat(), 2);

@@ -14,6 +14,8 @@ use super::work::on_threads;
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::input::{Depth, InputSet, PointBatch, PointDecoder};
 use crate::text::number;
+use crate::voxel::colours::ValueFact;
+use crate::voxel::record::Record;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -35,13 +37,34 @@ impl Values {
     }
 
     /// Adds the values of points.
-    pub fn add(&mut self, batch: &PointBatch) {
+    pub fn add(&mut self, values: &[[u16; 3]]) {
         if self.source == ColourSource::Intensity {
-            batch.values.iter().for_each(|value| self.counts[usize::from(value[0])] += 1);
+            values.iter().for_each(|value| self.counts[usize::from(value[0])] += 1);
         } else {
             let any = |most: u16, value: &[u16; 3]| most.max(value[0]).max(value[1]).max(value[2]);
-            self.greatest = batch.values.iter().fold(self.greatest, any);
+            self.greatest = values.iter().fold(self.greatest, any);
         }
+    }
+
+    /// Adds those of points whose records these are, as far as the scale needs them.
+    pub fn add_records(&mut self, records: impl Iterator<Item = Record>) {
+        for record in records {
+            match ValueFact::of(record.value()) {
+                ValueFact::Bytes => self.greatest = self.greatest.max(u16::from(u8::MAX)),
+                ValueFact::Wide => self.greatest = u16::MAX,
+                ValueFact::Value(value) => {
+                    if let Some(count) = self.counts.get_mut(usize::from(value)) {
+                        *count += 1;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.greatest = 0;
+        self.counts.fill(0);
     }
 
     /// Adds those of other points.
@@ -67,18 +90,6 @@ impl ConvertOptions {
         if !(0.0..=most).contains(&self.colour_error) {
             let reason = format!("expected 0 to {} (CIELAB), found {}", number(most), number(self.colour_error));
             return Err(Error::parameter(Parameter::ColourError, reason));
-        }
-        if self.colour == ColourMode::Off {
-            return Ok(());
-        }
-        let refuse = |reason: &str| Err(Error::parameter(Parameter::Colour, reason));
-        if self.plan.remove_moving {
-            return refuse(
-                "colours of points that are removed as moving cannot be left out; convert without one of both",
-            );
-        }
-        if self.resume {
-            return refuse("values for colours are not kept with temporary data; begin anew without resuming");
         }
         Ok(())
     }
@@ -196,7 +207,7 @@ pub(super) fn measure(
     let all = Mutex::new(Values::new(source));
     read_values(set, source, threads, monitor, &|_| true, &|_, batch: &PointBatch| {
         monitor.advance(batch.len() as u64);
-        all.lock().unwrap_or_else(PoisonError::into_inner).add(batch);
+        all.lock().unwrap_or_else(PoisonError::into_inner).add(&batch.values);
         true
     })?;
     Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner).scale())

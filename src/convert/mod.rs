@@ -569,6 +569,8 @@ fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u
         ColourMode::Of(ColourSource::Intensity | ColourSource::Class) => VALUE_BYTES_PER_POINT,
         _ => 2 * VALUE_BYTES_PER_POINT,
     };
+    // Where moving points are removed, each value follows the record of its point.
+    let values = values + if options.plan.remove_moving && values > 0 { VALUE_BYTES_PER_POINT } else { 0 };
     (points, points.saturating_mul(TEMP_BYTES_PER_POINT + values).saturating_sub(retain_bytes))
 }
 
