@@ -198,16 +198,23 @@ pub(super) fn read_points(
                 at += batch.len() as u64;
                 let number_of_points = begin..at;
                 missing(number_of_points.clone(), covered.matter, |what| match what {
-                    Missing::Not(points) => Ok(builder.pass(points)),
+                    Missing::Not(points) => {
+                        builder.pass(points);
+                        Ok(())
+                    }
                     Missing::Points(range) => {
                         builder.push(&batch.x[range.clone()], &batch.y[range.clone()], &batch.z[range], store)
                     }
                 })?;
                 let Some((source, found, builder)) = &mut values else { return Ok(()) };
                 missing(number_of_points, covered.values, |what| match what {
-                    Missing::Not(points) => Ok(builder.pass(points)),
+                    Missing::Not(points) => {
+                        builder.pass(points);
+                        Ok(())
+                    }
                     Missing::Points(range) if batch.values.is_empty() => {
-                        Ok(builder.without_records(range.len() as u64))
+                        builder.without_records(range.len() as u64);
+                        Ok(())
                     }
                     Missing::Points(range) => {
                         let own = &batch.values[range.clone()];

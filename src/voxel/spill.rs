@@ -358,7 +358,9 @@ fn sum_in(
         }
         sum.update(&buffer[..count]);
         let of_records = index_at.saturating_sub(at).min(count as u64) as usize;
-        see(run, &buffer[..of_records]);
+        if of_records > 0 {
+            see(run, &buffer[..of_records]);
+        }
         at += count as u64;
         look(count as u64)?;
     }

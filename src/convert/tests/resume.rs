@@ -293,7 +293,7 @@ fn a_tolerance_that_was_chosen_automatically_is_not_chosen_again() {
     let mut random = Random(12);
     let mut noise = || (0..12).map(|_| random.below(1000) as f64 / 1000.0).sum::<f64>() - 6.0;
     let floor: Vec<_> = (0..90_000u32)
-        .map(|number| [f64::from(number % 300) * 0.02, f64::from(number / 300) * 0.02, 0.5 + 0.004 * noise()])
+        .map(|number| [f64::from(number % 300) * 0.02, f64::from(number / 300) * 0.02, 0.31 + 0.004 * noise()])
         .collect();
     write_las(&path, floor.iter().copied(), &WriteSpec::for_path(&path)).unwrap();
     job.options.inputs = vec![path];
