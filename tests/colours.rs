@@ -2,11 +2,16 @@
 //! thread, budget or part changes a byte. Truth is a formula of the place ([`Texture`]), summed up here by brute force.
 #![cfg(feature = "cli")]
 
+#[path = "cloud/coloured.rs"]
+mod coloured;
 #[path = "common/scans.rs"]
 mod scans;
+#[path = "cloud/write.rs"]
+mod write;
 
+use coloured::{Cloud, Coloured, Numbers, e57, las};
 use scangen::{Chunks, Params, SampleSpec, Scene, Texture, WriteSpec, write_las};
-use scans::{converts, data, refuses, text, verifies};
+use scans::{Random, converts, data, refuses, text, verifies};
 use slicewalk::archive::{Archive, ColourReader, extract, merge, recover};
 use slicewalk::colour::{LabTable, difference, to_8_bits};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
@@ -14,6 +19,7 @@ use slicewalk::{Error, NoMonitor};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use write::{Pcd, Ply};
 
 const OPTIONS: [&str; 6] = ["--pixel", "0.1", "--units", "m", "--quiet", "--force"];
 
@@ -33,7 +39,7 @@ fn points(count: u64) -> Vec<[f64; 3]> {
 }
 
 /// Writes points with colours.
-fn write(path: &Path, points: &[[f64; 3]], format: u8, eight_bits: bool) {
+fn write_textured(path: &Path, points: &[[f64; 3]], format: u8, eight_bits: bool) {
     let mut spec = WriteSpec { format, texture: Some(texture(eight_bits)), ..WriteSpec::for_path(path) };
     spec.compression = spec.compression.map(|_| Chunks::Fixed(3_000));
     spec.classes = vec![(2, 0.5), (6, 0.5)];
@@ -108,7 +114,7 @@ fn voxels_have_the_colours_of_their_points_in_every_format_and_pages_are_those_w
         ("e.laz", 10, true),
         ("f.las", 5, false),
     ] {
-        write(&at.join(name), &points, format, eight_bits);
+        write_textured(&at.join(name), &points, format, eight_bits);
         let greatest = if eight_bits { 255.0 } else { 65_535.0 };
         for (error, options) in [
             (2.0, &[][..]),
@@ -154,13 +160,13 @@ fn order_threads_budget_and_parts_change_no_byte() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let mut points = points(90_000);
-    write(&at.join("one.laz"), &points, 7, false);
+    write_textured(&at.join("one.laz"), &points, 7, false);
     points.reverse();
     points.rotate_left(12_345);
-    write(&at.join("turned.las"), &points, 2, false);
+    write_textured(&at.join("turned.las"), &points, 2, false);
     let (first, second) = points.split_at(40_000);
-    write(&at.join("half-a.laz"), first, 3, false);
-    write(&at.join("half-b.las"), second, 8, false);
+    write_textured(&at.join("half-a.laz"), first, 3, false);
+    write_textured(&at.join("half-b.las"), second, 8, false);
     for mode in ["rgb", "auto"] {
         let whole = convert(at, &["one.laz"], "whole.slices", &["--colour", mode]);
         assert!(whole.header().colours.is_some());
@@ -210,7 +216,7 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let points = points(30_000);
-    write(&at.join("a.laz"), &points, 7, true);
+    write_textured(&at.join("a.laz"), &points, 7, true);
     let grey = convert(at, &["a.laz"], "a.slices", &["--colour", "intensity", "--colour-error", "0"]);
     let found = colours(&grey);
     assert!(found.values().flatten().all(|[r, g, b]| r == g && g == b));
@@ -238,8 +244,7 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
     assert_eq!((none.header().colours, none.header().version), (None, (1, 0)));
     assert!(ColourReader::new(&none).unwrap().is_none());
     for (arguments, word) in [
-        (&["--colour", "rgb", "--resume"][..], "resum"),
-        (&["--colour", "rgb", "--colour-error", "-1"], "--colour-error"),
+        (&["--colour", "rgb", "--colour-error", "-1"][..], "--colour-error"),
         (&["--colour", "blue"], "rgb, intensity"),
     ] {
         let said = refuses(at, &[&["a.laz", "-o", "c.slices"], arguments].concat(), 2);
@@ -251,7 +256,7 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
 fn damage_of_colours_is_named_and_leaves_the_geometry() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    write(&at.join("a.las"), &points(20_000), 2, true);
+    write_textured(&at.join("a.las"), &points(20_000), 2, true);
     let good = convert(at, &["a.las"], "a.slices", &["--colour", "rgb", "--levels", "on"]);
     let bytes = fs::read(at.join("a.slices")).unwrap();
     let header = good.header().clone();
@@ -286,7 +291,7 @@ fn damage_of_colours_is_named_and_leaves_the_geometry() {
 fn recovery_and_extracts_keep_the_colours_that_are_sound() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    write(&at.join("a.las"), &points(40_000), 2, true);
+    write_textured(&at.join("a.las"), &points(40_000), 2, true);
     let good = convert(at, &["a.las"], "a.slices", &["--colour", "rgb"]);
     let all = colours(&good);
     let path = at.join("r.slices");
@@ -332,7 +337,7 @@ fn colours_go_with_filled_holes_floaters_and_tolerance() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let points: Vec<_> = points(60_000).into_iter().filter(|p| (p[0] - 2.0).hypot(p[1] - 2.0) > 0.2).collect();
-    write(&at.join("a.laz"), &points, 7, true);
+    write_textured(&at.join("a.laz"), &points, 7, true);
     for options in [
         &["--fill-holes", "0.4"][..],
         &["--tolerance", "0.05"],
@@ -378,5 +383,281 @@ fn real_scans_take_at_most_0_8_bytes_a_voxel() {
         let per_voxel = header.bytes.colours as f64 / colours.voxels as f64;
         println!("{name}: {} of {} voxels, {per_voxel:.3} bytes a voxel", colours.voxels, header.voxels.occupied);
         assert!(per_voxel <= 0.8, "{name}: {per_voxel}");
+    }
+}
+
+/// A step that floats of 32 bits, decimal text and LAS hold exactly.
+const STEP: f64 = 1.0 / 1024.0;
+
+/// Points of a floor and a wall, with colours up to `white` that follow the place and some noise, and intensities up to `most`.
+fn coloured(count: usize, white: u16, most: u16) -> Vec<Coloured> {
+    let mut random = Random(11);
+    (0..count)
+        .map(|number| {
+            let mut steps = |size: f64| (random.uniform() * size / STEP).round() * STEP;
+            let at = match number % 4 {
+                0 => [7.0 + steps(0.02), steps(8.0) - 4.0, STEP + steps(3.0)],
+                _ => [steps(8.0), steps(8.0) - 4.0, STEP + steps(0.03)],
+            };
+            let share = [at[0] / 8.0, (at[1] + 4.0) / 8.0, random.uniform()];
+            let rgb = share.map(|share| (share * f64::from(white)).round() as u16);
+            Coloured { at, rgb, intensity: (share[2] * share[0] * f64::from(most)).round() as u16 }
+        })
+        .collect()
+}
+
+fn bytes(at: &Path, inputs: &[&str], options: &[&str]) -> Vec<u8> {
+    let fixed = ["-o", "out.slices", "--pixel", "0.25", "--quiet", "--force", "--temp-dir", "."];
+    converts(at, &[inputs, &fixed, options].concat());
+    fs::read(at.join("out.slices")).unwrap()
+}
+
+/// What `verify` has to say, and the exact colours of all voxels.
+fn exact(at: &Path, inputs: &[&str], source: &str) -> BTreeMap<[i64; 3], Option<[u8; 3]>> {
+    bytes(at, inputs, &["--colour", source, "--colour-error", "0"]);
+    verifies(&at.join("out.slices"));
+    colours(&Archive::open(at.join("out.slices")).unwrap())
+}
+
+/// No channel differs by more than rounding twice.
+fn assert_near(
+    found: &BTreeMap<[i64; 3], Option<[u8; 3]>>,
+    expected: &BTreeMap<[i64; 3], Option<[u8; 3]>>,
+    name: &str,
+) {
+    assert_eq!(found.len(), expected.len(), "{name}");
+    for (place, colour) in expected {
+        let near = match (found[place], colour) {
+            (Some(a), Some(b)) => a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 1),
+            (a, b) => a == *b,
+        };
+        assert!(near, "{name}: {place:?}: {:?}, expected {colour:?}", found[place]);
+    }
+}
+
+#[test]
+fn every_format_gives_the_colours_of_the_same_points_as_las() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let put = |name: &str, bytes: &[u8]| fs::write(at.join(name), bytes).unwrap();
+    let (narrow, wide) = (coloured(70_000, 255, 4_095), coloured(70_000, 65_535, 65_535));
+    las(&at.join("narrow.las"), &narrow, STEP);
+    las(&at.join("wide.las"), &wide, STEP);
+    let of_narrow = |numbers, name: &str| {
+        let cloud =
+            |points| Cloud { points, colours: Some(numbers), intensities: Some(Numbers::Whole), invalid: false };
+        e57(&at.join(name), &[cloud(&narrow[..66_000]), cloud(&narrow[66_000..])]);
+    };
+    put("text.ply", &coloured::ply(&narrow, Ply::Text, Numbers::Bytes));
+    put("little.ply", &coloured::ply(&narrow, Ply::Little, Numbers::Bytes));
+    put("big.ply", &coloured::ply(&narrow, Ply::Big, Numbers::Whole));
+    put("text.pcd", &coloured::pcd(&narrow, Pcd::Text, false));
+    put("float.pcd", &coloured::pcd(&narrow, Pcd::Text, true));
+    put("binary.pcd", &coloured::pcd(&narrow, Pcd::Binary, true));
+    put("packed.pcd", &coloured::pcd(&narrow, Pcd::Packed, false));
+    let plain = coloured::rows(&narrow, " ", Numbers::Whole, Numbers::Whole);
+    put("plain.xyz", plain.as_bytes());
+    put("named.csv", format!("X,Y,Z,Intensity,Red,Green,Blue\n{}", plain.replace(' ', ",")).as_bytes());
+    put("plain.pts", coloured::pts(&narrow, false).as_bytes());
+    of_narrow(Numbers::Bytes, "narrow.e57");
+    let options = |threads| ["--colour", "rgb", "--threads", threads, "--memory", "64MiB"];
+    let expected = bytes(at, &["narrow.las"], &options("1"));
+    assert_eq!(Archive::open(at.join("out.slices")).unwrap().header().colours.unwrap().plan.scale.high, 255);
+    let columns = ["--columns", "x,y,z,i,r,g,b"];
+    for name in [
+        "text.ply",
+        "little.ply",
+        "big.ply",
+        "text.pcd",
+        "float.pcd",
+        "binary.pcd",
+        "packed.pcd",
+        "plain.pts",
+        "narrow.e57",
+    ] {
+        assert!(bytes(at, &[name], &options("3")) == expected, "{name}");
+    }
+    assert!(bytes(at, &["named.csv"], &options("3")) == expected, "named columns");
+    assert!(bytes(at, &["plain.xyz"], &[&options("2")[..], &columns].concat()) == expected, "--columns");
+    // Intensities as LAS holds them.
+    let grey = bytes(at, &["narrow.las"], &["--colour", "intensity"]);
+    for (name, more) in [
+        ("text.ply", &[][..]),
+        ("little.ply", &[]),
+        ("big.ply", &[]),
+        ("text.pcd", &[]),
+        ("packed.pcd", &[]),
+        ("plain.pts", &[]),
+        ("named.csv", &[]),
+        ("narrow.e57", &[]),
+        ("plain.xyz", &columns),
+    ] {
+        assert!(bytes(at, &[name], &[&["--colour", "intensity"], more].concat()) == grey, "{name}");
+    }
+    // 16 bits, as whole numbers and from 0 to 1.
+    let expected = bytes(at, &["wide.las"], &options("2"));
+    assert_eq!(Archive::open(at.join("out.slices")).unwrap().header().colours.unwrap().plan.scale.high, 65_535);
+    let grey = bytes(at, &["wide.las"], &["--colour", "intensity"]);
+    for (name, numbers) in [("whole", Numbers::Whole), ("unit", Numbers::Unit)] {
+        let names = [".ply", ".text.ply", ".xyz", ".e57"].map(|ending| format!("{name}{ending}"));
+        put(&names[0], &coloured::ply(&wide, Ply::Little, numbers));
+        put(&names[1], &coloured::ply(&wide, Ply::Text, numbers));
+        put(&names[2], coloured::rows(&wide, "\t", numbers, numbers).as_bytes());
+        let cloud = |points| Cloud { points, colours: Some(numbers), intensities: Some(numbers), invalid: false };
+        e57(&at.join(&names[3]), &[cloud(&wide[..1000]), cloud(&wide[1000..])]);
+        for name in &names {
+            let more = if name.ends_with(".xyz") { &columns[..] } else { &[] };
+            assert!(bytes(at, &[name], &[&options("2")[..], more].concat()) == expected, "{name}");
+            assert!(bytes(at, &[name], &[&["--colour", "intensity"], more].concat()) == grey, "{name}, intensity");
+        }
+    }
+    // Colours without a header that names them are not guessed, and `auto` falls back.
+    put("bare.xyz", plain.as_bytes());
+    let said = refuses(at, &["bare.xyz", "-o", "x.slices", "--colour", "rgb"], 2);
+    assert!(said.contains("no point of the input has an RGB value") && said.contains("columns"), "{said}");
+    put("spare.xyzrgb", coloured::rows(&narrow, " ", Numbers::Whole, Numbers::Whole).as_bytes());
+    converts(at, &["spare.xyzrgb", "-o", "x.slices", "--colour", "auto", "--quiet"]);
+    assert!(Archive::open(at.join("x.slices")).unwrap().header().colours.is_some());
+    let wrong = plain.replacen("\n", " \n", 1).replacen(" 0.", " x0.", 40);
+    put("wrong.xyz", wrong.as_bytes());
+    let said = refuses(at, &[&["wrong.xyz", "-o", "y.slices", "--colour", "auto"], &columns[..]].concat(), 1);
+    assert!(said.contains("line") && said.contains("expected a number"), "{said}");
+}
+
+#[test]
+fn formats_mix_by_what_is_white_in_each_and_points_without_a_value_colour_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let put = |name: &str, bytes: &[u8]| fs::write(at.join(name), bytes).unwrap();
+    let all = coloured(60_000, 255, 4_095);
+    let widened: Vec<Coloured> = all.iter().map(|p| Coloured { rgb: p.rgb.map(|v| v * 257), ..*p }).collect();
+    las(&at.join("narrow.las"), &all, STEP);
+    las(&at.join("wide.las"), &widened, STEP);
+    let (narrow, wide) = (exact(at, &["narrow.las"], "rgb"), bytes(at, &["wide.las"], &["--colour", "rgb"]));
+    // 8 bits in LAS, PLY and text beside 16 in E57, in any order, with a plan and in parts.
+    las(&at.join("a.las"), &all[..15_000], STEP);
+    put("b.ply", &coloured::ply(&all[15_000..30_000], Ply::Big, Numbers::Bytes));
+    put(
+        "c.csv",
+        format!("x,y,z,i,r,g,b\n{}", coloured::rows(&all[30_000..45_000], ",", Numbers::Whole, Numbers::Whole))
+            .as_bytes(),
+    );
+    let cloud = Cloud { points: &widened[45_000..], colours: Some(Numbers::Unit), intensities: None, invalid: false };
+    e57(&at.join("d.e57"), &[cloud]);
+    let inputs = ["a.las", "b.ply", "c.csv", "d.e57"];
+    for (inputs, threads) in [(inputs, "1"), (["d.e57", "c.csv", "a.las", "b.ply"], "3")] {
+        assert!(bytes(at, &inputs, &["--colour", "auto", "--threads", threads]) == wide);
+    }
+    let fixed = ["--pixel", "0.25", "--colour", "rgb", "--quiet"];
+    converts(at, &[&inputs[..], &["--write-plan", "plan.json", "--force"], &fixed].concat());
+    for with_plan in [true, false] {
+        let parts = ["1", "2", "3"].map(|index| at.join(format!("part-{with_plan}-{index}.slices")));
+        for (index, part) in (1..).zip(&parts) {
+            let shard = format!("{index}/3");
+            let more = if with_plan { &["--plan", "plan.json", "--quiet"][..] } else { &fixed };
+            converts(at, &[&inputs[..], &["-o", text(part), "--shard", &shard], more].concat());
+        }
+        merge(&parts, &at.join("merged.slices"), true, &NoMonitor).unwrap();
+        assert!(fs::read(at.join("merged.slices")).unwrap() == wide, "with plan: {with_plan}");
+    }
+    // Without the file of 16 bits, all are read as they are.
+    let three = exact(at, &inputs[..3], "rgb");
+    las(&at.join("three.las"), &all[..45_000], STEP);
+    assert_eq!(three, exact(at, &["three.las"], "rgb"));
+    // The second cloud has no colours, and neither have points that are marked so.
+    let (coloured, bare) = all.split_at(30_000);
+    put("two.ptx", coloured::ptx([coloured, bare]).as_bytes());
+    las(&at.join("half.las"), coloured, STEP);
+    put("bare.xyz", coloured::rows(bare, " ", Numbers::Whole, Numbers::Whole).as_bytes());
+    let half = exact(at, &["half.las", "bare.xyz"], "rgb");
+    assert!(half.values().any(Option::is_none) && half.values().any(Option::is_some));
+    assert_eq!(exact(at, &["two.ptx"], "rgb"), half);
+    let cloud = |points, colours, invalid| Cloud { points, colours, intensities: Some(Numbers::Whole), invalid };
+    e57(&at.join("two.e57"), &[cloud(coloured, Some(Numbers::Bytes), false), cloud(bare, None, false)]);
+    assert_eq!(exact(at, &["two.e57"], "rgb"), half);
+    e57(&at.join("invalid.e57"), &[cloud(&all, Some(Numbers::Bytes), true)]);
+    assert_eq!(exact(at, &["invalid.e57"], "rgb"), narrow);
+    assert_eq!(exact(at, &["invalid.e57"], "intensity"), exact(at, &["narrow.las"], "intensity"));
+    // Limits that the file states are black and white: 12 bits of intensity become 16.
+    let unit = exact(at, &["two.ptx"], "intensity");
+    assert_eq!(unit, exact(at, &["narrow.las"], "intensity"));
+    put("signed.pts", coloured::pts(&all, true).as_bytes());
+    assert_near(&exact(at, &["signed.pts"], "intensity"), &unit, "-2048 to 2047");
+}
+
+/// Mean colours of the points of a cloud, as another reader gives them (0 to 1), by pixel and slice.
+fn means(frame: &Frame, points: impl Iterator<Item = ([f64; 3], [f64; 3])>) -> BTreeMap<[i64; 3], [f64; 3]> {
+    let mut sums: BTreeMap<[i64; 3], ([f64; 3], f64)> = BTreeMap::new();
+    for (at, rgb) in points {
+        let sum = sums.entry([frame.pixel_of(at[0]), frame.pixel_of(at[1]), frame.slice_of(at[2])]).or_default();
+        (0..3).for_each(|channel| sum.0[channel] += rgb[channel]);
+        sum.1 += 1.0;
+    }
+    sums.into_iter().map(|(place, (sum, n))| (place, sum.map(|sum| sum / n * 255.0))).collect()
+}
+
+#[test]
+fn real_clouds_have_the_colours_that_other_readers_find() {
+    let folder = tempfile::tempdir().unwrap();
+    let check = |name: &str, least: usize, points: &mut dyn Iterator<Item = ([f64; 3], [f64; 3])>| {
+        let Some(path) = data::file(name) else { return };
+        let fixed = ["-o", "a.slices", "--pixel", "0.05", "--units", "m", "--quiet", "--force"];
+        converts(folder.path(), &[&[text(&path)], &fixed[..], &["--colour", "rgb", "--colour-error", "0"]].concat());
+        let archive = Archive::open(folder.path().join("a.slices")).unwrap();
+        let (means, mut compared) = (means(archive.frame(), points), 0);
+        for (place, colour) in colours(&archive) {
+            let (Some(colour), Some(mean)) = (colour, means.get(&place)) else { continue };
+            compared += 1;
+            assert!(
+                (0..3).all(|c| (f64::from(colour[c]) - mean[c]).abs() < 0.51),
+                "{name}: {place:?} {colour:?} {mean:?}"
+            );
+        }
+        assert!(compared >= least, "{name}: {compared} voxels");
+    };
+    for (name, least) in [
+        ("formats/e57/pumpAVisualReferenceImage.e57", 5000),
+        ("formats/e57/ColouredCubeDouble.e57", 500),
+        ("formats/e57/tinyCartesianFloatRgb.e57", 100),
+        ("formats/e57/las2e57_no_images_tag.e57", 50),
+        ("formats/made/pump_three_stations_poses.e57", 0),
+    ] {
+        let Some(path) = data::file(name) else { return };
+        let mut reader = ::e57::E57Reader::from_file(path).unwrap();
+        let mut found = Vec::new();
+        for cloud in reader.pointclouds() {
+            let mut points = reader.pointcloud_simple(&cloud).unwrap();
+            points.apply_pose(true);
+            for point in points.map(Result::unwrap) {
+                let ::e57::CartesianCoordinate::Valid { x, y, z } = point.cartesian else { continue };
+                found.extend(point.color.map(|c| ([x, y, z], [c.red, c.green, c.blue].map(f64::from))));
+            }
+        }
+        if least > 0 || !found.is_empty() {
+            check(name, least, &mut found.into_iter());
+        }
+    }
+    // Doubles, in this file followed by bytes of colours.
+    let name = "formats/ply/fragment_002.ply";
+    if let Some(path) = data::file(name) {
+        let bytes = fs::read(path).unwrap();
+        let start = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
+        let point = |record: &[u8; 27]| {
+            let at = [0, 8, 16].map(|at| f64::from_le_bytes(record[at..at + 8].try_into().unwrap()));
+            (at, [24, 25, 26].map(|at| f64::from(record[at]) / 255.0))
+        };
+        check(name, 1000, &mut bytes[start..].as_chunks().0.iter().map(point));
+    }
+    // Compressed by the Point Cloud Library; every voxel has a colour, and they differ.
+    for name in [
+        "formats/pcd/milk_color.pcd",
+        "formats/pcd/office1.pcd",
+        "formats/ptx/1.2-with-color.ptx",
+        "formats/pts/test.pts",
+    ] {
+        let Some(path) = data::file(name) else { return };
+        let found = exact(folder.path(), &[text(&path)], "rgb");
+        let different: std::collections::BTreeSet<_> = found.values().collect();
+        assert!(!different.contains(&None) && different.len() > 4, "{name}: {} colours", different.len());
     }
 }

@@ -1,6 +1,8 @@
 //! `--remove-moving`: who walked through a scan goes, what stands stays, whatever the order, threads and memory.
 #![cfg(feature = "cli")]
 
+#[path = "cloud/coloured.rs"]
+mod coloured;
 #[path = "common/scans.rs"]
 mod scans;
 #[path = "cloud/write.rs"]
@@ -11,10 +13,11 @@ use scangen::shape::{Cylinder, Shape};
 use scangen::{Kind, Params, Sample, SampleSpec, Scene, Surface, WriteSpec, write_samples};
 use scans::{Random, converts, refuses, sliceconv, verifies};
 use slicewalk::NoMonitor;
-use slicewalk::archive::Archive;
+use slicewalk::archive::{Archive, ColourReader};
+use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::path::Path;
 
@@ -264,4 +267,76 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
     let said = refuses(at, &[&names[..], &OPTIONS, &moving, &["--removed", "s.csv"]].concat(), 1);
     assert!(said.contains("s.csv"), "{said}");
     converts(at, &[&names[..], &OPTIONS, &moving].concat());
+}
+
+/// Sums of red and of points, by pixel and slice.
+type Reds = BTreeMap<[i64; 3], (u64, u64)>;
+
+fn reds(frame: &Frame, points: impl Iterator<Item = coloured::Coloured>) -> Reds {
+    let mut sums = Reds::new();
+    for point in points {
+        let [x, y, z] = point.at;
+        let sum = sums.entry([frame.pixel_of(x), frame.pixel_of(y), frame.slice_of(z)]).or_default();
+        *sum = (sum.0 + u64::from(point.rgb[0]), sum.1 + 1);
+    }
+    sums
+}
+
+#[test]
+fn what_is_removed_takes_its_colours_along() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = Scene::named("hall", &Params::new()).unwrap();
+    let names: Vec<String> = (0..scene.stations().len()).map(|n| format!("{n}.las")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let mut all = Vec::new();
+    for (number, (station, name)) in scene.stations().iter().zip(&names).enumerate() {
+        let samples = scan(&scene, *station, 120_000, 2, number as u64 + 1, &at.join(name));
+        // Who moves is red.
+        let of = |sample: &Sample| coloured::Coloured {
+            at: sample.position,
+            rgb: [if sample.kind == Kind::Moving { 65_535 } else { 200 }, 10_000, 300],
+            intensity: 1,
+        };
+        let points: Vec<_> = samples.iter().map(of).collect();
+        coloured::las(&at.join(name), &points, 0.001);
+        all.extend(points);
+    }
+    let stations: Vec<_> = scene.stations().iter().copied().zip(names.iter().copied()).collect();
+    table(at, &stations);
+    let (plain, removed, _) = convert(at, &names, &[]);
+    let pages = Archive::from_bytes(plain).unwrap();
+    let colour = ["--colour", "rgb", "--colour-error", "0"];
+    let (coloured, same_removed, _) = convert(at, &names, &colour);
+    verifies(&at.join("out.slices"));
+    assert!(removed == same_removed);
+    let archive = Archive::from_bytes(coloured.clone()).unwrap();
+    assert_eq!(archive.header().voxels, pages.header().voxels);
+    assert_eq!(archive.header().points_kept, pages.header().points_kept);
+    let gone = places(&at.join("gone.las"));
+    let expected = reds(archive.frame(), all.iter().filter(|point| !is_among(&gone, point.at)).copied());
+    let with_all = reds(archive.frame(), all.iter().copied());
+    let mut reader = ColourReader::new(&archive).unwrap().unwrap();
+    let (mut compared, mut wrong, mut cleaner) = (0, 0, 0);
+    for entry in archive.entries().map(Result::unwrap) {
+        for (px, py, k, found) in reader.colours(&entry).unwrap().voxels() {
+            let pixel = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
+            let key = entry.key;
+            let place = [pixel(key.tx, px), pixel(key.ty, py), i64::from(key.layer) * PAGE_SLICES + i64::from(k)];
+            let (Some(found), Some(&(sum, n))) = (found, expected.get(&place)) else { continue };
+            let red = |(sum, n): (u64, u64)| sum as f64 / n as f64 / 257.0;
+            compared += 1;
+            wrong += u32::from((f64::from(found[0]) - red((sum, n))).abs() > 0.51);
+            cleaner += u32::from(red(with_all[&place]) > red((sum, n)) + 5.0);
+        }
+    }
+    println!("{compared} voxels, {wrong} wrong, {cleaner} without those who moved");
+    // Places of removed points are rounded.
+    assert!(compared > 10_000 && wrong * 500 < compared && cleaner > 20, "{compared} {wrong} {cleaner}");
+    for options in [["--threads", "1", "--memory", "64MiB"], ["--threads", "4", "--memory", "100MiB"]] {
+        let options: Vec<&str> = OPTIONS[..6].iter().chain(&options).chain(&colour).copied().collect();
+        let moving = ["--remove-moving", "--stations", "stations.csv", "-o", "again.slices"];
+        converts(at, &[&names[..], &options, &moving].concat());
+        assert!(fs::read(at.join("again.slices")).unwrap() == coloured, "{options:?}");
+    }
 }

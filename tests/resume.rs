@@ -150,6 +150,11 @@ fn killed_at_any_moment_a_conversion_that_fills_holes_goes_on() {
     assert!(archive.header().voxels.inferred > 100, "nothing was filled");
 }
 
+#[test]
+fn killed_at_any_moment_a_conversion_with_colours_goes_on() {
+    kills(&Place::with(4_000_000, 2_500.0, |_| true, &["--colour", "intensity"]), 2);
+}
+
 /// Kills conversions at random moments and resumes them.
 fn kills(place: &Place, kills: u64) {
     // The journal of a whole run, to know where its moments are.

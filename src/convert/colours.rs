@@ -5,12 +5,17 @@
 //! intensities) follows from all kept points of the whole input: a conversion of the whole learns it in its first pass. A
 //! part does not see all points, so it takes it from the plan file, or reads the whole input once before it begins.
 //! Parts of a plan therefore make the colours of a single run, and each voxel lies in one part.
+//!
+//! Where files of 8 bits come with files of 16, those of 8 are made wider. LAS does not say which it has: beside files that do,
+//! its values are read once more, up to the first that needs more than 8 bits.
 
 use super::options::{ColourMode, ConvertOptions};
 use super::work::on_threads;
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
-use crate::input::{InputSet, PointBatch, PointDecoder};
+use crate::input::{Depth, InputSet, PointBatch, PointDecoder};
 use crate::text::number;
+use crate::voxel::colours::ValueFact;
+use crate::voxel::record::Record;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -32,13 +37,34 @@ impl Values {
     }
 
     /// Adds the values of points.
-    pub fn add(&mut self, batch: &PointBatch) {
+    pub fn add(&mut self, values: &[[u16; 3]]) {
         if self.source == ColourSource::Intensity {
-            batch.values.iter().for_each(|value| self.counts[usize::from(value[0])] += 1);
+            values.iter().for_each(|value| self.counts[usize::from(value[0])] += 1);
         } else {
             let any = |most: u16, value: &[u16; 3]| most.max(value[0]).max(value[1]).max(value[2]);
-            self.greatest = batch.values.iter().fold(self.greatest, any);
+            self.greatest = values.iter().fold(self.greatest, any);
         }
+    }
+
+    /// Adds those of points whose records these are, as far as the scale needs them.
+    pub fn add_records(&mut self, records: impl Iterator<Item = Record>) {
+        for record in records {
+            match ValueFact::of(record.value()) {
+                ValueFact::Bytes => self.greatest = self.greatest.max(u16::from(u8::MAX)),
+                ValueFact::Wide => self.greatest = u16::MAX,
+                ValueFact::Value(value) => {
+                    if let Some(count) = self.counts.get_mut(usize::from(value)) {
+                        *count += 1;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.greatest = 0;
+        self.counts.fill(0);
     }
 
     /// Adds those of other points.
@@ -65,18 +91,6 @@ impl ConvertOptions {
             let reason = format!("expected 0 to {} (CIELAB), found {}", number(most), number(self.colour_error));
             return Err(Error::parameter(Parameter::ColourError, reason));
         }
-        if self.colour == ColourMode::Off {
-            return Ok(());
-        }
-        let refuse = |reason: &str| Err(Error::parameter(Parameter::Colour, reason));
-        if self.plan.remove_moving {
-            return refuse(
-                "colours of points that are removed as moving cannot be left out; convert without one of both",
-            );
-        }
-        if self.resume {
-            return refuse("values for colours are not kept with temporary data; begin anew without resuming");
-        }
         Ok(())
     }
 
@@ -100,9 +114,12 @@ pub(super) fn source_of(
     };
     let mut found = None;
     for &source in wanted {
-        if set.has_values(source) && any_value(set, source, options.threads, monitor)? {
-            found = Some(source);
-            break;
+        if set.has_values(source) {
+            prepare(set, source, options.threads, monitor)?;
+            if any_value(set, source, options.threads, monitor)? {
+                found = Some(source);
+                break;
+            }
         }
     }
     set.set_colour(found);
@@ -112,7 +129,7 @@ pub(super) fn source_of(
     match options.colour {
         ColourMode::Of(source) if !set.files().is_empty() => {
             let reason = format!(
-                "no point of the input has {} that Slicewalk reads (LAS, LAZ, COPC; RGB of binary PLY and PCD); choose another source, or off",
+                "no point of the input has {}; choose another source, or off, or name the columns of text without a header",
                 match source {
                     ColourSource::Rgb => "an RGB value other than 0",
                     ColourSource::Intensity => "an intensity other than 0",
@@ -132,10 +149,42 @@ pub(super) fn source_of(
     }
 }
 
+/// Finds out what values of `source` mean in each file, where only the points tell that.
+pub(super) fn prepare(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<()> {
+    set.prepare_values(source)?;
+    if source != ColourSource::Rgb {
+        return Ok(());
+    }
+    let mut depths = set.depths();
+    let has = |depths: &[Option<Depth>], depth| depths.contains(&Some(depth));
+    if has(&depths, Depth::Unstated) && (has(&depths, Depth::Eight) || has(&depths, Depth::Sixteen)) {
+        let is_wide: Vec<AtomicBool> = depths.iter().map(|_| AtomicBool::new(false)).collect();
+        let wanted = |file: usize| depths[file] == Some(Depth::Unstated) && !is_wide[file].load(Ordering::Relaxed);
+        monitor.stage("reading colours", 0, "points");
+        read_values(set, source, threads, monitor, &wanted, &|file, batch: &PointBatch| {
+            monitor.advance(batch.len() as u64);
+            if batch.values.as_flattened().iter().any(|&value| value > u16::from(u8::MAX)) {
+                is_wide[file].store(true, Ordering::Relaxed);
+            }
+            true
+        })?;
+        for (depth, is_wide) in depths.iter_mut().zip(is_wide) {
+            if *depth == Some(Depth::Unstated) {
+                *depth = Some(if is_wide.into_inner() { Depth::Sixteen } else { Depth::Eight });
+            }
+        }
+    }
+    if has(&depths, Depth::Sixteen) {
+        let narrow = |depth: &Option<Depth>| *depth == Some(Depth::Eight);
+        depths.iter().enumerate().filter(|(_, depth)| narrow(depth)).for_each(|(file, _)| set.widen(file));
+    }
+    Ok(())
+}
+
 /// Whether some kept point has a value other than 0.
 fn any_value(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<bool> {
     let found = AtomicBool::new(false);
-    read_values(set, source, threads, monitor, &|batch: &PointBatch| {
+    read_values(set, source, threads, monitor, &|_| true, &|_, batch: &PointBatch| {
         if batch.values.iter().any(|value| *value != [0; 3]) {
             found.store(true, Ordering::Relaxed);
         }
@@ -156,25 +205,26 @@ pub(super) fn measure(
     }
     monitor.stage("reading colours", set.points_stated(), "points");
     let all = Mutex::new(Values::new(source));
-    read_values(set, source, threads, monitor, &|batch: &PointBatch| {
+    read_values(set, source, threads, monitor, &|_| true, &|_, batch: &PointBatch| {
         monitor.advance(batch.len() as u64);
-        all.lock().unwrap_or_else(PoisonError::into_inner).add(batch);
+        all.lock().unwrap_or_else(PoisonError::into_inner).add(&batch.values);
         true
     })?;
     Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner).scale())
 }
 
-/// Gives `take` the points of all files, until it has enough.
+/// Gives `take` the points of the `wanted` files, and the number of the file, until it has enough.
 fn read_values(
     set: &mut InputSet,
     source: ColourSource,
     threads: usize,
     monitor: &dyn Monitor,
-    take: &(dyn Fn(&PointBatch) -> bool + Sync),
+    wanted: &(dyn Fn(usize) -> bool + Sync),
+    take: &(dyn Fn(usize, &PointBatch) -> bool + Sync),
 ) -> Result<()> {
     set.set_colour(Some(source));
     let set = &*set;
-    let chunks = Mutex::new(set.chunks());
+    let chunks = Mutex::new(set.chunks().filter(|chunk| wanted(chunk.file())));
     let (enough, failed) = (AtomicBool::new(false), AtomicBool::new(false));
     let work = || -> Result<()> {
         let mut decoder = PointDecoder::new();
@@ -185,7 +235,7 @@ fn read_values(
                 if monitor.cancelled() || failed.load(Ordering::Relaxed) || enough.load(Ordering::Relaxed) {
                     return Err(Error::Interrupted);
                 }
-                if !take(batch) {
+                if !take(chunk.file(), batch) {
                     enough.store(true, Ordering::Relaxed);
                 }
                 Ok(())

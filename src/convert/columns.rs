@@ -3,6 +3,7 @@
 use super::hand_over::{Closed, HandOver};
 use crate::plan::Plan;
 use crate::voxel::bands::Bands;
+use crate::voxel::colours::ValueSieve;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
 use crate::voxel::record::{ColumnKey, Content, PATCH_AREA, Record};
 use crate::voxel::runs::{ColumnJob, Merge};
@@ -148,7 +149,9 @@ fn remove_moving(
 /// Memory of a worker per record of a column.
 fn job_bytes_per_record(views: Option<&Views>, values: bool) -> u64 {
     let removed = size_of::<Record>() + size_of::<(ColumnKey, Record)>();
-    let removed = if views.is_some() { removed as u64 } else { 0 };
+    // Values of these follow the records of their points, and are copied without them.
+    let of_values = if values { 3 * size_of::<Record>() as u64 } else { 0 };
+    let removed = if views.is_some() { removed as u64 + of_values } else { 0 };
     JOB_BYTES_PER_RECORD + removed + if values { VALUE_BYTES_PER_RECORD } else { 0 }
 }
 
@@ -223,8 +226,15 @@ impl<'a> Patches<'a> {
                 dropped += self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums);
                 dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
                 if self.wants_values {
+                    let sifted = self.views.map(|views| {
+                        let (places, mut sifted) = (views.places(key), Vec::new());
+                        // Of one run after the other, and each is whole.
+                        let removed = |record| views.is_moving(places.of(record));
+                        ValueSieve::default().sift(own_values, removed, &mut sifted);
+                        sifted
+                    });
                     take.values(&self.patch, Area::TILE, &mut |give| {
-                        give(own_values);
+                        give(sifted.as_deref().unwrap_or(own_values));
                         Ok(())
                     })?;
                 }
@@ -339,12 +349,22 @@ impl<'a> Patches<'a> {
         let chunk = (self.max_records / 4).max(1 << 12) as usize;
         // Rows of a patch begin with the halo.
         let rows = (area.y.0 + 1, area.y.1 + 1);
+        let key = job.columns[0].0;
         take.values(&self.patch, area, &mut |give| {
+            let (mut sieve, mut sifted) = (ValueSieve::default(), Vec::new());
             merge.stream_values(job, rows, chunk, |records| {
                 if self.monitor.cancelled() {
                     return Err(Error::Interrupted);
                 }
-                give(records);
+                match self.views {
+                    None => give(records),
+                    Some(views) => {
+                        let places = views.places(key);
+                        sifted.clear();
+                        sieve.sift(records, |record| views.is_moving(places.of(record)), &mut sifted);
+                        give(&sifted);
+                    }
+                }
                 Ok(true)
             })
         })

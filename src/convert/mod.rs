@@ -366,7 +366,11 @@ fn colours_of(
     monitor: &dyn Monitor,
 ) -> Result<(Option<ColourSource>, Option<ColourPlan>)> {
     let (source, plan) = match &options.plan_file {
-        Some(file) => (file.colour.map(|plan| plan.scale.source), file.colour),
+        Some(file) => {
+            let source = file.colour.map(|plan| plan.scale.source);
+            source.map(|source| colours::prepare(set, source, options.threads, monitor)).transpose()?;
+            (source, file.colour)
+        }
         None => {
             let source = colours::source_of(options, set, monitor)?;
             let part = source.filter(|_| options.shard.is_some());
@@ -567,6 +571,8 @@ fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u
         ColourMode::Of(ColourSource::Intensity | ColourSource::Class) => VALUE_BYTES_PER_POINT,
         _ => 2 * VALUE_BYTES_PER_POINT,
     };
+    // Where moving points are removed, each value follows the record of its point.
+    let values = values + if options.plan.remove_moving && values > 0 { VALUE_BYTES_PER_POINT } else { 0 };
     (points, points.saturating_mul(TEMP_BYTES_PER_POINT + values).saturating_sub(retain_bytes))
 }
 

@@ -16,6 +16,7 @@ use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
 use crate::voxel::views::Views;
 use crate::{Error, Monitor, Parameter, Result};
+use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -146,8 +147,9 @@ pub(super) fn read_points(
     let work = || -> Result<(Read, Option<Values>)> {
         let mut decoder = PointDecoder::new();
         let mut builder = RunBuilder::new(recorder, build_bytes);
-        let mut values =
-            source.map(|source| (source, Values::new(source), RunBuilder::of_values(recorder, build_bytes)));
+        // What is removed as moving takes its values along.
+        let of_values = || RunBuilder::of_values(recorder, build_bytes, seeing.is_some());
+        let mut values = source.map(|source| (source, Values::new(source), of_values()));
         if let Some(scope) = scope {
             builder = builder.only(scope.keeps());
             values = values.map(|(source, found, builder)| (source, found, builder.only(scope.keeps())));
@@ -155,12 +157,16 @@ pub(super) fn read_points(
         if notes {
             let log = decoder.log();
             builder = builder.covering(move |out| put_reads(&log, out));
+            let log = decoder.log();
+            values = values
+                .map(|(source, found, builder)| (source, found, builder.covering(move |out| put_reads(&log, out))));
         }
         let mut read = Read::NOTHING;
         while let Some((chunk, number)) = next_chunk() {
             let mut of_chunk = Read::NOTHING;
             let (covered, mut at) = (progress.of_chunk(number), 0);
             builder.begin_chunk(number);
+            values.iter_mut().for_each(|(_, _, builder)| builder.begin_chunk(number));
             of_chunk.counts = decoder.decode(set, &chunk, &mut |batch| {
                 // A chunk may be a whole file, so one look per chunk would be too few.
                 if monitor.cancelled() || failed.load(Ordering::Relaxed) {
@@ -190,15 +196,33 @@ pub(super) fn read_points(
                 of_chunk.merge(&Read { min, max, own, ..Read::NOTHING });
                 let begin = at;
                 at += batch.len() as u64;
-                push_missing(&mut builder, batch, begin, covered, store)?;
-                match &mut values {
-                    Some((source, found, builder)) if !batch.values.is_empty() => {
-                        found.add(batch);
-                        let of_point = |number: usize| values_of(*source, batch.values[number]);
-                        builder.push_values(&batch.x, &batch.y, &batch.z, of_point, store)
+                let number_of_points = begin..at;
+                missing(number_of_points.clone(), covered.matter, |what| match what {
+                    Missing::Not(points) => {
+                        builder.pass(points);
+                        Ok(())
                     }
-                    _ => Ok(()),
-                }
+                    Missing::Points(range) => {
+                        builder.push(&batch.x[range.clone()], &batch.y[range.clone()], &batch.z[range], store)
+                    }
+                })?;
+                let Some((source, found, builder)) = &mut values else { return Ok(()) };
+                missing(number_of_points, covered.values, |what| match what {
+                    Missing::Not(points) => {
+                        builder.pass(points);
+                        Ok(())
+                    }
+                    Missing::Points(range) if batch.values.is_empty() => {
+                        builder.without_records(range.len() as u64);
+                        Ok(())
+                    }
+                    Missing::Points(range) => {
+                        let own = &batch.values[range.clone()];
+                        found.add(own);
+                        let points = [&batch.x[range.clone()], &batch.y[range.clone()], &batch.z[range]];
+                        builder.push_values(points, |number| values_of(*source, own[number]), store)
+                    }
+                })
             })?;
             if scope.is_none_or(|scope| scope.owns(chunk.file())) {
                 of_chunk.own.left_out = of_chunk.counts;
@@ -208,6 +232,7 @@ pub(super) fn read_points(
             // What is lost of a chunk is told by whoever reads it.
             let result = (notes && !decoder.has_lost()).then(|| result_bytes(&of_chunk, decoder.log().hash()));
             builder.end_chunk(result.as_deref());
+            values.iter_mut().for_each(|(_, _, builder)| builder.end_chunk(None));
             read.merge(&of_chunk);
             of_files.lock().unwrap_or_else(std::sync::PoisonError::into_inner)[chunk.file()].add(&of_chunk);
         }
@@ -218,7 +243,7 @@ pub(super) fn read_points(
         let values = values.map(|(_, found, mut builder)| builder.flush(store).map(|()| found)).transpose()?;
         Ok((read, values))
     };
-    let (mut all, mut values) = (progress.read, None::<Values>);
+    let (mut all, mut values) = (progress.read, progress.values.clone());
     for (read, of_worker) in on_threads(threads, || work().inspect_err(|_| failed.store(true, Ordering::Relaxed)))? {
         all.merge(&read);
         match (&mut values, of_worker) {
@@ -231,27 +256,26 @@ pub(super) fn read_points(
     Ok((all, of_files, values))
 }
 
-/// Hands `batch`, whose first point is number `begin` of its chunk, to `builder`, but for points that are `covered`.
-fn push_missing(
-    builder: &mut RunBuilder,
-    batch: &PointBatch,
-    begin: u64,
-    covered: &[(u64, u64)],
-    store: &RunStore,
-) -> Result<()> {
-    let end = begin + batch.len() as u64;
+/// What of a batch is to be done.
+enum Missing {
+    /// These points of it.
+    Points(Range<usize>),
+    /// So many points have other runs that stand for them.
+    Not(u64),
+}
+
+/// Gives `take` what of a batch with these numbers of points is not `covered`, and what is, in order.
+fn missing(numbers: Range<u64>, covered: &[(u64, u64)], mut take: impl FnMut(Missing) -> Result<()>) -> Result<()> {
+    let Range { start: begin, end } = numbers;
     let mut next = begin;
-    let push = |builder: &mut RunBuilder, from: u64, to: u64| {
-        let range = (from - begin) as usize..(to - begin) as usize;
-        builder.push(&batch.x[range.clone()], &batch.y[range.clone()], &batch.z[range], store)
-    };
+    let points = |from: u64, to: u64| Missing::Points((from - begin) as usize..(to - begin) as usize);
     for &(first, last) in covered.iter().filter(|piece| piece.0 < end && begin < piece.1) {
         let (first, last) = (first.max(begin), last.min(end));
-        push(builder, next, first)?;
-        builder.pass(last - first);
+        take(points(next, first))?;
+        take(Missing::Not(last - first))?;
         next = last;
     }
-    push(builder, next, end)
+    take(points(next, end))
 }
 
 /// The files that have points, with their bounds.

@@ -6,19 +6,26 @@
 //! that were read and comparing their hash. It then reads the chunks that are missing. Of a chunk that is there in part
 //! it leaves out the points that are there; the decoder gives the same points in the same order.
 //!
+//! Values for colours have runs of their own, which stand for points of their own; a chunk is done when both kinds are there.
+//! What the values of all points are follows from their records.
+//!
 //! Meshes are read again. The second pass, from runs to pages, begins anew.
 
+use super::colours::Values;
 use super::points::{OfFile, Read};
 use super::{ConvertOptions, PixelSize, Surveyed};
 use crate::archive::Shard;
 use crate::codec::ByteReader;
+use crate::colour::ColourSource;
 use crate::input::spacing::Spacing;
 use crate::input::{InputSet, PointCounts, ReadLog, Reads, ScanFile, Units};
 use crate::mesh::MeshMode;
 use crate::output::Output;
 use crate::plan::{Noise, Plan};
+use crate::voxel::record::Record;
 use crate::voxel::spill::{Leftover, Spill, SpillPlace, SpilledRun};
 use crate::{Error, Monitor, Parameter, Result};
+use std::cell::RefCell;
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 use xxhash_rust::xxh3::xxh3_64;
@@ -39,8 +46,8 @@ pub(super) struct Identity {
     plan: Vec<u8>,
     /// What automatic options follow from.
     surveyed: Surveyed,
-    /// Unit of the input and mode of meshes, as numbers.
-    numbers: [f64; 2],
+    /// Unit of the input, mode of meshes and source of colours, as numbers.
+    numbers: [f64; 3],
     shard: Option<Shard>,
     inputs: Vec<InputState>,
 }
@@ -65,6 +72,7 @@ impl InputState {
 }
 
 impl Identity {
+    /// Of a conversion of `set`, which reads the values that become colours, if any do.
     pub fn of(options: &ConvertOptions, plan: &Plan, surveyed: Surveyed, shard: Option<Shard>, set: &InputSet) -> Self {
         let unit = match options.units {
             Units::Auto => 0.0,
@@ -74,11 +82,12 @@ impl Identity {
             MeshMode::Exact => -1.0,
             MeshMode::Sampled { step_m } => step_m.unwrap_or(0.0),
         };
+        let source = set.options().colour.and_then(|source| ColourSource::ALL.iter().position(|all| *all == source));
         Self {
             version: env!("CARGO_PKG_VERSION").into(),
             plan: plan.to_bytes().to_vec(),
             surveyed,
-            numbers: [unit, mesh],
+            numbers: [unit, mesh, source.map_or(0.0, |source| 1.0 + source as f64)],
             shard,
             inputs: set.files().iter().map(InputState::of).collect(),
         }
@@ -157,7 +166,7 @@ impl Identity {
             _ => return None,
         };
         let inputs = u64s(inputs).as_chunks().0.iter().map(|&[path, state]| InputState { path, state }).collect();
-        let numbers: [u64; 2] = u64s(numbers).try_into().ok()?;
+        let numbers: [u64; 3] = u64s(numbers).try_into().ok()?;
         Some(Self {
             version: String::from_utf8(version.to_vec()).ok()?,
             plan: plan.to_vec(),
@@ -279,14 +288,32 @@ impl Earlier {
         };
         let (mut runs, mut begun) = (Vec::new(), BTreeMap::new());
         let mut progress = Progress::nothing(set.files().len());
+        progress.wants_values = set.options().colour.is_some();
+        // Of the run at hand, and of those that were whole.
+        let of_run = set.options().colour.map(Values::new);
+        progress.values = of_run.clone();
+        let of_run = RefCell::new(of_run);
+        let mut see = |run: &SpilledRun, bytes: &[u8]| {
+            let mut of_run = of_run.borrow_mut();
+            let Some(values) = of_run.as_mut().filter(|_| run.values) else { return };
+            if bytes.is_empty() {
+                values.clear();
+            }
+            values.add_records(bytes.as_chunks().0.iter().map(|&bytes| Record(u64::from_ne_bytes(bytes))));
+        };
         let path = self.leftover.path().to_path_buf();
         let mut take = |run: SpilledRun, cover: &[u8]| {
             let broken = || Error::input(&path, "journal", "it contradicts itself; begin anew without resuming");
-            progress.add(cover, set, &mut begun)?.ok_or_else(broken)?;
+            progress.add(run.values, cover, set, &mut begun)?.ok_or_else(broken)?;
+            if let (Some(all), Some(of_run)) = (&mut progress.values, &*of_run.borrow())
+                && run.values
+            {
+                all.merge(of_run);
+            }
             runs.push(run);
             Ok(())
         };
-        let spill = self.leftover.take_over(place, &mut look, &mut take)?;
+        let spill = self.leftover.take_over(place, &mut look, &mut see, &mut take)?;
         progress.partial = begun.into_iter().map(|(chunk, begun)| (chunk, begun.pieces)).collect();
         let resumed = Resumed { points: progress.points, bytes: runs.iter().map(SpilledRun::bytes).sum() };
         Ok(TakenOver { spill, runs, progress, resumed })
@@ -306,18 +333,29 @@ pub(super) struct TakenOver {
 pub(super) struct Progress {
     /// Chunks that are done: first and end of each row of them.
     done: BTreeMap<u64, u64>,
-    /// Points of other chunks for which runs stand: first and end, ascending.
-    partial: BTreeMap<u64, Vec<(u64, u64)>>,
+    /// Points of other chunks for which runs stand, those of matter and those of values: first and end, ascending.
+    partial: BTreeMap<u64, [Vec<(u64, u64)>; 2]>,
     points: u64,
+    /// Whether values are needed, and what is known of those that runs hold.
+    wants_values: bool,
+    pub values: Option<Values>,
     /// What was found in the chunks that are done.
     pub read: Read,
     pub of_files: Vec<OfFile>,
 }
 
+/// Points of a chunk for which runs stand: first and end, ascending.
+#[derive(Clone, Copy)]
+pub(super) struct Covered<'a> {
+    pub matter: &'a [(u64, u64)],
+    pub values: &'a [(u64, u64)],
+}
+
 /// What is known of a chunk while the journal is read.
 #[derive(Default)]
 struct Begun {
-    pieces: Vec<(u64, u64)>,
+    /// Of matter, and of values.
+    pieces: [Vec<(u64, u64)>; 2],
     /// Number of its points, and what was found in it.
     result: Option<(u64, Read, u128)>,
     file: usize,
@@ -327,7 +365,8 @@ impl Progress {
     /// Of files of which nothing was read.
     pub fn nothing(files: usize) -> Self {
         let (read, of_files) = (Read::NOTHING, vec![OfFile::NOTHING; files]);
-        Self { done: BTreeMap::new(), partial: BTreeMap::new(), points: 0, read, of_files }
+        let (done, partial) = (BTreeMap::new(), BTreeMap::new());
+        Self { done, partial, points: 0, wants_values: false, values: None, read, of_files }
     }
 
     pub fn is_done(&self, chunk: u64) -> bool {
@@ -335,12 +374,22 @@ impl Progress {
     }
 
     /// Points of a chunk for which runs stand.
-    pub fn of_chunk(&self, chunk: u64) -> &[(u64, u64)] {
-        self.partial.get(&chunk).map_or(&[], Vec::as_slice)
+    pub fn of_chunk(&self, chunk: u64) -> Covered<'_> {
+        let [matter, values] = match self.partial.get(&chunk) {
+            Some(pieces) => pieces.each_ref().map(Vec::as_slice),
+            None => [&[][..]; 2],
+        };
+        Covered { matter, values }
     }
 
-    /// Adds what a run stands for, which is compared with the files; `None` if it cannot be.
-    fn add(&mut self, cover: &[u8], set: &InputSet, begun: &mut BTreeMap<u64, Begun>) -> Result<Option<()>> {
+    /// Adds what a run, of values or of matter, stands for, which is compared with the files; `None` if it cannot be.
+    fn add(
+        &mut self,
+        values: bool,
+        cover: &[u8],
+        set: &InputSet,
+        begun: &mut BTreeMap<u64, Begun>,
+    ) -> Result<Option<()>> {
         let mut reader = ByteReader::new(cover, "");
         while !reader.is_empty() {
             let Some((chunk, piece, file, reads, result)) = parse_piece(&mut reader) else { return Ok(None) };
@@ -348,17 +397,26 @@ impl Progress {
             if !reads.are_of(scan.path())? {
                 return Err(changed_since(scan.path()));
             }
-            let of_chunk = begun.entry(chunk).or_default();
-            let at = of_chunk.pieces.partition_point(|other| other.0 < piece.0);
-            let overlaps = |other: Option<&(u64, u64)>| other.is_some_and(|o| o.0 < piece.1 && piece.0 < o.1);
-            let before = at.checked_sub(1).and_then(|before| of_chunk.pieces.get(before));
-            if self.is_done(chunk) || overlaps(before) || overlaps(of_chunk.pieces.get(at)) {
+            let is_empty = piece.0 == piece.1;
+            if self.is_done(chunk) {
+                // A run that read it for its values said again what was found in it.
+                if is_empty && self.wants_values {
+                    continue;
+                }
                 return Ok(None);
             }
-            if piece.0 < piece.1 {
-                of_chunk.pieces.insert(at, piece);
+            let of_chunk = begun.entry(chunk).or_default();
+            let pieces = &mut of_chunk.pieces[usize::from(values)];
+            let at = pieces.partition_point(|other| other.0 < piece.0);
+            let overlaps = |other: Option<&(u64, u64)>| other.is_some_and(|o| o.0 < piece.1 && piece.0 < o.1);
+            let before = at.checked_sub(1).and_then(|before| pieces.get(before));
+            if overlaps(before) || overlaps(pieces.get(at)) {
+                return Ok(None);
             }
-            self.points += piece.1 - piece.0;
+            if !is_empty {
+                pieces.insert(at, piece);
+            }
+            self.points += if values { 0 } else { piece.1 - piece.0 };
             of_chunk.file = file;
             if let Some((read, hash)) = result {
                 of_chunk.result = Some((piece.1, read, hash));
@@ -371,7 +429,8 @@ impl Progress {
     /// Moves a chunk to those that are done if all of it is there.
     fn finish(&mut self, chunk: u64, begun: &mut BTreeMap<u64, Begun>, set: &InputSet) {
         let Some(Begun { pieces, result: Some((points, read, hash)), file }) = begun.get(&chunk) else { return };
-        if pieces.iter().map(|piece| piece.1 - piece.0).sum::<u64>() != *points {
+        let is_whole = |pieces: &Vec<(u64, u64)>| pieces.iter().map(|piece| piece.1 - piece.0).sum::<u64>() == *points;
+        if !is_whole(&pieces[0]) || self.wants_values && !is_whole(&pieces[1]) {
             return;
         }
         self.read.merge(read);

@@ -6,11 +6,14 @@ use std::str::FromStr;
 /// Most columns that can be named.
 const MOST: usize = 64;
 
-/// Columns of text, from left to right: `x`, `y`, `z`, maybe `class`; every other name (`i`, `r`, `-`) is passed over.
+/// Columns of text, from left to right: `x`, `y`, `z`, maybe `class`, `i` (intensity) and `r`, `g`, `b`; every other name (`-`) is
+/// passed over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Columns {
     pub(super) axes: [u8; 3],
     pub(super) class: Option<u8>,
+    pub(super) intensity: Option<u8>,
+    pub(super) rgb: Option<[u8; 3]>,
 }
 
 /// As the command line takes it: `x,y,z,i,r,g,b`, in the order of the columns.
@@ -31,21 +34,31 @@ impl FromStr for Columns {
         }
         let missing = || "expected names of columns with x, y and z, such as x,y,z,i".to_owned();
         let axis = |name| find(&[name])?.ok_or_else(missing);
-        Ok(Self { axes: [axis("x")?, axis("y")?, axis("z")?], class: find(&["class", "classification", "c"])? })
+        let channels = [find(&["r", "red"])?, find(&["g", "green"])?, find(&["b", "blue"])?];
+        let rgb = match channels {
+            [Some(r), Some(g), Some(b)] => Some([r, g, b]),
+            [None, None, None] => None,
+            _ => return Err("expected all of r, g and b, or none of them".into()),
+        };
+        Ok(Self {
+            axes: [axis("x")?, axis("y")?, axis("z")?],
+            class: find(&["class", "classification", "c"])?,
+            intensity: find(&["i", "intensity"])?,
+            rgb,
+        })
     }
 }
 
 /// As [`FromStr`] reads it, with `-` for columns that are passed over.
 impl Display for Columns {
     fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
-        let last = self.axes.into_iter().chain(self.class).max().unwrap_or(0);
+        let named = self.axes.into_iter().zip(["x", "y", "z"]);
+        let named = named.chain(self.class.map(|place| (place, "class")));
+        let named = named.chain(self.intensity.map(|place| (place, "i")));
+        let named: Vec<_> = named.chain(self.rgb.into_iter().flatten().zip(["r", "g", "b"])).collect();
+        let last = named.iter().map(|named| named.0).max().unwrap_or(0);
         for place in 0..=last {
-            let axis = self.axes.iter().position(|&axis| axis == place);
-            let name = match axis {
-                Some(axis) => ["x", "y", "z"][axis],
-                None if self.class == Some(place) => "class",
-                None => "-",
-            };
+            let name = named.iter().find(|named| named.0 == place).map_or("-", |named| named.1);
             write!(f, "{}{name}", if place > 0 { "," } else { "" })?;
         }
         Ok(())
@@ -58,14 +71,16 @@ mod tests {
 
     #[test]
     fn columns_read_as_they_are_written() {
-        for (text, again) in
-            [("x,y,z", "x,y,z"), ("z, -,Y,x,i,r,g,b", "z,-,y,x"), ("id,x,y,z,Classification,t", "-,x,y,z,class")]
-        {
+        for (text, again) in [
+            ("x,y,z", "x,y,z"),
+            ("z, -,Y,x,Red,green,b", "z,-,y,x,r,g,b"),
+            ("id,x,y,z,Classification,Intensity,t", "-,x,y,z,class,i"),
+        ] {
             let columns: Columns = text.parse().unwrap();
             assert_eq!(columns.to_string(), again);
             assert_eq!(again.parse::<Columns>().unwrap(), columns);
         }
-        for wrong in ["", "x,y", "x,y,z,x", &"x,".repeat(100)] {
+        for wrong in ["", "x,y", "x,y,z,x", "x,y,z,r,g", "x,y,z,i,intensity", &"x,".repeat(100)] {
             assert!(wrong.parse::<Columns>().is_err(), "{wrong}");
         }
     }

@@ -139,7 +139,7 @@ impl PointDecoder {
         self.lost = false;
         if let Content::Cloud(cloud) = &file.content {
             let ChunkSource::Cloud(part) = &piece.source else { return Err(of_another_set()) };
-            let mut taker = cloud::Taker::new(file.unit_m(), &set.options, &mut self.batch, sink);
+            let mut taker = cloud::Taker::new(file.unit_m(), &set.options, &mut self.batch, sink).widening(file.widen);
             let done = cloud.decode(part, source, &mut self.slab, &mut taker);
             let outcome = match done {
                 Ok(missing) => taker.flush().map(|()| missing),
@@ -165,6 +165,9 @@ impl PointDecoder {
         let filter = set.filter(file.layout());
         let mut take = |records: &[u8]| {
             convert::convert(records, record_bytes, &file.transform, filter, field, batch, &mut counts);
+            if file.widen {
+                batch.values.as_flattened_mut().iter_mut().for_each(|value| *value = value.saturating_mul(257));
+            }
             sink(batch).inspect_err(|_| refused = true)
         };
         let wanted = Wanted {

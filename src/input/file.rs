@@ -2,7 +2,7 @@
 //!
 //! LAS and LAZ are read here and in the modules beside this; every other format is a [`Cloud`].
 
-use super::cloud::{self, Cloud, Opened, Opening, Standpoint};
+use super::cloud::{self, Cloud, Depth, Opened, Opening, Standpoint};
 use super::convert::{Field, Layout, Transform};
 use super::crs;
 use super::header::LasHeader;
@@ -34,6 +34,8 @@ pub struct ScanFile {
     bounds: [[f64; 3]; 2],
     pub(super) transform: Transform,
     pub(super) content: Content,
+    /// Its red, green and blue are of 8 bits and become those of 16.
+    pub(super) widen: bool,
 }
 
 #[derive(Debug)]
@@ -152,6 +154,7 @@ impl ScanFile {
             bounds: header.bounds,
             transform,
             content,
+            widen: false,
         };
         if file.points_expected() == 0 && file.points_stated == 0 {
             findings.note("it holds no points");
@@ -192,6 +195,7 @@ impl ScanFile {
             bounds: [[f64::NAN; 3]; 2],
             transform: Transform { scale: [1.0; 3], offset: [0.0; 3], unit, up: options.up },
             content: Content::Cloud(cloud),
+            widen: false,
         };
         Ok((file, reference))
     }
@@ -305,10 +309,30 @@ impl ScanFile {
     /// Whether its points have such values, as far as its header tells.
     pub(super) fn has_values(&self, source: ColourSource) -> bool {
         let of_cloud = match &self.content {
-            Content::Cloud(cloud) => source == ColourSource::Rgb && cloud.has_rgb(),
+            Content::Cloud(cloud) => cloud.has_values(source),
             _ => self.field(source).is_some(),
         };
         of_cloud && self.points_expected() > 0
+    }
+
+    /// Finds out what its values of this source mean.
+    pub(super) fn prepare_values(&mut self, source: ColourSource) -> Result<()> {
+        self.widen = false;
+        if !self.has_values(source) {
+            return Ok(());
+        }
+        match &mut self.content {
+            Content::Cloud(cloud) => cloud.prepare(source, &Source::open(&self.path, None)?),
+            _ => Ok(()),
+        }
+    }
+
+    /// What its red, green and blue reach up to.
+    pub(super) fn depth(&self) -> Depth {
+        match &self.content {
+            Content::Cloud(cloud) => cloud.depth(),
+            _ => Depth::Unstated,
+        }
     }
 
     /// XXH3-128 of what its header says about the points: with the bytes of the points it makes their coordinates.

@@ -49,7 +49,7 @@ use crate::text::number;
 use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
 use crate::{Error, Monitor, Parameter, Result, Warning};
 
-pub(crate) use self::cloud::Standpoint;
+pub(crate) use self::cloud::{Depth, Standpoint};
 pub use self::columns::Columns;
 pub(crate) use self::convert::FARTHEST_M;
 pub use self::crs::projected_epsg;
@@ -141,8 +141,8 @@ pub struct PointBatch {
     pub z: Vec<f64>,
     /// Cloud of the file that all of them belong to, from 0: an E57 or PTX may hold several.
     pub cloud: usize,
-    /// Values for colours, as many as points, or none where the file has none or none are asked for: red, green and blue; else the
-    /// intensity or the class, and zeros.
+    /// Values for colours, as many as points, or none where these have none or none are asked for: red, green and blue, up to 255 or
+    /// up to 65,535 as the file has them; else the intensity or the class, and zeros.
     pub values: Vec<[u16; 3]>,
 }
 
@@ -300,6 +300,9 @@ impl InputSet {
         let crs = systems.common(&files, monitor).or_else(|| options.epsg.map(epsg_text));
         let filters = [Layout::Old, Layout::Extended].map(|layout| Filter::new(layout, &options.exclude_classes));
         let hashes = Mutex::new(vec![0; if options.hash { files.len() } else { 0 }]);
+        if let Some(source) = options.colour {
+            files.iter_mut().try_for_each(|file| file.prepare_values(source))?;
+        }
         Ok(Self { files, meshes, options, crs, filters, losses, hashes })
     }
 
@@ -376,6 +379,21 @@ impl InputSet {
     pub(crate) fn start_hashing(&mut self) {
         self.options.hash = true;
         self.hashes = Mutex::new(vec![0; self.files.len()]);
+    }
+
+    /// Finds out what values of this source mean, where only the points of a file tell that. Cost: some MiB of such a file.
+    pub(crate) fn prepare_values(&mut self, source: ColourSource) -> Result<()> {
+        self.files.iter_mut().try_for_each(|file| file.prepare_values(source))
+    }
+
+    /// What red, green and blue of each file reach up to; `None` of files without.
+    pub(crate) fn depths(&self) -> Vec<Option<Depth>> {
+        self.files.iter().map(|file| file.has_values(ColourSource::Rgb).then(|| file.depth())).collect()
+    }
+
+    /// The red, green and blue of a file are of 8 bits and become those of 16.
+    pub(crate) fn widen(&mut self, file: usize) {
+        self.files[file].widen = true;
     }
 
     /// Reads values for colours from here on.

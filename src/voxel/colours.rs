@@ -46,6 +46,61 @@ pub fn values_of(source: ColourSource, [r, g, b]: [u16; 3]) -> (u32, Option<u32>
     (first, Some(second))
 }
 
+/// What a record says of the values of an input: of RGB whether it needs more than 8 bits, else the value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ValueFact {
+    /// All of 8 bits.
+    Bytes,
+    /// One at least of more.
+    Wide,
+    /// Intensity or class.
+    Value(u16),
+}
+
+impl ValueFact {
+    /// Of a record's [value](Record::value). Of the two records of one point, one says what both do.
+    pub fn of(value: u32) -> Self {
+        match value >> PAYLOAD_BITS {
+            BYTES | SECOND_HALF => Self::Bytes,
+            BYTES_257 | BYTES_256 | FIRST_HALF => Self::Wide,
+            _ => Self::Value(value as u16),
+        }
+    }
+}
+
+/// Leaves out the values of points that are removed: each follows the record of its point.
+#[derive(Debug, Default)]
+pub struct ValueSieve {
+    next: Next,
+    is_removed: bool,
+}
+
+/// What the next record is.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+enum Next {
+    #[default]
+    Point,
+    Value,
+    SecondHalf,
+}
+
+impl ValueSieve {
+    /// Adds to `out` the values of those points that are not `removed`. Pieces of one run may come one after the other.
+    pub fn sift(&mut self, records: &[Record], removed: impl Fn(Record) -> bool, out: &mut Vec<Record>) {
+        for &record in records {
+            if self.next == Next::Point {
+                (self.next, self.is_removed) = (Next::Value, removed(record));
+                continue;
+            }
+            let has_second = self.next == Next::Value && record.value() >> PAYLOAD_BITS == FIRST_HALF;
+            self.next = if has_second { Next::SecondHalf } else { Next::Point };
+            if !self.is_removed {
+                out.push(record);
+            }
+        }
+    }
+}
+
 /// Adds a record of values to sums.
 #[inline]
 fn add(sum: &mut ColourSum, scale: &ColourScale, value: u32) {
@@ -202,6 +257,40 @@ mod tests {
         }
 
         #[test]
+        fn a_sieve_keeps_the_values_of_points_that_stay(
+            points in proptest::collection::vec(((0.0f64..6.3, 0.0f64..6.3, 0.0f64..3.0), [channel(), channel(), channel()]), 1..80),
+            pieces in 1usize..9
+        ) {
+            let recorder = Recorder::new(Frame::new(0.1, 0.3).unwrap());
+            // Any rule that depends on the whole record.
+            let removed = |record: Record| (record.0.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 60) < 6;
+            let (mut all, mut expected) = (Vec::new(), Vec::new());
+            for &((x, y, z), rgb) in &points {
+                let (axes, value) = ([&[x][..], &[y], &[z]], values_of(ColourSource::Rgb, rgb));
+                recorder.record_values(axes, true, |_| value, |_, record| all.push(record));
+                let mut own = Vec::new();
+                recorder.record(axes[0], axes[1], axes[2], |index, record| {
+                    if (index.tx, index.ty) == (0, 0) { own.push(record); }
+                });
+                if !removed(own[0]) {
+                    recorder.record_values(axes, false, |_| value, |_, record| expected.push(record));
+                }
+            }
+            let (mut sieve, mut found) = (ValueSieve::default(), Vec::new());
+            all.chunks(pieces).for_each(|piece| sieve.sift(piece, removed, &mut found));
+            prop_assert_eq!(found, expected);
+        }
+
+        #[test]
+        fn records_say_what_the_values_of_an_input_need(value in [channel(), channel(), channel()]) {
+            let (first, second) = values_of(ColourSource::Rgb, value);
+            let wide = second.into_iter().chain([first]).any(|value| ValueFact::of(value) == ValueFact::Wide);
+            prop_assert_eq!(wide, value.iter().any(|&value| value > 255));
+            let (first, _) = values_of(ColourSource::Intensity, value);
+            prop_assert_eq!(ValueFact::of(first), ValueFact::Value(value[0]));
+        }
+
+        #[test]
         fn voxels_have_the_means_of_their_points(
             points in proptest::collection::vec(((0.0f64..6.3, 0.0f64..6.3, 0.0f64..3.0), [any::<u8>(), any::<u8>(), any::<u8>()]), 1..500),
             pieces in 1usize..40
@@ -215,7 +304,7 @@ mod tests {
                     if (index.tx, index.ty) == (0, 0) { records.push(record); }
                 });
                 let value = values_of(ColourSource::Rgb, rgb.map(u16::from));
-                recorder.record_values(&[x], &[y], &[z], |_| value, |_, record| colours.push(record));
+                recorder.record_values([&[x], &[y], &[z]], false, |_| value, |_, record| colours.push(record));
                 let at = sums.entry((frame.pixel_of(x), frame.pixel_of(y), frame.slice_of(z))).or_default();
                 (0..3).for_each(|c| at.0[c] += u64::from(rgb[c]));
                 at.1 += 1;

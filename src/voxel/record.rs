@@ -225,13 +225,12 @@ impl Recorder {
         self.places(x, y, z, |_, fx, fy, steps| self.place(fx, fy, steps, &mut sink));
     }
 
-    /// Gives `sink` one or two records of each point's voxel with `values` of the point with this number, and no copies. The
-    /// points are those of [`record`](Self::record).
+    /// Gives `sink` one or two records of each point's voxel with `values` of the point with this number, and no copies; before them,
+    /// `with_points`, that of the point. The points are those of [`record`](Self::record).
     pub fn record_values(
         &self,
-        x: &[f64],
-        y: &[f64],
-        z: &[f64],
+        [x, y, z]: [&[f64]; 3],
+        with_points: bool,
         mut values: impl FnMut(usize) -> (u32, Option<u32>),
         mut sink: impl FnMut(ColumnIndex, Record),
     ) {
@@ -242,6 +241,9 @@ impl Recorder {
             let slice = (slice + BLOCK_SLICES / 2 - block * BLOCK_SLICES) as u64;
             let pixel = ((j & 63) + HALO_PIXELS) * PATCH_PIXELS as i64 + (i & 63) + HALO_PIXELS;
             let index = ColumnIndex { tx: (i >> 6) as i32, ty: (j >> 6) as i32, block: block as i16 };
+            if with_points {
+                sink(index, Record::new(pixel as u64, slice, place_of(fx, fy, steps)));
+            }
             let (first, second) = values(number);
             sink(index, Record::new(pixel as u64, slice, u64::from(first)));
             if let Some(second) = second {
@@ -275,11 +277,8 @@ impl Recorder {
 
     #[inline]
     fn place(&self, fx: i64, fy: i64, steps: i64, sink: &mut impl FnMut(ColumnIndex, Record)) {
-        let slice = slice_of(steps);
-        let height = (steps - slice * SLICE_STEPS) as u64;
-        let (u, v) = ((fx & (SUBPIXELS - 1)) as u64, (fy & (SUBPIXELS - 1)) as u64);
-        let place = (height << SUBPIXEL_BITS | u) << SUBPIXEL_BITS | v;
-        spread((fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS), slice, place, sink);
+        let place = place_of(fx, fy, steps);
+        spread((fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS), slice_of(steps), place, sink);
     }
 
     /// Gives `sink` the record of what a surface fills of a voxel, and its copies. The voxel must be on the grid.
@@ -288,6 +287,14 @@ impl Recorder {
         let place = SURFACE + (u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep));
         spread(voxel.pixel, voxel.slice, place, &mut sink);
     }
+}
+
+/// Place of a point in its voxel.
+#[inline]
+fn place_of(fx: i64, fy: i64, steps: i64) -> u64 {
+    let height = (steps - slice_of(steps) * SLICE_STEPS) as u64;
+    let (u, v) = ((fx & (SUBPIXELS - 1)) as u64, (fy & (SUBPIXELS - 1)) as u64);
+    (height << SUBPIXEL_BITS | u) << SUBPIXEL_BITS | v
 }
 
 /// Slice of a height in steps.

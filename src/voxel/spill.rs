@@ -18,7 +18,7 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64_with_seed};
 const JOURNAL: &str = ".journal";
 const SPILL: &str = ".spill";
 /// Files of other layouts, and of machines of the other byte order, begin with something else.
-const MAGIC: u64 = u64::from_be_bytes(*b"SLJRNL\x00\x01");
+const MAGIC: u64 = u64::from_be_bytes(*b"SLJRNL\x00\x02");
 /// Permissions: what a scan holds is nobody else's business.
 const PRIVATE: Option<u32> = Some(0o600);
 /// Most bytes of a head or an entry that are read back: beyond what is ever written.
@@ -52,6 +52,8 @@ pub struct SpilledRun {
     pub records: u64,
     pub index_bytes: u64,
     pub columns: u64,
+    /// Whether its records are values of points.
+    pub values: bool,
 }
 
 impl SpilledRun {
@@ -171,7 +173,8 @@ impl Spill {
     pub fn note(&self, run: &SpilledRun, sum: u64, cover: &[u8]) -> Result<()> {
         let journal = &self.open()?.journal;
         let mut ends = self.ends();
-        let numbers = [run.records_at, run.records, run.index_bytes, run.columns, sum].map(u64::to_ne_bytes);
+        let numbers = [run.records_at, run.records, run.index_bytes, run.columns, run.values.into(), sum];
+        let numbers = numbers.map(u64::to_ne_bytes);
         let (bytes, sum) = block(&[numbers.as_flattened(), cover], ends.sum);
         write(&self.place.folder, ends.journal, || journal.write_at(ends.journal, &bytes))?;
         ends.journal += bytes.len() as u64;
@@ -294,11 +297,13 @@ impl Leftover {
     }
 
     /// Goes on from the files: gives `take` each run that is whole and what it stands for; `look` is called now and then
-    /// and may end the work. If this fails the files stay. Cost: all runs are read.
+    /// and may end the work, `see` is given the records of a run, piece by piece from an empty one on, before it is known to be
+    /// whole. If this fails the files stay. Cost: all runs are read.
     pub fn take_over(
         self,
         place: SpillPlace,
         look: &mut dyn FnMut(u64) -> Result<()>,
+        see: &mut dyn FnMut(&SpilledRun, &[u8]),
         take: &mut dyn FnMut(SpilledRun, &[u8]) -> Result<()>,
     ) -> Result<Spill> {
         let Self { files, journal, journal_path, spill_path, begin: (mut at, mut sum), .. } = self;
@@ -308,7 +313,7 @@ impl Leftover {
             let Some((run, run_sum, cover)) = parse(&entry) else { break };
             // Even of a run that is damaged: what is written now must not make it look whole.
             end = end.max(run.end());
-            if sum_in(&spill, &run, look)? == Some(run_sum) {
+            if sum_in(&spill, &run, look, see)? == Some(run_sum) {
                 take(run, cover)?;
             }
             (at, sum) = (next, next_sum);
@@ -324,27 +329,38 @@ impl Leftover {
 
 /// An entry: the run, its checksum, and what it stands for.
 fn parse(entry: &[u8]) -> Option<(SpilledRun, u64, &[u8])> {
-    let (numbers, cover) = entry.split_at_checked(40)?;
+    let (numbers, cover) = entry.split_at_checked(48)?;
     let mut numbers = numbers.as_chunks().0.iter().map(|&bytes| u64::from_ne_bytes(bytes));
     let mut next = || numbers.next();
-    let run = SpilledRun { records_at: next()?, records: next()?, index_bytes: next()?, columns: next()? };
+    let (records_at, records, index_bytes, columns) = (next()?, next()?, next()?, next()?);
+    let run = SpilledRun { records_at, records, index_bytes, columns, values: next()? != 0 };
     Some((run, next()?, cover))
 }
 
 /// Checksum of a run as it is in the file; `None` if it is not all there.
-fn sum_in(spill: &OpenFile, run: &SpilledRun, look: &mut dyn FnMut(u64) -> Result<()>) -> Result<Option<u64>> {
+fn sum_in(
+    spill: &OpenFile,
+    run: &SpilledRun,
+    look: &mut dyn FnMut(u64) -> Result<()>,
+    see: &mut dyn FnMut(&SpilledRun, &[u8]),
+) -> Result<Option<u64>> {
     let len = spill.len().unwrap_or(0);
     if run.end() > len {
         return Ok(None);
     }
     let (mut sum, mut buffer) = (RunSum::default(), vec![0; COPY_BYTES]);
-    let mut at = run.records_at;
+    let (mut at, index_at) = (run.records_at, run.records_at + run.records * 8);
+    see(run, &[]);
     while at < run.end() {
         let count = (run.end() - at).min(COPY_BYTES as u64) as usize;
         if spill.read_exact_at(at, &mut buffer[..count]).is_err() {
             return Ok(None);
         }
         sum.update(&buffer[..count]);
+        let of_records = index_at.saturating_sub(at).min(count as u64) as usize;
+        if of_records > 0 {
+            see(run, &buffer[..of_records]);
+        }
         at += count as u64;
         look(count as u64)?;
     }
@@ -365,7 +381,8 @@ mod tests {
         let mut sum = RunSum::default();
         sum.update(bytes);
         let records = bytes.len() as u64 / 8;
-        let run = SpilledRun { records_at: at, records, index_bytes: bytes.len() as u64 % 8, columns: 1 };
+        let run =
+            SpilledRun { records_at: at, records, index_bytes: bytes.len() as u64 % 8, columns: 1, values: false };
         spill.note(&run, sum.value(), cover).unwrap();
         run
     }
@@ -408,7 +425,8 @@ mod tests {
                 taken.push((run, cover.to_vec()));
                 Ok(())
             };
-            let mut spill = leftover.take_over(place(folder, b"head"), &mut |_| Ok(()), &mut take).unwrap();
+            let mut spill =
+                leftover.take_over(place(folder, b"head"), &mut |_| Ok(()), &mut |_, _| {}, &mut take).unwrap();
             assert_eq!(taken[..2], [(first, b"one".to_vec()), (second, Vec::new())]);
             assert_eq!(taken.len(), 2 + round);
             put(&spill, b"more", b"three");
@@ -441,7 +459,8 @@ mod tests {
                 taken.push(run);
                 Ok(())
             };
-            let mut spill = leftover.take_over(place(folder, b"head"), &mut |_| Ok(()), &mut take).unwrap();
+            let mut spill =
+                leftover.take_over(place(folder, b"head"), &mut |_| Ok(()), &mut |_, _| {}, &mut take).unwrap();
             spill.keep();
             Some(taken)
         };

@@ -104,7 +104,7 @@ pub fn pcd(points: &[Point], form: Pcd) -> Vec<u8> {
 }
 
 /// LZF: literals, and references to where the same three bytes were last.
-fn lzf(plain: &[u8]) -> Vec<u8> {
+pub fn lzf(plain: &[u8]) -> Vec<u8> {
     let (mut out, mut literals, mut at) = (Vec::new(), Vec::new(), 0);
     let mut last = std::collections::HashMap::new();
     let flush = |literals: &mut Vec<u8>, out: &mut Vec<u8>| {

@@ -171,7 +171,8 @@ pub fn e57(bytes: &[u8]) {
 pub fn read_scan(ending: &str, bytes: &[u8]) {
     let file = File::new(ending, bytes);
     // Of formats that have some.
-    let options = InputOptions { colour: Some(ColourSource::Rgb), ..InputOptions::default() };
+    let source = ColourSource::ALL[bytes.len() % 3];
+    let options = InputOptions { colour: Some(source), ..InputOptions::default() };
     let Ok(set) = InputSet::open(std::slice::from_ref(&file.0), options, &NoMonitor) else { return };
     let mut decoder = PointDecoder::new();
     let mut points = 0;

@@ -116,8 +116,8 @@ struct Arguments {
     /// Coordinate reference system of scans that state none; a scan that states another is refused
     #[arg(long, value_name = "EPSG:N", value_parser = epsg)]
     crs: Option<u32>,
-    /// Columns of XYZ, CSV and TXT files, from left to right: x, y, z, and any name for others, `class` for LAS classes [default:
-    /// by the file's header, else x,y,z]
+    /// Columns of XYZ, CSV and TXT files, from left to right: x, y, z, `i` for intensity, r, g, b for colours, `class` for LAS classes,
+    /// and any name for others [default: by the file's header, else x,y,z]
     #[arg(long, value_name = "x,y,z,...")]
     columns: Option<Columns>,
     /// How meshes become voxels
@@ -128,7 +128,7 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = Switch::Off)]
     levels: Switch,
     /// Colour of each voxel, beside the geometry: red, green and blue of the points, their intensity as grey, their LAS class by a
-    /// palette, `auto` (RGB where the input has it, else intensity, else none), or none. Of LAS, LAZ and COPC, RGB of binary PLY and PCD too
+    /// palette, `auto` (RGB where the input has it, else intensity, else none), or none. Meshes have no colours
     #[arg(long, default_value = "off", value_name = "rgb|intensity|class|auto|off")]
     colour: ColourMode,
     /// Greatest mean difference of a page's colours from the means of the points, in CIELAB; 0 keeps these exactly, to 8 bits

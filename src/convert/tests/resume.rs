@@ -217,8 +217,14 @@ fn text_is_resumed_within_a_piece_plain_and_compressed() {
 
 #[test]
 fn e57_and_binary_clouds_are_resumed() {
+    for colour in [ColourMode::Off, ColourMode::Auto] {
+        clouds_are_resumed(colour);
+    }
+}
+
+fn clouds_are_resumed(colour: ColourMode) {
     const POINTS: usize = 150_000;
-    let mut job = Job::new();
+    let mut job = Job::with(colour);
     let mut random = Random(8);
     let points: Vec<[f64; 3]> =
         (0..POINTS).map(|_| [9000, 9000, 2000].map(|most: u64| random.below(most) as f64 / 1024.0)).collect();
@@ -227,7 +233,8 @@ fn e57_and_binary_clouds_are_resumed() {
     write::e57(&e57, &[cloud(&points[..100_000]), cloud(&points[100_000..])], None);
     fs::write(&pcd, write::pcd(&points, write::Pcd::Packed)).unwrap();
     job.options.inputs = vec![e57, pcd];
-    convert(&job.options, &NoMonitor).unwrap();
+    let header = convert(&job.options, &NoMonitor).unwrap().header;
+    assert_eq!(header.colours.map(|colours| colours.plan.scale.high), (colour == ColourMode::Auto).then_some(255));
     job.new = fs::read(&job.options.output).unwrap();
     let mut before = 0;
     for fifths in 1..5 {
@@ -238,5 +245,68 @@ fn e57_and_binary_clouds_are_resumed() {
     assert!(before > POINTS as u64, "{before}");
     let report = job.convert(true, &NoMonitor).unwrap();
     assert_eq!(report.resumed.map(|resumed| resumed.points), Some(before));
+    assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
+}
+
+#[test]
+fn colours_go_on_where_others_were_interrupted_and_make_the_same_bytes() {
+    let all = 2 * POINTS as u64;
+    for source in [ColourSource::Intensity, ColourSource::Class] {
+        let job = Job::with(ColourMode::Of(source));
+        let (mut kept_before, mut read_again) = (0, 0);
+        for points in (1..=8).map(|ninths| ninths * all / 9) {
+            let (read, kept) = interrupt(&job, points);
+            assert!(kept >= kept_before && kept <= read, "{kept} of {read} after {kept_before}");
+            kept_before = kept;
+            read_again += 1;
+        }
+        assert!(kept_before > all / 4 && read_again > 0, "{kept_before}");
+        let report = job.convert(true, &NoMonitor).unwrap();
+        assert_eq!(report.resumed.map(|resumed| resumed.points), Some(kept_before));
+        assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty(), "{source:?}");
+        // All is there: nothing is read again but the values that say what colours are made of.
+        fs::write(&job.options.output, &job.old).unwrap();
+        job.convert(true, &InSecondPass(Stops::after(0))).unwrap_err();
+        let stops = Stops::after(u64::MAX);
+        let report = job.convert(true, &stops).unwrap();
+        assert_eq!((report.resumed.map(|resumed| resumed.points), stops.points()), (Some(all), all));
+        assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty(), "{source:?}");
+        // Other colours, or none, are other options.
+        job.convert(true, &InSecondPass(Stops::after(0))).unwrap_err();
+        for colour in [
+            ColourMode::Off,
+            ColourMode::Of(if source == ColourSource::Class { ColourSource::Intensity } else { ColourSource::Class }),
+        ] {
+            let options = ConvertOptions { resume: true, colour, ..job.options.clone() };
+            let said = convert_within(&options, Job::limits(), &NoMonitor).unwrap_err().to_string();
+            assert!(said.contains("other options"), "{said}");
+        }
+        assert!(job.convert(true, &NoMonitor).unwrap().resumed.is_some());
+        assert!(fs::read(&job.options.output).unwrap() == job.new);
+    }
+}
+
+#[test]
+fn a_tolerance_that_was_chosen_automatically_is_not_chosen_again() {
+    let mut job = Job::new();
+    let path = job.folder.path().join("noisy.las");
+    let mut random = Random(12);
+    let mut noise = || (0..12).map(|_| random.below(1000) as f64 / 1000.0).sum::<f64>() - 6.0;
+    let floor: Vec<_> = (0..90_000u32)
+        .map(|number| [f64::from(number % 300) * 0.02, f64::from(number / 300) * 0.02, 0.31 + 0.004 * noise()])
+        .collect();
+    write_las(&path, floor.iter().copied(), &WriteSpec::for_path(&path)).unwrap();
+    job.options.inputs = vec![path];
+    job.options.tolerance_auto = true;
+    let whole = job.convert(false, &NoMonitor).unwrap();
+    let noise = whole.noise.unwrap();
+    assert!(noise.regions > 0 && (0.002..0.008).contains(&noise.noise_m), "{noise:?}");
+    assert!(whole.header.plan.options.tolerance_m > 0.0);
+    job.new = fs::read(&job.options.output).unwrap();
+    assert!(interrupt(&job, 60_000).1 > 0);
+    let stops = Stops::after(u64::MAX);
+    let report = job.convert(true, &stops).unwrap();
+    assert!(report.resumed.is_some_and(|resumed| resumed.points > 0) && report.noise == Some(noise));
+    assert!(!stops.stages.lock().unwrap().iter().any(|stage| stage == "noise"));
     assert!(fs::read(&job.options.output).unwrap() == job.new && temporary(&job).is_empty());
 }

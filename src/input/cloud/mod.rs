@@ -15,6 +15,7 @@ mod pcd;
 mod ply;
 mod records;
 mod text;
+mod values;
 
 use super::crs::Georeference;
 use super::losses::Findings;
@@ -29,6 +30,7 @@ use std::path::Path;
 
 pub(super) use ply::is_point_cloud as is_ply_cloud;
 pub(super) use text::unpacked_name;
+pub(crate) use values::Depth;
 
 /// One opened cloud.
 pub(super) trait Cloud: Debug + Send + Sync {
@@ -41,10 +43,15 @@ pub(super) trait Cloud: Debug + Send + Sync {
     /// Points that it can hold: a hint.
     fn points_expected(&self) -> u64;
 
-    /// Whether its points have red, green and blue that are read.
-    fn has_rgb(&self) -> bool {
-        false
-    }
+    /// Whether some of its points have values of this source, as far as its header tells.
+    fn has_values(&self, source: ColourSource) -> bool;
+
+    /// Finds out what the values of this source mean, which it has, where only the points tell that: before they are decoded.
+    /// Cost: at most some MiB of the file.
+    fn prepare(&mut self, source: ColourSource, file: &Source) -> Result<()>;
+
+    /// What red, green and blue reach up to, once they are prepared.
+    fn depth(&self) -> Depth;
 
     /// Independent pieces of work, made as they are asked for.
     fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_>;
@@ -193,7 +200,9 @@ pub(super) struct Taker<'a> {
     sink: &'a mut dyn FnMut(&PointBatch) -> Result<()>,
     /// The error came from whoever takes the batches.
     pub refused: bool,
-    rgb: bool,
+    colour: Option<ColourSource>,
+    /// What values are multiplied by.
+    widen: u16,
 }
 
 impl<'a> Taker<'a> {
@@ -207,13 +216,18 @@ impl<'a> Taker<'a> {
         batch.cloud = 0;
         let exclude = Some(&options.exclude_classes).filter(|classes| !classes.is_empty());
         let counts = PointCounts::default();
-        let rgb = options.colour == Some(ColourSource::Rgb);
-        Self { unit, up: options.up, exclude, batch, counts, since: 0, sink, refused: false, rgb }
+        let colour = options.colour;
+        Self { unit, up: options.up, exclude, batch, counts, since: 0, sink, refused: false, colour, widen: 1 }
     }
 
-    /// Whether points are left out by class.
+    /// Makes values of 8 bits those of 16.
+    pub fn widening(self, widen: bool) -> Self {
+        Self { widen: if widen { 257 } else { 1 }, ..self }
+    }
+
+    /// Whether classes are asked for, to leave points out or to colour them.
     pub fn wants_classes(&self) -> bool {
-        self.exclude.is_some()
+        self.exclude.is_some() || self.colour == Some(ColourSource::Class)
     }
 
     /// What follows belongs to this cloud of the file.
@@ -227,21 +241,35 @@ impl<'a> Taker<'a> {
         Ok(())
     }
 
-    /// Whether red, green and blue are wanted.
-    pub fn wants_rgb(&self) -> bool {
-        self.rgb
+    /// The values that are asked for: red, green and blue or the intensity.
+    pub fn wanted(&self) -> Option<ColourSource> {
+        self.colour.filter(|source| *source != ColourSource::Class)
     }
 
-    /// A point, of a class if the file has classes.
+    /// A point, of a class if the file has classes, and with its value if it has one.
     #[inline]
-    pub fn push(&mut self, at: [f64; 3], class: Option<f64>) -> Result<()> {
-        self.push_with(at, class, None)
-    }
-
-    /// As [`push`](Self::push), with 16-bit red, green and blue: either all points of a file come with some, or none.
-    #[inline]
-    pub fn push_with(&mut self, at: [f64; 3], class: Option<f64>, rgb: Option<[u16; 3]>) -> Result<()> {
+    pub fn push(&mut self, at: [f64; 3], class: Option<f64>, value: Option<[u16; 3]>) -> Result<()> {
         self.counts.read += 1;
+        if self.colour.is_some() {
+            return self.push_coloured(at, class, value);
+        }
+        self.place(at, class, None)
+    }
+
+    fn push_coloured(&mut self, at: [f64; 3], class: Option<f64>, value: Option<[u16; 3]>) -> Result<()> {
+        let value = match self.colour {
+            Some(ColourSource::Class) => class.filter(|class| (0.0..256.0).contains(class)).map(|c| [c as u16, 0, 0]),
+            _ => value.map(|value| value.map(|v| v.saturating_mul(self.widen))),
+        };
+        // All points of a batch come with a value, or none of them.
+        if !self.batch.is_empty() && self.batch.values.is_empty() == value.is_some() {
+            self.flush()?;
+        }
+        self.place(at, class, value)
+    }
+
+    #[inline]
+    fn place(&mut self, at: [f64; 3], class: Option<f64>, value: Option<[u16; 3]>) -> Result<()> {
         let point = [at[0] * self.unit[0], at[1] * self.unit[1], at[2] * self.unit[2]];
         let near = |v: f64| v.abs() <= FARTHEST_M;
         if let (Some(exclude), Some(class)) = (self.exclude, class)
@@ -251,7 +279,7 @@ impl<'a> Taker<'a> {
             self.counts.excluded += 1;
         } else if near(point[0]) && near(point[1]) && near(point[2]) {
             self.batch.push(point);
-            self.batch.values.extend(rgb);
+            self.batch.values.extend(value);
         } else if at.iter().any(|v| v.is_nan()) {
             self.counts.withheld += 1;
         } else {

@@ -3,14 +3,16 @@
 //! Fields may come in any order and of any type; x, y and z are needed. NaN marks a pixel of an organised cloud without a
 //! return. The viewpoint is not applied: by the library's own habit coordinates are used as they are stored.
 //!
-//! Compressed data hold one column of numbers after the other, up to 4 GiB unpacked. Three (with classes four) decoders
-//! walk through it, one for each column, with a window of 8 KiB each: memory does not depend on the file.
+//! Compressed data hold one column of numbers after the other, up to 4 GiB unpacked. Three to seven decoders (with
+//! classes and colours) walk through it, one for each column, with a window of 8 KiB each: memory does not depend on the file.
 //!
 //! Sources: "The PCD (Point Cloud Data) file format" (pointclouds.org); LZF as in liblzf 3.6.
 
-use super::records::{Field, MOST_BYTES, Records, Rgb};
-use super::text::{Lines, RowLayout, Rows, Separator};
-use super::{Cloud, Format, Opened, Opening, Piece, Source, Taker, shown};
+use super::records::{Field, MOST_BYTES, Records, Rgb, Values, bits_of};
+use super::text::{Lines, Places, RgbPlaces, RowLayout, Rows, Separator};
+use super::values::{SAMPLE_POINTS, Sample};
+use super::{Cloud, Depth, Format, Opened, Opening, Piece, Source, Taker, shown};
+use crate::colour::ColourSource;
 use crate::input::number::Number;
 use crate::input::source::Window;
 use crate::{Error, Result};
@@ -160,14 +162,32 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         opening.findings.note("its viewpoint is not applied; the coordinates are used as they are stored");
     }
     let field = |field: &PcdField| Field { at: field.at, number: field.number.unwrap_or(Number::F32) };
+    let number = |names: &[&str]| header.field(names).filter(|field| field.number.is_some() && field.count == 1);
+    let packed = header.field(&["rgb", "rgba"]).filter(|field| field.size == 4 && field.count == 1);
+    let each = match [&["red", "r"][..], &["green", "g"], &["blue", "b"]].map(number) {
+        [Some(r), Some(g), Some(b)] => Some([r, g, b]),
+        _ => None,
+    };
+    let intensity = number(&["intensity", "i", "reflectance"]);
+    let rgb = packed.map(field).map(Rgb::Bytes).or(each.map(|each| Rgb::Fields(each.map(field))));
+    let values = Values::new(rgb, intensity.map(field));
     let stride = header.fields.iter().map(|field| field.size * field.count).sum();
     match header.data.to_ascii_lowercase().as_str() {
         "ascii" => {
-            let columns = axes.map(|field| field.column);
+            let of_packed = |field: &PcdField| match field.number {
+                Some(Number::F32) => RgbPlaces::Float(field.column),
+                _ => RgbPlaces::Whole(field.column),
+            };
+            let places = Places {
+                axes: axes.map(|field| field.column),
+                class: class.map(|field| field.column),
+                rgb: packed.map(of_packed).or(each.map(|each| RgbPlaces::Each(each.map(|field| field.column)))),
+                intensity: intensity.map(|field| field.column),
+            };
             let lines = Lines::begin(opening.source, header.end);
             let first = lines.peek()?.unwrap_or_default();
             let separator = if first.contains(&b',') { Separator::Byte(b',') } else { Separator::Blanks };
-            let layout = RowLayout::new(columns, class.map(|field| field.column), separator, false);
+            let layout = (RowLayout::new(places, separator, false), values.channels);
             let lines = Lines::begin(opening.source, header.end);
             Ok(Opened::new(Rows::counted(opening, Format::Pcd, layout, lines, header.points)?))
         }
@@ -181,17 +201,13 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
                 points,
                 axes: axes.map(field),
                 class: class.map(field),
-                rgb: header
-                    .field(&["rgb", "rgba"])
-                    .filter(|field| field.size == 4 && field.count == 1)
-                    .map(field)
-                    .map(Rgb::Bytes),
+                values,
                 big: false,
             }))
         }
         "binary_compressed" => {
             let columns = axes.map(field);
-            open_packed(opening, &header, stride, columns, class.map(field)).map(Opened::new)
+            open_packed(opening, &header, stride, (columns, class.map(field), values)).map(Opened::new)
         }
         other => Err(Error::Unsupported {
             what: format!("{}: PCD with DATA {}", opening.source.path().display(), shown(other.as_bytes())),
@@ -209,14 +225,14 @@ struct Packed {
     points: u64,
     /// Of each needed column, bytes of a record before it; x, y, z, and classes if there are any.
     columns: Vec<Field>,
+    values: Values,
 }
 
 fn open_packed(
     opening: &mut Opening<'_, '_>,
     header: &Header,
     stride: usize,
-    axes: [Field; 3],
-    class: Option<Field>,
+    (axes, class, values): ([Field; 3], Option<Field>, Values),
 ) -> Result<Packed> {
     let sizes = opening.source.bytes_at(header.end, 8)?;
     let Some(sizes) = sizes else {
@@ -245,7 +261,37 @@ fn open_packed(
         let reason = format!("{packed} compressed bytes cannot hold {unpacked} unpacked ones: it is damaged");
         return Err(opening.error(format!("byte {}", header.end), reason));
     }
-    Ok(Packed { start, len: packed, points, columns: axes.into_iter().chain(class).collect() })
+    Ok(Packed { start, len: packed, points, columns: axes.into_iter().chain(class).collect(), values })
+}
+
+/// A column as it is unpacked.
+type Unpacked<'a> = (Lzf<Window<'a>>, Field);
+
+fn damaged_data(error: io::Error, source: &Source) -> Error {
+    match error.get_ref() {
+        Some(_) => Error::input(source.path(), "compressed data", format!("{error}; fetch or write it again")),
+        None => Error::io(source.path(), "read its compressed data", error),
+    }
+}
+
+impl Packed {
+    /// The numbers of a field from the first point on.
+    fn column<'a>(&self, field: Field, source: &'a Source) -> Result<Lzf<Window<'a>>> {
+        let mut lzf = Lzf::new(Window::new(source, self.start, self.len));
+        // Columns of the whole cloud follow each other.
+        lzf.skip(self.points * field.at as u64).map_err(|error| damaged_data(error, source))?;
+        Ok(lzf)
+    }
+
+    /// The columns of values.
+    fn unpack<'a>(&self, fields: &Option<Rgb>, source: &'a Source) -> Result<Vec<Unpacked<'a>>> {
+        let fields = match fields {
+            None => Vec::new(),
+            Some(Rgb::Fields(fields)) => fields.to_vec(),
+            Some(Rgb::Bytes(field)) => vec![*field],
+        };
+        fields.into_iter().map(|field| Ok((self.column(field, source)?, field))).collect()
+    }
 }
 
 impl Cloud for Packed {
@@ -261,43 +307,71 @@ impl Cloud for Packed {
         self.points
     }
 
+    fn has_values(&self, source: ColourSource) -> bool {
+        if source == ColourSource::Class { self.columns.len() > 3 } else { self.values.channels.has(source) }
+    }
+
+    fn prepare(&mut self, source: ColourSource, file: &Source) -> Result<()> {
+        let mut sample = Sample::NOTHING;
+        if self.values.channels.is_open(source) {
+            let points = self.points.min(16 * SAMPLE_POINTS as u64);
+            let mut columns = self.unpack(&self.values.fields(source), file)?;
+            for _ in 0..points {
+                for (lzf, field) in &mut columns {
+                    let mut value = [0; 8];
+                    let bytes = &mut value[..field.number.bytes()];
+                    lzf.read_exact(bytes).map_err(|error| damaged_data(error, file))?;
+                    sample.add(field.number.read(bytes, false));
+                }
+            }
+        }
+        self.values.channels.settle(source, &sample);
+        Ok(())
+    }
+
+    fn depth(&self) -> Depth {
+        self.values.channels.depth()
+    }
+
     fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_> {
         let all = Piece { points: self.points, part: 0, first: 0, end: self.points };
         Box::new((self.points > 0).then_some(all).into_iter())
     }
 
     fn decode(&self, piece: &Piece, source: &Source, scratch: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
-        let damaged = |error: io::Error| match error.get_ref() {
-            Some(_) => Error::input(source.path(), "compressed data", format!("{error}; fetch or write it again")),
-            None => Error::io(source.path(), "read its compressed data", error),
-        };
         let needed = if taker.wants_classes() { self.columns.len() } else { 3 };
-        let mut columns = Vec::with_capacity(needed);
+        let wanted = taker.wanted().and_then(|wanted| Some((wanted, self.values.fields(wanted)?)));
+        let mut columns = Vec::with_capacity(needed + 3);
         for field in &self.columns[..needed] {
-            let mut lzf = Lzf::new(Window::new(source, self.start, self.len));
-            // Columns of the whole cloud follow each other.
-            lzf.skip(piece.end * field.at as u64).map_err(damaged)?;
-            columns.push((lzf, field.number));
+            columns.push((self.column(*field, source)?, *field));
         }
+        columns.append(&mut self.unpack(&wanted.map(|(_, fields)| fields), source)?);
         const AT_ONCE: u64 = 1 << 13;
-        scratch.resize(AT_ONCE as usize * 8 * 4, 0);
+        scratch.resize(AT_ONCE as usize * 8 * 7, 0);
         let mut next = 0;
         while next < piece.end {
             let count = (piece.end - next).min(AT_ONCE) as usize;
             let mut values = scratch.chunks_exact_mut(AT_ONCE as usize * 8);
-            let mut filled = Vec::with_capacity(needed);
-            for (lzf, number) in &mut columns {
+            let mut filled = Vec::with_capacity(columns.len());
+            for (lzf, field) in &mut columns {
                 let Some(bytes) = values.next() else { break };
-                let bytes = &mut bytes[..count * number.bytes()];
-                lzf.read_exact(bytes).map_err(damaged)?;
-                filled.push((&*bytes, *number));
+                let bytes = &mut bytes[..count * field.number.bytes()];
+                lzf.read_exact(bytes).map_err(|error| damaged_data(error, source))?;
+                filled.push((&*bytes, *field));
             }
             let value = |column: usize, row: usize| {
-                let (bytes, number): (&[u8], Number) = filled[column];
+                let (bytes, Field { number, .. }): (&[u8], Field) = filled[column];
                 number.read(&bytes[row * number.bytes()..], false)
             };
             for row in 0..count {
-                taker.push([0, 1, 2].map(|axis| value(axis, row)), (needed > 3).then(|| value(3, row)))?;
+                let of_field = |field: Field| filled[needed..].iter().position(|filled| filled.1 == field).unwrap_or(0);
+                let colour = wanted.and_then(|(source, _)| {
+                    let number = |field: Field| value(needed + of_field(field), row);
+                    let bits = |field: Field| bits_of(&filled[needed + of_field(field)].0[4 * row..], false);
+                    self.values.of(source, number, bits)
+                });
+                let class = (needed > 3).then(|| value(3, row));
+                taker.push([0, 1, 2].map(|axis| value(axis, row)), class, colour)?;
             }
             next += count as u64;
         }

@@ -3,8 +3,9 @@
 //! Only the element `vertex` counts; those before it are passed over, those behind it never read. Its properties may
 //! come in any order and of any type, but for lists. Memory: the header, at most 1 MiB.
 
-use super::records::{Field, MOST_BYTES, Records, Rgb};
-use super::text::{Lines, RowLayout, Rows, Separator};
+use super::records::{Field, MOST_BYTES, Records, Rgb, Values, kind_of};
+use super::text::{Lines, Places, RgbPlaces, RowLayout, Rows, Separator};
+use super::values::Channels;
 use super::{Format, Opened, Opening, SPLATS, shown};
 use crate::bytes::open_regular;
 use crate::input::ply_header::{Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
@@ -86,12 +87,23 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         return Err(opening.error("header", "the element \"vertex\" has no properties x, y and z"));
     };
     let class = find(&["classification", "scalar_classification", "class"]);
+    let rgb = [&["red", "r", "diffuse_red"][..], &["green", "g", "diffuse_green"], &["blue", "b", "diffuse_blue"]];
+    let rgb = match rgb.map(find) {
+        [Some(r), Some(g), Some(b)] => Some([r, g, b]),
+        _ => None,
+    };
+    let intensity = find(&["intensity", "scalar_intensity", "reflectance", "scalar_reflectance"]);
     if header.encoding == Encoding::Text {
+        let kind = |columns: &[usize]| {
+            kind_of(&columns.iter().map(|&column| vertex.properties[column].number).collect::<Vec<_>>())
+        };
+        let channels = Channels::new(rgb.map(|rgb| kind(&rgb)), intensity.map(|column| kind(&[column])));
+        let places = Places { axes: [x, y, z], class, rgb: rgb.map(RgbPlaces::Each), intensity };
         let rows_before = header.elements[..number].iter().fold(0u64, |sum, e| sum.saturating_add(e.count));
-        let layout = RowLayout::new([x, y, z], class, Separator::Blanks, false);
+        let layout = RowLayout::new(places, Separator::Blanks, false);
         let mut lines = Lines::begin(opening.source, end);
         lines.skip_rows(rows_before, opening.monitor)?;
-        let rows = Rows::counted(opening, Format::Ply, layout, lines, vertex.count)?;
+        let rows = Rows::counted(opening, Format::Ply, (layout, channels), lines, vertex.count)?;
         return Ok(Opened::new(rows));
     }
     let big = header.encoding == Encoding::Big;
@@ -121,7 +133,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         points,
         axes: [x, y, z].map(field),
         class: class.map(field),
-        rgb: Rgb::of(["red", "green", "blue"].map(|name| find(&[name]).map(field))),
+        values: Values::new(rgb.map(|rgb| Rgb::Fields(rgb.map(field))), intensity.map(field)),
         big,
     }))
 }

@@ -1,7 +1,9 @@
 //! Binary records of one length: PLY and PCD.
 
-use super::{Cloud, Opening, Piece, Source, Taker};
+use super::values::{Channels, Kind, SAMPLE_PLACES, SAMPLE_POINTS, Sample, bytes_of};
+use super::{Cloud, Depth, Opening, Piece, Source, Taker};
 use crate::Result;
+use crate::colour::ColourSource;
 use crate::input::number::Number;
 
 /// Points of a piece.
@@ -27,34 +29,74 @@ pub(super) enum Rgb {
     Bytes(Field),
 }
 
-impl Rgb {
-    /// Three numbers of a type that says what is white; `None` for others.
-    pub fn of(fields: [Option<Field>; 3]) -> Option<Self> {
-        let [Some(r), Some(g), Some(b)] = fields else { return None };
-        let known = |field: &Field| matches!(field.number, Number::U8 | Number::U16 | Number::F32 | Number::F64);
-        [r, g, b].iter().all(known).then_some(Self::Fields([r, g, b]))
+/// What a format says of numbers of these types.
+pub(super) fn kind_of(numbers: &[Number]) -> Kind {
+    match numbers {
+        _ if numbers.iter().all(|number| number.bytes() == 1) => Kind::Bytes,
+        _ if numbers.iter().any(|number| matches!(number, Number::F32 | Number::F64)) => Kind::Any,
+        _ => Kind::Whole,
+    }
+}
+
+/// Values for colours within a record.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Values {
+    rgb: Option<Rgb>,
+    intensity: Option<Field>,
+    pub channels: Channels,
+}
+
+impl Values {
+    pub fn new(rgb: Option<Rgb>, intensity: Option<Field>) -> Self {
+        let of_rgb = |rgb: Rgb| match rgb {
+            Rgb::Fields(fields) => kind_of(&fields.map(|field| field.number)),
+            Rgb::Bytes(_) => Kind::Bytes,
+        };
+        let channels = Channels::new(rgb.map(of_rgb), intensity.map(|field| kind_of(&[field.number])));
+        Self { rgb, intensity, channels }
     }
 
-    /// As 16-bit values.
-    fn read(&self, record: &[u8], big: bool) -> [u16; 3] {
-        match self {
-            Self::Fields(fields) => fields.map(|field| {
-                let value = field.number.read(&record[field.at..], big);
-                let white = match field.number {
-                    Number::U8 => 257.0,
-                    Number::U16 => 1.0,
-                    _ => 65_535.0,
-                };
-                // NaN becomes 0.
-                (value * white).clamp(0.0, 65_535.0).round() as u16
-            }),
-            Self::Bytes(field) => {
-                let bytes = &record[field.at..field.at + 4];
-                let at = |place: usize| u16::from(bytes[if big { 3 - place } else { place }]) * 257;
-                [at(2), at(1), at(0)]
-            }
+    /// The fields that a source needs: one, or three.
+    pub fn fields(&self, source: ColourSource) -> Option<Rgb> {
+        match source {
+            ColourSource::Rgb => self.rgb,
+            ColourSource::Intensity => self.intensity.map(Rgb::Bytes),
+            ColourSource::Class => None,
         }
     }
+
+    /// The value of the numbers that `number` reads from fields.
+    #[inline]
+    pub fn of(
+        &self,
+        source: ColourSource,
+        read: impl Fn(Field) -> f64,
+        bits: impl Fn(Field) -> u32,
+    ) -> Option<[u16; 3]> {
+        let scale = self.channels.scale();
+        Some(match (source, self.rgb) {
+            (ColourSource::Intensity, _) => [scale.of(read(self.intensity?)), 0, 0],
+            (ColourSource::Rgb, Some(Rgb::Fields(fields))) => fields.map(|field| scale.of(read(field))),
+            (ColourSource::Rgb, Some(Rgb::Bytes(field))) => bytes_of(bits(field)),
+            _ => return None,
+        })
+    }
+
+    /// Adds to a sample the numbers that `read` reads from fields.
+    pub fn look(&self, source: ColourSource, read: impl Fn(Field) -> f64, sample: &mut Sample) {
+        match (source, self.rgb) {
+            (ColourSource::Intensity, _) => self.intensity.into_iter().for_each(|field| sample.add(read(field))),
+            (ColourSource::Rgb, Some(Rgb::Fields(fields))) => fields.into_iter().for_each(|f| sample.add(read(f))),
+            _ => {}
+        }
+    }
+}
+
+/// The 32 bits of a field that is so long.
+#[inline]
+pub(super) fn bits_of(at: &[u8], big: bool) -> u32 {
+    let bytes = [at[0], at[1], at[2], at[3]];
+    if big { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) }
 }
 
 /// Where the records lie, and the coordinates in them.
@@ -68,7 +110,7 @@ pub(super) struct Records {
     pub points: u64,
     pub axes: [Field; 3],
     pub class: Option<Field>,
-    pub rgb: Option<Rgb>,
+    pub values: Values,
     pub big: bool,
 }
 
@@ -96,8 +138,29 @@ impl Cloud for Records {
         self.points
     }
 
-    fn has_rgb(&self) -> bool {
-        self.rgb.is_some()
+    fn has_values(&self, source: ColourSource) -> bool {
+        if source == ColourSource::Class { self.class.is_some() } else { self.values.channels.has(source) }
+    }
+
+    fn prepare(&mut self, source: ColourSource, file: &Source) -> Result<()> {
+        let mut sample = Sample::NOTHING;
+        let places = if self.values.channels.is_open(source) { SAMPLE_PLACES } else { 0 };
+        let mut bytes = Vec::new();
+        for place in 0..places {
+            let first = (u128::from(self.points) * u128::from(place) / u128::from(places)) as u64;
+            bytes.resize(SAMPLE_POINTS.min(SLAB_BYTES / self.stride).max(1) * self.stride, 0);
+            let got = file.read_at(&mut bytes, self.start + first * self.stride as u64)? / self.stride;
+            let of_cloud = (self.points - first).min(got as u64) as usize;
+            for record in bytes.chunks_exact(self.stride).take(of_cloud) {
+                self.values.look(source, |field| field.number.read(&record[field.at..], self.big), &mut sample);
+            }
+        }
+        self.values.channels.settle(source, &sample);
+        Ok(())
+    }
+
+    fn depth(&self) -> Depth {
+        self.values.channels.depth()
     }
 
     fn pieces(&self) -> Box<dyn Iterator<Item = Piece> + Send + '_> {
@@ -110,7 +173,7 @@ impl Cloud for Records {
 
     fn decode(&self, piece: &Piece, source: &Source, scratch: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
         let class = self.class.filter(|_| taker.wants_classes());
-        let rgb = self.rgb.filter(|_| taker.wants_rgb());
+        let wanted = taker.wanted();
         let at_once = (SLAB_BYTES / self.stride).max(1) as u64;
         let mut next = piece.first;
         while next < piece.end {
@@ -119,8 +182,9 @@ impl Cloud for Records {
             let got = source.read_at(scratch, self.start + next * self.stride as u64)? / self.stride;
             for record in scratch.chunks_exact(self.stride).take(got) {
                 let value = |field: Field| field.number.read(&record[field.at..], self.big);
-                let values = rgb.map(|rgb| rgb.read(record, self.big));
-                taker.push_with(self.axes.map(value), class.map(value), values)?;
+                let bits = |field: Field| bits_of(&record[field.at..], self.big);
+                let colour = wanted.and_then(|source| self.values.of(source, value, bits));
+                taker.push(self.axes.map(value), class.map(value), colour)?;
             }
             next += got as u64;
             if got * self.stride < want {

@@ -96,6 +96,8 @@ pub struct RunBuilder {
     /// Memory of a run that went to disk.
     spare: Vec<Record>,
     covering: Option<Covering>,
+    /// Whether values follow the records of their points.
+    with_points: bool,
 }
 
 impl RunBuilder {
@@ -114,12 +116,13 @@ impl RunBuilder {
             recent: vec![0; 1 << (2 * PATTERN_BITS)].into(),
             spare: Vec::new(),
             covering: None,
+            with_points: false,
         }
     }
 
-    /// As [`new`](Self::new), of runs of values.
-    pub fn of_values(recorder: Recorder, build_bytes: u64) -> Self {
-        Self { kind: RunKind::Values, ..Self::new(recorder, build_bytes) }
+    /// As [`new`](Self::new), of runs of values; `with_points`: each behind the record of its point.
+    pub fn of_values(recorder: Recorder, build_bytes: u64, with_points: bool) -> Self {
+        Self { kind: RunKind::Values, with_points, ..Self::new(recorder, build_bytes) }
     }
 
     /// Notes what its runs stand for. `note` adds what else is to be known of a piece of a chunk.
@@ -170,12 +173,17 @@ impl RunBuilder {
         Ok(())
     }
 
+    /// So many points of the chunk have no records in these runs.
+    pub fn without_records(&mut self, points: u64) {
+        if let Some(covering) = &mut self.covering {
+            covering.add(points);
+        }
+    }
+
     /// Adds `values` of points (all within [`Recorder::reaches`]), one or two for each; a full run goes to `store`.
     pub fn push_values(
         &mut self,
-        x: &[f64],
-        y: &[f64],
-        z: &[f64],
+        [x, y, z]: [&[f64]; 3],
         values: impl Fn(usize) -> (u32, Option<u32>),
         store: &RunStore,
     ) -> Result<()> {
@@ -184,7 +192,12 @@ impl RunBuilder {
             self.make_room(chunk.len(), store)?;
             let recorder = self.recorder;
             let of_chunk = |number: usize| values(start + number);
-            recorder.record_values(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], of_chunk, self.adder());
+            let (count, with_points) = (chunk.len() as u64, self.with_points);
+            let points = [&x[chunk.clone()], &y[chunk.clone()], &z[chunk]];
+            recorder.record_values(points, with_points, of_chunk, self.adder());
+            if let Some(covering) = &mut self.covering {
+                covering.add(count);
+            }
         }
         Ok(())
     }

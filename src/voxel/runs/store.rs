@@ -37,8 +37,9 @@ pub(super) struct Run {
 }
 
 impl Run {
-    fn spilled(kind: RunKind, run: SpilledRun) -> Self {
-        let SpilledRun { records_at, records, index_bytes, columns } = run;
+    fn spilled(run: SpilledRun) -> Self {
+        let SpilledRun { records_at, records, index_bytes, columns, values } = run;
+        let kind = if values { RunKind::Values } else { RunKind::Matter };
         let index_at = records_at + records * RECORD_BYTES;
         Self { kind, storage: RunStorage::Disk { records_at, index_at, index_bytes }, records, columns }
     }
@@ -77,7 +78,7 @@ impl RunStore {
 
     /// A store that goes on from the `runs` in `spill`, which stand for so many points.
     pub fn resumed(retain_bytes: u64, spill: Spill, runs: Vec<SpilledRun>, points: u64) -> Self {
-        let runs = runs.into_iter().map(|run| Run::spilled(RunKind::Matter, run)).collect();
+        let runs = runs.into_iter().map(Run::spilled).collect();
         Self { retain_bytes, kept: Mutex::new(Kept { runs, memory_bytes: 0 }), spill, points: points.into() }
     }
 
@@ -177,13 +178,15 @@ impl RunStore {
         }
         sum.update(index);
         self.spill.write(at, index)?;
-        let run = SpilledRun { records_at, records: count, index_bytes, columns };
+        let values = kind == RunKind::Values;
+        let run = SpilledRun { records_at, records: count, index_bytes, columns, values };
         // A run that stands for nothing that could be known again is of no use to another process.
         if !cover.bytes.is_empty() {
             self.spill.note(&run, sum.value(), &cover.bytes)?;
-            self.points.fetch_add(cover.points, Ordering::Relaxed);
+            // Those of values stand for the same points.
+            self.points.fetch_add(if values { 0 } else { cover.points }, Ordering::Relaxed);
         }
-        self.lock().runs.push(Run::spilled(kind, run));
+        self.lock().runs.push(Run::spilled(run));
         Ok(())
     }
 

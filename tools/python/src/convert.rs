@@ -44,11 +44,11 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     up: axis of the input that points up, ``"z"`` or ``"y"``
 ///     units: ``"auto"``, ``"m"``, ``"ft"``, ``"us-ft"``, or metres per unit
 ///     crs: EPSG code of scans that state no reference system, such as ``"EPSG:25832"``; one that states another is refused
-///     columns: columns of text from left to right, such as ``"x,y,z,i"``; by its header, else the first three, by default
+///     columns: columns of text from left to right, such as ``"x,y,z,i,r,g,b"``; by its header, else the first three, by default
 ///     mesh: how meshes become voxels, ``"exact"`` or ``"sampled"``
 ///     levels: whether the archive gets overview levels for first looks and distant views (no)
 ///     colour: colour of each voxel: ``"rgb"``, ``"intensity"``, ``"class"``, ``"auto"`` (RGB where the scan has it, else intensity, else
-///         none) or ``"off"``; of LAS, LAZ and COPC
+///         none) or ``"off"``; of scans, not of meshes
 ///     colour_error: greatest mean difference of a page's colours, in CIELAB (2); 0 keeps them exactly, to 8 bits
 ///     allow_incomplete: convert what can be read of damaged input, with warnings, instead of refusing it
 ///     resume: go on from what an interrupted conversion left, and leave it if this one is interrupted

@@ -3,6 +3,7 @@
 //! Read as a tree by `roxmltree`, which takes no document types and so no entities of its own; length, nodes and
 //! attributes are bounded before.
 
+use super::super::values::Scale;
 use super::super::{Pose, shown};
 use roxmltree::{Document, Node, ParsingOptions};
 
@@ -18,6 +19,8 @@ const MOST_COLUMNS: usize = 1024;
 pub(super) struct Column {
     pub name: String,
     pub kind: Kind,
+    /// Least and greatest value of a column of floats, where it states them.
+    range: Option<(f64, f64)>,
 }
 
 /// How its values are stored.
@@ -57,6 +60,21 @@ pub(super) struct Description {
     pub pose: Option<Pose>,
     /// Where the scanner stood: the origin of its own coordinates. `None` where no pose is stated.
     pub station: Option<[f64; 3]>,
+    /// Limits of red, green, blue and intensity, where it states some.
+    limits: [Option<(f64, f64)>; 4],
+}
+
+/// Columns of values, in the order of the limits.
+pub(super) const CHANNELS: [&str; 4] = ["colorRed", "colorGreen", "colorBlue", "intensity"];
+
+/// What the limits of a channel say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Limits {
+    /// Black is 0, white is 255.
+    Bytes,
+    Between(Scale),
+    /// None that make sense.
+    Unstated,
 }
 
 /// What the XML says.
@@ -159,8 +177,43 @@ impl Description {
         }
         let pose = child(node, "pose").map(read_pose).transpose().or_else(|reason| damaged(name.clone(), reason))?;
         let station = pose.map(|pose| pose.apply([0.0; 3]));
-        Ok(Self { name, at, records, columns, pose: pose.filter(|pose| *pose != Pose::IDENTITY), station })
+        let limits = CHANNELS.map(|channel| {
+            let group = if channel == "intensity" { "intensityLimits" } else { "colorLimits" };
+            let group = child(node, group)?;
+            let end = |which: &str| scaled(child(group, &format!("{channel}{which}"))?);
+            Some((end("Minimum")?, end("Maximum")?))
+        });
+        let pose = pose.filter(|pose| *pose != Pose::IDENTITY);
+        Ok(Self { name, at, records, columns, pose, station, limits })
     }
+
+    /// What black and white of a channel are, which is the number `column` of the columns: by the limits of the cloud, else by
+    /// those of the column.
+    pub fn limits(&self, channel: usize, column: usize) -> Limits {
+        let column = &self.columns[column];
+        let of_column = match column.kind {
+            Kind::Integer { min, max, scale, offset } => Some((min, max))
+                .filter(|ends| *ends != (i64::MIN, i64::MAX))
+                .map(|(min, max)| (min as f64 * scale + offset, max as f64 * scale + offset)),
+            Kind::Single | Kind::Double => column.range,
+        };
+        let sound = |(low, high): (f64, f64)| Some(((low, high), Scale::between(low, high)?));
+        match self.limits[channel].and_then(sound).or(of_column.and_then(sound)) {
+            Some(((low, high), _)) if (low, high) == (0.0, 255.0) => Limits::Bytes,
+            Some((_, scale)) => Limits::Between(scale),
+            None => Limits::Unstated,
+        }
+    }
+}
+
+/// The number of an element, which may be a scaled one; `None` if it is none.
+fn scaled(node: Node<'_, '_>) -> Option<f64> {
+    let value = number(Some(node))?.ok()?;
+    if node.attribute("type") != Some("ScaledInteger") {
+        return Some(value);
+    }
+    let real = |of: &str, default: f64| node.attribute(of).map_or(Some(default), |text| text.trim().parse().ok());
+    Some(value * real("scale", 1.0)? + real("offset", 0.0)?).filter(|value: &f64| value.is_finite())
 }
 
 impl Column {
@@ -200,7 +253,10 @@ impl Column {
             }
         };
         let name = if is_of_standard { name.to_owned() } else { format!("extension:{name}") };
-        Ok(Self { name, kind })
+        // Those of floats are the range of their type by default.
+        let end = |of: &str| attribute(of)?.parse::<f64>().ok().filter(|v| v.abs() < 1e30);
+        let range = end("minimum").zip(end("maximum"));
+        Ok(Self { name, kind, range })
     }
 }
 

@@ -8,23 +8,27 @@
 //! lags behind, and a value of a column takes 16 bytes. It is the oracle and the writer of the tests.
 //!
 //! Memory of a piece: the bits of its points in the needed columns, at most 2 MiB, and a packet; of a file: its XML (up to
-//! 16 MiB, while it is opened) and 48 bytes for 65,536 points.
+//! 16 MiB, while it is opened) and 96 bytes for 65,536 points.
 //!
 //! Source: ASTM E2807-11, and libE57Format where it is silent.
 
 mod description;
 mod pages;
 
-use super::{Cloud, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
+use super::values::{SAMPLE_POINTS, Sample, Scale};
+use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
+use crate::colour::ColourSource;
 use crate::input::crs::Georeference;
 use crate::{Error, Result};
-use description::{Contents, Description, Kind, MOST_BYTES, Wrong};
+use description::{CHANNELS, Contents, Description, Kind, Limits, MOST_BYTES, Wrong};
 use pages::{PAGE, Pages, logical, physical};
 
 /// Points of a piece.
 const PIECE_POINTS: u64 = 1 << 16;
 /// Most columns that are needed: three coordinates, their state, and one that counts points.
 const NEEDED: usize = 5;
+/// The same with those of values: four, and two that say which of these are invalid.
+const ALL: usize = NEEDED + 6;
 
 /// A column that is needed.
 #[derive(Debug, Clone, Copy)]
@@ -39,7 +43,7 @@ struct Needed {
 #[derive(Debug, Clone, Copy)]
 struct Mark {
     packet: u64,
-    before: [u64; NEEDED],
+    before: [u64; ALL],
 }
 
 /// One cloud.
@@ -48,7 +52,11 @@ struct Scan {
     name: String,
     records: u64,
     columns: usize,
+    /// First those that make the place.
     needed: Vec<Needed>,
+    of_place: usize,
+    rgb: Option<Values<3>>,
+    intensity: Option<Values<1>>,
     spherical: bool,
     has_state: bool,
     pose: Option<Pose>,
@@ -56,10 +64,39 @@ struct Scan {
     marks: Vec<Mark>,
 }
 
+/// Columns of values among those that are needed, how they become values, and the column that says which are invalid.
+#[derive(Debug, Clone, Copy)]
+struct Values<const N: usize> {
+    at: [usize; N],
+    limits: [Limits; N],
+    invalid: Option<usize>,
+}
+
 #[derive(Debug)]
 struct E57 {
     scans: Vec<Scan>,
     stated: u64,
+    depth: Depth,
+}
+
+/// How a scan's values of one source are read, of the columns that [`Scan::gather`] gives.
+struct Channel {
+    at: Vec<(usize, Scale)>,
+    invalid: Option<usize>,
+}
+
+impl Channel {
+    #[inline]
+    fn value(&self, columns: &[Bits], number: usize) -> Option<[u16; 3]> {
+        if self.invalid.is_some_and(|invalid| columns[invalid].value(number) != 0.0) {
+            return None;
+        }
+        let mut value = [0; 3];
+        for (value, (column, scale)) in value.iter_mut().zip(&self.at) {
+            *value = scale.of(columns[*column].value(number));
+        }
+        Some(value)
+    }
 }
 
 fn u16_at(bytes: &[u8], at: usize) -> u16 {
@@ -123,7 +160,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let mut georeference = contents.system.map(Georeference::of_text).unwrap_or_default();
     // By the standard, whatever the reference system says.
     (georeference.horizontal, georeference.vertical, georeference.degrees) = (Some(1.0), None, false);
-    Ok(Opened { georeference, ..Opened::new(E57 { scans, stated }) })
+    Ok(Opened { georeference, ..Opened::new(E57 { scans, stated, depth: Depth::Sixteen }) })
 }
 
 fn unsupported(path: &std::path::Path, what: String) -> Error {
@@ -142,7 +179,8 @@ struct Packet {
 
 impl Scan {
     fn open(cloud: Description, pages: &mut Pages<'_>, opening: &mut Opening<'_, '_>) -> Result<Self> {
-        let Description { name, at, records, columns, pose, station } = cloud;
+        let Description { name, at, records, columns, pose, station, .. } = &cloud;
+        let (name, at, records, pose, station) = (name.clone(), *at, *records, *pose, *station);
         let find = |wanted: &str| columns.iter().position(|column| column.name == wanted);
         let all = |wanted: [&str; 3]| Some([find(wanted[0])?, find(wanted[1])?, find(wanted[2])?]);
         let cartesian =
@@ -157,6 +195,9 @@ impl Scan {
             records: 0,
             columns: columns.len(),
             needed: Vec::new(),
+            of_place: 0,
+            rgb: None,
+            intensity: None,
             spherical: is_spherical,
             has_state: false,
             pose,
@@ -181,6 +222,24 @@ impl Scan {
             };
             scan.needed.push(counting);
         }
+        scan.of_place = scan.needed.len();
+        let mut values = |names: &[&str], invalid: &str| {
+            let columns = names.iter().map(|name| find(name)).collect::<Option<Vec<_>>>()?;
+            let begin = scan.needed.len();
+            scan.needed.extend(columns.iter().chain(&find(invalid)).map(|&column| need(column)));
+            let invalid = find(invalid).map(|_| begin + columns.len());
+            Some((begin, columns, invalid))
+        };
+        scan.rgb = values(&CHANNELS[..3], "isColorInvalid").map(|(begin, columns, invalid)| Values {
+            at: [0, 1, 2].map(|channel| begin + channel),
+            limits: [0, 1, 2].map(|channel| cloud.limits(channel, columns[channel])),
+            invalid,
+        });
+        scan.intensity = values(&CHANNELS[3..], "isIntensityInvalid").map(|(begin, columns, invalid)| Values {
+            at: [begin],
+            limits: [cloud.limits(3, columns[0])],
+            invalid,
+        });
         let per_point: u64 = columns.iter().map(|column| u64::from(column.kind.bits())).sum();
         scan.index(at, records, per_point, pages, opening)?;
         Ok(scan)
@@ -219,7 +278,7 @@ impl Scan {
         };
         // Columns of the same points lie at most so far apart in a sound file.
         let apart = (PIECE_POINTS * per_point / 8 + (4 << 20)) * 2;
-        let (mut packet, mut before) = (data, [0u64; NEEDED]);
+        let (mut packet, mut before) = (data, [0u64; ALL]);
         let mut open = 0;
         let mut number = 0u64;
         let mut lens = Vec::new();
@@ -252,7 +311,7 @@ impl Scan {
                     (column.bits > 0)
                         .then(|| (u128::from(bytes) * 8 / u128::from(column.bits)).min(records.into()) as u64)
                 };
-                held = self.needed.iter().zip(&before).filter_map(whole).min().unwrap_or(0);
+                held = self.needed[..self.of_place].iter().zip(&before).filter_map(whole).min().unwrap_or(0);
                 while (open as u64 + 1) * PIECE_POINTS <= held {
                     open += 1;
                 }
@@ -269,6 +328,17 @@ impl Scan {
             opening.findings.lose(text)?;
         }
         self.records = held;
+        // Values may end before the points do.
+        let lacks = |at: usize| u128::from(before[at]) * 8 < u128::from(held) * u128::from(self.needed[at].bits);
+        let rgb = self.rgb.filter(|values| values.at.into_iter().chain(values.invalid).any(lacks));
+        let intensity = self.intensity.filter(|values| values.at.into_iter().chain(values.invalid).any(lacks));
+        for (what, cut) in [("colours", rgb.is_some()), ("intensities", intensity.is_some())] {
+            if cut {
+                opening.findings.note(format!("{}: it holds fewer {what} than points; they are not used", self.name));
+            }
+        }
+        self.rgb = self.rgb.filter(|_| rgb.is_none());
+        self.intensity = self.intensity.filter(|_| intensity.is_none());
         self.marks.truncate(held.div_ceil(PIECE_POINTS) as usize);
         self.marks.shrink_to_fit();
         Ok(())
@@ -309,11 +379,49 @@ impl Scan {
         Ok(Packet { len, is_data: true })
     }
 
-    /// The bits of points `first..end` in the needed columns, and which bit of the first byte each begins with.
-    fn gather(&self, piece: &Piece, pages: &mut Pages<'_>, source: &Source) -> Result<Vec<Bits>> {
+    /// What of the needed columns holds the values of `source`, and how they become values; `None` where the cloud has none.
+    fn channel(&self, source: ColourSource, depth: Depth) -> Option<(Vec<usize>, Channel)> {
+        let (at, limits, invalid) = match source {
+            ColourSource::Rgb => self.rgb.map(|v| (v.at.to_vec(), v.limits.to_vec(), v.invalid)),
+            ColourSource::Intensity => self.intensity.map(|v| (v.at.to_vec(), v.limits.to_vec(), v.invalid)),
+            ColourSource::Class => None,
+        }?;
+        let scale = |limits: &Limits| match limits {
+            Limits::Between(scale) => *scale,
+            Limits::Bytes if source == ColourSource::Rgb && depth == Depth::Eight => Scale::BYTES,
+            Limits::Bytes => Scale::between(0.0, 255.0).unwrap_or(Scale::BYTES),
+            Limits::Unstated => Scale::between(0.0, 1.0).unwrap_or(Scale::WHOLE),
+        };
+        let places = (self.of_place..).zip(&limits).map(|(place, limits)| (place, scale(limits))).collect();
+        let channel = Channel { at: places, invalid: invalid.map(|_| self.of_place + at.len()) };
+        Some((at.into_iter().chain(invalid).collect(), channel))
+    }
+
+    /// Reads a few points to see what intensities without limits are.
+    fn look(&mut self, source: &Source) -> Result<()> {
+        let Some(Values { at: [at], limits: [Limits::Unstated], .. }) = self.intensity else { return Ok(()) };
+        let end = self.records.min(16 * SAMPLE_POINTS as u64);
+        let piece = Piece { points: end, part: 0, first: 0, end };
+        let mut pages = Pages::new(source, source.stamp().len());
+        let mut sample = Sample::NOTHING;
+        if let Some(column) = self.gather(&piece, &[at], &mut pages, source)?.get(self.of_place) {
+            (0..end as usize).for_each(|number| sample.add(column.value(number)));
+        }
+        if let Some(values) = &mut self.intensity {
+            values.limits = [Limits::Between(sample.intensity())];
+        }
+        Ok(())
+    }
+
+    /// The bits of points `first..end` in the columns of the place and those that `wanted` names among the needed ones, in this
+    /// order, and which bit of the first byte each begins with.
+    fn gather(&self, piece: &Piece, wanted: &[usize], pages: &mut Pages<'_>, source: &Source) -> Result<Vec<Bits>> {
         let Some(mark) = self.marks.get((piece.first / PIECE_POINTS) as usize) else { return Ok(Vec::new()) };
-        let mut bits: Vec<Bits> = self.needed.iter().map(|column| Bits::of(column, piece)).collect();
-        let (mut at, mut before) = (mark.packet, mark.before);
+        let chosen: Vec<usize> = (0..self.of_place).chain(wanted.iter().copied()).collect();
+        let columns: Vec<&Needed> = chosen.iter().map(|&number| &self.needed[number]).collect();
+        let mut bits: Vec<Bits> = columns.iter().map(|column| Bits::of(column, piece)).collect();
+        let mut at = mark.packet;
+        let mut before: Vec<u64> = chosen.iter().map(|&number| mark.before[number]).collect();
         let (mut lens, mut content) = (Vec::new(), Vec::new());
         while bits.iter().any(|bits| !bits.is_full()) {
             let Packet { len, is_data } = self.head(pages, source, at, &mut lens)?;
@@ -321,7 +429,7 @@ impl Scan {
             content.resize(len as usize, 0);
             pages.read(&mut content, at, true)?;
             if is_data {
-                for ((bits, column), before) in bits.iter_mut().zip(&self.needed).zip(&mut before) {
+                for ((bits, column), before) in bits.iter_mut().zip(&columns).zip(&mut before) {
                     let skip: usize = lens[..column.number].iter().map(|&len| usize::from(len)).sum();
                     let begin = 6 + 2 * self.columns + skip;
                     let own = &content[begin..begin + usize::from(lens[column.number])];
@@ -425,16 +533,35 @@ impl Cloud for E57 {
         }))
     }
 
+    fn has_values(&self, source: ColourSource) -> bool {
+        self.scans.iter().any(|scan| scan.channel(source, self.depth).is_some())
+    }
+
+    fn prepare(&mut self, source: ColourSource, file: &Source) -> Result<()> {
+        let all_bytes = self.scans.iter().filter_map(|scan| scan.rgb).all(|rgb| rgb.limits == [Limits::Bytes; 3]);
+        self.depth = if all_bytes { Depth::Eight } else { Depth::Sixteen };
+        if source == ColourSource::Intensity {
+            self.scans.iter_mut().try_for_each(|scan| scan.look(file))?;
+        }
+        Ok(())
+    }
+
+    fn depth(&self) -> Depth {
+        self.depth
+    }
+
     fn decode(&self, piece: &Piece, source: &Source, _: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
         let Some(scan) = self.scans.get(piece.part) else { return Ok(0) };
         taker.begin_cloud(piece.part)?;
         let mut pages = Pages::new(source, source.stamp().len());
-        let columns = scan.gather(piece, &mut pages, source).map_err(|error| match error {
-            Error::Input { path, at, reason, .. } if !at.starts_with(&scan.name) => {
-                Error::input(path, format!("{}, {at}", scan.name), reason)
-            }
-            other => other,
-        })?;
+        let (wanted, channel) = taker.wanted().and_then(|source| scan.channel(source, self.depth)).unzip();
+        let columns =
+            scan.gather(piece, &wanted.unwrap_or_default(), &mut pages, source).map_err(|error| match error {
+                Error::Input { path, at, reason, .. } if !at.starts_with(&scan.name) => {
+                    Error::input(path, format!("{}, {at}", scan.name), reason)
+                }
+                other => other,
+            })?;
         let [a, b, c, rest @ ..] = &columns[..] else { return Ok(0) };
         let state = rest.first().filter(|_| scan.has_state);
         for number in 0..(piece.end - piece.first) as usize {
@@ -448,7 +575,8 @@ impl Cloud for E57 {
                 let across = range * libm::cos(elevation);
                 at = [across * libm::cos(azimuth), across * libm::sin(azimuth), range * libm::sin(elevation)];
             }
-            taker.push(scan.pose.map_or(at, |pose| pose.apply(at)), None)?;
+            let value = channel.as_ref().and_then(|channel| channel.value(&columns, number));
+            taker.push(scan.pose.map_or(at, |pose| pose.apply(at)), None, value)?;
         }
         Ok(0)
     }
@@ -459,7 +587,7 @@ impl Cloud for E57 {
             bytes.extend(scan.records.to_le_bytes());
             bytes.extend([u8::from(scan.spherical), u8::from(scan.has_state)]);
             bytes.extend(scan.marks.iter().flat_map(|mark| mark.packet.to_le_bytes()));
-            bytes.extend(format!("{:?}", scan.needed).into_bytes());
+            bytes.extend(format!("{:?}", &scan.needed[..scan.of_place]).into_bytes());
             bytes.extend(scan.pose.iter().flat_map(Pose::bytes));
         }
         bytes

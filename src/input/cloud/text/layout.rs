@@ -1,7 +1,9 @@
 //! What a row of text holds: separators, decimal commas, columns.
 
 use super::super::shown;
+use super::super::values::{Sample, Scale, bytes_of};
 use super::decimal::short;
+use crate::colour::ColourSource;
 use crate::input::Columns;
 
 /// What stands between two columns.
@@ -14,6 +16,14 @@ pub(in crate::input::cloud) enum Separator {
 }
 
 impl Separator {
+    /// Columns of a row.
+    pub fn count(self, row: &[u8]) -> usize {
+        match self {
+            Self::Blanks => row.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count(),
+            Self::Byte(byte) => row.split(|&other| other == byte).count(),
+        }
+    }
+
     fn name(self) -> &'static str {
         match self {
             Self::Blanks => "blanks",
@@ -23,49 +33,131 @@ impl Separator {
     }
 }
 
-/// Role of a column that is passed over, and of the class.
+/// What a column holds: coordinates from 0 on, then these; other columns are passed over.
 const OTHER: u8 = u8::MAX;
-const CLASS: u8 = 3;
+const CLASS: usize = 3;
+const INTENSITY: usize = 4;
+const RED: usize = 5;
+const ROLES: usize = 8;
+
+/// Numbers of a row by their roles.
+pub(in crate::input::cloud) type Row = [f64; ROLES];
+
+/// Where red, green and blue stand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::input::cloud) enum RgbPlaces {
+    /// In a column each.
+    Each([usize; 3]),
+    /// In the bytes of a whole number.
+    Whole(usize),
+    /// In those of a number of 32 bits that is written as floating point.
+    Float(usize),
+}
+
+/// Columns of a row, from 0 on, no two of them the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::input::cloud) struct Places {
+    pub axes: [usize; 3],
+    pub class: Option<usize>,
+    pub rgb: Option<RgbPlaces>,
+    pub intensity: Option<usize>,
+}
+
+impl Places {
+    /// Coordinates alone.
+    pub fn of(axes: [usize; 3]) -> Self {
+        Self { axes, class: None, rgb: None, intensity: None }
+    }
+}
 
 /// How rows are read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(in crate::input::cloud) struct RowLayout {
     separator: Separator,
     decimal_comma: bool,
-    /// Of each column, up to the last that is needed.
+    places: Places,
+    /// Of each column, up to the last that is needed for the place and the class.
     roles: Vec<u8>,
 }
 
+/// How rows are read with their values for colours.
+#[derive(Debug)]
+pub(in crate::input::cloud) struct ValueLayout<'a> {
+    layout: &'a RowLayout,
+    roles: Vec<u8>,
+    source: ColourSource,
+}
+
+/// Puts a role at a place.
+fn put(roles: &mut Vec<u8>, place: usize, role: usize) {
+    if roles.len() <= place {
+        roles.resize(place + 1, OTHER);
+    }
+    roles[place] = role as u8;
+}
+
 impl RowLayout {
-    /// With x, y and z (three different ones) and maybe the class in these columns, from 0 on.
-    pub fn new(axes: [usize; 3], class: Option<usize>, separator: Separator, decimal_comma: bool) -> Self {
-        let last = axes.into_iter().chain(class).max().unwrap_or(0);
-        let mut roles = vec![OTHER; last + 1];
-        if let Some(class) = class {
-            roles[class] = CLASS;
+    pub fn new(places: Places, separator: Separator, decimal_comma: bool) -> Self {
+        let mut roles = Vec::new();
+        places.class.into_iter().for_each(|class| put(&mut roles, class, CLASS));
+        places.axes.into_iter().enumerate().for_each(|(axis, place)| put(&mut roles, place, axis));
+        Self { separator, decimal_comma, places, roles }
+    }
+
+    pub fn has_class(&self) -> bool {
+        self.places.class.is_some()
+    }
+
+    /// With the values of `source`, if rows have them.
+    pub fn with_values(&self, source: ColourSource) -> Option<ValueLayout<'_>> {
+        let mut roles = self.roles.clone();
+        match (source, self.places.rgb, self.places.intensity) {
+            (ColourSource::Rgb, Some(RgbPlaces::Each(places)), _) => {
+                places.into_iter().enumerate().for_each(|(channel, place)| put(&mut roles, place, RED + channel));
+            }
+            (ColourSource::Rgb, Some(RgbPlaces::Whole(place) | RgbPlaces::Float(place)), _) => {
+                put(&mut roles, place, RED);
+            }
+            (ColourSource::Intensity, _, Some(place)) => put(&mut roles, place, INTENSITY),
+            _ => return None,
         }
-        for (axis, column) in axes.into_iter().enumerate() {
-            roles[column] = axis as u8;
-        }
-        Self { separator, decimal_comma, roles }
+        Some(ValueLayout { layout: self, roles, source })
     }
 
     /// The coordinates of a row, and its class if there is one; else what is wrong with it.
     #[inline]
     pub fn parse(&self, row: &[u8]) -> Result<([f64; 3], Option<f64>), String> {
-        let (mut at, mut class) = ([0.0; 3], None);
+        let mut found = [0.0; ROLES];
+        self.scan(row, &self.roles, &mut found)?;
+        Ok(self.split(&found))
+    }
+
+    fn split(&self, found: &Row) -> ([f64; 3], Option<f64>) {
+        ([found[0], found[1], found[2]], self.places.class.map(|_| found[CLASS]))
+    }
+
+    /// Puts numbers by their roles into `found`; whether all columns are there. Those of place and class must be.
+    #[inline(always)]
+    fn scan(&self, row: &[u8], roles: &[u8], found: &mut Row) -> Result<bool, String> {
         let point = if self.decimal_comma { b',' } else { b'.' };
         let mut rest = row;
-        for (column, &role) in self.roles.iter().enumerate() {
+        for (column, &role) in roles.iter().enumerate() {
+            let is_needed = column < self.roles.len();
             if column > 0
                 && let Separator::Byte(_) = self.separator
             {
-                let Some((_, behind)) = rest.split_first() else { return Err(self.too_few(column, row)) };
-                rest = behind;
+                match rest.split_first() {
+                    Some((_, behind)) => rest = behind,
+                    None if is_needed => return Err(self.too_few(column, row)),
+                    None => return Ok(false),
+                }
             }
             rest = rest.trim_ascii_start();
             if rest.is_empty() && self.separator == Separator::Blanks {
-                return Err(self.too_few(column, row));
+                if is_needed {
+                    return Err(self.too_few(column, row));
+                }
+                return Ok(false);
             }
             if role == OTHER {
                 rest = &rest[self.word_len(rest)..];
@@ -76,17 +168,20 @@ impl RowLayout {
                 _ => {
                     let (word, behind) = rest.split_at(self.word_len(rest));
                     rest = behind;
-                    self.number(word).ok_or_else(|| {
-                        format!("expected a number in column {}, found {}", column + 1, shown(word.trim_ascii()))
-                    })?
+                    match self.number(word) {
+                        Some(value) => value,
+                        // A value that is left out.
+                        None if !is_needed && word.trim_ascii().is_empty() => return Ok(false),
+                        None => {
+                            let word = shown(word.trim_ascii());
+                            return Err(format!("expected a number in column {}, found {word}", column + 1));
+                        }
+                    }
                 }
             };
-            match at.get_mut(usize::from(role)) {
-                Some(axis) => *axis = value,
-                None => class = Some(value),
-            }
+            found[usize::from(role)] = value;
         }
-        Ok((at, class))
+        Ok(true)
     }
 
     /// Length of the word that `rest` begins with.
@@ -155,6 +250,33 @@ impl RowLayout {
     }
 }
 
+impl ValueLayout<'_> {
+    /// As [`RowLayout::parse`], and the numbers of the row's value; `None` where the row ends before them.
+    pub fn parse(&self, row: &[u8]) -> Result<([f64; 3], Option<f64>, Option<Row>), String> {
+        let mut found = [0.0; ROLES];
+        let whole = self.layout.scan(row, &self.roles, &mut found)?;
+        let (at, class) = self.layout.split(&found);
+        Ok((at, class, whole.then_some(found)))
+    }
+
+    /// The value of such numbers.
+    #[inline]
+    pub fn value(&self, row: &Row, scale: &Scale) -> [u16; 3] {
+        match (self.source, self.layout.places.rgb) {
+            (ColourSource::Rgb, Some(RgbPlaces::Whole(_))) => bytes_of(row[RED] as u32),
+            (ColourSource::Rgb, Some(RgbPlaces::Float(_))) => bytes_of((row[RED] as f32).to_bits()),
+            (ColourSource::Rgb, _) => [0, 1, 2].map(|channel| scale.of(row[RED + channel])),
+            _ => [scale.of(row[INTENSITY]), 0, 0],
+        }
+    }
+
+    /// Adds them to a sample.
+    pub fn look(&self, row: &Row, sample: &mut Sample) {
+        let numbers = if self.source == ColourSource::Rgb { RED..ROLES } else { INTENSITY..RED };
+        row[numbers].iter().for_each(|&value| sample.add(value));
+    }
+}
+
 /// What separates the columns of these rows, and whether they have decimal commas; else why that is not clear.
 pub(super) fn recognise(rows: &[Vec<u8>]) -> Result<(Separator, bool), String> {
     let has = |byte: u8| rows.iter().any(|row| row.contains(&byte));
@@ -191,8 +313,8 @@ pub(super) fn names(header: &[u8]) -> Vec<String> {
     }
 }
 
-/// Columns of x, y and z and of the class among the names of a header.
-pub(super) fn columns(names: &[String]) -> Option<([usize; 3], Option<usize>)> {
+/// What columns hold, by the names of a header.
+pub(super) fn columns(names: &[String]) -> Option<Places> {
     let find = |wanted: &[&str]| {
         let plain = |name: &String| {
             let name = name.split(['(', '[']).next().unwrap_or_default().trim().to_ascii_lowercase();
@@ -205,12 +327,23 @@ pub(super) fn columns(names: &[String]) -> Option<([usize; 3], Option<usize>)> {
         find(&["y", "northing", "north"])?,
         find(&["z", "height", "elevation", "elev"])?,
     ];
-    Some((axes, find(&["classification", "class", "scalar_classification"])))
+    let rgb = [&["r", "red", "rf"][..], &["g", "green", "gf"], &["b", "blue", "bf"]].map(find);
+    let rgb = match rgb {
+        [Some(r), Some(g), Some(b)] => Some(RgbPlaces::Each([r, g, b])),
+        _ => None,
+    };
+    let intensity = find(&["intensity", "i", "scalar_intensity", "reflectance", "scalar_reflectance"]);
+    Some(Places { axes, class: find(&["classification", "class", "scalar_classification"]), rgb, intensity })
 }
 
 impl Columns {
-    pub(super) fn places(self) -> ([usize; 3], Option<usize>) {
-        (self.axes.map(usize::from), self.class.map(usize::from))
+    pub(super) fn places(self) -> Places {
+        Places {
+            axes: self.axes.map(usize::from),
+            class: self.class.map(usize::from),
+            rgb: self.rgb.map(|rgb| RgbPlaces::Each(rgb.map(usize::from))),
+            intensity: self.intensity.map(usize::from),
+        }
     }
 }
 
@@ -247,7 +380,7 @@ mod tests {
             let rows = rows(text);
             let found = recognise(&rows).unwrap();
             assert_eq!(found, expected, "{text}");
-            let layout = RowLayout::new([0, 1, 2], None, found.0, found.1);
+            let layout = RowLayout::new(Places::of([0, 1, 2]), found.0, found.1);
             assert_eq!(layout.parse(&rows[0]).unwrap(), (at, None), "{text}");
         }
         assert!(recognise(&rows("1,5, 2,5, 3,5")).unwrap_err().contains("commas stand both"));
@@ -256,15 +389,46 @@ mod tests {
     #[test]
     fn columns_are_found_by_name_and_anything_else_is_said() {
         let found = columns(&names(b"// R G B \"Z\" X Y Classification\r")).unwrap();
-        assert_eq!(found, ([4, 5, 3], Some(6)));
-        assert_eq!(columns(&names(b"Easting [m];Northing [m];Height [m]")).unwrap(), ([0, 1, 2], None));
+        assert_eq!((found.axes, found.class, found.rgb), ([4, 5, 3], Some(6), Some(RgbPlaces::Each([0, 1, 2]))));
+        let found = columns(&names(b"Easting [m];Northing [m];Height [m];Intensity;red;green")).unwrap();
+        assert_eq!(found, Places { intensity: Some(3), ..Places::of([0, 1, 2]) });
         assert_eq!(columns(&names(b"X,Y,X")), None);
-        let layout = RowLayout::new([2, 0, 1], Some(3), Separator::Blanks, false);
+        let places = Places { class: Some(3), ..Places::of([2, 0, 1]) };
+        let layout = RowLayout::new(places, Separator::Blanks, false);
         assert_eq!(layout.parse(b"2 3 1 7 9 9").unwrap(), ([1.0, 2.0, 3.0], Some(7.0)));
         assert!(layout.parse(b"1 2 3").unwrap_err().starts_with("expected 4 columns or more, found 3"));
         assert!(layout.parse(b"1 a 3 4").unwrap_err().contains("a number in column 2, found \"a\""));
         assert!(layout.parse(b"nan 1 inf 4").unwrap().0[1].is_nan());
-        let commas = RowLayout::new([0, 1, 2], None, Separator::Byte(b','), false);
+        let commas = RowLayout::new(Places::of([0, 1, 2]), Separator::Byte(b','), false);
         assert!(commas.parse(b"1,2").is_err() && commas.parse(b"1,2,").is_err() && commas.parse(b"").is_err());
+    }
+
+    #[test]
+    fn values_stand_behind_and_between_and_rows_may_end_before_them() {
+        for (separator, byte) in [(Separator::Blanks, ' '), (Separator::Byte(b';'), ';')] {
+            let of = |text: &str| text.replace(' ', &byte.to_string()).into_bytes();
+            let rgb = Some(RgbPlaces::Each([4, 1, 6]));
+            let places = Places { rgb, intensity: Some(5), ..Places::of([0, 2, 3]) };
+            let layout = RowLayout::new(places, separator, false);
+            let values = layout.with_values(ColourSource::Rgb).unwrap();
+            let (at, class, row) = values.parse(&of("1 20 2 3 10 0.5 30 rest")).unwrap();
+            assert_eq!((at, class), ([1.0, 2.0, 3.0], None));
+            assert_eq!(values.value(&row.unwrap(), &Scale::BYTES), [10, 20, 30]);
+            let intensity = layout.with_values(ColourSource::Intensity).unwrap();
+            let (_, _, row) = intensity.parse(&of("1 x 2 3 x 7 x")).unwrap();
+            assert_eq!(intensity.value(&row.unwrap(), &Scale::WHOLE), [7, 0, 0]);
+            for short in ["1 20 2 3 10 0.5", "1 20 2 3"] {
+                assert_eq!(values.parse(&of(short)).unwrap(), ([1.0, 2.0, 3.0], None, None), "{short}");
+            }
+            assert!(values.parse(&of("1 20 2")).unwrap_err().contains("expected 4 columns"));
+            assert!(values.parse(&of("1 20 2 3 10 0.5 red")).unwrap_err().contains("a number in column 7"));
+            assert!(layout.with_values(ColourSource::Class).is_none());
+        }
+        for (rgb, text) in [(RgbPlaces::Whole(3), "1 2 3 66051"), (RgbPlaces::Float(3), "1 2 3 9.2557e-41")] {
+            let layout = RowLayout::new(Places { rgb: Some(rgb), ..Places::of([0, 1, 2]) }, Separator::Blanks, false);
+            let values = layout.with_values(ColourSource::Rgb).unwrap();
+            let row = values.parse(text.as_bytes()).unwrap().2.unwrap();
+            assert_eq!(values.value(&row, &Scale::WHOLE), [1, 2, 3], "{text}");
+        }
     }
 }

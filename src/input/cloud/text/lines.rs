@@ -151,12 +151,22 @@ impl<'a> Lines<'a> {
 
     /// Goes to the next line that is neither empty nor a comment.
     pub fn next_row(&mut self) -> Result<Option<(u64, &[u8])>> {
+        Ok(self.next_place()?.map(|(at, line)| (at, &self.block[line])))
+    }
+
+    /// As [`next_row`](Self::next_row); [`at`](Self::at) has the bytes of the line.
+    pub fn next_place(&mut self) -> Result<Option<(u64, std::ops::Range<usize>)>> {
         loop {
             let Some(line) = self.find()? else { return Ok(None) };
             if is_row(&self.block[line.clone()]) {
-                return Ok(Some((self.at + line.start as u64, &self.block[line])));
+                return Ok(Some((self.at + line.start as u64, line)));
             }
         }
+    }
+
+    /// The bytes of the line handed out last.
+    pub fn at(&self, line: std::ops::Range<usize>) -> &[u8] {
+        &self.block[line]
     }
 
     /// The next row, as a line of its own.

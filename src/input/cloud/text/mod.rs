@@ -11,12 +11,14 @@ mod decimal;
 mod layout;
 mod lines;
 
-use super::{Cloud, Format, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
+use super::values::{Channels, Kind, SAMPLE_PLACES, SAMPLE_POINTS, Sample, Scale};
+use super::{Cloud, Depth, Format, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
+use crate::colour::ColourSource;
 use crate::{Error, Parameter, Result};
-use layout::{columns, is_numeric, names, recognise};
+use layout::{ValueLayout, columns, is_numeric, names, recognise};
 use lines::is_word;
 
-pub(super) use layout::{RowLayout, Separator};
+pub(super) use layout::{Places, RgbPlaces, RowLayout, Separator};
 pub(super) use lines::Lines;
 pub(super) use lines::Packing;
 pub(in crate::input) use lines::unpacked_name;
@@ -53,10 +55,31 @@ pub(super) struct Rows {
     format: &'static str,
     packing: Packing,
     layout: RowLayout,
+    channels: Channels,
     segments: Vec<Segment>,
     /// `0 0 0` means no return.
     zero_is_absent: bool,
     stated: u64,
+}
+
+/// How rows are read with what is asked for.
+struct Reading<'a> {
+    layout: &'a RowLayout,
+    values: Option<ValueLayout<'a>>,
+    scale: Scale,
+}
+
+impl Reading<'_> {
+    #[inline]
+    fn parse(&self, row: &[u8]) -> Result<([f64; 3], Option<f64>, Option<[u16; 3]>), String> {
+        match &self.values {
+            None => self.layout.parse(row).map(|(at, class)| (at, class, None)),
+            Some(values) => {
+                let (at, class, numbers) = values.parse(row)?;
+                Ok((at, class, numbers.map(|numbers| values.value(&numbers, &self.scale))))
+            }
+        }
+    }
 }
 
 impl Rows {
@@ -64,7 +87,7 @@ impl Rows {
     pub fn counted(
         opening: &mut Opening<'_, '_>,
         format: Format,
-        layout: RowLayout,
+        (layout, channels): (RowLayout, Channels),
         mut lines: Lines<'_>,
         stated: u64,
     ) -> Result<Self> {
@@ -75,15 +98,65 @@ impl Rows {
         }
         let segments = vec![Segment::plain(start, lines.position(), rows)];
         let format = if format == Format::Ply { "PLY" } else { "PCD" };
-        Ok(Self { format, packing: Packing::Plain, layout, segments, zero_is_absent: false, stated })
+        Ok(Self { format, packing: Packing::Plain, layout, channels, segments, zero_is_absent: false, stated })
     }
 
     #[inline]
-    fn take(&self, of: &Segment, (at, class): ([f64; 3], Option<f64>), taker: &mut Taker<'_>) -> Result<()> {
+    fn take(
+        &self,
+        reading: &Reading<'_>,
+        of: &Segment,
+        row: &[u8],
+        lines: &Lines<'_>,
+        to: &mut Taker<'_>,
+    ) -> Result<()> {
+        let (at, class, value) = reading.parse(row).map_err(|reason| lines.error(reason))?;
         if self.zero_is_absent && at == [0.0; 3] {
-            return taker.absent();
+            return to.absent();
         }
-        taker.push(of.pose.map_or(at, |pose| pose.apply(at)), class)
+        to.push(of.pose.map_or(at, |pose| pose.apply(at)), class, value)
+    }
+
+    /// Hands the rows of a piece to `take`, each with the number of its segment, as long as that asks for more.
+    fn each_row(
+        &self,
+        piece: &Piece,
+        source: &Source,
+        mut take: impl FnMut(usize, &Segment, &[u8], &Lines<'_>) -> Result<bool>,
+    ) -> Result<()> {
+        if self.packing != Packing::Plain {
+            let mut lines = Lines::open(source, source.stamp().len(), self.packing)?;
+            let mut segments = self.segments.iter().enumerate().peekable();
+            while let Some(&(part, segment)) = segments.peek() {
+                let Some((at, line)) = lines.next_place()? else { break };
+                if at >= segment.end {
+                    // Rows of the next cloud follow behind its header.
+                    segments.next();
+                    continue;
+                }
+                if at >= segment.start && !take(part, segment, lines.at(line), &lines)? {
+                    break;
+                }
+            }
+            return Ok(());
+        }
+        let Some(segment) = self.segments.get(piece.part) else { return Ok(()) };
+        // A row belongs to the piece in which it begins.
+        let mut lines = match piece.first == segment.start {
+            true => Lines::begin(source, piece.first),
+            false => {
+                let mut lines = Lines::begin(source, piece.first - 1);
+                lines.next()?;
+                lines
+            }
+        };
+        while lines.position() < piece.end {
+            let Some((at, line)) = lines.next_place()? else { break };
+            if at >= piece.end || !take(piece.part, segment, lines.at(line), &lines)? {
+                break;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -116,44 +189,46 @@ impl Cloud for Rows {
         }))
     }
 
+    fn has_values(&self, source: ColourSource) -> bool {
+        if source == ColourSource::Class { self.layout.has_class() } else { self.channels.has(source) }
+    }
+
+    fn prepare(&mut self, source: ColourSource, file: &Source) -> Result<()> {
+        let mut sample = Sample::NOTHING;
+        if let Some(values) = self.layout.with_values(source).filter(|_| self.channels.is_open(source)) {
+            let pieces = self.pieces().count() as u64;
+            // Of packed text, only the beginning is at hand.
+            let places = SAMPLE_PLACES.min(pieces);
+            let rows = SAMPLE_POINTS as u64 * (SAMPLE_PLACES / places.max(1));
+            let at = |place: u64| (place * (pieces - 1) / (places - 1).max(1)) as usize;
+            let mut wanted = (0..places).map(at).peekable();
+            for (_, piece) in self.pieces().enumerate().filter(|(number, _)| wanted.next_if_eq(number).is_some()) {
+                let mut left = rows;
+                self.each_row(&piece, file, |_, _, row, _| {
+                    // What is no row of numbers is refused where it is read in full.
+                    if let Ok((_, _, Some(numbers))) = values.parse(row) {
+                        values.look(&numbers, &mut sample);
+                    }
+                    left -= 1;
+                    Ok(left > 0)
+                })?;
+            }
+        }
+        self.channels.settle(source, &sample);
+        Ok(())
+    }
+
+    fn depth(&self) -> Depth {
+        self.channels.depth()
+    }
+
     fn decode(&self, piece: &Piece, source: &Source, _: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
-        if self.packing != Packing::Plain {
-            let mut lines = Lines::open(source, source.stamp().len(), self.packing)?;
-            let mut segments = self.segments.iter().enumerate().peekable();
-            while let Some(&(part, segment)) = segments.peek() {
-                let Some((at, line)) = lines.next_row()? else { break };
-                if at >= segment.end {
-                    // Rows of the next cloud follow behind its header.
-                    segments.next();
-                    continue;
-                }
-                if at >= segment.start {
-                    taker.begin_cloud(part)?;
-                    let row = self.layout.parse(line);
-                    self.take(segment, row.map_err(|reason| lines.error(reason))?, taker)?;
-                }
-            }
-            return Ok(0);
-        }
-        let Some(segment) = self.segments.get(piece.part) else { return Ok(0) };
-        taker.begin_cloud(piece.part)?;
-        // A row belongs to the piece in which it begins.
-        let mut lines = match piece.first == segment.start {
-            true => Lines::begin(source, piece.first),
-            false => {
-                let mut lines = Lines::begin(source, piece.first - 1);
-                lines.next()?;
-                lines
-            }
-        };
-        while lines.position() < piece.end {
-            let Some((at, line)) = lines.next_row()? else { break };
-            if at >= piece.end {
-                break;
-            }
-            let row = self.layout.parse(line);
-            self.take(segment, row.map_err(|reason| lines.error(reason))?, taker)?;
-        }
+        let (layout, scale) = (&self.layout, self.channels.scale());
+        let reading = Reading { layout, values: taker.wanted().and_then(|source| layout.with_values(source)), scale };
+        self.each_row(piece, source, |part, segment, row, lines| {
+            taker.begin_cloud(part)?;
+            self.take(&reading, segment, row, lines, taker).map(|()| true)
+        })?;
         Ok(0)
     }
 
@@ -229,9 +304,13 @@ pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     }
     let header = header.map(|header| names(&header)).unwrap_or_default();
     let found = columns(&header);
-    let (axes, class) = match opening.columns {
+    let is_rgb = format_rgb(opening.source.path());
+    let places = match opening.columns {
         Some(columns) => columns.places(),
-        None if header.is_empty() => ([0, 1, 2], None),
+        None if header.is_empty() && is_rgb => {
+            Places { rgb: Some(RgbPlaces::Each([3, 4, 5])), ..Places::of([0, 1, 2]) }
+        }
+        None if header.is_empty() => Places::of([0, 1, 2]),
         None => found.ok_or_else(|| {
             let found = super::shown(header.join(",").as_bytes());
             let reason = format!("expected columns named x, y and z, found {found}");
@@ -239,13 +318,16 @@ pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         })?,
     };
     let (separator, decimal_comma) = recognise(&rows).map_err(|reason| opening.error("columns", reason))?;
-    let layout = RowLayout::new(axes, class, separator, decimal_comma);
+    let layout = RowLayout::new(places, separator, decimal_comma);
+    let channels = Channels::new(places.rgb.map(|_| Kind::Any), places.intensity.map(|_| Kind::Any));
+    let empty =
+        Rows { format: "text", packing, layout, channels, segments: Vec::new(), zero_is_absent: false, stated: 0 };
+    let layout = &empty.layout;
     let Some(start) = first else {
         if let Some(count) = count.filter(|&count| count > 0) {
             opening.findings.lose(format!("its first line states {count} points, no lines follow"))?;
         }
-        let segments = Vec::new();
-        return Ok(Opened::new(Rows { format: "text", packing, layout, segments, zero_is_absent: false, stated: 0 }));
+        return Ok(Opened::new(empty));
     };
     if let Some(Err(reason)) = rows.first().map(|row| layout.parse(row)) {
         return Err(opening.error("first row", reason).with_way_out(Parameter::Columns));
@@ -256,8 +338,12 @@ pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let named = opening.columns.map(|columns| columns.to_string().split(',').map(str::to_owned).collect());
     let said = format!("read as text: {}", layout.describe(&named.unwrap_or(header)));
     let segments = vec![Segment::plain(start, end, rows)];
-    let rows = Rows { format: "text", packing, layout, segments, zero_is_absent: false, stated: 0 };
-    Ok(Opened { said: Some(said), ..Opened::new(rows) })
+    Ok(Opened { said: Some(said), ..Opened::new(Rows { segments, ..empty }) })
+}
+
+/// Whether the name says that red, green and blue follow the coordinates.
+fn format_rgb(path: &std::path::Path) -> bool {
+    unpacked_name(path).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xyzrgb"))
 }
 
 fn parse_whole(text: &[u8]) -> Option<u64> {
@@ -308,9 +394,9 @@ pub(super) fn open_pts(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         }
         next = lines.row()?;
     }
-    let layout = layout_of(opening, row)?;
+    let (layout, channels) = layout_of(opening, Format::Pts, row)?;
     let zero_is_absent = false;
-    Ok(Opened::new(Rows { format: "PTS", packing, layout, segments, zero_is_absent, stated }))
+    Ok(Opened::new(Rows { format: "PTS", packing, layout, channels, segments, zero_is_absent, stated }))
 }
 
 /// The first row from `start` on.
@@ -324,11 +410,22 @@ fn first_row(opening: &Opening<'_, '_>, packing: Packing, start: u64) -> Result<
     Ok(None)
 }
 
-/// Columns 1 to 3, as the first row separates them.
-fn layout_of(opening: &Opening<'_, '_>, first: Option<Vec<u8>>) -> Result<RowLayout> {
+/// Columns 1 to 3, as the first row separates them, and those behind: `i`, `r g b`, or `i r g b`. A PTX may have clouds without colours;
+/// so all rows may end before theirs.
+fn layout_of(opening: &Opening<'_, '_>, format: Format, first: Option<Vec<u8>>) -> Result<(RowLayout, Channels)> {
     let rows: Vec<Vec<u8>> = first.into_iter().collect();
     let (separator, decimal_comma) = recognise(&rows).map_err(|reason| opening.error("columns", reason))?;
-    Ok(RowLayout::new([0, 1, 2], None, separator, decimal_comma))
+    let count = rows.first().map_or(0, |row| separator.count(row));
+    let (intensity, rgb) = match count {
+        _ if format == Format::Ptx => (Some(3), Some([4, 5, 6])),
+        4 => (Some(3), None),
+        6 => (None, Some([3, 4, 5])),
+        7.. => (Some(3), Some([4, 5, 6])),
+        _ => (None, None),
+    };
+    let places = Places { rgb: rgb.map(RgbPlaces::Each), intensity, ..Places::of([0, 1, 2]) };
+    let channels = Channels::new(rgb.map(|_| Kind::Custom), intensity.map(|_| Kind::Any));
+    Ok((RowLayout::new(places, separator, decimal_comma), channels))
 }
 
 fn check_clouds(clouds: usize, opening: &Opening<'_, '_>) -> Result<()> {
@@ -384,8 +481,9 @@ pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
             first = first_row(opening, packing, start)?;
         }
     }
-    let layout = layout_of(opening, first)?;
-    let mut opened = Opened::new(Rows { format: "PTX", packing, layout, segments, zero_is_absent: true, stated });
+    let (layout, channels) = layout_of(opening, Format::Ptx, first)?;
+    let rows = Rows { format: "PTX", packing, layout, channels, segments, zero_is_absent: true, stated };
+    let mut opened = Opened::new(rows);
     // By convention: Cyclone writes metres.
     opened.georeference.horizontal = Some(1.0);
     Ok(opened)
