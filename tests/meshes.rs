@@ -355,6 +355,12 @@ fn bad_files_are_refused_in_one_line() {
         ("a.gltf", b"{\"asset\":{\"version\":\"2.0\"}}".to_vec(), "no triangles"),
         (
             "a.gltf",
+            br#"{"asset":{"version":"2.0"},"extensionsRequired":["KHR_materials_unlit","KHR_gaussian_splatting"]}"#
+                .to_vec(),
+            "Gaussian splats",
+        ),
+        (
+            "a.gltf",
             structure(3, r#","uri":"none.bin""#, r#"[{"mesh":0}]"#, "[0]").into(),
             "buffer 0: cannot open none.bin",
         ),

@@ -181,16 +181,25 @@ pub(super) fn prepare(set: &mut InputSet, source: ColourSource, threads: usize, 
     Ok(())
 }
 
-/// Whether some kept point has a value other than 0.
+/// Whether some kept point has a value other than 0: of the first piece, which mostly tells, by one thread, so that no more than
+/// needed is decoded; else of all.
 fn any_value(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<bool> {
     let found = AtomicBool::new(false);
-    read_values(set, source, threads, monitor, &|_| true, &|_, batch: &PointBatch| {
-        if batch.values.iter().any(|value| *value != [0; 3]) {
-            found.store(true, Ordering::Relaxed);
+    let is_first = AtomicBool::new(true);
+    let first = |_: usize| is_first.swap(false, Ordering::Relaxed);
+    let looks: [(usize, &(dyn Fn(usize) -> bool + Sync)); 2] = [(1, &first), (threads, &|_| true)];
+    for (threads, wanted) in looks {
+        read_values(set, source, threads, monitor, wanted, &|_, batch: &PointBatch| {
+            if batch.values.iter().any(|value| *value != [0; 3]) {
+                found.store(true, Ordering::Relaxed);
+            }
+            !found.load(Ordering::Relaxed)
+        })?;
+        if found.load(Ordering::Relaxed) {
+            return Ok(true);
         }
-        !found.load(Ordering::Relaxed)
-    })?;
-    Ok(found.into_inner())
+    }
+    Ok(false)
 }
 
 /// What is known of the values of all points: a pass over the input.

@@ -9,7 +9,7 @@ mod buffers;
 mod structure;
 
 use self::buffers::{BinaryPart, Buffers};
-use self::structure::{Accessor, AccessorShape, NodeTransform, Primitive, Structure};
+use self::structure::{Accessor, AccessorShape, NodeTransform, Primitive, SPLATS, Structure};
 use super::text::BYTE_ORDER_MARK;
 use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
@@ -118,6 +118,12 @@ impl GltfReader {
         let wrong = |reason: String| Err(Error::input(path, "structure", reason));
         if !structure.version.starts_with("2.") {
             return wrong(format!("expected glTF of version 2, found {:?}", structure.version));
+        }
+        if structure.extension_required.as_ref().is_some_and(|extension| extension.contains(SPLATS)) {
+            return wrong(
+                "it holds Gaussian splats, which are no mesh; convert the scan that they were made from, or their mesh"
+                    .into(),
+            );
         }
         if let Some(extension) = &structure.extension_required {
             return wrong(format!("it requires the extension {extension:?}; export the file without it"));

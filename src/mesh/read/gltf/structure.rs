@@ -9,6 +9,8 @@ use std::marker::PhantomData;
 
 /// No number.
 const NONE: u32 = u32::MAX;
+/// What names of extensions for Gaussian splats hold.
+pub const SPLATS: &str = "gaussian_splatting";
 
 /// Lists of numbers, one after the other.
 #[derive(Debug, Default)]
@@ -142,6 +144,7 @@ struct Asset<'a> {
 #[derive(Debug, Default)]
 pub struct Structure<'a> {
     pub version: Cow<'a, str>,
+    /// One of splats, else the first.
     pub extension_required: Option<Cow<'a, str>>,
     pub scene: Option<u32>,
     /// Root nodes by scene.
@@ -378,7 +381,9 @@ impl<'de> Visitor<'de> for Root<'_> {
             match key {
                 Key::Asset => version = Some(map.next_value::<Asset>()?.version),
                 Key::ExtensionsRequired => {
-                    all.extension_required = map.next_value::<Bounded<Cow<str>>>()?.0.into_iter().next();
+                    let required = map.next_value::<Bounded<Cow<str>>>()?.0;
+                    let splats = required.iter().position(|name| name.contains(SPLATS));
+                    all.extension_required = required.into_iter().nth(splats.unwrap_or(0));
                 }
                 Key::Scene => all.scene = Some(map.next_value()?),
                 Key::Scenes => {
