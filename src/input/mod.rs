@@ -144,6 +144,16 @@ pub struct PointBatch {
     /// Values for colours, as many as points, or none where the file has none or none are asked for: red, green and blue; else the
     /// intensity or the class, and zeros.
     pub values: Vec<[u16; 3]>,
+    /// Which station measured each point, as many as points, or none where the file has none or none are asked for: its point source id or
+    /// its GPS time (s).
+    pub tags: Vec<f64>,
+}
+
+/// What tells which station measured a point of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Tag {
+    SourceId,
+    GpsTime,
 }
 
 impl PointBatch {
@@ -174,6 +184,7 @@ impl PointBatch {
             column.resize(points, 0.0);
         }
         self.values.truncate(points);
+        self.tags.truncate(points);
     }
 }
 
@@ -231,6 +242,8 @@ pub struct InputSet {
     losses: Losses,
     /// Sum of the hashes of what was decoded of each file; none if not asked for.
     hashes: Mutex<Vec<u128>>,
+    /// Tags that are read of points that have them.
+    tag: Option<Tag>,
 }
 
 impl InputSet {
@@ -300,7 +313,7 @@ impl InputSet {
         let crs = systems.common(&files, monitor).or_else(|| options.epsg.map(epsg_text));
         let filters = [Layout::Old, Layout::Extended].map(|layout| Filter::new(layout, &options.exclude_classes));
         let hashes = Mutex::new(vec![0; if options.hash { files.len() } else { 0 }]);
-        Ok(Self { files, meshes, options, crs, filters, losses, hashes })
+        Ok(Self { files, meshes, options, crs, filters, losses, hashes, tag: None })
     }
 
     /// Points that the headers and chunk tables lead to expect: for progress only.
@@ -381,6 +394,11 @@ impl InputSet {
     /// Reads values for colours from here on.
     pub(crate) fn set_colour(&mut self, source: Option<ColourSource>) {
         self.options.colour = source;
+    }
+
+    /// Reads such tags from here on.
+    pub(crate) fn set_tag(&mut self, tag: Option<Tag>) {
+        self.tag = tag;
     }
 
     /// Whether points of some file have such values, as far as headers tell.
