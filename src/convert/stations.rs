@@ -1,7 +1,7 @@
 //! Where scanners stood: by a table of stations, else by what the scans say themselves.
 //!
 //! A table names files; its rows say where the scanner of a file stood, where it stood for the points of one point source id, or where it was
-//! at a GPS time. Between two times the scanner moves straight. Such a way is cut into pieces of at most [`WITHIN_M`] about their first place,
+//! at a GPS time. Between two times the scanner moves straight, unless that were too fast: then it stood. Such a way is cut into pieces of at most [`WITHIN_M`] about their first place,
 //! each of them a station.
 
 use crate::bytes::open_regular;
@@ -17,6 +17,8 @@ use std::path::Path;
 const MOST_BYTES: u64 = 64 << 20;
 /// How far a scanner moves within one station (m).
 const WITHIN_M: f64 = 0.1;
+/// Who would have moved faster (m/s) stood until the later time.
+const FASTEST: f64 = 100.0;
 /// Most pieces of all ways.
 const MOST_PIECES: f64 = (1u64 << 20) as f64;
 
@@ -50,11 +52,9 @@ impl Measured {
     pub fn station(&self, tag: f64) -> std::result::Result<usize, String> {
         match self {
             Self::From(station) => Ok(*station),
-            Self::BySource(of, any_other) => of
-                .get(&(tag as u16))
-                .copied()
-                .or(*any_other)
-                .ok_or_else(|| format!("point source id {tag} has no station; add a line for it to the table of stations")),
+            Self::BySource(of, any_other) => of.get(&(tag as u16)).copied().or(*any_other).ok_or_else(|| {
+                format!("point source id {tag} has no station; add a line for it to the table of stations")
+            }),
             Self::ByTime(pieces, end) => {
                 let after = pieces.partition_point(|piece| piece.0 <= tag);
                 match after.checked_sub(1) {
@@ -116,10 +116,11 @@ impl Known {
         // The places on the way, half a piece apart at most.
         let mut places = way.windows(2).flat_map(|ends| {
             let [(t0, a), (t1, b)] = [ends[0], ends[1]];
-            let steps = (distance(a, b) / (0.5 * WITHIN_M)).ceil().max(1.0);
-            (0..steps as u64).map(move |step| {
-                let share = step as f64 / steps;
-                (t0 + share * (t1 - t0), std::array::from_fn(|axis| a[axis] + share * (b[axis] - a[axis])), steps > 1.0 || a != b)
+            let steps = steps(ends);
+            (0..steps.max(1.0) as u64).map(move |step| {
+                let share = step as f64 / steps.max(1.0);
+                let place = std::array::from_fn(|axis| a[axis] + share * (b[axis] - a[axis]));
+                (t0 + share * (t1 - t0), place, steps > 0.0)
             })
         });
         let Some((mut begin, mut first, mut moves)) = places.next() else { return pieces };
@@ -129,7 +130,7 @@ impl Known {
         };
         for (time, place, goes_on) in places {
             // Who stands has sharp images: standing and moving do not mix.
-            if distance(first, place) > 0.5 * WITHIN_M || goes_on != moves {
+            if distance(first, place) > if moves { 0.5 * WITHIN_M } else { 0.0 } || goes_on != moves {
                 end_piece(begin, first, moves);
                 (begin, first, moves) = (time, place, goes_on);
             }
@@ -137,6 +138,12 @@ impl Known {
         end_piece(begin, first, moves);
         pieces
     }
+}
+
+/// The number of steps between two places of a way; 0 if the scanner stands.
+fn steps(ends: &[(f64, Place)]) -> f64 {
+    let far = distance(ends[0].1, ends[1].1);
+    if far > FASTEST * (ends[1].0 - ends[0].0) { 0.0 } else { (far / (0.5 * WITHIN_M)).ceil() }
 }
 
 fn distance(a: Place, b: Place) -> f64 {
@@ -279,9 +286,8 @@ fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
         for &mut number in own {
             let file = &files[number];
             let shown = file.path().display();
-            let place = file
-                .place_of(at)
-                .ok_or_else(|| wrong(line, format!("{at:?} is beyond the coordinates of {name}")))?;
+            let place =
+                file.place_of(at).ok_or_else(|| wrong(line, format!("{at:?} is beyond the coordinates of {name}")))?;
             let twice = |what: String| wrong(line, format!("{shown} has a station {what}already"));
             match columns.tag {
                 None if matches!(named[number], Named::Not) => named[number] = Named::At(place),
@@ -302,7 +308,10 @@ fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
                             } else {
                                 let id = fields[column].parse::<u16>().map_err(|_| {
                                     let found = fields[column];
-                                    wrong(line, format!("expected a source id (0 to 65535) or nothing, found {found:?}"))
+                                    wrong(
+                                        line,
+                                        format!("expected a source id (0 to 65535) or nothing, found {found:?}"),
+                                    )
                                 })?;
                                 if of.insert(id, place).is_some() {
                                     return Err(twice(format!("for source id {id} ")));
@@ -355,7 +364,7 @@ fn check_ways(path: &Path, files: &[ScanFile], named: &mut [Named]) -> Result<()
                 let time = number(pair[0].0);
                 return Err(Error::input(path, "t", format!("{shown} has two places at gps time {time}")));
             }
-            pieces += (distance(pair[0].1, pair[1].1) / (0.5 * WITHIN_M)).ceil().max(1.0);
+            pieces += steps(pair).max(1.0);
         }
         if pieces > MOST_PIECES {
             let what = format!("pieces of 0.05 m of the ways in {}", path.display());
@@ -363,4 +372,49 @@ fn check_ways(path: &Path, files: &[ScanFile], named: &mut [Named]) -> Result<()
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ways_are_cut_into_short_pieces_and_leaps_are_none() {
+        let mut known = Known::default();
+        // Stands, walks a metre along x, stands, is elsewhere at once, stands.
+        let way = [
+            (0.0, [0.0; 3]),
+            (5.0, [0.0; 3]),
+            (7.0, [1.0, 0.0, 0.0]),
+            (9.0, [1.0, 0.0, 0.0]),
+            (9.001, [8.0, 0.0, 0.0]),
+            (12.0, [8.0, 0.0, 0.0]),
+        ];
+        let pieces = known.way(&way);
+        assert!(pieces.is_sorted_by(|a, b| a.0 < b.0));
+        let measured = Measured::ByTime(pieces, 12.0);
+        let station = |time: f64| known.stations[measured.station(time).unwrap()];
+        assert_eq!(station(4.9), Station { at: [0.0; 3], within_m: 0.0 });
+        assert_eq!(station(8.0), Station { at: [1.0, 0.0, 0.0], within_m: 0.0 });
+        assert_eq!(station(9.0005), station(8.0));
+        assert_eq!(station(12.0), Station { at: [8.0, 0.0, 0.0], within_m: 0.0 });
+        for n in 1..200 {
+            let time = 5.0 + f64::from(n) * 0.01;
+            let from = [(time - 5.0) / 2.0, 0.0, 0.0];
+            let own = station(time);
+            assert!(own.within_m == WITHIN_M && distance(own.at, from) <= WITHIN_M + 1e-9, "{time}: {own:?}");
+        }
+        for time in [-0.1, 12.1, f64::NAN] {
+            assert!(measured.station(time).is_err());
+        }
+        assert!(known.stations.len() < 25, "{}", known.stations.len());
+    }
+
+    #[test]
+    fn other_source_ids_have_the_station_of_all_others() {
+        let some = BTreeMap::from([(3, 0)]);
+        assert_eq!(Measured::BySource(some.clone(), Some(7)).station(4.0), Ok(7));
+        assert_eq!(Measured::BySource(some.clone(), Some(7)).station(3.0), Ok(0));
+        assert!(Measured::BySource(some, None).station(4.0).is_err());
+    }
 }
