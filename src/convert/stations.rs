@@ -130,7 +130,8 @@ impl Known {
         };
         for (time, place, goes_on) in places {
             // Who stands has sharp images: standing and moving do not mix.
-            if distance(first, place) > if moves { 0.5 * WITHIN_M } else { 0.0 } || goes_on != moves {
+            let most_m = if moves { 0.5 * WITHIN_M } else { 0.0 };
+            if distance(first, place) > most_m || goes_on != moves {
                 end_piece(begin, first, moves);
                 (begin, first, moves) = (time, place, goes_on);
             }
