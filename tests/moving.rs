@@ -242,6 +242,24 @@ fn write_tagged(path: &Path, format: u8, samples: &[Sample], id: impl Fn(usize) 
     }
 }
 
+/// Writes samples as LAZ in layers with these point source ids.
+fn write_packed(path: &Path, format: u8, samples: &[Sample], id: impl Fn(usize) -> u16) {
+    let mut builder = las::Builder::from((1, 4));
+    builder.point_format = las::point::Format::new(format).unwrap();
+    builder.point_format.is_compressed = true;
+    let has_colour = builder.point_format.has_color;
+    let mut writer = las::Writer::from_path(path, builder.into_header().unwrap()).unwrap();
+    for (number, sample) in samples.iter().enumerate() {
+        let [x, y, z] = sample.position;
+        let color = has_colour.then(|| las::Color::new(1, 2, 3));
+        let point_source_id = id(number);
+        writer
+            .write_point(las::Point { x, y, z, color, point_source_id, gps_time: Some(0.5), ..las::Point::default() })
+            .unwrap();
+    }
+    writer.close().unwrap();
+}
+
 #[test]
 fn stations_by_source_id_and_by_time_do_what_files_of_their_own_do() {
     let folder = tempfile::tempdir().unwrap();
@@ -269,6 +287,12 @@ fn stations_by_source_id_and_by_time_do_what_files_of_their_own_do() {
             fs::write(at.join("stations.csv"), text).unwrap();
             assert!(convert(at, &["all.las"], &[]).0 == archive, "format {format}, {other:?}");
         }
+    }
+    for format in [6, 7] {
+        write_packed(&at.join("ids.laz"), format, &samples, |number| ids[of(number)]);
+        let table = fs::read_to_string(at.join("stations.csv")).unwrap();
+        fs::write(at.join("stations.csv"), table.replace("all.las", "ids.laz")).unwrap();
+        assert!(convert(at, &["ids.laz"], &[]).0 == archive, "packed, format {format}");
     }
     // From setup to setup in no time.
     let mut text = String::from("file,t,x,y,z\n");
