@@ -133,7 +133,7 @@ fn read(path: &Path) -> Vec<[f64; 3]> {
 }
 
 /// Places of the points in a LAS file, as cells of 1/128 pixel and whole millimetres.
-fn places(path: &Path) -> HashSet<[i64; 3]> {
+fn places_of(path: &Path) -> HashSet<[i64; 3]> {
     read(path).into_iter().map(cell).collect()
 }
 
@@ -162,7 +162,7 @@ fn walkers_go_and_what_stands_stays_beside_glass_mirrors_plants_and_clutter() {
     table(at, &stations);
     let (archive, removed, report) = convert(at, &names, &[]);
     verifies(&at.join("out.slices"));
-    let gone = places(&at.join("gone.las"));
+    let gone = places_of(&at.join("gone.las"));
     let share = |wanted: &dyn Fn(&Sample) -> bool| {
         let all: Vec<_> = samples.iter().filter(|sample| wanted(sample)).collect();
         let lost = all.iter().filter(|sample| is_among(&gone, sample.position)).count();
@@ -229,6 +229,147 @@ fn a_doorway_that_somebody_stood_in_opens() {
     assert!(is_open());
 }
 
+/// Writes samples in a point format with GPS times, 0.01 ms from one point to the next, and with these point source ids where the file is not packed.
+fn write_tagged(path: &Path, format: u8, samples: &[Sample], id: impl Fn(usize) -> u16) {
+    let spec = WriteSpec { format, ..WriteSpec::for_path(path) };
+    write_samples(path, samples.iter().copied(), &spec).unwrap();
+    if spec.compression.is_none() {
+        let mut bytes = fs::read(path).unwrap();
+        let start = u32::from_le_bytes(bytes[96..100].try_into().unwrap()) as usize;
+        let len = usize::from(u16::from_le_bytes(bytes[105..107].try_into().unwrap()));
+        let at = if format < 6 { 18 } else { 20 };
+        for (number, record) in bytes[start..].chunks_exact_mut(len).take(samples.len()).enumerate() {
+            record[at..at + 2].copy_from_slice(&id(number).to_le_bytes());
+        }
+        fs::write(path, bytes).unwrap();
+    }
+}
+
+/// Writes samples as LAZ in layers with these point source ids.
+fn write_packed(path: &Path, format: u8, samples: &[Sample], id: impl Fn(usize) -> u16) {
+    let mut builder = las::Builder::from((1, 4));
+    builder.point_format = las::point::Format::new(format).unwrap();
+    builder.point_format.is_compressed = true;
+    let has_colour = builder.point_format.has_color;
+    let mut writer = las::Writer::from_path(path, builder.into_header().unwrap()).unwrap();
+    for (number, sample) in samples.iter().enumerate() {
+        let [x, y, z] = sample.position;
+        let color = has_colour.then(|| las::Color::new(1, 2, 3));
+        let point_source_id = id(number);
+        writer
+            .write_point(las::Point { x, y, z, color, point_source_id, gps_time: Some(0.5), ..las::Point::default() })
+            .unwrap();
+    }
+    writer.close().unwrap();
+}
+
+#[test]
+fn stations_by_source_id_and_by_time_do_what_files_of_their_own_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = Scene::named("hall", &Params::new()).unwrap();
+    let names = ["0.las", "1.las", "2.las"];
+    let stations: Vec<[f64; 3]> = scene.stations()[..3].to_vec();
+    let mut samples = Vec::new();
+    let mut ends = Vec::new();
+    for (seed, (name, station)) in (1..).zip(names.iter().zip(&stations)) {
+        samples.extend(scan(&scene, *station, 60_000, 3, seed, &at.join(name)));
+        ends.push(samples.len());
+    }
+    table(at, &stations.iter().copied().zip(names).collect::<Vec<_>>());
+    let (archive, removed, report) = convert(at, &names, &[]);
+    assert!(report["points_moving"].as_u64().unwrap() > 300, "{report}");
+
+    let of = |number: usize| ends.iter().filter(|end| **end <= number).count();
+    let ids = [700u16, 0, 65535];
+    for format in [0, 1, 6, 7] {
+        write_tagged(&at.join("all.las"), format, &samples, |number| ids[of(number)]);
+        for other in ["0", ""] {
+            let [a, b, c] = [0, 1, 2].map(|n| stations[n].map(|v| v.to_string()).join(","));
+            let text = format!("source_id,x,y,z,file\n700,{a},all.las\n{other},{b},all.las\n65535,{c},all.las\n");
+            fs::write(at.join("stations.csv"), text).unwrap();
+            assert!(convert(at, &["all.las"], &[]).0 == archive, "format {format}, {other:?}");
+        }
+    }
+    for format in [6, 7] {
+        write_packed(&at.join("ids.laz"), format, &samples, |number| ids[of(number)]);
+        let table = fs::read_to_string(at.join("stations.csv")).unwrap();
+        fs::write(at.join("stations.csv"), table.replace("all.las", "ids.laz")).unwrap();
+        assert!(convert(at, &["ids.laz"], &[]).0 == archive, "packed, format {format}");
+    }
+    // From setup to setup in no time.
+    let mut text = String::from("file,t,x,y,z\n");
+    let mut begin = 0;
+    for ([x, y, z], end) in stations.iter().zip(&ends) {
+        for index in [begin as f64 - 0.5, *end as f64 - 0.75] {
+            text += &format!("NAME,{},{x},{y},{z}\n", index * 1e-5);
+        }
+        begin = *end;
+    }
+    for (name, format) in
+        [("all.las", 1), ("all.las", 3), ("all.las", 6), ("packed.laz", 1), ("packed.laz", 6), ("packed.laz", 7)]
+    {
+        write_tagged(&at.join(name), format, &samples, |_| 0);
+        fs::write(at.join("stations.csv"), text.replace("NAME", name)).unwrap();
+        let (own, gone, _) = convert(at, &[name], &[]);
+        assert!(own == archive && gone == removed, "{name}, format {format}");
+    }
+    // Points of no station.
+    let said = |table: &str, name: &str| {
+        fs::write(at.join("stations.csv"), table).unwrap();
+        let moving = ["--remove-moving", "--stations", "stations.csv", "-o", "x.slices"];
+        refuses(at, &[&[name], &OPTIONS[..], &moving].concat(), 1)
+    };
+    let late = said("file,t,x,y,z\npacked.laz,0.1,1,2,3\npacked.laz,9,1,2,3\n", "packed.laz");
+    assert!(late.contains("packed.laz") && late.contains("gps time") && late.contains("0.1 to 9"), "{late}");
+    write_tagged(&at.join("all.las"), 0, &samples, |number| ids[of(number)]);
+    let id = said("file,source_id,x,y,z\nall.las,700,1,2,3\nall.las,65535,1,2,3\n", "all.las");
+    assert!(id.contains("all.las") && id.contains("point source id 0 has no station"), "{id}");
+    let times = said("file,t,x,y,z\nall.las,0,1,2,3\nall.las,9,1,2,3\n", "all.las");
+    assert!(times.contains("stations.csv: line 2: the points of all.las have no gps times"), "{times}");
+}
+
+#[test]
+fn a_scanner_that_is_carried_sees_through_who_has_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let hall = Scene::named("hall", &Params::new().with("leaves", 0.0)).unwrap();
+    let person = |sample: &Sample| {
+        let [x, y, z] = sample.position;
+        (x - 4.0).hypot(y - 6.6) < 0.22 && (0.05..1.8).contains(&z)
+    };
+    let mut with_person = hall.surfaces().to_vec();
+    let shape = Shape::Cylinder(Cylinder { center: [4.0, 6.6], radius: 0.2, z_min: 0.0, z_max: 1.75 });
+    with_person.push(Surface { shape, label: "person" });
+    let occupied = Scene::new("hall", with_person);
+    let (mut samples, mut text) = (Vec::new(), String::from("file,t,x,y,z\n"));
+    let places = 48;
+    for number in 0..=places {
+        let station = [2.0 + 0.05 * f64::from(number), 2.5, 1.7];
+        text +=
+            &format!("way.laz,{},{},{},{}\n", samples.len() as f64 * 1e-5 - 5e-6, station[0], station[1], station[2]);
+        if number < places {
+            let scene = if number < 12 { &occupied } else { &hall };
+            samples.extend(scan(scene, station, 20_000, 0, number as u64 + 1, &at.join("one.las")));
+        }
+    }
+    write_tagged(&at.join("way.laz"), 6, &samples, |_| 0);
+    fs::write(at.join("stations.csv"), text).unwrap();
+    let (archive, removed, _) = convert(at, &["way.laz"], &[]);
+    let gone = places_of(&at.join("gone.las"));
+    let share = |wanted: &dyn Fn(&Sample) -> bool| {
+        let all: Vec<_> = samples.iter().filter(|sample| wanted(sample)).collect();
+        let lost = all.iter().filter(|sample| is_among(&gone, sample.position)).count();
+        (lost as f64 / all.len().max(1) as f64, all.len())
+    };
+    let (moving, standing) = (share(&person), share(&|sample| !person(sample)));
+    println!("person {moving:?}, others {standing:?}");
+    assert!(moving.1 > 300 && moving.0 > 0.5, "{moving:?}");
+    assert!(standing.0 < 0.001, "{standing:?}");
+    let (again, gone, _) = convert(at, &["way.laz"], &["--memory", "200MiB"]);
+    assert!(again == archive && gone == removed);
+}
+
 #[test]
 fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -257,12 +398,40 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
         ("file,x,y,z\na.las,0,0,1\nb.las,0,1\n", "line 3: expected 4 fields"),
         ("file,x,y,z\na.las,0,0,1\nc.las,0,0,1\n", "line 3: no input is called"),
         ("file,x,y,z\na.las,0,0,1\na.las,0,0,1\n", "line 3"),
-        ("file,t,x,y,z\na.las,0,0,0,1\n", "not supported yet"),
+        ("file,t,x,y,z\na.las,0,0,0,1\n", "have no gps times"),
+        ("file,t,source_id,x,y,z\na.las,0,0,0,0,1\n", "expected source_id or t"),
+        ("file,source_id,x,y,z\na.las,70000,0,0,1\n", "line 2: expected a source id (0 to 65535)"),
+        ("file,source_id,x,y,z\na.las,-1,0,0,1\n", "line 2: expected a source id"),
+        ("file,source_id,x,y,z\na.las,7,0,0,1\na.las,7,0,1,1\n", "line 3: a.las has a station for source id 7 already"),
+        ("file,source_id,x,y,z\na.las,,0,0,1\na.las,,0,1,1\n", "line 3: a.las has a station for all other source ids"),
+        ("file,source_id,x,y,z\na.las,,0,0,1\n", "b.las has no station"),
+        ("file,t,x,y,z\nt.las,0,0,0,1\na.las,0,0,0,1\n", "no input is called"),
     ] {
         fs::write(at.join("s.csv"), text).unwrap();
         let said = refuses(at, &[&names[..], &OPTIONS, &moving].concat(), 1);
         assert!(said.contains("s.csv") && said.contains(word), "{word}: {said}");
     }
+    let samples = Scene::named("plane", &Params::new()).unwrap();
+    let spec = SampleSpec::direct_density(2.0);
+    write_samples(
+        &at.join("b.las"),
+        samples.samples(1, &spec).unwrap(),
+        &WriteSpec { format: 1, ..WriteSpec::default() },
+    )
+    .unwrap();
+    for (text, word) in [
+        ("file,t,x,y,z\nb.las,0,0,0,1\n", "b.las has one place only"),
+        ("file,t,x,y,z\nb.las,0,0,0,1\nb.las,9,0,0,2\nb.las,0,3,0,1\n", "b.las has two places at gps time 0"),
+        ("file,t,x,y,z\nb.las,0,0,0,1\nb.las,inf,0,0,2\n", "line 3: expected a number"),
+        ("file,t,x,y,z\nb.las,,0,0,1\nb.las,1,0,0,2\n", "line 2: expected a number"),
+        ("file,t,x,y,z\nb.las,0,0,0,1\nb.las,1e9,1e9,0,2\n", "pieces"),
+        ("file,t,x,y,z\nb.las,0,0,0,1\nb.las,100,1000,0,2\n", "memory for what"),
+    ] {
+        fs::write(at.join("s.csv"), text).unwrap();
+        let said = refuses(at, &[&["b.las", "-o", "x.slices"], &OPTIONS[..], &moving].concat(), 1);
+        assert!(said.contains(word), "{word}: {said}");
+    }
+    scans::write(&at.join("b.las"), &[[0.0, 1.0, 0.0]]);
     fs::write(at.join("s.csv"), good).unwrap();
     let said = refuses(at, &[&names[..], &OPTIONS, &moving, &["--removed", "s.csv"]].concat(), 1);
     assert!(said.contains("s.csv"), "{said}");
@@ -313,7 +482,7 @@ fn what_is_removed_takes_its_colours_along() {
     let archive = Archive::from_bytes(coloured.clone()).unwrap();
     assert_eq!(archive.header().voxels, pages.header().voxels);
     assert_eq!(archive.header().points_kept, pages.header().points_kept);
-    let gone = places(&at.join("gone.las"));
+    let gone = places_of(&at.join("gone.las"));
     let expected = reds(archive.frame(), all.iter().filter(|point| !is_among(&gone, point.at)).copied());
     let with_all = reds(archive.frame(), all.iter().copied());
     let mut reader = ColourReader::new(&archive).unwrap().unwrap();
@@ -333,7 +502,7 @@ fn what_is_removed_takes_its_colours_along() {
     println!("{compared} voxels, {wrong} wrong, {cleaner} without those who moved");
     // Places of removed points are rounded.
     assert!(compared > 10_000 && wrong * 500 < compared && cleaner > 20, "{compared} {wrong} {cleaner}");
-    for options in [["--threads", "1", "--memory", "64MiB"], ["--threads", "4", "--memory", "100MiB"]] {
+    for options in [["--threads", "1", "--memory", "96MiB"], ["--threads", "4", "--memory", "160MiB"]] {
         let options: Vec<&str> = OPTIONS[..6].iter().chain(&options).chain(&colour).copied().collect();
         let moving = ["--remove-moving", "--stations", "stations.csv", "-o", "again.slices"];
         converts(at, &[&names[..], &options, &moving].concat());

@@ -299,8 +299,9 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let shard = scope.as_ref().map(|scope| scope.shard);
     let seeing = match plan.options.remove_moving {
         true => {
-            let Stations { places, of_cloud } = Stations::find(options.stations.as_deref(), &set)?;
-            Some(Seeing { views: Views::new(&places, plan.frame, limits.views_bytes)?, of_cloud })
+            let Stations { stations, of_cloud, tag } = Stations::find(options.stations.as_deref(), &set)?;
+            set.set_tag(tag);
+            Some(Seeing { views: Views::new(&stations, plan.frame, limits.views_bytes)?, of_cloud })
         }
         false => None,
     };

@@ -131,8 +131,8 @@ pub struct ConvertOptions {
     pub colour_error: f64,
     /// Whether input that can be read in part only is converted so, with warnings, instead of being refused.
     pub allow_incomplete: bool,
-    /// Where the scanners stood, a table with the columns `file,x,y,z`: needed where the plan removes moving points, for scans
-    /// that do not say it themselves as E57 and PTX do.
+    /// Where the scanners stood, a table with the columns `file,x,y,z` (also `source_id`, or `t` for ways by GPS time): needed where the
+    /// plan removes moving points, for scans that do not say it themselves as E57 and PTX do.
     pub stations: Option<PathBuf>,
     /// Where the points that were removed as moving are written, as LAS.
     pub removed: Option<PathBuf>,

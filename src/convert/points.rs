@@ -2,6 +2,7 @@
 
 use super::colours::Values;
 use super::resume::{Progress, put_reads, result_bytes};
+use super::stations::Measured;
 use super::work::on_threads;
 use crate::archive::Totals;
 use crate::colour::ColourSource;
@@ -117,10 +118,27 @@ pub(super) struct Reading<'a> {
     pub source: Option<ColourSource>,
 }
 
-/// What each station sees, and the station of each cloud of each file.
+/// What each station sees, and which station measured the points of each cloud of each file.
 pub(super) struct Seeing {
     pub views: Views,
-    pub of_cloud: Vec<Vec<usize>>,
+    pub of_cloud: Vec<Vec<Measured>>,
+}
+
+impl Seeing {
+    /// Adds the points of a batch of a file; fails for points whose station is not known.
+    fn add(&self, batch: &PointBatch, file: &ScanFile, of_cloud: &[Measured]) -> Result<()> {
+        let points = batch.x.iter().zip(&batch.y).zip(&batch.z).map(|((&x, &y), &z)| [x, y, z]);
+        match &of_cloud[batch.cloud] {
+            Measured::From(station) => points.for_each(|point| self.views.add(*station, point)),
+            by_tag => {
+                for (point, &tag) in points.zip(&batch.tags) {
+                    let station = by_tag.station(tag).map_err(|reason| Error::input(file.path(), "points", reason))?;
+                    self.views.add(station, point);
+                }
+            }
+        }
+        Ok(())
+    }
 }
 
 /// First pass: all points, or those that a part needs, into runs; what it found in each file, and in the values of the points.
@@ -180,10 +198,8 @@ pub(super) fn read_points(
                 if !recorder.reaches(min, max) {
                     return Err(out_of_reach(&plan.frame, min, max));
                 }
-                if let Some(Seeing { views, of_cloud }) = seeing {
-                    let station = of_cloud[chunk.file()][batch.cloud];
-                    let points = batch.x.iter().zip(&batch.y).zip(&batch.z);
-                    points.for_each(|((&x, &y), &z)| views.add(station, [x, y, z]));
+                if let Some(seeing) = seeing {
+                    seeing.add(batch, &set.files()[chunk.file()], &seeing.of_cloud[chunk.file()])?;
                 }
                 let (kept, own_min, own_max) = match scope {
                     Some(scope) => {

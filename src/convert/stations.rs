@@ -1,22 +1,155 @@
 //! Where scanners stood: by a table of stations, else by what the scans say themselves.
+//!
+//! A table names files; its rows say where the scanner of a file stood, where it stood for the points of one point source id, or where it was
+//! at a GPS time. Between two times the scanner moves straight, unless that were too fast: then it stood. Such a way is cut into pieces of at most [`WITHIN_M`] about their first place,
+//! each of them a station.
 
 use crate::bytes::open_regular;
-use crate::input::{InputSet, ScanFile, Standpoint};
+use crate::input::{InputSet, ScanFile, Standpoint, Tag};
+use crate::text::number;
+use crate::voxel::views::Station;
 use crate::{Error, Parameter, Result};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 use std::path::Path;
 
 /// Longest table that is read (bytes).
 const MOST_BYTES: u64 = 64 << 20;
+/// How far a scanner moves within one station (m).
+const WITHIN_M: f64 = 0.1;
+/// Who would have moved faster (m/s) stood until the later time.
+const FASTEST: f64 = 100.0;
+/// Most pieces of all ways.
+const MOST_PIECES: f64 = (1u64 << 20) as f64;
+
+/// A place (m, z up).
+type Place = [f64; 3];
 
 /// The stations of a set of scans.
 #[derive(Debug)]
 pub(super) struct Stations {
-    /// Where they are (m, z up); each place once.
-    pub places: Vec<[f64; 3]>,
-    /// The station of each cloud of each scan.
-    pub of_cloud: Vec<Vec<usize>>,
+    /// All of them, each once.
+    pub stations: Vec<Station>,
+    /// Which of them measured the points of each cloud of each scan.
+    pub of_cloud: Vec<Vec<Measured>>,
+    /// What of a point tells which.
+    pub tag: Option<Tag>,
+}
+
+/// Which station measured a point.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Measured {
+    /// This one.
+    From(usize),
+    /// By point source id; any other id.
+    BySource(BTreeMap<u16, usize>, Option<usize>),
+    /// By GPS time: from this time on this one, in order; and the last time.
+    ByTime(Vec<(f64, usize)>, f64),
+}
+
+impl Measured {
+    /// The station of a point with this tag, or why it has none.
+    pub fn station(&self, tag: f64) -> std::result::Result<usize, String> {
+        match self {
+            Self::From(station) => Ok(*station),
+            Self::BySource(of, any_other) => of.get(&(tag as u16)).copied().or(*any_other).ok_or_else(|| {
+                format!("point source id {tag} has no station; add a line for it to the table of stations")
+            }),
+            Self::ByTime(pieces, end) => {
+                let after = pieces.partition_point(|piece| piece.0 <= tag);
+                match after.checked_sub(1) {
+                    Some(piece) if tag <= *end => Ok(pieces[piece].1),
+                    _ => {
+                        let first = pieces.first().map_or(f64::NAN, |piece| piece.0);
+                        Err(format!(
+                            "gps time {} is not in the table of stations (which tells of {} to {})",
+                            number(tag),
+                            number(first),
+                            number(*end)
+                        ))
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// What a table says of a file.
+#[derive(Debug, Clone, Default)]
+enum Named {
+    /// Nothing.
+    #[default]
+    Not,
+    /// The place of its scanner.
+    At(Place),
+    /// The places by point source id, and that of any other.
+    BySource(BTreeMap<u16, Place>, Option<Place>),
+    /// The places at times.
+    ByTime(Vec<(f64, Place)>),
+}
+
+/// Stations that are known so far, each with its number.
+#[derive(Debug, Default)]
+struct Known {
+    stations: Vec<Station>,
+    numbers: HashMap<[u64; 5], usize>,
+}
+
+impl Known {
+    /// The number of a station. Clouds of one place are one station: what is in one of them does not show through another. Pieces of
+    /// ways are so if they begin at the same `time`, too.
+    fn number(&mut self, at: Place, within_m: f64, time: f64) -> usize {
+        let [x, y, z] = at.map(|v| (v + 0.0).to_bits());
+        *self.numbers.entry([x, y, z, within_m.to_bits(), (time + 0.0).to_bits()]).or_insert_with(|| {
+            self.stations.push(Station { at, within_m });
+            self.stations.len() - 1
+        })
+    }
+
+    fn stood(&mut self, at: Place) -> usize {
+        self.number(at, 0.0, 0.0)
+    }
+
+    /// The pieces of a way, each with the time at which it begins.
+    fn way(&mut self, way: &[(f64, Place)]) -> Vec<(f64, usize)> {
+        let mut pieces = Vec::new();
+        // The places on the way, half a piece apart at most.
+        let mut places = way.windows(2).flat_map(|ends| {
+            let [(t0, a), (t1, b)] = [ends[0], ends[1]];
+            let steps = steps(ends);
+            (0..steps.max(1.0) as u64).map(move |step| {
+                let share = step as f64 / steps.max(1.0);
+                let place = std::array::from_fn(|axis| a[axis] + share * (b[axis] - a[axis]));
+                (t0 + share * (t1 - t0), place, steps > 0.0)
+            })
+        });
+        let Some((mut begin, mut first, mut moves)) = places.next() else { return pieces };
+        let mut end_piece = |begin: f64, first: Place, moves: bool| {
+            let station = if moves { self.number(first, WITHIN_M, begin) } else { self.stood(first) };
+            pieces.push((begin, station));
+        };
+        for (time, place, goes_on) in places {
+            // Who stands has sharp images: standing and moving do not mix.
+            let most_m = if moves { 0.5 * WITHIN_M } else { 0.0 };
+            if distance(first, place) > most_m || goes_on != moves {
+                end_piece(begin, first, moves);
+                (begin, first, moves) = (time, place, goes_on);
+            }
+        }
+        end_piece(begin, first, moves);
+        pieces
+    }
+}
+
+/// The number of steps between two places of a way; 0 if the scanner stands.
+fn steps(ends: &[(f64, Place)]) -> f64 {
+    let far = distance(ends[0].1, ends[1].1);
+    if far > FASTEST * (ends[1].0 - ends[0].0) { 0.0 } else { (far / (0.5 * WITHIN_M)).ceil() }
+}
+
+fn distance(a: Place, b: Place) -> f64 {
+    let d: Place = std::array::from_fn(|axis| b[axis] - a[axis]);
+    (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt()
 }
 
 impl Stations {
@@ -26,46 +159,58 @@ impl Stations {
     /// Fails for a table that is none, for stations of no scan, and for clouds with points whose station is not known.
     pub fn find(table: Option<&Path>, set: &InputSet) -> Result<Self> {
         let files = set.files();
-        let named = table.map_or_else(|| Ok(vec![None; files.len()]), |path| read(path, files))?;
-        Self::of(table, &named, files)
+        let (named, tag) = match table {
+            Some(path) => read(path, files)?,
+            None => (vec![Named::Not; files.len()], None),
+        };
+        Self::of(table, named, tag, files)
     }
 
-    /// `named`: the place of each file that `table` names (m, z up).
-    fn of(table: Option<&Path>, named: &[Option<[f64; 3]>], files: &[ScanFile]) -> Result<Self> {
+    /// `named`: what `table` says of each file.
+    fn of(table: Option<&Path>, named: Vec<Named>, tag: Option<Tag>, files: &[ScanFile]) -> Result<Self> {
         let stated: Vec<Vec<Standpoint>> = files.iter().map(ScanFile::standpoints).collect();
-        let unnamed = stated.iter().zip(named).filter(|(_, named)| named.is_none()).flat_map(|(stated, _)| stated);
+        let unnamed = stated.iter().zip(&named).filter(|(_, named)| matches!(named, Named::Not));
         // Programs that write points in common coordinates leave the pose of each cloud at that.
-        let at_origin = unnamed.filter(|stated| **stated == Standpoint::At([0.0; 3])).count();
-        let (mut places, mut known) = (Vec::new(), HashMap::new());
-        // Clouds of one place are one station: what is in one of them does not show through another.
-        let mut station_at = |place: [f64; 3]| {
-            *known.entry(place.map(|v| (v + 0.0).to_bits())).or_insert_with(|| {
-                places.push(place);
-                places.len() - 1
-            })
-        };
+        let at_origin = |stated: &&Standpoint| **stated == Standpoint::At([0.0; 3]);
+        let at_origin = unnamed.flat_map(|(stated, _)| stated).filter(at_origin).count();
+        let mut known = Known::default();
         let mut of_cloud = Vec::with_capacity(files.len());
         for ((file, stated), named) in files.iter().zip(stated).zip(named) {
             let mut own = Vec::with_capacity(stated.len());
+            let of_file = match named {
+                Named::Not => None,
+                Named::At(place) => Some(Measured::From(known.stood(place))),
+                // Files whose points have no ids, too.
+                Named::BySource(of, Some(place)) if of.is_empty() => Some(Measured::From(known.stood(place))),
+                Named::BySource(of, any_other) => {
+                    let of = of.into_iter().map(|(id, place)| (id, known.stood(place))).collect();
+                    Some(Measured::BySource(of, any_other.map(|place| known.stood(place))))
+                }
+                Named::ByTime(way) => {
+                    let end = way.last().map_or(f64::NAN, |end| end.0);
+                    Some(Measured::ByTime(known.way(&way), end))
+                }
+            };
             for stated in stated {
-                let place = match (named, stated) {
-                    (_, Standpoint::Needless) => None,
-                    (&Some(place), _) => Some(place),
+                let station = match (&of_file, stated) {
+                    // Without points.
+                    (_, Standpoint::Needless) => Measured::From(0),
+                    (Some(measured), _) => measured.clone(),
                     (None, Standpoint::At(at)) if at == [0.0; 3] && at_origin > 1 => {
                         let reason = format!("{at_origin} clouds state the origin as the place of their scanner");
                         return Err(unknown(table, file, &reason));
                     }
                     (None, Standpoint::At(at)) => match file.place_of(at) {
-                        Some(place) => Some(place),
+                        Some(place) => Measured::From(known.stood(place)),
                         None => return Err(unknown(table, file, "its scanner stood beyond all coordinates")),
                     },
                     (None, Standpoint::Unknown(reason)) => return Err(unknown(table, file, &reason)),
                 };
-                own.push(place.map_or(0, &mut station_at));
+                own.push(station);
             }
             of_cloud.push(own);
         }
-        Ok(Self { places, of_cloud })
+        Ok(Self { stations: known.stations, of_cloud, tag })
     }
 }
 
@@ -81,10 +226,35 @@ fn unknown(table: Option<&Path>, file: &ScanFile, reason: &str) -> Error {
     }
 }
 
-/// Reads the table at `path`, with the columns `file,x,y,z` in any order: of scans in `files` the name (with folders where the
-/// name alone is not unique) and the place of the scanner in the coordinates of the scan. Returns the place of each file (m, z
-/// up).
-fn read(path: &Path, files: &[ScanFile]) -> Result<Vec<Option<[f64; 3]>>> {
+/// Where the columns of a table are.
+struct Columns {
+    names: usize,
+    file: usize,
+    place: [usize; 3],
+    tag: Option<(Tag, usize)>,
+}
+
+impl Columns {
+    fn of(head: &str) -> std::result::Result<Self, String> {
+        let names: Vec<&str> = head.split(',').map(str::trim).collect();
+        let column = |name: &str| names.iter().position(|&column| column == name);
+        let (Some(file), Some(x), Some(y), Some(z)) = (column("file"), column("x"), column("y"), column("z")) else {
+            return Err(format!("expected the columns file,x,y,z, found {:?}", names.join(",")));
+        };
+        let tag = match (column("source_id"), column("t")) {
+            (Some(_), Some(_)) => return Err("expected source_id or t, found both columns".into()),
+            (Some(at), None) => Some((Tag::SourceId, at)),
+            (None, Some(at)) => Some((Tag::GpsTime, at)),
+            (None, None) => None,
+        };
+        Ok(Self { names: names.len(), file, place: [x, y, z], tag })
+    }
+}
+
+/// Reads the table at `path`, with the columns `file,x,y,z` in any order, and `source_id` or `t` where it has one: of scans in `files` the name
+/// (with folders where the name alone is not unique) and the place of the scanner in the coordinates of the scan. Returns what it
+/// says of each file.
+fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
     let (mut file, about) = open_regular(path).map_err(|error| Error::io(path, "open", error))?;
     if about.len() > MOST_BYTES {
         let what = format!("bytes of the stations {}", path.display());
@@ -92,46 +262,160 @@ fn read(path: &Path, files: &[ScanFile]) -> Result<Vec<Option<[f64; 3]>>> {
     }
     let mut text = String::new();
     file.read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
-    let wrong = |line: usize, reason: String| Err(Error::input(path, format!("line {line}"), reason));
+    let wrong = |line: usize, reason: String| Error::input(path, format!("line {line}"), reason);
     let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let names: Vec<&str> = lines.next().map_or_else(Vec::new, |(_, line)| line.split(',').map(str::trim).collect());
-    let column = |name: &str| names.iter().position(|&column| column == name);
-    if column("t").is_some() || column("source_id").is_some() {
-        let reason = "stations by gps time or by source id are not supported yet; write the points of each station to \
-                      a file of their own and give file,x,y,z";
-        return wrong(1, reason.into());
+    let columns = Columns::of(lines.next().map_or("", |(_, line)| line)).map_err(|reason| wrong(1, reason))?;
+    let mut named = vec![Named::default(); files.len()];
+    let mut called: HashMap<&str, Vec<usize>> = HashMap::new();
+    for (line, text) in lines.map(|(number, text)| (number + 1, text)) {
+        let fields: Vec<&str> = text.split(',').map(str::trim).collect();
+        if fields.len() != columns.names {
+            return Err(wrong(line, format!("expected {} fields, found {}", columns.names, fields.len())));
+        }
+        let value = |column: usize| {
+            let value = fields[column].parse::<f64>().ok().filter(|value| value.is_finite());
+            value.ok_or_else(|| wrong(line, format!("expected a number, found {:?}", fields[column])))
+        };
+        let [x, y, z] = columns.place;
+        let at = [value(x)?, value(y)?, value(z)?];
+        let name = fields[columns.file].trim_matches('"');
+        let ends_so = |number: &usize| files[*number].path().ends_with(name);
+        let own = called.entry(name).or_insert_with(|| (0..files.len()).filter(ends_so).collect());
+        if own.is_empty() {
+            return Err(wrong(line, format!("no input is called {name:?}; give the file's name as in its path")));
+        }
+        for &mut number in own {
+            let file = &files[number];
+            let shown = file.path().display();
+            let place =
+                file.place_of(at).ok_or_else(|| wrong(line, format!("{at:?} is beyond the coordinates of {name}")))?;
+            let twice = |what: String| wrong(line, format!("{shown} has a station {what}already"));
+            match columns.tag {
+                None if matches!(named[number], Named::Not) => named[number] = Named::At(place),
+                None => return Err(twice(String::new())),
+                Some((tag, column)) => {
+                    let all = fields[column].is_empty() && tag == Tag::SourceId;
+                    if !all && !file.has_tags(tag) {
+                        let what = if tag == Tag::SourceId { "point source ids" } else { "gps times" };
+                        return Err(wrong(line, format!("the points of {shown} have no {what}")));
+                    }
+                    match tag {
+                        Tag::SourceId => {
+                            let (of, any_other) = named[number].by_source();
+                            if all {
+                                if any_other.replace(place).is_some() {
+                                    return Err(twice("for all other source ids ".into()));
+                                }
+                            } else {
+                                let id = fields[column].parse::<u16>().map_err(|_| {
+                                    let found = fields[column];
+                                    wrong(
+                                        line,
+                                        format!("expected a source id (0 to 65535) or nothing, found {found:?}"),
+                                    )
+                                })?;
+                                if of.insert(id, place).is_some() {
+                                    return Err(twice(format!("for source id {id} ")));
+                                }
+                            }
+                        }
+                        Tag::GpsTime => named[number].by_time().push((value(column)?, place)),
+                    }
+                }
+            }
+        }
     }
-    let (Some(name), Some(x), Some(y), Some(z)) = (column("file"), column("x"), column("y"), column("z")) else {
-        return wrong(1, format!("expected the columns file,x,y,z, found {:?}", names.join(",")));
-    };
-    let mut of_file: Vec<Option<[f64; 3]>> = vec![None; files.len()];
-    for (number, line) in lines {
-        let fields: Vec<&str> = line.split(',').map(str::trim).collect();
-        if fields.len() != names.len() {
-            return wrong(number + 1, format!("expected {} fields, found {}", names.len(), fields.len()));
+    check_ways(path, files, &mut named)?;
+    Ok((named, columns.tag.map(|(tag, _)| tag)))
+}
+
+impl Named {
+    /// Its places by source id; it is made such.
+    fn by_source(&mut self) -> (&mut BTreeMap<u16, Place>, &mut Option<Place>) {
+        if !matches!(self, Self::BySource(..)) {
+            *self = Self::BySource(BTreeMap::new(), None);
         }
-        let mut at = [0.0; 3];
-        for (value, column) in at.iter_mut().zip([x, y, z]) {
-            match fields[column].parse::<f64>() {
-                Ok(number) if number.is_finite() => *value = number,
-                _ => return wrong(number + 1, format!("expected a number, found {:?}", fields[column])),
-            }
+        let Self::BySource(of, any_other) = self else { unreachable!("made above") };
+        (of, any_other)
+    }
+
+    /// Its places by time; it is made such.
+    fn by_time(&mut self) -> &mut Vec<(f64, Place)> {
+        if !matches!(self, Self::ByTime(_)) {
+            *self = Self::ByTime(Vec::new());
         }
-        let named = fields[name].trim_matches('"');
-        let mut found = false;
-        for (file, of_file) in files.iter().zip(&mut of_file).filter(|(file, _)| file.path().ends_with(named)) {
-            if of_file.is_some() {
-                return wrong(number + 1, format!("{} has a station already", file.path().display()));
-            }
-            *of_file = file.place_of(at);
-            if of_file.is_none() {
-                return wrong(number + 1, format!("{at:?} is beyond the coordinates of {named}"));
-            }
-            found = true;
+        let Self::ByTime(way) = self else { unreachable!("made above") };
+        way
+    }
+}
+
+/// Brings the places of each way into the order of their times; refuses ways of one place, two places at one time, and ways so long that their
+/// pieces are too many.
+fn check_ways(path: &Path, files: &[ScanFile], named: &mut [Named]) -> Result<()> {
+    let mut pieces = 0.0;
+    for (file, named) in files.iter().zip(named) {
+        let Named::ByTime(way) = named else { continue };
+        way.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let shown = file.path().display();
+        if way.len() < 2 {
+            return Err(Error::input(path, "t", format!("{shown} has one place only; a way takes two or more")));
         }
-        if !found {
-            return wrong(number + 1, format!("no input is called {named:?}; give the file's name as in its path"));
+        for pair in way.windows(2) {
+            if pair[0].0 == pair[1].0 {
+                let time = number(pair[0].0);
+                return Err(Error::input(path, "t", format!("{shown} has two places at gps time {time}")));
+            }
+            pieces += steps(pair).max(1.0);
+        }
+        if pieces > MOST_PIECES {
+            let what = format!("pieces of 0.05 m of the ways in {}", path.display());
+            return Err(Error::limit(what, pieces, MOST_PIECES));
         }
     }
-    Ok(of_file)
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ways_are_cut_into_short_pieces_and_leaps_are_none() {
+        let mut known = Known::default();
+        // Stands, walks a metre along x, stands, is elsewhere at once, stands.
+        let way = [
+            (0.0, [0.0; 3]),
+            (5.0, [0.0; 3]),
+            (7.0, [1.0, 0.0, 0.0]),
+            (9.0, [1.0, 0.0, 0.0]),
+            (9.001, [8.0, 0.0, 0.0]),
+            (12.0, [8.0, 0.0, 0.0]),
+        ];
+        let pieces = known.way(&way);
+        assert!(pieces.is_sorted_by(|a, b| a.0 < b.0));
+        let measured = Measured::ByTime(pieces, 12.0);
+        let station = |time: f64| known.stations[measured.station(time).unwrap()];
+        assert_eq!(station(4.9), Station { at: [0.0; 3], within_m: 0.0 });
+        assert_eq!(station(8.0), Station { at: [1.0, 0.0, 0.0], within_m: 0.0 });
+        assert_eq!(station(9.0005), station(8.0));
+        assert_eq!(station(12.0), Station { at: [8.0, 0.0, 0.0], within_m: 0.0 });
+        for n in 1..200 {
+            let time = 5.0 + f64::from(n) * 0.01;
+            let from = [(time - 5.0) / 2.0, 0.0, 0.0];
+            let own = station(time);
+            assert!(own.within_m == WITHIN_M && distance(own.at, from) <= WITHIN_M + 1e-9, "{time}: {own:?}");
+        }
+        for time in [-0.1, 12.1, f64::NAN] {
+            assert!(measured.station(time).is_err());
+        }
+        assert!(known.stations.len() < 25, "{}", known.stations.len());
+    }
+
+    #[test]
+    fn other_source_ids_have_the_station_of_all_others() {
+        let some = BTreeMap::from([(3, 0)]);
+        assert_eq!(Measured::BySource(some.clone(), Some(7)).station(4.0), Ok(7));
+        assert_eq!(Measured::BySource(some.clone(), Some(7)).station(3.0), Ok(0));
+        assert!(Measured::BySource(some, None).station(4.0).is_err());
+    }
 }

@@ -82,6 +82,32 @@ impl Field {
     }
 }
 
+/// Where in a record the number lies that says which station measured a point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum TagField {
+    /// The point source id, from this byte on.
+    SourceId(usize),
+    /// The GPS time (s), from this byte on.
+    GpsTime(usize),
+}
+
+impl TagField {
+    #[inline]
+    fn of(self, record: &[u8]) -> f64 {
+        match self {
+            Self::SourceId(at) => f64::from(u16::from_le_bytes([record[at], record[at + 1]])),
+            Self::GpsTime(at) => f64::from_le_bytes(std::array::from_fn(|byte| record[at + byte])),
+        }
+    }
+}
+
+/// What is read of a record beside its place, its flags and its class.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Extras {
+    pub field: Option<Field>,
+    pub tag: Option<TagField>,
+}
+
 const WITHHELD: u8 = 1;
 const EXCLUDED: u8 = 2;
 
@@ -109,14 +135,14 @@ impl Filter {
     }
 }
 
-/// Replaces `batch` by the kept points of `records`, each `stride` (at least 20) bytes long, with the values of a `field`, if one
-/// is given; the rest of a record is ignored. Adds to `counts` all but `missing`.
+/// Replaces `batch` by the kept points of `records`, each `stride` (at least 20) bytes long, with the values and tags of the fields
+/// in `extras`, if they are given; the rest of a record is ignored. Adds to `counts` all but `missing`.
 pub(super) fn convert(
     records: &[u8],
     stride: usize,
     transform: &Transform,
     filter: &Filter,
-    field: Option<Field>,
+    extras: Extras,
     batch: &mut PointBatch,
     counts: &mut PointCounts,
 ) {
@@ -124,6 +150,7 @@ pub(super) fn convert(
     counts.read += n as u64;
     batch.resize(n);
     batch.values.clear();
+    batch.tags.clear();
     let flagged = records.chunks_exact(stride).fold(0, |any, record| any | filter.verdict(record));
     // Where no raw value can be out of range, records without flags need no look at their coordinates.
     if flagged == 0 && transform.always_near() {
@@ -138,11 +165,14 @@ pub(super) fn convert(
             38 => whole::<38>(records, transform, batch),
             _ => place(records.chunks_exact(stride), transform, batch),
         }
-        if let Some(field) = field {
+        if let Some(field) = extras.field {
             batch.values.extend(records.chunks_exact(stride).map(|record| field.of(record)));
         }
+        if let Some(tag) = extras.tag {
+            batch.tags.extend(records.chunks_exact(stride).map(|record| tag.of(record)));
+        }
     } else {
-        let kept = sieve(records, stride, transform, filter, field, batch, counts);
+        let kept = sieve(records, stride, transform, filter, extras, batch, counts);
         batch.resize(kept);
     }
     if transform.up == Up::Y {
@@ -178,7 +208,7 @@ fn sieve(
     stride: usize,
     transform: &Transform,
     filter: &Filter,
-    field: Option<Field>,
+    extras: Extras,
     batch: &mut PointBatch,
     counts: &mut PointCounts,
 ) -> usize {
@@ -196,7 +226,8 @@ fn sieve(
             continue;
         }
         [batch.x[kept], batch.y[kept], batch.z[kept]] = point;
-        batch.values.extend(field.map(|field| field.of(record)));
+        batch.values.extend(extras.field.map(|field| field.of(record)));
+        batch.tags.extend(extras.tag.map(|tag| tag.of(record)));
         kept += 1;
     }
     kept
@@ -217,7 +248,7 @@ mod tests {
     fn run(records: &[Vec<u8>], layout: Layout, exclude: ClassSet, transform: Transform) -> (PointBatch, PointCounts) {
         let (mut batch, mut counts) = (PointBatch::default(), PointCounts::default());
         let filter = Filter::new(layout, &exclude);
-        convert(&records.concat(), records[0].len(), &transform, &filter, None, &mut batch, &mut counts);
+        convert(&records.concat(), records[0].len(), &transform, &filter, Extras::default(), &mut batch, &mut counts);
         (batch, counts)
     }
 
@@ -268,7 +299,8 @@ mod tests {
                 let kept: Vec<u16> = (0..3).filter(|&at| exclude.is_empty() || at != 1).collect();
                 for field in [Field::Rgb(stride - 6), Field::Intensity, Field::Class(layout)] {
                     let (mut batch, mut counts) = (PointBatch::default(), PointCounts::default());
-                    convert(&records, stride, &PLAIN, &filter, Some(field), &mut batch, &mut counts);
+                    let extras = Extras { field: Some(field), tag: Some(TagField::SourceId(stride - 4)) };
+                    convert(&records, stride, &PLAIN, &filter, extras, &mut batch, &mut counts);
                     let expected = kept.iter().map(|&at| match field {
                         Field::Rgb(_) => [256 + at, 512 + at, 768 + at],
                         Field::Intensity => [1000 + at, 0, 0],
@@ -276,6 +308,8 @@ mod tests {
                     });
                     assert_eq!(batch.values, expected.collect::<Vec<_>>());
                     assert_eq!(batch.len(), kept.len());
+                    let tags: Vec<f64> = kept.iter().map(|&at| f64::from(512 + at)).collect();
+                    assert_eq!(batch.tags, tags);
                 }
             }
         }

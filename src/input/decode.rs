@@ -1,7 +1,7 @@
 //! Decoding: pieces of files, by any number of threads, in any order.
 
 use super::cloud;
-use super::convert;
+use super::convert::{self, Extras, TagField};
 use super::file::Content;
 use super::laz::{Chunking, PackedPoints, Wanted};
 use super::source::{ReadLog, Source};
@@ -153,6 +153,7 @@ impl PointDecoder {
         let colour = set.options.colour;
         let field = colour.and_then(|source| file.field(source));
         let rgb = matches!(field, Some(convert::Field::Rgb(_)));
+        let tag = set.tag.and_then(|tag| file.tag_field(tag));
         let record_bytes = match &file.content {
             Content::Plain { .. } => usize::from(file.record_bytes),
             Content::Packed { packing, .. } => packing.decoded_bytes(rgb),
@@ -164,7 +165,7 @@ impl PointDecoder {
         let (batch, mut counts, mut refused) = (&mut self.batch, PointCounts::default(), false);
         let filter = set.filter(file.layout());
         let mut take = |records: &[u8]| {
-            convert::convert(records, record_bytes, &file.transform, filter, field, batch, &mut counts);
+            convert::convert(records, record_bytes, &file.transform, filter, Extras { field, tag }, batch, &mut counts);
             if file.widen {
                 batch.values.as_flattened_mut().iter_mut().for_each(|value| *value = value.saturating_mul(257));
             }
@@ -174,6 +175,8 @@ impl PointDecoder {
             classes: !set.options.exclude_classes.is_empty() || colour == Some(ColourSource::Class),
             intensity: colour == Some(ColourSource::Intensity),
             rgb,
+            source_ids: matches!(tag, Some(TagField::SourceId(_))),
+            times: matches!(tag, Some(TagField::GpsTime(_))),
         };
         let run = |packing, start, len, open, name| {
             let (points, memory_bytes) = (piece.points, set.options.memory_bytes);

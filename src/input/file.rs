@@ -3,7 +3,7 @@
 //! LAS and LAZ are read here and in the modules beside this; every other format is a [`Cloud`].
 
 use super::cloud::{self, Cloud, Depth, Opened, Opening, Standpoint};
-use super::convert::{Field, Layout, Transform};
+use super::convert::{Field, Layout, TagField, Transform};
 use super::crs;
 use super::header::LasHeader;
 use super::laz::{Chunk, Chunking, Packing};
@@ -11,7 +11,7 @@ use super::losses::Findings;
 use super::records::Records;
 use super::scenes::Scene;
 use super::source::Source;
-use super::{InputOptions, StatedBounds, Units, las};
+use super::{InputOptions, StatedBounds, Tag, Units, las};
 use crate::bytes::Stamp;
 use crate::colour::ColourSource;
 use crate::{Error, Monitor, Parameter, Result};
@@ -304,6 +304,24 @@ impl ScanFile {
             ColourSource::Intensity => Some(Field::Intensity),
             ColourSource::Class => Some(Field::Class(self.layout())),
         }
+    }
+
+    /// Where in a decoded record the tag of a point lies; `None` if its points have none.
+    pub(super) fn tag_field(&self, tag: Tag) -> Option<TagField> {
+        let (layout, format) = (self.layout(), self.point_format()?);
+        let (field, end) = match (tag, layout) {
+            (Tag::SourceId, Layout::Old) => (TagField::SourceId(18), 20),
+            (Tag::SourceId, Layout::Extended) => (TagField::SourceId(20), 22),
+            (Tag::GpsTime, Layout::Old) if matches!(format, 1 | 3..=5) => (TagField::GpsTime(20), 28),
+            (Tag::GpsTime, Layout::Old) => return None,
+            (Tag::GpsTime, Layout::Extended) => (TagField::GpsTime(22), 30),
+        };
+        (end <= usize::from(self.record_bytes)).then_some(field)
+    }
+
+    /// Whether its points have such a tag.
+    pub(crate) fn has_tags(&self, tag: Tag) -> bool {
+        self.tag_field(tag).is_some()
     }
 
     /// Whether its points have such values, as far as its header tells.

@@ -1,6 +1,7 @@
 //! Points in layers (LAZ of formats 6 to 10): only the point's own fields. Items behind the point (colours, extra bytes,
 //! waveforms) are stepped over: nothing of them is read, and no models are made for them.
 
+use super::laz::Wanted;
 use laz::DecompressionSelection;
 use laz::las::{v3, v4};
 use laz::record::LayeredFieldDecompressor;
@@ -12,13 +13,19 @@ pub(super) const POINT_BYTES: usize = 30;
 pub(super) const LAYERS: usize = 9;
 
 /// Places and flags of points, and what else is wanted.
-pub(super) fn selection(classes: bool, intensity: bool) -> DecompressionSelection {
+pub(super) fn selection(wanted: Wanted) -> DecompressionSelection {
     let mut selection = DecompressionSelection::base().decompress_z().decompress_flags();
-    if classes {
+    if wanted.classes {
         selection = selection.decompress_classification();
     }
-    if intensity {
+    if wanted.intensity {
         selection = selection.decompress_intensity();
+    }
+    if wanted.source_ids {
+        selection = selection.decompress_point_source_id();
+    }
+    if wanted.times {
+        selection = selection.decompress_gps_time();
     }
     selection
 }
@@ -58,10 +65,10 @@ impl Layers {
         record: &mut [u8],
         others: usize,
         sizes: usize,
-        (classes, intensity): (bool, bool),
+        wanted: Wanted,
     ) -> Result<()> {
         let decoder = self.decoder::<R>();
-        decoder.set_selection(selection(classes, intensity));
+        decoder.set_selection(selection(wanted));
         decoder.init_first_point(window, record, &mut 0)?;
         // Behind the other items stands the number of points, which is known.
         window.seek(SeekFrom::Current(others as i64 + 4))?;

@@ -5,7 +5,7 @@
 //! decoding; chunk table, chunk heads and counts are read and checked here.
 //!
 //! Memory of one decoder: one slab of records, one [`Window`], and for formats 6 to 10 the compressed layers of one chunk
-//! that are needed (x, y, z, flags; class, intensity and RGB only when they are wanted); more than the budget is an error.
+//! that are needed (x, y, z, flags; class, intensity, RGB, point source id and GPS time only when they are wanted); more than the budget is an error.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -345,9 +345,9 @@ impl Packing {
         }
         let Some(bytes) = source.bytes_at(at, len)? else { return Ok(None) };
         let size = |layer: usize| u64::from(u32_at(&bytes, self.record_bytes + 4 + 4 * layer));
-        // Layers of a point: x and y, z, class, flags, intensity, then what is never needed here.
+        // Layers of a point: x and y, z, class, flags, intensity, two that are never needed here, point source id, GPS time.
         let rgb = if self.rgb_at.is_some() { size(self.rgb_layer) } else { 0 };
-        let needed = [size(0), size(1), size(2), size(3), size(4), rgb];
+        let needed = [size(0), size(1), size(2), size(3), size(4), rgb, size(7), size(8)];
         let layers: u64 = (0..self.layers).map(size).sum();
         Ok(Some(Head { points: u32_at(&bytes, self.record_bytes), bytes: len as u64 + layers, needed }))
     }
@@ -364,7 +364,7 @@ struct Lost {
 struct Head {
     points: u32,
     bytes: u64,
-    needed: [u64; 6],
+    needed: [u64; 8],
 }
 
 fn check_count(source: &Source, count: u64, most: u64) -> Result<()> {
@@ -389,6 +389,8 @@ pub(super) struct Wanted {
     pub intensity: bool,
     /// The file has RGB, and it is needed.
     pub rgb: bool,
+    pub source_ids: bool,
+    pub times: bool,
 }
 
 /// The packed points of a chunk or a stream, and what decoding them needs to know.
@@ -454,8 +456,8 @@ impl PackedPoints<'_> {
         let Some(head) = self.packing.head(self.source, self.start, self.len)? else {
             return Err(self.damaged(0, "it is too short for its head"));
         };
-        let Wanted { classes, intensity, rgb } = self.wanted;
-        let wanted = [true, true, classes, true, intensity, rgb];
+        let Wanted { classes, intensity, rgb, source_ids, times } = self.wanted;
+        let wanted = [true, true, classes, true, intensity, rgb, source_ids, times];
         let needed: u64 = head.needed.iter().zip(wanted).filter(|(_, wanted)| *wanted).map(|(size, _)| size).sum();
         if head.bytes > self.len {
             return Err(self.damaged(0, &format!("its layers take {} bytes, it has {}", head.bytes, self.len)));
@@ -480,7 +482,7 @@ impl PackedPoints<'_> {
             if !matches!(fields, Ok(Ok(()))) {
                 return Err(self.damaged(0, "no decoder can be made of its items"));
             }
-            decoder.set_selection(layers::selection(classes, intensity).decompress_rgb());
+            decoder.set_selection(layers::selection(self.wanted).decompress_rgb());
             let done = self.fill(slab, sink, |record| decoder.decompress_next(record))?;
             return Ok((done, self.len - head.bytes));
         }
@@ -488,7 +490,7 @@ impl PackedPoints<'_> {
         let (others, sizes) = (self.packing.record_bytes - POINT_BYTES, 4 * (self.packing.layers - LAYERS));
         let mut first = true;
         let done = self.fill(slab, sink, |record| match std::mem::take(&mut first) {
-            true => layers.begin(&mut window, record, others, sizes, (classes, intensity)),
+            true => layers.begin(&mut window, record, others, sizes, self.wanted),
             false => layers.next::<Window>(record),
         })?;
         Ok((done, self.len - head.bytes))

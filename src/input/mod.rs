@@ -144,6 +144,16 @@ pub struct PointBatch {
     /// Values for colours, as many as points, or none where these have none or none are asked for: red, green and blue, up to 255 or
     /// up to 65,535 as the file has them; else the intensity or the class, and zeros.
     pub values: Vec<[u16; 3]>,
+    /// Which station measured each point, as many as points, or none where the file has none or none are asked for: its point source id or
+    /// its GPS time (s).
+    pub tags: Vec<f64>,
+}
+
+/// What tells which station measured a point of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Tag {
+    SourceId,
+    GpsTime,
 }
 
 impl PointBatch {
@@ -174,6 +184,7 @@ impl PointBatch {
             column.resize(points, 0.0);
         }
         self.values.truncate(points);
+        self.tags.truncate(points);
     }
 }
 
@@ -231,6 +242,8 @@ pub struct InputSet {
     losses: Losses,
     /// Sum of the hashes of what was decoded of each file; none if not asked for.
     hashes: Mutex<Vec<u128>>,
+    /// Tags that are read of points that have them.
+    tag: Option<Tag>,
 }
 
 impl InputSet {
@@ -303,7 +316,7 @@ impl InputSet {
         if let Some(source) = options.colour {
             files.iter_mut().try_for_each(|file| file.prepare_values(source))?;
         }
-        Ok(Self { files, meshes, options, crs, filters, losses, hashes })
+        Ok(Self { files, meshes, options, crs, filters, losses, hashes, tag: None })
     }
 
     /// Points that the headers and chunk tables lead to expect: for progress only.
@@ -399,6 +412,11 @@ impl InputSet {
     /// Reads values for colours from here on.
     pub(crate) fn set_colour(&mut self, source: Option<ColourSource>) {
         self.options.colour = source;
+    }
+
+    /// Reads such tags from here on.
+    pub(crate) fn set_tag(&mut self, tag: Option<Tag>) {
+        self.tag = tag;
     }
 
     /// Whether points of some file have such values, as far as headers tell.

@@ -143,6 +143,28 @@ fn the_walker_arrives_along_routes_through_a_house_of_three_storeys() {
 }
 
 #[test]
+fn the_walker_follows_up_stairs_whose_second_riser_is_just_about_as_high_as_it_climbs() {
+    let mut random = Random(17);
+    for riser in [0.165, 0.173, 0.1745, 0.175, 0.1755, 0.177] {
+        let params = Params::new().with("riser", riser).with("risers", 8.0);
+        let store = world::world(&Scene::named("stairs", &params).unwrap(), 0.002);
+        for body in [Body::Box { x: 0.5, y: 0.5, height: 1.8 }, Body::Cylinder { radius: 0.25, height: 1.8 }] {
+            let (mut standing, region) = reached(&store, Pawn::new(body), [-1.0, 0.0, 0.0]);
+            let mut search = Search::new();
+            for _ in 0..10 {
+                let mut across = || f64::from(random.below(1000)) / 1000.0 - 0.5;
+                let (low, high) = (Point3::new(-1.0, across(), 0.1), Point3::new(3.2, across(), 8.0 * riser + 0.1));
+                let [a, b] = [low, high].map(|at| spot(&mut standing, &store, at).unwrap());
+                for (from, to) in [(a, b), (b, a)] {
+                    let route = way(&mut search, &region, &from, &to).unwrap();
+                    assert!(arrives(&store, body, &route), "{body:?}, risers of {riser} m: {low} and {high}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn who_keeps_from_drops_falls_out_of_no_scene() {
     const MAX_DROP: f64 = 0.35;
     let mut stops = 0;

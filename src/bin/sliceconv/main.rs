@@ -96,8 +96,9 @@ struct Arguments {
     /// Remove points that moved: those whose place other stations saw through
     #[arg(long)]
     remove_moving: bool,
-    /// Where the scanner of each scan stood: a table with the columns file,x,y,z in the scan's coordinates. E57 with poses and PTX
-    /// state it themselves; the table comes first
+    /// Where the scanners stood: a table with the columns file,x,y,z in the scan's coordinates; with a column source_id a row is for the
+    /// points of that point source id, with a column t the rows are the scanner's way by GPS time (s). E57 with poses and PTX state it
+    /// themselves; the table comes first
     #[arg(long, requires = "remove_moving", value_name = "STATIONS.csv")]
     stations: Option<PathBuf>,
     /// Write the points that were removed as moving to a LAS file

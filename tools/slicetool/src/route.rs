@@ -79,7 +79,21 @@ pub fn run(arguments: &Arguments) -> Outcome {
             let about = level.map_or(String::new(), |level| format!("about, on overview level {level}: "));
             crate::say(&format!("{about}{:.2} m over {} places", route.length_m, route.points.len()));
         }
-        Err(refusal) => crate::say(&format!("no route: {}", refusal.name())),
+        Err(refusal) => {
+            let why = match refusal {
+                Refusal::NotStandingFrom => {
+                    "the pawn cannot stand at --from; `slicetool reach` shows where it can".to_owned()
+                }
+                Refusal::NotStandingTo => {
+                    "the pawn cannot stand at --to; `slicetool reach` shows where it can".to_owned()
+                }
+                Refusal::NotConnected => {
+                    "no way leads there for this pawn; try a lower --pawn or a higher --climb".to_owned()
+                }
+                other => other.name().to_owned(),
+            };
+            crate::say(&format!("no route: {why}"));
+        }
     }
     Ok(if arguments.output.is_some() { String::new() } else { rows })
 }

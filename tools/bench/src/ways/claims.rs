@@ -7,6 +7,8 @@ use slicewalk::frame::Frame;
 
 /// A claim and a floor that lie nearer to each other are about the same place, beyond a climb (m).
 const NEAR_M: f64 = 0.03;
+/// A floor's verdict is promised to turn within so much of the steepest floor (degrees).
+const VERDICT_DEG: f64 = 3.0;
 /// What feet may rest on without being in the way of the body (m).
 const FEET_M: f64 = 0.01;
 
@@ -82,10 +84,10 @@ pub struct Judged {
     pub places: u64,
     /// Where one can stand, but a pixel under the footprint holds no point of a floor.
     pub not_scanned: u64,
-    /// Of the places, those not claimed: next to the border, and others.
+    /// Of the places, those not claimed: at the border, and others.
     pub border_missed: u64,
     pub missed: Vec<(Pixel, f64)>,
-    /// All claims; of these, where one cannot stand: next to a place where one can; where what is in the way was not scanned; others.
+    /// All claims; of these, where one cannot stand: at the border of where one can; where what is in the way was not scanned; others.
     pub claims: u64,
     pub border_wrong: u64,
     pub unseen: u64,
@@ -142,15 +144,17 @@ impl Question<'_> {
         all.filter(|&[i, j]| gap(i).hypot(gap(j)) < self.radius - 1e-6).collect()
     }
 
-    /// Whether one can stand in one of `pixels` (from `pixel`) at a floor about `z`.
-    fn stands_near(&self, pixel: Pixel, z: f64, want_all: bool) -> bool {
-        let near = |[i, j]: Pixel| {
-            let [x, y] = self.middle([pixel[0] + i, pixel[1] + j]);
+    /// Whether one can stand about `z` everywhere, or anywhere, in a pixel and within one pixel of it, on floor up to `limit_deg` steep.
+    fn stands_near(&self, pixel: Pixel, z: f64, want_all: bool, limit_deg: f64) -> bool {
+        let middle = self.middle(pixel);
+        let near = |[i, j]: [i32; 2]| {
+            // A little farther, for what lies on the line between two pixels belongs to the next one.
+            let [x, y] = [(0, i), (1, j)].map(|(axis, n)| middle[axis] + 0.501 * f64::from(n) * self.frame.pixel_m());
             let all = self.floors.over(x, y);
             let mut own = all.iter().filter(|floor| (floor.0 - z).abs() <= CLIMB + NEAR_M);
-            own.any(|&(z, slope)| self.floors.stands([x, y, z], slope, self.radius).is_some())
+            own.any(|&(z, slope)| self.floors.stands([x, y, z], slope, self.radius, limit_deg).is_some())
         };
-        let mut around = (-1..=1).flat_map(|j| (-1..=1).map(move |i| [i, j]));
+        let mut around = (-3..=3).flat_map(|j| (-3..=3).map(move |i| [i, j]));
         if want_all { around.all(near) } else { around.any(near) }
     }
 
@@ -163,7 +167,7 @@ impl Question<'_> {
             let claimed = claims(pixel);
             let floors = self.floors.over(x, y);
             let stands: Vec<_> =
-                floors.iter().map(|&(z, slope)| self.floors.stands([x, y, z], slope, self.radius)).collect();
+                floors.iter().map(|&(z, slope)| self.floors.stands([x, y, z], slope, self.radius, SLOPE_DEG)).collect();
             let under = || footprint.iter().map(|[i, j]| self.points.at([pixel[0] + i, pixel[1] + j]));
             for (&(z, _), heights) in floors.iter().zip(&stands) {
                 let Some([low, high]) = *heights else { continue };
@@ -175,7 +179,7 @@ impl Question<'_> {
                 let off = |claim: &f64| (claim - high).max(low - claim).max(0.0);
                 let about = claimed.iter().filter(|claim| is_about(**claim, z));
                 let Some(&claim) = about.min_by(|a, b| off(a).total_cmp(&off(b))) else {
-                    if self.stands_near(pixel, z, true) {
+                    if self.stands_near(pixel, z, true, SLOPE_DEG - VERDICT_DEG) {
                         judged.missed.push((pixel, z));
                     } else {
                         judged.border_missed += 1;
@@ -195,8 +199,8 @@ impl Question<'_> {
                     continue;
                 }
                 let in_body = |at: f64| at > claim + FEET_M && at < claim + HEIGHT;
-                let is_blocked = floors.iter().any(|&(z, slope)| is_about(claim, z) && slope <= SLOPE_DEG);
-                if self.stands_near(pixel, claim, false) {
+                let is_blocked = floors.iter().any(|floor| is_about(claim, floor.0));
+                if self.stands_near(pixel, claim, false, SLOPE_DEG + VERDICT_DEG) {
                     judged.border_wrong += 1;
                 } else if excuse && is_blocked && !under().flatten().any(|point| in_body(point.0)) {
                     judged.unseen += 1;

@@ -105,7 +105,20 @@ impl Places {
         let region = match from {
             Some([x, y, z]) => {
                 let mut standing = StandingPlaces::new(&converted.store, pawn)?;
-                match spot(&converted.store, &mut standing, [x, y, z + 0.1])? {
+                // Where the start of the walk itself was not scanned, a place near it.
+                let pixel_m = converted.archive.frame().pixel_m();
+                let mut start = None;
+                for ring in 0..=40 {
+                    for n in 0..8 * ring.max(1) {
+                        let (sin, cos) =
+                            (f64::from(n) / f64::from(ring.max(1)) * std::f64::consts::FRAC_PI_4).sin_cos();
+                        let far = f64::from(ring) * pixel_m;
+                        if start.is_none() {
+                            start = spot(&converted.store, &mut standing, [x + far * cos, y + far * sin, z + 0.1])?;
+                        }
+                    }
+                }
+                match start {
                     Some(start) => reached(&converted.store, &mut standing, start)?,
                     None => return Err("nowhere to start".into()),
                 }
@@ -317,6 +330,10 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
             all_causes.add(causes);
             all.merge(&judged);
             eprintln!("{title} {radius}: missed {:?} wrong {:?}", sample(&judged.missed), sample(&judged.wrong));
+            for (pixel, _) in sample(&judged.wrong) {
+                let [x, y] = pixel.map(|v| (v as f64 + 0.5) * pixel_m);
+                eprintln!("  surfaces at {x:.3}, {y:.3}: {:.3?}", floors.over(x, y));
+            }
         }
     }
     let words = format!(

@@ -90,15 +90,18 @@ pub fn run(arguments: &Arguments) -> Outcome {
 }
 
 fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
-    let at = |at: nalgebra::Point3<f64>, name: &str, value: f64| serde_json::json!({ "x": at.x, "y": at.y, "z": at.z, name: value });
+    let at = |at: nalgebra::Point3<f64>, name: &str, value: f64| {
+        let [x, y, z, value] = [at.x, at.y, at.z, value].map(tidy);
+        serde_json::json!({ "x": x, "y": y, "z": z, name: value })
+    };
     let region = &reach.region;
     let summary = serde_json::json!({
-        "area_m2": region.area_m2(),
-        "storeys": reach.storeys.all.iter().map(|storey| serde_json::json!({ "z": storey.z, "area_m2": storey.area_m2 })).collect::<Vec<_>>(),
+        "area_m2": tidy(region.area_m2()),
+        "storeys": reach.storeys.all.iter().map(|storey| serde_json::json!({ "z": tidy(storey.z), "area_m2": tidy(storey.area_m2) })).collect::<Vec<_>>(),
         "passages": reach.passages.iter().map(|passage| at(passage.at, "width", passage.width)).collect::<Vec<_>>(),
         "leaks": reach.leaks.iter().map(|leak| serde_json::json!({
-            "x": leak.at.x, "y": leak.at.y, "z": leak.at.z,
-            "width": leak.width, "drop": leak.drop, "kind": leak.kind.name(),
+            "x": tidy(leak.at.x), "y": tidy(leak.at.y), "z": tidy(leak.at.z),
+            "width": tidy(leak.width), "drop": leak.drop.map(tidy), "kind": leak.kind.name(),
         })).collect::<Vec<_>>(),
         "lowest_headroom": region.lowest_headroom().map(|(place, room)| at(place.feet, "height", room)),
         "highest_step": region.highest_step().map(|(place, rise)| at(place.feet, "height", rise)),
@@ -108,6 +111,11 @@ fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
         "seconds": seconds,
     });
     Ok(format!("{summary:#}\n"))
+}
+
+/// A length or an area without the rounding errors of sums: to a millionth.
+fn tidy(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
 }
 
 fn text(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
