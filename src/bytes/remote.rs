@@ -8,8 +8,11 @@
 
 mod text;
 mod transport;
+mod upload;
 
-use super::ByteSource;
+pub(crate) use upload::{check_upload, upload};
+
+use super::{ByteSource, FileId, Stamp};
 use crate::{Error, Result};
 use base64::Engine;
 use futures_util::StreamExt;
@@ -103,7 +106,8 @@ impl RemoteSource {
         let url = Url::parse(url).map_err(|error| refused(error.to_string()))?;
         let name = public_name(&url);
         refuse_tasks(&name)?;
-        let (store, path) = connect(url, options).map_err(refused)?;
+        let (store, path) =
+            connect(url, options, RetryConfig { max_retries: 0, ..RetryConfig::default() }).map_err(refused)?;
         let runtime = Builder::new_current_thread().enable_all().build();
         let runtime = Some(runtime.map_err(|error| Error::io(&name, "start its runtime", error))?);
         let meta = ObjectMeta {
@@ -117,6 +121,23 @@ impl RemoteSource {
         let (meta, first) = source.get(0..FIRST, None)?;
         (source.meta, source.first) = (meta, first);
         Ok(source)
+    }
+
+    /// The version that was opened.
+    #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
+    pub(super) fn stamp(&self) -> Stamp {
+        let ObjectMeta { size, last_modified, e_tag, version, .. } = &self.meta;
+        let hash = |bytes: &[u8]| xxhash_rust::xxh3::xxh3_64(bytes);
+        let version = format!("{e_tag:?} {version:?}");
+        let id = FileId::of_object(hash(self.name.as_bytes()), hash(version.as_bytes()));
+        // A server that does not say gives the beginning of time.
+        let modified = (last_modified.timestamp() > 0).then(|| (*last_modified).into());
+        Stamp::of_object(*size, modified, id)
+    }
+
+    /// Whether all bytes before `end` came with the first request.
+    pub(super) fn holds(&self, end: u64) -> bool {
+        end <= self.first.len() as u64
     }
 
     /// The bytes of `range` that the object has, of the version `known`, or of any.
@@ -291,10 +312,10 @@ fn same_version(meta: &ObjectMeta) -> GetOptions {
 }
 
 /// The store that serves `url`, and the path of the object in it.
-fn connect(mut url: Url, options: &RemoteOptions) -> Result<(Box<dyn ObjectStore>, Path), String> {
+///
+/// For reading without repetitions of its own: those are made here, where a server's wish to wait and the version are known.
+fn connect(mut url: Url, options: &RemoteOptions, retry: RetryConfig) -> Result<(Box<dyn ObjectStore>, Path), String> {
     let client = ClientOptions::new().with_timeout(options.timeout).with_connect_timeout(options.timeout);
-    // Requests are repeated here, where a server's wish to wait and the version are known.
-    let retry = RetryConfig { max_retries: 0, ..RetryConfig::default() };
     let text = |error: object_store::Error| one_line(&error.to_string());
     let web = matches!(url.scheme(), "http" | "https");
     let authorization = basic_authorization(&url);

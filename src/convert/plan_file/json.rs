@@ -1,7 +1,7 @@
 //! Plan files as JSON.
 
 use super::{InputFacts, PlanFile};
-use crate::bytes::open_regular;
+use crate::bytes::open_named;
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::Frame;
 use crate::info::noise_info;
@@ -11,7 +11,7 @@ use crate::output::{Existing, Output, OutputKind, PLAN_KEY, Protected};
 use crate::plan::{ClassSet, Classifier, Noise, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use serde_json::{Value, json};
-use std::io::Read;
+use std::io;
 use std::path::Path;
 
 /// Version of plan files that is written and read.
@@ -77,13 +77,15 @@ impl PlanFile {
 
     /// Reads the plan file at `path`.
     pub fn read(path: &Path) -> Result<Self> {
-        let (mut file, about) = open_regular(path).map_err(|error| Error::io(path, "open", error))?;
-        if about.len() > MAX_BYTES {
+        let source = open_named(path)?;
+        if source.len() > MAX_BYTES {
             let what = format!("bytes of the plan file {}", path.display());
-            return Err(Error::limit(what, about.len(), MAX_BYTES));
+            return Err(Error::limit(what, source.len(), MAX_BYTES));
         }
-        let mut text = String::new();
-        file.read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
+        let mut bytes = vec![0; source.len() as usize];
+        source.read_at(0, &mut bytes)?;
+        let text = String::from_utf8(bytes)
+            .map_err(|error| Error::io(path, "read", io::Error::new(io::ErrorKind::InvalidData, error.utf8_error())))?;
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let value: Value = serde_json::from_str(text).map_err(|error| {
             Error::input(path, format!("line {}", error.line()), format!("no plan in JSON: {error}; write it again"))

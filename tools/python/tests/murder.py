@@ -82,10 +82,8 @@ def cluster_of(folder: Path, port: int, processes: list[subprocess.Popen]) -> No
     processes.append(
         start(folder, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard")
     )
-    for _ in range(2):
-        processes.append(
-            start(folder, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
-        )
+    worker = ("distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+    processes.extend(start(folder, *worker) for _ in range(2))
 
 
 def client_of(port: int) -> None:
@@ -121,7 +119,10 @@ def scheduler(runs: int, seed: int = 1) -> None:
                 for round_ in range(2):
                     if round_ == 0 or both:
                         client = subprocess.Popen(
-                            [sys.executable, __file__, "client", str(port)], cwd=folder, stdout=subprocess.PIPE, text=True
+                            [sys.executable, __file__, "client", str(port)],
+                            cwd=folder,
+                            stdout=subprocess.PIPE,
+                            text=True,
                         )
                     cluster_of(folder, port, processes)
                     if client.stdout and (round_ == 0 or both):

@@ -10,14 +10,15 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip("distributed")
+
+import cloudpickle
+import dask
+import distributed
+
 import slicewalk
 import tiles
-
-distributed = pytest.importorskip("distributed")
-import cloudpickle  # noqa: E402
-import dask  # noqa: E402
-
-from slicewalk import cluster as sut  # noqa: E402
+from slicewalk import cluster as sut
 
 HERE = Path(__file__).parent
 # Dask's own sockets and loops at the end of a test.
@@ -35,7 +36,9 @@ def scans(tmp_path_factory):
 @pytest.fixture(scope="module")
 def client():
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit="1GiB") as local,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit="1GiB"
+        ) as local,
         distributed.Client(local) as client,
     ):
         yield client
@@ -159,7 +162,9 @@ def test_discard_removes_what_is_left(scans, tmp_path, client):
 
 def test_a_worker_with_too_little_memory_says_so(scans, tmp_path):
     with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=4, dashboard_address=None, memory_limit="400MiB") as local,
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=4, dashboard_address=None, memory_limit="400MiB"
+        ) as local,
         distributed.Client(local) as client,
         pytest.raises(slicewalk.LimitError, match="start workers with"),
     ):

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from distributed import WorkerPlugin
 
 import scan
 
@@ -26,7 +27,7 @@ def tiles(folder: Path, points: int = 12_000) -> list[Path]:
     return paths
 
 
-class Murder:
+class Murder(WorkerPlugin):
     """Plugin of workers: a share of the steps loses its worker to SIGKILL, at some moment of the step or after it."""
 
     name = "murder"
@@ -36,7 +37,7 @@ class Murder:
         self.share, self.within, self.seed = share, within, seed
 
     def setup(self, worker=None) -> None:
-        import slicewalk.cluster as cluster
+        from slicewalk import cluster
 
         make, dice = cluster._make, random.Random((self.seed, os.getpid(), time.time_ns()).__hash__())
 
@@ -49,12 +50,6 @@ class Murder:
         if not hasattr(make, "deadly"):
             deadly.deadly = True
             cluster._make = deadly
-
-    def teardown(self, worker=None) -> None:
-        pass
-
-    def transition(self, key, start, finish, **kwargs) -> None:
-        pass
 
 
 def leftovers(folder: Path) -> list[str]:

@@ -1,0 +1,126 @@
+//! Writing an object: whole or not at all.
+
+use super::{connect, one_line, public_name, refuse_tasks};
+use crate::bytes::named::patient;
+use crate::{Error, Parameter, Result};
+use object_store::path::Path;
+use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt, ObjectStoreScheme, PutMode, PutPayload, RetryConfig};
+use std::io;
+use tokio::runtime::Builder;
+use url::Url;
+
+/// Bytes of a part of an upload, unless there would be too many parts.
+const PART: u64 = 8 << 20;
+/// Most parts; stores allow 10,000.
+const MOST_PARTS: u64 = 9000;
+
+/// What an upload failed by.
+enum Failed {
+    Store(object_store::Error),
+    Local(Error),
+    Exists,
+    Other(String),
+}
+
+impl From<object_store::Error> for Failed {
+    fn from(error: object_store::Error) -> Self {
+        match error {
+            object_store::Error::AlreadyExists { .. } | object_store::Error::Precondition { .. } => Self::Exists,
+            error => Self::Store(error),
+        }
+    }
+}
+
+/// Whether objects can be written at `address`; `Err` says why not.
+pub(crate) fn check_upload(address: &str) -> Result<()> {
+    let refused = |reason: String| Error::parameter("address of an output", reason);
+    let url = Url::parse(address).map_err(|error| refused(error.to_string()))?;
+    match ObjectStoreScheme::parse(&url) {
+        Ok((ObjectStoreScheme::AmazonS3, _)) if url.query().is_none() => Ok(()),
+        _ => Err(refused(format!("{}: only s3:// addresses and files can be written", public_name(&url)))),
+    }
+}
+
+/// Writes the `len` bytes that `read` gives to the object at `address`: in one request, or in parts that the last request
+/// joins, so that the object is there whole or not at all. Failed requests are repeated for some minutes. If `create`,
+/// an object that is there stays: a small one is written on that condition, a large one if none is there just before the end.
+///
+/// Memory: one part, 8 MiB up to 70 GiB. What a killed upload leaves is invisible; a rule of the bucket removes it.
+pub(crate) fn upload(
+    address: &str,
+    len: u64,
+    create: bool,
+    read: &mut dyn FnMut(u64, &mut [u8]) -> Result<()>,
+) -> Result<()> {
+    check_upload(address)?;
+    let refused = |reason: String| Error::parameter("address of an output", reason);
+    let url = Url::parse(address).map_err(|error| refused(error.to_string()))?;
+    let name = public_name(&url);
+    refuse_tasks(&name)?;
+    let (store, path) =
+        connect(url, &patient(), RetryConfig { max_retries: 8, ..RetryConfig::default() }).map_err(refused)?;
+    let runtime = Builder::new_current_thread().enable_all().build();
+    let runtime = runtime.map_err(|error| Error::io(&name, "start its runtime", error))?;
+    runtime.block_on(put(&*store, &path, len, create, read)).map_err(|failed| match failed {
+        Failed::Local(error) => error,
+        Failed::Exists => Error::output(&name, "exists already").with_way_out(Parameter::Overwrite),
+        Failed::Store(error) => Error::io(&name, "write", io::Error::other(one_line(&error.to_string()))),
+        Failed::Other(reason) => Error::io(&name, "write", io::Error::other(reason)),
+    })
+}
+
+async fn put(
+    store: &dyn ObjectStore,
+    path: &Path,
+    len: u64,
+    create: bool,
+    read: &mut dyn FnMut(u64, &mut [u8]) -> Result<()>,
+) -> Result<(), Failed> {
+    let part = PART.max(len.div_ceil(MOST_PARTS));
+    let mut bytes_at = |at: u64| -> Result<PutPayload, Failed> {
+        let mut bytes = vec![0; (len - at).min(part) as usize];
+        read(at, &mut bytes).map_err(Failed::Local)?;
+        Ok(bytes.into())
+    };
+    if len <= part {
+        let mode = if create { PutMode::Create } else { PutMode::Overwrite };
+        store.put_opts(path, bytes_at(0)?, mode.into()).await?;
+    } else {
+        let mut upload = store.put_multipart(path).await?;
+        let sent = send(store, path, len, part, create, &mut *upload, &mut bytes_at).await;
+        if let Err(failed) = sent {
+            // If that fails too, its parts stay invisible.
+            let _ = upload.abort().await;
+            return Err(failed);
+        }
+    }
+    match store.head(path).await? {
+        found if found.size == len => Ok(()),
+        found => {
+            Err(Failed::Other(format!("the store says that it has {} bytes of {len}; write it again", found.size)))
+        }
+    }
+}
+
+async fn send(
+    store: &dyn ObjectStore,
+    path: &Path,
+    len: u64,
+    part: u64,
+    create: bool,
+    upload: &mut dyn MultipartUpload,
+    bytes_at: &mut dyn FnMut(u64) -> Result<PutPayload, Failed>,
+) -> Result<(), Failed> {
+    for at in (0..len).step_by(part as usize) {
+        upload.put_part(bytes_at(at)?).await?;
+    }
+    if create {
+        match store.head(path).await {
+            Ok(_) => return Err(Failed::Exists),
+            Err(object_store::Error::NotFound { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
+    upload.complete().await?;
+    Ok(())
+}
