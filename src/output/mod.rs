@@ -104,6 +104,12 @@ impl Output {
         self.temporary.read_at(offset, buf)
     }
 
+    /// The target as the user names it.
+    #[cfg(feature = "convert")]
+    pub(crate) fn name(&self) -> &Path {
+        &self.name
+    }
+
     /// The disk that it is written to.
     pub(crate) fn files(&self) -> &Files {
         &self.files

@@ -99,6 +99,13 @@ def client_of(port: int) -> None:
     print(json.dumps({name: report[name] for name in ("parts", "retries", "skipped", "seconds")}), flush=True)
 
 
+def await_parts(folder: Path, count: int) -> None:
+    """Wait until so many parts are done."""
+    ends = time.monotonic() + 60
+    while len(list(folder.glob(".out.slices.slicewalk-cluster/*-0-*.slices"))) < count and time.monotonic() < ends:
+        time.sleep(0.005)
+
+
 def scheduler(runs: int, seed: int = 1) -> None:
     """Kill the scheduler at some moment of a conversion. In every other run its client dies too."""
     import socket
@@ -128,7 +135,7 @@ def scheduler(runs: int, seed: int = 1) -> None:
                     if client.stdout and (round_ == 0 or both):
                         assert client.stdout.readline() == "ready\n"
                     if round_ == 0:
-                        time.sleep(dice.uniform(0.1, 1.2))
+                        await_parts(folder, dice.randrange(9))
                         if both:
                             end([client])
                         processes[0].send_signal(signal.SIGKILL)

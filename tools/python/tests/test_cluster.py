@@ -184,6 +184,15 @@ def test_a_step_that_kills_its_workers_ends_the_conversion(scans, tmp_path):
     assert not (tmp_path / "out.slices").exists()
 
 
+def test_without_workers_patience_ends(scans, tmp_path):
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as local,
+        distributed.Client(local) as client,
+        pytest.raises(sut.WorkerLostError, match="no worker for 3 s"),
+    ):
+        converted(scans, tmp_path, client, patience=3)
+
+
 @pytest.mark.parametrize("who", ["workers", "scheduler"])
 def test_whatever_is_killed_the_bytes_are_those_of_the_single_run(who):
     runs = {"workers": "3", "scheduler": "2"}[who]

@@ -17,6 +17,10 @@ import scan
 OPTIONS = {"pixel": 0.1, "units": "m", "quiet": True}
 
 
+YOUNG = 1.0
+"""Seconds for which a new worker is spared."""
+
+
 def tiles(folder: Path, points: int = 12_000) -> list[Path]:
     """Twelve files of 10 × 8 m, four by three, that overlap a little."""
     paths = []
@@ -39,11 +43,13 @@ class Murder(WorkerPlugin):
     def setup(self, worker=None) -> None:
         from slicewalk import cluster
 
+        born = time.monotonic()
         make, dice = cluster._make, random.Random((self.seed, os.getpid(), time.time_ns()).__hash__())
 
         def deadly(*arguments):
             if dice.random() < self.share:
-                wait = dice.uniform(0, self.within)
+                # Dask does not replace a worker that dies before its nanny knows that it lives.
+                wait = max(dice.uniform(0, self.within), born + YOUNG - time.monotonic())
                 threading.Timer(wait, os.kill, (os.getpid(), signal.SIGKILL)).start()
             return make(*arguments)
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import platform
 import queue
@@ -57,6 +58,7 @@ INTERPRETER = 128 << 20
 """What a worker takes itself (bytes)."""
 _PASSING = 2
 _TICK = 0.2
+_LOOK = 2.0
 _ARCHIVE = b"\x89SLIC\r\n\x1a"
 
 
@@ -104,6 +106,7 @@ def convert(  # noqa: PLR0913
     threads: int = 1,
     fan_in: int = 64,
     failures: int = 16,
+    patience: float = 600.0,
     progress: _Progress | None = None,
     force: bool = False,
     temp_dir: StrPath | None = None,
@@ -122,6 +125,7 @@ def convert(  # noqa: PLR0913
         fan_in: most archives that one step joins, at least 2
         failures: how often one step may lose its worker before the conversion fails. Dask itself gives a step up after
             ``distributed.scheduler.allowed-failures`` + 1 losses (4 by default); it is submitted again until then
+        patience: how long the conversion waits while there is no worker at all, seconds
         progress: called with stage ("plan", "parts", "merge", "verify"), amount done, total and unit, five times a
             second; what it raises ends the conversion, as Ctrl-C does
         force: replace an existing archive
@@ -137,7 +141,7 @@ def convert(  # noqa: PLR0913
 
     Raises:
         OutputError: the archive exists already
-        WorkerLostError: a step lost its worker more than `failures` times
+        WorkerLostError: a step lost its worker more than `failures` times, or no worker came within `patience`
         SchedulerLostError: the scheduler died and was not back within the client's timeout
         Error: what `slicewalk.convert` and `slicewalk.merge` raise, from the worker
 
@@ -181,7 +185,7 @@ def convert(  # noqa: PLR0913
         version=slicewalk.__version__,
     )
     steps = _tree(key, count, fan_in)
-    driver = _Driver(job, client, steps, failures, progress)
+    driver = _Driver(job, client, steps, failures=failures, patience=patience, progress=progress)
     try:
         ran = driver.run()
     except Error as error:
@@ -455,10 +459,18 @@ def _bytes(memory: int | str) -> int:
 class _Driver:
     """Keeps every step that can run in the hands of the scheduler until all are done."""
 
-    def __init__(
-        self, job: _Job, client: Any, steps: Sequence[_Step], failures: int, progress: _Progress | None
+    def __init__(  # noqa: PLR0913
+        self,
+        job: _Job,
+        client: Any,
+        steps: Sequence[_Step],
+        *,
+        failures: int,
+        patience: float,
+        progress: _Progress | None,
     ) -> None:
         self.job, self.client, self.failures, self.progress = job, client, failures, progress
+        self.patience, self.looked, self.alone_since = patience, time.monotonic(), math.inf
         self.steps = {step.name: step for step in steps}
         self.above = {member: step for step in steps for member in step.members}
         self.waits = {step.name: len(step.members) for step in steps}
@@ -475,8 +487,10 @@ class _Driver:
             self._submit(step for step in self.steps.values() if not step.members)
             while len(self.done) < len(self.steps):
                 self._tell()
-                with contextlib.suppress(queue.Empty):
+                try:
                     self._settle(self.ended.get(timeout=_TICK))
+                except queue.Empty:
+                    self._look_for_workers()
             self._tell()
         except BaseException:
             self._stop()
@@ -526,6 +540,20 @@ class _Driver:
             self.passing += 1
             return self._submit([step])
         raise error
+
+    def _look_for_workers(self) -> None:
+        """Give up if there has been no worker for too long."""
+        now = time.monotonic()
+        if now - self.looked < _LOOK or self.client.status != "running":
+            return
+        self.looked = now
+        if self.client.nthreads():
+            self.alone_since = math.inf
+        else:
+            self.alone_since = min(self.alone_since, now)
+        if now - self.alone_since >= self.patience:
+            message = f"no worker for {self.patience:g} s; start workers and call again with the same arguments"
+            raise WorkerLostError(message, hint="start workers and call again")
 
     def _again(self) -> None:
         """Submit what is not done, once another scheduler has the address of the one that is gone."""
