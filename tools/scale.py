@@ -29,9 +29,9 @@ class Survey:
 
 SURVEYS = {
     # AHN4: the Netherlands in about 1,370 sheets of 5 x 6.25 km, published as 640 G points; as tiles of 1 km2.
-    "ahn": Survey(tiles=41_500, points=640e9, area_m2=41.5e9, pixel_m=0.5, laz_bytes_a_point=4.2),
+    "ahn": Survey(tiles=41_500, points=640e9, area_m2=41.5e9, pixel_m=0.5, laz_bytes_a_point=5.5),
     # All land without ice in tiles of 1 km2, at 10 points a square metre.
-    "world": Survey(tiles=100_000_000, points=1e15, area_m2=100e12, pixel_m=0.5, laz_bytes_a_point=4.2),
+    "world": Survey(tiles=100_000_000, points=1e15, area_m2=100e12, pixel_m=0.5, laz_bytes_a_point=5.5),
 }
 
 
@@ -39,15 +39,15 @@ SURVEYS = {
 class Constants:
     """Measured on the machine of `docs/scale.md`; a core is one of its cores."""
 
-    points_a_second: float = 3.0e6
+    points_a_second: float = 1.24e6
     """Points of LAZ that one thread converts in a second."""
     spilled_bytes_a_point: float = 8.0
     """Temporary bytes a point of a part that does not fit its memory."""
-    archive_bytes_a_m2: float = 0.5
+    archive_bytes_a_m2: float = 10.4
     """Archive bytes a square metre at the survey's pixel size."""
-    pages_a_column: float = 1.3
+    pages_a_column: float = 2.2
     """Pages (64 x 64 pixels, 64 slices) above one tile column with matter."""
-    merged_pages_a_second: float = 20_000.0
+    merged_pages_a_second: float = 16_000.0
     """Pages that one merge reads, checks and writes in a second."""
     read_again: float = 0.15
     """Share of the input that parts read besides their own: files that the border of a part cuts."""
@@ -55,7 +55,7 @@ class Constants:
     """Requests that a plan or a part sends to know a tile: header, records, chunk table, eight samples."""
     bytes_a_request: float = 8e6
     """Bytes of a request for points."""
-    plan_seconds_a_tile: float = 0.0005
+    plan_seconds_a_tile: float = 0.0004
     most_pages: float = 512 * 2**20
     """Pages of one archive (spec, chapter 5)."""
     most_parts: int = 65_536
@@ -138,7 +138,7 @@ def breaks(survey: Survey, constants: Constants, cluster: Cluster) -> list[tuple
         ("parts of one plan", constants.most_parts / cluster.parts),
         ("shared inputs of one part", constants.most_shared / border),
         ("shared inputs of one node of the tree", constants.most_shared / node),
-        ("plan file of 64 MiB, at 330 bytes a tile", (64 << 20) / (330 * survey.tiles)),
+        ("plan file of 64 MiB, at 390 bytes a tile", (64 << 20) / (390 * survey.tiles)),
         ("samples of all tiles by all parts, within 10^9 requests", 1e9 / all_known),
         ("last merge by one thread, within a day", 86400 * constants.merged_pages_a_second / pages),
     ]

@@ -44,7 +44,11 @@ pub(crate) fn open_named(path: &Path) -> Result<Box<dyn ByteSource>> {
 
 #[cfg(not(feature = "remote"))]
 pub(crate) fn without_feature(path: &Path) -> Error {
-    Error::unsupported(format!("the address {}", path.display()), "build with the feature `remote`, or copy it here")
+    Error::input(
+        path,
+        "address",
+        "this build reads and writes files only; build it with --features remote, or use a file",
+    )
 }
 
 /// Conversions take hours: a server gets a minute, and about ten seconds of repetitions.
@@ -54,6 +58,7 @@ pub(super) fn patient() -> super::RemoteOptions {
 }
 
 /// An input that is read by position, and noticed to change.
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
 #[derive(Debug)]
 pub(crate) enum Input {
     /// A regular file.

@@ -16,7 +16,7 @@ use super::{ByteSource, FileId, Stamp};
 use crate::{Error, Result};
 use base64::Engine;
 use futures_util::StreamExt;
-use object_store::aws::AmazonS3Builder;
+use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::client::HttpError;
 use object_store::http::HttpBuilder;
 use object_store::local::LocalFileSystem;
@@ -333,6 +333,15 @@ fn connect(mut url: Url, options: &RemoteOptions, retry: RetryConfig) -> Result<
                 .with_retry(retry)
                 .with_http_connector(Connector { authorization: None })
                 .with_url(url.as_str());
+            // Options of the client in the environment, such as AWS_ALLOW_HTTP, which those above replaced.
+            for (name, value) in std::env::vars_os() {
+                if let (Some(name), Some(value)) = (name.to_str(), value.to_str())
+                    && name.starts_with("AWS_")
+                    && let Ok(key @ AmazonS3ConfigKey::Client(_)) = name.to_ascii_lowercase().parse()
+                {
+                    builder = builder.with_config(key, value);
+                }
+            }
             for (key, value) in &options.settings {
                 builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text)?, value);
             }

@@ -10,7 +10,7 @@ use tokio::runtime::Builder;
 use url::Url;
 
 /// Bytes of a part of an upload, unless there would be too many parts.
-const PART: u64 = 8 << 20;
+const PART: u64 = 5 << 20;
 /// Most parts; stores allow 10,000.
 const MOST_PARTS: u64 = 9000;
 
@@ -45,7 +45,7 @@ pub(crate) fn check_upload(address: &str) -> Result<()> {
 /// joins, so that the object is there whole or not at all. Failed requests are repeated for some minutes. If `create`,
 /// an object that is there stays: a small one is written on that condition, a large one if none is there just before the end.
 ///
-/// Memory: one part, 8 MiB up to 70 GiB. What a killed upload leaves is invisible; a rule of the bucket removes it.
+/// Memory: one part, 5 MiB up to 44 GiB. What a killed upload leaves is invisible; a rule of the bucket removes it.
 pub(crate) fn upload(
     address: &str,
     len: u64,
