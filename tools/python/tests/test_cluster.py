@@ -178,7 +178,7 @@ def test_a_step_that_kills_its_workers_ends_the_conversion(scans, tmp_path):
         distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as local,
         distributed.Client(local) as client,
     ):
-        client.register_plugin(tiles.Murder(1, 0, 1))
+        client.register_plugin(tiles.Murder(1, 0, 1, surely=True))
         with pytest.raises(sut.WorkerLostError, match="lost its worker 2 times"):
             converted(scans, tmp_path, client, parts=2, failures=1)
     assert not (tmp_path / "out.slices").exists()

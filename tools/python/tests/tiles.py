@@ -37,8 +37,8 @@ class Murder(WorkerPlugin):
     name = "murder"
     idempotent = True
 
-    def __init__(self, share: float, within: float, seed: int) -> None:
-        self.share, self.within, self.seed = share, within, seed
+    def __init__(self, share: float, within: float, seed: int, surely: bool = False) -> None:
+        self.share, self.within, self.seed, self.surely = share, within, seed, surely
 
     def setup(self, worker=None) -> None:
         from slicewalk import cluster
@@ -51,6 +51,8 @@ class Murder(WorkerPlugin):
                 # Dask does not replace a worker that dies before its nanny knows that it lives.
                 wait = max(dice.uniform(0, self.within), born + YOUNG - time.monotonic())
                 threading.Timer(wait, os.kill, (os.getpid(), signal.SIGKILL)).start()
+                if self.surely:
+                    time.sleep(60)
             return make(*arguments)
 
         if not hasattr(make, "deadly"):
