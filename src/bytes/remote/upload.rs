@@ -14,6 +14,9 @@ const PART: u64 = 5 << 20;
 /// Most parts; stores allow 10,000.
 const MOST_PARTS: u64 = 9000;
 
+/// No upload is tried again after that wait.
+const LONGEST_WAIT: std::time::Duration = std::time::Duration::from_secs(5);
+
 /// What an upload failed by.
 enum Failed {
     Store(object_store::Error),
@@ -29,6 +32,11 @@ impl From<object_store::Error> for Failed {
             error => Self::Store(error),
         }
     }
+}
+
+/// Whether the same upload may succeed later.
+fn may_pass(error: &object_store::Error) -> bool {
+    matches!(error, object_store::Error::Generic { .. } | object_store::Error::NotFound { .. })
 }
 
 /// Whether objects can be written at `address`; `Err` says why not.
@@ -61,7 +69,18 @@ pub(crate) fn upload(
         connect(url, &patient(), RetryConfig { max_retries: 8, ..RetryConfig::default() }).map_err(refused)?;
     let runtime = Builder::new_current_thread().enable_all().build();
     let runtime = runtime.map_err(|error| Error::io(&name, "start its runtime", error))?;
-    runtime.block_on(put(&*store, &path, len, create, read)).map_err(|failed| match failed {
+    let mut wait = std::time::Duration::from_millis(100);
+    let done = loop {
+        match runtime.block_on(put(&*store, &path, len, create, read)) {
+            // The store's client repeats no request that could have been done before its answer was lost.
+            Err(Failed::Store(error)) if wait < LONGEST_WAIT && may_pass(&error) => {
+                std::thread::sleep(wait);
+                wait *= 4;
+            }
+            done => break done,
+        }
+    };
+    done.map_err(|failed| match failed {
         Failed::Local(error) => error,
         Failed::Exists => Error::output(&name, "exists already").with_way_out(Parameter::Overwrite),
         Failed::Store(error) => Error::io(&name, "write", io::Error::other(one_line(&error.to_string()))),
