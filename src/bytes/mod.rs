@@ -4,7 +4,6 @@
 //! that counts, delays, cuts or damages reads needs to know nothing else.
 
 mod file_id;
-mod named;
 mod positioned;
 mod regular;
 #[cfg(feature = "remote")]
@@ -13,13 +12,10 @@ mod remote;
 pub mod testing;
 
 pub use file_id::FileId;
-pub(crate) use named::*;
 pub(crate) use positioned::*;
 pub(crate) use regular::*;
 #[cfg(feature = "remote")]
 pub use remote::{RemoteOptions, RemoteSource};
-#[cfg(feature = "remote")]
-pub(crate) use remote::{check_upload, upload};
 
 use crate::{Error, Result};
 use std::fs::File;

@@ -8,15 +8,12 @@
 
 mod text;
 mod transport;
-mod upload;
 
-pub(crate) use upload::{check_upload, upload};
-
-use super::{ByteSource, FileId, Stamp};
+use super::ByteSource;
 use crate::{Error, Result};
 use base64::Engine;
 use futures_util::StreamExt;
-use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
+use object_store::aws::AmazonS3Builder;
 use object_store::client::HttpError;
 use object_store::http::HttpBuilder;
 use object_store::local::LocalFileSystem;
@@ -106,8 +103,7 @@ impl RemoteSource {
         let url = Url::parse(url).map_err(|error| refused(error.to_string()))?;
         let name = public_name(&url);
         refuse_tasks(&name)?;
-        let (store, path) =
-            connect(url, options, RetryConfig { max_retries: 0, ..RetryConfig::default() }).map_err(refused)?;
+        let (store, path) = connect(url, options).map_err(refused)?;
         let runtime = Builder::new_current_thread().enable_all().build();
         let runtime = Some(runtime.map_err(|error| Error::io(&name, "start its runtime", error))?);
         let meta = ObjectMeta {
@@ -121,23 +117,6 @@ impl RemoteSource {
         let (meta, first) = source.get(0..FIRST, None)?;
         (source.meta, source.first) = (meta, first);
         Ok(source)
-    }
-
-    /// The version that was opened.
-    #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
-    pub(super) fn stamp(&self) -> Stamp {
-        let ObjectMeta { size, last_modified, e_tag, version, .. } = &self.meta;
-        let hash = |bytes: &[u8]| xxhash_rust::xxh3::xxh3_64(bytes);
-        let version = format!("{e_tag:?} {version:?}");
-        let id = FileId::of_object(hash(self.name.as_bytes()), hash(version.as_bytes()));
-        // A server that does not say gives the beginning of time.
-        let modified = (last_modified.timestamp() > 0).then(|| (*last_modified).into());
-        Stamp::of_object(*size, modified, id)
-    }
-
-    /// Whether all bytes before `end` came with the first request.
-    pub(super) fn holds(&self, end: u64) -> bool {
-        end <= self.first.len() as u64
     }
 
     /// The bytes of `range` that the object has, of the version `known`, or of any.
@@ -312,10 +291,10 @@ fn same_version(meta: &ObjectMeta) -> GetOptions {
 }
 
 /// The store that serves `url`, and the path of the object in it.
-///
-/// For reading without repetitions of its own: those are made here, where a server's wish to wait and the version are known.
-fn connect(mut url: Url, options: &RemoteOptions, retry: RetryConfig) -> Result<(Box<dyn ObjectStore>, Path), String> {
+fn connect(mut url: Url, options: &RemoteOptions) -> Result<(Box<dyn ObjectStore>, Path), String> {
     let client = ClientOptions::new().with_timeout(options.timeout).with_connect_timeout(options.timeout);
+    // Requests are repeated here, where a server's wish to wait and the version are known.
+    let retry = RetryConfig { max_retries: 0, ..RetryConfig::default() };
     let text = |error: object_store::Error| one_line(&error.to_string());
     let web = matches!(url.scheme(), "http" | "https");
     let authorization = basic_authorization(&url);
@@ -333,15 +312,6 @@ fn connect(mut url: Url, options: &RemoteOptions, retry: RetryConfig) -> Result<
                 .with_retry(retry)
                 .with_http_connector(Connector { authorization: None })
                 .with_url(url.as_str());
-            // Options of the client in the environment, such as AWS_ALLOW_HTTP, which those above replaced.
-            for (name, value) in std::env::vars_os() {
-                if let (Some(name), Some(value)) = (name.to_str(), value.to_str())
-                    && name.starts_with("AWS_")
-                    && let Ok(key @ AmazonS3ConfigKey::Client(_)) = name.to_ascii_lowercase().parse()
-                {
-                    builder = builder.with_config(key, value);
-                }
-            }
             for (key, value) in &options.settings {
                 builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text)?, value);
             }

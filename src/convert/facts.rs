@@ -2,7 +2,7 @@
 
 use super::points::bounds;
 use super::work::on_threads;
-use crate::bytes::open_named;
+use crate::bytes::{ByteSource, FileSource};
 use crate::input::{InputSet, PointDecoder, ScanFile, StatedBounds};
 use crate::{Error, Monitor, NoMonitor, Result};
 use std::path::Path;
@@ -109,7 +109,7 @@ pub(super) fn name_of(path: &Path) -> String {
 
 /// Length of the file at `path`, and XXH3-128 of the length and the blocks.
 fn fingerprint(path: &Path) -> Result<(u64, u128)> {
-    let source = open_named(path)?;
+    let source = FileSource::open(path)?;
     let len = source.len();
     let (mut hash, mut block) = (Xxh3::new(), [0; BLOCK_BYTES as usize]);
     hash.update(&len.to_le_bytes());

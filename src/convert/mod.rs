@@ -224,10 +224,6 @@ impl ConvertOptions {
             let reason = "what stations saw is not kept with temporary data; begin anew without resuming";
             return Err(Error::parameter(Parameter::Resume, reason));
         }
-        if self.resume && crate::bytes::address(&self.output).is_some() {
-            let reason = "an archive that is written to an address is made anew; leave it out, or write a file";
-            return Err(Error::parameter(Parameter::Resume, reason));
-        }
         self.check_colour()?;
         self.plan.check()
     }

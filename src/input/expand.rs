@@ -5,7 +5,7 @@
 
 use super::losses::Losses;
 use super::{cloud, is_of_input, pattern};
-use crate::bytes::{FileId, address, open_regular};
+use crate::bytes::{FileId, open_regular};
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::fs;
@@ -66,13 +66,6 @@ fn tell(losses: Option<&Losses>, error: &Error, monitor: &dyn Monitor) {
 }
 
 fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<()> {
-    if address(input).is_some() {
-        if is_mesh_named(input) && !input.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply")) {
-            return Err(Error::input(input, "address", "meshes are read from files only; copy it here"));
-        }
-        found.push(input.to_path_buf());
-        return Ok(());
-    }
     match fs::metadata(input) {
         Ok(about) if about.is_dir() => directory(input, found),
         Ok(_) => {

@@ -1,10 +1,6 @@
 //! What has the target's name, and whether an output may replace it.
 
-#[cfg(not(feature = "remote"))]
-use crate::bytes::without_feature;
-use crate::bytes::{ByteSource, FileId, address, local};
-#[cfg(feature = "remote")]
-use crate::bytes::{check_upload, open_named};
+use crate::bytes::{ByteSource, FileId};
 use crate::disk::{Access, FileKind, Files, OpenFile, OpenFolder, STANDARD_OUTPUT, split};
 use crate::{Error, Parameter, Result};
 use std::io;
@@ -109,19 +105,11 @@ pub(super) enum Target {
     File { path: PathBuf, folder: OpenFolder, existed: bool },
     /// A pipe, a terminal or a device.
     Stream(OpenFile),
-    /// An object at an address, and whether it was there.
-    Object { address: String, existed: bool },
 }
 
 impl Target {
     /// Follows the links of `name`, and refuses what may not be replaced.
     pub fn find(files: &Files, name: &Path, kind: OutputKind, protected: &Protected) -> Result<Self> {
-        let file = local(name);
-        let name = file.as_deref().unwrap_or(name);
-        if let Some(address) = address(name) {
-            let existed = judge_object(name, address, kind)? == Judged::Replaceable;
-            return Ok(Self::Object { address: address.to_owned(), existed });
-        }
         let (path, is_descriptor) = follow(files, name)?;
         let about = files.about(&path).ok().flatten();
         if is_descriptor || about.is_some_and(|about| about.kind == FileKind::Stream) {
@@ -209,31 +197,6 @@ pub(super) fn judge(
         return Err(is_read(name));
     }
     let content = Content::of(files, path).map_err(|error| Error::io(name, "examine the existing file", error))?;
-    may_replace(name, kind, content, about.read_only)
-}
-
-/// Refuses what an object of `kind` must not replace at `address`.
-#[cfg(feature = "remote")]
-pub(super) fn judge_object(name: &Path, address: &str, kind: OutputKind) -> Result<Judged> {
-    check_upload(address)?;
-    let source = match open_named(name) {
-        Ok(source) => source,
-        Err(Error::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => return Ok(Judged::Free),
-        Err(error) => return Err(error),
-    };
-    let mut start = vec![0; source.len().min(PLAN_START as u64) as usize];
-    source.read_at(0, &mut start)?;
-    may_replace(name, kind, Content::beginning(&start), false)
-}
-
-#[cfg(not(feature = "remote"))]
-pub(super) fn judge_object(name: &Path, _: &str, _: OutputKind) -> Result<Judged> {
-    Err(without_feature(name))
-}
-
-/// Refuses an output of `kind` where `content` is.
-fn may_replace(name: &Path, kind: OutputKind, content: Content, read_only: bool) -> Result<Judged> {
-    let refuse = |reason: String| Err(Error::output(name, reason));
     if !kind.replaces(content) {
         return refuse(match (kind, content.name()) {
             (OutputKind::Result, Some(content)) => {
@@ -246,7 +209,7 @@ fn may_replace(name: &Path, kind: OutputKind, content: Content, read_only: bool)
         OutputKind::Archive(Existing::Refuse) | OutputKind::Plan(Existing::Refuse) => {
             refuse("exists already".into()).map_err(|error| error.with_way_out(Parameter::Overwrite))
         }
-        OutputKind::Result if read_only => {
+        OutputKind::Result if about.read_only => {
             refuse("exists and is read-only; make it writable, or choose another name".into())
         }
         _ => Ok(Judged::Replaceable),
@@ -271,21 +234,17 @@ impl Content {
         let mut start = vec![0; PLAN_START];
         let len = files.open(path, Access::Read)?.read_up_to(0, &mut start)?;
         start.truncate(len);
-        Ok(Self::beginning(&start))
-    }
-
-    fn beginning(start: &[u8]) -> Self {
         let is_plan = || {
-            let text = String::from_utf8_lossy(start);
+            let text = String::from_utf8_lossy(&start);
             text.trim_start_matches('\u{feff}').trim_start().starts_with('{')
                 && text.contains(&format!("\"{PLAN_KEY}\""))
         };
-        match start {
+        Ok(match &start[..] {
             [] => Self::Nothing,
             start if start.starts_with(&ARCHIVE_MAGIC) => Self::Archive,
             _ if is_plan() => Self::Plan,
             _ => Self::Other,
-        }
+        })
     }
 
     fn name(self) -> Option<&'static str> {
