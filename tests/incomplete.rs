@@ -8,7 +8,7 @@ mod scans;
 
 use scangen::{Chunks, WriteSpec, write_las};
 use scans::{command, converts, points, refuses, sliceconv, text, verifies, write};
-use slicewalk::archive::{Archive, merge};
+use slicewalk::archive::{Archive, merge, merge_run};
 use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions, convert};
 use slicewalk::{Monitor, NoMonitor, Warning};
 use std::fs;
@@ -389,6 +389,16 @@ fn parts_of_two_versions_of_an_input_are_refused_by_its_name() {
                 error.starts_with(&format!("{input}: content: it changed between two parts")),
                 "{changed}: {error}"
             );
+            assert!(!at.join("bad.slices").exists());
+            // So it is where the parts meet in the last node of a tree only: joined parts keep what they read.
+            let node = |index: u32, from: &[PathBuf]| {
+                let name = at.join(format!("node{index}.slices"));
+                merge_run(from, (index, 2), &name, true, &NoMonitor).map(|_| name)
+            };
+            let found = node(2, &parts[1..])
+                .and_then(|last| merge(&[node(1, &parts[..1])?, last], &at.join("bad.slices"), false, &NoMonitor));
+            let error = found.unwrap_err().to_string();
+            assert!(error.contains("it changed between two parts"), "{changed}: {error}");
             assert!(!at.join("bad.slices").exists());
             part(at, &inputs, 2, &file).unwrap();
         }

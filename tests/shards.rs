@@ -7,7 +7,7 @@ mod scans;
 
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
 use scans::{converts, data, names, points, refuses, text, verifies, write};
-use slicewalk::archive::{Archive, merge};
+use slicewalk::archive::{Archive, merge, merge_run};
 use slicewalk::{Error, NoMonitor};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -76,6 +76,52 @@ fn parts_of_scenes_with_ramps_and_walls_merge_to_the_bytes_of_one_run() {
             parts.rotate_left(count as usize / 2);
             merges_to(&parts, &at.join("whole.slices"));
         }
+    }
+}
+
+#[test]
+fn parts_join_as_a_tree_to_the_bytes_of_one_run_and_a_wrong_tree_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    scan(at, "house.laz", "house", 60_000);
+    scan(at, "ramps.las", "ramps", 60_000);
+    let inputs = ["house.laz", "ramps.las"];
+    let options = ["--pixel", "0.05", "--levels", "on", "--fill-holes", "0.2", "--drop-isolated"];
+    convert(at, &inputs, "whole.slices", &options);
+    let parts = parts(at, &inputs, 9, &options);
+    let run = |from: &[PathBuf], of: (u32, u32), name: String| {
+        let output = at.join(name);
+        merge_run(from, of, &output, true, &NoMonitor).map(|_| output)
+    };
+    // Groups of unequal size, two levels of them; what a node holds is an archive and a part.
+    let of_three = |at: [usize; 4]| -> Vec<PathBuf> {
+        let group = |n: usize| run(&parts[at[n]..at[n + 1]], (n as u32 + 1, 3), format!("g{n}.slices")).unwrap();
+        (0..3).map(group).collect()
+    };
+    for cut in [[0, 3, 6, 9], [0, 1, 2, 9], [0, 6, 8, 9]] {
+        let groups = of_three(cut);
+        groups.iter().for_each(|group| verifies(group));
+        assert_eq!(Archive::open(&groups[1]).unwrap().shard().unwrap().map(|s| (s.index, s.count)), Some((2, 3)));
+        merges_to(&groups, &at.join("whole.slices"));
+        let upper = [run(&groups[..2], (1, 2), "u0".into()).unwrap(), run(&groups[2..], (2, 2), "u1".into()).unwrap()];
+        merges_to(&upper, &at.join("whole.slices"));
+    }
+    let refused = |error: Result<PathBuf, Error>, words: &str| {
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains(words), "{words}: {error}");
+        assert!(!at.join("x").exists());
+    };
+    refused(run(&parts[1..4], (1, 3), "x".into()), "begins with part 1");
+    refused(run(&parts[..3], (3, 3), "x".into()), "begins with part 1");
+    refused(run(&parts[3..6], (5, 4), "x".into()), "begins with part 1");
+    refused(run(&[parts[3].clone(), parts[5].clone()], (2, 3), "x".into()), "missing of 9: 5");
+    refused(run(&[], (2, 3), "x".into()), "no part was given");
+    // A cut with a gap, and one that overlaps.
+    let groups = of_three([0, 3, 6, 9]);
+    for middle in [&parts[4..6], &parts[2..6]] {
+        let wrong = run(middle, (2, 3), "wrong".into()).unwrap();
+        let all = [groups[0].clone(), wrong, groups[2].clone()];
+        refused(merge(&all, &at.join("x"), false, &NoMonitor).map(|_| at.join("x")), "do not follow");
     }
 }
 

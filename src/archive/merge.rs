@@ -107,11 +107,38 @@ fn named(path: &Path, error: Error) -> Error {
 ///
 /// Cost: every page is read and decoded once. Nothing appears under the name before all of it is right.
 pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn Monitor) -> Result<Merged> {
+    join(shards, None, output, overwrite, monitor)
+}
+
+/// As [`merge`], of neighbouring parts alone: joins them into part `part.0` of `part.1` of a coarser cut, to be merged with the
+/// other parts of that cut. So thousands of parts join as a tree, each node on a machine of its own, and the bytes of the whole stay
+/// those of a single run.
+///
+/// Part 1 of the coarser cut begins with the first part, and its last part ends with the last one; the parts of a cut that do not
+/// follow one another are refused when they are merged.
+pub fn merge_run(
+    shards: &[PathBuf],
+    part: (u32, u32),
+    output: &Path,
+    overwrite: bool,
+    monitor: &dyn Monitor,
+) -> Result<Merged> {
+    join(shards, Some(part), output, overwrite, monitor)
+}
+
+fn join(
+    shards: &[PathBuf],
+    of: Option<(u32, u32)>,
+    output: &Path,
+    overwrite: bool,
+    monitor: &dyn Monitor,
+) -> Result<Merged> {
     let parts = shards.iter().map(|path| OpenShard::open(path)).collect::<Result<Vec<_>>>()?;
-    let (parts, copies) = in_order(parts)?;
-    let Some(first) = parts.first() else {
+    let (parts, copies) = in_order(parts, of.is_none())?;
+    let (Some(first), Some(last)) = (parts.first(), parts.last()) else {
         return Err(Error::parameter(Parameter::Shard, "no part was given; name the archives of all parts"));
     };
+    let coarser = of.map(|of| coarser(of, first, last)).transpose()?;
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
     let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing, shards.iter().collect())?;
@@ -130,9 +157,37 @@ pub fn merge(shards: &[PathBuf], output: &Path, overwrite: bool, monitor: &dyn M
     }
     let (unknown, dropped) = common_records(&parts);
     writer.set_unknown(unknown);
+    if let Some(shard) = coarser {
+        writer.set_shard(shard);
+        writer.set_read(all_read(&parts)?);
+    }
     let (header, written) = writer.finish_or_keep(totals)?;
     let (crs, units) = (first.crs.clone(), first.units.clone());
     Ok(Merged { header, crs, units, written, copies, dropped })
+}
+
+/// The part of a coarser cut that reaches from `first` to `last`.
+fn coarser((index, count): (u32, u32), first: &OpenShard<'_>, last: &OpenShard<'_>) -> Result<Shard> {
+    let shard = Shard { index, count, first: first.shard.first, last: last.shard.last, ..first.shard };
+    if shard.is_sound() {
+        return Ok(shard);
+    }
+    let reason = format!(
+        "{index}/{count} cannot be {} to {} of {}: the first part of a cut begins with part 1, its last part ends with part {}",
+        first.shard.index, last.shard.index, first.shard.count, first.shard.count
+    );
+    Err(Error::parameter(Parameter::Shard, reason))
+}
+
+/// What the parts together read of inputs that other parts read too.
+fn all_read(parts: &[OpenShard<'_>]) -> Result<Vec<InputRead>> {
+    let all: BTreeMap<u32, &InputRead> =
+        parts.iter().flat_map(|part| &part.read).map(|read| (read.input, read)).collect();
+    if all.len() > InputRead::MOST {
+        let what = "inputs that several of the joined parts read (join fewer parts at once)";
+        return Err(Error::limit(what, all.len(), InputRead::MOST));
+    }
+    Ok(all.into_values().cloned().collect())
 }
 
 /// Metadata of unknown tags that say the same in all parts, and what does not.
@@ -150,8 +205,8 @@ fn common_records(parts: &[OpenShard<'_>]) -> (Unknown, Vec<String>) {
     (common, dropped)
 }
 
-/// The parts from first to last, and the names of copies; refuses what does not make one whole.
-fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBuf>)> {
+/// The parts from first to last, and the names of copies; refuses what does not make one whole, or one run of neighbours.
+fn in_order(parts: Vec<OpenShard<'_>>, whole: bool) -> Result<(Vec<OpenShard<'_>>, Vec<PathBuf>)> {
     let mut families: BTreeMap<_, usize> = BTreeMap::new();
     parts.iter().for_each(|part| *families.entry(part.family()).or_default() += 1);
     // The stranger among several is the one that most others do not know.
@@ -180,7 +235,12 @@ fn in_order(parts: Vec<OpenShard<'_>>) -> Result<(Vec<OpenShard<'_>>, Vec<PathBu
             }
         }
     }
-    let missing = (1..=common.2).filter(|index| !ordered.contains_key(index));
+    let ends = (ordered.keys().next().copied(), ordered.keys().next_back().copied());
+    let (low, high) = match ends {
+        (Some(low), Some(high)) if !whole => (low, high),
+        _ => (1, common.2),
+    };
+    let missing = (low..=high).filter(|index| !ordered.contains_key(index));
     let missing = ranges(missing, MOST_RANGES);
     if !missing.is_empty() {
         let count = common.2;

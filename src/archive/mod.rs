@@ -51,7 +51,7 @@ pub use directory::{Content, Extent, PageEntry, Storage};
 pub use extract::{Extracted, extract};
 pub use head::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 pub use levels::{Level, Levels};
-pub use merge::{Merged, merge};
+pub use merge::{Merged, merge, merge_run};
 pub use metadata::MAX_UNITS;
 pub use opening::{Opened, Opening};
 pub use page::{EncodedPage, PageDecoder, PageEncoder};

@@ -30,7 +30,7 @@ impl Shard {
         self.first..=self.last
     }
 
-    fn is_sound(&self) -> bool {
+    pub(super) fn is_sound(&self) -> bool {
         (1..=MAX_SHARDS).contains(&self.count)
             && (1..=self.count).contains(&self.index)
             && self.first <= self.last

@@ -47,11 +47,11 @@ pub fn paths(given: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
 }
 
 /// What the command line calls a part: `"2/8"`, or the pair.
-fn part(given: &Bound<'_, PyAny>) -> PyResult<(u32, u32)> {
+pub fn part_of(name: &str, given: &Bound<'_, PyAny>) -> PyResult<(u32, u32)> {
     let Ok(text) = given.cast::<PyString>() else { return given.extract() };
     let text = text.to_string();
     let part = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
-    part.ok_or_else(|| refuse("shard", format!("expected a part and their number, such as \"2/8\", found {text:?}")))
+    part.ok_or_else(|| refuse(name, format!("expected a part and their number, such as \"2/8\", found {text:?}")))
 }
 
 /// What `convert` was asked for.
@@ -122,7 +122,7 @@ impl Asked {
                 "resume" => options.resume = value.extract()?,
                 "force" => options.overwrite = value.extract()?,
                 "plan" => plan = Some(value.extract::<PathBuf>()?),
-                "shard" => shard = Some(part(&value)?),
+                "shard" => shard = Some(part_of("shard", &value)?),
                 "quiet" => quiet = value.extract()?,
                 "crs" => {
                     crs = value.extract::<String>()?;

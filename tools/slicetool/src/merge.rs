@@ -1,7 +1,7 @@
 //! `slicetool merge`: the parts of a conversion, joined.
 
 use crate::Outcome;
-use slicewalk::archive::merge;
+use slicewalk::archive::{merge, merge_run};
 use slicewalk::text::{counted, file_size, one_line};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -12,6 +12,9 @@ pub struct Arguments {
     /// Archives that `sliceconv --shard` wrote: all parts of one plan, in any order
     #[arg(required = true, value_name = "SHARD")]
     shards: Vec<PathBuf>,
+    /// Join neighbouring parts alone, into part I of N of a coarser cut, which is merged with its other parts later
+    #[arg(long, value_name = "I/N", value_parser = part)]
+    part: Option<(u32, u32)>,
     /// Archive to write; one that has the right bytes already is left alone
     #[arg(short, long, value_name = "OUT.slices")]
     output: PathBuf,
@@ -25,8 +28,11 @@ pub struct Arguments {
 
 /// Joins the parts; refuses missing, foreign and damaged ones by name.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let Arguments { shards, output, force, json } = arguments;
-    let merged = merge(shards, output, *force, &crate::terminal())?;
+    let Arguments { shards, part, output, force, json } = arguments;
+    let merged = match part {
+        Some(part) => merge_run(shards, *part, output, *force, &crate::terminal())?,
+        None => merge(shards, output, *force, &crate::terminal())?,
+    };
     let copies: Vec<String> = merged.copies.iter().map(|path| one_line(&path.to_string_lossy()).into_owned()).collect();
     if *json {
         let mut facts = slicewalk::info::header_info(&merged.header, &merged.crs, &merged.units);
@@ -48,4 +54,9 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let name = output.to_string_lossy();
     writeln!(text, "{}: {state}, {parts}, {}", one_line(&name), file_size(merged.header.file_len))?;
     Ok(text)
+}
+
+fn part(text: &str) -> Result<(u32, u32), String> {
+    let part = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
+    part.ok_or_else(|| "expected a part and their number, such as 2/8".into())
 }

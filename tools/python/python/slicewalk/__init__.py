@@ -25,6 +25,7 @@ try:
         Writer,
         __version__,
         convert,
+        merge,
         open,
         write_plan,
     )
@@ -99,6 +100,7 @@ __all__ = [
     "WriterOptions",
     "__version__",
     "convert",
+    "merge",
     "open",
     "write_plan",
 ]

@@ -9,35 +9,37 @@ from typing import Literal, TypedDict
 StrPath = str | PathLike[str]
 
 
-class _GridOptions(TypedDict, total=False):
+class _ArchiveOptions(TypedDict, total=False):
     slice: float | None
     max_slope: float
     tolerance: float | Literal["auto"]
     classifier: Literal["plane", "span", "thesis"]
-    memory: int | str
-    threads: int | None
-    temp_dir: StrPath | None
     min_points: int
     drop_isolated: bool
     drop_floaters: int
     fill_holes: float | None
     up: Literal["z", "y"]
     levels: bool | Literal["on", "off"]
+
+
+class _WorkOptions(TypedDict, total=False):
+    memory: int | str
+    threads: int | None
+    temp_dir: StrPath | None
     force: bool
 
 
-class WriterOptions(_GridOptions, total=False):
+class WriterOptions(_ArchiveOptions, _WorkOptions, total=False):
     """Options of a `Writer`."""
 
     crs: str
 
 
-class PlanOptions(_GridOptions, total=False):
-    """Options of `write_plan`."""
+class ClusterOptions(_ArchiveOptions, total=False):
+    """Options of `cluster.convert`."""
 
     pixel: float | Literal["auto"]
     exclude_class: Sequence[int]
-    fill_holes: float | None
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
     columns: str | None
@@ -46,6 +48,10 @@ class PlanOptions(_GridOptions, total=False):
     colour_error: float
     allow_incomplete: bool
     quiet: bool
+
+
+class PlanOptions(ClusterOptions, _WorkOptions, total=False):
+    """Options of `write_plan`."""
 
 
 class ConvertOptions(PlanOptions, total=False):

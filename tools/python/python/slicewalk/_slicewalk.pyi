@@ -26,6 +26,7 @@ __all__ = [
     "Writer",
     "__version__",
     "convert",
+    "merge",
     "open",
     "write_plan",
 ]
@@ -39,6 +40,14 @@ def convert(
     *,
     progress: _Progress = None,
     **options: Unpack[ConvertOptions],
+) -> dict[str, Any]: ...
+def merge(
+    parts: _Path | list[_Path] | tuple[_Path, ...],
+    output: _Path,
+    *,
+    part: str | tuple[int, int] | None = None,
+    progress: _Progress = None,
+    force: bool = False,
 ) -> dict[str, Any]: ...
 def write_plan(
     inputs: _Path | list[_Path] | tuple[_Path, ...],

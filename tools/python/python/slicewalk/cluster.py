@@ -1,0 +1,590 @@
+"""Conversion of large scans on a cluster of Dask distributed (``pip install slicewalk[cluster]``).
+
+>>> from distributed import Client, LocalCluster
+>>> with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+...     report = slicewalk.cluster.convert(
+...         "room.las", "whole.slices", client, parts=3, pixel=0.1, units="m", quiet=True
+...     )
+>>> report["parts"], report["retries"]
+(3, 0)
+
+`convert` makes a plan, has the workers convert its parts, joins these as a tree, verifies the whole and renames it to
+the output: the bytes of a single run. Every step is one file in a folder beside the output, named by
+what decides its content, and complete or not there. So a step that runs twice does no harm, a step that lost its worker
+runs again, and a conversion that ended early, even by the death of scheduler or client, goes on with the next call.
+
+Workers read the inputs and write the parts by the same paths as the client: all of them see one shared folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import platform
+import queue
+import shutil
+import time
+import uuid
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
+
+import slicewalk
+from slicewalk.errors import CancelledError, Error, LimitError, OutputError, ParameterError
+
+if TYPE_CHECKING:
+    from slicewalk._options import ClusterOptions, StrPath
+
+try:
+    import distributed
+    from dask.utils import parse_bytes
+except ImportError as _error:
+    _message = "slicewalk.cluster needs Dask distributed: pip install 'slicewalk[cluster]'"
+    raise ImportError(_message) from _error
+
+__all__ = ["SchedulerLostError", "WorkerLostError", "convert", "discard"]
+
+_Progress = Callable[[str, int, int, str], object]
+
+LEAST_MEMORY = 64 << 20
+"""Least memory of one part (bytes)."""
+BESIDE = 64 << 20
+"""What a part may take beyond its budget (bytes)."""
+INTERPRETER = 128 << 20
+"""What a worker takes itself (bytes)."""
+_PASSING = 2
+_TICK = 0.2
+_LOOK = 2.0
+_ARCHIVE = b"\x89SLIC\r\n\x1a"
+
+
+class WorkerLostError(Error):
+    """A step lost its worker too often. `found` says how often."""
+
+
+class SchedulerLostError(Error):
+    """The scheduler died and did not come back. What was done stays for the next call."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What every step knows. Inputs are many, and lie in the plan's folder."""
+
+    work: str
+    run: str
+    key: str
+    count: int
+    memory: int | None
+    threads: int
+    temp_dir: str | None
+    allow_incomplete: bool
+    version: str
+
+
+@dataclass(frozen=True)
+class _Step:
+    """One archive: a part (no members), joined neighbours, or the whole; or the check of the whole."""
+
+    name: str
+    kind: str
+    index: int = 1
+    of: int = 1
+    members: tuple[str, ...] = ()
+
+
+def convert(  # noqa: PLR0913
+    inputs: StrPath | Sequence[StrPath],
+    output: StrPath,
+    client: Any,
+    *,
+    parts: int | None = None,
+    memory: int | str | None = "512MiB",
+    threads: int = 1,
+    fan_in: int = 64,
+    failures: int = 16,
+    patience: float = 600.0,
+    progress: _Progress | None = None,
+    force: bool = False,
+    temp_dir: StrPath | None = None,
+    **options: Unpack[ClusterOptions],
+) -> dict[str, Any]:
+    """Convert scans and meshes into one slice archive, in parts on the workers of a Dask cluster.
+
+    Args:
+        inputs: as for `slicewalk.convert`: paths that the workers see too
+        output: the archive to write, in a folder that the workers see too
+        client: a connected, synchronous `distributed.Client`
+        parts: number of parts; by default four for each thread of the workers
+        memory: memory of one part, as for `slicewalk.convert`. A worker whose threads cannot all have as much gives
+            each an equal share of what it has, so None takes all; a worker with less than 64 MiB for each refuses
+        threads: threads of one part. Dask runs one part at a time on each thread of a worker
+        fan_in: most archives that one step joins, at least 2
+        failures: how often one step may lose its worker before the conversion fails. Dask itself gives a step up after
+            ``distributed.scheduler.allowed-failures`` + 1 losses (4 by default); it is submitted again until then
+        patience: how long the conversion waits while there is no worker at all, seconds
+        progress: called with stage ("plan", "parts", "merge", "verify"), amount done, total and unit, five times a
+            second; what it raises ends the conversion, as Ctrl-C does
+        force: replace an existing archive
+        temp_dir: folder for temporary data on the workers; by default that of the Dask worker, which removes what a
+            killed one left
+        options: those of `slicewalk.write_plan`, which runs on the client: with ``pixel="auto"`` it reads all points
+
+    Returns:
+        ``parts``; ``retries`` (steps that began anew, because their worker was lost or a file could not be read or
+        written); ``seconds``; ``skipped`` (steps that an earlier call had done); ``output``; ``info`` (as
+        ``Archive.info``); and ``ran``, a dict for each step: ``step``, ``kind``, ``worker``, ``host``, ``pid``,
+        ``seconds``, ``skipped``, ``memory``
+
+    Raises:
+        OutputError: the archive exists already
+        WorkerLostError: a step lost its worker more than `failures` times, or no worker came within `patience`
+        SchedulerLostError: the scheduler died and was not back within the client's timeout
+        Error: what `slicewalk.convert` and `slicewalk.merge` raise, from the worker
+
+    Whatever is raised, and however the client dies: finished steps stay in a hidden folder beside the output, and the
+    next call with the same inputs and options goes on from there; `discard` removes them. After success nothing is
+    left. Cost beyond the conversion: each page is written, read and checked once more a level of the tree, and read
+    once more at the end.
+
+    """
+    started = time.monotonic()
+    if getattr(client, "asynchronous", False):
+        raise ParameterError("client: expected a synchronous client", at="client")
+    for name, value, least in (
+        ("parts", parts, 1),
+        ("threads", threads, 1),
+        ("fan_in", fan_in, 2),
+        ("failures", failures, 0),
+    ):
+        if value is not None and value < least:
+            raise ParameterError(f"{name}: expected {least} or more, found {value}", at=name)
+    target = _checked_target(output, force)
+    given = [inputs] if isinstance(inputs, (str, os.PathLike)) else list(inputs)
+    paths = [os.path.abspath(path) for path in given]
+    plan_options: dict[str, Any] = {**options, "memory": "512MiB" if memory is None else memory}
+    count = parts or 4 * max(1, sum(client.nthreads().values()))
+    work = _work(target)
+    work.mkdir(exist_ok=True)
+    plan = _plan(work, paths, plan_options, progress)
+    key = hashlib.sha256(f"{slicewalk.__version__}\n{plan}".encode()).hexdigest()[:16]
+    _put(work / f"{key}-inputs.json", json.dumps(paths))
+    _put(work / f"{key}-plan.json", plan)
+    job = _Job(
+        work=str(work),
+        run=uuid.uuid4().hex[:12],
+        key=key,
+        count=count,
+        memory=None if memory is None else _bytes(memory),
+        threads=threads,
+        temp_dir=None if temp_dir is None else os.fspath(temp_dir),
+        allow_incomplete=bool(options.get("allow_incomplete")),
+        version=slicewalk.__version__,
+    )
+    steps = _tree(key, count, fan_in)
+    driver = _Driver(job, client, steps, failures=failures, patience=patience, progress=progress)
+    try:
+        ran = driver.run()
+    except Error as error:
+        # The next call plans anew: the inputs may have changed.
+        if not isinstance(error, (WorkerLostError, SchedulerLostError, CancelledError)):
+            _remove(work / "plan.json")
+        raise
+    retries = driver.passing + _lost(job)
+    _publish(work / steps[-2].name, target, force)
+    info = slicewalk.open(target).info()
+    _clean(work)
+    return {
+        "parts": count,
+        "retries": retries,
+        "seconds": time.monotonic() - started,
+        "skipped": sum(one["skipped"] for one in ran),
+        "output": str(target),
+        "info": info,
+        "ran": ran,
+    }
+
+
+def discard(output: StrPath) -> bool:
+    """Remove what a conversion to `output` that ended early left, and return whether there was anything.
+
+    >>> slicewalk.cluster.discard("whole.slices")
+    False
+    """
+    work = _work(Path(os.path.realpath(output)))
+    there = work.exists()
+    _clean(work)
+    return there
+
+
+# ---- files
+
+
+def _work(target: Path) -> Path:
+    """Folder of the steps, beside the output: what is whole is renamed, not copied."""
+    return target.with_name(f".{target.name}.slicewalk-cluster")
+
+
+def _checked_target(output: StrPath, force: bool) -> Path:
+    """Where the links of `output` lead, if an archive may be written there."""
+    target = Path(os.path.realpath(output))
+
+    def refuse(reason: str, hint: str) -> OutputError:
+        return OutputError(f"{output}: {reason}; {hint}", path=str(output), reason=reason, hint=hint)
+
+    if target.exists():
+        if not target.is_file():
+            raise refuse("is no regular file", "choose another name")
+        if not force:
+            raise refuse("exists already", "force=True replaces it")
+        with target.open("rb") as file:
+            if file.read(8) not in (_ARCHIVE, b""):
+                raise refuse("exists and is not a slice archive, so it is not replaced", "choose another name")
+    return target
+
+
+def _put(path: Path, text: str) -> None:
+    """Write a small file, all or nothing."""
+    part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")
+    part.write_text(text)
+    os.replace(part, path)
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(FileNotFoundError):
+        path.unlink()
+
+
+def _clean(work: Path) -> None:
+    """Remove the folder, also while a worker that was taken for dead writes there."""
+    for _ in range(20):
+        shutil.rmtree(work, ignore_errors=True)
+        if not work.exists():
+            return
+        time.sleep(0.1)
+
+
+def _publish(whole: Path, target: Path, force: bool) -> None:
+    """Give the whole its name; it is synced already, and verified."""
+    _checked_target(target, force)
+    if force:
+        os.replace(whole, target)
+    else:
+        try:
+            os.link(whole, target)
+        except FileExistsError:
+            _checked_target(target, force)
+            raise
+        except OSError:
+            # A file system without hard links.
+            os.rename(whole, target)
+    if os.name == "posix":
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _plan(work: Path, paths: list[str], options: dict[str, Any], progress: _Progress | None) -> str:
+    """Text of the plan: that of an earlier call for the same work, else a new one."""
+    plan, request = work / "plan.json", work / "request.json"
+    wanted = json.dumps([slicewalk.__version__, paths, options], sort_keys=True, default=str)
+    reads_points = (
+        options.get("pixel", "auto") == "auto"
+        or options.get("tolerance") == "auto"
+        or options.get("colour", "off") != "off"
+    )
+    with contextlib.suppress(FileNotFoundError):
+        # A plan from headers alone is quickly made again, and shows inputs that changed.
+        if reads_points and request.read_text() == wanted:
+            return plan.read_text()
+    _remove(plan)
+    tell = progress and (lambda _stage, done, total, unit: progress("plan", done, total, unit))
+    slicewalk.write_plan(tuple(paths), plan, progress=tell, **options)
+    _put(request, wanted)
+    return plan.read_text()
+
+
+# ---- steps
+
+
+def _tree(key: str, count: int, fan_in: int) -> list[_Step]:
+    """All steps, leaves first; the last two are the whole and its check."""
+
+    def name(level: int, index: int, of: int) -> str:
+        return f"{key}-{level}-{index:05}-of-{of:05}.slices"
+
+    level, of = 0, count
+    steps = [_Step(name(0, index, count), "part", index, count) for index in range(1, count + 1)]
+    below = [step.name for step in steps]
+    while of > fan_in:
+        level, of = level + 1, -(-of // fan_in)
+        ends = [number * len(below) // of for number in range(of + 1)]
+        nodes = [
+            _Step(name(level, number + 1, of), "merge", number + 1, of, tuple(below[ends[number] : ends[number + 1]]))
+            for number in range(of)
+        ]
+        steps += nodes
+        below = [node.name for node in nodes]
+    whole = _Step(f"{key}-whole.slices", "merge", members=tuple(below))
+    return [*steps, whole, _Step(f"{key}-verify", "verify", members=(whole.name,))]
+
+
+def _run(job: _Job, step: _Step) -> dict[str, Any]:
+    """Do one step on a worker: make its archive, unless it is there and sound. Safe to do twice, also at once."""
+    started = time.monotonic()
+    if slicewalk.__version__ != job.version:
+        message = f"worker with slicewalk {slicewalk.__version__}, client with {job.version}; install the same version"
+        raise Error(message, found=slicewalk.__version__, expected=job.version)
+    work = Path(job.work)
+    began = work / f"began-{job.run}-{step.name}-{uuid.uuid4().hex[:8]}"
+    began.touch()
+    worker, scratch, memory = _place(job)
+    try:
+        skipped = _make(job, step, memory, scratch)
+    finally:
+        # What stays is of workers that died.
+        _remove(began)
+    return {
+        "step": step.name,
+        "kind": step.kind,
+        "worker": worker,
+        "host": platform.node(),
+        "pid": os.getpid(),
+        "seconds": time.monotonic() - started,
+        "skipped": skipped,
+        "memory": memory if step.kind == "part" else None,
+    }
+
+
+def _make(job: _Job, step: _Step, memory: int, scratch: str | None) -> bool:
+    """Make the archive of a step; return whether it was there."""
+    work, watch = Path(job.work), _Watch(job)
+    target = work / step.name
+    if step.kind == "verify":
+        for finding in slicewalk.open(work / step.members[0]).verify(watch):
+            raise finding
+        return False
+    if _is_sound(target, step, watch):
+        return True
+    if step.kind == "part":
+        slicewalk.convert(
+            json.loads((work / f"{job.key}-inputs.json").read_text()),
+            target,
+            progress=watch,
+            plan=work / f"{job.key}-plan.json",
+            shard=(step.index, step.of),
+            memory=memory,
+            threads=job.threads,
+            temp_dir=job.temp_dir or scratch,
+            allow_incomplete=job.allow_incomplete,
+            quiet=True,
+            force=True,
+        )
+    else:
+        members = tuple(work / name for name in step.members)
+        part = None if step.name.endswith("-whole.slices") else (step.index, step.of)
+        slicewalk.merge(members, target, part=part, progress=watch, force=True)
+    return False
+
+
+def _is_sound(target: Path, step: _Step, watch: _Watch) -> bool:
+    """Whether an earlier attempt left the whole archive of this step."""
+    if not target.exists():
+        return False
+    try:
+        archive = slicewalk.open(target)
+        shard = archive.info().get("shard")
+        is_whole = step.name.endswith("-whole.slices")
+        found = (1, 1) if shard is None and is_whole else shard and (shard["index"], shard["count"])
+        return found == (step.index, step.of) and not archive.verify(watch)
+    except CancelledError:
+        raise
+    except Error:
+        return False
+
+
+class _Watch:
+    """Progress of work on a worker: ends it when the client asks for that."""
+
+    def __init__(self, job: _Job) -> None:
+        self.stop = Path(job.work, f"stop-{job.run}")
+        self.looked = 0.0
+
+    def __call__(self, *_: object) -> None:
+        now = time.monotonic()
+        if now - self.looked > 0.5:
+            self.looked = now
+            if self.stop.exists() or not self.stop.parent.exists():
+                raise CancelledError("the client ended the conversion")
+
+
+def _place(job: _Job) -> tuple[str, str | None, int]:
+    """Address and scratch folder of this worker, and the memory of one of its parts (bytes)."""
+    try:
+        worker = distributed.get_worker()
+    except ValueError:
+        return "here", None, job.memory or 512 << 20
+    limit, lanes = worker.memory_manager.memory_limit, worker.state.nthreads
+    if not limit:
+        return worker.address, worker.local_directory, job.memory or 512 << 20
+    # Dask pauses a worker at 80 % of its limit.
+    share = (int(limit * 0.8) - INTERPRETER) // lanes - BESIDE
+    memory = share if job.memory is None else min(job.memory, share)
+    if memory < LEAST_MEMORY:
+        least = (lanes * (LEAST_MEMORY + BESIDE) + INTERPRETER) / 0.8 / (1 << 20)
+        what = f"memory of the worker {worker.address} with {lanes} threads"
+        hint = f"start workers with {least:.0f} MiB or more, or fewer threads"
+        found = f"{limit >> 20} MiB"
+        raise LimitError(f"{what}: {found}; {hint}", path=worker.address, found=found, expected=least, hint=hint)
+    return worker.address, worker.local_directory, memory
+
+
+def _lost(job: _Job) -> int:
+    """How many attempts ended with their worker."""
+    return sum(1 for path in Path(job.work).iterdir() if path.name.startswith(f"began-{job.run}-"))
+
+
+def _bytes(memory: int | str) -> int:
+    return memory if isinstance(memory, int) else int(parse_bytes(memory))
+
+
+# ---- the client's side
+
+
+class _Driver:
+    """Keeps every step that can run in the hands of the scheduler until all are done."""
+
+    def __init__(  # noqa: PLR0913
+        self,
+        job: _Job,
+        client: Any,
+        steps: Sequence[_Step],
+        *,
+        failures: int,
+        patience: float,
+        progress: _Progress | None,
+    ) -> None:
+        self.job, self.client, self.failures, self.progress = job, client, failures, progress
+        self.patience, self.looked, self.alone_since = patience, time.monotonic(), math.inf
+        self.steps = {step.name: step for step in steps}
+        self.above = {member: step for step in steps for member in step.members}
+        self.waits = {step.name: len(step.members) for step in steps}
+        self.done: dict[str, dict[str, Any]] = {}
+        self.losses = dict.fromkeys(self.steps, 0)
+        self.attempts = dict.fromkeys(self.steps, 0)
+        self.futures: dict[str, Any] = {}
+        self.ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.passing = 0
+
+    def run(self) -> list[dict[str, Any]]:
+        """Run all steps. Whatever is raised, no worker goes on for long."""
+        try:
+            self._submit(step for step in self.steps.values() if not step.members)
+            while len(self.done) < len(self.steps):
+                self._tell()
+                try:
+                    self._settle(self.ended.get(timeout=_TICK))
+                except queue.Empty:
+                    self._look_for_workers()
+            self._tell()
+        except BaseException:
+            self._stop()
+            raise
+        return [self.done[name] for name in self.steps]
+
+    def _submit(self, steps: Iterable[_Step]) -> None:
+        for step in steps:
+            attempt = self.attempts[step.name] = self.attempts[step.name] + 1
+            key = f"slicewalk-{self.job.run}-{step.name}-{attempt}"
+            # Joining makes room for what comes, and the last steps are the longest.
+            priority = {"part": 0, "merge": 1, "verify": 2}[step.kind]
+            future = self.client.submit(_run, self.job, step, key=key, pure=False, priority=priority)
+            self.futures[step.name] = future
+            future.add_done_callback(lambda future, name=step.name: self.ended.put((name, future)))
+
+    def _settle(self, ended: tuple[str, Any]) -> None:
+        name, future = ended
+        if name not in self.futures or self.futures[name] is not future:
+            return None  # an attempt that another one has replaced
+        step = self.steps[name]
+        if future.status == "finished":
+            try:
+                self.done[name] = future.result()
+            except Exception:
+                # The worker died with the result; the archive is there.
+                return self._submit([step])
+            del self.futures[name]
+            if (above := self.above.get(name)) is not None:
+                self.waits[above.name] -= 1
+                if self.waits[above.name] == 0:
+                    self._submit([above])
+            return None
+        if future.status != "error":
+            return self._again()
+        error = future.exception()
+        if isinstance(error, distributed.scheduler.KilledWorker):
+            self.losses[name] += error.allowed_failures + 1
+            if self.losses[name] > self.failures:
+                message = (
+                    f"{step.kind} {step.index} of {step.of}: lost its worker {self.losses[name]} times, most likely "
+                    "for want of memory; give the workers more, or make more parts, and call again: what is done stays"
+                )
+                raise WorkerLostError(message, found=str(self.losses[name])) from error
+            return self._submit([step])
+        if isinstance(error, OSError) and not isinstance(error, OutputError) and self.attempts[name] <= _PASSING:
+            self.passing += 1
+            return self._submit([step])
+        raise error
+
+    def _look_for_workers(self) -> None:
+        """Give up if there has been no worker for too long."""
+        now = time.monotonic()
+        if now - self.looked < _LOOK or self.client.status != "running":
+            return
+        self.looked = now
+        if self.client.nthreads():
+            self.alone_since = math.inf
+        else:
+            self.alone_since = min(self.alone_since, now)
+        if now - self.alone_since >= self.patience:
+            message = f"no worker for {self.patience:g} s; start workers and call again with the same arguments"
+            raise WorkerLostError(message, hint="start workers and call again")
+
+    def _again(self) -> None:
+        """Submit what is not done, once another scheduler has the address of the one that is gone."""
+        while self.client.status == "connecting":
+            self._tell()
+            time.sleep(_TICK)
+        if self.client.status != "running":
+            done = f"{len(self.done)} of {len(self.steps)} steps are done"
+            message = f"the scheduler is gone, {done}; start another one and call again with the same arguments"
+            raise SchedulerLostError(message, hint="call again with the same arguments")
+        names, self.futures = list(self.futures), {}
+        self._submit(self.steps[name] for name in names)
+
+    def _tell(self) -> None:
+        if self.progress is None:
+            return
+        for stage, kind, unit in (
+            ("parts", "part", "parts"),
+            ("merge", "merge", "archives"),
+            ("verify", "verify", "archives"),
+        ):
+            total = sum(step.kind == kind for step in self.steps.values())
+            done = sum(one["kind"] == kind for one in self.done.values())
+            if done < total or stage == "verify":
+                self.progress(stage, done, total, unit)
+                return
+
+    def _stop(self) -> None:
+        with contextlib.suppress(OSError):
+            Path(self.job.work, f"stop-{self.job.run}").touch()
+        if self.client.status != "running":
+            return
+        with contextlib.suppress(Exception):
+            self.client.cancel(list(self.futures.values()), force=True)

@@ -1,0 +1,214 @@
+"""Conversion on a cluster: the bytes of a single run, whatever dies."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("distributed")
+
+import cloudpickle
+import dask
+import distributed
+
+import slicewalk
+import tiles
+from slicewalk import cluster as sut
+
+HERE = Path(__file__).parent
+# Dask's own sockets and loops at the end of a test.
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tiles")
+    inputs = tiles.tiles(folder)
+    slicewalk.convert(inputs, folder / "single.slices", **tiles.OPTIONS)
+    return inputs, (folder / "single.slices").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def client():
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit="1GiB"
+        ) as local,
+        distributed.Client(local) as client,
+    ):
+        yield client
+
+
+def converted(scans, folder, client, **options):
+    given = {"parts": 9, "fan_in": 3, "memory": "64MiB", **tiles.OPTIONS, **options}
+    return sut.convert(scans[0], folder / "out.slices", client, **given)
+
+
+def test_twelve_files_in_nine_parts_equal_the_single_run(scans, tmp_path, client):
+    told = []
+    report = converted(scans, tmp_path, client, progress=lambda *news: told.append(news))
+    assert (tmp_path / "out.slices").read_bytes() == scans[1]
+    assert os.listdir(tmp_path) == ["out.slices"]
+    assert (report["parts"], report["retries"], report["skipped"]) == (9, 0, 0)
+    assert report["seconds"] > 0
+    assert report["output"] == str(tmp_path / "out.slices")
+    assert report["info"]["points_kept"] == 12 * 12_000
+    kinds = [one["kind"] for one in report["ran"]]
+    assert kinds == ["part"] * 9 + ["merge"] * 4 + ["verify"]
+    assert {one["worker"] for one in report["ran"]} <= set(client.nthreads())
+    assert len({one["pid"] for one in report["ran"]}) == 2
+    assert all(one["memory"] == 64 << 20 for one in report["ran"][:9])
+    stages = list(dict.fromkeys(news[0] for news in told))
+    assert [stage for stage in stages if stage != "plan"] in (["parts", "merge", "verify"], ["parts", "verify"])
+    assert told[-1] == ("verify", 1, 1, "archives")
+
+
+@pytest.mark.parametrize(("parts", "fan_in"), [(1, 2), (2, 2), (9, 64), (5, 2)])
+def test_any_tree_gives_the_same_bytes(scans, tmp_path, client, parts, fan_in):
+    report = converted(scans, tmp_path, client, parts=parts, fan_in=fan_in, memory=None)
+    assert (tmp_path / "out.slices").read_bytes() == scans[1]
+    assert report["ran"][0]["memory"] > 256 << 20
+
+
+def test_trees_hold_every_part_once():
+    for count in [*range(1, 70), 1000, 4097]:
+        for fan_in in (2, 3, 7, 64):
+            steps = sut._tree("key", count, fan_in)
+            made = {step.name: step for step in steps}
+            assert len(made) == len(steps)
+            used = [name for step in steps for name in step.members]
+            assert sorted(used) == sorted(set(made) - {steps[-1].name})
+            assert all(len(step.members) <= fan_in for step in steps)
+
+            def leaves(step, made=made):
+                if step.kind == "part":
+                    return [step.index]
+                return [leaf for name in step.members for leaf in leaves(made[name])]
+
+            assert leaves(steps[-2]) == list(range(1, count + 1))
+
+
+def test_what_is_there_is_judged_first(scans, tmp_path, client):
+    out = tmp_path / "out.slices"
+    out.write_bytes(b"something else")
+    for force in (False, True):
+        with pytest.raises(slicewalk.OutputError) as raised:
+            converted(scans, tmp_path, client, force=force)
+        assert raised.value.path == str(out)
+    assert os.listdir(tmp_path) == ["out.slices"]
+    shutil.copy(scans[0][0].parent / "single.slices", out)
+    with pytest.raises(slicewalk.OutputError, match="exists already"):
+        converted(scans, tmp_path, client)
+    slicewalk.convert(scans[0][:1], out, force=True, **tiles.OPTIONS)
+    converted(scans, tmp_path, client, force=True)
+    assert out.read_bytes() == scans[1]
+    for wrong in ({"parts": 0}, {"fan_in": 1}, {"failures": -1}, {"threads": 0}):
+        with pytest.raises(slicewalk.ParameterError):
+            converted(scans, tmp_path, client, **wrong)
+
+
+def test_cancelled_work_goes_on_with_the_next_call(scans, tmp_path, client):
+    def enough(stage, done, *_):
+        if stage == "merge" or (stage == "parts" and done >= 4):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        converted(scans, tmp_path, client, progress=enough)
+    assert not (tmp_path / "out.slices").exists()
+    (work,) = tmp_path.iterdir()
+    made = sorted(work.glob("*-0-*.slices"))
+    assert len(made) >= 4
+    # What an earlier call left counts only if it is sound.
+    damaged = bytearray(made[0].read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    made[0].write_bytes(damaged)
+    made[1].write_bytes(made[2].read_bytes())
+    report = converted(scans, tmp_path, client)
+    assert report["skipped"] >= 2
+    assert not report["ran"][int(made[0].name.split("-")[2]) - 1]["skipped"]
+    assert not report["ran"][int(made[1].name.split("-")[2]) - 1]["skipped"]
+    assert (tmp_path / "out.slices").read_bytes() == scans[1]
+    assert os.listdir(tmp_path) == ["out.slices"]
+
+
+def test_errors_of_workers_come_with_their_facts_and_a_repaired_input_converts(scans, tmp_path, client):
+    inputs = [Path(shutil.copy(path, tmp_path)) for path in scans[0]]
+    good = inputs[5].read_bytes()
+    inputs[5].write_bytes(good[:-200_000])
+    with pytest.raises(slicewalk.InputError) as raised:
+        converted((inputs, None), tmp_path, client)
+    assert raised.value.path == str(inputs[5])
+    inputs[5].write_bytes(good)
+    converted((inputs, None), tmp_path, client)
+    assert (tmp_path / "out.slices").read_bytes() == scans[1]
+    assert tiles.leftovers(tmp_path) == []
+
+
+def test_discard_removes_what_is_left(scans, tmp_path, client):
+    def enough(*_):
+        raise ValueError
+
+    with pytest.raises(ValueError):
+        converted(scans, tmp_path, client, progress=enough)
+    assert sut.discard(tmp_path / "out.slices")
+    assert not sut.discard(tmp_path / "out.slices")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_worker_with_too_little_memory_says_so(scans, tmp_path):
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=4, dashboard_address=None, memory_limit="400MiB"
+        ) as local,
+        distributed.Client(local) as client,
+        pytest.raises(slicewalk.LimitError, match="start workers with"),
+    ):
+        converted(scans, tmp_path, client)
+
+
+def test_a_step_that_kills_its_workers_ends_the_conversion(scans, tmp_path):
+    cloudpickle.register_pickle_by_value(tiles)
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as local,
+        distributed.Client(local) as client,
+    ):
+        client.register_plugin(tiles.Murder(1, 0, 1, surely=True))
+        with pytest.raises(sut.WorkerLostError, match="lost its worker 2 times"):
+            converted(scans, tmp_path, client, parts=2, failures=1)
+    assert not (tmp_path / "out.slices").exists()
+
+
+def test_without_workers_patience_ends(scans, tmp_path):
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as local,
+        distributed.Client(local) as client,
+        pytest.raises(sut.WorkerLostError, match="no worker for 3 s"),
+    ):
+        converted(scans, tmp_path, client, patience=3)
+
+
+@pytest.mark.parametrize("who", ["workers", "scheduler"])
+def test_whatever_is_killed_the_bytes_are_those_of_the_single_run(who):
+    runs = {"workers": "3", "scheduler": "2"}[who]
+    done = subprocess.run([sys.executable, HERE / "murder.py", who, runs], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "all bytes equal, nothing left" in done.stdout
+
+
+def test_example(folder, tmp_path, monkeypatch):
+    import doctest
+
+    shutil.copy(folder / "room.las", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for text in (sut.__doc__, sut.discard.__doc__):
+        test = doctest.DocTestParser().get_doctest(text, {"slicewalk": slicewalk}, "cluster", None, 0)
+        runner = doctest.DocTestRunner()
+        runner.run(test, out=sys.stderr.write)
+        assert runner.tries > 0
+        assert runner.failures == 0

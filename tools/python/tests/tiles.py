@@ -1,0 +1,65 @@
+"""Twelve scans side by side, and processes that die: what the tests of the cluster share with their long forms."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from distributed import WorkerPlugin
+
+import scan
+
+OPTIONS = {"pixel": 0.1, "units": "m", "quiet": True}
+
+
+YOUNG = 1.0
+"""Seconds for which a new worker is spared."""
+
+
+def tiles(folder: Path, points: int = 12_000) -> list[Path]:
+    """Twelve files of 10 × 8 m, four by three, that overlap a little."""
+    paths = []
+    for number in range(12):
+        at = np.array([9.5 * (number % 4), 7.5 * (number // 4), 0.0])
+        paths.append(folder / f"tile{number:02}.las")
+        paths[-1].write_bytes(scan.las(scan.millimetres(scan.rubble(points, number) + at)))
+    return paths
+
+
+class Murder(WorkerPlugin):
+    """Plugin of workers: a share of the steps loses its worker to SIGKILL, at some moment of the step or after it."""
+
+    name = "murder"
+    idempotent = True
+
+    def __init__(self, share: float, within: float, seed: int, surely: bool = False) -> None:
+        self.share, self.within, self.seed, self.surely = share, within, seed, surely
+
+    def setup(self, worker=None) -> None:
+        from slicewalk import cluster
+
+        born = time.monotonic()
+        make, dice = cluster._make, random.Random((self.seed, os.getpid(), time.time_ns()).__hash__())
+
+        def deadly(*arguments):
+            if dice.random() < self.share:
+                # Dask does not replace a worker that dies before its nanny knows that it lives.
+                wait = max(dice.uniform(0, self.within), born + YOUNG - time.monotonic())
+                threading.Timer(wait, os.kill, (os.getpid(), signal.SIGKILL)).start()
+                if self.surely:
+                    time.sleep(60)
+            return make(*arguments)
+
+        if not hasattr(make, "deadly"):
+            deadly.deadly = True
+            cluster._make = deadly
+
+
+def leftovers(folder: Path) -> list[str]:
+    """What lies in `folder` beside the scans and archives."""
+    return sorted(path.name for path in folder.iterdir() if not path.name.endswith((".las", ".slices")))
