@@ -502,7 +502,7 @@ fn what_is_removed_takes_its_colours_along() {
     println!("{compared} voxels, {wrong} wrong, {cleaner} without those who moved");
     // Places of removed points are rounded.
     assert!(compared > 10_000 && wrong * 500 < compared && cleaner > 20, "{compared} {wrong} {cleaner}");
-    for options in [["--threads", "1", "--memory", "96MiB"], ["--threads", "4", "--memory", "160MiB"]] {
+    for options in [["--threads", "1", "--memory", "100MiB"], ["--threads", "4", "--memory", "256MiB"]] {
         let options: Vec<&str> = OPTIONS[..6].iter().chain(&options).chain(&colour).copied().collect();
         let moving = ["--remove-moving", "--stations", "stations.csv", "-o", "again.slices"];
         converts(at, &[&names[..], &options, &moving].concat());

@@ -43,6 +43,9 @@ const ROLES: usize = 8;
 /// Numbers of a row by their roles.
 pub(in crate::input::cloud) type Row = [f64; ROLES];
 
+/// Coordinates, class and value of a row; else what is wrong with it.
+pub(in crate::input::cloud) type Parsed<V> = Result<([f64; 3], Option<f64>, Option<V>), String>;
+
 /// Where red, green and blue stand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::input::cloud) enum RgbPlaces {
@@ -252,7 +255,7 @@ impl RowLayout {
 
 impl ValueLayout<'_> {
     /// As [`RowLayout::parse`], and the numbers of the row's value; `None` where the row ends before them.
-    pub fn parse(&self, row: &[u8]) -> Result<([f64; 3], Option<f64>, Option<Row>), String> {
+    pub fn parse(&self, row: &[u8]) -> Parsed<Row> {
         let mut found = [0.0; ROLES];
         let whole = self.layout.scan(row, &self.roles, &mut found)?;
         let (at, class) = self.layout.split(&found);

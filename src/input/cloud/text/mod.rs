@@ -15,7 +15,7 @@ use super::values::{Channels, Kind, SAMPLE_PLACES, SAMPLE_POINTS, Sample, Scale}
 use super::{Cloud, Depth, Format, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::colour::ColourSource;
 use crate::{Error, Parameter, Result};
-use layout::{ValueLayout, columns, is_numeric, names, recognise};
+use layout::{Parsed, ValueLayout, columns, is_numeric, names, recognise};
 use lines::is_word;
 
 pub(super) use layout::{Places, RgbPlaces, RowLayout, Separator};
@@ -71,7 +71,7 @@ struct Reading<'a> {
 
 impl Reading<'_> {
     #[inline]
-    fn parse(&self, row: &[u8]) -> Result<([f64; 3], Option<f64>, Option<[u16; 3]>), String> {
+    fn parse(&self, row: &[u8]) -> Parsed<[u16; 3]> {
         match &self.values {
             None => self.layout.parse(row).map(|(at, class)| (at, class, None)),
             Some(values) => {
