@@ -3,7 +3,7 @@
 
 import { join } from "node:path";
 import { launch, until, walkIn } from "./browser.js";
-import { DIST, twoStoreys } from "./scans.js";
+import { DIST, scanned, twoStoreys } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 

@@ -49,7 +49,7 @@ function absolute(address: string | URL): string {
 
 class OpenArchive implements Archive {
   info!: ArchiveInfo;
-  stats: Stats = toStats(new Float64Array(12));
+  stats: Stats = toStats(new Float64Array(15));
   private readonly link: Link;
   private readonly views = new Map<number, ViewHandle>();
   private readonly listeners: { [E in keyof ArchiveEvents]: Set<ArchiveEvents[E]> } = {
@@ -185,6 +185,9 @@ class OpenArchive implements Archive {
       case "page":
         this.views.get(event.view)?.page(event);
         break;
+      case "colours":
+        this.views.get(event.numbers[0] ?? 0)?.colours(event);
+        break;
       case "drop":
         this.views.get(event.view)?.drop(event.ids);
         break;
@@ -212,5 +215,6 @@ function toStats(numbers: Float64Array): Stats {
     requests: at(9),
     bytesLoaded: at(10),
     pending: at(11),
+    colours: { missing: at(12), requests: at(13), bytes: at(14) },
   };
 }
