@@ -43,10 +43,10 @@ async function drawn() {
   }
 }
 
-/** Share of pixels in the middle of the screen whose channels differ by so much: paint, not the greys without colours. */
+/** Share of pixels in the middle of the screen that are plainly blue or green: the formula's colours, and none of the page's own. */
 async function vivid(page) {
   const seen = await pixels(page);
-  return seen.filter((rgb) => Math.max(...rgb) - Math.min(...rgb) > 70).length / seen.length;
+  return seen.filter(([r, g, b]) => Math.max(g, b) - Math.min(r, g, b) > 60 && Math.max(g, b) > r).length / seen.length;
 }
 
 describe("colours", () => {
@@ -75,9 +75,9 @@ describe("colours", () => {
   it("offers no colours of a scan without", async () => {
     await walkIn(page, address(server, { at: WAY.start }));
     await tool("Colours").click();
-    await page.getByLabel("Height").waitFor({ state: "visible" });
+    await page.getByLabel("Height", { exact: true }).waitFor({ state: "visible" });
     assert.ok(!(await page.getByLabel("Scan", { exact: true }).isVisible()));
-    assert.ok(await page.getByLabel("Height").isChecked());
+    assert.ok(await page.getByLabel("Height", { exact: true }).isChecked());
     const { colours, drawn } = await state(page);
     assert.deepEqual([colours.requests, drawn.coloured], [0, 0]);
   });

@@ -36,6 +36,7 @@ const PAINTED: usize = 64;
 const FETCH: f64 = 1.0;
 const CANCEL: f64 = 2.0;
 const WAIT: f64 = 3.0;
+const FETCH_COLOURS: f64 = 4.0;
 
 /// One open archive.
 #[wasm_bindgen]
@@ -70,7 +71,6 @@ enum Colours {
         stale: bool,
         /// Colours that came, and the scenes that were not painted with them yet.
         came: Option<(PageKey, slicewalk::slice::Colours, Vec<u32>)>,
-        fetched: [u64; 2],
     },
     /// The archive has none.
     Never,
@@ -155,7 +155,7 @@ impl Engine {
 
     // Streaming ----------------------------------------------------------------------------------------------------------------
 
-    /// What to do now, as numbers: 1, name, start, end (fetch these bytes); 2, name (give this fetch up); 3, milliseconds (come
+    /// What to do now, as numbers: 1, name, start, end (fetch these bytes); 2, name (give this fetch up); 4, as 1, of colours; 3, milliseconds (come
     /// again then; ∞: after news). Fails while the archive cannot be opened.
     pub fn poll(&mut self, now_ms: f64) -> Result<Vec<f64>, String> {
         // Pages with the content of resident ones come without a fetch.
@@ -216,10 +216,10 @@ impl Engine {
                 .sound(outline.transpose())
                 .flatten()
                 .map_or(Distant::Never, |outline| Distant::Here(Box::new(outline)));
-        } else if let Colours::On { loader, fetch: asked, fetched, .. } = &mut self.colours
+        } else if let Colours::On { loader, fetch: asked, .. } = &mut self.colours
             && *asked == Some(fetch)
         {
-            (*asked, fetched[1]) = (None, fetched[1] + bytes.len() as u64);
+            *asked = None;
             let given = loader.given(bytes, time(now_ms));
             self.sound(given);
         }
@@ -292,7 +292,6 @@ impl Engine {
                 fetch: None,
                 stale: true,
                 came: None,
-                fetched: [0; 2],
             });
         }
         let waits = self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
@@ -300,7 +299,7 @@ impl Engine {
             || !self.fetches.0.is_empty()
             || !self.decodes.is_empty()
             || matches!(self.outline, Distant::Asked(_));
-        let Colours::On { loader, fetch, stale, fetched, .. } = &mut self.colours else { return until };
+        let Colours::On { loader, fetch, stale, .. } = &mut self.colours else { return until };
         if waits && let Some(name) = fetch.take() {
             loader.cancel();
             todo.extend([CANCEL, f64::from(name)]);
@@ -313,8 +312,8 @@ impl Engine {
         }
         if let Some(range) = loader.poll(now) {
             self.names += 1;
-            (*fetch, fetched[0]) = (Some(self.names), fetched[0] + 1);
-            todo.extend([FETCH, f64::from(self.names), range.start as f64, range.end as f64]);
+            *fetch = Some(self.names);
+            todo.extend([FETCH_COLOURS, f64::from(self.names), range.start as f64, range.end as f64]);
         }
         [until, loader.retry_at()].into_iter().flatten().min()
     }
@@ -422,6 +421,12 @@ impl Engine {
     pub fn cast(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
         let view = self.view()?;
         batch::cast(&view, rays, &mut self.lacks)
+    }
+
+    /// Rays N×7 → distance, and 1 where an overview level says that there is nothing nearer, two numbers a ray.
+    pub fn far(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
+        let (view, level) = (self.view()?, self.outline().and_then(Outline::view));
+        batch::far(&view, level.as_ref(), rays, &mut self.lacks)
     }
 
     /// Boxes N×6 → highest floor at or below the top; −∞: none, NaN: not loaded.
@@ -560,11 +565,12 @@ impl Engine {
         }
     }
 
-    /// Pages that wait for colours, requests made for colours, and bytes that came of them.
-    pub fn colour_stats(&self) -> Vec<f64> {
-        let Colours::On { fetched: [requests, bytes], .. } = &self.colours else { return vec![0.0; 3] };
-        let unpainted: usize = self.scenes.things().map(|scene| scene.thing.unpainted(usize::MAX).len()).sum();
-        vec![unpainted as f64, *requests as f64, *bytes as f64]
+    /// Pages that wait for colours.
+    pub fn unpainted(&self) -> u32 {
+        if !matches!(self.colours, Colours::On { .. }) {
+            return 0;
+        }
+        self.scenes.things().map(|scene| scene.thing.unpainted(usize::MAX).len() as u32).sum()
     }
 
     /// Paints the next page: scene, name of the page, cells along an edge (3 numbers), and then

@@ -54,3 +54,64 @@ impl Paint {
         paint
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use slicewalk::archive::{Archive, ArchiveWriter, ColourReader, EncodedColours, PageEncoder, Totals};
+    use slicewalk::codec::ColourEncoder;
+    use slicewalk::colour::{ColourPlan, ColourScale};
+    use slicewalk::frame::{Frame, PageKey};
+    use slicewalk::plan::Plan;
+    use slicewalk::slice::{Occupancy, PageBuilder, Span};
+
+    const RED: [u16; 3] = [65_535, 0, 0];
+    const BLACK: [u16; 3] = [0, 0, 0];
+
+    /// Two pixels with matter in slices 2 and 40, and one without a colour.
+    fn colours() -> Colours {
+        let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
+        let mut page = PageBuilder::default();
+        let spans =
+            [Span::new(2 * 255, 2 * 255 + 100, false).unwrap(), Span::new(40 * 255, 40 * 255 + 9, true).unwrap()];
+        for (x, y) in [(6, 9), (7, 9), (20, 20)] {
+            assert!(page.set_column(x, y, &spans));
+        }
+        let (page, key) = (page.build(), PageKey { tx: 0, ty: 0, layer: 0 });
+        let exact = [Some(RED), Some(BLACK), Some(BLACK), Some(RED), None, None];
+        let of_colours = ColourPlan { scale: ColourScale::of_rgb(65_535), error_milli: 0 };
+        let encoded = EncodedColours::new(&of_colours, &Occupancy::of(&page), &exact, &mut ColourEncoder::default());
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("a.slices");
+        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+        writer.set_colours(of_colours);
+        writer.put(key, PageEncoder::new(plan.frame).encode(key, &page).with_colours(encoded)).unwrap();
+        writer.finish(Totals { points_read: 1, points_kept: 1, ..Totals::default() }).unwrap();
+        let archive = Archive::open(&target).unwrap();
+        ColourReader::new(&archive).unwrap().unwrap().colours_of(key, &page).unwrap()
+    }
+
+    fn cell(paint: &Paint, x: u32, y: u32) -> (u64, Vec<[u8; 4]>) {
+        let at = 4 * (y * paint.edge + x) as usize;
+        let [low, high, first, 0] = paint.cells[at..at + 4] else { panic!("four numbers a cell") };
+        let mask = u64::from(high) << 32 | u64::from(low);
+        let colours = paint.colours.as_chunks::<4>().0[first as usize..].iter();
+        (mask, colours.take(mask.count_ones() as usize).copied().collect())
+    }
+
+    #[test]
+    fn a_cell_has_the_mean_of_its_voxels_in_each_slice() {
+        let colours = colours();
+        let fine = Paint::new(&colours, 0);
+        assert_eq!((fine.edge, fine.cells.len(), fine.colours.len()), (64, 4 * 64 * 64, 16));
+        let both = 1 << 2 | 1 << 40;
+        assert_eq!(cell(&fine, 6, 9), (both, vec![[255, 0, 0, 255], [0, 0, 0, 255]]));
+        assert_eq!(cell(&fine, 7, 9), (both, vec![[0, 0, 0, 255], [255, 0, 0, 255]]));
+        assert_eq!(cell(&fine, 20, 20), (0, vec![]));
+        let coarse = Paint::new(&colours, 1);
+        assert_eq!(coarse.edge, 32);
+        // The root of half of 255².
+        assert_eq!(cell(&coarse, 3, 4), (both, vec![[180, 0, 0, 255]; 2]));
+        assert_eq!(coarse.colours.len(), 8);
+    }
+}

@@ -10,6 +10,7 @@ import {
   type ArchiveReference,
   type BatchOptions,
   type Bounds,
+  type FarHits,
   type OpenOptions,
   type RayHits,
   type SliceMap,
@@ -128,6 +129,15 @@ class OpenArchive implements Archive {
       hits.obstacles[ray] = answers[5 * ray + 4] as number;
     }
     return hits;
+  }
+
+  async castFar(rays: Float64Array, options: { signal?: AbortSignal } = {}): Promise<FarHits> {
+    const answers = await this.batch<Float64Array>("far", rays, options);
+    const count = answers.length / 2;
+    return {
+      distances: Float64Array.from({ length: count }, (_, ray) => answers[2 * ray] as number),
+      coarse: Uint8Array.from({ length: count }, (_, ray) => answers[2 * ray + 1] as number),
+    };
   }
 
   floor(boxes: Float64Array, options?: BatchOptions): Promise<Float64Array> {

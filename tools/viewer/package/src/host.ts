@@ -16,7 +16,7 @@ const STATS_EVERY = 250;
 /** What steps ask for may wait so long (ms): walkers that step more often than that share the work of streaming. */
 const HINTS_EVERY = 4;
 /** Numbers of a question of each kind, and of its answer. */
-const SHAPES = { overlaps: [6, 1], sweep: [9, 1], cast: [7, 5], floor: [6, 1] } as const;
+const SHAPES = { overlaps: [6, 1], sweep: [9, 1], cast: [7, 5], far: [7, 2], floor: [6, 1] } as const;
 
 export interface Port {
   post(message: FromWorker, transfer: Transferable[]): void;
@@ -48,6 +48,8 @@ export class Host {
   private scheduled = false;
   private pumpedAt = Number.NEGATIVE_INFINITY;
   private hintsWait = false;
+  /** Requests made for colours, and bytes that came of them. */
+  private readonly coloured = [0, 0] as [number, number];
   private timer = new AbortController();
   private readonly life = new AbortController();
   private statsAt = Number.NEGATIVE_INFINITY;
@@ -416,8 +418,8 @@ export class Host {
     let wait = Number.POSITIVE_INFINITY;
     for (let at = 0; at < todo.length;) {
       const [what = 0, a = 0, b = 0, c = 0] = todo.subarray(at, at + 4);
-      if (what === 1) {
-        void this.fetch(engine, a, b, c);
+      if (what === 1 || what === 4) {
+        void this.fetch(engine, a, b, c, what === 4);
         at += 4;
       } else if (what === 2) {
         this.fetches.get(a)?.abort();
@@ -433,11 +435,17 @@ export class Host {
     return wait;
   }
 
-  private async fetch(engine: Engine, name: number, start: number, end: number): Promise<void> {
+  private async fetch(engine: Engine, name: number, start: number, end: number, colours: boolean): Promise<void> {
     const gate = new AbortController();
     this.fetches.set(name, gate);
     try {
-      const bytes = await this.source?.read(start, end, gate.signal);
+      const before = this.source?.requests ?? 0;
+      const reading = this.source?.read(start, end, gate.signal);
+      // What was read ahead costs no request.
+      const counts = colours && (this.source?.requests ?? 0) > before;
+      this.coloured[0] += counts ? 1 : 0;
+      const bytes = await reading;
+      this.coloured[1] += counts ? (bytes?.length ?? 0) : 0;
       if (bytes && !this.failure) {
         this.guarded(() => engine.given(name, bytes, this.outside.now()));
       }
@@ -530,7 +538,14 @@ export class Host {
     this.statsAt = this.outside.now();
     this.statsDue = false;
     const { requests, bytes } = this.source ?? { requests: 0, bytes: 0 };
-    const numbers = Float64Array.from([...engine.stats(), requests, bytes, this.fetches.size, ...engine.colour_stats()]);
+    const numbers = Float64Array.from([
+      ...engine.stats(),
+      requests,
+      bytes,
+      this.fetches.size,
+      engine.unpainted(),
+      ...this.coloured,
+    ]);
     const text = numbers.join();
     if (text !== this.lastStats) {
       this.lastStats = text;

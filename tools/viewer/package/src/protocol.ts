@@ -12,7 +12,7 @@ export interface Open {
   readonly credentials: RequestCredentials | undefined;
 }
 
-export type BatchKind = "overlaps" | "sweep" | "cast" | "floor";
+export type BatchKind = "overlaps" | "sweep" | "cast" | "far" | "floor";
 
 export type SceneSettings = readonly [radius: number, triangles: number, detail: number, overview: boolean];
 

@@ -158,6 +158,14 @@ export interface RayHits {
   readonly obstacles: Uint8Array;
 }
 
+/** How far rays are free. */
+export interface FarHits {
+  /** Distance to the first matter, or the least that it can be; Infinity: nothing hit, NaN: not loaded. */
+  readonly distances: Float64Array;
+  /** 1 where pages are missing: an overview level says that there is no matter nearer. */
+  readonly coarse: Uint8Array;
+}
+
 /** A plan of one storey, seen from above. */
 export interface SliceMap {
   readonly width: number;
@@ -189,6 +197,11 @@ export interface Archive {
   sweep(sweeps: Float64Array, options?: BatchOptions): Promise<Float64Array>;
   /** Rays N×7 (origin, direction, max) → distance; Infinity: nothing hit, NaN: not loaded. */
   cast(rays: Float64Array, options?: BatchOptions): Promise<Float64Array>;
+  /**
+   * As {@link cast}, of what is in memory: where pages are missing, the overview level that a view shows (`overview: true`) says how far
+   * the ray is free at least. Never loads anything.
+   */
+  castFar(rays: Float64Array, options?: { signal?: AbortSignal }): Promise<FarHits>;
   /** As {@link cast}, with normals. */
   castHits(rays: Float64Array, options?: BatchOptions): Promise<RayHits>;
   /**
