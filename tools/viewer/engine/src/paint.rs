@@ -27,7 +27,7 @@ impl Paint {
             let (x, y) = ((number % edge) << coarseness, (number / edge) << coarseness);
             let (mut mask, mut sums) = (0u64, [[0u32; 4]; 64]);
             for (dx, dy) in (0..1 << coarseness).flat_map(|dy| (0..1 << coarseness).map(move |dx| (dx, dy))) {
-                let (mut slices, first) = occupancy.pixel(((y + dy) << 6 | x + dx) as usize);
+                let (mut slices, first) = occupancy.pixel((64 * (y + dy) + x + dx) as usize);
                 let mut at = first;
                 while slices != 0 {
                     let k = slices.trailing_zeros();
