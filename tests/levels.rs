@@ -6,11 +6,12 @@ mod common;
 use common::forge::{Parts, put, word};
 use common::random::Random;
 use common::{Pages, archive_of, archive_with_levels, key, page, plan};
+use nalgebra::{Point3, Vector3};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
     Archive, ArchiveWriter, Opened, Opening, PageEncoder, Shard, Totals, extract, merge, recover,
 };
-use slicewalk::query::{Aabb, Overlap, overlaps};
+use slicewalk::query::{Aabb, Answer, Overlap, Ray, Sight, cast, cast_far, overlaps};
 use slicewalk::slice::Span;
 use slicewalk::store::{Loader, LoaderOptions, Next, Prefetch, Store, Stream, StreamOptions, Time};
 use std::fs;
@@ -272,5 +273,54 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
         let found = Archive::from_bytes(forged).and_then(|archive| archive.levels().map(drop));
         let said = found.unwrap_err().to_string();
         assert!(said.contains(&format!("rule {rule}")), "{at}: {said}");
+    }
+}
+
+#[test]
+fn where_pages_are_missing_a_level_says_how_far_a_ray_is_free() {
+    let archive = || Archive::from_bytes(with_levels(city())).unwrap();
+    let whole = Store::resident(&archive(), &NoMonitor).unwrap();
+    let keys: Vec<_> = archive().entries().map(|entry| entry.unwrap().key).collect();
+    let stream =
+        Stream::open(archive(), StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(64 << 20) }).unwrap();
+    let some: Vec<_> = keys.iter().copied().step_by(3).collect();
+    assert_eq!(stream.load(&some, some[0]).unwrap().left_out, 0);
+    let view = stream.view();
+    let frame = archive().header().plan.frame;
+    let page_m = [64.0 * frame.pixel_m(), 64.0 * frame.pixel_m(), 64.0 * frame.slice_m()];
+    let mut random = Random(5);
+    for number in [1, 2] {
+        let level = Store::resident(&archive().level(number).unwrap(), &NoMonitor).unwrap();
+        let (mut exact, mut free, mut bounds, mut better) = (0, 0, 0, 0);
+        for _ in 0..4000 {
+            let origin = Point3::new(
+                random.between(-10.0, 15.0) * page_m[0],
+                random.between(-8.0, 13.0) * page_m[1],
+                random.between(-1.2, 2.2) * page_m[2],
+            );
+            let direction =
+                Vector3::new(random.between(-1.0, 1.0), random.between(-1.0, 1.0), random.between(-0.3, 0.3));
+            let ray = Ray::new(origin, direction, random.between(0.0, 30.0) * page_m[0]).unwrap();
+            let Answer::Known(truth) = cast(&whole, &ray) else { panic!("all pages are there") };
+            let is_loaded = matches!(cast(&view, &ray), Answer::Known(_));
+            match cast_far(&view, &level, &ray) {
+                Answer::Known(Sight::Exact(found)) => {
+                    assert_eq!(found, truth, "{ray:?}");
+                    exact += 1;
+                    free += usize::from(!is_loaded);
+                }
+                Answer::Known(Sight::AtLeast(distance)) => {
+                    assert!(!is_loaded && (0.0..=ray.max()).contains(&distance), "{ray:?}: {distance}");
+                    assert!(
+                        truth.is_none_or(|hit| hit.distance >= distance),
+                        "{ray:?}: {truth:?} is nearer than {distance}"
+                    );
+                    bounds += 1;
+                    better += usize::from(distance > 0.1);
+                }
+                Answer::NotLoaded(_) => panic!("all of the level is there"),
+            }
+        }
+        assert!(exact > 500 && free > 20 && bounds > 100 && better > 50, "{exact} {free} {bounds} {better}");
     }
 }

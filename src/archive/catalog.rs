@@ -7,6 +7,7 @@ use super::head::{Header, Leaf};
 use super::levels::{Level, decode_table};
 use super::metadata::Metadata;
 use crate::Result;
+use crate::bytes::crc;
 use crate::codec::{Unpacker, Violation};
 use crate::frame::PageKey;
 use crate::unit::LengthUnit;
@@ -98,7 +99,7 @@ impl Catalog {
     }
 
     fn unpack_leaf(&self, leaf: &Leaf, stored: &[u8]) -> Result<Vec<u8>, Violation> {
-        let crc = crc32c::crc32c(stored);
+        let crc = crc::crc32c(stored);
         if crc != leaf.crc {
             return Err(Violation::new("D1", format!("checksum {:08x}", leaf.crc), format!("{crc:08x}")));
         }

@@ -10,6 +10,7 @@ use super::head::{MAX_LEAF_ENTRIES, MAX_LEAVES};
 use super::page::PageDecoder;
 use super::reader::Archive;
 use super::spill::Spool;
+use crate::bytes::crc;
 use crate::codec::{ByteReader, ColourBlock, ColourEncoder, MAX_COLOUR_BLOCK, Packer, Unpacker, Violation, put_varint};
 use crate::colour::ColourPlan;
 use crate::disk::Files;
@@ -74,7 +75,7 @@ impl EncodedColours {
 /// Checksum of a block: of its page's key, then of its bytes.
 fn block_crc(key: PageKey, bytes: &[u8]) -> u32 {
     let key = [key.tx, key.ty, key.layer].map(i32::to_le_bytes);
-    crc32c::crc32c_append(crc32c::crc32c(key.as_flattened()), bytes)
+    crc::crc32c_append(crc::crc32c(key.as_flattened()), bytes)
 }
 
 /// The colours of an archive that is being written: they wait until its pages are complete.
@@ -116,7 +117,7 @@ impl ColourWriter {
         let mut leaf = |entries: &[u8], give: &mut dyn FnMut(&[u8]) -> Result<()>| -> Result<()> {
             let (raw, mut stored) = (encode_leaf(entries, &mut base), Vec::new());
             packer.pack(&raw, &mut stored);
-            for value in [stored.len() as u32, raw.len() as u32, crc32c::crc32c(&stored)] {
+            for value in [stored.len() as u32, raw.len() as u32, crc::crc32c(&stored)] {
                 table.extend(value.to_le_bytes());
             }
             len += stored.len() as u64;
@@ -135,7 +136,7 @@ impl ColourWriter {
             leaf(&entries, give)?;
         }
         give(&table)?;
-        let head = ColourHead { plan: self.plan, voxels: self.voxels, table_crc: crc32c::crc32c(&table) };
+        let head = ColourHead { plan: self.plan, voxels: self.voxels, table_crc: crc::crc32c(&table) };
         Ok((head, len + table.len() as u64))
     }
 }
@@ -244,7 +245,7 @@ impl Catalog {
         let (Some(head), Some(range)) = (self.header().colours, self.colour_table_range()) else {
             return Err(Violation::new("K2", "an archive with colours", "one without"));
         };
-        let crc = crc32c::crc32c(bytes);
+        let crc = crc::crc32c(bytes);
         if bytes.len() as u64 != range.end - range.start || crc != head.table_crc {
             return Err(Violation::new("K2", format!("checksum {:08x}", head.table_crc), format!("{crc:08x}")));
         }
@@ -279,7 +280,7 @@ impl Catalog {
 
     fn colour_leaf(&self, table: &ColourTable, index: usize, stored: &[u8]) -> Result<Vec<ColourEntry>, Violation> {
         let leaf = table.leaves[index];
-        let crc = crc32c::crc32c(stored);
+        let crc = crc::crc32c(stored);
         if crc != leaf.crc {
             return Err(Violation::new("K3", format!("checksum {:08x}", leaf.crc), format!("{crc:08x}")));
         }

@@ -164,7 +164,7 @@ pub fn extract(
         })?;
     }
     let bounds = writer.fit(header.bounds.and_then(|whole| region.bounds(frame, &whole)));
-    let mut dropped: Vec<_> = unknown.keys().map(|tag| format!("metadata {}", tag_name(tag))).collect();
+    let mut dropped: Vec<_> = unknown.iter().map(|(tag, _)| format!("metadata {}", tag_name(tag))).collect();
     dropped.extend(shard.map(|shard| format!("that it is {shard}")));
     dropped.extend(beyond_this_version(header));
     let header = writer.finish(Totals { bounds, crs, units, noise, ..Totals::of_points(header) })?;

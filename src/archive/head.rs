@@ -5,6 +5,7 @@
 use super::FORMAT_VERSION;
 use super::colours::ColourHead;
 use super::levels::{Levels, MAX_LEVELS, MAX_STORED_TABLE};
+use crate::bytes::crc;
 use crate::codec::{ByteReader, Violation};
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
@@ -324,7 +325,7 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
     out.resize(FIXED, 0);
     leaves.iter().for_each(|leaf| leaf.encode(&mut out));
     out.resize(header.bytes.head as usize - CRC, 0);
-    let crc = crc32c::crc32c(&out);
+    let crc = crc::crc32c(&out);
     out.extend(crc.to_le_bytes());
     out
 }
@@ -334,7 +335,7 @@ pub(super) fn encode_footer(file_len: u64, head: &[u8]) -> [u8; FOOTER] {
     let mut out = [0; FOOTER];
     out[..8].copy_from_slice(&file_len.to_le_bytes());
     out[8..12].copy_from_slice(&head[head.len() - CRC..]);
-    let crc = crc32c::crc32c(&out[..12]);
+    let crc = crc::crc32c(&out[..12]);
     out[12..16].copy_from_slice(&crc.to_le_bytes());
     out[16..].copy_from_slice(&END_MAGIC);
     out
@@ -347,7 +348,7 @@ pub(super) fn check_footer(bytes: &[u8; FOOTER], file_len: u64, head: &[u8]) -> 
     if bytes[16..] != END_MAGIC {
         return Err(at(Violation::new("F1", hex(&END_MAGIC), hex(&bytes[16..]))));
     }
-    if crc32c::crc32c(&bytes[..12]).to_le_bytes() != bytes[12..16] {
+    if crc::crc32c(&bytes[..12]).to_le_bytes() != bytes[12..16] {
         return Err(at(Violation::new("F2", "the footer's checksum", hex(&bytes[12..16]))));
     }
     if *bytes != expected {
@@ -385,7 +386,7 @@ pub(super) fn decode(bytes: &[u8], file_len: u64) -> Result<(Header, Vec<Leaf>)>
         return Err(at(Violation::new("H2", expected, head_len)));
     }
     let (covered, crc) = bytes[..head_len].split_at(head_len - CRC);
-    if crc32c::crc32c(covered).to_le_bytes() != crc {
+    if crc::crc32c(covered).to_le_bytes() != crc {
         return Err(at(Violation::new("H3", "the head's checksum", hex(crc))));
     }
     let (header, leaf_count) = decode_fixed(covered, file_len)?;

@@ -192,11 +192,12 @@ fn all_read(parts: &[OpenShard<'_>]) -> Result<Vec<InputRead>> {
 
 /// Metadata of unknown tags that say the same in all parts, and what does not.
 fn common_records(parts: &[OpenShard<'_>]) -> (Unknown, Vec<String>) {
-    let all: BTreeMap<&Tag, &Vec<u8>> = parts.iter().flat_map(|part| &part.unknown).collect();
+    let all: BTreeMap<&Tag, &Vec<u8>> =
+        parts.iter().flat_map(|part| &part.unknown).map(|(tag, content)| (tag, content)).collect();
     let (mut common, mut dropped) = (Unknown::new(), Vec::new());
     for (tag, content) in all {
-        if parts.iter().all(|part| part.unknown.get(tag) == Some(content)) {
-            common.insert(*tag, content.clone());
+        if parts.iter().all(|part| part.unknown.iter().any(|(other, same)| (other, same) == (tag, content))) {
+            common.push((*tag, content.clone()));
         } else {
             dropped.push(format!("metadata {}, which is not the same in all parts", tag_name(tag)));
         }

@@ -2,6 +2,7 @@
 
 use super::head::{MAX_METADATA, hex};
 use super::shard::{InputRead, Shard};
+use crate::bytes::crc;
 use crate::codec::{ByteReader, Violation};
 use crate::plan::Noise;
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
@@ -23,8 +24,8 @@ const READ: Tag = *b"READ";
 /// Tag of the part of a conversion that the archive holds.
 const SHARD: Tag = *b"SHRD";
 
-/// Records of tags that this version does not know.
-pub(super) type Unknown = BTreeMap<Tag, Vec<u8>>;
+/// Records of tags that this version does not know, ascending and each once.
+pub(super) type Unknown = Vec<(Tag, Vec<u8>)>;
 
 /// Tag of the units that were applied to the inputs.
 const UNIT: Tag = *b"UNIT";
@@ -86,7 +87,7 @@ impl Metadata {
 
     /// What the metadata block `bytes` says.
     pub fn decode(bytes: &[u8], crc: u32) -> Result<Self, Violation> {
-        let found = crc32c::crc32c(bytes);
+        let found = crc::crc32c(bytes);
         if found != crc {
             return Err(Violation::new("M1", format!("checksum {crc:08x}"), format!("{found:08x}")));
         }
@@ -113,9 +114,7 @@ impl Metadata {
                 READ => metadata.read = InputRead::decode(content)?,
                 SHARD => metadata.shard = Some(Shard::decode(content)?),
                 UNIT => metadata.units = decode_units(content)?,
-                _ => {
-                    metadata.unknown.insert(tag, content.to_vec());
-                }
+                _ => metadata.unknown.push((tag, content.to_vec())),
             }
             last = Some(tag);
             rest = &rest[8 + len..];
@@ -167,7 +166,7 @@ mod tests {
     #[test]
     fn keeps_unknown_records_and_refuses_disorder() {
         let record = |tag: &[u8; 4], content: &[u8]| [tag, &(content.len() as u32).to_le_bytes()[..], content].concat();
-        let read = |bytes: &[u8]| Metadata::decode(bytes, crc32c::crc32c(bytes)).map_err(|violation| violation.rule);
+        let read = |bytes: &[u8]| Metadata::decode(bytes, crc::crc32c(bytes)).map_err(|violation| violation.rule);
         let (crs, other) = (record(b"CRS ", b"EPSG:28992"), record(b"zzzz", &[0xFF; 3]));
         let unknown = Unknown::from([(*b"zzzz", vec![0xFF; 3])]);
         let both = Metadata { crs: "EPSG:28992".into(), unknown: unknown.clone(), ..Metadata::default() };
@@ -210,6 +209,7 @@ mod tests {
             mut unknown in proptest::collection::btree_map(any::<Tag>(), proptest::collection::vec(any::<u8>(), 0..9), 0..4)
         ) {
             unknown.retain(|tag, _| ![CRS, NOISE, READ, SHARD, UNIT].contains(tag));
+            let unknown = Unknown::from_iter(unknown);
             let shard = part.map(|(index, plan_file)| {
                 let first = u64::from(index) << 60;
                 let last = if index == 4 { u64::MAX } else { first + (1 << 60) - 1 };
@@ -220,7 +220,7 @@ mod tests {
             let noise = noise.map(|(noise_m, regions, region_m)| Noise { noise_m, regions, region_m });
             let metadata = Metadata { crs, shard, read, noise, unknown, units: LengthUnit::distinct(units) };
             let bytes = metadata.encode().unwrap();
-            let mut found = Metadata::decode(&bytes, crc32c::crc32c(&bytes)).unwrap();
+            let mut found = Metadata::decode(&bytes, crc::crc32c(&bytes)).unwrap();
             for (found, given) in found.read.iter_mut().zip(&metadata.read) {
                 prop_assert!(given.name.starts_with(&found.name) && found.name.len() + 4 > given.name.len().min(255));
                 found.name.clone_from(&given.name);
@@ -230,7 +230,7 @@ mod tests {
 
         #[test]
         fn random_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..60)) {
-            let _ = Metadata::decode(&bytes, crc32c::crc32c(&bytes));
+            let _ = Metadata::decode(&bytes, crc::crc32c(&bytes));
         }
     }
 }

@@ -5,6 +5,7 @@ use super::directory::{Extent, PageEntry, Storage, key_in_grid};
 use super::head::hex;
 use super::levels::{CoarseSpan, coarse};
 use crate::Result;
+use crate::bytes::crc;
 use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
 use crate::plan::Plan;
@@ -108,12 +109,12 @@ pub(super) fn leader_crc(bytes: &[u8]) -> u32 {
 
 /// Checksum of what a page's own covers of its leader.
 pub(super) fn covered_crc(leader: &[u8]) -> u32 {
-    crc32c::crc32c(&leader[..20])
+    crc::crc32c(&leader[..20])
 }
 
 /// Checksum of a page: its leader up to the checksum, then its body.
 fn page_crc(bytes: &[u8]) -> u32 {
-    crc32c::crc32c_append(covered_crc(bytes), &bytes[LEADER..])
+    crc::crc32c_append(covered_crc(bytes), &bytes[LEADER..])
 }
 
 /// A leader without length and checksum.

@@ -10,6 +10,7 @@
 
 use super::page::{self, MAX_STORED_PAGE, PageDecoder};
 use crate::bytes::ByteSource;
+use crate::bytes::crc;
 use crate::frame::PageKey;
 use crate::{Error, Monitor, Result};
 use std::ops::Range;
@@ -193,7 +194,7 @@ impl Sums {
         let mut sum = 0;
         let sums = bytes.chunks(Self::STEP).map(|step| {
             let before = sum;
-            sum = crc32c::crc32c_append(sum, step);
+            sum = crc::crc32c_append(sum, step);
             before
         });
         Self { before: sums.collect() }
@@ -204,7 +205,7 @@ impl Sums {
         let before = |end: usize| {
             let step = (end / Self::STEP).min(self.before.len().saturating_sub(1));
             let known = self.before.get(step).copied().unwrap_or(0);
-            crc32c::crc32c_append(known, &bytes[step * Self::STEP..end])
+            crc::crc32c_append(known, &bytes[step * Self::STEP..end])
         };
         shifted(sum ^ before(range.start), range.len()) ^ before(range.end)
     }
@@ -273,7 +274,7 @@ mod tests {
         ) {
             let [a, b] = ends.map(|end| end.index(bytes.len() + 1));
             let range = a.min(b)..a.max(b);
-            let expected = crc32c::crc32c_append(sum, &bytes[range.clone()]);
+            let expected = crc::crc32c_append(sum, &bytes[range.clone()]);
             prop_assert_eq!(Sums::of(&bytes).appended(sum, &bytes, range), expected);
         }
 

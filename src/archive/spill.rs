@@ -6,6 +6,7 @@
 use super::directory::{Extent, PageEntry, Storage, encode_leaf};
 use super::head::Leaf;
 use crate::Result;
+use crate::bytes::crc;
 use crate::codec::{ByteReader, Packer, span_bits, span_from_bits};
 use crate::disk::{Files, Temporary};
 use crate::frame::PageKey;
@@ -95,7 +96,7 @@ pub(super) fn write_leaves(
             offset,
             stored_len: stored.len() as u32,
             raw_len: raw.len() as u32,
-            crc: crc32c::crc32c(&stored),
+            crc: crc::crc32c(&stored),
         });
         give(&stored)?;
         first += count as u64;

@@ -14,6 +14,7 @@ use super::metadata::{Metadata, Unknown};
 use super::page::EncodedPage;
 use super::shard::{InputRead, Shard};
 use super::spill::{Entries, write_leaves};
+use crate::bytes::crc;
 use crate::codec::Violation;
 use crate::colour::ColourPlan;
 use crate::frame::PageKey;
@@ -405,7 +406,7 @@ impl ArchiveWriter {
         header.points_withheld = totals.points_withheld;
         header.points_excluded = totals.points_excluded;
         header.bounds = self.bounds(totals.bounds)?;
-        header.metadata_crc = crc32c::crc32c(&metadata);
+        header.metadata_crc = crc::crc32c(&metadata);
         header.leaf_entries = leaf_entries;
         let head = head::encode(&header, &leaves);
         // Totals that contradict each other would make an archive that nobody can open.

@@ -3,6 +3,7 @@
 //! In: an offset and a length. Out: bytes, or an error. Memory: none of its own. Everything above asks here, so a test
 //! that counts, delays, cuts or damages reads needs to know nothing else.
 
+pub(crate) mod crc;
 mod file_id;
 mod positioned;
 mod regular;

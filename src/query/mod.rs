@@ -50,7 +50,7 @@ pub use floor::floor_under;
 pub use grid::Shape;
 pub(crate) use grid::all_within_reach;
 pub use probe::{Probe, probe, probe_batch};
-pub use ray::{Ray, RayHit, cast};
+pub use ray::{Ray, RayHit, Sight, cast, cast_far};
 pub use sphere::Sphere;
 pub(crate) use sweep::{GridCell, SweepArea, Visit, descend};
 pub use sweep::{

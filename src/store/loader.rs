@@ -1,6 +1,7 @@
 //! Loading pages ahead of moving bodies: a state machine without a thread, a lock, a clock or a source of bytes.
 
 use super::account::Account;
+use super::by_id::ById;
 use super::cache::{Cache, Claim, Order, PageRun, Views};
 use super::fetch::{Decode, Decoded, Fetch, FetchId, Made, Next, PageError, Time, Work};
 use super::missing::Missing;
@@ -12,7 +13,7 @@ use super::tally::Counters;
 use crate::archive::Catalog;
 use crate::frame::PageKey;
 use crate::{Error, Result};
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -152,16 +153,16 @@ pub struct Loader {
     /// Until the directory is there.
     start: Option<Box<Start>>,
     pub(super) cache: Option<Box<Cache>>,
-    bodies: BTreeMap<BodyId, Tracked>,
+    bodies: ById<BodyId, Tracked>,
     /// What the bodies want, and whether they said something else since.
     hinted: Order,
     stale: bool,
     again: Option<Time>,
-    pub(super) requests: BTreeMap<RequestId, Request>,
+    pub(super) requests: ById<RequestId, Request>,
     /// Asked for before the directory was there.
     pub(super) early: Vec<(RequestId, Vec<PageKey>, PageKey)>,
-    pub(super) ended: BTreeMap<RequestId, Result<LoadReport>>,
-    pub(super) flights: BTreeMap<FetchId, Flight>,
+    pub(super) ended: ById<RequestId, Result<LoadReport>>,
+    pub(super) flights: ById<FetchId, Flight>,
     reports: VecDeque<PageError>,
     latency: Duration,
     pub(super) now: Time,
@@ -192,14 +193,14 @@ impl Loader {
             catalog: start.catalog().cloned(),
             start: Some(Box::new(start)),
             cache: None,
-            bodies: BTreeMap::new(),
+            bodies: ById::new(),
             hinted: Order::default(),
             stale: false,
             again: None,
-            requests: BTreeMap::new(),
+            requests: ById::new(),
             early: Vec::new(),
-            ended: BTreeMap::new(),
-            flights: BTreeMap::new(),
+            ended: ById::new(),
+            flights: ById::new(),
             reports: VecDeque::new(),
             latency: Duration::ZERO,
             now: Time::ZERO,
@@ -210,6 +211,14 @@ impl Loader {
     /// The head of the archive, once it is there.
     pub fn catalog(&self) -> Option<&Catalog> {
         self.catalog.as_deref()
+    }
+
+    pub(super) fn shared_catalog(&self) -> Option<Arc<Catalog>> {
+        self.catalog.clone()
+    }
+
+    pub(super) fn account(&self) -> &Arc<Account> {
+        &self.account
     }
 
     /// The pages in memory now; `None` until the directory is there. Answers from a view do not change, and its pages stay in
@@ -289,8 +298,7 @@ impl Loader {
         let mut until: Option<Time> = None;
         let mut wait = |time: Time| until = Some(until.map_or(time, |least| least.min(time)));
         let mut no_room = false;
-        let requests: Vec<RequestId> = self.requests.keys().copied().collect();
-        let turns = requests.into_iter().map(Some).chain([None]);
+        let turns = self.requests.ids().into_iter().map(Some).chain([None]);
         for request in turns {
             if self.flights.len() >= self.options.fetches {
                 no_room |= self.is_absent(request, now);
@@ -310,7 +318,9 @@ impl Loader {
                     }
                 }
                 Turn::Ended(outcome) => {
-                    self.ended.extend(request.map(|id| (id, outcome)));
+                    if let Some(id) = request {
+                        self.ended.insert(id, outcome);
+                    }
                 }
             }
         }

@@ -13,7 +13,9 @@
 //! holds its page or says in which slices the page has matter.
 
 mod account;
+mod by_id;
 mod cache;
+mod colours;
 mod fetch;
 mod held;
 mod loader;
@@ -30,6 +32,7 @@ mod table;
 mod tally;
 
 pub use cache::Views;
+pub use colours::ColourLoader;
 pub use fetch::{Decode, Decoded, Fetch, FetchId, Next, PageError, Time};
 pub use held::{Store, StoreSlot};
 pub use loader::{BodyId, Loader, LoaderOptions};

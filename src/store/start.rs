@@ -3,11 +3,11 @@
 //! In: fetched bytes. Out: the table of all pages. Memory: reserved in the budget before a leaf is asked for.
 
 use super::account::{Account, Room};
+use super::by_id::ById;
 use super::fetch::{FetchId, Time, Work};
 use super::snapshot::Index;
 use crate::archive::{Catalog, Opened, Opening, PageEntry};
 use crate::{Error, Parameter, Result};
-use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
@@ -40,8 +40,8 @@ pub(super) struct Start {
     table: Option<Room>,
     /// Leaves not asked for yet, in stretches; those that failed come back.
     left: Vec<Range<usize>>,
-    entries: BTreeMap<usize, Vec<PageEntry>>,
-    flights: BTreeMap<FetchId, Flight>,
+    entries: ById<usize, Vec<PageEntry>>,
+    flights: ById<FetchId, Flight>,
     tries: u32,
     again: Option<Time>,
     /// What the next poll says. Unless it is a failure to read, it is said for ever.
@@ -64,8 +64,8 @@ impl Start {
             catalog: None,
             table: None,
             left: Vec::new(),
-            entries: BTreeMap::new(),
-            flights: BTreeMap::new(),
+            entries: ById::new(),
+            flights: ById::new(),
             tries: 0,
             again: None,
             error: None,

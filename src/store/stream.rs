@@ -1,6 +1,7 @@
 //! A stream: a [`Loader`] with a thread, a lock, a clock and an archive to read from.
 
 use super::cache::Views;
+use super::colours::ColourLoader;
 use super::fetch::{Fetch, Next, PageError, Time};
 use super::loader::{BodyId, Loader, LoaderOptions, Turn};
 use super::missing::Missing;
@@ -14,6 +15,7 @@ use super::sync::{
 use super::tally::Counters;
 use crate::archive::Archive;
 use crate::frame::PageKey;
+use crate::slice::Colours;
 use crate::{Error, Result};
 use std::sync::PoisonError;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
@@ -30,6 +32,9 @@ pub enum Prefetch {
     /// Whoever calls [`Stream::step`]: a program with its own scheduler, or a test with its own time.
     Manual,
 }
+
+/// Colours that wait to be taken, at most.
+const COLOURED: usize = 16;
 
 /// How a [`Stream`] works.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,6 +71,8 @@ impl StreamOptions {
 pub enum Step {
     /// Read and decoded a run; this many pages came into memory.
     Loaded(usize),
+    /// No pages were to be read, so colours of some were.
+    Coloured,
     /// Nothing is left to do until a hint changes.
     Idle,
     /// Another thread reads what is left.
@@ -123,6 +130,9 @@ struct Shared {
     archive: Archive,
     views: Views,
     loader: Mutex<Loader>,
+    /// Of what has colours, and those that wait to be taken.
+    colours: Mutex<Option<ColourLoader>>,
+    coloured: Mutex<Vec<(PageKey, Result<Colours>)>>,
     /// Told whenever a run was loaded or failed.
     settled: Condvar,
     options: StreamOptions,
@@ -163,10 +173,13 @@ impl Stream {
         }
         let Some(views) = loader.views() else { return Err(Error::parameter("archive", "it has no directory")) };
         let prefetch = options.prefetch;
+        let colours = Mutex::new(loader.colours());
         let shared = Arc::new(Shared {
             archive,
             views,
             loader: Mutex::new(loader),
+            colours,
+            coloured: Mutex::default(),
             settled: Condvar::new(),
             options,
             origin,
@@ -253,6 +266,8 @@ impl Stream {
                     Step::Idle | Step::NoRoom(false) => return true,
                     _ if start.elapsed() >= at_most => return false,
                     Step::Loaded(_) => {}
+                    // Pages came before colours.
+                    Step::Coloured => return true,
                     Step::Busy | Step::NoRoom(true) => yield_now(),
                 }
             },
@@ -262,6 +277,28 @@ impl Stream {
                 *rested.unwrap_or_else(PoisonError::into_inner).0 >= newest
             }
         }
+    }
+
+    /// Asks for the colours of these pages, most urgent first, instead of those asked for before; pages that are not in memory get
+    /// none. Whoever loads pages ahead reads colours when no page is to be read, so a page waits for one read of
+    /// colours (64 KiB) at most. With [`Prefetch::Off`] nobody does. Does nothing for an archive without colours.
+    pub fn want_colours(&self, keys: &[PageKey]) {
+        if let Some(colours) = &mut *lock(&self.shared.colours) {
+            colours.want(keys.iter().copied());
+        }
+        if let Some(worker) = &self.worker {
+            worker.thread().unpark();
+        }
+    }
+
+    /// The colours that came since the last call, at most 16: the next ones come after these were taken. They do not count
+    /// against the budget. Damage is an error of its page; its geometry is sound.
+    pub fn take_colours(&self) -> Vec<(PageKey, Result<Colours>)> {
+        let taken = std::mem::take(&mut *lock(&self.shared.coloured));
+        if let (false, Some(worker)) = (taken.is_empty(), &self.worker) {
+            worker.thread().unpark();
+        }
+        taken
     }
 
     /// What the stream did so far.
@@ -382,11 +419,16 @@ impl Shared {
         while !self.stop.load(Acquire) {
             match self.step() {
                 Step::Loaded(_) => {}
+                Step::Coloured => {
+                    *lock(&self.rested) = *lock(&self.desk);
+                    self.rest.notify_all();
+                }
                 Step::Idle | Step::NoRoom(false) => {
                     *lock(&self.rested) = *lock(&self.desk);
                     self.rest.notify_all();
                     // Whatever happens meanwhile has left its token, and ends this at once.
-                    let again = lock(&self.loader).retry_at();
+                    let colours = lock(&self.colours).as_ref().and_then(ColourLoader::retry_at);
+                    let again = [lock(&self.loader).retry_at(), colours].into_iter().flatten().min();
                     match again {
                         Some(at) => park_timeout(at.saturating_sub(self.now())),
                         None => park(),
@@ -410,10 +452,46 @@ impl Shared {
         drop(loader);
         match turn {
             Turn::Fetch(fetch) => Step::Loaded(self.carry(fetch)),
-            Turn::Idle | Turn::Ended(_) => Step::Idle,
+            Turn::Idle | Turn::Ended(_) => self.colour_step(Step::Idle),
             Turn::Busy => Step::Busy,
-            Turn::NoRoom(held) => Step::NoRoom(held),
+            Turn::NoRoom(held) => self.colour_step(Step::NoRoom(held)),
         }
+    }
+
+    /// Reads or decodes colours of one page or some, or says `nothing`.
+    fn colour_step(&self, nothing: Step) -> Step {
+        if lock(&self.coloured).len() >= COLOURED {
+            return nothing;
+        }
+        let mut colours = lock(&self.colours);
+        let Some(loader) = &mut *colours else { return nothing };
+        if let Some(coloured) = loader.decode(&self.views.view()) {
+            drop(colours);
+            lock(&self.coloured).push(coloured);
+            return Step::Coloured;
+        }
+        let Some(range) = loader.poll(self.now()) else {
+            // Pages without a colour are there without a fetch.
+            return if loader.has_decodable() { Step::Coloured } else { nothing };
+        };
+        drop(colours);
+        let mut bytes = vec![0; (range.end - range.start) as usize];
+        let read = self.archive.source().read_at(range.start, &mut bytes);
+        let mut colours = lock(&self.colours);
+        let Some(loader) = &mut *colours else { return nothing };
+        let urgent = loader.most_urgent();
+        let given = match read {
+            Ok(()) => loader.given(bytes, self.now()),
+            Err(error) => {
+                loader.failed(self.now());
+                Err(error)
+            }
+        };
+        drop(colours);
+        if let (Some(key), Err(error)) = (urgent, given) {
+            lock(&self.coloured).push((key, Err(error)));
+        }
+        Step::Coloured
     }
 
     /// Hands what the pawns said since the last time to the loader.

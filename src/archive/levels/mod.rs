@@ -61,6 +61,7 @@ pub(super) use writer::LevelWriter;
 
 use super::catalog::Catalog;
 use super::head::{self, Header, Leaf, MAX_LEAF_ENTRIES, MAX_LEAVES, Pages, Sections};
+use crate::bytes::crc;
 use crate::codec::{ByteReader, Packer, Unpacker, Violation};
 use crate::frame::Frame;
 use std::ops::Range;
@@ -147,7 +148,7 @@ pub(super) fn encode_table(levels: &[LevelRecord]) -> Vec<u8> {
 /// The levels of the archive with this head, from the bytes of its table.
 pub(super) fn decode_table(header: &Header, table: &[u8]) -> Result<Vec<Level>, Violation> {
     let Some(levels) = header.levels.filter(|levels| levels.count > 0) else { return Ok(Vec::new()) };
-    let crc = crc32c::crc32c(table);
+    let crc = crc::crc32c(table);
     if crc != levels.table_crc {
         return Err(Violation::new("L2", format!("checksum {:08x}", levels.table_crc), format!("{crc:08x}")));
     }
@@ -191,7 +192,7 @@ pub(super) fn decode_table(header: &Header, table: &[u8]) -> Result<Vec<Level>, 
                 directory: directory_len,
                 metadata: 0,
             },
-            metadata_crc: crc32c::crc32c(&[]),
+            metadata_crc: crc::crc32c(&[]),
             ..header.clone()
         };
         let records = reader.take(leaf_count as usize * head::ROOT_RECORD)?;

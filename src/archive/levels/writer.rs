@@ -10,6 +10,7 @@ use super::build::LevelBuilder;
 use super::coarse::CoarseSpan;
 use super::{LevelRecord, Levels, encode_table};
 use crate::Result;
+use crate::bytes::crc;
 use crate::disk::Files;
 use crate::frame::{Frame, PageKey};
 use crate::slice::Page;
@@ -78,7 +79,7 @@ impl LevelWriter {
         let table = encode_table(&records);
         give(&table)?;
         let table_len = table.len() as u32;
-        Ok((Levels { count: count as u32, table_len, table_crc: crc32c::crc32c(&table) }, len + u64::from(table_len)))
+        Ok((Levels { count: count as u32, table_len, table_crc: crc::crc32c(&table) }, len + u64::from(table_len)))
     }
 }
 

@@ -10,6 +10,7 @@
 //!   ray meets it with cells shrunk by as much, too. Where the two differ, or a page is missing, the exact search decides.
 
 mod exact;
+mod far;
 mod line;
 mod walk;
 
@@ -18,6 +19,7 @@ use super::grid::all_within_reach;
 use crate::store::PageSet;
 use crate::text::{number, place};
 use crate::{Error, Result};
+pub use far::{Sight, cast_far};
 use line::Line;
 use nalgebra::{Point3, Vector3};
 

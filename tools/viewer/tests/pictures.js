@@ -3,7 +3,7 @@
 
 import { join } from "node:path";
 import { launch, until, walkIn } from "./browser.js";
-import { DIST, twoStoreys } from "./scans.js";
+import { DIST, scanned, twoStoreys } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
@@ -18,10 +18,22 @@ const STAIRS = { at: [-10.2, -4.35, -1.2], look: [275, -8] };
 /** Opens a tool of the bar. */
 const tool = (name) => (page) => page.getByRole("button", { name }).click();
 
+/** Turns the wheel by so many notches, outwards if positive, and waits until all that is seen has its colours. */
+const coloured = (notches) => async (page) => {
+  await page.mouse.move(SIZE.width / 2, SIZE.height / 2);
+  for (let n = 0; n < Math.abs(notches); n++) await page.mouse.wheel(0, 200 * Math.sign(notches));
+  await page.waitForTimeout(2000);
+  const whole = ({ drawn, colours }) => drawn.coloured > 0 && colours.missing === 0;
+  await settled(page);
+  await until(page, "coloured", whole, { timeout: 120_000 });
+};
+
 const PICTURES = [
   { name: "viewer-walk.jpg", place: STAIRS },
   { name: "viewer-orbit.jpg", place: { ...STAIRS, view: "orbit" } },
   { name: "viewer-slices.jpg", place: { ...STAIRS, view: "orbit" }, prepare: tool("Slices") },
+  { name: "viewer-pump-room.jpg", place: { archive: "pump_room.slices", view: "orbit" }, prepare: coloured(-2) },
+  { name: "viewer-autzen.jpg", place: { archive: "autzen_stadium.slices", view: "orbit" }, prepare: coloured(7) },
 ];
 
 const settled = (page) =>
@@ -29,8 +41,8 @@ const settled = (page) =>
     let [last, since] = ["", 0];
     while (since < quiet) {
       await new Promise(requestAnimationFrame);
-      const { drawn, pages, bytesLoaded } = window.slicewalk.state();
-      const now = JSON.stringify([drawn, pages, bytesLoaded]);
+      const { drawn, pages, bytesLoaded, colours } = window.slicewalk.state();
+      const now = JSON.stringify([drawn, pages, bytesLoaded, colours]);
       [last, since] = [now, now === last ? since + 1 : 0];
     }
   }, QUIET_FRAMES);
@@ -40,7 +52,11 @@ if (folder === undefined) {
   console.error("usage: node pictures.js FOLDER [NAME...]");
   process.exit(2);
 }
-const server = await new StaticServer(DIST, { "/indoor.slices": twoStoreys() }).start();
+const server = await new StaticServer(DIST, {
+  "/indoor.slices": twoStoreys(),
+  "/pump_room.slices": scanned("pump_room", "--pixel", "0.02"),
+  "/autzen_stadium.slices": scanned("autzen_stadium", "--levels", "on"),
+}).start();
 const browser = await launch();
 try {
   const wanted = PICTURES.filter(({ name }) => names.length === 0 || names.includes(name));

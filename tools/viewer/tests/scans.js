@@ -47,6 +47,14 @@ function made(name, scene, conversion, kind = "laz") {
 /** The house of the demonstration at 5 cm: doors of 1 m, storeys 3 m apart. */
 export const house = () => made("house", ["demo"], ["--pixel", "0.05", "--exclude-class", "7"]);
 
+/** The same house with colours by a formula, and with overview levels. */
+export const colouredHouse = () =>
+  made(
+    "coloured",
+    ["demo", "--format", "7", "--colour", "4"],
+    ["--pixel", "0.05", "--exclude-class", "7", "--colour", "rgb", "--levels", "on"],
+  );
+
 export const MOVED = [500_000, 5_000_000, 0];
 
 /** The same house far from the origin: 1e6 is a multiple of neither pixels nor pages, so only the answers are the same. */
@@ -85,6 +93,17 @@ export function twoStoreys() {
   if (data === undefined) throw new Error("set SLICEWALK_DATA to the folder of indoor_two_storey_zup.laz");
   mkdirSync(kept, { recursive: true });
   program("sliceconv", join(data, "indoor_two_storey_zup.laz"), "-o", path, "--quiet", "--pixel", "0.05", "--levels", "on");
+  return path;
+}
+
+/** A real scan of this name with its colours, from the folder SLICEWALK_DATA. */
+export function scanned(name, ...conversion) {
+  const path = join(kept, `${name}.slices`);
+  if (existsSync(path)) return path;
+  const data = process.env.SLICEWALK_DATA;
+  if (data === undefined) throw new Error(`set SLICEWALK_DATA to the folder of ${name}.laz`);
+  mkdirSync(kept, { recursive: true });
+  program("sliceconv", join(data, `${name}.laz`), "-o", path, "--quiet", "--colour", "auto", ...conversion);
   return path;
 }
 

@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before, beforeEach, describe } from "node:test";
 import { drop, it, pages, pixels, state, until, walkIn } from "./browser.js";
-import { DIST, house, WAY } from "./scans.js";
+import { colouredHouse, DIST, house, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
@@ -17,7 +17,7 @@ let server, page;
 const tests = pages();
 
 before(async () => {
-  server = await new StaticServer(DIST, { "/house.slices": house() }).start();
+  server = await new StaticServer(DIST, { "/house.slices": house(), "/coloured.slices": colouredHouse() }).start();
 });
 after(async () => {
   await server?.stop();
@@ -42,6 +42,46 @@ async function drawn() {
     await page.waitForTimeout(200);
   }
 }
+
+/** Share of pixels in the middle of the screen that are plainly blue or green: the formula's colours, and none of the page's own. */
+async function vivid(page) {
+  const seen = await pixels(page);
+  return seen.filter(([r, g, b]) => Math.max(g, b) - Math.min(r, g, b) > 60 && Math.max(g, b) > r).length / seen.length;
+}
+
+describe("colours", () => {
+  const coloured = ({ drawn, colours }) => drawn.coloured > 10 && colours.missing === 0;
+
+  it("shows the colours of the scan, which come after its shapes", async () => {
+    await walkIn(page, address(server, { archive: "coloured.slices", at: WAY.start, look: [0, -30] }));
+    const early = await state(page);
+    assert.ok(early.colours.requests === 0 && early.drawn.coloured === 0, JSON.stringify(early.colours));
+    const { colours, drawn, bytesLoaded, requests } = await until(page, "coloured", coloured);
+    assert.ok(colours.requests > 2 && colours.requests < requests, JSON.stringify({ colours, requests }));
+    assert.ok(colours.bytes > 0 && colours.bytes < bytesLoaded);
+    assert.ok(drawn.coloured <= drawn.pages);
+    await page.waitForTimeout(500);
+    const own = await vivid(page);
+    assert.ok(own > 0.05, `${own} of the picture has the colours of the scan`);
+    await tool("Colours").click();
+    await page.getByLabel("Floor and obstacle").check();
+    await page.waitForTimeout(500);
+    assert.ok((await vivid(page)) < own / 4, "colours by kind are others");
+    await page.getByLabel("Scan", { exact: true }).check();
+    await page.waitForTimeout(500);
+    assert.ok((await vivid(page)) > own / 2, "and back");
+  });
+
+  it("offers no colours of a scan without", async () => {
+    await walkIn(page, address(server, { at: WAY.start }));
+    await tool("Colours").click();
+    await page.getByLabel("Height", { exact: true }).waitFor({ state: "visible" });
+    assert.ok(!(await page.getByLabel("Scan", { exact: true }).isVisible()));
+    assert.ok(await page.getByLabel("Height", { exact: true }).isChecked());
+    const { colours, drawn } = await state(page);
+    assert.deepEqual([colours.requests, drawn.coloured], [0, 0]);
+  });
+});
 
 describe("places", () => {
   it("restores a link's place and view", async () => {

@@ -3,7 +3,7 @@
 use crate::fault::invalid;
 use slicewalk::frame::PageKey;
 use slicewalk::nalgebra::{Point3, Vector3};
-use slicewalk::query::{self, Aabb, Answer, Overlap, Ray};
+use slicewalk::query::{self, Aabb, Answer, Overlap, Ray, Sight};
 use slicewalk::store::{Missing, PageSet};
 
 /// Most keys of missing pages that a batch gathers.
@@ -85,6 +85,27 @@ pub(crate) fn cast<S: PageSet>(set: &S, rays: &[f64], lacks: &mut Lacks) -> Resu
             Some(Some(hit)) => {
                 [hit.distance, hit.normal.x, hit.normal.y, hit.normal.z, f64::from(u8::from(hit.obstacle))]
             }
+        })
+    })?;
+    Ok(answers.into_flattened())
+}
+
+/// N×7 (origin, direction, max) → two numbers a ray: distance (∞: nothing hit, NaN: not loaded), and 1 where the level says that there is
+/// nothing nearer.
+pub(crate) fn far<S: PageSet>(set: &S, level: Option<&S>, rays: &[f64], lacks: &mut Lacks) -> Result<Vec<f64>, String> {
+    let answers = each::<7, _>(rays, |row| {
+        let ray = Ray::new(Point3::from_slice(&row[..3]), Vector3::from_column_slice(&row[3..6]), row[6])?;
+        let answer = match level {
+            Some(level) => query::cast_far(set, level, &ray),
+            None => match query::cast(set, &ray) {
+                Answer::Known(hit) => Answer::Known(Sight::Exact(hit)),
+                Answer::NotLoaded(missing) => Answer::NotLoaded(missing),
+            },
+        };
+        Ok(match lacks.known(answer) {
+            None => [f64::NAN, 0.0],
+            Some(Sight::Exact(hit)) => [hit.map_or(f64::INFINITY, |hit| hit.distance), 0.0],
+            Some(Sight::AtLeast(distance)) => [distance, 1.0],
         })
     })?;
     Ok(answers.into_flattened())

@@ -6,13 +6,15 @@ use crate::fault::{self, invalid};
 use crate::geometry::Geometry;
 use crate::map::{columns, map};
 use crate::outline::{self, Outline};
+use crate::paint::Paint;
 use crate::pawn::{Input, Pawn, Settings};
 use crate::scene::{HORIZON_S, Scenes};
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey};
 use slicewalk::nalgebra::Point3;
 use slicewalk::store::{
-    BodyId, Decode, FetchId, Loader, LoaderOptions, Next, Outlook, PageSet, PageSlot, RequestId, Time, View,
+    BodyId, ColourLoader, Decode, FetchId, Loader, LoaderOptions, Next, Outlook, PageSet, PageSlot, RequestId, Time,
+    View,
 };
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -27,10 +29,14 @@ const OUTLINE_LEAST: f64 = 4e6;
 /// An overview level is fetched before pages that are needed later than this.
 const OUTLINE_BEFORE: Duration = Duration::from_secs(1);
 
+/// Most pages whose colours are asked for at once: after those comes what the camera sees then.
+const PAINTED: usize = 64;
+
 /// What [`Engine::poll`] says, each followed by its numbers.
 const FETCH: f64 = 1.0;
 const CANCEL: f64 = 2.0;
 const WAIT: f64 = 3.0;
+const FETCH_COLOURS: f64 = 4.0;
 
 /// One open archive.
 #[wasm_bindgen]
@@ -48,6 +54,26 @@ pub struct Engine {
     names: u32,
     loaded: u64,
     drawn: Option<(u32, PageKey, u32, Geometry)>,
+    colours: Colours,
+    painted: Option<Paint>,
+}
+
+/// Colours of pages: who brings them, their fetch by name, and whose are to be found out.
+enum Colours {
+    /// Nobody has asked for any.
+    Off,
+    /// Asked for, and the directory is not there yet.
+    Wanted,
+    On {
+        loader: Box<ColourLoader>,
+        fetch: Option<u32>,
+        /// Something was drawn or painted since pages were named to the loader.
+        stale: bool,
+        /// Colours that came, and the scenes that were not painted with them yet.
+        came: Option<(PageKey, slicewalk::slice::Colours, Vec<u32>)>,
+    },
+    /// The archive has none.
+    Never,
 }
 
 /// The overview level: its fetch by name, or what came of it.
@@ -122,12 +148,14 @@ impl Engine {
             names: 0,
             loaded: 0,
             drawn: None,
+            colours: Colours::Off,
+            painted: None,
         }
     }
 
     // Streaming ----------------------------------------------------------------------------------------------------------------
 
-    /// What to do now, as numbers: 1, name, start, end (fetch these bytes); 2, name (give this fetch up); 3, milliseconds (come
+    /// What to do now, as numbers: 1, name, start, end (fetch these bytes); 2, name (give this fetch up); 4, as 1, of colours; 3, milliseconds (come
     /// again then; ∞: after news). Fails while the archive cannot be opened.
     pub fn poll(&mut self, now_ms: f64) -> Result<Vec<f64>, String> {
         // Pages with the content of resident ones come without a fetch.
@@ -165,6 +193,7 @@ impl Engine {
                 }
                 Next::Wait(until) => {
                     self.ask_outline(&mut todo);
+                    let until = self.ask_colours(now, until, &mut todo);
                     todo.extend([WAIT, until.map_or(f64::INFINITY, |until| until.as_secs_f64() * 1000.0)]);
                     return Ok(todo);
                 }
@@ -187,6 +216,12 @@ impl Engine {
                 .sound(outline.transpose())
                 .flatten()
                 .map_or(Distant::Never, |outline| Distant::Here(Box::new(outline)));
+        } else if let Colours::On { loader, fetch: asked, .. } = &mut self.colours
+            && *asked == Some(fetch)
+        {
+            *asked = None;
+            let given = loader.given(bytes, time(now_ms));
+            self.sound(given);
         }
     }
 
@@ -195,6 +230,11 @@ impl Engine {
         if let Some(id) = self.fetches.remove(fetch) {
             let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
             self.loader.failed(id, error, time(now_ms));
+        } else if let Colours::On { loader, fetch: asked, .. } = &mut self.colours
+            && *asked == Some(fetch)
+        {
+            *asked = None;
+            loader.failed(time(now_ms));
         }
     }
 
@@ -242,6 +282,40 @@ impl Engine {
             self.outline = Distant::Asked(name);
             todo.extend([FETCH, f64::from(name), range.start as f64, range.end as f64]);
         }
+    }
+
+    /// Colours are asked for when nothing else is, and given up when a pawn waits; when to come again.
+    fn ask_colours(&mut self, now: Time, until: Option<Time>, todo: &mut Vec<f64>) -> Option<Time> {
+        if matches!(self.colours, Colours::Wanted) && self.loader.views().is_some() {
+            self.colours = self.loader.colours().map_or(Colours::Never, |loader| Colours::On {
+                loader: Box::new(loader),
+                fetch: None,
+                stale: true,
+                came: None,
+            });
+        }
+        let waits = self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
+        let busy = waits
+            || !self.fetches.0.is_empty()
+            || !self.decodes.is_empty()
+            || matches!(self.outline, Distant::Asked(_));
+        let Colours::On { loader, fetch, stale, .. } = &mut self.colours else { return until };
+        if waits && let Some(name) = fetch.take() {
+            loader.cancel();
+            todo.extend([CANCEL, f64::from(name)]);
+        }
+        if busy || fetch.is_some() {
+            return until;
+        }
+        if std::mem::take(stale) {
+            loader.want(self.scenes.things().flat_map(|scene| scene.thing.unpainted(PAINTED)));
+        }
+        if let Some(range) = loader.poll(now) {
+            self.names += 1;
+            *fetch = Some(self.names);
+            todo.extend([FETCH_COLOURS, f64::from(self.names), range.start as f64, range.end as f64]);
+        }
+        [until, loader.retry_at()].into_iter().flatten().min()
     }
 
     /// Whether the archive is open: head and directory are there.
@@ -347,6 +421,12 @@ impl Engine {
     pub fn cast(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
         let view = self.view()?;
         batch::cast(&view, rays, &mut self.lacks)
+    }
+
+    /// Rays N×7 → distance, and 1 where an overview level says that there is nothing nearer, two numbers a ray.
+    pub fn far(&mut self, rays: &[f64]) -> Result<Vec<f64>, String> {
+        let (view, level) = (self.view()?, self.outline().and_then(Outline::view));
+        batch::far(&view, level.as_ref(), rays, &mut self.lacks)
     }
 
     /// Boxes N×6 → highest floor at or below the top; −∞: none, NaN: not loaded.
@@ -469,10 +549,74 @@ impl Engine {
         let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
         let (level, drawn) = scene.thing.build(&view, outline.as_ref());
         self.drawn = drawn;
+        if let (Some(_), Colours::On { stale, .. }) = (&self.drawn, &mut self.colours) {
+            *stale = true;
+        }
         let Some((id, key, _, geometry)) = &self.drawn else { return Ok(Vec::new()) };
         let place = [*id as f64, f64::from(key.tx), f64::from(key.ty), f64::from(key.layer)];
         Ok([&place[..], &geometry.origin, &geometry.scale, geometry.bounds.as_flattened(), &[f64::from(level)]]
             .concat())
+    }
+
+    /// Brings colours of what scenes draw, from now on.
+    pub fn bring_colours(&mut self) {
+        if matches!(self.colours, Colours::Off) {
+            self.colours = Colours::Wanted;
+        }
+    }
+
+    /// Pages that wait for colours.
+    pub fn unpainted(&self) -> u32 {
+        if !matches!(self.colours, Colours::On { .. }) {
+            return 0;
+        }
+        self.scenes.things().map(|scene| scene.thing.unpainted(usize::MAX).len() as u32).sum()
+    }
+
+    /// Paints the next page: scene, name of the page, cells along an edge (3 numbers), and then
+    /// [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) have the rest; else nothing.
+    pub fn paint(&mut self) -> Result<Vec<f64>, String> {
+        if !matches!(self.colours, Colours::On { .. }) {
+            return Ok(Vec::new());
+        }
+        let view = self.view()?;
+        loop {
+            let Colours::On { loader, came, stale, .. } = &mut self.colours else { return Ok(Vec::new()) };
+            if let Some((key, colours, scenes)) = came {
+                while let Some(name) = scenes.pop() {
+                    let drawn = self.scenes.get_mut(name).and_then(|scene| scene.thing.paint(*key));
+                    if let Some((id, coarseness)) = drawn {
+                        let paint = self.painted.insert(Paint::new(colours, coarseness));
+                        return Ok(vec![f64::from(name), f64::from(id), f64::from(paint.edge)]);
+                    }
+                }
+                *came = None;
+            }
+            match loader.decode(&view) {
+                Some((key, Ok(colours))) => {
+                    *came = Some((key, colours, self.scenes.0.iter().map(|(name, _)| *name).collect()))
+                }
+                Some((key, Err(error))) => {
+                    self.reports.push_back(fault::text(&error));
+                    // It is not asked for again.
+                    for (_, scene) in &mut self.scenes.0 {
+                        let _ = scene.thing.paint(key);
+                    }
+                }
+                None => return Ok(Vec::new()),
+            }
+            *stale = true;
+        }
+    }
+
+    /// Cells of the page painted last, once.
+    pub fn take_cells(&mut self) -> Vec<u32> {
+        self.painted.as_mut().map_or(Vec::new(), |paint| std::mem::take(&mut paint.cells))
+    }
+
+    /// Colours of the page painted last, once.
+    pub fn take_colours(&mut self) -> Vec<u8> {
+        self.painted.as_mut().map_or(Vec::new(), |paint| std::mem::take(&mut paint.colours))
     }
 
     /// Names of the pages that a scene's camera left behind.
@@ -552,7 +696,7 @@ fn time(ms: f64) -> Time {
 fn point(at: &[f64]) -> Result<Point3<f64>, String> {
     match *at {
         [x, y, z] if at.iter().all(|v| v.is_finite()) => Ok(Point3::new(x, y, z)),
-        _ => Err(invalid(format_args!("{at:?} is no place"))),
+        _ => Err(invalid("a place is three finite numbers")),
     }
 }
 

@@ -14,7 +14,7 @@ pub(crate) fn info(header: &Header) -> String {
         concat!(
             r#"{{"fileBytes":{},"formatVersion":"{}.{}","pixelSize":{},"sliceHeight":{},"origin":[0,0,0],"bounds":{},"#,
             r#""slices":{},"maxSlope":{},"tolerance":{},"pointsRead":{},"pointsKept":{},"#,
-            r#""voxels":{{"occupied":{},"obstacle":{}}},"pages":{},"levels":{}}}"#
+            r#""voxels":{{"occupied":{},"obstacle":{},"coloured":{}}},"pages":{},"levels":{}}}"#
         ),
         header.file_len,
         header.version.0,
@@ -29,6 +29,7 @@ pub(crate) fn info(header: &Header) -> String {
         header.points_kept,
         header.voxels.occupied,
         header.voxels.obstacle,
+        header.colours.map_or(0, |colours| colours.voxels),
         header.pages.total(),
         header.levels.map_or(0, |levels| levels.count),
     )

@@ -13,6 +13,7 @@ mod fault;
 mod geometry;
 mod map;
 mod outline;
+mod paint;
 mod pawn;
 mod scene;
 

@@ -21,7 +21,10 @@ pub(crate) fn map<S: PageSet>(
     let [x0, y0, x1, y1] = area;
     let fits = area.iter().chain(&heights).all(|v| v.is_finite()) && x0 < x1 && y0 < y1 && heights[0] <= heights[1];
     if !fits {
-        return Err(invalid(format_args!("no map lies between ({x0}, {y0}) and ({x1}, {y1}) at {heights:?}")));
+        return Err(invalid(format_args!(
+            "no map lies between ({x0}, {y0}) and ({x1}, {y1}) at {} to {}",
+            heights[0], heights[1]
+        )));
     }
     let cells = cells.clamp(1, LONGEST);
     let frame = *set.frame();

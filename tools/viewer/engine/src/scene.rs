@@ -99,6 +99,19 @@ impl Scenes {
         self.near.queue.len() + self.far.queue.len()
     }
 
+    /// Pages drawn whose colours are missing or too coarse, the nearest first; no more than `most`.
+    pub fn unpainted(&self, most: usize) -> Vec<PageKey> {
+        self.near.unpainted(most)
+    }
+
+    /// The name of a page and the coarseness of its colours, which are there now; `None` if it is not drawn any more.
+    pub fn paint(&mut self, key: PageKey) -> Option<(u32, u32)> {
+        let drawn = self.near.drawn.get_mut(&key)?;
+        let coarseness = drawn.coarseness.saturating_sub(1);
+        drawn.painted = coarseness;
+        Some((drawn.id, coarseness))
+    }
+
     /// Names of pages that the camera left behind since it was asked last.
     pub fn take_dropped(&mut self) -> Vec<u32> {
         let mut dropped = std::mem::take(&mut self.near.dropped);
@@ -138,6 +151,8 @@ struct Scene {
     dropped: Vec<u32>,
     stale: bool,
     names: u32,
+    /// Grid of the pages, once some were looked at.
+    frame: Option<Frame>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -145,7 +160,11 @@ struct Drawn {
     id: u32,
     coarseness: u32,
     triangles: usize,
+    /// Coarseness of its colours; [`UNPAINTED`] without.
+    painted: u32,
 }
+
+const UNPAINTED: u32 = u32::MAX;
 
 impl Scene {
     /// A scene of pages up to `radius` metres away, of at most `triangles`, with cells no wider than `detail` times their
@@ -162,6 +181,7 @@ impl Scene {
             dropped: Vec::new(),
             stale: false,
             names: 0,
+            frame: None,
         };
         scene.set(radius, triangles, detail);
         scene
@@ -201,6 +221,7 @@ impl Scene {
             return;
         }
         let (frame, at, forget) = (*set.frame(), self.at, self.radius * FORGET);
+        self.frame = Some(frame);
         self.drawn.retain(|key, drawn| {
             let keeps = distance(&frame, *key, &at) <= forget;
             if !keeps {
@@ -239,6 +260,14 @@ impl Scene {
         wanted
     }
 
+    fn unpainted(&self, most: usize) -> Vec<PageKey> {
+        let missing = self.drawn.iter().filter(|(_, drawn)| drawn.painted > drawn.coarseness && drawn.triangles > 0);
+        let mut keys: Vec<(f64, PageKey)> =
+            missing.map(|(key, _)| (self.frame.map_or(0.0, |frame| distance(&frame, *key, &self.at)), *key)).collect();
+        keys.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        keys.into_iter().take(most).map(|(_, key)| key).collect()
+    }
+
     fn sum(&self) -> usize {
         self.drawn.values().map(|drawn| drawn.triangles).sum()
     }
@@ -271,14 +300,12 @@ impl Scene {
             let slot = set.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer);
             let Some(page) = slot.and_then(|slot| slot.page()) else { continue };
             let geometry = Geometry::of(set.frame(), key, page, coarseness);
-            let id = self.drawn.get(&key).map_or_else(
-                || {
-                    self.names += 1;
-                    self.names
-                },
-                |drawn| drawn.id,
-            );
-            self.drawn.insert(key, Drawn { id, coarseness, triangles: geometry.triangles() });
+            let before = self.drawn.get(&key).map(|drawn| (drawn.id, drawn.painted));
+            let (id, painted) = before.unwrap_or_else(|| {
+                self.names += 1;
+                (self.names, UNPAINTED)
+            });
+            self.drawn.insert(key, Drawn { id, coarseness, triangles: geometry.triangles(), painted });
             self.stale |= self.queue.is_empty() && self.sum() > self.triangles;
             return Some((id, key, coarseness, geometry));
         }

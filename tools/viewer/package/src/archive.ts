@@ -10,6 +10,7 @@ import {
   type ArchiveReference,
   type BatchOptions,
   type Bounds,
+  type FarHits,
   type OpenOptions,
   type RayHits,
   type SliceMap,
@@ -49,7 +50,7 @@ function absolute(address: string | URL): string {
 
 class OpenArchive implements Archive {
   info!: ArchiveInfo;
-  stats: Stats = toStats(new Float64Array(12));
+  stats: Stats = toStats(new Float64Array(15));
   private readonly link: Link;
   private readonly views = new Map<number, ViewHandle>();
   private readonly listeners: { [E in keyof ArchiveEvents]: Set<ArchiveEvents[E]> } = {
@@ -130,6 +131,15 @@ class OpenArchive implements Archive {
     return hits;
   }
 
+  async castFar(rays: Float64Array, options: { signal?: AbortSignal } = {}): Promise<FarHits> {
+    const answers = await this.batch<Float64Array>("far", rays, options);
+    const count = answers.length / 2;
+    return {
+      distances: Float64Array.from({ length: count }, (_, ray) => answers[2 * ray] as number),
+      coarse: Uint8Array.from({ length: count }, (_, ray) => answers[2 * ray + 1] as number),
+    };
+  }
+
   floor(boxes: Float64Array, options?: BatchOptions): Promise<Float64Array> {
     return this.batch("floor", boxes, options);
   }
@@ -185,6 +195,9 @@ class OpenArchive implements Archive {
       case "page":
         this.views.get(event.view)?.page(event);
         break;
+      case "colours":
+        this.views.get(event.numbers[0] ?? 0)?.colours(event);
+        break;
       case "drop":
         this.views.get(event.view)?.drop(event.ids);
         break;
@@ -212,5 +225,6 @@ function toStats(numbers: Float64Array): Stats {
     requests: at(9),
     bytesLoaded: at(10),
     pending: at(11),
+    colours: { missing: at(12), requests: at(13), bytes: at(14) },
   };
 }

@@ -2,7 +2,7 @@
 
 import { aborted, asError, asFault } from "./fault.js";
 import { browser, HttpSource, type Outside } from "./http.js";
-import type { Call, FromWorker, Note, Open, ToWorker } from "./protocol.js";
+import type { Call, FromWorker, Note, Open, Step, ToWorker } from "./protocol.js";
 import { BlobSource, TailFirst } from "./source.js";
 import { NOT_LOADED, SlicewalkError } from "./types.js";
 import type { Engine } from "./wasm/engine.js";
@@ -13,8 +13,10 @@ const HEAD = 16 << 10;
 const ROWS = 4096;
 const BATCH_MS = 4;
 const STATS_EVERY = 250;
+/** What steps ask for may wait so long (ms): walkers that step more often than that share the work of streaming. */
+const HINTS_EVERY = 4;
 /** Numbers of a question of each kind, and of its answer. */
-const SHAPES = { overlaps: [6, 1], sweep: [9, 1], cast: [7, 5], floor: [6, 1] } as const;
+const SHAPES = { overlaps: [6, 1], sweep: [9, 1], cast: [7, 5], far: [7, 2], floor: [6, 1] } as const;
 
 export interface Port {
   post(message: FromWorker, transfer: Transferable[]): void;
@@ -44,6 +46,10 @@ export class Host {
   private readonly requests = new Map<number, Waiting>();
   private readonly views: number[] = [];
   private scheduled = false;
+  private pumpedAt = Number.NEGATIVE_INFINITY;
+  private hintsWait = false;
+  /** Requests made for colours, and bytes that came of them. */
+  private readonly coloured = [0, 0] as [number, number];
   private timer = new AbortController();
   private readonly life = new AbortController();
   private statsAt = Number.NEGATIVE_INFINITY;
@@ -71,6 +77,10 @@ export class Host {
   }
 
   receive(message: ToWorker): void {
+    if (message instanceof Float64Array) {
+      this.step(message);
+      return;
+    }
     if ("note" in message) {
       this.noted(message);
       return;
@@ -83,6 +93,24 @@ export class Host {
         (thrown: unknown) => this.port.post({ id: message.id, fault: asFault(this.caught(thrown)) }, []),
       )
       .finally(() => this.calls.delete(message.id));
+  }
+
+  private step(message: Step): void {
+    const [id = 0, walker = 0, seconds = 0] = message;
+    try {
+      const answer = new Float64Array(13);
+      answer[0] = id;
+      answer.set(this.ready().step(walker, seconds, message.subarray(3)), 1);
+      this.port.post(answer, []);
+      // Missing pages hold the walker up.
+      if (answer[10] || this.outside.now() - this.pumpedAt >= HINTS_EVERY) {
+        this.wake();
+      } else {
+        this.wakeLater();
+      }
+    } catch (thrown) {
+      this.port.post({ id, fault: asFault(this.caught(thrown)) }, []);
+    }
   }
 
   private noted(message: Note): void {
@@ -139,8 +167,6 @@ export class Host {
         return moved(engine.map(call.area, call.cells));
       case "walker":
         return this.woken(plain(engine.pawn(call.settings, call.at)));
-      case "step":
-        return this.woken(moved(engine.step(call.walker, call.seconds, call.input)));
       case "place":
         return this.woken(moved(engine.place(call.walker, call.at)));
       case "settings":
@@ -151,6 +177,9 @@ export class Host {
         return plain({ steps: engine.recorded_steps(call.walker), path: engine.recorded_path(call.walker) });
       case "view": {
         const view = engine.scene(...call.settings);
+        if (call.colours) {
+          engine.bring_colours();
+        }
         this.views.push(view);
         return plain(view);
       }
@@ -343,9 +372,23 @@ export class Host {
     }
   }
 
+  private wakeLater(): void {
+    if (!this.hintsWait && !this.scheduled) {
+      this.hintsWait = true;
+      this.outside.sleep(HINTS_EVERY, this.life.signal).then(
+        () => {
+          this.hintsWait = false;
+          this.wake();
+        },
+        () => undefined,
+      );
+    }
+  }
+
   /** Does what is to be done now, and at most one piece of work that takes long. */
   private pump(): void {
     this.scheduled = false;
+    this.pumpedAt = this.outside.now();
     const engine = this.engine;
     if (!engine || this.failure) {
       return;
@@ -353,7 +396,7 @@ export class Host {
     this.timer.abort();
     this.guarded(() => {
       const wait = this.poll(engine);
-      if (engine.decode(this.outside.now()) || this.build(engine)) {
+      if (engine.decode(this.outside.now()) || this.build(engine) || this.paint(engine)) {
         this.statsDue = true;
         this.wake();
       } else if (wait < Number.POSITIVE_INFINITY) {
@@ -375,8 +418,8 @@ export class Host {
     let wait = Number.POSITIVE_INFINITY;
     for (let at = 0; at < todo.length;) {
       const [what = 0, a = 0, b = 0, c = 0] = todo.subarray(at, at + 4);
-      if (what === 1) {
-        void this.fetch(engine, a, b, c);
+      if (what === 1 || what === 4) {
+        void this.fetch(engine, a, b, c, what === 4);
         at += 4;
       } else if (what === 2) {
         this.fetches.get(a)?.abort();
@@ -392,11 +435,17 @@ export class Host {
     return wait;
   }
 
-  private async fetch(engine: Engine, name: number, start: number, end: number): Promise<void> {
+  private async fetch(engine: Engine, name: number, start: number, end: number, colours: boolean): Promise<void> {
     const gate = new AbortController();
     this.fetches.set(name, gate);
     try {
-      const bytes = await this.source?.read(start, end, gate.signal);
+      const before = this.source?.requests ?? 0;
+      const reading = this.source?.read(start, end, gate.signal);
+      // What was read ahead costs no request.
+      const counts = colours && (this.source?.requests ?? 0) > before;
+      this.coloured[0] += counts ? 1 : 0;
+      const bytes = await reading;
+      this.coloured[1] += counts ? (bytes?.length ?? 0) : 0;
       if (bytes && !this.failure) {
         this.guarded(() => engine.given(name, bytes, this.outside.now()));
       }
@@ -433,6 +482,18 @@ export class Host {
       }
     }
     return false;
+  }
+
+  /** Brings the colours of one page. */
+  private paint(engine: Engine): boolean {
+    const numbers = engine.paint();
+    if (numbers.length === 0) {
+      return false;
+    }
+    const [cells, colours] = [engine.take_cells(), engine.take_colours()];
+    const transfer = [numbers, cells, colours].map((array) => array.buffer as ArrayBuffer);
+    this.port.post({ event: "colours", numbers, cells, colours }, transfer);
+    return true;
   }
 
   /** Resolves what came to an end. */
@@ -477,7 +538,14 @@ export class Host {
     this.statsAt = this.outside.now();
     this.statsDue = false;
     const { requests, bytes } = this.source ?? { requests: 0, bytes: 0 };
-    const numbers = Float64Array.from([...engine.stats(), requests, bytes, this.fetches.size]);
+    const numbers = Float64Array.from([
+      ...engine.stats(),
+      requests,
+      bytes,
+      this.fetches.size,
+      engine.unpainted(),
+      ...this.coloured,
+    ]);
     const text = numbers.join();
     if (text !== this.lastStats) {
       this.lastStats = text;

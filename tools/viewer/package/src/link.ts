@@ -1,7 +1,7 @@
 /** The page's side of a worker: calls with answers, notes, events. */
 
 import { aborted, asError, fromFault } from "./fault.js";
-import type { Call, FromWorker, Note, ToWorker } from "./protocol.js";
+import type { Call, FromWorker, Note, Step, ToWorker } from "./protocol.js";
 import { SlicewalkError } from "./types.js";
 
 type Event = Extract<FromWorker, { event: string }>;
@@ -67,6 +67,19 @@ export class Link {
     });
   }
 
+  /** A step of a walker: its numbers from the second on; what the worker answers. */
+  step(numbers: Step): Promise<Step> {
+    return new Promise<Step>((resolve, reject) => {
+      if (this.error) {
+        throw this.error;
+      }
+      const id = ++this.ids;
+      numbers[0] = id;
+      this.waiting.set(id, { resolve: resolve as (value: unknown) => void, reject });
+      this.worker.postMessage(numbers);
+    });
+  }
+
   note(note: Note): void {
     if (!this.error) {
       this.worker.postMessage(note);
@@ -90,6 +103,13 @@ export class Link {
   }
 
   private receive(message: FromWorker): void {
+    if (message instanceof Float64Array) {
+      const [id = 0] = message;
+      const waiting = this.waiting.get(id);
+      this.waiting.delete(id);
+      waiting?.resolve(message);
+      return;
+    }
     if ("event" in message) {
       if (message.event === "failed") {
         this.end(fromFault(message.fault));

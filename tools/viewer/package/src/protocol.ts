@@ -12,7 +12,7 @@ export interface Open {
   readonly credentials: RequestCredentials | undefined;
 }
 
-export type BatchKind = "overlaps" | "sweep" | "cast" | "floor";
+export type BatchKind = "overlaps" | "sweep" | "cast" | "far" | "floor";
 
 export type SceneSettings = readonly [radius: number, triangles: number, detail: number, overview: boolean];
 
@@ -24,12 +24,11 @@ export type Call =
   | { readonly call: "load"; readonly box: Float64Array }
   | { readonly call: "map"; readonly area: Float64Array; readonly cells: number }
   | { readonly call: "walker"; readonly settings: Float64Array; readonly at: Float64Array }
-  | { readonly call: "step"; readonly walker: number; readonly seconds: number; readonly input: Float64Array }
   | { readonly call: "place"; readonly walker: number; readonly at: Float64Array }
   | { readonly call: "settings"; readonly walker: number; readonly settings: Float64Array }
   | { readonly call: "record"; readonly walker: number }
   | { readonly call: "recording"; readonly walker: number }
-  | { readonly call: "view"; readonly settings: SceneSettings };
+  | { readonly call: "view"; readonly settings: SceneSettings; readonly colours: boolean };
 
 /** Messages without an answer. */
 export type Note =
@@ -38,7 +37,14 @@ export type Note =
   | { readonly note: "forget"; readonly name: number }
   | { readonly note: "abort"; readonly id: number };
 
-export type ToWorker = (Call & { readonly id: number }) | Note;
+/**
+ * A step: bare numbers, because steps come every frame and objects cost more than the engine's work. To the worker: id of the call,
+ * walker, seconds, and the five numbers of the input. The answer: id of the call, and the twelve numbers of a state; a fault
+ * comes as for any call.
+ */
+export type Step = Float64Array<ArrayBuffer>;
+
+export type ToWorker = (Call & { readonly id: number }) | Note | Step;
 
 /** A drawn page; `numbers` are those of the engine's `build`. */
 export interface PageMessage {
@@ -50,7 +56,17 @@ export interface PageMessage {
   readonly attributes: Uint8Array;
 }
 
+/** Colours of a drawn page: `numbers` are view, page and cells along an edge. */
+export interface ColoursMessage {
+  readonly event: "colours";
+  readonly numbers: Float64Array;
+  readonly cells: Uint32Array;
+  readonly colours: Uint8Array;
+}
+
 export type FromWorker =
+  | Step
+  | ColoursMessage
   | { readonly id: number; readonly value: unknown }
   | { readonly id: number; readonly fault: Fault }
   | { readonly event: "stats"; readonly numbers: Float64Array }

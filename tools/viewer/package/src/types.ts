@@ -91,7 +91,7 @@ export interface ArchiveInfo {
   readonly tolerance: number;
   readonly pointsRead: number;
   readonly pointsKept: number;
-  readonly voxels: { readonly occupied: number; readonly obstacle: number };
+  readonly voxels: { readonly occupied: number; readonly obstacle: number; readonly coloured: number };
   readonly pages: number;
   /** Overview levels in the archive, 0 without. Level `n` has pixels of 4ⁿ times the size. */
   readonly levels: number;
@@ -125,6 +125,8 @@ export interface Stats {
   readonly missing: number;
   /** Pages of geometry still to be built for the open views. */
   readonly unbuilt: number;
+  /** Drawn pages that wait for colours; requests made for colours and bytes that came of them, which count above as well. */
+  readonly colours: { readonly missing: number; readonly requests: number; readonly bytes: number };
 }
 
 export interface ArchiveEvents {
@@ -154,6 +156,14 @@ export interface RayHits {
   readonly normals: Float64Array;
   /** 1 where the matter is an obstacle. */
   readonly obstacles: Uint8Array;
+}
+
+/** How far rays are free. */
+export interface FarHits {
+  /** Distance to the first matter, or the least that it can be; Infinity: nothing hit, NaN: not loaded. */
+  readonly distances: Float64Array;
+  /** 1 where pages are missing: an overview level says that there is no matter nearer. */
+  readonly coarse: Uint8Array;
 }
 
 /** A plan of one storey, seen from above. */
@@ -187,6 +197,11 @@ export interface Archive {
   sweep(sweeps: Float64Array, options?: BatchOptions): Promise<Float64Array>;
   /** Rays N×7 (origin, direction, max) → distance; Infinity: nothing hit, NaN: not loaded. */
   cast(rays: Float64Array, options?: BatchOptions): Promise<Float64Array>;
+  /**
+   * As {@link cast}, of what is in memory: where pages are missing, the overview level that a view shows (`overview: true`) says how far
+   * the ray is free at least. Never loads anything.
+   */
+  castFar(rays: Float64Array, options?: { signal?: AbortSignal }): Promise<FarHits>;
   /** As {@link cast}, with normals. */
   castHits(rays: Float64Array, options?: BatchOptions): Promise<RayHits>;
   /**
@@ -323,8 +338,27 @@ export interface Walker {
 export interface ViewOptions extends ViewSettings {
   /** A page was built, or built anew with more or less detail: it replaces the one with the same `id`. */
   onPage: (page: PageGeometry) => void;
+  /**
+   * Colours of a page came, after its geometry and again when more detail is wanted. They are read when nothing else is, and not
+   * without this; pages of overview levels have none.
+   */
+  onColours?: (colours: PageColours) => void;
   /** A page is too far away: forget it. */
   onDrop: (id: number) => void;
+}
+
+/**
+ * Colours of the matter of a page on a grid of `edge × edge` cells across and 64 slices, from the page's corner and bottom: a cell's
+ * colours are those of the slices in its mask, from the lowest up. Made to be two textures.
+ */
+export interface PageColours {
+  /** The page, as in {@link PageGeometry}. */
+  readonly id: number;
+  readonly edge: number;
+  /** Four numbers a cell, row by row: slices 0 to 31 and 32 to 63 as masks, number of the cell's first colour, 0. */
+  readonly cells: Uint32Array;
+  /** Four bytes a colour: red, green, blue (sRGB), 255. */
+  readonly colours: Uint8Array;
 }
 
 export interface ViewSettings {

@@ -1,7 +1,7 @@
 /** Views as the page sees them. */
 
 import type { Link } from "./link.js";
-import type { PageMessage, SceneSettings } from "./protocol.js";
+import type { ColoursMessage, PageMessage, SceneSettings } from "./protocol.js";
 import type { PageGeometry, Vec3, View, ViewOptions, ViewSettings } from "./types.js";
 
 function complete({ radius = 40, triangles = 1_000_000, detail = 0.01, overview = false }: ViewSettings): SceneSettings {
@@ -55,7 +55,7 @@ export class ViewHandle implements View {
   ) {
     this.settings = options;
     const sent = complete(options);
-    link.call<number>({ call: "view", settings: sent }).then(
+    link.call<number>({ call: "view", settings: sent, colours: options.onColours !== undefined }).then(
       (name) => this.begin(name, sent),
       // Whoever opened the archive is told that it failed.
       () => undefined,
@@ -103,6 +103,10 @@ export class ViewHandle implements View {
 
   page(message: PageMessage): void {
     this.options.onPage(geometry(message, this.pixelSize));
+  }
+
+  colours({ numbers, cells, colours }: ColoursMessage): void {
+    this.options.onColours?.({ id: numbers[1] ?? 0, edge: numbers[2] ?? 0, cells, colours });
   }
 
   drop(ids: Uint32Array): void {

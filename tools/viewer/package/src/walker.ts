@@ -1,7 +1,7 @@
 /** Walkers as the page sees them. */
 
 import type { Link } from "./link.js";
-import type { Recorded } from "./protocol.js";
+import type { Recorded, Step } from "./protocol.js";
 import {
   type Body,
   type Ground,
@@ -51,39 +51,27 @@ function numbers(settings: Settings): Float64Array {
   return Float64Array.of(...bodyNumbers(body), climb, speed, gravity, jump, crouchHeight, maxDrop ?? Number.NaN);
 }
 
-function inputNumbers(input: WalkerInput): Float64Array {
+/** The message of a step; its first number is the link's. */
+function stepNumbers(walker: number, seconds: number, input: WalkerInput): Step {
   const [x, y] = input.toward ?? input.wish ?? [0, 0];
   const flags = (input.jump ? 1 : 0) | (input.crouch ? 2 : 0) | (input.fly ? 4 : 0) | (input.toward ? 8 : 0);
-  return Float64Array.of(x, y, input.pace ?? 1, input.lift ?? 0, flags);
+  return Float64Array.of(0, walker, seconds, x, y, input.pace ?? 1, input.lift ?? 0, flags);
 }
 
 /** The engine's twelve numbers. */
 function state(numbers: Float64Array): WalkerState {
-  const [
-    x = 0,
-    y = 0,
-    z = 0,
-    ground = 0,
-    stop = 0,
-    speed = 0,
-    rise = 0,
-    crouched = 0,
-    height = 0,
-    missing = 0,
-    ticks = 0,
-    steps = 0,
-  ] = numbers;
+  const at = (n: number): number => numbers[n] ?? 0;
   return {
-    at: [x, y, z],
-    ground: GROUNDS[ground] ?? "walking",
-    stop: STOPS[stop] ?? null,
-    speed,
-    rise,
-    crouched: crouched !== 0,
-    height,
-    missing,
-    ticks,
-    steps,
+    at: [at(0), at(1), at(2)],
+    ground: GROUNDS[at(3)] ?? "walking",
+    stop: STOPS[at(4)] ?? null,
+    speed: at(5),
+    rise: at(6),
+    crouched: at(7) !== 0,
+    height: at(8),
+    missing: at(9),
+    ticks: at(10),
+    steps: at(11),
   };
 }
 
@@ -110,9 +98,11 @@ class WalkerHandle implements Walker {
     this.state = state(Float64Array.of(...at, 0, 0, 0, 0, 0, height, 0, 0, 0));
   }
 
-  step(seconds: number, input: WalkerInput): Promise<WalkerState> {
-    const numbers = inputNumbers(input);
-    return this.told({ call: "step", walker: this.name, seconds, input: numbers }, [numbers.buffer as ArrayBuffer]);
+  async step(seconds: number, input: WalkerInput): Promise<WalkerState> {
+    this.check();
+    const answer = await this.link.step(stepNumbers(this.name, seconds, input));
+    this.state = state(answer.subarray(1));
+    return this.state;
   }
 
   place(at: Vec3): Promise<WalkerState> {
@@ -151,9 +141,9 @@ class WalkerHandle implements Walker {
     }
   }
 
-  private async told(call: Parameters<Link["call"]>[0], transfer: Transferable[] = []): Promise<WalkerState> {
+  private async told(call: Parameters<Link["call"]>[0]): Promise<WalkerState> {
     this.check();
-    this.state = state(await this.link.call<Float64Array>(call, undefined, transfer));
+    this.state = state(await this.link.call<Float64Array>(call));
     return this.state;
   }
 }

@@ -35,7 +35,12 @@ const SECOND_MS = 1000;
 const LONGEST_FRAME_S = 0.25;
 const FLOOR_NORMAL = 0.5;
 
-const NO_STATS = { pages: { resident: 0, bytes: 0 }, requests: 0, bytesLoaded: 0 } satisfies Partial<Stats>;
+const NO_STATS = {
+  pages: { resident: 0, bytes: 0 },
+  requests: 0,
+  bytesLoaded: 0,
+  colours: { missing: 0, requests: 0, bytes: 0 },
+} satisfies Partial<Stats>;
 
 export class App {
   readonly #shell: Shell;
@@ -187,7 +192,8 @@ export class App {
       pages: { resident: stats.pages.resident, bytes: stats.pages.bytes },
       requests: stats.requests,
       bytesLoaded: stats.bytesLoaded,
-      drawn: { ...(this.#session?.world.counts ?? { pages: 0, overview: 0 }), splats: this.#overlays.count },
+      colours: { ...stats.colours },
+      drawn: { ...(this.#session?.world.counts ?? { pages: 0, overview: 0, coloured: 0 }), splats: this.#overlays.count },
       frames: this.#frames,
       longestTaskMs: this.#longestTask,
     };
@@ -226,9 +232,9 @@ export class App {
     archive.on("failed", (error) => this.#fail(error));
     pawn.onArrival = (how) => this.#shell.messages.say(how === "arrived" ? texts.news.arrived : texts.news.gaveUp);
     this.#minimap = new Minimap(archive);
-    const { colouring } = this.#sight ?? { colouring: "height" };
+    this.#shell.colours.offer(archive.info.voxels.coloured > 0);
     this.#sight = new Sight(session, this.#shell);
-    this.#sight.colouring = colouring;
+    this.#sight.colouring = this.#shell.colours.chosen;
     this.#shell.opened(session.source.name, archive.info, this.#minimap);
     this.setMode(mode);
     this.#shell.toolbars.flying = pawn.flying;

@@ -41,7 +41,13 @@ export class Session {
     readonly pawn: Pawn,
   ) {
     this.world = new World(archive.info.pixelSize, archive.info.sliceHeight);
-    this.view = archive.view({ overview: true, onPage: (page) => this.world.take(page), onDrop: (id) => this.world.drop(id) });
+    const coloured = archive.info.voxels.coloured > 0;
+    this.view = archive.view({
+      overview: true,
+      onPage: (page) => this.world.take(page),
+      onDrop: (id) => this.world.drop(id),
+      ...(coloured && { onColours: (colours) => this.world.colour(colours) }),
+    });
   }
 
   static async open(

@@ -1,11 +1,24 @@
 // How matter looks: shaded by its face, coloured by height, slope, kind or slice, and cut between two heights.
 
-import { DoubleSide, FrontSide, GLSL3, ShaderMaterial, Vector2, Vector3, Color, type IUniform } from "three";
+import {
+  DoubleSide,
+  FrontSide,
+  GLSL3,
+  ShaderMaterial,
+  Vector2,
+  Vector3,
+  Color,
+  type DataTexture,
+  type IUniform,
+  type Material,
+} from "three";
 import type { Cover } from "./cover";
+import { PLAIN, type Paint } from "./paint";
 
-export type Colouring = "height" | "slope" | "obstacle" | "slice";
+export type Colouring = "height" | "slope" | "obstacle" | "slice" | "scan";
 
-export const COLOURINGS: readonly Colouring[] = ["height", "slope", "obstacle", "slice"];
+/** Their places are their numbers in the shader. */
+export const COLOURINGS: readonly Colouring[] = ["height", "slope", "obstacle", "slice", "scan"];
 
 /** From low to high: legible beside each other, also for the colour-blind. */
 export const RAMP = ["#7d93bd", "#74adb8", "#a3c6a1", "#e3d29d", "#e2a67c"] as const;
@@ -41,11 +54,15 @@ uniform vec3 coverRest;
 uniform vec3 coverWrap;
 uniform vec3 coverDelta;
 #endif
+precision highp usampler2D;
 in vec3 vLocal;
 in vec3 vCell;
 in float vDistance;
 flat in vec3 vNormal;
 flat in vec3 vKind;
+uniform usampler2D paintCells;
+uniform sampler2D paintColours;
+uniform vec3 paintShare;
 uniform int colouring;
 uniform vec2 heights;
 uniform vec2 cut;
@@ -71,6 +88,32 @@ float grain(vec3 cell) {
   vec3 p = fract(floor(cell) * vec3(0.1031, 0.1030, 0.0973));
   p += dot(p, p.yzx + 33.33);
   return fract((p.x + p.y) * p.z);
+}
+
+uint ones(uint word) {
+  word -= (word >> 1) & 0x55555555u;
+  word = (word & 0x33333333u) + ((word >> 2) & 0x33333333u);
+  return (((word + (word >> 4)) & 0x0F0F0F0Fu) * 0x01010101u) >> 24;
+}
+
+// The scan's colour of the voxel behind the face, or of the nearest one above or below: heights are drawn rounded. Alpha 0: none.
+vec4 scanned() {
+  int edge = textureSize(paintCells, 0).x;
+  vec3 place = vCell * paintShare;
+  place -= vNormal * vec3(0.3 / float(edge), 0.3 / float(edge), 0.02);
+  uvec4 cell = texelFetch(paintCells, clamp(ivec2(floor(place.xy * float(edge))), ivec2(0), ivec2(edge - 1)), 0);
+  if ((cell.x | cell.y) == 0u) return vec4(0.0);
+  int slice = int(floor(place.z));
+  for (int n = 0; n < 7; n++) {
+    int k = slice + ((n & 1) == 1 ? -(n + 1) / 2 : n / 2);
+    if (k < 0 || k > 63) continue;
+    uint word = k < 32 ? cell.x : cell.y;
+    uint bit = uint(k & 31);
+    if (((word >> bit) & 1u) == 0u) continue;
+    uint rank = cell.z + ones(word & ((1u << bit) - 1u)) + (k < 32 ? 0u : ones(cell.x));
+    return vec4(texelFetch(paintColours, ivec2(rank & 255u, rank >> 8), 0).rgb, 1.0);
+  }
+  return vec4(0.0);
 }
 
 #ifdef OVERVIEW
@@ -109,6 +152,13 @@ void main() {
   }
   float up = vNormal.z;
   float shade = up > 0.5 ? 1.0 : up < -0.5 ? 0.58 : 0.80 + 0.10 * vNormal.x - 0.07 * vNormal.y;
+  if (colouring == 4) {
+    vec4 own = scanned();
+    // Grey until colours come, and where there are none.
+    base = own.a > 0.5 ? own.rgb : mix(vec3(dot(base, vec3(0.33))), base, 0.2);
+    // The scan's colours have its light in them: softer than the others.
+    shade = up > 0.5 ? 1.0 - 0.0012 * vKind.z : mix(1.0, shade, 0.55);
+  }
   float near = 1.0 - smoothstep(4.0, 14.0, vDistance);
   shade *= 1.0 + 0.07 * near * (grain(vCell + 0.01) - 0.5);
   if (!gl_FrontFacing) {
@@ -137,6 +187,9 @@ export class Shading {
     floorColour: IUniform<Vector3>;
     obstacleColour: IUniform<Vector3>;
     background: IUniform<Vector3>;
+    paintCells: IUniform<DataTexture>;
+    paintColours: IUniform<DataTexture>;
+    paintShare: IUniform<Vector3>;
   };
   readonly #pages: Record<"solid" | "opened", ShaderMaterial>;
   readonly #overview: Record<"solid" | "opened", ShaderMaterial>;
@@ -160,6 +213,9 @@ export class Shading {
       floorColour: { value: plain(FLOOR) },
       obstacleColour: { value: plain(OBSTACLE) },
       background: { value: plain(BACKGROUND) },
+      paintCells: { value: PLAIN.cells },
+      paintColours: { value: PLAIN.colours },
+      paintShare: { value: new Vector3(1, 1, 1) },
     };
     const make = (side: typeof FrontSide | typeof DoubleSide, overview: boolean): ShaderMaterial =>
       new ShaderMaterial({
@@ -181,6 +237,15 @@ export class Shading {
   /** Of pages of this level; `opened`: also seen from inside. */
   material(level: number, opened: boolean): ShaderMaterial {
     return (level > 0 ? this.#overview : this.#pages)[opened ? "opened" : "solid"];
+  }
+
+  /** Colours of the page that is drawn next with this material: its share of a page in a cell, and slices in a step. */
+  paint(material: Material, paint: Paint, share: Vector3): void {
+    const { paintCells, paintColours, paintShare, colouring } = this.uniforms;
+    if (COLOURINGS[colouring.value] !== "scan") return;
+    [paintCells.value, paintColours.value] = [paint.cells, paint.colours];
+    paintShare.value.copy(share);
+    (material as ShaderMaterial).uniformsNeedUpdate = true;
   }
 
   set colouring(colouring: Colouring) {

@@ -1,17 +1,20 @@
 // The pages of an archive as meshes, relative to a local origin near the camera: 32 bits on the graphics card are exact to a
 // tenth of a millimetre there, whatever the coordinates of the scan.
 
-import type { Bounds, PageGeometry, Vec3 } from "slicewalk";
+import type { Bounds, PageColours, PageGeometry, Vec3 } from "slicewalk";
 import { Box3, BufferAttribute, BufferGeometry, Frustum, Group, Matrix4, Mesh, Sphere, Vector3, type Camera } from "three";
 import { distance } from "../geometry";
 import { Cover } from "./cover";
 import { Shading } from "./material";
+import { forget, type Paint, paintOf, PLAIN } from "./paint";
 
 /** Farther than this from the local origin, another one is chosen. */
 const NEAR_ORIGIN_M = 500;
 /** Time and bytes that a frame may take for bringing new pages to the graphics card. */
 const UPLOAD_MS = 4;
 const UPLOAD_BYTES = 1 << 20;
+/** Pixels along an edge of a page. */
+const PAGE_PIXELS = 64;
 
 interface Drawn {
   readonly mesh: Mesh;
@@ -30,13 +33,16 @@ export class World {
   #opened = false;
   readonly #drawn = new Map<number, Drawn>();
   readonly #waiting = new Map<number, PageGeometry>();
+  /** Colours by page, and those that came since. */
+  readonly #paints = new Map<number, Paint>();
+  readonly #unmixed = new Map<number, PageColours>();
   readonly #frustum = new Frustum();
   readonly #matrix = new Matrix4();
 
   readonly #cover: Cover;
 
   constructor(
-    pixelSize: number,
+    readonly pixelSize: number,
     readonly sliceHeight: number,
   ) {
     this.#cover = new Cover(pixelSize, sliceHeight);
@@ -62,9 +68,9 @@ export class World {
   }
 
   /** How many pages are drawn in full, and how many of an overview level. */
-  get counts(): { pages: number; overview: number } {
+  get counts(): { pages: number; overview: number; coloured: number } {
     const overview = [...this.#drawn.values()].filter(({ page }) => page.key.level > 0).length;
-    return { pages: this.#drawn.size - overview, overview };
+    return { pages: this.#drawn.size - overview, overview, coloured: this.#paints.size };
   }
 
   /** Pages that came and are not drawn yet. */
@@ -76,7 +82,27 @@ export class World {
     this.#waiting.set(page.id, page);
   }
 
+  /** Colours of a page: they may come before the page is drawn, and stay when it is drawn anew. */
+  colour(colours: PageColours): void {
+    this.#unmixed.set(colours.id, colours);
+  }
+
   drop(id: number): void {
+    this.#bleach(id);
+    this.#unmixed.delete(id);
+    this.#take(id);
+  }
+
+  #bleach(id: number): void {
+    const paint = this.#paints.get(id);
+    if (paint === undefined) return;
+    this.#paints.delete(id);
+    this.bytes -= paint.bytes;
+    forget(paint);
+  }
+
+  /** Removes the geometry of a page. */
+  #take(id: number): void {
     this.#waiting.delete(id);
     const drawn = this.#drawn.get(id);
     if (drawn === undefined) return;
@@ -105,9 +131,19 @@ export class World {
     const end = performance.now() + UPLOAD_MS;
     let bytes = 0;
     for (const [id, page] of this.#waiting) {
-      this.drop(id);
+      this.#take(id);
       if (page.indices.length > 0) bytes += this.#add(page);
-      if (bytes > UPLOAD_BYTES || performance.now() > end) break;
+      if (bytes > UPLOAD_BYTES || performance.now() > end) return;
+    }
+    // Colours come after shapes.
+    for (const [id, colours] of this.#unmixed) {
+      this.#unmixed.delete(id);
+      this.#bleach(id);
+      const paint = paintOf(colours);
+      this.#paints.set(id, paint);
+      this.bytes += paint.bytes;
+      bytes += paint.bytes;
+      if (bytes > UPLOAD_BYTES || performance.now() > end) return;
     }
   }
 
@@ -145,6 +181,11 @@ export class World {
     geometry.boundingSphere = new Sphere(new Vector3(), Infinity);
     const mesh = new Mesh(geometry, this.shading.material(page.key.level, this.#opened));
     mesh.frustumCulled = false;
+    const edge = this.pixelSize * PAGE_PIXELS;
+    const share = new Vector3(page.scale[0] / edge, page.scale[1] / edge, page.scale[2] / this.sliceHeight);
+    const { id } = page;
+    mesh.onBeforeRender = (_renderer, _scene, _camera, _geometry, material) =>
+      this.shading.paint(material, this.#paints.get(id) ?? PLAIN, share);
     mesh.matrixAutoUpdate = false;
     const arrays = [page.positions, page.normals, page.attributes, page.indices];
     const drawn = { mesh, page, box: new Box3(), bytes: arrays.reduce((sum, array) => sum + array.byteLength, 0) };

@@ -8,13 +8,16 @@ import { h } from "./dom";
 export class ColoursPanel {
   readonly element = h("section", { class: "panel colours", "aria-label": texts.colours.label, hidden: true });
   readonly #legend = h("div", { class: "legend" });
+  readonly #choices = new Map<Colouring, { input: HTMLInputElement; element: HTMLElement }>();
   #chosen: Colouring = "height";
+  /** Whether a person chose it. */
+  #isWish = false;
 
   constructor(
     readonly changed: (colouring: Colouring) => void,
     overlays: HTMLElement,
   ) {
-    const choices = COLOURINGS.map((name) => {
+    const choices = COLOURINGS.toReversed().map((name) => {
       const input = h("input", {
         type: "radio",
         name: "colouring",
@@ -23,12 +26,28 @@ export class ColoursPanel {
         checked: name === "height",
       });
       input.addEventListener("change", () => {
-        this.#chosen = name;
+        [this.#chosen, this.#isWish] = [name, true];
         changed(name);
       });
-      return h("div", { class: "choice" }, input, h("label", { for: `colour-${name}` }, texts.colours[name]));
+      const element = h("div", { class: "choice" }, input, h("label", { for: `colour-${name}` }, texts.colours[name]));
+      this.#choices.set(name, { input, element });
+      return element;
     });
     this.element.append(h("fieldset", {}, h("legend", {}, texts.colours.label), ...choices), this.#legend, overlays);
+  }
+
+  get chosen(): Colouring {
+    return this.#chosen;
+  }
+
+  /** Colours of the scan are shown unless somebody wants others, or there are none. */
+  offer(scan: boolean): void {
+    if (this.#chosen === "scan" && !scan) [this.#chosen, this.#isWish] = ["height", false];
+    else if (scan && !this.#isWish) this.#chosen = "scan";
+    for (const [name, { input, element }] of this.#choices) {
+      element.hidden = name === "scan" && !scan;
+      input.checked = name === this.#chosen;
+    }
   }
 
   /** Legend for heights from `low` to `high` and a limit of slopes. */
@@ -45,6 +64,7 @@ export class ColoursPanel {
       return [strip, h("div", { class: "ends" }, h("span", {}, left), h("span", {}, right))];
     };
     const parts: Record<Colouring, () => HTMLElement[]> = {
+      scan: () => [h("p", { class: "quiet" }, legend.scan)],
       height: () => bar(RAMP, `${metres(low, 1)} m`, `${metres(high, 1)} m`),
       slope: () => [...bar([RAMP[1], RAMP[3]], legend.flat, `${slope}°`), swatch(OBSTACLE, `${legend.steep} ${slope}°`)],
       obstacle: () => [swatch(FLOOR, legend.floor), swatch(OBSTACLE, legend.obstacle)],

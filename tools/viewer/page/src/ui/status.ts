@@ -5,7 +5,19 @@ import { bytes, metres, thousands } from "../geometry";
 import { texts } from "../texts.en";
 import { h, write } from "./dom";
 
-const ROWS = ["position", "crs", "ground", "speed", "frames", "pages", "loaded", "missing", "cache", "drawn"] as const;
+const ROWS = [
+  "position",
+  "crs",
+  "ground",
+  "speed",
+  "frames",
+  "pages",
+  "loaded",
+  "colours",
+  "missing",
+  "cache",
+  "drawn",
+] as const;
 
 type Row = (typeof ROWS)[number];
 
@@ -59,6 +71,7 @@ export class StatusPanel {
       frames: panel.fps(Math.round(fps)),
       pages: panel.pagesOf(stats.pages.resident, bytes(stats.pages.bytes)),
       loaded: panel.loadedOf(bytes(stats.bytesLoaded), stats.requests),
+      colours: stats.colours.requests > 0 ? panel.coloursOf(bytes(stats.colours.bytes), stats.colours.requests) : panel.none,
       missing: String(state.missing),
       cache: panel.cacheOf(bytes(stats.usedBytes), bytes(stats.budgetBytes)),
       drawn: panel.drawnOf(thousands(triangles)),

@@ -1,0 +1,482 @@
+//! Colours of pages that are in memory, for whoever draws them: a state machine beside a [`Loader`], for when it has nothing to do.
+//!
+//! In: pages by urgency, fetched bytes. Out: colours, one page at a time. Memory: bytes on their way and the colour leaves in
+//! use, in the loader's budget; colours that were handed out belong to their new owner.
+
+use super::account::{Account, Room};
+use super::by_id::ById;
+use super::fetch::Time;
+use super::loader::Loader;
+use super::snapshot::{Index, View};
+use super::start::{pause_after, short_answer};
+use super::{PageSet, PageSlot};
+use crate::archive::{Catalog, ColourEntry, ColourTable};
+use crate::frame::PageKey;
+use crate::slice::{Colours, Occupancy, Page};
+use crate::{Error, Result};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Most bytes of blocks in one fetch, unless a single one is longer, and bytes between two blocks that are fetched along.
+const RUN_BYTES: u64 = 64 << 10;
+const GAP_BYTES: u64 = 2 << 10;
+/// Bytes of an entry of a colour leaf before compression, at most.
+const RAW_ENTRY: usize = 16;
+/// Bytes that decoding needs for the voxels of a page besides each voxel's, and for each.
+const PAGE_SCRATCH: usize = 64 << 10;
+const VOXEL_SCRATCH: usize = 16;
+
+/// Brings colours of pages in memory; see [`Loader::colours`].
+///
+/// Its owner tells it which pages it draws ([`want`](Self::want)), fetches what [`poll`](Self::poll) says, gives the bytes and takes
+/// colours ([`decode`](Self::decode)) until there are none. There is one fetch at a time, so that it never holds up geometry for long;
+/// [`cancel`](Self::cancel) gives it up.
+#[derive(Debug)]
+pub struct ColourLoader {
+    catalog: Arc<Catalog>,
+    index: Arc<Index>,
+    account: Arc<Account>,
+    table: Option<ColourTable>,
+    leaves: ById<usize, Leaf>,
+    /// Pages by number, most urgent first.
+    wanted: Vec<u32>,
+    flight: Option<Flight>,
+    here: Option<Here>,
+    tries: u32,
+    again: Time,
+}
+
+#[derive(Debug)]
+struct Leaf {
+    /// None where it is damaged.
+    entries: Vec<ColourEntry>,
+    _room: Room,
+}
+
+#[derive(Debug)]
+struct Flight {
+    range: Range<u64>,
+    what: What,
+    room: Room,
+}
+
+#[derive(Debug)]
+enum What {
+    Table,
+    Leaf(usize),
+    Pages(Vec<(u32, ColourEntry)>),
+}
+
+/// Blocks to be decoded, the next one last.
+#[derive(Debug)]
+struct Here {
+    start: u64,
+    bytes: Vec<u8>,
+    pages: Vec<(u32, ColourEntry)>,
+    _room: Room,
+}
+
+impl Loader {
+    /// Colours of the pages that this loader brings, within its budget; `None` until the directory is there, and for an archive
+    /// without colours.
+    pub fn colours(&self) -> Option<ColourLoader> {
+        let (catalog, index) = (self.shared_catalog()?, self.cache.as_ref()?.index().clone());
+        // Inferred matter has no colours, but its voxels are counted.
+        if catalog.ignores_inferred() {
+            return None;
+        }
+        catalog.colours_section()?;
+        Some(ColourLoader {
+            catalog,
+            index,
+            account: self.account().clone(),
+            table: None,
+            leaves: ById::new(),
+            wanted: Vec::new(),
+            flight: None,
+            here: None,
+            tries: 0,
+            again: Time::ZERO,
+        })
+    }
+}
+
+impl ColourLoader {
+    /// Says which pages should get colours, most urgent first; replaces what was said before. Unknown pages are ignored.
+    pub fn want(&mut self, keys: impl IntoIterator<Item = PageKey>) {
+        let busy = |page: &u32| {
+            let under_way = match &self.flight {
+                Some(Flight { what: What::Pages(pages), .. }) => &pages[..],
+                _ => &[],
+            };
+            let here = self.here.as_ref().map_or(&[][..], |here| &here.pages);
+            under_way.iter().chain(here).any(|(other, _)| other == page)
+        };
+        self.wanted = keys.into_iter().filter_map(|key| self.index.find(key)).filter(|page| !busy(page)).collect();
+    }
+
+    /// Whether there are bytes on their way.
+    pub fn is_fetching(&self) -> bool {
+        self.flight.is_some()
+    }
+
+    /// When to poll again, if only time is missing.
+    pub fn retry_at(&self) -> Option<Time> {
+        Some(self.again).filter(|again| *again > Time::ZERO && *again < Time::MAX && !self.wanted.is_empty())
+    }
+
+    /// The page for whose sake bytes are fetched.
+    pub fn most_urgent(&self) -> Option<PageKey> {
+        let page = match &self.flight {
+            Some(Flight { what: What::Pages(pages), .. }) => pages.first().map(|(page, _)| *page),
+            _ => self.wanted.first().copied(),
+        };
+        page.map(|page| self.index.key(page))
+    }
+
+    /// Whether [`decode`](Self::decode) has something to decode.
+    pub fn has_decodable(&self) -> bool {
+        self.here.is_some()
+    }
+
+    /// Which bytes to fetch now; `None` while there are some on their way or to be decoded, and without pages that need any.
+    pub fn poll(&mut self, now: Time) -> Option<Range<u64>> {
+        if self.flight.is_some() || self.here.is_some() || now < self.again {
+            return None;
+        }
+        loop {
+            let page = *self.wanted.first()?;
+            if self.table.is_none() {
+                let range = self.catalog.colour_table_range()?;
+                let bytes = 2 * (range.end - range.start) as usize;
+                return self.launch(range, What::Table, bytes);
+            }
+            let number = self.catalog.leaf_of(self.index.key(page))?;
+            let Some(leaf) = self.leaves.get(&number) else {
+                let range = self.table.as_ref()?.leaf_range(number);
+                let entries = self.catalog.leaf_entries(number) as usize;
+                let bytes = (range.end - range.start) as usize + entries * (RAW_ENTRY + size_of::<ColourEntry>());
+                // Leaves in use are few, and they come again.
+                if self.account.budget() - self.account.used().min(self.account.budget()) < bytes {
+                    self.leaves = ById::new();
+                }
+                return self.launch(range, What::Leaf(number), bytes);
+            };
+            let first: u32 = (0..number).map(|before| self.catalog.leaf_entries(before)).sum();
+            let run = run(&leaf.entries, first, page, &self.wanted);
+            let Some((_, entry)) = run.first() else {
+                self.wanted.remove(0);
+                continue;
+            };
+            let range = entry.offset..run.last().map_or(entry.offset, |(_, last)| last.range().end);
+            let (what, bytes) = (What::Pages(run), (range.end - range.start) as usize);
+            let launched = self.launch(range, what, bytes)?;
+            if let Some(Flight { what: What::Pages(pages), .. }) = &self.flight {
+                self.wanted.retain(|page| !pages.iter().any(|(other, _)| other == page));
+            }
+            if !launched.is_empty() {
+                return Some(launched);
+            }
+            // Pages without a colour need no bytes.
+            let _ = self.arrived(Vec::new());
+            return None;
+        }
+    }
+
+    /// Notes a fetch if the budget has room for it and what comes of it.
+    fn launch(&mut self, range: Range<u64>, what: What, bytes: usize) -> Option<Range<u64>> {
+        let room = self.account.take(bytes)?;
+        self.flight = Some(Flight { range: range.clone(), what, room });
+        Some(range)
+    }
+
+    /// The bytes of the fetch came. Fails where they break a rule: the colours that they say something of never come.
+    pub fn given(&mut self, bytes: Vec<u8>, now: Time) -> Result<()> {
+        let Some(flight) = &self.flight else { return Ok(()) };
+        if bytes.len() as u64 != flight.range.end - flight.range.start {
+            let error = short_answer(&flight.range, bytes.len());
+            self.failed(now);
+            return Err(error);
+        }
+        (self.tries, self.again) = (0, Time::ZERO);
+        self.arrived(bytes)
+    }
+
+    fn arrived(&mut self, bytes: Vec<u8>) -> Result<()> {
+        let Some(Flight { range, what, room }) = self.flight.take() else { return Ok(()) };
+        match what {
+            What::Table => {
+                let table = self.catalog.decode_colour_table(&bytes);
+                self.table = Some(table.inspect_err(|_| self.again = Time::MAX)?);
+            }
+            What::Leaf(number) => {
+                let table = self.table.as_ref().ok_or_else(|| Error::parameter("colours", "they have no table"))?;
+                let entries = self.catalog.decode_colour_leaf(table, number, &bytes);
+                let (entries, error) =
+                    entries.map_or_else(|error| (Vec::new(), Some(error)), |entries| (entries, None));
+                let mut room = room;
+                let room = room.split(entries.capacity() * size_of::<ColourEntry>());
+                self.leaves.insert(number, Leaf { entries, _room: room });
+                return error.map_or(Ok(()), Err);
+            }
+            What::Pages(mut pages) => {
+                pages.reverse();
+                self.here = Some(Here { start: range.start, bytes, pages, _room: room });
+            }
+        }
+        Ok(())
+    }
+
+    /// The fetch failed: the same is asked for again after 0.1 s, then 0.2 s and so on up to 6.4 s.
+    pub fn failed(&mut self, now: Time) {
+        self.cancel();
+        self.again = now + pause_after(self.tries);
+        self.tries += 1;
+    }
+
+    /// Gives up the fetch; its pages are wanted still.
+    pub fn cancel(&mut self) {
+        if let Some(Flight { what: What::Pages(pages), .. }) = self.flight.take() {
+            self.wanted.splice(0..0, pages.into_iter().map(|(page, _)| page));
+        }
+    }
+
+    /// The colours of the next page whose bytes are there: about 0.3 ms. Pages that are no longer in memory are passed over.
+    /// Damage is an error of that page alone.
+    pub fn decode(&mut self, view: &View) -> Option<(PageKey, Result<Colours>)> {
+        loop {
+            let here = self.here.as_mut()?;
+            let Some(&(number, entry)) = here.pages.last() else {
+                self.here = None;
+                return None;
+            };
+            let key = self.index.key(number);
+            let page = loaded(view, key);
+            let scratch = page.map_or(0, |page| PAGE_SCRATCH + VOXEL_SCRATCH * Occupancy::of(page).len());
+            let _room = self.account.take(scratch)?;
+            here.pages.pop();
+            if let Some(page) = page {
+                let from = (entry.offset - here.start) as usize;
+                let bytes = here.bytes.get(from..from + entry.len as usize).unwrap_or(&[]);
+                return Some((key, entry.decode(key, page, bytes)));
+            }
+        }
+    }
+}
+
+fn loaded(view: &View, key: PageKey) -> Option<&Page> {
+    view.column(key.tx, key.ty).iter().find(|slot| slot.layer() == key.layer)?.page()
+}
+
+/// The wanted pages around `page`, whose blocks lie close together, in order; `entries` begin with page `first`. Empty where the
+/// leaf is damaged.
+fn run(entries: &[ColourEntry], first: u32, page: u32, wanted: &[u32]) -> Vec<(u32, ColourEntry)> {
+    let entry = |page: u32| Some((page, *entries.get(page.checked_sub(first)? as usize)?));
+    let Some(middle) = entry(page) else { return Vec::new() };
+    let mut near: Vec<_> = wanted.iter().filter_map(|&other| entry(other)).filter(|other| other.0 != page).collect();
+    near.sort_unstable_by_key(|other| other.0);
+    let above = near.partition_point(|other| other.0 < page);
+    let mut run = vec![middle];
+    let (mut start, mut end) = (middle.1.offset, middle.1.range().end);
+    for other in &near[above..] {
+        let range = other.1.range();
+        if range.start - end > GAP_BYTES || range.end - start > RUN_BYTES {
+            break;
+        }
+        end = range.end;
+        run.push(*other);
+    }
+    for other in near[..above].iter().rev() {
+        let range = other.1.range();
+        if start - range.end > GAP_BYTES || end - range.start > RUN_BYTES {
+            break;
+        }
+        start = range.start;
+        run.insert(0, *other);
+    }
+    run
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{LoaderOptions, Next, Prefetch, Step, Stream, StreamOptions};
+    use super::*;
+    use crate::archive::{Archive, ArchiveWriter, ColourReader, EncodedColours, PageEncoder, Totals};
+    use crate::codec::ColourEncoder;
+    use crate::colour::{ColourPlan, ColourScale};
+    use crate::frame::Frame;
+    use crate::plan::Plan;
+    use crate::slice::{PageBuilder, Span};
+
+    /// 12 × 3 pages of rough ground; every fourth has no colours.
+    fn archive() -> Vec<u8> {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("a.slices");
+        let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
+        let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
+        let plan_of_colours = ColourPlan { scale: ColourScale::of_rgb(65_535), error_milli: 0 };
+        writer.set_colours(plan_of_colours);
+        let (mut encoder, mut of_colours) = (PageEncoder::new(plan.frame), ColourEncoder::default());
+        let mut keys: Vec<_> = (0..36).map(|n| PageKey { tx: n % 12, ty: n / 12, layer: 0 }).collect();
+        keys.sort_unstable();
+        for (number, key) in keys.into_iter().enumerate() {
+            let mut page = PageBuilder::default();
+            for (x, y) in (0..64).flat_map(|x| (0..64).map(move |y| (x, y))) {
+                let top = 100 + (x * 31 + y * 17) % 5 * 60 + number as u32;
+                assert!(page.set_column(x, y, &[Span::new(0, top, false).unwrap()]));
+            }
+            let page = page.build();
+            let occupancy = Occupancy::of(&page);
+            let colour = |voxel: usize| {
+                (!number.is_multiple_of(4)).then_some([(voxel * 257 % 65_536) as u16, (number * 1000) as u16, 30_000])
+            };
+            let colours: Vec<_> = (0..occupancy.len()).map(colour).collect();
+            let colours = EncodedColours::new(&plan_of_colours, &occupancy, &colours, &mut of_colours);
+            writer.put(key, encoder.encode(key, &page).with_colours(colours)).unwrap();
+        }
+        writer.finish(Totals { points_read: 1, points_kept: 1, ..Totals::default() }).unwrap();
+        std::fs::read(&target).unwrap()
+    }
+
+    fn keys(archive: &Archive) -> Vec<PageKey> {
+        archive.entries().map(|entry| entry.unwrap().key).collect()
+    }
+
+    /// A loader with all pages of the archive in memory.
+    fn whole(bytes: &[u8], budget: usize) -> Loader {
+        let archive = Archive::from_bytes(bytes.to_vec()).unwrap();
+        let mut loader = Loader::new(archive.catalog().clone(), LoaderOptions::new(budget)).unwrap();
+        let mut request = None;
+        loop {
+            match loader.poll(Time::ZERO).unwrap() {
+                Next::Fetch(fetch) => {
+                    let bytes = bytes[fetch.range.start as usize..fetch.range.end as usize].to_vec();
+                    if let Some(job) = loader.given(fetch.id, bytes, Time::ZERO) {
+                        loader.loaded(job.run(), Time::ZERO);
+                    }
+                }
+                Next::Wait(_) if request.is_some() => return loader,
+                Next::Wait(_) => request = Some(loader.request(&keys(&archive), keys(&archive)[0])),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn colours_come_as_a_reader_reads_them_the_most_urgent_first() {
+        let bytes = archive();
+        let mut reader = ColourReader::new(&Archive::from_bytes(bytes.clone()).unwrap()).unwrap().unwrap();
+        let loader = whole(&bytes, 64 << 20);
+        let view = loader.view().unwrap();
+        let mut colours = loader.colours().unwrap();
+        assert_eq!(colours.poll(Time::ZERO), None, "nothing is wanted");
+        let mut wanted = keys(&Archive::from_bytes(bytes.clone()).unwrap());
+        wanted.rotate_left(17);
+        colours.want(wanted.iter().copied().chain([PageKey { tx: 99, ty: 0, layer: 0 }]));
+        let (mut found, mut fetches) = (Vec::new(), 0);
+        loop {
+            let range = colours.poll(Time::ZERO);
+            if let Some(range) = range.clone() {
+                assert_eq!(colours.poll(Time::ZERO), None, "one fetch at a time");
+                fetches += 1;
+                if fetches == 3 {
+                    colours.cancel();
+                    assert_eq!(colours.poll(Time::ZERO), Some(range.clone()));
+                    colours.failed(Time::ZERO);
+                    assert_eq!(colours.poll(Time::ZERO), None);
+                    assert_eq!(colours.poll(colours.retry_at().unwrap()), Some(range.clone()));
+                }
+                colours.given(bytes[range.start as usize..range.end as usize].to_vec(), Time::ZERO).unwrap();
+            }
+            let mut count = 0;
+            while let Some((key, colours)) = colours.decode(&view) {
+                let page = loaded(&view, key).unwrap();
+                assert_eq!(colours.unwrap(), reader.colours_of(key, page).unwrap());
+                found.push(key);
+                count += 1;
+            }
+            if range.is_none() && count == 0 {
+                break;
+            }
+        }
+        assert_eq!(found.len(), wanted.len());
+        assert!(found[..8].contains(&wanted[0]) && fetches < 20, "{fetches} fetches, {found:?}");
+        found.sort_unstable();
+        wanted.sort_unstable();
+        assert_eq!(found, wanted);
+    }
+
+    #[test]
+    fn a_budget_without_room_and_damage_keep_colours_away_and_nothing_else() {
+        let bytes = archive();
+        let archive_of = |bytes: &[u8]| Archive::from_bytes(bytes.to_vec()).unwrap();
+        let all = keys(&archive_of(&bytes));
+        let loader = whole(&bytes, 64 << 20);
+        let rest = loader.counters().budget_bytes - loader.counters().used_bytes;
+        let taken = loader.account().take(rest);
+        let mut colours = loader.colours().unwrap();
+        colours.want(all.iter().copied());
+        assert_eq!(colours.poll(Time::ZERO), None);
+        drop(taken);
+        assert!(colours.poll(Time::ZERO).is_some());
+        // Every bit of the table, of the leaf and of a block.
+        let (view, catalog) = (loader.view().unwrap(), archive_of(&bytes));
+        let section = catalog.catalog().colours_section().unwrap();
+        for byte in section.clone().step_by(((section.end - section.start) / 60) as usize).chain([section.end - 1]) {
+            let mut damaged = bytes.clone();
+            damaged[byte as usize] ^= 0x10;
+            let mut colours = loader.colours().unwrap();
+            colours.want(all.iter().copied());
+            let mut errors = Vec::new();
+            for _ in 0..200 {
+                if let Some(range) = colours.poll(Time::ZERO) {
+                    let part = damaged[range.start as usize..range.end as usize].to_vec();
+                    errors.extend(colours.given(part, Time::ZERO).err());
+                }
+                while let Some((_, colours)) = colours.decode(&view) {
+                    errors.extend(colours.err());
+                }
+            }
+            assert_eq!(errors.len(), 1, "byte {byte}");
+            assert!(matches!(&errors[0], Error::Format { rule, .. } if rule.starts_with('K')), "{}", errors[0]);
+            assert_eq!((colours.poll(Time::ZERO), colours.is_fetching()), (None, false));
+        }
+    }
+
+    #[test]
+    fn a_stream_reads_colours_when_no_page_is_to_be_read() {
+        let bytes = archive();
+        let archive = Archive::from_bytes(bytes.clone()).unwrap();
+        let wanted = keys(&archive);
+        let mut reader = ColourReader::new(&archive).unwrap().unwrap();
+        for prefetch in [Prefetch::Manual, Prefetch::Thread] {
+            let options = StreamOptions { prefetch, ..StreamOptions::new(64 << 20) };
+            let stream = Stream::open(Archive::from_bytes(bytes.clone()).unwrap(), options).unwrap();
+            stream.want_colours(&wanted);
+            let (low, high) = ([0.1, 0.1, 0.1].into(), [38.0, 9.5, 1.0].into());
+            let mut pawn = stream.pawn();
+            pawn.hint(&super::super::Outlook::walking(low, high, nalgebra::Vector3::zeros()));
+            let mut found = std::collections::BTreeSet::new();
+            let mut colour_steps = 0;
+            while found.len() < wanted.len() {
+                match stream.step() {
+                    Step::Loaded(_) => assert_eq!(colour_steps, 0, "pages come first"),
+                    Step::Coloured => colour_steps += 1,
+                    _ => std::thread::yield_now(),
+                }
+                let taken = stream.take_colours();
+                assert!(taken.len() <= 16);
+                for (key, colours) in taken {
+                    let view = stream.view();
+                    assert_eq!(colours.unwrap(), reader.colours_of(key, loaded(&view, key).unwrap()).unwrap());
+                    found.insert(key);
+                }
+                if prefetch == Prefetch::Thread {
+                    // What was not in memory when it was asked for is asked for again.
+                    stream.want_colours(&wanted.iter().copied().filter(|key| !found.contains(key)).collect::<Vec<_>>());
+                }
+            }
+            assert!(found.iter().eq(&wanted));
+        }
+    }
+}

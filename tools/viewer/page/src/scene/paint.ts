@@ -1,0 +1,38 @@
+// Colours of pages as textures: the shader looks up the voxel behind what it draws.
+
+import type { PageColours } from "slicewalk";
+import { DataTexture, RGBAFormat, RGBAIntegerFormat, UnsignedByteType, UnsignedIntType } from "three";
+
+/** Colours in a row of their texture. */
+const ROW = 256;
+
+export interface Paint {
+  /** A texel a cell: its slices with colours, and the number of its first colour. */
+  readonly cells: DataTexture;
+  readonly colours: DataTexture;
+  readonly bytes: number;
+}
+
+function textures(edge: number, cells: Uint32Array, colours: Uint8Array): Paint {
+  const rows = Math.max(1, Math.ceil(colours.length / 4 / ROW));
+  const whole = new Uint8Array(4 * ROW * rows);
+  whole.set(colours);
+  const paint = {
+    cells: new DataTexture(cells, edge, edge, RGBAIntegerFormat, UnsignedIntType),
+    colours: new DataTexture(whole, ROW, rows, RGBAFormat, UnsignedByteType),
+    bytes: cells.byteLength + whole.byteLength,
+  };
+  paint.cells.internalFormat = "RGBA32UI";
+  [paint.cells, paint.colours].forEach((texture) => (texture.needsUpdate = true));
+  return paint;
+}
+
+export const paintOf = ({ edge, cells, colours }: PageColours): Paint => textures(edge, cells, colours);
+
+/** No colours. */
+export const PLAIN: Paint = textures(1, new Uint32Array(4), new Uint8Array(0));
+
+export function forget({ cells, colours }: Paint): void {
+  cells.dispose();
+  colours.dispose();
+}
