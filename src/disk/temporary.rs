@@ -115,15 +115,17 @@ impl Temporary {
 }
 
 /// What runs that are resumed need besides.
+impl Temporary {
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
 #[cfg(feature = "convert")]
 impl Temporary {
     /// The temporary file at `path`, which is open as `file`.
     pub fn of(files: &Files, path: PathBuf, file: OpenFile) -> Self {
         Self { files: files.clone(), file, path, stays: false }
-    }
-
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     /// Whether the file stays when this is dropped.
