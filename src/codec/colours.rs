@@ -144,8 +144,12 @@ impl ColourBlock {
             for &(colour, lab) in &exact {
                 let found = table.of_8_bits(restored(quantised(colour, steps), steps));
                 sum += f64::from(difference(found, lab));
+                // It only grows.
+                if sum > most {
+                    return false;
+                }
             }
-            sum <= most
+            true
         };
         let (mut low, mut high) = (1, if error_milli == 0 { 1 } else { MOST_STEP });
         // The widest that fits, where wider ones err more; one that fits in any case.
