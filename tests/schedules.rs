@@ -232,7 +232,7 @@ fn jobs_come_back_in_order_whatever_fails() {
 
 /// Every schedule of a small hand-over, as far as so many go.
 #[test]
-fn a_small_hand_over_ends_in_every_schedule() {
+fn a_small_hand_over_ends_in_schedules_one_after_the_other() {
     for fault in [Fault::None, Fault::Work(0), Fault::Take(0)] {
         shuttle::check_dfs(move || hand_over(1, 1, fault), Some(200_000));
     }
