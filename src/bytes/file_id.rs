@@ -10,6 +10,12 @@ pub struct FileId {
 }
 
 impl FileId {
+    /// An object by its address and version.
+    #[cfg(feature = "remote")]
+    pub(super) fn of_object(address: u64, version: u64) -> Self {
+        Self { volume: address, index: version }
+    }
+
     /// The file at `path`, links followed; `None` if there is none, or the system cannot tell.
     #[cfg_attr(not(any(unix, windows)), allow(unused_variables, reason = "a browser has no files"))]
     pub fn at(path: &Path) -> Option<Self> {

@@ -5,6 +5,7 @@
 
 pub(crate) mod crc;
 mod file_id;
+mod named;
 mod positioned;
 mod regular;
 #[cfg(feature = "remote")]
@@ -13,10 +14,15 @@ mod remote;
 pub mod testing;
 
 pub use file_id::FileId;
+pub(crate) use named::*;
 pub(crate) use positioned::*;
 pub(crate) use regular::*;
+#[cfg(all(feature = "remote", feature = "convert"))]
+pub(crate) use remote::list;
 #[cfg(feature = "remote")]
 pub use remote::{RemoteOptions, RemoteSource};
+#[cfg(feature = "remote")]
+pub(crate) use remote::{check_upload, upload};
 
 use crate::{Error, Result};
 use std::fs::File;

@@ -40,6 +40,12 @@ impl Stamp {
         Self { len: about.len(), modified: about.modified().ok(), id: FileId::of(file) }
     }
 
+    /// The state of an object.
+    #[cfg(feature = "remote")]
+    pub(super) fn of_object(len: u64, modified: Option<SystemTime>, id: FileId) -> Self {
+        Self { len, modified, id: Some(id) }
+    }
+
     /// Length of the file (bytes).
     pub fn len(&self) -> u64 {
         self.len
@@ -56,6 +62,9 @@ impl Stamp {
 
     /// Whether the file at `path` is in this state.
     pub fn is_of(&self, path: &Path) -> bool {
+        if super::address(path).is_some() {
+            return super::Input::open(path).is_ok_and(|(_, now)| now == *self);
+        }
         let Ok(about) = std::fs::metadata(path) else { return false };
         let now = Self { len: about.len(), modified: about.modified().ok(), id: FileId::at(path) };
         *self == now

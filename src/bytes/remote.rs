@@ -6,15 +6,26 @@
 //!
 //! Errors name the address without user, password and query, and print of an answer its status and one line.
 
+#[cfg(feature = "convert")]
+mod list;
 mod text;
 mod transport;
+mod upload;
 
-use super::ByteSource;
+#[cfg(feature = "convert")]
+pub(crate) use list::list;
+pub(crate) use upload::{check_upload, upload};
+
+use super::{ByteSource, FileId, Stamp};
 use crate::{Error, Result};
 use base64::Engine;
 use futures_util::StreamExt;
-use object_store::aws::AmazonS3Builder;
+use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
+#[cfg(feature = "clouds")]
+use object_store::azure::{AzureConfigKey, MicrosoftAzureBuilder};
 use object_store::client::HttpError;
+#[cfg(feature = "clouds")]
+use object_store::gcp::{GoogleCloudStorageBuilder, GoogleConfigKey};
 use object_store::http::HttpBuilder;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
@@ -45,8 +56,8 @@ pub struct RemoteOptions {
     /// How often a request is repeated that failed for a reason which may pass: a lost connection, an error of the server.
     /// So a read fails after `(2 · retries + 1) · timeout` at the latest.
     pub retries: usize,
-    /// Settings of the object store by name, for example `("aws_endpoint", ...)`; for S3 these come on top of the
-    /// environment's `AWS_*`.
+    /// Settings of the object store by name, for example `("aws_endpoint", ...)`; these come on top of the environment's
+    /// `AWS_*`, `GOOGLE_*` or `AZURE_*`. If neither holds credentials, requests are not signed.
     pub settings: Vec<(String, String)>,
 }
 
@@ -77,6 +88,7 @@ impl std::fmt::Debug for RemoteOptions {
 pub struct RemoteSource {
     store: Box<dyn ObjectStore>,
     path: Path,
+    unsigned: bool,
     /// For messages: no password, no query.
     name: String,
     options: RemoteOptions,
@@ -87,8 +99,8 @@ pub struct RemoteSource {
 }
 
 impl RemoteSource {
-    /// Opens the object at `url`: `https://`, `http://`, `s3://bucket/key` (and addresses of Amazon S3 and Cloudflare R2), or
-    /// `file://`. One request. Addresses of web servers are used as they are: a query (a signed address) is part of every
+    /// Opens the object at `url`: `https://`, `http://`, `s3://bucket/key` (and addresses of Amazon S3 and Cloudflare R2),
+    /// `gs://bucket/key`, `az://container/key`, or `file://`. One request. Addresses of web servers are used as they are: a query (a signed address) is part of every
     /// request, `user:password@` is sent as basic authentication; no message prints either.
     pub fn open(url: &str) -> Result<Self> {
         Self::with(url, &RemoteOptions::default())
@@ -103,7 +115,7 @@ impl RemoteSource {
         let url = Url::parse(url).map_err(|error| refused(error.to_string()))?;
         let name = public_name(&url);
         refuse_tasks(&name)?;
-        let (store, path) = connect(url, options).map_err(refused)?;
+        let Connected { store, path, unsigned } = connect(url, options, Use::READ).map_err(refused)?;
         let runtime = Builder::new_current_thread().enable_all().build();
         let runtime = Some(runtime.map_err(|error| Error::io(&name, "start its runtime", error))?);
         let meta = ObjectMeta {
@@ -113,10 +125,28 @@ impl RemoteSource {
             e_tag: None,
             version: None,
         };
-        let mut source = Self { store, path, name, options: options.clone(), runtime, first: Vec::new(), meta };
+        let mut source =
+            Self { store, path, unsigned, name, options: options.clone(), runtime, first: Vec::new(), meta };
         let (meta, first) = source.get(0..FIRST, None)?;
         (source.meta, source.first) = (meta, first);
         Ok(source)
+    }
+
+    /// The version that was opened.
+    #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
+    pub(super) fn stamp(&self) -> Stamp {
+        let ObjectMeta { size, last_modified, e_tag, version, .. } = &self.meta;
+        let hash = |bytes: &[u8]| xxhash_rust::xxh3::xxh3_64(bytes);
+        let version = format!("{e_tag:?} {version:?}");
+        let id = FileId::of_object(hash(self.name.as_bytes()), hash(version.as_bytes()));
+        // A server that does not say gives the beginning of time.
+        let modified = (last_modified.timestamp() > 0).then(|| (*last_modified).into());
+        Stamp::of_object(*size, modified, id)
+    }
+
+    /// Whether all bytes before `end` came with the first request.
+    pub(super) fn holds(&self, end: u64) -> bool {
+        end <= self.first.len() as u64
     }
 
     /// The bytes of `range` that the object has, of the version `known`, or of any.
@@ -132,7 +162,9 @@ impl RemoteSource {
             };
             let wait = failure.wait(failures, self.options.timeout).filter(|_| failures < self.options.retries);
             let Some(wait) = wait else {
-                return Err(Error::io(&self.name, reading(&range), failure.into()));
+                let action = if known.is_none() { "open".to_owned() } else { reading(&range) };
+                let error = io::Error::from(failure);
+                return Err(Error::io(&self.name, action, if self.unsigned { said_unsigned(error) } else { error }));
             };
             failures += 1;
             std::thread::sleep(wait);
@@ -257,15 +289,31 @@ impl From<Failure> for io::Error {
             Failure::Store(error) => error,
         };
         if let Some(refusal) = cause::<Refusal>(&error) {
-            return Self::new(refusal.kind(), refusal.to_string());
+            return match refusal.kind() {
+                io::ErrorKind::NotFound => Self::new(io::ErrorKind::NotFound, format!("no such object ({refusal})")),
+                kind => Self::new(kind, refusal.to_string()),
+            };
         }
         if let Some(error) = cause::<HttpError>(&error) {
             return Self::other(connection(error));
         }
         match error {
             object_store::Error::NotFound { .. } => Self::new(io::ErrorKind::NotFound, "there is no such object"),
+            error @ (object_store::Error::PermissionDenied { .. } | object_store::Error::Unauthenticated { .. }) => {
+                Self::new(io::ErrorKind::PermissionDenied, one_line(&error.to_string()))
+            }
             other => Self::other(one_line(&other.to_string())),
         }
+    }
+}
+
+/// Adds why a store may have refused a request that was not signed.
+fn said_unsigned(error: io::Error) -> io::Error {
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => {
+            io::Error::new(error.kind(), format!("{error}; no credentials are set, so the request was not signed"))
+        }
+        _ => error,
     }
 }
 
@@ -290,12 +338,33 @@ fn same_version(meta: &ObjectMeta) -> GetOptions {
     GetOptions { if_match: strong, if_unmodified_since: time, ..GetOptions::default() }
 }
 
-/// The store that serves `url`, and the path of the object in it.
-fn connect(mut url: Url, options: &RemoteOptions) -> Result<(Box<dyn ObjectStore>, Path), String> {
+/// A store, and the path of an object in it.
+struct Connected {
+    store: Box<dyn ObjectStore>,
+    path: Path,
+    /// Without credentials in settings or environment: requests are not signed.
+    unsigned: bool,
+}
+
+/// How a connection is used.
+#[derive(Clone, Copy)]
+struct Use {
+    /// Repetitions by the store's client. For reading there are none: they are made here, where a server's wish to wait and the
+    /// version are known.
+    retries: usize,
+    /// Uploads in parts are completed on the condition that no such object is there, where the store knows that condition.
+    creates: bool,
+}
+
+impl Use {
+    const READ: Self = Self { retries: 0, creates: false };
+}
+
+/// Connects to the store that serves `url`. Without credentials requests go unsigned: no machine's metadata address is asked
+/// for them, unless the environment or a setting names it.
+fn connect(mut url: Url, options: &RemoteOptions, how: Use) -> Result<Connected, String> {
     let client = ClientOptions::new().with_timeout(options.timeout).with_connect_timeout(options.timeout);
-    // Requests are repeated here, where a server's wish to wait and the version are known.
-    let retry = RetryConfig { max_retries: 0, ..RetryConfig::default() };
-    let text = |error: object_store::Error| one_line(&error.to_string());
+    let retry = RetryConfig { max_retries: how.retries, ..RetryConfig::default() };
     let web = matches!(url.scheme(), "http" | "https");
     let authorization = basic_authorization(&url);
     let secret = authorization.is_some() || url.query().is_some();
@@ -307,17 +376,17 @@ fn connect(mut url: Url, options: &RemoteOptions) -> Result<(Box<dyn ObjectStore
     }
     match ObjectStoreScheme::parse(&url) {
         Ok((ObjectStoreScheme::AmazonS3, path)) if !secret => {
-            let mut builder = AmazonS3Builder::from_env()
-                .with_client_options(client)
-                .with_retry(retry)
-                .with_http_connector(Connector { authorization: None })
-                .with_url(url.as_str());
-            for (key, value) in &options.settings {
-                builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text)?, value);
-            }
-            Ok((Box::new(builder.build().map_err(text)?), path))
+            connect_s3(&url, path, options, client, retry, how.creates)
         }
-        Ok((ObjectStoreScheme::Local, path)) => Ok((Box::new(LocalFileSystem::new()), path)),
+        #[cfg(feature = "clouds")]
+        Ok((ObjectStoreScheme::GoogleCloudStorage, path)) if !secret => connect_gs(&url, path, options, client, retry),
+        #[cfg(feature = "clouds")]
+        Ok((ObjectStoreScheme::MicrosoftAzure, path)) if !secret && !web => {
+            connect_az(&url, path, options, client, retry)
+        }
+        Ok((ObjectStoreScheme::Local, path)) => {
+            Ok(Connected { store: Box::new(LocalFileSystem::new()), path, unsigned: false })
+        }
         _ if web => {
             let client = client.with_allow_http(url.scheme() == "http");
             url.set_fragment(None);
@@ -325,11 +394,135 @@ fn connect(mut url: Url, options: &RemoteOptions) -> Result<(Box<dyn ObjectStore
             let _ = (url.set_username(""), url.set_password(None));
             // With the whole address as the base, and nothing below it, no character of its path is decoded.
             let server = HttpBuilder::new().with_url(url).with_client_options(client).with_retry(retry);
-            let server = server.with_http_connector(Connector { authorization });
-            Ok((Box::new(server.build().map_err(text)?), Path::default()))
+            let server = server.with_http_connector(Connector { authorization, creates: false });
+            Ok(Connected { store: Box::new(server.build().map_err(text_of)?), path: Path::default(), unsigned: false })
         }
-        _ => Err("is none that is supported; use https, http, s3 or file".into()),
+        #[cfg(not(feature = "clouds"))]
+        Ok((ObjectStoreScheme::GoogleCloudStorage | ObjectStoreScheme::MicrosoftAzure, _)) => {
+            Err("is of a store that this build does not know; build it with --features clouds".into())
+        }
+        _ => Err("is none that is supported; use https, http, s3, gs, az or file".into()),
     }
+}
+
+fn text_of(error: object_store::Error) -> String {
+    one_line(&error.to_string())
+}
+
+/// Variables of the environment that begin with `prefix`, as names of settings.
+fn environment(prefix: &'static str) -> impl Iterator<Item = (String, String)> {
+    let text = |(name, value): (std::ffi::OsString, std::ffi::OsString)| {
+        Some((name.to_str()?.to_owned(), value.to_str()?.to_owned()))
+    };
+    let named =
+        move |(name, value): (String, String)| name.starts_with(prefix).then(|| (name.to_ascii_lowercase(), value));
+    std::env::vars_os().filter_map(text).filter_map(named)
+}
+
+fn connect_s3(
+    url: &Url,
+    path: Path,
+    options: &RemoteOptions,
+    client: ClientOptions,
+    retry: RetryConfig,
+    creates: bool,
+) -> Result<Connected, String> {
+    use AmazonS3ConfigKey as Key;
+    let mut builder = AmazonS3Builder::from_env().with_client_options(client).with_retry(retry).with_url(url.as_str());
+    // Options of the client in the environment, such as AWS_ALLOW_HTTP, which those above replaced.
+    for (name, value) in environment("AWS_") {
+        if let Ok(key @ Key::Client(_)) = name.parse() {
+            builder = builder.with_config(key, value);
+        }
+    }
+    for (key, value) in &options.settings {
+        builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text_of)?, value);
+    }
+    let given = |key: Key| builder.get_config_value(&key).is_some();
+    let credentials = [
+        Key::AccessKeyId,
+        Key::SecretAccessKey,
+        Key::WebIdentityTokenFile,
+        Key::ContainerCredentialsRelativeUri,
+        Key::ContainerCredentialsFullUri,
+        Key::MetadataEndpoint,
+    ];
+    let unsigned = !credentials.into_iter().any(given);
+    let conditional = builder.get_config_value(&Key::ConditionalPut).is_none_or(|value| value != "disabled");
+    if unsigned {
+        builder = builder.with_skip_signature(true);
+    }
+    let connector = Connector { authorization: None, creates: creates && conditional };
+    let store = builder.with_http_connector(connector).build().map_err(text_of)?;
+    Ok(Connected { store: Box::new(store), path, unsigned })
+}
+
+#[cfg(feature = "clouds")]
+fn connect_gs(
+    url: &Url,
+    path: Path,
+    options: &RemoteOptions,
+    client: ClientOptions,
+    retry: RetryConfig,
+) -> Result<Connected, String> {
+    use GoogleConfigKey as Key;
+    let mut builder =
+        GoogleCloudStorageBuilder::from_env().with_client_options(client).with_retry(retry).with_url(url.as_str());
+    for (name, value) in environment("GOOGLE_") {
+        if let Ok(key @ Key::Client(_)) = name.parse() {
+            builder = builder.with_config(key, value);
+        }
+    }
+    for (key, value) in &options.settings {
+        builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text_of)?, value);
+    }
+    // Where the programs of that cloud leave the credentials of whoever logged in.
+    let (home, below) = match cfg!(windows) {
+        true => ("APPDATA", "gcloud/application_default_credentials.json"),
+        false => ("HOME", ".config/gcloud/application_default_credentials.json"),
+    };
+    let logged_in = std::env::var_os(home).is_some_and(|home| std::path::Path::new(&home).join(below).is_file());
+    let given = |key: Key| builder.get_config_value(&key).is_some();
+    let credentials = [Key::ServiceAccount, Key::ServiceAccountKey, Key::ApplicationCredentials];
+    let unsigned = !logged_in && !credentials.into_iter().any(given);
+    if unsigned {
+        builder = builder.with_skip_signature(true);
+    }
+    let connector = Connector { authorization: None, creates: false };
+    let store = builder.with_http_connector(connector).build().map_err(text_of)?;
+    Ok(Connected { store: Box::new(store), path, unsigned })
+}
+
+#[cfg(feature = "clouds")]
+fn connect_az(
+    url: &Url,
+    path: Path,
+    options: &RemoteOptions,
+    client: ClientOptions,
+    retry: RetryConfig,
+) -> Result<Connected, String> {
+    use AzureConfigKey as Key;
+    let mut builder =
+        MicrosoftAzureBuilder::from_env().with_client_options(client).with_retry(retry).with_url(url.as_str());
+    for (name, value) in environment("AZURE_") {
+        if let Ok(key @ Key::Client(_)) = name.parse() {
+            builder = builder.with_config(key, value);
+        }
+    }
+    for (key, value) in &options.settings {
+        builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text_of)?, value);
+    }
+    let given = |key: Key| builder.get_config_value(&key).is_some();
+    let credentials =
+        [Key::AccessKey, Key::SasKey, Key::Token, Key::ClientSecret, Key::FederatedTokenFile, Key::MsiEndpoint];
+    let is_set = |key: Key| builder.get_config_value(&key).is_some_and(|value| value == "true");
+    let unsigned = !credentials.into_iter().any(given) && !is_set(Key::UseAzureCli) && !is_set(Key::UseEmulator);
+    if unsigned {
+        builder = builder.with_skip_signature(true);
+    }
+    let connector = Connector { authorization: None, creates: false };
+    let store = builder.with_http_connector(connector).build().map_err(text_of)?;
+    Ok(Connected { store: Box::new(store), path, unsigned })
 }
 
 /// The header for user and password of an address, if it has them.

@@ -112,6 +112,11 @@ impl Temporary {
     pub fn broken(&self, action: &str) -> Error {
         Error::io(&self.path, action, io::ErrorKind::InvalidData.into())
     }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
 }
 
 /// What runs that are resumed need besides.
@@ -120,10 +125,6 @@ impl Temporary {
     /// The temporary file at `path`, which is open as `file`.
     pub fn of(files: &Files, path: PathBuf, file: OpenFile) -> Self {
         Self { files: files.clone(), file, path, stays: false }
-    }
-
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     /// Whether the file stays when this is dropped.

@@ -5,7 +5,9 @@
 
 use super::losses::Losses;
 use super::{cloud, is_of_input, pattern};
-use crate::bytes::{FileId, open_regular};
+#[cfg(feature = "remote")]
+use crate::bytes::list;
+use crate::bytes::{FileId, Input, address, local};
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::fs;
@@ -66,6 +68,12 @@ fn tell(losses: Option<&Losses>, error: &Error, monitor: &dyn Monitor) {
 }
 
 fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, monitor: &dyn Monitor) -> Result<()> {
+    if let Some(file) = local(input) {
+        return expand_one(&file, found, losses, monitor);
+    }
+    if let Some(address) = address(input) {
+        return objects(input, address, found);
+    }
     match fs::metadata(input) {
         Ok(about) if about.is_dir() => directory(input, found),
         Ok(_) => {
@@ -98,6 +106,61 @@ fn expand_one(input: &Path, found: &mut Vec<PathBuf>, losses: Option<&Losses>, m
     }
 }
 
+/// Expands an address: an object; `s3://bucket/folder/`, which stands for the scans directly in it; patterns in object stores.
+#[cfg_attr(
+    not(feature = "remote"),
+    allow(unused_variables, reason = "opening it will say that addresses are not read")
+)]
+fn objects(input: &Path, address: &str, found: &mut Vec<PathBuf>) -> Result<()> {
+    #[cfg(feature = "remote")]
+    if !address.starts_with("http") {
+        let before = found.len();
+        let (bucket, key) = split_address(address);
+        if let Some(wild) = key.find(['*', '?', '[']) {
+            let pattern = glob::Pattern::new(key).map_err(|e| Error::input(input, "pattern", e.to_string()))?;
+            let folder = &key[..key[..wild].rfind('/').map_or(0, |at| at + 1)];
+            let deep = key[folder.len()..].contains('/');
+            // A name that begins with a dot is a name as any other, as in patterns over folders.
+            let how = glob::MatchOptions { require_literal_separator: true, ..glob::MatchOptions::default() };
+            for name in list(&format!("{bucket}{folder}"), deep)? {
+                let path = PathBuf::from(&name);
+                let matches = pattern.matches_with(&decoded(split_address(&name).1), how);
+                if matches && (is_scan(&path) || is_mesh_named(&path) && same_ending(&path, input)) {
+                    found.push(path);
+                }
+            }
+            if found.len() == before {
+                return Err(Error::input(input, "pattern", "it matches no scan; .txt and .csv are named one by one"));
+            }
+            return Ok(());
+        }
+        if key.is_empty() || key.ends_with('/') {
+            found.extend(list(address, false)?.into_iter().map(PathBuf::from).filter(|path| is_scan(path)));
+            if found.len() == before {
+                let reason = "no scan lies in it (.txt, .csv and .ply are named one by one); folders inside are not \
+                              entered, name them or use a pattern such as s3://bucket/**/*.laz";
+                return Err(Error::input(input, "folder", reason));
+            }
+            return Ok(());
+        }
+    }
+    found.push(input.to_path_buf());
+    Ok(())
+}
+
+/// `s3://bucket/` and the key behind it.
+#[cfg(feature = "remote")]
+fn split_address(address: &str) -> (&str, &str) {
+    let host = address.find("://").map_or(0, |at| at + 3);
+    let end = address[host..].find('/').map_or(address.len(), |at| host + at + 1);
+    address.split_at(end)
+}
+
+#[cfg(feature = "remote")]
+fn decoded(key: &str) -> String {
+    percent_encoding::percent_decode_str(key).decode_utf8_lossy().into_owned()
+}
+
 fn same_ending(path: &Path, other: &Path) -> bool {
     path.extension().is_some_and(|e| other.extension().is_some_and(|f| e.eq_ignore_ascii_case(f)))
 }
@@ -123,8 +186,7 @@ pub(super) fn is_mesh(path: &Path) -> bool {
 fn has_signature_of_scan(path: &Path) -> bool {
     let mut start = [0; 4];
     // Where it cannot be read, opening it as a mesh will say why.
-    open_regular(path)
-        .is_ok_and(|(mut file, _)| std::io::Read::read_exact(&mut file, &mut start).is_ok() && &start == b"LASF")
+    Input::open(path).is_ok_and(|(input, _)| input.read_up_to(0, &mut start).is_ok() && &start == b"LASF")
 }
 
 fn directory(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {

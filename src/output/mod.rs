@@ -61,11 +61,16 @@ impl Output {
     /// Begins a file that will be called `name`. What it must not replace is refused here, before any work; temporary files
     /// that dead writers of the same name left are removed. Opening a pipe waits for its reader.
     pub fn create(name: &Path, kind: OutputKind, protected: Protected) -> Result<Self> {
+        Self::create_by(name, kind, protected, &std::env::temp_dir())
+    }
+
+    /// As [`create`](Self::create); what cannot be made beside its target, such as an object, is made in the folder `temp_dir`.
+    pub(crate) fn create_by(name: &Path, kind: OutputKind, protected: Protected, temp_dir: &Path) -> Result<Self> {
         let files = Files::current();
         let target = Target::find(&files, name, kind, &protected)?;
         let beside = match &target {
             Target::File { path, .. } => path.clone(),
-            Target::Stream(_) => std::env::temp_dir().join("output"),
+            Target::Stream(_) | Target::Object { .. } => temp_dir.join("output"),
         };
         remove_leftovers(&files, &beside)?;
         let temporary = Temporary::beside(&files, &beside)?;
@@ -104,6 +109,12 @@ impl Output {
         self.temporary.read_at(offset, buf)
     }
 
+    /// The target as the user names it.
+    #[cfg(feature = "convert")]
+    pub(crate) fn name(&self) -> &Path {
+        &self.name
+    }
+
     /// The disk that it is written to.
     pub(crate) fn files(&self) -> &Files {
         &self.files
@@ -120,6 +131,7 @@ impl Output {
         match &self.target {
             Target::File { path, .. } => path,
             Target::Stream(_) => &self.name,
+            Target::Object { .. } => self.temporary.path(),
         }
     }
 
@@ -133,6 +145,9 @@ impl Output {
         if self.failed {
             return Err(Error::output(&self.name, "not all of it could be written, so it was not published"));
         }
+        if let Target::Object { address, existed } = &self.target {
+            return self.publish_object(address, *existed);
+        }
         let (path, existed) = match &self.target {
             Target::Stream(stream) => {
                 return match copy(&self.temporary, stream) {
@@ -142,6 +157,7 @@ impl Output {
                 };
             }
             Target::File { path, existed, .. } => (path.clone(), *existed),
+            Target::Object { .. } => return Ok(false),
         };
         if self.kind.existing() == Existing::KeepSame {
             if is_there(&self.files, &self.temporary, &path)? {
@@ -160,8 +176,52 @@ impl Output {
             Target::File { folder, .. } => {
                 folder.sync().map(|()| true).map_err(|source| Error::NotDurable { path: self.name, source })
             }
-            Target::Stream(_) => Ok(true),
+            Target::Stream(_) | Target::Object { .. } => Ok(true),
         }
+    }
+
+    /// Writes the complete file to its address, if what is there now may be replaced.
+    #[cfg(feature = "remote")]
+    fn publish_object(&self, address: &str, existed: bool) -> Result<bool> {
+        let len = self.temporary.len()?;
+        if self.kind.existing() == Existing::KeepSame && existed {
+            if self.is_at(&self.name, len)? {
+                return Ok(false);
+            }
+            let error = Error::output(&self.name, "exists already and holds something else");
+            return Err(error.with_way_out(Parameter::Overwrite));
+        }
+        let judged = target::judge_object(&self.name, address, self.kind)?;
+        let create = self.kind.existing() != Existing::Replace || judged == Judged::Free;
+        match crate::bytes::upload(address, len, create, &mut |at, bytes| self.temporary.read_at(at, bytes)) {
+            // Done, but the answer was lost, and the repetition found the object there.
+            Err(_) if self.is_at(&self.name, len).unwrap_or(false) => Ok(true),
+            done => done.map(|()| true),
+        }
+    }
+
+    #[cfg(not(feature = "remote"))]
+    fn publish_object(&self, _: &str, _: bool) -> Result<bool> {
+        Ok(false)
+    }
+
+    /// Whether the object called `name` has these bytes.
+    #[cfg(feature = "remote")]
+    fn is_at(&self, name: &Path, len: u64) -> Result<bool> {
+        let there = crate::bytes::open_named(name)?;
+        if there.len() != len {
+            return Ok(false);
+        }
+        let (mut old_bytes, mut new_bytes) = (vec![0; CHUNK], vec![0; CHUNK]);
+        for at in (0..len).step_by(CHUNK) {
+            let count = (len - at).min(CHUNK as u64) as usize;
+            there.read_at(at, &mut old_bytes[..count])?;
+            self.temporary.read_at(at, &mut new_bytes[..count])?;
+            if old_bytes[..count] != new_bytes[..count] {
+                return Ok(false);
+            }
+        }
+        Ok(true)
     }
 
     /// Renames the complete file to `path`, if what is there now may be replaced.

@@ -1,6 +1,10 @@
 //! What has the target's name, and whether an output may replace it.
 
-use crate::bytes::{ByteSource, FileId};
+#[cfg(not(feature = "remote"))]
+use crate::bytes::without_feature;
+use crate::bytes::{ByteSource, FileId, address, local};
+#[cfg(feature = "remote")]
+use crate::bytes::{check_upload, open_named};
 use crate::disk::{Access, FileKind, Files, OpenFile, OpenFolder, STANDARD_OUTPUT, split};
 use crate::{Error, Parameter, Result};
 use std::io;
@@ -72,22 +76,44 @@ impl OutputKind {
 
 /// Files that no output replaces, because the command reads them.
 #[derive(Debug, Clone, Default)]
-pub struct Protected(Vec<FileId>);
+pub struct Protected {
+    files: Vec<FileId>,
+    addresses: Vec<String>,
+}
 
 impl Protected {
-    /// Protects the file at `path`; nothing if there is none.
+    /// Protects the file or object at `path`; nothing if there is no such file.
     pub fn add(&mut self, path: impl AsRef<Path>) {
-        self.0.extend(FileId::at(path.as_ref()));
+        let file = local(path.as_ref());
+        let path = file.as_deref().unwrap_or(path.as_ref());
+        match address(path) {
+            Some(address) => self.addresses.push(same_address(address)),
+            None => self.files.extend(FileId::at(path)),
+        }
     }
 
     /// Protects the file that `source` reads, if it reads one.
     pub fn add_source(&mut self, source: &dyn ByteSource) {
-        self.0.extend(source.file_id());
+        self.files.extend(source.file_id());
     }
 
     fn holds(&self, files: &Files, path: &Path) -> bool {
-        !self.0.is_empty() && files.id(path).is_some_and(|id| self.0.contains(&id))
+        !self.files.is_empty() && files.id(path).is_some_and(|id| self.files.contains(&id))
     }
+
+    fn holds_address(&self, address: &str) -> bool {
+        self.addresses.contains(&same_address(address))
+    }
+}
+
+/// One spelling of an address.
+fn same_address(address: &str) -> String {
+    #[cfg(feature = "remote")]
+    if let Ok(url) = url::Url::parse(address) {
+        let key = percent_encoding::percent_decode_str(url.path()).decode_utf8_lossy();
+        return format!("{}://{}{key}", url.scheme(), url.authority());
+    }
+    address.to_owned()
 }
 
 impl<P: AsRef<Path>> FromIterator<P> for Protected {
@@ -105,11 +131,22 @@ pub(super) enum Target {
     File { path: PathBuf, folder: OpenFolder, existed: bool },
     /// A pipe, a terminal or a device.
     Stream(OpenFile),
+    /// An object at an address, and whether it was there.
+    Object { address: String, existed: bool },
 }
 
 impl Target {
     /// Follows the links of `name`, and refuses what may not be replaced.
     pub fn find(files: &Files, name: &Path, kind: OutputKind, protected: &Protected) -> Result<Self> {
+        let file = local(name);
+        let name = file.as_deref().unwrap_or(name);
+        if let Some(address) = address(name) {
+            if protected.holds_address(address) {
+                return Err(is_read(name));
+            }
+            let existed = judge_object(name, address, kind)? == Judged::Replaceable;
+            return Ok(Self::Object { address: address.to_owned(), existed });
+        }
         let (path, is_descriptor) = follow(files, name)?;
         let about = files.about(&path).ok().flatten();
         if is_descriptor || about.is_some_and(|about| about.kind == FileKind::Stream) {
@@ -197,6 +234,31 @@ pub(super) fn judge(
         return Err(is_read(name));
     }
     let content = Content::of(files, path).map_err(|error| Error::io(name, "examine the existing file", error))?;
+    may_replace(name, kind, content, about.read_only)
+}
+
+/// Refuses what an object of `kind` must not replace at `address`.
+#[cfg(feature = "remote")]
+pub(super) fn judge_object(name: &Path, address: &str, kind: OutputKind) -> Result<Judged> {
+    check_upload(address)?;
+    let source = match open_named(name) {
+        Ok(source) => source,
+        Err(Error::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => return Ok(Judged::Free),
+        Err(error) => return Err(error),
+    };
+    let mut start = vec![0; source.len().min(PLAN_START as u64) as usize];
+    source.read_at(0, &mut start)?;
+    may_replace(name, kind, Content::beginning(&start), false)
+}
+
+#[cfg(not(feature = "remote"))]
+pub(super) fn judge_object(name: &Path, _: &str, _: OutputKind) -> Result<Judged> {
+    Err(without_feature(name))
+}
+
+/// Refuses an output of `kind` where `content` is.
+fn may_replace(name: &Path, kind: OutputKind, content: Content, read_only: bool) -> Result<Judged> {
+    let refuse = |reason: String| Err(Error::output(name, reason));
     if !kind.replaces(content) {
         return refuse(match (kind, content.name()) {
             (OutputKind::Result, Some(content)) => {
@@ -209,7 +271,7 @@ pub(super) fn judge(
         OutputKind::Archive(Existing::Refuse) | OutputKind::Plan(Existing::Refuse) => {
             refuse("exists already".into()).map_err(|error| error.with_way_out(Parameter::Overwrite))
         }
-        OutputKind::Result if about.read_only => {
+        OutputKind::Result if read_only => {
             refuse("exists and is read-only; make it writable, or choose another name".into())
         }
         _ => Ok(Judged::Replaceable),
@@ -234,17 +296,21 @@ impl Content {
         let mut start = vec![0; PLAN_START];
         let len = files.open(path, Access::Read)?.read_up_to(0, &mut start)?;
         start.truncate(len);
+        Ok(Self::beginning(&start))
+    }
+
+    fn beginning(start: &[u8]) -> Self {
         let is_plan = || {
-            let text = String::from_utf8_lossy(&start);
+            let text = String::from_utf8_lossy(start);
             text.trim_start_matches('\u{feff}').trim_start().starts_with('{')
                 && text.contains(&format!("\"{PLAN_KEY}\""))
         };
-        Ok(match &start[..] {
+        match start {
             [] => Self::Nothing,
             start if start.starts_with(&ARCHIVE_MAGIC) => Self::Archive,
             _ if is_plan() => Self::Plan,
             _ => Self::Other,
-        })
+        }
     }
 
     fn name(self) -> Option<&'static str> {

@@ -57,10 +57,14 @@ impl Refusal {
     }
 }
 
-/// Makes clients that send `authorization`, if there is one, with every request.
+/// Makes clients.
 #[derive(Debug)]
 pub(super) struct Connector {
+    /// Goes with every request.
     pub(super) authorization: Option<HeaderValue>,
+    /// Whether uploads in parts are completed only if no such object is there (`If-None-Match` of S3, which the signature need
+    /// not cover).
+    pub(super) creates: bool,
 }
 
 impl HttpConnector for Connector {
@@ -68,7 +72,7 @@ impl HttpConnector for Connector {
         // Fails where the program has chosen its own, which then stays.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let client = ReqwestConnector::default().connect(options)?;
-        Ok(HttpClient::new(Transport { client, authorization: self.authorization.clone() }))
+        Ok(HttpClient::new(Transport { client, authorization: self.authorization.clone(), creates: self.creates }))
     }
 }
 
@@ -76,6 +80,7 @@ impl HttpConnector for Connector {
 struct Transport {
     client: HttpClient,
     authorization: Option<HeaderValue>,
+    creates: bool,
 }
 
 #[async_trait]
@@ -84,8 +89,15 @@ impl HttpService for Transport {
         if let Some(value) = &self.authorization {
             request.headers_mut().insert("authorization", value.clone());
         }
-        // Requests without a range are the store's own, for credentials; it judges their answers itself.
+        let completes = request.method().as_str() == "POST"
+            && request.uri().query().is_some_and(|query| query.split('&').any(|pair| pair.starts_with("uploadId=")));
+        if self.creates && completes {
+            request.headers_mut().insert("if-none-match", HeaderValue::from_static("*"));
+        }
+        // Others than these two are the store's own, for credentials and uploads; it judges their answers itself.
         let reads = request.headers().contains_key("range");
+        let lists = request.method().as_str() == "GET"
+            && request.uri().query().is_some_and(|query| query.contains("list-type=2") || query.contains("comp=list"));
         let answer = self.client.execute(request).await?;
         let status = answer.status();
         if status.is_success() && (!reads || status.as_u16() == PARTIAL) {
@@ -93,7 +105,7 @@ impl HttpService for Transport {
         }
         let (parts, body) = answer.into_parts();
         let body = beginning(body).await;
-        if !reads {
+        if !reads && !lists {
             return Ok(HttpResponse::from_parts(parts, body.into()));
         }
         let seconds = parts.headers.get("retry-after").and_then(|value| value.to_str().ok()?.trim().parse().ok());

@@ -1,0 +1,193 @@
+//! Inputs by their names: regular files, and with the feature `remote` objects by their addresses.
+
+#[cfg(feature = "remote")]
+use super::remote::RemoteSource;
+use super::{ByteSource, FileSource, Stamp, open_regular, read_up_to};
+use crate::{Error, Result};
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
+/// The address that `path` is, if it is one: `s3://bucket/key`, `https://host/path`.
+pub(crate) fn address(path: &Path) -> Option<&str> {
+    let text = path.to_str()?;
+    let (scheme, _) = text.split_once("://")?;
+    let is_scheme = scheme.len() > 1 && scheme.bytes().all(|b| b.is_ascii_alphanumeric() || b"+-.".contains(&b));
+    is_scheme.then_some(text)
+}
+
+/// The path that a `file://` address names.
+pub(crate) fn local(path: &Path) -> Option<std::path::PathBuf> {
+    let rest = address(path)?.strip_prefix("file://")?;
+    let at = rest.find('/')?;
+    matches!(&rest[..at], "" | "localhost").then(|| {
+        #[cfg(feature = "remote")]
+        let rest = percent_encoding::percent_decode_str(&rest[at..]).decode_utf8_lossy().into_owned();
+        #[cfg(not(feature = "remote"))]
+        let rest = rest[at..].to_owned();
+        rest.into()
+    })
+}
+
+/// Opens the file or object called `path`.
+pub(crate) fn open_named(path: &Path) -> Result<Box<dyn ByteSource>> {
+    let file = local(path);
+    let path = file.as_deref().unwrap_or(path);
+    match address(path) {
+        None => Ok(Box::new(FileSource::open(path)?)),
+        #[cfg(feature = "remote")]
+        Some(address) => Ok(Box::new(Ahead::new(RemoteSource::with(address, &patient())?))),
+        #[cfg(not(feature = "remote"))]
+        Some(_) => Err(without_feature(path)),
+    }
+}
+
+#[cfg(not(feature = "remote"))]
+pub(crate) fn without_feature(path: &Path) -> Error {
+    Error::input(
+        path,
+        "address",
+        "this build reads and writes files only; build it with --features remote, or use a file",
+    )
+}
+
+/// Conversions take hours: a server gets a minute, and about ten seconds of repetitions.
+#[cfg(feature = "remote")]
+pub(super) fn patient() -> super::RemoteOptions {
+    super::RemoteOptions { timeout: std::time::Duration::from_secs(60), retries: 8, settings: Vec::new() }
+}
+
+/// An input that is read by position, and noticed to change.
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
+#[derive(Debug)]
+pub(crate) enum Input {
+    /// A regular file.
+    File(File),
+    /// An object; every answer is of the version that was opened.
+    #[cfg(feature = "remote")]
+    Object(Box<Ahead>),
+}
+
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
+impl Input {
+    /// Opens what `path` names, and its state.
+    pub fn open(path: &Path) -> Result<(Self, Stamp)> {
+        let file = local(path);
+        let path = file.as_deref().unwrap_or(path);
+        match address(path) {
+            None => {
+                let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
+                let stamp = Stamp::of(&file, &about);
+                Ok((Self::File(file), stamp))
+            }
+            #[cfg(feature = "remote")]
+            Some(address) => {
+                let source = RemoteSource::with(address, &patient())?;
+                let stamp = source.stamp();
+                Ok((Self::Object(Box::new(Ahead::new(source))), stamp))
+            }
+            #[cfg(not(feature = "remote"))]
+            Some(_) => Err(without_feature(path)),
+        }
+    }
+
+    /// Fills `buf` from `offset` on; returns fewer bytes only where the input ends.
+    pub fn read_up_to(&self, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => read_up_to(file, offset, buf),
+            #[cfg(feature = "remote")]
+            Self::Object(source) => {
+                let len = source.len().saturating_sub(offset).min(buf.len() as u64) as usize;
+                source.read_at(offset, &mut buf[..len]).map(|()| len).map_err(|error| match error {
+                    Error::Io { source, .. } => source,
+                    other => io::Error::other(other.to_string()),
+                })
+            }
+        }
+    }
+}
+
+/// An object of which more is read than was asked for, where reads follow one another: so a scan or an archive that is
+/// read from its beginning takes a request for a megabyte, and not one for every page.
+///
+/// Memory: two stretches of at most [`Ahead::MOST`].
+#[cfg(feature = "remote")]
+#[derive(Debug)]
+pub(crate) struct Ahead {
+    source: RemoteSource,
+    /// The one used last is the last.
+    held: std::sync::Mutex<[Stretch; 2]>,
+}
+
+#[cfg(feature = "remote")]
+#[derive(Debug, Default)]
+struct Stretch {
+    at: u64,
+    bytes: Vec<u8>,
+}
+
+#[cfg(feature = "remote")]
+impl Ahead {
+    /// Longest stretch (bytes).
+    const MOST: usize = 1 << 20;
+    /// Shortest that is read ahead, and how far behind the last stretch a read still follows it.
+    const LEAST: usize = 64 << 10;
+
+    pub fn new(source: RemoteSource) -> Self {
+        Self { source, held: Default::default() }
+    }
+}
+
+#[cfg(feature = "remote")]
+impl ByteSource for Ahead {
+    fn len(&self) -> u64 {
+        self.source.len()
+    }
+
+    fn read_at(&self, offset: u64, buf: &mut [u8]) -> Result<()> {
+        let end = offset.saturating_add(buf.len() as u64);
+        let mut held = self.held.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let within = |stretch: &Stretch| stretch.at <= offset && end <= stretch.at + stretch.bytes.len() as u64;
+        let follows = |stretch: &Stretch| {
+            let behind = stretch.at + stretch.bytes.len() as u64;
+            !stretch.bytes.is_empty() && (stretch.at..=behind + Self::LEAST as u64).contains(&offset)
+        };
+        if let Some(which) = held.iter().position(within) {
+            held[which..].rotate_left(1);
+        } else {
+            if buf.len() >= Self::MOST || end > self.len() || self.source.holds(end) {
+                return self.source.read_at(offset, buf);
+            }
+            let which = held.iter().position(follows);
+            let ahead = which.map_or(0, |which| (2 * held[which].bytes.len()).clamp(Self::LEAST, Self::MOST));
+            held[which.unwrap_or(0)..].rotate_left(1);
+            let count = (self.len() - offset).min(ahead.max(buf.len()) as u64) as usize;
+            let last = &mut held[1];
+            // Nothing of it counts unless all of it comes.
+            last.bytes.clear();
+            let mut bytes = std::mem::take(&mut last.bytes);
+            bytes.resize(count, 0);
+            self.source.read_at(offset, &mut bytes)?;
+            *last = Stretch { at: offset, bytes };
+        }
+        let Stretch { at, bytes } = &held[1];
+        let start = (offset - at) as usize;
+        buf.copy_from_slice(&bytes[start..start + buf.len()]);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_told_from_paths() {
+        for text in ["s3://bucket/key", "https://host/a.laz", "file:///a"] {
+            assert_eq!(address(Path::new(text)), Some(text));
+        }
+        for text in ["a.laz", "C://folder/a.laz", "folder//a.laz", "a b://c", "://x", "/s3:/bucket"] {
+            assert_eq!(address(Path::new(text)), None, "{text}");
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! The objects of a store below a prefix.
+
+use super::{Connected, Failure, Refusal, Use, WAIT, cause, connect, public_name, refuse_tasks, said_unsigned};
+use crate::bytes::named::patient;
+use crate::{Error, Result};
+use futures_util::TryStreamExt;
+use object_store::ObjectStore;
+use percent_encoding::{AsciiSet, CONTROLS, utf8_percent_encode};
+use std::io;
+use tokio::runtime::Builder;
+use url::Url;
+
+/// What addresses may not hold as it is, and what object stores' paths write in another way.
+const RESERVED: &AsciiSet = &CONTROLS.add(b' ').add(b'"').add(b'#').add(b'%').add(b'?').add(b'[').add(b']').add(b'\\');
+
+/// Addresses of all objects whose keys begin with the path of `address`, which ends in `/` or is that of a bucket, sorted: those
+/// directly in it, or, if `deep`, also those in what stores show as folders below it. Cost: a request for a thousand objects.
+///
+/// Memory: the list. An object that the store lists, but does not have any more, shows when it is opened.
+pub(crate) fn list(address: &str, deep: bool) -> Result<Vec<String>> {
+    let refused = |reason: String| Error::parameter("address of a folder", reason);
+    let url = Url::parse(address).map_err(|error| refused(error.to_string()))?;
+    let name = public_name(&url);
+    refuse_tasks(&name)?;
+    let bucket = format!("{}://{}", url.scheme(), url.authority());
+    let options = patient();
+    let Connected { store, path, unsigned } =
+        connect(url, &options, Use { retries: 0, creates: false }).map_err(refused)?;
+    let runtime = Builder::new_current_thread().enable_all().build();
+    let runtime = runtime.map_err(|error| Error::io(&name, "start its runtime", error))?;
+    let mut failures = 0;
+    let keys = loop {
+        // A list that breaks off begins again, so that it is of one piece.
+        let failed = match runtime.block_on(keys(&*store, &path, deep)) {
+            Ok(keys) => break keys,
+            Err(error) => error,
+        };
+        let failure = Failure::from(failed);
+        let broken = matches!(&failure, Failure::Store(error @ object_store::Error::Generic { .. })
+            if cause::<Refusal>(error).is_none());
+        let wait = match broken {
+            true => Some(WAIT * (1 << failures.min(6))),
+            false => failure.wait(failures, options.timeout),
+        };
+        let Some(wait) = wait.filter(|_| failures < options.retries) else {
+            let error = io::Error::from(failure);
+            return Err(Error::io(&name, "list", if unsigned { said_unsigned(error) } else { error }));
+        };
+        failures += 1;
+        std::thread::sleep(wait);
+    };
+    let mut found: Vec<String> =
+        keys.iter().map(|key| format!("{bucket}/{}", utf8_percent_encode(key, RESERVED))).collect();
+    found.sort();
+    found.dedup();
+    Ok(found)
+}
+
+async fn keys(
+    store: &dyn ObjectStore,
+    path: &object_store::path::Path,
+    deep: bool,
+) -> Result<Vec<String>, object_store::Error> {
+    if deep {
+        return store.list(Some(path)).map_ok(|object| object.location.to_string()).try_collect().await;
+    }
+    let found = store.list_with_delimiter(Some(path)).await?;
+    Ok(found.objects.into_iter().map(|object| object.location.to_string()).collect())
+}

@@ -1,0 +1,98 @@
+//! Which inputs a part of a plan opens: those that its columns meet. Names and lengths tell the others; so a part of a plan of
+//! 100,000 tiles opens some tens of them.
+//!
+//! What the header of a part says of all inputs, their reference system and units, comes from the plan. Every input that is
+//! opened is known again by its fingerprint; whatever was exchanged among the others is noticed by the parts that read it. An
+//! input whose name and length are those of no file of the plan, or of several, is opened.
+
+use super::facts::name_of;
+use super::options::ConvertOptions;
+use super::plan_file::Stated;
+use super::scope::{meets, reach};
+use crate::archive::Shard;
+use crate::bytes::address;
+use crate::input::{InputSet, expand_inputs};
+use crate::{Error, Monitor, Result};
+use std::path::PathBuf;
+
+/// The inputs of a part.
+#[derive(Debug)]
+pub(crate) struct Chosen {
+    pub shard: Shard,
+    /// Those to be opened, in order of their paths.
+    pub opened: Vec<PathBuf>,
+    /// The others.
+    pub closed: Vec<PathBuf>,
+    /// Whether a file of the plan is among the others, by its number in the plan.
+    pub is_closed: Vec<bool>,
+    pub stated: Stated,
+}
+
+impl Chosen {
+    /// Of a part whose plan says enough; `None` where all inputs are to be opened: without a plan, with one of an earlier build,
+    /// with colours (what values mean may follow from all files), and where incomplete input is allowed.
+    ///
+    /// Cost: the names and lengths of all inputs. Memory: the list of paths and 10 bytes a file of the plan.
+    pub fn of(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<Self>> {
+        let (Some(wanted), Some(file)) = (options.shard, &options.plan_file) else { return Ok(None) };
+        let Some(stated) = &file.stated else { return Ok(None) };
+        if file.colour.is_some() || options.allow_incomplete {
+            return Ok(None);
+        }
+        let shard = file.shard(wanted.index, wanted.count)?;
+        let mut order: Vec<u32> = (0..file.inputs.len() as u32).collect();
+        let key = |&number: &u32| {
+            let input = &file.inputs[number as usize];
+            (&input.name[..], input.bytes)
+        };
+        order.sort_unstable_by(|a, b| key(a).cmp(&key(b)));
+        let find = |path: &PathBuf| {
+            let name = name_of(path);
+            // Asking a store for the length takes a request, and tells no more than opening does later.
+            let bytes = match address(path) {
+                Some(_) => (0, u64::MAX),
+                None => std::fs::metadata(path).ok().map(|about| (about.len(), about.len()))?,
+            };
+            let first = order.partition_point(|number| key(number) < (&name, bytes.0));
+            let end = order.partition_point(|number| key(number) <= (&name, bytes.1));
+            (end - first == 1).then(|| order[first])
+        };
+        let paths = expand_inputs(&options.inputs, monitor)?;
+        let numbers: Vec<Option<u32>> = paths.iter().map(find).collect();
+        let mut claims = vec![0u8; file.inputs.len()];
+        for &number in numbers.iter().flatten() {
+            claims[number as usize] = claims[number as usize].saturating_add(1);
+        }
+        let reach = reach(&file.plan);
+        let is_closed: Vec<bool> = file
+            .inputs
+            .iter()
+            .zip(claims)
+            .map(|(input, claims)| claims == 1 && !meets(&file.plan.frame, reach, input, shard.first, shard.last))
+            .collect();
+        let (mut opened, mut closed) = (Vec::new(), Vec::new());
+        for (path, number) in paths.into_iter().zip(numbers) {
+            match number {
+                Some(number) if is_closed[number as usize] => closed.push(path),
+                _ => opened.push(path),
+            }
+        }
+        Ok(Some(Self { shard, opened, closed, is_closed, stated: stated.clone() }))
+    }
+
+    /// Refuses what the plan says of all inputs if those that were opened say something else: a person has changed it.
+    pub fn check_stated(&self, set: &InputSet) -> Result<()> {
+        let Stated { crs, units } = &self.stated;
+        let refused = |what: &str| {
+            let reason = format!("the inputs have another {what} than it states; write it again");
+            Err(Error::parameter("plan", reason))
+        };
+        if set.crs().is_some_and(|here| crs.as_deref().is_none_or(|all| all > here)) {
+            return refused("reference system");
+        }
+        if set.length_units().any(|unit| !units.contains(&unit)) {
+            return refused("unit of length");
+        }
+        Ok(())
+    }
+}
