@@ -1,11 +1,13 @@
 //! The triangles of a set of files, one file after the other.
 
 use super::watch::{Digest, Watch};
-use super::{MeshCounts, MeshSet, Triangles, is_far, usable};
+use super::{MeshBatch, MeshCounts, MeshSet, Triangles, Wants, is_far, usable};
 use crate::input::scenes::Scene;
 use crate::input::{incomplete, warn_incomplete};
 use crate::mesh::Triangle;
 use crate::{Error, Monitor, Result};
+use std::sync::Arc;
+use std::time::Duration;
 
 /// Least and greatest corner (m).
 pub(super) type Bounds = ([f64; 3], [f64; 3]);
@@ -29,6 +31,9 @@ pub struct MeshFeed<'a> {
     /// Of the usable triangles of each file so far, and the hash of what was read of it.
     found: Vec<(Bounds, u128)>,
     complete: bool,
+    colours: bool,
+    /// Lives in each texture of the file at hand and of the file before.
+    textures: Arc<()>,
 }
 
 /// What was met in the file at hand.
@@ -43,9 +48,10 @@ struct OfFile {
 }
 
 impl<'a> MeshFeed<'a> {
-    pub(super) fn new(set: &'a MeshSet) -> Self {
+    pub(super) fn new(set: &'a MeshSet, colours: bool) -> Self {
         let (of_file, total) = (OfFile::default(), MeshCounts::default());
-        Self { set, next: 0, open: None, of_file, total, found: Vec::new(), complete: true }
+        let textures = Arc::new(());
+        Self { set, next: 0, open: None, of_file, total, found: Vec::new(), complete: true, colours, textures }
     }
 
     /// Replaces `batch` by the next usable triangles (m, z up), maybe none; false after the last.
@@ -54,7 +60,17 @@ impl<'a> MeshFeed<'a> {
     /// is an error: an empty archive in place of a good one helps nobody. So are broken faces, and a file that changed
     /// while it was read; where incomplete input is allowed, `monitor` is told of these instead.
     pub fn next(&mut self, batch: &mut Vec<Triangle>, monitor: &dyn Monitor) -> Result<bool> {
+        let mut whole = MeshBatch { triangles: std::mem::take(batch), ..MeshBatch::default() };
+        let more = self.next_painted(&mut whole, monitor);
+        *batch = whole.triangles;
+        more
+    }
+
+    /// As [`next`](Self::next), with colours where they are wanted. Whoever shares a feed forgets a batch before asking for the next: textures
+    /// of a file are there until the next file is begun, so that those of two files are never there at once.
+    pub(crate) fn next_painted(&mut self, batch: &mut MeshBatch, monitor: &dyn Monitor) -> Result<bool> {
         batch.clear();
+        batch.is_painted = self.colours;
         let more = self.read(batch, monitor);
         if more.is_err() {
             // What follows an error means nothing; other workers find the end.
@@ -63,7 +79,7 @@ impl<'a> MeshFeed<'a> {
         more
     }
 
-    fn read(&mut self, batch: &mut Vec<Triangle>, monitor: &dyn Monitor) -> Result<bool> {
+    fn read(&mut self, batch: &mut MeshBatch, monitor: &dyn Monitor) -> Result<bool> {
         let Some(file) = self.set.files.get(self.next) else { return Ok(false) };
         let allow_incomplete = self.set.options.allow_incomplete;
         let mut watch = Watch::new(monitor, allow_incomplete);
@@ -79,26 +95,32 @@ impl<'a> MeshFeed<'a> {
             more => more?,
         };
         let read = batch.len();
-        batch.iter_mut().for_each(|triangle| self.set.place(self.next, triangle));
-        self.of_file.far += batch.iter().filter(|triangle| is_far(triangle)).count() as u64;
+        batch.triangles.iter_mut().for_each(|triangle| self.set.place(self.next, triangle));
+        self.of_file.far += batch.triangles.iter().filter(|triangle| is_far(triangle)).count() as u64;
         batch.retain(usable);
         self.of_file.counts += MeshCounts { read: read as u64, left_out: (read - batch.len()) as u64 };
         self.found.resize(self.next + 1, (NO_BOUNDS, 0));
         let bounds = &mut self.found[self.next].0;
-        *bounds = batch.as_flattened().iter().fold(*bounds, |all, &corner| grown(all, corner));
+        *bounds = batch.triangles.as_flattened().iter().fold(*bounds, |all, &corner| grown(all, corner));
         if !more {
             self.finish_file(monitor)?;
         }
         Ok(true)
     }
 
-    fn read_some(&mut self, batch: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
+    fn read_some(&mut self, batch: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
         watch.go_on()?;
+        // Other workers still use the textures of the file before.
+        while self.open.is_none() && Arc::strong_count(&self.textures) > 1 {
+            watch.go_on()?;
+            std::thread::sleep(Duration::from_millis(1));
+        }
         let reader = match &mut self.open {
             Some(reader) => reader,
             closed => {
                 self.of_file.digest = Digest::new(self.set.options.hash);
-                closed.insert(self.set.reader(self.next, &self.of_file.digest, watch)?)
+                let wants = Wants { digest: &self.of_file.digest, colours: self.colours.then_some(&self.textures) };
+                closed.insert(self.set.reader(self.next, wants, watch)?)
             }
         };
         reader.read(batch, watch)

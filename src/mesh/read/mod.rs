@@ -3,22 +3,26 @@
 mod blocks;
 mod feed;
 mod gltf;
+mod material;
 mod obj;
 mod ply;
 mod polygon;
 mod stl;
 mod text;
+mod texture;
 mod vertices;
 mod watch;
 
 use self::watch::{Digest, Watch};
 use super::Triangle;
+use super::paint::Paint;
 use crate::bytes::{Stamp, open_regular};
 use crate::input::{Units, is_of_input};
 use crate::plan::Up;
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result, Warning};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use self::feed::Bounds;
 pub use self::feed::MeshFeed;
@@ -41,6 +45,10 @@ pub struct MeshOptions {
     pub allow_incomplete: bool,
     /// Whether all that is read is hashed, so that two runs can tell whether they read the same.
     pub hash: bool,
+    /// Whether triangles get the colours that their files state.
+    pub colours: bool,
+    /// What the textures of one file may take, decoded, and while they are decoded (bytes); more is an error.
+    pub texture_bytes: u64,
 }
 
 impl Default for MeshOptions {
@@ -52,6 +60,8 @@ impl Default for MeshOptions {
             temp_dir: std::env::temp_dir(),
             allow_incomplete: false,
             hash: false,
+            colours: false,
+            texture_bytes: 256 << 20,
         }
     }
 }
@@ -77,7 +87,48 @@ fn kind_of(path: &Path) -> Option<MeshFormat> {
 /// Triangles of one file, in file coordinates.
 trait Triangles: Send {
     /// Appends some triangles, at most a few thousand; false when there are no more.
-    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool>;
+    fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool>;
+}
+
+/// Triangles, and what colours them.
+#[derive(Debug, Default)]
+pub(crate) struct MeshBatch {
+    pub triangles: Vec<Triangle>,
+    /// One for each triangle; none at all where colours are not wanted.
+    pub paints: Vec<Paint>,
+    is_painted: bool,
+}
+
+impl MeshBatch {
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.triangles.clear();
+        self.paints.clear();
+    }
+
+    /// The triangles with their paints.
+    pub fn iter(&self) -> impl Iterator<Item = (&Triangle, &Paint)> {
+        self.triangles.iter().zip(self.paints.iter().chain(std::iter::repeat(&Paint::None)))
+    }
+
+    fn len(&self) -> usize {
+        self.triangles.len()
+    }
+
+    fn push(&mut self, triangle: Triangle, paint: Paint) {
+        self.triangles.push(triangle);
+        if self.is_painted {
+            self.paints.push(paint);
+        }
+    }
+
+    fn retain(&mut self, keeps: impl Fn(&Triangle) -> bool) {
+        if self.is_painted {
+            let mut triangles = self.triangles.iter();
+            self.paints.retain(|_| triangles.next().is_some_and(&keeps));
+        }
+        self.triangles.retain(keeps);
+    }
 }
 
 /// Triangles after which a batch is full; one face may add as many again.
@@ -180,25 +231,48 @@ impl MeshSet {
 
     /// All triangles, from the first.
     pub fn feed(&self) -> MeshFeed<'_> {
-        MeshFeed::new(self)
+        MeshFeed::new(self, self.options.colours)
+    }
+
+    /// Says whether triangles get colours.
+    pub(crate) fn set_colours(&mut self, wanted: bool) {
+        self.options.colours = wanted;
+    }
+
+    /// Whether triangles get colours.
+    pub(crate) fn has_paint(&self) -> bool {
+        self.options.colours && !self.is_empty()
+    }
+
+    /// Whether some triangle has a colour other than black. Cost: mostly a piece of the first file; where there is none, all files
+    /// are read.
+    pub(crate) fn has_colours(&self, monitor: &dyn Monitor) -> Result<bool> {
+        let (mut feed, mut batch) = (MeshFeed::new(self, true), MeshBatch::default());
+        while feed.next_painted(&mut batch, &Silent(monitor))? {
+            if batch.paints.iter().any(Paint::is_seen) {
+                return Ok(true);
+            }
+            batch.clear();
+        }
+        Ok(false)
     }
 
     /// Bounds of all usable triangles (m), which are read for this; `None` if there are none. Warnings come when the
     /// triangles themselves are read.
     pub fn bounds(&self, monitor: &dyn Monitor) -> Result<Option<Bounds>> {
-        let (mut feed, mut batch) = (self.feed(), Vec::new());
+        let (mut feed, mut batch) = (MeshFeed::new(self, false), Vec::new());
         while feed.next(&mut batch, &Silent(monitor))? {}
         Ok(feed.bounds())
     }
 
-    fn reader(&self, number: usize, digest: &Digest, watch: &mut Watch) -> Result<Box<dyn Triangles>> {
+    fn reader(&self, number: usize, wants: Wants<'_>, watch: &mut Watch) -> Result<Box<dyn Triangles>> {
         let MeshFile { path, kind, .. } = &self.files[number];
-        let options = &self.options;
+        let (options, Wants { digest, .. }) = (&self.options, wants);
         Ok(match kind {
-            MeshFormat::Obj => Box::new(obj::ObjReader::open(path, options, digest, watch)?),
-            MeshFormat::Ply => Box::new(ply::PlyReader::open(path, options, digest, watch)?),
+            MeshFormat::Obj => Box::new(obj::ObjReader::open(path, options, wants, watch)?),
+            MeshFormat::Ply => Box::new(ply::PlyReader::open(path, options, wants, watch)?),
             MeshFormat::Stl => Box::new(stl::StlReader::open(path, digest, watch)?),
-            MeshFormat::Gltf => Box::new(gltf::GltfReader::open(path, options, digest, watch)?),
+            MeshFormat::Gltf => Box::new(gltf::GltfReader::open(path, options, wants, watch)?),
         })
     }
 
@@ -224,6 +298,14 @@ impl MeshFile {
         })?;
         Ok(Self { path: path.to_path_buf(), kind, stamp: Stamp::of(&file, &about) })
     }
+}
+
+/// What is wanted of a file beside its triangles.
+#[derive(Clone, Copy)]
+struct Wants<'a> {
+    digest: &'a Digest,
+    /// Whether colours are wanted, and what lives as long as one of the textures.
+    colours: Option<&'a Arc<()>>,
 }
 
 /// Passes on the wish to stop, and nothing that is said.

@@ -1,5 +1,5 @@
-//! PLY, text and binary of either byte order: the elements `vertex` (x, y, z) and `face` (a list of corners); others are
-//! passed over.
+//! PLY, text and binary of either byte order: the elements `vertex` (x, y, z) and `face` (a list of corners), and the colours of both;
+//! others are passed over.
 //!
 //! Source: Greg Turk, "The PLY Polygon File Format", 1994.
 
@@ -7,9 +7,10 @@ use super::polygon::Polygon;
 use super::text::Lines;
 use super::vertices::Vertices;
 use super::watch::{Digest, MeshSource, Watch};
-use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
+use super::{BATCH_TRIANGLES, MeshBatch, MeshOptions, Triangles, Wants};
 use crate::input::number::Number;
 use crate::input::ply_header::{Element, Encoding, Header, HeaderReader, Property};
+use crate::mesh::paint::Paint;
 use crate::{Error, Result};
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
@@ -19,12 +20,14 @@ const MOST_IN_LIST: f64 = 65_536.0;
 /// Faces read for one batch.
 const FACES: u64 = 512;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 enum Role {
     /// Coordinate of a corner along an axis.
     Axis(usize),
     /// Corners of a face.
     Corners,
+    /// Red, green or blue, and which of its values is white.
+    Channel(usize, f64),
     Other,
 }
 
@@ -46,12 +49,41 @@ impl Column {
                 ("y", None) => Role::Axis(1),
                 ("z", None) => Role::Axis(2),
                 ("vertex_indices" | "vertex_index", Some(_)) if of_face => Role::Corners,
+                (name, None) => match channel_of(name) {
+                    Some(channel) => Role::Channel(channel, white_of(*number)),
+                    None => Role::Other,
+                },
                 _ => Role::Other,
             };
             Self { role, list: *list, number: *number }
         };
         element.properties.iter().map(column).collect()
     }
+}
+
+/// The channel of a colour that a property is.
+fn channel_of(name: &str) -> Option<usize> {
+    let names = [["red", "r", "diffuse_red"], ["green", "g", "diffuse_green"], ["blue", "b", "diffuse_blue"]];
+    names.iter().position(|names| names.iter().any(|other| other.eq_ignore_ascii_case(name)))
+}
+
+/// The value that stands for white.
+fn white_of(number: Number) -> f64 {
+    match number {
+        Number::F32 | Number::F64 => 1.0,
+        Number::U16 => f64::from(u16::MAX),
+        _ => f64::from(u8::MAX),
+    }
+}
+
+/// A channel's value as 8 bits.
+fn byte_of(value: f64, white: f64) -> u8 {
+    (value / white * 255.0 + 0.5).clamp(0.0, 255.0) as u8
+}
+
+/// Whether columns have all three channels.
+fn has_colour(columns: &[Column]) -> bool {
+    (0..3).all(|channel| columns.iter().any(|column| matches!(column.role, Role::Channel(own, _) if own == channel)))
 }
 
 /// The numbers of the body, one after the other.
@@ -127,12 +159,21 @@ pub(super) struct PlyReader {
     faces_left: u64,
     corners: Vec<f64>,
     polygon: Polygon,
+    /// Colours of the corners, if they are wanted and there are some.
+    colours: Option<Vertices>,
+    /// Colours of the corners of the face at hand.
+    at_corners: Vec<[u8; 3]>,
+    /// Whether faces have colours that are wanted.
+    faces_have: bool,
 }
 
 impl PlyReader {
-    pub(super) fn open(path: &Path, options: &MeshOptions, digest: &Digest, watch: &mut Watch) -> Result<Self> {
-        let (mut body, elements) = open_body(path, digest)?;
-        let mut vertices = Vertices::new(options);
+    pub(super) fn open(path: &Path, options: &MeshOptions, wants: Wants<'_>, watch: &mut Watch) -> Result<Self> {
+        let (mut body, elements) = open_body(path, wants.digest)?;
+        let coloured = wants.colours.is_some();
+        let share = MeshOptions { memory_bytes: options.memory_bytes / 2, ..options.clone() };
+        let mut vertices = Vertices::new(if coloured { &share } else { options });
+        let (mut colours, mut faces_have) = (None, false);
         let mut faces = None;
         for element in elements {
             let columns = Column::all_of(&element);
@@ -141,20 +182,26 @@ impl PlyReader {
                 if !(0..3).all(|axis| has(Role::Axis(axis))) {
                     return Err(Error::input(path, "header", "the element \"vertex\" has no properties x, y and z"));
                 }
+                let mut own = (coloured && has_colour(&columns)).then(|| Vertices::new(&share));
                 for _ in 0..element.count {
                     watch.step()?;
-                    let mut vertex = [f64::NAN; 3];
-                    body.element(&columns, |role, value| {
-                        if let Role::Axis(axis) = role {
-                            vertex[axis] = value;
-                        }
+                    let (mut vertex, mut colour) = ([f64::NAN; 3], [0.0; 3]);
+                    body.element(&columns, |role, value| match role {
+                        Role::Axis(axis) => vertex[axis] = value,
+                        Role::Channel(channel, white) => colour[channel] = f64::from(byte_of(value, white)),
+                        Role::Corners | Role::Other => {}
                     })?;
                     vertices.push(vertex)?;
+                    if let Some(own) = &mut own {
+                        own.push(colour)?;
+                    }
                 }
+                colours = own;
             } else if element.name == "face" {
                 if !has(Role::Corners) {
                     return Err(Error::input(path, "header", "the element \"face\" has no list \"vertex_indices\""));
                 }
+                faces_have = coloured && has_colour(&columns);
                 faces = Some((columns, element.count));
                 break;
             } else {
@@ -165,22 +212,26 @@ impl PlyReader {
             }
         }
         vertices.flush()?;
+        colours.as_mut().map(Vertices::flush).transpose()?;
         let (columns, faces_left) = faces.unwrap_or_default();
-        Ok(Self { body, vertices, columns, faces_left, corners: Vec::new(), polygon: Polygon::default() })
+        let (corners, at_corners, polygon) = (Vec::new(), Vec::new(), Polygon::default());
+        Ok(Self { body, vertices, columns, faces_left, corners, polygon, colours, at_corners, faces_have })
     }
 }
 
 impl PlyReader {
     /// The corners of the next face, and its triangles; the inner error leaves the place of the next face known.
-    fn face(&mut self, out: &mut Vec<Triangle>, watch: &Watch) -> Result<Result<()>> {
-        let Self { body, vertices, columns, corners, polygon, .. } = self;
+    fn face(&mut self, out: &mut MeshBatch, watch: &Watch) -> Result<Result<()>> {
+        let Self { body, vertices, columns, corners, polygon, colours, at_corners, faces_have, .. } = self;
         corners.clear();
-        body.element(columns, |role, value| {
-            if role == Role::Corners {
-                corners.push(value);
-            }
+        let mut flat = [0; 3];
+        body.element(columns, |role, value| match role {
+            Role::Corners => corners.push(value),
+            Role::Channel(channel, white) => flat[channel] = byte_of(value, white),
+            Role::Axis(_) | Role::Other => {}
         })?;
         polygon.clear();
+        at_corners.clear();
         for &index in &*corners {
             // A whole number below 2⁵³, or no corner has it.
             let number = (index >= 0.0 && index.fract() == 0.0).then_some(index as u64);
@@ -193,14 +244,26 @@ impl PlyReader {
                 return Ok(Err(body.error(format!("there is no corner {index}: it has {all}"))));
             };
             polygon.push(corner);
+            if let (Some(colours), Some(number)) = (colours.as_mut(), number) {
+                at_corners.push(colours.get(number)?.unwrap_or_default().map(|value| value as u8));
+            }
         }
-        let cut = polygon.triangles(out, &|| watch.go_on())?;
+        let (mut found, colours) = (Vec::new(), at_corners);
+        let cut = polygon.triangles(|numbers| found.push(numbers), &|| watch.go_on())?;
+        for numbers in found {
+            let paint = match numbers.map(|number| colours.get(number)) {
+                _ if *faces_have => Paint::Flat(flat),
+                [Some(a), Some(b), Some(c)] => Paint::Corners([*a, *b, *c]),
+                _ => Paint::None,
+            };
+            out.push(numbers.map(|number| polygon.corners()[number]), paint);
+        }
         Ok(cut.map_err(|reason| body.error(reason)))
     }
 }
 
 impl Triangles for PlyReader {
-    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
+    fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
         for _ in 0..FACES.min(self.faces_left) {
             if out.len() >= BATCH_TRIANGLES {
                 break;

@@ -1,6 +1,7 @@
 //! Polygons to triangles.
 
 use crate::Result;
+#[cfg(test)]
 use crate::mesh::Triangle;
 
 /// Most corners of a polygon: cutting ears takes the square of their number.
@@ -41,14 +42,19 @@ impl Polygon {
         }
     }
 
-    /// Appends the triangles of the polygon, concave or not: ears are cut off in the plane in which it is largest. The inner
+    /// The corners.
+    pub(super) fn corners(&self) -> &[[f64; 3]] {
+        &self.corners
+    }
+
+    /// Gives the triangles of the polygon, concave or not, by the numbers of their corners: ears are cut off in the plane in which it is largest. The inner
     /// error says that there are too few or too many corners; that of `go_on`, which is asked now and then, ends the work.
     ///
     /// Cost: at most three looks at each pair of corners. A corner once found in a triangle keeps that from being an ear until
     /// it is cut off itself, and the search for another goes on behind it.
     pub(super) fn triangles(
         &mut self,
-        out: &mut Vec<Triangle>,
+        mut give: impl FnMut([usize; 3]),
         go_on: &dyn Fn() -> Result<()>,
     ) -> Result<Result<(), String>> {
         let Self { corners, before, after, verdicts } = self;
@@ -56,7 +62,7 @@ impl Polygon {
         match count {
             0..=2 => return Ok(Err(format!("a face has {count} corners; expected at least 3"))),
             3 => {
-                out.push([corners[0], corners[1], corners[2]]);
+                give([0, 1, 2]);
                 return Ok(Ok(()));
             }
             _ if count > MOST_CORNERS => return Ok(Err(format!("a face has more than {MOST_CORNERS} corners"))),
@@ -86,7 +92,7 @@ impl Polygon {
                 at = after[at as usize];
             };
             let (a, c) = (before[ear as usize], after[ear as usize]);
-            out.push([a, ear, c].map(|n| corners[n as usize]));
+            give([a, ear, c].map(|n| n as usize));
             (after[a as usize], before[c as usize]) = (c, a);
             verdicts[ear as usize] = Verdict::Gone;
             (verdicts[a as usize], verdicts[c as usize]) = (Verdict::New, Verdict::New);
@@ -95,7 +101,7 @@ impl Polygon {
             }
         }
         let second = after[first as usize];
-        out.push([first, second, after[second as usize]].map(|n| corners[n as usize]));
+        give([first, second, after[second as usize]].map(|n| n as usize));
         Ok(Ok(()))
     }
 }
@@ -177,7 +183,7 @@ mod tests {
         let mut polygon = Polygon::default();
         corners.iter().for_each(|&corner| polygon.push(corner));
         let mut out = Vec::new();
-        polygon.triangles(&mut out, &|| Ok(())).unwrap().unwrap();
+        polygon.triangles(|numbers| out.push(numbers.map(|n| corners[n])), &|| Ok(())).unwrap().unwrap();
         out
     }
 
@@ -239,10 +245,10 @@ mod tests {
             asked.set(asked.get() + 1);
             if asked.get() == 1000 { Err(crate::Error::Interrupted) } else { Ok(()) }
         };
-        assert!(matches!(polygon.triangles(&mut out, &stop_late), Err(crate::Error::Interrupted)));
+        assert!(matches!(polygon.triangles(|numbers| out.push(numbers), &stop_late), Err(crate::Error::Interrupted)));
         assert_eq!(out.len(), 999);
         out.clear();
-        polygon.triangles(&mut out, &|| Ok(())).unwrap().unwrap();
+        polygon.triangles(|numbers| out.push(numbers), &|| Ok(())).unwrap().unwrap();
         assert_eq!(out.len(), 4094);
     }
 
@@ -281,10 +287,9 @@ mod tests {
 
     #[test]
     fn too_few_corners_and_too_many_are_refused_and_crossing_outlines_are_not() {
-        let mut out = Vec::new();
         let mut polygon = Polygon::default();
         polygon.push([0.0; 3]);
-        let mut wrong = |polygon: &mut Polygon| polygon.triangles(&mut out, &|| Ok(())).unwrap().unwrap_err();
+        let wrong = |polygon: &mut Polygon| polygon.triangles(|_| (), &|| Ok(())).unwrap().unwrap_err();
         assert!(wrong(&mut polygon).contains("1 corners"));
         (0..10_000).for_each(|n| polygon.push([f64::from(n), 0.0, 0.0]));
         assert!(wrong(&mut polygon).contains("more than 4096"));

@@ -5,7 +5,8 @@
 
 use super::text::{BYTE_ORDER_MARK, Lines};
 use super::watch::{Digest, MeshSource, Watch};
-use super::{Triangle, Triangles};
+use super::{MeshBatch, Triangles};
+use crate::mesh::paint::Paint;
 use crate::text::shown;
 use crate::{Error, Result};
 use std::io::{BufReader, Read, Seek};
@@ -57,7 +58,7 @@ impl StlReader {
 }
 
 impl Triangles for StlReader {
-    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
+    fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
         watch.go_on()?;
         match self {
             Self::Binary { reader, path, left, all } => {
@@ -69,7 +70,8 @@ impl Triangles for StlReader {
                         .map_err(|e| Error::io(&path, format!("read triangle {number}"), e))?;
                     // The first 12 bytes are the normal.
                     let value = |at: usize| f64::from(f32::from_le_bytes([0, 1, 2, 3].map(|k| bytes[12 + 4 * at + k])));
-                    out.push([0, 1, 2].map(|corner| [0, 1, 2].map(|axis| value(3 * corner + axis))));
+                    let corners = [0, 1, 2].map(|corner| [0, 1, 2].map(|axis| value(3 * corner + axis)));
+                    out.push(corners, Paint::None);
                     *left -= 1;
                 }
                 Ok(*left > 0)
@@ -88,7 +90,7 @@ impl Triangles for StlReader {
                         Some(b"vertex") => corners.push(lines.corner(&mut words)?),
                         Some(b"endloop") => {
                             match corners[..] {
-                                [a, b, c] => out.push([a, b, c]),
+                                [a, b, c] => out.push([a, b, c], Paint::None),
                                 _ => {
                                     let found = corners.len();
                                     watch.lose(1, lines.error(format!("a loop has {found} corners; expected 3")))?;

@@ -103,6 +103,9 @@ struct Args {
     /// Colour values of 8 bits in the 16 of a record
     #[arg(long, requires = "colour")]
     eight_bits: bool,
+    /// Scanner: how much darker some stations see colours than others, 0 to 1
+    #[arg(long, requires = "colour", default_value_t = 0.0)]
+    exposure: f64,
     /// Coordinate step (m)
     #[arg(long, default_value_t = 0.001)]
     scale: f64,
@@ -249,7 +252,7 @@ fn write_points(args: &Args, scene: &Scene, demo: bool, origin: Triple, path: &P
         classes: args.class.clone(),
         moving_class: args.moving_class,
         withheld_share: args.withheld,
-        texture: args.colour.map(|period_m| Texture { period_m, eight_bits: args.eight_bits }),
+        texture: args.colour.map(|period_m| Texture { period_m, eight_bits: args.eight_bits, exposure: args.exposure }),
         seed: args.seed,
         ..writing
     };

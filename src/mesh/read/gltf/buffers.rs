@@ -9,6 +9,8 @@ use base64::Engine;
 use std::fs::File;
 use std::path::{Component, Path, PathBuf};
 
+/// What is wrong with an address.
+pub const ELSEWHERE: &str = "it lies elsewhere; fetch it beside the file and name it there";
 /// Files held open.
 const OPEN_FILES: usize = 8;
 
@@ -68,15 +70,11 @@ impl Buffers {
             let (start, len) = binary.ok_or("it should lie in this file, which has no binary part")?;
             return Ok(Data::File { file: 0, start, len });
         };
-        match uri.split_once("base64,") {
-            Some((head, text)) if head.starts_with("data:") => {
-                let bytes = base64::engine::general_purpose::STANDARD.decode(text);
-                return Ok(Data::Memory(bytes.map_err(|e| format!("its base64 text is damaged: {e}"))?));
-            }
-            _ => {}
+        if let Some(bytes) = Self::in_text(uri) {
+            return Ok(Data::Memory(bytes?));
         }
         if uri.contains(':') {
-            return Err("it lies elsewhere; fetch it beside the file and name it there".into());
+            return Err(ELSEWHERE.into());
         }
         let name = PathBuf::from(decode_percent(uri));
         if !name.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
@@ -96,6 +94,13 @@ impl Buffers {
             self.open.remove(0);
         }
         self.open.push((number, file));
+    }
+
+    /// The bytes that the text of a `data:` address holds; `None` if it is none.
+    pub fn in_text(uri: &str) -> Option<Result<Vec<u8>, String>> {
+        let text = uri.split_once("base64,").filter(|(head, _)| head.starts_with("data:"))?.1;
+        let bytes = base64::engine::general_purpose::STANDARD.decode(text);
+        Some(bytes.map_err(|e| format!("its base64 text is damaged: {e}")))
     }
 
     /// Length of a buffer (bytes).
@@ -170,7 +175,7 @@ fn error(path: &Path, buffer: usize, reason: impl Into<String>) -> Error {
 }
 
 /// `%20` and the like to the bytes they stand for; what is no such code stays.
-fn decode_percent(text: &str) -> String {
+pub fn decode_percent(text: &str) -> String {
     let mut bytes = Vec::with_capacity(text.len());
     let mut rest = text.as_bytes();
     while let Some((&byte, after)) = rest.split_first() {

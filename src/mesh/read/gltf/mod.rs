@@ -1,18 +1,25 @@
 //! glTF 2.0, as `.gltf` with its buffers and as `.glb`: the triangles of the default scene, or of all nodes where there
 //! is none, in the places that their nodes give them.
 //!
+//! Materials, their textures and the colours of corners are read where colours are wanted ([`materials`]).
+//!
 //! What is used of the structure is held in memory and checked here; buffers are read piece by piece, and the places of
 //! parts follow from a walk through the nodes while they are read. Skins and morph targets stay at rest. Source: "glTF 2.0
 //! Specification", Khronos Group, chapters 3.5 to 3.7.
 
 mod buffers;
+mod materials;
 mod structure;
 
 use self::buffers::{BinaryPart, Buffers};
+use self::materials::{Coat, Materials};
 use self::structure::{Accessor, AccessorShape, NodeTransform, Primitive, SPLATS, Structure};
 use super::text::BYTE_ORDER_MARK;
+use super::texture::Textures;
 use super::watch::{Digest, MeshSource, Watch};
-use super::{BATCH_TRIANGLES, MeshOptions, Triangle, Triangles};
+use super::{BATCH_TRIANGLES, MeshBatch, MeshOptions, Triangles, Wants};
+use crate::colour::{from_linear, multiplied};
+use crate::mesh::paint::{Paint, WHITE};
 use crate::{Error, Parameter, Result};
 use bitvec::vec::BitVec;
 use nalgebra::{Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
@@ -45,7 +52,8 @@ struct Values {
     start: u64,
     stride: u64,
     count: u64,
-    /// Bytes of a component.
+    /// Type of a component, and its bytes.
+    kind: u32,
     size: usize,
 }
 
@@ -56,6 +64,16 @@ struct PlacedPrimitive {
     mode: u8,
     positions: Values,
     indices: Option<Values>,
+    /// Number of the primitive.
+    number: usize,
+}
+
+/// What colours the part at hand.
+struct PartColours {
+    coat: Coat,
+    /// Of its corners.
+    places: Option<Values>,
+    colours: Option<Values>,
 }
 
 impl PlacedPrimitive {
@@ -104,15 +122,19 @@ pub(super) struct GltfReader {
     traversal: Traversal,
     primitive: Option<PlacedPrimitive>,
     triangle: u64,
+    /// Where colours are wanted.
+    materials: Option<Materials>,
+    colours: Option<PartColours>,
 }
 
 impl GltfReader {
-    pub(super) fn open(path: &Path, options: &MeshOptions, digest: &Digest, watch: &mut Watch) -> Result<Self> {
+    pub(super) fn open(path: &Path, options: &MeshOptions, wants: Wants<'_>, watch: &mut Watch) -> Result<Self> {
+        let digest = wants.digest;
         let most_bytes = options.memory_bytes.max(LEAST_JSON_BYTES);
         let (json, binary) = read_structure(path, most_bytes, digest)?;
         watch.go_on()?;
         let text = json.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&json);
-        let structure = Structure::parse(text, most_bytes).map_err(|e| {
+        let structure = Structure::parse(text, most_bytes, wants.colours.is_some()).map_err(|e| {
             Error::input(path, "structure", format!("{}; expected glTF 2.0", e.to_string().replace('\n', " ")))
         })?;
         let wrong = |reason: String| Err(Error::input(path, "structure", reason));
@@ -129,13 +151,15 @@ impl GltfReader {
             return wrong(format!("it requires the extension {extension:?}; export the file without it"));
         }
         let buffers = Buffers::open(path, &structure.buffers, binary, digest)?;
+        let textures = |alive| Textures::new(path, options.texture_bytes, digest, alive);
+        let materials = wants.colours.map(|alive| Materials::new(path, &structure, textures(alive)));
         let structure = structure.without_text();
         drop(json);
         let mut checked = Checked { path: path.to_path_buf(), structure, buffers, roots: Vec::new() };
         checked.roots = checked.roots()?;
         checked.check(watch)?;
         let traversal = Traversal::new(&checked);
-        Ok(Self { checked, traversal, primitive: None, triangle: 0 })
+        Ok(Self { checked, traversal, primitive: None, triangle: 0, materials, colours: None })
     }
 }
 
@@ -191,7 +215,7 @@ impl Checked {
                 for number in primitives.filter(|&number| !checked.replace(number, true)) {
                     watch.step()?;
                     let primitive = self.structure.primitives[number];
-                    self.part(&primitive, Matrix4::identity())?;
+                    self.part(number, Matrix4::identity())?;
                     clouds += u64::from(primitive.mode == POINTS);
                 }
             }
@@ -214,14 +238,15 @@ impl Checked {
     }
 
     /// A primitive in its place; `None` if it has no triangles.
-    fn part(&self, primitive: &Primitive, place: Matrix4<f64>) -> Result<Option<PlacedPrimitive>> {
+    fn part(&self, number: usize, place: Matrix4<f64>) -> Result<Option<PlacedPrimitive>> {
+        let primitive = &self.structure.primitives[number];
         let (TRIANGLES | STRIP | FAN, Some(positions)) = (primitive.mode, primitive.positions()) else {
             return Ok(None);
         };
         let positions = self.values(positions, AccessorShape::Vec3, &[F32])?;
         let indices =
             primitive.indices().map(|of| self.values(of, AccessorShape::Scalar, &[U8, U16, U32])).transpose()?;
-        Ok(Some(PlacedPrimitive { place, mode: primitive.mode, positions, indices }))
+        Ok(Some(PlacedPrimitive { place, mode: primitive.mode, positions, indices, number }))
     }
 
     /// Values that lie within their buffer.
@@ -244,7 +269,13 @@ impl Checked {
             U16 => 2,
             _ => 4,
         };
-        let whole = size as u64 * if shape == AccessorShape::Vec3 { 3 } else { 1 };
+        let whole = size as u64
+            * match shape {
+                AccessorShape::Vec2 => 2,
+                AccessorShape::Vec3 => 3,
+                AccessorShape::Vec4 => 4,
+                AccessorShape::Scalar | AccessorShape::Other => 1,
+            };
         // Zero stands for no gaps.
         let stride = view.byte_stride.map_or(0, u64::from);
         let stride = if stride == 0 { whole } else { stride };
@@ -253,7 +284,9 @@ impl Checked {
         let end = start.zip(needed).and_then(|(start, needed)| start.checked_add(needed));
         let limit = view.byte_offset.saturating_add(view.byte_length).min(bytes);
         match (start, end) {
-            (Some(start), Some(end)) if end <= limit => Ok(Values { buffer, start, stride, count, size }),
+            (Some(start), Some(end)) if end <= limit => {
+                Ok(Values { buffer, start, stride, count, kind: component_type, size })
+            }
             _ => Err(self.error(at(), format!("its {count} values reach beyond the {limit} bytes that hold them"))),
         }
     }
@@ -274,16 +307,81 @@ impl Checked {
         Ok([0, 1, 2].map(|axis| f64::from(f32::from_le_bytes(numbers[axis]))))
     }
 
-    fn triangle(&mut self, part: &PlacedPrimitive, number: u64) -> Result<Triangle> {
+    /// Some components of a value, those that are no floats as shares of the greatest; `None` where there is no such value.
+    fn shares<const N: usize>(&mut self, values: &Values, number: u64) -> Result<Option<[f32; N]>> {
+        if number >= values.count {
+            return Ok(None);
+        }
+        let (mut bytes, at) = ([0; 16], values.start + number * values.stride);
+        let size = values.size;
+        self.buffers.read(values.buffer, at, &mut bytes[..N * size])?;
+        let bits = |k: usize| (0..size).fold(0, |bits, byte| bits | u32::from(bytes[k * size + byte]) << (8 * byte));
+        Ok(Some(std::array::from_fn(|k| match values.kind {
+            U8 => bits(k) as f32 / 255.0,
+            U16 => bits(k) as f32 / 65535.0,
+            _ => f32::from_bits(bits(k)),
+        })))
+    }
+
+    /// A triangle, and what colours it.
+    fn triangle(
+        &mut self,
+        part: &PlacedPrimitive,
+        number: u64,
+        colours: Option<&PartColours>,
+    ) -> Result<([[f64; 3]; 3], Paint)> {
         let mut triangle = [[0.0; 3]; 3];
-        for (corner, mut number) in triangle.iter_mut().zip(part.corners(number)) {
+        let mut numbers = part.corners(number);
+        for (corner, number) in triangle.iter_mut().zip(&mut numbers) {
             if let Some(indices) = &part.indices {
-                number = self.index(indices, number)?;
+                *number = self.index(indices, *number)?;
             }
-            let at = self.position(&part.positions, number)?;
+            let at = self.position(&part.positions, *number)?;
             *corner = part.place.transform_point(&Point3::from(at)).into();
         }
-        Ok(triangle)
+        let paint = colours.map(|colours| self.paint(colours, numbers)).transpose()?;
+        Ok((triangle, paint.unwrap_or_default()))
+    }
+
+    fn paint(&mut self, part: &PartColours, numbers: [u64; 3]) -> Result<Paint> {
+        let Coat { factor, texture, .. } = &part.coat;
+        let mut tints = [*factor; 3];
+        if let Some(values) = &part.colours {
+            for (tint, number) in tints.iter_mut().zip(numbers) {
+                if let Some(colour) = self.shares::<3>(values, number)? {
+                    *tint = multiplied(*tint, colour.map(from_linear));
+                }
+            }
+        }
+        if let (Some(texture), Some(values)) = (texture, &part.places) {
+            let mut places = [[0.0; 2]; 3];
+            for (place, number) in places.iter_mut().zip(numbers) {
+                *place = self.shares::<2>(values, number)?.unwrap_or_default().map(f64::from);
+            }
+            return Ok(Paint::Texture { texture: texture.clone(), places, tints });
+        }
+        Ok(if part.colours.is_some() { Paint::Corners(tints) } else { Paint::Flat(*factor) })
+    }
+
+    /// What colours a part; `None` if nothing does.
+    fn colours(&mut self, number: usize, materials: &mut Materials, watch: &Watch) -> Result<Option<PartColours>> {
+        let primitive: Primitive = self.structure.primitives[number];
+        let coat = match primitive.material() {
+            Some(material) => materials.coat(material, &self.structure, &mut self.buffers, watch)?,
+            None => None,
+        };
+        if coat.is_none() && primitive.colours().is_none() {
+            return Ok(None);
+        }
+        let coat = coat.unwrap_or(Coat { factor: WHITE, texture: None, set: 0 });
+        let kinds = [F32, U8, U16];
+        let places = primitive.places(coat.set).map(|of| self.values(of, AccessorShape::Vec2, &kinds)).transpose()?;
+        let of_corners = |of: usize| match self.structure.accessors.get(of).map(|accessor| accessor.shape) {
+            Some(AccessorShape::Vec4) => self.values(of, AccessorShape::Vec4, &kinds),
+            _ => self.values(of, AccessorShape::Vec3, &kinds),
+        };
+        let colours = primitive.colours().map(of_corners).transpose()?;
+        Ok(Some(PartColours { coat, places, colours }))
     }
 
     /// Where a node places what it holds; a matrix excludes the rest (glTF 2.0, section 3.5.3).
@@ -311,11 +409,11 @@ impl Traversal {
 
     /// The next part, through nodes that were checked; `None` after the last.
     fn next(&mut self, checked: &Checked, watch: &mut Watch) -> Result<Option<PlacedPrimitive>> {
-        let Structure { nodes, children, primitives, .. } = &checked.structure;
+        let Structure { nodes, children, .. } = &checked.structure;
         loop {
             watch.step()?;
             if let Some(number) = self.primitives.next() {
-                match checked.part(&primitives[number], self.place)? {
+                match checked.part(number, self.place)? {
                     Some(part) => return Ok(Some(part)),
                     None => continue,
                 }
@@ -336,13 +434,16 @@ impl Traversal {
 }
 
 impl Triangles for GltfReader {
-    fn read(&mut self, out: &mut Vec<Triangle>, watch: &mut Watch) -> Result<bool> {
+    fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
         while out.len() < BATCH_TRIANGLES {
             let part = match &self.primitive {
                 Some(part) if self.triangle < part.len() => *part,
                 _ => {
                     (self.primitive, self.triangle) = (self.traversal.next(&self.checked, watch)?, 0);
-                    if self.primitive.is_some() {
+                    if let Some(part) = &self.primitive {
+                        let materials = self.materials.as_mut();
+                        let colours = materials.map(|all| self.checked.colours(part.number, all, watch)).transpose()?;
+                        self.colours = colours.flatten();
                         continue;
                     }
                     return match self.checked.buffers.changed() {
@@ -355,8 +456,8 @@ impl Triangles for GltfReader {
                 }
             };
             watch.step()?;
-            match self.checked.triangle(&part, self.triangle) {
-                Ok(triangle) => out.push(triangle),
+            match self.checked.triangle(&part, self.triangle, self.colours.as_ref()) {
+                Ok((triangle, paint)) => out.push(triangle, paint),
                 Err(error) => watch.lose(1, error)?,
             }
             self.triangle += 1;

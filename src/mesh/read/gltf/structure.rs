@@ -76,18 +76,41 @@ impl Node {
 pub struct Primitive {
     positions: u32,
     indices: u32,
+    material: u32,
+    colours: u32,
+    /// Places in textures, of the first two sets.
+    places: [u32; 2],
     pub mode: u8,
+}
+
+fn some(number: u32) -> Option<usize> {
+    (number != NONE).then_some(number as usize)
 }
 
 impl Primitive {
     /// Accessor of its positions.
     pub fn positions(&self) -> Option<usize> {
-        (self.positions != NONE).then_some(self.positions as usize)
+        some(self.positions)
     }
 
     /// Accessor of its indices.
     pub fn indices(&self) -> Option<usize> {
-        (self.indices != NONE).then_some(self.indices as usize)
+        some(self.indices)
+    }
+
+    /// Its material.
+    pub fn material(&self) -> Option<usize> {
+        some(self.material)
+    }
+
+    /// Accessor of colours of its corners.
+    pub fn colours(&self) -> Option<usize> {
+        some(self.colours)
+    }
+
+    /// Accessor of the places of its corners in textures that name this set of them.
+    pub fn places(&self, set: u32) -> Option<usize> {
+        self.places.get(set as usize).copied().and_then(some)
     }
 }
 
@@ -95,7 +118,9 @@ impl Primitive {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AccessorShape {
     Scalar,
+    Vec2,
     Vec3,
+    Vec4,
     Other,
 }
 
@@ -159,21 +184,83 @@ pub struct Structure<'a> {
     pub accessors: Vec<Accessor>,
     pub views: Vec<BufferView>,
     pub buffers: Vec<Buffer<'a>>,
+    pub materials: Vec<Material>,
+    pub textures: Vec<TextureOf>,
+    pub images: Vec<ImageOf<'a>>,
+    pub samplers: Vec<Sampler>,
+}
+
+/// How a part of a mesh is coloured.
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+pub struct Material {
+    #[serde(rename = "pbrMetallicRoughness")]
+    pub base: Base,
+}
+
+/// Colour of a material.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+pub struct Base {
+    /// Linear light.
+    pub base_color_factor: [f32; 4],
+    pub base_color_texture: Option<TextureName>,
+}
+
+impl Default for Base {
+    fn default() -> Self {
+        Self { base_color_factor: [1.0; 4], base_color_texture: None }
+    }
+}
+
+/// A texture, and the set of places in it.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct TextureName {
+    pub index: u32,
+    #[serde(default)]
+    pub tex_coord: u32,
+}
+
+/// An image, and what is beyond it.
+#[derive(Debug, Clone, Copy, Deserialize)]
+pub struct TextureOf {
+    pub source: Option<u32>,
+    pub sampler: Option<u32>,
+}
+
+/// Where an image is.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct ImageOf<'a> {
+    #[serde(borrow)]
+    pub uri: Option<Cow<'a, str>>,
+    pub buffer_view: Option<u32>,
+}
+
+/// What is beyond an image.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Sampler {
+    pub wrap_s: Option<u32>,
+    pub wrap_t: Option<u32>,
 }
 
 impl<'a> Structure<'a> {
     /// Of the text `json`, in at most `most_bytes` of memory beside it.
-    pub fn parse(json: &'a [u8], most_bytes: u64) -> Result<Self, serde_json::Error> {
+    /// Materials are passed over unless `colours` are wanted.
+    pub fn parse(json: &'a [u8], most_bytes: u64, colours: bool) -> Result<Self, serde_json::Error> {
         let mut reader = serde_json::Deserializer::from_slice(json);
-        let structure = Root(&Budget(Cell::new(most_bytes))).deserialize(&mut reader)?;
+        let structure = Root(&Budget(Cell::new(most_bytes)), colours).deserialize(&mut reader)?;
         reader.end()?;
         Ok(structure)
     }
 
-    /// The same without what it borrows from the text: version, extension and buffers.
+    /// The same without what it borrows from the text: version, extension, buffers and images.
     pub fn without_text(self) -> Structure<'static> {
         let Self { scene, scenes, nodes, children, transforms, primitives, meshes, accessors, views, .. } = self;
-        let (version, extension_required, buffers) = Default::default();
+        let Self { materials, textures, samplers, .. } = self;
+        let (version, extension_required, buffers, images) = Default::default();
         Structure {
             version,
             extension_required,
@@ -187,6 +274,10 @@ impl<'a> Structure<'a> {
             accessors,
             views,
             buffers,
+            materials,
+            textures,
+            images,
+            samplers,
         }
     }
 
@@ -216,7 +307,9 @@ impl Budget {
 fn shape<'de, D: Deserializer<'de>>(value: D) -> Result<AccessorShape, D::Error> {
     Ok(match &*Cow::<str>::deserialize(value)? {
         "SCALAR" => AccessorShape::Scalar,
+        "VEC2" => AccessorShape::Vec2,
         "VEC3" => AccessorShape::Vec3,
+        "VEC4" => AccessorShape::Vec4,
         _ => AccessorShape::Other,
     })
 }
@@ -332,12 +425,20 @@ struct PrimitiveText {
     indices: u32,
     #[serde(default = "triangles")]
     mode: u8,
+    #[serde(default = "no_number")]
+    material: u32,
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Copy, Deserialize)]
 struct Attributes {
     #[serde(rename = "POSITION", default = "no_number")]
     position: u32,
+    #[serde(rename = "COLOR_0", default = "no_number")]
+    colour: u32,
+    #[serde(rename = "TEXCOORD_0", default = "no_number")]
+    first_places: u32,
+    #[serde(rename = "TEXCOORD_1", default = "no_number")]
+    second_places: u32,
 }
 
 #[derive(Deserialize)]
@@ -352,12 +453,16 @@ enum Key {
     Accessors,
     BufferViews,
     Buffers,
+    Materials,
+    Textures,
+    Images,
+    Samplers,
     #[serde(other)]
     Other,
 }
 
-/// Reads the whole.
-struct Root<'b>(&'b Budget);
+/// Reads the whole, with or without materials.
+struct Root<'b>(&'b Budget, bool);
 
 impl<'de> DeserializeSeed<'de> for Root<'_> {
     type Value = Structure<'de>;
@@ -375,7 +480,7 @@ impl<'de> Visitor<'de> for Root<'_> {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
-        let (budget, mut all) = (self.0, Structure::default());
+        let (Self(budget, colours), mut all) = (self, Structure::default());
         let mut version = None;
         while let Some(key) = map.next_key()? {
             match key {
@@ -395,7 +500,13 @@ impl<'de> Visitor<'de> for Root<'_> {
                 Key::Accessors => map.next_value_seed(fill(push(&mut all.accessors, budget)))?,
                 Key::BufferViews => map.next_value_seed(fill(push(&mut all.views, budget)))?,
                 Key::Buffers => map.next_value_seed(fill(push(&mut all.buffers, budget)))?,
-                Key::Other => drop(map.next_value::<IgnoredAny>()?),
+                Key::Materials if colours => map.next_value_seed(fill(push(&mut all.materials, budget)))?,
+                Key::Textures if colours => map.next_value_seed(fill(push(&mut all.textures, budget)))?,
+                Key::Images if colours => map.next_value_seed(fill(push(&mut all.images, budget)))?,
+                Key::Samplers if colours => map.next_value_seed(fill(push(&mut all.samplers, budget)))?,
+                Key::Materials | Key::Textures | Key::Images | Key::Samplers | Key::Other => {
+                    let IgnoredAny = map.next_value()?;
+                }
             }
         }
         all.version = version.ok_or_else(|| A::Error::missing_field("asset"))?;
@@ -427,9 +538,11 @@ impl Structure<'_> {
 
     fn add_mesh(&mut self, mesh: &MeshText, budget: &Budget) -> Result<(), Refusal> {
         budget.take::<u32>()?;
-        for PrimitiveText { attributes, indices, mode } in &mesh.primitives.0 {
+        for &PrimitiveText { attributes, indices, mode, material } in &mesh.primitives.0 {
             budget.take::<Primitive>()?;
-            self.primitives.push(Primitive { positions: attributes.position, indices: *indices, mode: *mode });
+            let Attributes { position: positions, colour: colours, first_places, second_places } = attributes;
+            let places = [first_places, second_places];
+            self.primitives.push(Primitive { positions, indices, material, colours, places, mode });
         }
         self.meshes.push(self.primitives.len() as u32);
         Ok(())
@@ -448,7 +561,7 @@ mod tests {
             {"attributes":{},"indices":2,"mode":5}]}],"bufferViews":[{"buffer":0,"byteLength":9}],
             "accessors":[{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3","sparse":{}}],
             "buffers":[{"byteLength":9,"uri":"a\u0041"}]}"#;
-        let all = Structure::parse(json, 1 << 20).unwrap();
+        let all = Structure::parse(json, 1 << 20, true).unwrap();
         assert_eq!((&*all.version, all.scene, all.extension_required.is_some()), ("2.0", Some(1), false));
         assert_eq!(&all.scenes.numbers()[all.scenes.range(1)], [1, 0]);
         assert_eq!((all.scenes.len(), all.scenes.range(0).len(), all.children.range(1)), (2, 0, 0..1));
@@ -466,11 +579,11 @@ mod tests {
     fn millions_of_empty_things_are_refused_and_not_held() {
         for list in ["nodes", "scenes"] {
             let json = format!(r#"{{"asset":{{"version":"2.0"}},"{list}":[{}{{}}]}}"#, "{},".repeat(2_000_000));
-            let error = Structure::parse(json.as_bytes(), 8 << 20).unwrap_err().to_string();
+            let error = Structure::parse(json.as_bytes(), 8 << 20, false).unwrap_err().to_string();
             assert!(error.contains("give more memory"), "{error}");
-            assert!(Structure::parse(json.as_bytes(), 128 << 20).is_ok());
+            assert!(Structure::parse(json.as_bytes(), 128 << 20, false).is_ok());
         }
         let json = format!(r#"{{"asset":{{"version":"2.0"}},"nodes":[{{"children":[{}1]}}]}}"#, "1,".repeat(2_000_000));
-        assert!(Structure::parse(json.as_bytes(), 1 << 30).is_err());
+        assert!(Structure::parse(json.as_bytes(), 1 << 30, false).is_err());
     }
 }

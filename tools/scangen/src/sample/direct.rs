@@ -67,7 +67,7 @@ impl Pen<'_> {
             let normal = self.scene.surfaces()[surface].shape.normal_at(p);
             p = add(p, scale(normal, self.noise_m * self.noise.normal()));
         }
-        Sample { position: p, kind: Kind::Surface, surface: surface as u32 }
+        Sample { position: p, kind: Kind::Surface, surface: surface as u32, station: 0 }
     }
 }
 

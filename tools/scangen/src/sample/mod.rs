@@ -39,6 +39,8 @@ pub struct Sample {
     pub kind: Kind,
     /// Surface it was drawn from, or the one of the point it was derived from.
     pub surface: u32,
+    /// Scanner: number of the station that saw it; 0 otherwise.
+    pub station: u16,
 }
 
 /// How many points to draw.

@@ -193,10 +193,11 @@ impl<'a> Scan<'a> {
         {
             let between = range + (other - range) * self.extras.unit();
             let position = add(origin, scale(dir, between));
-            self.waiting = Some(Sample { position, kind: Kind::Mixed, surface });
+            self.waiting = Some(Sample { position, kind: Kind::Mixed, surface, station: self.station as u16 });
         }
         let noise = if self.noise_m > 0.0 { self.noise_m * self.noise.normal() } else { 0.0 };
-        Some(Sample { position: add(origin, scale(dir, range + noise)), kind, surface })
+        let position = add(origin, scale(dir, range + noise));
+        Some(Sample { position, kind, surface, station: self.station as u16 })
     }
 }
 

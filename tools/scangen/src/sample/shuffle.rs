@@ -9,7 +9,7 @@ use std::path::Path;
 /// Buckets on disk. Peak memory is 1/128 of the samples at 32 bytes each: 27 MB for 107 million (2 GB of LAS).
 pub const SHUFFLE_BUCKETS: usize = 128;
 
-const RECORD: usize = 29;
+const RECORD: usize = 31;
 
 /// The shuffled samples; reading errors of the temporary files come as items.
 pub struct Shuffled {
@@ -39,7 +39,8 @@ pub fn shuffle(samples: impl Iterator<Item = Sample>, seed: u64, folder: Option<
             record[axis * 8..axis * 8 + 8].copy_from_slice(&value.to_le_bytes());
         }
         record[24] = sample.kind as u8;
-        record[25..].copy_from_slice(&sample.surface.to_le_bytes());
+        record[25..29].copy_from_slice(&sample.surface.to_le_bytes());
+        record[29..].copy_from_slice(&sample.station.to_le_bytes());
         let bucket = &mut buckets[rng.below(SHUFFLE_BUCKETS as u64) as usize];
         bucket.write_all(&record).map_err(failed("write a temporary file"))?;
     }
@@ -69,7 +70,8 @@ impl Shuffled {
                 _ => Kind::Moving,
             };
             let surface = u32::from_le_bytes(std::array::from_fn(|i| record[25 + i]));
-            self.ready.push(Sample { position: [float(0), float(8), float(16)], kind, surface });
+            let station = u16::from_le_bytes([record[29], record[30]]);
+            self.ready.push(Sample { position: [float(0), float(8), float(16)], kind, surface, station });
         }
         // Fisher and Yates.
         for i in (1..self.ready.len()).rev() {

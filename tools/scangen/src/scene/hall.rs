@@ -57,4 +57,6 @@ fn hall(b: &mut Builder, leaves: usize, clutter: usize) {
     for at in [[2.5, 2.2, 1.7], [6.3, 6.9, 1.7], [6.2, 2.3, 1.7], [10.5, 4.4, 1.7], [12.6, 2.0, 1.7]] {
         b.station(at);
     }
+    let way = vec![[PARTITION_X - 1.2, 4.5], [PARTITION_X + 1.2, 4.5], [10.5, 3.0]];
+    b.walk([2.5, 2.2, 0.0], way, [10.5, 3.0, 0.0]);
 }

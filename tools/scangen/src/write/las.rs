@@ -115,6 +115,9 @@ impl WriteSpec {
         {
             return Err(fault("colours need a format with RGB (2, 3, 5, 7, 8 or 10) and a period above 0".to_owned()));
         }
+        if self.texture.is_some_and(|texture| !(0.0..=1.0).contains(&texture.exposure)) {
+            return Err(fault("exposures differ by a share of 0 to 1".to_owned()));
+        }
         let version = self.version.unwrap_or(match self.format {
             0..=3 => (1, 2),
             4 | 5 => (1, 3),
@@ -173,7 +176,11 @@ pub struct Written {
 
 /// Writes points; all are of [`Kind::Surface`]. See [`write_samples`].
 pub fn write_las(path: &Path, points: impl IntoIterator<Item = Vec3>, spec: &WriteSpec) -> Result<Written> {
-    write_samples(path, points.into_iter().map(|position| Sample { position, kind: Kind::Surface, surface: 0 }), spec)
+    write_samples(
+        path,
+        points.into_iter().map(|position| Sample { position, kind: Kind::Surface, surface: 0, station: 0 }),
+        spec,
+    )
 }
 
 /// Writes samples to `path`, replacing what is there, in bounded memory (1 MiB, and a chunk for LAZ). The same samples
@@ -286,7 +293,7 @@ impl<'a> Stock<'a> {
         let withheld = self.spec.withheld_share > 0.0 && self.rng.unit() < self.spec.withheld_share;
         let index = self.count;
         self.count += 1;
-        let colour = self.spec.texture.map(|texture| texture.at(self.spec.place(grid)));
+        let colour = self.spec.texture.map(|texture| texture.seen_from(sample.station, self.spec.place(grid)));
         Ok(Record { grid, class, withheld, index, colour })
     }
 

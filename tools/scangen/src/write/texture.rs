@@ -9,6 +9,8 @@ pub struct Texture {
     pub period_m: f64,
     /// Whether values have 8 bits, in the 16 bits of a record, as some programs write them.
     pub eight_bits: bool,
+    /// How much darker some stations see colours than others `[0..=1]`; 0: all see the same.
+    pub exposure: f64,
 }
 
 impl Texture {
@@ -20,6 +22,18 @@ impl Texture {
         let range = if self.eight_bits { 255.0 } else { 65_535.0 };
         turns.map(|turns| ((40.0 + 175.0 * wave(turns)) / 255.0 * range).round() as u16)
     }
+
+    /// What a station sees of each value, 1 − `exposure` to 1: station 0 all of it, others shares that never repeat.
+    pub fn share(&self, station: u16) -> f64 {
+        let turns = 0.618_033_988_749_895 * f64::from(station);
+        1.0 - self.exposure * (turns - turns.floor())
+    }
+
+    /// What a station sees at a place.
+    pub fn seen_from(&self, station: u16, place: Vec3) -> [u16; 3] {
+        let share = self.share(station);
+        self.at(place).map(|value| (f64::from(value) * share).round() as u16)
+    }
 }
 
 #[cfg(test)]
@@ -27,8 +41,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn stations_see_shares_of_values_that_differ() {
+        let texture = Texture { period_m: 2.0, eight_bits: false, exposure: 0.4 };
+        let at = [0.3, 1.2, 0.7];
+        assert_eq!(texture.seen_from(0, at), texture.at(at));
+        for station in 1..50 {
+            let share = texture.share(station);
+            assert!((0.6..1.0).contains(&share) && (share - texture.share(station - 1)).abs() > 0.1);
+            for (seen, whole) in texture.seen_from(station, at).into_iter().zip(texture.at(at)) {
+                assert!((f64::from(seen) / f64::from(whole) - share).abs() < 1e-4);
+            }
+        }
+    }
+
+    #[test]
     fn channels_repeat_and_have_8_or_16_bits() {
-        let texture = Texture { period_m: 2.0, eight_bits: true };
+        let texture = Texture { period_m: 2.0, eight_bits: true, exposure: 0.0 };
         let wide = Texture { eight_bits: false, ..texture };
         for at in [[0.0, 0.0, 0.0], [0.3, 1.2, 0.7], [-5.1, 2.2, 9.0]] {
             assert_eq!(texture.at(at), texture.at([at[0] + 4.0, at[1] - 8.0, at[2]]));

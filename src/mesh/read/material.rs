@@ -1,0 +1,193 @@
+//! Materials of OBJ files: `newmtl`, `Kd` and `map_Kd` of MTL files; all else is passed over.
+//!
+//! What is wrong with them is a warning: the triangles have their places without. Source: "MTL material format (Lightwave, OBJ)",
+//! Alias/Wavefront, 1995.
+
+use super::texture::{Fault, Textures, path_beside, read_beside};
+use super::watch::Watch;
+use crate::Result;
+use crate::mesh::paint::{Texture, WHITE, Wrap};
+use crate::text::shown;
+use std::collections::HashMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Most bytes of all files of materials of one mesh.
+const MOST_BYTES: u64 = 16 << 20;
+/// Most materials of one mesh.
+const MOST_MATERIALS: usize = 1 << 16;
+/// Most files of materials of one mesh.
+const MOST_FILES: usize = 64;
+
+/// A material as its file states it.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct Stated {
+    colour: Option<[u8; 3]>,
+    /// Name of its texture, and what is beyond it.
+    map: Option<(String, Wrap)>,
+}
+
+/// What colours the triangles of one material.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Material {
+    pub colour: Option<[u8; 3]>,
+    pub texture: Option<Arc<Texture>>,
+}
+
+/// The materials of one OBJ file.
+pub(super) struct Materials {
+    stated: HashMap<Vec<u8>, Stated>,
+    textures: Textures<(String, Wrap)>,
+    files: usize,
+    bytes_left: u64,
+}
+
+impl Materials {
+    pub(super) fn new(textures: Textures<(String, Wrap)>) -> Self {
+        Self { stated: HashMap::new(), textures, files: 0, bytes_left: MOST_BYTES }
+    }
+
+    /// Reads the files of materials that a line of the mesh at `of` names: one, whose name may hold blanks, or more of them.
+    pub(super) fn read_all(&mut self, of: &Path, names: &[u8], watch: &Watch) -> Result<()> {
+        let whole = path_beside(of, &String::from_utf8_lossy(names));
+        if whole.is_ok_and(|path| path.is_file()) {
+            return self.read(of, names, watch);
+        }
+        let words = names.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        words.take(MOST_FILES).try_for_each(|name| self.read(of, name, watch))
+    }
+
+    /// Reads the file of materials that the mesh at `of` calls `name`.
+    fn read(&mut self, of: &Path, name: &[u8], watch: &Watch) -> Result<()> {
+        watch.go_on()?;
+        self.files += 1;
+        if self.files > MOST_FILES {
+            return Ok(());
+        }
+        let text = read_beside(of, &String::from_utf8_lossy(name), self.bytes_left);
+        let parsed = text.and_then(|text| {
+            self.bytes_left = self.bytes_left.saturating_sub(text.len() as u64);
+            self.textures.add_to_digest(&text);
+            Ok(self.parse(&text)?)
+        });
+        match parsed {
+            Ok(()) => {}
+            Err(Fault::Unusable(reason)) => self.textures.warn(watch, &format!("materials: {reason}")),
+            Err(Fault::Memory(bytes)) => {
+                let text =
+                    format!("materials: {} has {bytes} bytes; expected at most {}", shown(name), self.bytes_left);
+                self.textures.warn(watch, &text);
+            }
+        }
+        Ok(())
+    }
+
+    /// The material called `name`, with its texture read.
+    pub(super) fn get(&mut self, of: &Path, name: &[u8], watch: &Watch) -> Result<Material> {
+        let Some(Stated { colour, map }) = self.stated.get(name).cloned() else {
+            self.textures.warn(watch, &format!("materials: there is none called {}", shown(name)));
+            return Ok(Material::default());
+        };
+        let Some((file, wrap)) = map else { return Ok(Material { colour, texture: None }) };
+        let read = |most: u64| read_beside(of, &file, most);
+        let texture = self.textures.get((file.clone(), wrap), (&shown(file.as_bytes()), [wrap; 2]), watch, read)?;
+        Ok(Material { colour, texture })
+    }
+
+    fn parse(&mut self, text: &[u8]) -> Result<(), String> {
+        let mut current = None;
+        for line in text.split(|&byte| byte == b'\n') {
+            let line = line.trim_ascii();
+            let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
+            let (key, rest) = (&line[..end], line[end..].trim_ascii());
+            if key == b"newmtl" {
+                if self.stated.len() >= MOST_MATERIALS {
+                    return Err(format!("more than {MOST_MATERIALS} materials"));
+                }
+                self.stated.insert(rest.to_vec(), Stated::default());
+                current = Some(rest.to_vec());
+                continue;
+            }
+            let Some(material) = current.as_ref().and_then(|name| self.stated.get_mut(name)) else { continue };
+            match key {
+                b"Kd" => material.colour = colour_of(rest),
+                b"map_Kd" => material.map = map_of(rest),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Material {
+    /// The colour where there is no texture.
+    pub(super) fn flat(&self) -> Option<[u8; 3]> {
+        // A material with a texture may state black beside it.
+        if self.texture.is_some() { Some(WHITE) } else { self.colour }
+    }
+}
+
+fn colour_of(text: &[u8]) -> Option<[u8; 3]> {
+    let mut values = std::str::from_utf8(text).ok()?.split_ascii_whitespace().map(|word| word.parse::<f64>().ok());
+    let mut channel = || Some((values.next()?? * 255.0 + 0.5).clamp(0.0, 255.0) as u8);
+    // One value alone is grey.
+    let red = channel()?;
+    let Some(green) = channel() else { return Some([red; 3]) };
+    Some([red, green, channel()?])
+}
+
+/// The file of a texture behind its options, whose name may hold blanks.
+fn map_of(text: &[u8]) -> Option<(String, Wrap)> {
+    let text = String::from_utf8_lossy(text);
+    let (mut rest, mut wrap) = (text.trim(), Wrap::Repeat);
+    let next = |rest: &str| {
+        let (word, behind) = rest.split_once(char::is_whitespace).unwrap_or((rest, ""));
+        (word.to_owned(), behind.trim_start().to_owned())
+    };
+    let mut held;
+    while rest.starts_with('-') {
+        let (option, behind) = next(rest);
+        // How many words follow at least, and how many numbers may.
+        let (words, numbers) = match &option[..] {
+            "-blendu" | "-blendv" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-bm" | "-boost" | "-type" => (1, 0),
+            "-mm" => (2, 0),
+            "-o" | "-s" | "-t" => (1, 2),
+            _ => break,
+        };
+        held = behind;
+        for number in 0..words + numbers {
+            let (word, behind) = next(&held);
+            if number >= words && word.parse::<f64>().is_err() {
+                break;
+            }
+            if option == "-clamp" && word == "on" {
+                wrap = Wrap::Clamp;
+            }
+            held = behind;
+        }
+        rest = &held;
+    }
+    (!rest.is_empty()).then(|| (rest.to_owned(), wrap))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_and_names_of_textures_are_found_behind_options() {
+        assert_eq!(colour_of(b"1 0.5 0"), Some([255, 128, 0]));
+        assert_eq!(colour_of(b"0.2"), Some([51; 3]));
+        assert_eq!(colour_of(b"2 -1 nan"), Some([255, 0, 0]));
+        assert_eq!(colour_of(b"spectral a.rfl"), None);
+        assert_eq!(colour_of(b""), None);
+        let map = |text: &str| map_of(text.as_bytes()).map(|(name, wrap)| (name, wrap == Wrap::Clamp));
+        assert_eq!(map("a.png"), Some(("a.png".into(), false)));
+        assert_eq!(map("  two words.jpg "), Some(("two words.jpg".into(), false)));
+        assert_eq!(map("-s 2 2 1 -clamp on -o 0.5 a b.png"), Some(("a b.png".into(), true)));
+        assert_eq!(map("-blendu off 7.png"), Some(("7.png".into(), false)));
+        assert_eq!(map("-strange.png"), Some(("-strange.png".into(), false)));
+        assert_eq!(map("-s"), None);
+        assert_eq!(map(""), None);
+    }
+}

@@ -1,0 +1,244 @@
+//! Textures: PNG and JPEG files, and images inside glTF, decoded once for each mesh file and within bounds.
+//!
+//! A texture that is not there or cannot be read is a warning: the rest of its material colours the triangles. One that does not fit
+//! the memory is an error, because what an archive holds must not depend on the memory.
+
+use super::watch::{Digest, Watch};
+use crate::bytes::open_regular;
+use crate::mesh::paint::{Image, Texture, Wrap};
+use crate::text::shown;
+use crate::{Error, Parameter, Result};
+use std::collections::HashMap;
+use std::hash::Hash;
+use std::io::Read;
+use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+use zune_core::bytestream::ZCursor;
+use zune_core::colorspace::ColorSpace;
+use zune_core::options::DecoderOptions;
+use zune_jpeg::JpegDecoder;
+
+/// Longest edge of a texture (texels).
+const MOST_EDGE: u32 = 1 << 15;
+/// Most texels of a texture.
+const MOST_TEXELS: u64 = 1 << 28;
+/// Warnings for the textures of one file.
+const MOST_WARNINGS: u32 = 8;
+
+/// Why there is no image.
+#[derive(Debug)]
+pub(super) enum Fault {
+    /// It cannot be used, which is a warning.
+    Unusable(String),
+    /// It needs more memory than there is (bytes).
+    Memory(u64),
+}
+
+impl From<String> for Fault {
+    fn from(reason: String) -> Self {
+        Self::Unusable(reason)
+    }
+}
+
+/// The textures of one mesh file by what names them.
+pub(super) struct Textures<K> {
+    path: PathBuf,
+    images: HashMap<K, Option<Arc<Texture>>>,
+    /// What they may take (bytes), and what they do.
+    most_bytes: u64,
+    held: u64,
+    warnings: u32,
+    digest: Digest,
+    alive: Arc<()>,
+}
+
+impl<K: Eq + Hash> Textures<K> {
+    /// No textures yet, of the file at `path`. Something in each of them holds `alive`.
+    pub(super) fn new(path: &Path, most_bytes: u64, digest: &Digest, alive: &Arc<()>) -> Self {
+        let (images, digest) = (HashMap::new(), digest.clone());
+        Self { path: path.to_path_buf(), images, most_bytes, held: 0, warnings: 0, digest, alive: Arc::clone(alive) }
+    }
+
+    /// Warns of what is wrong with the colours of the file; after some warnings there are no more.
+    pub(super) fn warn(&mut self, watch: &Watch, text: &str) {
+        self.warnings += 1;
+        if self.warnings <= MOST_WARNINGS {
+            let last =
+                if self.warnings == MOST_WARNINGS { " (further warnings for this file are left out)" } else { "" };
+            watch.monitor.warn(&format!("{}: {text}{last}", self.path.display()).into());
+        }
+    }
+
+    /// Adds to the hash of what was read of the file.
+    pub(super) fn add_to_digest(&self, bytes: &[u8]) {
+        self.digest.update(bytes);
+    }
+
+    /// The texture that `key` names and `read` reads, given the most bytes that it may have; `None` where there is none that can
+    /// be used, which is a warning when it is asked for first.
+    pub(super) fn get(
+        &mut self,
+        key: K,
+        (name, wrap): (&str, [Wrap; 2]),
+        watch: &Watch,
+        read: impl FnOnce(u64) -> Result<Vec<u8>, Fault>,
+    ) -> Result<Option<Arc<Texture>>> {
+        if let Some(found) = self.images.get(&key) {
+            return Ok(found.clone());
+        }
+        watch.go_on()?;
+        let left = self.most_bytes.saturating_sub(self.held);
+        let image = read(left).and_then(|bytes| {
+            self.digest.update(&bytes);
+            decode(&bytes, left.saturating_sub(bytes.len() as u64))
+        });
+        let texture = match image {
+            Ok((image, bytes)) => {
+                self.held += bytes;
+                Some(Arc::new(Texture::new(Arc::new(image), wrap, &self.alive)))
+            }
+            Err(Fault::Unusable(reason)) => {
+                self.warn(watch, &format!("texture {name}: {reason}; its triangles get the colour of their material"));
+                None
+            }
+            Err(Fault::Memory(bytes)) => {
+                let what = format!("{}: textures up to {name} (bytes)", self.path.display());
+                let needed = self.held.saturating_add(bytes);
+                return Err(Error::limit(what, needed, self.most_bytes).with_way_out(Parameter::Memory));
+            }
+        };
+        self.images.insert(key, texture.clone());
+        Ok(texture)
+    }
+}
+
+/// Reads a file that a mesh at `of` names: beside it or in folders below.
+pub(super) fn read_beside(of: &Path, name: &str, most_bytes: u64) -> Result<Vec<u8>, Fault> {
+    let path = path_beside(of, name)?;
+    let refused = |e: std::io::Error| format!("cannot read {}: {e}", path.display());
+    let (file, about) = open_regular(&path).map_err(refused)?;
+    if about.len() > most_bytes {
+        return Err(Fault::Memory(about.len()));
+    }
+    let mut bytes = Vec::new();
+    file.take(most_bytes).read_to_end(&mut bytes).map_err(refused)?;
+    Ok(bytes)
+}
+
+/// Where a file lies that a mesh at `of` names.
+pub(super) fn path_beside(of: &Path, name: &str) -> Result<PathBuf, String> {
+    // Files from Windows name folders in its way.
+    let below = PathBuf::from(name.replace('\\', "/"));
+    let is_drive = name.as_bytes().get(1) == Some(&b':');
+    let is_below = below.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    if !is_below || is_drive || name.is_empty() {
+        let name = shown(name.as_bytes());
+        return Err(format!("{name} leads out of the folder of the file; put it there and name it so"));
+    }
+    Ok(of.with_file_name(below))
+}
+
+/// The image, and the bytes that it takes; both while it is decoded and afterwards it takes at most `most_bytes`.
+fn decode(bytes: &[u8], most_bytes: u64) -> Result<(Image, u64), Fault> {
+    let (width, height, rgb) = match bytes {
+        [0x89, b'P', b'N', b'G', ..] => decode_png(bytes, most_bytes)?,
+        [0xFF, 0xD8, ..] => decode_jpeg(bytes, most_bytes)?,
+        _ => return Err("it is neither PNG nor JPEG".to_owned().into()),
+    };
+    let texels = u64::from(width) * u64::from(height);
+    Ok((Image::new(width, height, rgb), Image::bytes(texels)))
+}
+
+/// Checks the size of an image that takes `bytes_each` a texel while it is decoded, beside its halves.
+fn check_size(width: u64, height: u64, bytes_each: u64, most_bytes: u64) -> Result<(u32, u32), Fault> {
+    let (edge, texels) = (width.max(height), width.saturating_mul(height));
+    if texels == 0 || edge > u64::from(MOST_EDGE) || texels > MOST_TEXELS {
+        let reason =
+            format!("{width} × {height} texels; expected 1 to {MOST_EDGE} along an edge and at most {MOST_TEXELS}");
+        return Err(reason.into());
+    }
+    let needed = texels.saturating_mul(bytes_each).saturating_add(Image::bytes(texels)) + (1 << 20);
+    if needed > most_bytes {
+        return Err(Fault::Memory(needed));
+    }
+    Ok((width as u32, height as u32))
+}
+
+fn decode_png(bytes: &[u8], most_bytes: u64) -> Result<(u32, u32, Vec<u8>), Fault> {
+    let damaged = |e: png::DecodingError| Fault::Unusable(format!("it is damaged: {e}"));
+    let limits = png::Limits { bytes: usize::try_from(most_bytes).unwrap_or(usize::MAX) };
+    let mut decoder = png::Decoder::new_with_limits(std::io::Cursor::new(bytes), limits);
+    decoder.set_transformations(png::Transformations::normalize_to_color8());
+    decoder.set_ignore_text_chunk(true);
+    let mut reader = decoder.read_info().map_err(damaged)?;
+    let (color, _) = reader.output_color_type();
+    let samples = color.samples();
+    let (width, height) = (u64::from(reader.info().width), u64::from(reader.info().height));
+    // The rows as the file has them, with up to 16 bits a channel, wait for an interlaced image's end.
+    let (width, height) = check_size(width, height, 1 + samples as u64, most_bytes)?;
+    let size = reader.output_buffer_size().ok_or_else(|| Fault::Unusable("it is too large".into()))?;
+    let mut values = vec![0; size];
+    let info = reader.next_frame(&mut values).map_err(damaged)?;
+    values.truncate(info.buffer_size());
+    let texels = width as usize * height as usize;
+    if values.len() < texels * samples || samples == 0 {
+        return Err("it is damaged: rows are missing".to_owned().into());
+    }
+    // In place: an image of four values a texel need not be there twice.
+    match samples {
+        1 | 2 => {
+            let grey = values.chunks_exact(samples).take(texels);
+            values = grey.flat_map(|texel| [texel[0]; 3]).collect();
+        }
+        _ => {
+            for texel in 0..texels {
+                values.copy_within(texel * samples..texel * samples + 3, texel * 3);
+            }
+            values.truncate(3 * texels);
+        }
+    }
+    Ok((width, height, values))
+}
+
+fn decode_jpeg(bytes: &[u8], most_bytes: u64) -> Result<(u32, u32, Vec<u8>), Fault> {
+    let damaged = |e: zune_jpeg::errors::DecodeErrors| Fault::Unusable(format!("it is damaged: {e}"));
+    let edge = MOST_EDGE as usize;
+    let options = DecoderOptions::new_safe()
+        .set_strict_mode(true)
+        .set_max_width(edge)
+        .set_max_height(edge)
+        .jpeg_set_max_scans(64)
+        .jpeg_set_out_colorspace(ColorSpace::RGB);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(damaged)?;
+    let info = decoder.info().ok_or_else(|| "it has no size".to_owned())?;
+    // One that comes in passes is held as coefficients of 16 bits for up to four channels until its end.
+    let bytes_each = if is_progressive(bytes) { 3 + 8 } else { 3 };
+    let (width, height) = check_size(info.width.into(), info.height.into(), bytes_each, most_bytes)?;
+    let mut values = decoder.decode().map_err(damaged)?;
+    let texels = width as usize * height as usize;
+    match decoder.output_colorspace() {
+        Some(ColorSpace::Luma) => values = values.iter().take(texels).flat_map(|&grey| [grey; 3]).collect(),
+        Some(ColorSpace::RGB) => {}
+        _ => return Err("its colours are neither grey nor RGB".to_owned().into()),
+    }
+    if values.len() < 3 * texels {
+        return Err("it is damaged: rows are missing".to_owned().into());
+    }
+    Ok((width, height, values))
+}
+
+/// Whether a JPEG comes in passes: its frame is neither baseline nor extended sequential (ITU-T T.81, table B.1).
+fn is_progressive(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    loop {
+        match bytes.get(at..at + 4) {
+            Some(&[0xFF, 0xFF, ..]) => at += 1,
+            Some(&[0xFF, 0xC0 | 0xC1, ..]) => return false,
+            Some(&[0xFF, 0xC4 | 0xC8 | 0xCC | 0xD8..=0xFE, high, low]) => {
+                at += 2 + usize::from(u16::from_be_bytes([high, low]));
+            }
+            _ => return true,
+        }
+    }
+}
