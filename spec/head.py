@@ -6,7 +6,7 @@ import sys
 
 import colours
 from encoding import crc32c, xxh3_128
-from page import need
+from page import FIFTH, THIRD, need
 
 MAGIC = b"\x89SLIC\r\n\x1a"
 FOOTER_LEN = 24
@@ -65,7 +65,8 @@ class Head:
         """Where the levels of chapter 15 are told of; `pages_len` is then that of the pages alone."""
         self.has_levels = self.minor >= 1 and self.features_optional & 1 == 1
         zero = self.has_levels or not any(self.reserved[: LEVELS.size])
-        need(self.minor > 3 or zero, "H10", "reserved bytes are not zero")
+        need(self.minor > 4 or zero, "H10", "reserved bytes are not zero")
+        self.level_step = THIRD if self.minor >= 4 and self.features_optional & 4 else FIFTH
         self.level_count = self.levels_len = self.table_len = self.table_crc = 0
         if self.has_levels:
             fields = LEVELS.unpack(self.reserved[: LEVELS.size])

@@ -4,11 +4,10 @@ import struct
 from types import SimpleNamespace
 
 from encoding import column_of, crc32c, unpack_frame
-from page import SIDE, SLICE, TOP, need
+from page import SIDE, SLICE, THIRD, TOP, need
 from head import RECORD_LEN, check_root
 
 FACTOR = 4
-STEP = 51
 
 
 class Level:
@@ -61,20 +60,32 @@ def joined(spans):
     return out
 
 
-def above(pages):
-    """The pages of the next level: columns of 64 x 64 pixels by key, as `pages` are."""
-    level = {}
+def above(pages, step):
+    """The pages of the next level, with heights on steps: columns of 64 x 64 pixels by key, as `pages` are."""
+    level, below = {}, {}
     for (tx, ty, layer), columns in pages.items():
-        upper = level.setdefault((tx >> 2, ty >> 2, layer >> 2), {})
+        key = tx >> 2, ty >> 2, layer >> 2
+        upper = level.setdefault(key, {})
+        below[key] = below.get(key, 0) + sum(map(len, columns))
         floor = TOP // FACTOR * (layer & 3)
         for at, spans in enumerate(columns):
             if spans:
                 x, y = (SIDE * (tx & 3) + at % SIDE) // FACTOR, (SIDE * (ty & 3) + at // SIDE) // FACTOR
                 pixel = upper.setdefault(SIDE * y + x, [])
                 for bottom, top, obstacle in spans:
-                    low, high = bottom // (FACTOR * STEP) * STEP, -(-top // (FACTOR * STEP)) * STEP
+                    low, high = bottom // (FACTOR * step) * step, -(-top // (FACTOR * step)) * step
                     pixel.append((floor + low, floor + high, obstacle))
-    return {key: [joined(upper.get(at, [])) for at in range(SIDE * SIDE)] for key, upper in level.items()}
+    out = {key: [joined(upper.get(at, [])) for at in range(SIDE * SIDE)] for key, upper in level.items()}
+    for key, columns in out.items():
+        if step == THIRD and 4 * sum(map(len, columns)) > below[key]:
+            out[key] = [joined(map(to_slices, spans)) for spans in columns]
+    return out
+
+
+def to_slices(span):
+    """Of a sparse page."""
+    bottom, top, obstacle = span
+    return bottom // SLICE * SLICE, -(-top // SLICE) * SLICE, obstacle
 
 
 def levels_of(head, pages):
@@ -83,7 +94,7 @@ def levels_of(head, pages):
     while len(pages) > 1 and any(index not in (0, -1) for key in pages for index in key) and number <= 16:
         if max(head.pixel_size, head.slice_height) * FACTOR**number > 1e6:
             return
-        pages = above(pages)
+        pages = above(pages, head.level_step)
         yield dict(sorted(pages.items(), key=lambda page: (column_of(*page[0][:2]), page[0][2])))
         number += 1
 
@@ -102,7 +113,7 @@ def check_levels(head, levels, pages, read_entries, read_columns):
         keys = [(entry.tx, entry.ty, entry.layer) for entry in entries]
         need(keys == list(wanted), "L5", f"pages of level {level.number}")
         for entry, key in zip(entries, keys):
-            columns = read_columns(entry, level.pages)
+            columns = read_columns(entry, level.pages, head.level_step)
             need(columns == wanted[key], "L5", f"page {key} of level {level.number} is not what the pages below make")
         shown.append({"pages": len(entries), "pixel_size": head.pixel_size * FACTOR**level.number})
     return shown

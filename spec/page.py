@@ -3,6 +3,7 @@
 SIDE = 64
 TOP = 16320
 SLICE = 255
+FIFTH, THIRD = SLICE // 5, SLICE // 3
 ONE = 1 << 32  # a quantum, in the unit of steps
 STEPS = 1 << 14
 
@@ -317,7 +318,7 @@ class Page:
     # Section 6.5: the one encoding. The symbols of a page are those of a writer, if blocks, steps and heights are
     # coded as a writer must; states and words follow from the symbols.
 
-    def check_encoding(self, slice_height, moved=0):
+    def check_encoding(self, slice_height, moved=0, level_step=None):
         for at, kind in enumerate(self.blocks):
             first = at // 8 * 8 * SIDE + at % 8 * 8
             pixels = [bool(self.columns[first + SIDE * y + x]) for y in range(8) for x in range(8)]
@@ -327,7 +328,8 @@ class Page:
         heights = [(end, height) for span in spans for end, height in enumerate((span.bottom, span.top))]
         mine = self.lattice.step, self.lattice.phase
         # Coarsened heights of archives before 1.3 are on none but the steps of scans.
-        lattices = [find_lattice(heights, slice_height, moved), find_lattice(heights, slice_height)]
+        lattices = [find_lattice(heights, slice_height, moved, level_step)]
+        lattices += [find_lattice(heights, slice_height)] if moved else []
         need(mine in lattices, "P10", f"step and phase are {mine}, should be {lattices[0]}")
         codes = (code for span in spans for code in span.codes)
         for (end, height), code in zip(heights, codes):
@@ -358,13 +360,15 @@ def read_runs(body):
     return runs, b"\1" + body[1 + content.at :]
 
 
-def find_lattice(heights, slice_height, moved=0):
-    """Step and phase that a writer uses, by the tolerance in quanta; without a slice height, in a page of a level."""
+def find_lattice(heights, slice_height, moved=0, level_step=None):
+    """Step and phase that a writer uses, by the tolerance in quanta; in a page of a level by its step."""
     heights = [(end, height) for end, height in heights if height % SLICE]
+    if level_step == THIRD:
+        return (THIRD if heights else SLICE) * ONE, 0
     if len(heights) < 32:
         return ONE, 0
-    if slice_height is None:
-        return fit(heights, [51 * ONE])
+    if level_step:
+        return fit(heights, [level_step * ONE])
     foot, us_foot = 0.3048, 1200
     units = [0.1, 0.1 * foot, 0.1 * us_foot / 3937, 0.01, 0.005, 0.01 * foot, 0.01 * us_foot / 3937, 0.002, 0.001]
     units += [0.0005, 0.001 * foot, 0.001 * us_foot / 3937, 0.00025, 0.0001]

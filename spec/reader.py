@@ -117,10 +117,10 @@ def read_span(entry, word):
 # Chapter 5: pages.
 
 
-def read_page(entry, data, slice_height, fills=False, moved=0):
-    """The page of an entry; without a slice height, of a level."""
+def read_page(entry, data, slice_height, fills=False, moved=0, level_step=None):
+    """The page of an entry; with the step of its heights, of a level."""
     magic, tx, ty, layer, body_len, crc = struct.unpack("<4siiiII", data[:LEADER_LEN])
-    need(magic == (LEVEL_MAGIC if slice_height is None else PAGE_MAGIC), "P1", "a page does not begin as one")
+    need(magic == (LEVEL_MAGIC if level_step else PAGE_MAGIC), "P1", "a page does not begin as one")
     need(body_len == len(data) - LEADER_LEN, "P1", f"a body of {body_len} bytes, not {len(data) - LEADER_LEN}")
     right = crc32c(data[:20] + data[LEADER_LEN:])
     need(crc == right == entry.crc, "P2", f"the checksum of a page is {right:#x}, not {crc:#x} and {entry.crc:#x}")
@@ -138,7 +138,7 @@ def read_page(entry, data, slice_height, fills=False, moved=0):
     need(mask == entry.mask, "P9", f"slices {mask:#x}, not {entry.mask:#x}")
     size = size_of(page.columns)
     need(size == (entry.blocks, entry.words), "P11", f"{size} blocks and words, not {(entry.blocks, entry.words)}")
-    page.check_encoding(slice_height, moved)
+    page.check_encoding(slice_height, moved, level_step)
     return page
 
 
@@ -373,11 +373,11 @@ def read_archive(data):
     return content
 
 
-def level_columns(entry, pages):
+def level_columns(entry, pages, step):
     """What a page of a level holds, checked."""
     if entry.span:
         return [[entry.span]] * (SIDE * SIDE)
-    page = read_page(entry, pages[entry.offset : entry.offset + entry.length], None)
+    page = read_page(entry, pages[entry.offset : entry.offset + entry.length], None, level_step=step)
     return [[(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns]
 
 

@@ -14,6 +14,7 @@ use slicewalk::archive::{
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, Sight, cast, cast_far, overlaps};
 use slicewalk::slice::Span;
 use slicewalk::store::{Loader, LoaderOptions, Next, Prefetch, Store, Stream, StreamOptions, Time};
+use std::collections::BTreeSet;
 use std::fs;
 
 /// Floors and walls in pages near and far; most are alike.
@@ -105,6 +106,27 @@ fn a_box_that_hits_in_the_archive_hits_in_every_level() {
         }
     }
     assert!(hits > 200 && clear > 2000, "{hits} hits, {clear} clear in level 1 too");
+}
+
+#[test]
+fn heights_of_levels_lie_on_thirds_of_slices_and_of_sparse_pages_on_slices() {
+    let heights = |every: usize| {
+        let pixels = (0..4096).step_by(every);
+        let content =
+            page(pixels.map(|at| ((at % 64, at / 64), vec![Span::new(400 + at % 7, 410 + at % 5, false).unwrap()])));
+        let bytes = with_levels([key(0, 0, 0), key(4, 0, 0)].map(|key| (key, content.clone())).into());
+        assert_eq!(rules(bytes.clone()), [""; 0]);
+        let pages = pages_of(&Archive::from_bytes(bytes).unwrap().level(1).unwrap());
+        let spans: Vec<Span> =
+            pages.values().flat_map(|page| page.columns()).flat_map(|(_, _, spans)| spans.to_vec()).collect();
+        let ends: BTreeSet<(u32, u32)> = spans.iter().map(|span| (span.bottom(), span.top())).collect();
+        (spans.len(), ends)
+    };
+    // Heights of the level are a fourth of those below: 100 to 104 there.
+    assert_eq!(heights(1), (512, BTreeSet::from([(85, 170)])));
+    // Every fourth pixel: four spans become one. Every fifth: fewer.
+    assert_eq!(heights(4), (512, BTreeSet::from([(85, 170)])));
+    assert_eq!(heights(5), (512, BTreeSet::from([(0, 255)])));
 }
 
 #[test]
@@ -259,8 +281,11 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
     far.insert(key(4000, 0, 0), far.values().next().unwrap().clone());
     assert!(rules(with_levels_of(city(), far.clone())).contains(&"L5"));
     assert!(rules(with_levels_of(far, city())).contains(&"L5"));
-    // Numbers in the head.
+    // Heights on other steps than the head says.
     let parts = Parts::of(&with_levels(city()));
+    assert_eq!(word(&parts.head, 24), 0b101);
+    assert!(rules(parts.build(|head| put(head, 24, 0b001, 8))).contains(&"P10"));
+    // Numbers in the head.
     for (at, value, len, rule) in [
         (325, 2, 1, "L3"),
         (325, 17, 1, "L1"),

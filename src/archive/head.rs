@@ -6,7 +6,7 @@ use super::FORMAT_VERSION;
 use super::colours::ColourHead;
 use super::levels::{Levels, MAX_LEVELS, MAX_STORED_TABLE};
 use crate::bytes::crc;
-use crate::codec::{ByteReader, Violation};
+use crate::codec::{ByteReader, LevelSteps, Violation};
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
@@ -20,7 +20,7 @@ pub(super) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
 pub(super) fn needs(plan: &Plan, levels: bool, colours: bool) -> (u16, u64) {
     let fills = plan.options.fill_holes > 0;
     let needed = [
-        (levels, LEVELS_MINOR),
+        (levels, LEVEL_THIRDS_MINOR),
         (fills, INFERRED_MINOR),
         (plan.tolerance_quanta() > 0, STEPS_MINOR),
         (colours, COLOURS_MINOR),
@@ -52,6 +52,10 @@ const FILE_LEN: std::ops::Range<usize> = 32..40;
 pub(super) const LEVELS: u64 = 1;
 /// Minor version from which the head tells of levels.
 const LEVELS_MINOR: u16 = 1;
+/// Bit of `features_optional`: heights of levels lie on coarser steps.
+pub(super) const LEVEL_THIRDS: u64 = 4;
+/// Minor version from which they may.
+const LEVEL_THIRDS_MINOR: u16 = 4;
 /// Bit of `features_required`: holes were filled, so pages may hold inferred matter.
 pub(super) const INFERRED: u64 = 1;
 /// Minor version from which there is inferred matter.
@@ -198,6 +202,12 @@ impl Header {
             return Err(Error::limit(what, repeats, most));
         }
         Ok(())
+    }
+
+    /// Steps that heights of the overview levels lie on.
+    pub(super) fn level_steps(&self) -> LevelSteps {
+        let has_thirds = self.version.1 >= LEVEL_THIRDS_MINOR && self.features_optional & LEVEL_THIRDS != 0;
+        if has_thirds { LevelSteps::Thirds } else { LevelSteps::Fifths }
     }
 
     /// Offset of the pages (bytes).

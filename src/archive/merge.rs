@@ -13,7 +13,7 @@ use super::page::{EncodedPage, PageDecoder};
 use super::reader::Archive;
 use super::shard::{InputRead, Shard};
 use super::writer::{ArchiveWriter, Totals};
-use crate::bytes::{ByteSource, FileSource};
+use crate::bytes::open_named;
 use crate::output::Existing;
 use crate::plan::Noise;
 use crate::text::ranges;
@@ -300,7 +300,7 @@ fn same_inputs(parts: &[OpenShard<'_>]) -> Result<()> {
 }
 
 fn same_bytes(a: &OpenShard<'_>, b: &OpenShard<'_>) -> Result<bool> {
-    let (a, b) = (FileSource::open(a.path)?, FileSource::open(b.path)?);
+    let (a, b) = (open_named(a.path)?, open_named(b.path)?);
     if a.len() != b.len() {
         return Ok(false);
     }

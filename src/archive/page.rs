@@ -3,10 +3,10 @@
 use super::colours::EncodedColours;
 use super::directory::{Extent, PageEntry, Storage, key_in_grid};
 use super::head::hex;
-use super::levels::{CoarseSpan, coarse};
+use super::levels::{CoarseSpan, LEVEL_STEPS, coarse};
 use crate::Result;
 use crate::bytes::crc;
-use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
+use crate::codec::{Decoder, Encoder, LevelSteps, MAX_BODY, Violation};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
 use crate::plan::Plan;
 use crate::slice::{Inferred, Page, PageBounds, PageBuilder, PageSize, Span};
@@ -85,7 +85,7 @@ impl EncodedPage {
             bounds: page.bounds(),
             voxels: page.voxel_counts(),
             inferred: inferred.voxel_count(page),
-            coarse: levels.then(|| coarse(page).into()),
+            coarse: levels.then(|| coarse(page, LEVEL_STEPS).into()),
             colours: EncodedColours::default(),
         }
     }
@@ -168,8 +168,8 @@ impl PageEncoder {
     }
 
     /// An encoder for pages of overview levels.
-    pub(super) fn of_levels() -> Self {
-        Self { encoder: Encoder::of_levels(), magic: LEVEL_MAGIC, levels: false, body: Vec::new() }
+    pub(super) fn of_levels(steps: LevelSteps) -> Self {
+        Self { encoder: Encoder::of_levels(steps), magic: LEVEL_MAGIC, levels: false, body: Vec::new() }
     }
 
     /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds (rule P10).

@@ -8,7 +8,7 @@ use super::metadata::Metadata;
 use super::opening::{Opened, Opening};
 use super::page::PageDecoder;
 use super::shard::Shard;
-use crate::bytes::{ByteSource, FileSource, MapSource, MemorySource};
+use crate::bytes::{ByteSource, MapSource, MemorySource, open_named};
 use crate::frame::{Frame, PageKey};
 use crate::plan::{Noise, Plan};
 use crate::slice::{Inferred, Page};
@@ -30,9 +30,9 @@ pub struct Archive {
 
 impl Archive {
     /// Opens the archive at `path`, to be read by position: a file that is cut later gives errors. Two reads.
+    /// With the feature `remote` the path may be an address, as for [`RemoteSource`](crate::bytes::RemoteSource).
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        let source = FileSource::open(&path)?;
-        Self::from_source(Box::new(source)).map_err(|error| name_stranger(path.as_ref(), error))
+        Self::from_source(open_named(path.as_ref())?).map_err(|error| name_stranger(path.as_ref(), error))
     }
 
     /// Opens the archive at `path` mapped into memory. Condition, as for [`MapSource`]: nobody may write to or cut the

@@ -371,7 +371,7 @@ impl Pass<'_> {
             return Some(spans.clone());
         }
         let page = self.archive.page_with(entry, &mut self.decoder).ok()?;
-        Some(self.keep_coarse(content, coarse(&page)))
+        Some(self.keep_coarse(content, coarse(&page, self.archive.header().level_steps())))
     }
 
     fn keep_coarse(&mut self, content: Content, spans: Vec<CoarseSpan>) -> Arc<[CoarseSpan]> {
@@ -459,7 +459,9 @@ impl Pass<'_> {
         let start = self.read_ahead(extent)?;
         let bytes = &self.chunk.1[start..start + extent.len as usize];
         let (decoder, encoder) = (&mut self.decoder, &mut self.encoder);
-        let (wanted, fills) = (self.levels.is_some(), self.archive.plan().options.fill_holes > 0);
+        let header = self.archive.header();
+        let (wanted, fills) = (self.levels.is_some(), header.plan.options.fill_holes > 0);
+        let steps = header.level_steps();
         let mut spans = Vec::new();
         let mut check = || {
             check_key(entry, check_leader(extent, bytes)?)?;
@@ -472,7 +474,7 @@ impl Pass<'_> {
                 return Err(Violation::new("P10", "the one encoding of its content", "another"));
             }
             if wanted {
-                spans = coarse(&page);
+                spans = coarse(&page, steps);
             }
             Facts::of(&page, decoder.inferred()).ok_or_else(|| Violation::new("P6", "matter in some pixel", "none"))
         };

@@ -166,7 +166,7 @@ impl ArchiveWriter {
         debug_assert!(self.last.is_none(), "levels are of all pages");
         self.levels = Some(LevelWriter::new(&self.plan.frame, self.output.files(), self.output.beside()));
         self.counts.version.1 = head::needs(&self.plan, true, self.colours.is_some()).0;
-        self.counts.features_optional |= head::LEVELS;
+        self.counts.features_optional |= head::LEVELS | head::LEVEL_THIRDS;
     }
 
     /// Gives the archive colours of `plan`: before its first page.

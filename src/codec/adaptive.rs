@@ -6,11 +6,11 @@
 //! neighbours in the west, north-west, north and north-east say chooses the model that codes a value: where they agree,
 //! little is left to say.
 
-use super::lattice::{End, Lattice};
+use super::lattice::{End, HeightsOf, Lattice};
 use super::loose::Tried;
 use super::rans::{Bit, COST_BIT, Coder, Nibble, RansDecoder, RansEncoder};
 use super::{MAX_PAGE_SPANS, Violation};
-use crate::frame::{Frame, PAGE_QUANTA, SLICE_QUANTA};
+use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::slice::{BLOCK_PIXELS, Page, PageBuilder, Span};
 
 pub(super) const PIXELS: usize = 64 * 64;
@@ -555,19 +555,19 @@ pub(super) fn walk<'a, C: Coder>(
     Ok(traversal.coder)
 }
 
-pub(super) fn lattice_of(frame: Option<&Frame>, steps: &[u64], page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
+pub(super) fn lattice_of(of: &HeightsOf, steps: &[u64], page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
     heights.clear();
     for spans in page.spans_of_blocks() {
         heights.extend(spans.iter().flat_map(|span| [(span.bottom(), End::Bottom), (span.top(), End::Top)]));
     }
     // Heights on slice boundaries may be those of cuts, and say nothing.
     heights.retain(|(height, _)| height % SLICE != 0);
-    Lattice::find(frame, steps, heights).unwrap_or(Lattice::QUANTA)
+    Lattice::find(of, steps, heights).unwrap_or(Lattice::QUANTA)
 }
 
 /// Appends the encoding of `page`, at most [`MAX_LEN`] bytes; `steps` (1/2³² quantum) are looked for first.
-pub fn encode(frame: Option<&Frame>, steps: &[u64], page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
-    let lattice = lattice_of(frame, steps, page, &mut scratch.heights);
+pub fn encode(of: &HeightsOf, steps: &[u64], page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+    let lattice = lattice_of(of, steps, page, &mut scratch.heights);
     let mut encoder = std::mem::take(&mut scratch.encoder);
     encoder.clear();
     code_lattice(&mut encoder, lattice);
@@ -594,21 +594,21 @@ pub(super) fn choose<'a>(given: impl Given<'a>, tried: &mut Tried, scratch: &mut
 
 /// Appends the encoding of `page`, which has just been chosen as `tried`, as [`encode`] does.
 pub(super) fn encode_chosen(
-    frame: Option<&Frame>,
+    of: &HeightsOf,
     steps: &[u64],
     page: &Page,
     tried: &mut Tried,
     scratch: &mut Scratch,
     out: &mut Vec<u8>,
 ) {
-    let found = lattice_of(frame, steps, page, &mut scratch.heights);
+    let found = lattice_of(of, steps, page, &mut scratch.heights);
     // Found in the heights, a phase may differ a little from the one they were chosen on.
     let borders = (0..=PAGE_QUANTA as u32).step_by(SLICE as usize).flat_map(|at| [(at, End::Bottom), (at, End::Top)]);
     let mut heights = scratch.heights.iter().copied().chain(borders);
     let step = |lattice: &Lattice, height, end| (lattice.index(height, end), lattice.at_or_above(height));
     let is_same = |(height, end)| step(&found, height, end) == step(&tried.lattice, height, end);
     if !(found.is_like(&tried.lattice) || found.step == tried.lattice.step && heights.all(is_same)) {
-        return encode(frame, steps, page, scratch, out);
+        return encode(of, steps, page, scratch, out);
     }
     let mut head = RansEncoder::default();
     code_lattice(&mut head, found);
@@ -645,6 +645,7 @@ pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut PageBuilder) -> 
 pub(crate) mod tests {
     use super::*;
     use crate::codec::{Decoder, Encoder, MAX_BODY};
+    use crate::frame::Frame;
     use proptest::prelude::*;
     use std::collections::BTreeMap;
 

@@ -83,10 +83,53 @@ fn steps_for(luma: u8) -> [u8; 3] {
     [luma, ((n * 9 + 4) / 8).max(1) as u8, ((n * 5 + 4) / 8).max(1) as u8]
 }
 
-/// `value / step`, rounded to the nearest.
+/// Division by a number that is known early: a multiplication. Exact for quotients of numbers below 2¹⁷ by ones below 2¹⁵.
+#[derive(Debug, Clone, Copy, Default)]
+struct Divisor {
+    half: u32,
+    reciprocal: u64,
+}
+
+impl Divisor {
+    const fn new(divisor: u32) -> Self {
+        Self { half: divisor / 2, reciprocal: (1 << 32) / divisor as u64 + 1 }
+    }
+
+    /// `value / divisor`, rounded down.
+    #[inline]
+    fn floor(self, value: u32) -> i32 {
+        ((u64::from(value) * self.reciprocal) >> 32) as i32
+    }
+
+    /// `value / divisor`, rounded to the nearest, halves away from zero.
+    #[inline]
+    fn nearest(self, value: i32) -> i16 {
+        let found = self.floor(value.unsigned_abs() + self.half);
+        (if value < 0 { -found } else { found }) as i16
+    }
+}
+
+/// Divisors by twice a weight of neighbours.
+const BY_WEIGHT: [Divisor; 16] = {
+    let mut all = [Divisor { half: 0, reciprocal: 0 }; 16];
+    let mut weight = 1;
+    while weight <= MOST_WEIGHT {
+        all[weight] = Divisor::new(2 * weight as u32);
+        weight += 1;
+    }
+    all
+};
+/// Greatest sum of the weights of neighbours.
+const MOST_WEIGHT: usize = 3 + 3 + 3 + 1 + 2;
+const _: () = assert!(MOST_WEIGHT < 16);
+
+/// `sum / weight`, rounded to the nearest, halves up.
 #[inline]
-fn nearest(value: i32, step: i32) -> i16 {
-    ((value.abs() + step / 2) / step * value.signum()) as i16
+fn mean(sum: i32, weight: i32) -> i32 {
+    // Moved above zero by whole quotients.
+    const ABOVE: i32 = 1 << 9;
+    let above = (2 * sum + weight + 2 * weight * ABOVE) as u32;
+    BY_WEIGHT[weight as usize & 15].floor(above) - ABOVE
 }
 
 /// The 8-bit colour of luma and differences.
@@ -108,16 +151,28 @@ fn ycocg([r, g, b]: [u8; 3]) -> [i32; 3] {
     [t + (cg >> 1), co, cg]
 }
 
-/// Quantises one 16-bit colour.
-#[inline]
-fn quantised(colour: [u16; 3], steps: [u8; 3]) -> [i16; 3] {
-    if steps == [1; 3] {
-        return ycocg(colour.map(to_8_bits)).map(|value| value as i16);
+/// Quantises 16-bit colours.
+#[derive(Debug, Clone, Copy)]
+struct Quantiser {
+    steps: [u8; 3],
+    divisors: [Divisor; 3],
+}
+
+impl Quantiser {
+    fn new(steps: [u8; 3]) -> Self {
+        Self { steps, divisors: steps.map(|step| Divisor::new(257 * u32::from(step))) }
     }
-    // The same in 257ths, of which no halves are lost.
-    let [r, g, b] = colour.map(i32::from);
-    let all = [(r + 2 * g + b + 2) / 4, r - b, g - (r + b) / 2];
-    std::array::from_fn(|at| nearest(all[at], 257 * i32::from(steps[at])))
+
+    #[inline]
+    fn of(&self, colour: [u16; 3]) -> [i16; 3] {
+        if self.steps == [1; 3] {
+            return ycocg(colour.map(to_8_bits)).map(|value| value as i16);
+        }
+        // The same in 257ths, of which no halves are lost.
+        let [r, g, b] = colour.map(i32::from);
+        let all = [(r + 2 * g + b + 2) / 4, r - b, g - (r + b) / 2];
+        [0, 1, 2].map(|at| self.divisors[at].nearest(all[at]))
+    }
 }
 
 /// The colour of numbers of steps.
@@ -140,9 +195,10 @@ impl ColourBlock {
         let most = f64::from(error_milli) / 1000.0 * exact.len() as f64;
         let fits = |luma: u8| {
             let steps = steps_for(luma);
+            let quantiser = Quantiser::new(steps);
             let mut sum = 0.0;
             for &(colour, lab) in &exact {
-                let found = table.of_8_bits(restored(quantised(colour, steps), steps));
+                let found = table.of_8_bits(restored(quantiser.of(colour), steps));
                 sum += f64::from(difference(found, lab));
                 // It only grows.
                 if sum > most {
@@ -158,7 +214,8 @@ impl ColourBlock {
             if fits(middle) { low = middle } else { high = middle - 1 }
         }
         let steps = steps_for(low);
-        let value = |colour: &Option<[u16; 3]>| colour.map_or([ABSENT, 0, 0], |colour| quantised(colour, steps));
+        let quantiser = Quantiser::new(steps);
+        let value = |colour: &Option<[u16; 3]>| colour.map_or([ABSENT, 0, 0], |colour| quantiser.of(colour));
         Some(Self { steps, values: colours.iter().map(value).collect() })
     }
 
@@ -318,7 +375,7 @@ fn walk<C: Coder>(occupancy: &Occupancy, steps: [u8; 3], values: &mut [[i16; 3]]
             let mut coded = value;
             let mut before = 0;
             for channel in 0..3 {
-                let expected = (2 * near.sum[channel] + near.weight).div_euclid(2 * near.weight);
+                let expected = mean(near.sum[channel], near.weight);
                 let spread = match near.count {
                     0 => 7,
                     1 => 5,
@@ -381,6 +438,30 @@ mod tests {
             }
         }
         sum / count
+    }
+
+    #[test]
+    fn multiplications_divide_exactly() {
+        for step in 1..=MOST_STEP {
+            for step in steps_for(step) {
+                let (divisor, step) = (257 * i32::from(step), u32::from(step));
+                let by = Divisor::new(257 * step);
+                // Around all multiples of halves, where quotients change.
+                for half in (0..=65_535 / divisor * 2 + 1).map(|n| n * divisor / 2) {
+                    for value in
+                        [half - 1, half, half + 1].into_iter().flat_map(|v| [v, -v]).filter(|v| v.abs() <= 65_535)
+                    {
+                        let expected = (value.abs() + divisor / 2) / divisor * value.signum();
+                        assert_eq!(i32::from(by.nearest(value)), expected, "{value} / {divisor}");
+                    }
+                }
+            }
+        }
+        for weight in 1..=MOST_WEIGHT as i32 {
+            for sum in -255 * weight..=255 * weight {
+                assert_eq!(mean(sum, weight), (2 * sum + weight).div_euclid(2 * weight), "{sum} / {weight}");
+            }
+        }
     }
 
     fn code(block: &mut ColourBlock, occupancy: &Occupancy) -> Vec<u8> {

@@ -31,8 +31,33 @@ const STEPS_M: [f64; 14] = [
     0.0001,
 ];
 
-/// Step of heights in pages of overview levels (quanta): a fifth of a slice.
-pub const LEVEL_STEP: u64 = 51;
+/// Steps that heights of overview levels lie on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LevelSteps {
+    /// Fifths of a slice, as before version 1.4. Pages of few heights do not say so.
+    Fifths,
+    /// Thirds of a slice; in a page that has none between slices, slices.
+    Thirds,
+}
+
+impl LevelSteps {
+    /// Height of a step (quanta).
+    pub const fn quanta(self) -> u32 {
+        match self {
+            Self::Fifths => SLICE_QUANTA as u32 / 5,
+            Self::Thirds => SLICE_QUANTA as u32 / 3,
+        }
+    }
+}
+
+/// What heights of a page are, and with that the steps that they may lie on.
+#[derive(Debug, Clone, Copy)]
+pub enum HeightsOf {
+    /// Of a scan on this grid.
+    Scan(Frame),
+    /// Of an overview level.
+    Level(LevelSteps),
+}
 
 /// Equally spaced heights above a page's floor: step `index` lies at `phase + index · step`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -114,9 +139,13 @@ impl Lattice {
         })
     }
 
-    /// The lattice of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page on the grid `frame` lie, else
-    /// the coarsest of those that scans have; without a grid, of a page of an overview level.
-    pub fn find(frame: Option<&Frame>, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
+    /// The lattice of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page lie, else the coarsest of those
+    /// that scans have; of a page of an overview level, that of the level.
+    pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
+        if let HeightsOf::Level(LevelSteps::Thirds) = of {
+            let step = if heights.is_empty() { SLICE_QUANTA as u32 } else { LevelSteps::Thirds.quanta() };
+            return Self::new(u64::from(step) << FRACTION_BITS, 0);
+        }
         if heights.len() < LEAST_HEIGHTS {
             return None;
         }
@@ -127,8 +156,10 @@ impl Lattice {
         if let Some(found) = steps.iter().find_map(|&step| with_step(step)) {
             return Some(found);
         }
-        let Some(frame) = frame else { return with_step(LEVEL_STEP * ONE as u64) };
-        Self::steps_of_scans(frame).find_map(with_step)
+        match of {
+            HeightsOf::Scan(frame) => Self::steps_of_scans(frame).find_map(with_step),
+            HeightsOf::Level(steps) => with_step(u64::from(steps.quanta()) << FRACTION_BITS),
+        }
     }
 
     /// Steps that scans have on this grid (1/2³² quantum), coarse to fine; some are out of the limits of a lattice.
@@ -185,7 +216,7 @@ mod tests {
             let points: Vec<f64> = steps.iter().map(|&n| offset + f64::from(n % count) * step).collect();
             let floor = frame.quantum_floor(offset) - 3;
             let heights = heights(&frame, &points, floor);
-            let lattice = Lattice::find(Some(&frame), &[], &heights).expect("a lattice");
+            let lattice = Lattice::find(&HeightsOf::Scan(frame), &[], &heights).expect("a lattice");
             for &(height, end) in &heights {
                 let (index, off) = lattice.index(height, end).expect("a step");
                 prop_assert_eq!(lattice.usual(index, end) + off, height as i32);
@@ -223,7 +254,7 @@ mod tests {
             let points: Vec<_> = points.into_iter().filter(on_page).collect();
             let mut heights = heights(&frame, &points, floor);
             heights.retain(|(height, _)| height % SLICE_QUANTA as u32 != 0);
-            let Some(lattice) = Lattice::find(Some(&frame), &[], &heights) else { continue };
+            let Some(lattice) = Lattice::find(&HeightsOf::Scan(frame), &[], &heights) else { continue };
             found += 1;
             for &(height, end) in &heights {
                 assert!(lattice.index(height, end).is_some(), "{height} {end:?} of {pixel_m} m in layer {layer}");
@@ -241,7 +272,7 @@ mod tests {
         };
         let heights: Vec<_> = (0..200).map(|_| (next(), End::Bottom)).collect();
         let frame = Frame::new(0.05, 0.15).unwrap();
-        assert_eq!(Lattice::find(Some(&frame), &[], &heights), None);
-        assert_eq!(Lattice::find(Some(&frame), &[], &heights[..5]), None);
+        assert_eq!(Lattice::find(&HeightsOf::Scan(frame), &[], &heights), None);
+        assert_eq!(Lattice::find(&HeightsOf::Scan(frame), &[], &heights[..5]), None);
     }
 }

@@ -22,10 +22,12 @@ pub(crate) use bytes::{ByteReader, unzigzag, zigzag};
 pub use colours::{ColourBlock, ColourEncoder, MAX_COLOUR_BLOCK};
 #[doc(hidden)]
 pub use compress::{Packer, Unpacker};
+pub use lattice::LevelSteps;
 
 use crate::Error;
 use crate::frame::Frame;
 use crate::slice::{Inferred, Page, PageBuilder, Span};
+use lattice::HeightsOf;
 
 /// Most spans that a page can hold: 64 in each of its 4,096 pixels.
 pub const MAX_PAGE_SPANS: usize = 64 * 64 * 64;
@@ -67,8 +69,7 @@ const MARKED: u8 = 2;
 /// Encodes pages; keeps its scratch, so that a page costs no allocation.
 #[derive(Debug)]
 pub struct Encoder {
-    /// `None` for pages of levels.
-    frame: Option<Frame>,
+    of: HeightsOf,
     /// How far heights may be moved (quanta), and the steps that they may have been put on then.
     tolerance: u32,
     steps: Vec<u64>,
@@ -80,13 +81,18 @@ pub struct Encoder {
 impl Encoder {
     /// An encoder for pages of an archive with this grid and heights coarsened by up to `tolerance` (quanta).
     pub fn new(frame: Frame, tolerance: u32) -> Self {
-        Self { frame: Some(frame), tolerance, steps: loose::all_steps(&frame, tolerance), ..Self::of_levels() }
+        let steps = loose::all_steps(&frame, tolerance);
+        Self { tolerance, steps, ..Self::with(HeightsOf::Scan(frame)) }
     }
 
     /// An encoder for pages of overview levels.
-    pub fn of_levels() -> Self {
+    pub fn of_levels(steps: LevelSteps) -> Self {
+        Self::with(HeightsOf::Level(steps))
+    }
+
+    fn with(of: HeightsOf) -> Self {
         Self {
-            frame: None,
+            of,
             tolerance: 0,
             steps: Vec::new(),
             adaptive: Default::default(),
@@ -99,19 +105,19 @@ impl Encoder {
     /// encodings, whatever was encoded before.
     pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
         out.push(ADAPTIVE);
-        adaptive::encode(self.frame.as_ref(), &self.steps, page, &mut self.adaptive, out);
+        adaptive::encode(&self.of, &self.steps, page, &mut self.adaptive, out);
     }
 
     /// As [`encode`](Self::encode), of a page some of whose spans are inferred.
     pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
         put_model(page, inferred, out);
-        adaptive::encode(self.frame.as_ref(), &self.steps, page, &mut self.adaptive, out);
+        adaptive::encode(&self.of, &self.steps, page, &mut self.adaptive, out);
     }
 
     /// As [`encode_inferred`](Self::encode_inferred), as archives before version 1.3 have it: heights on none but the steps of scans.
     pub fn encode_as_before(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
         put_model(page, inferred, out);
-        adaptive::encode(self.frame.as_ref(), &[], page, &mut self.adaptive, out);
+        adaptive::encode(&self.of, &[], page, &mut self.adaptive, out);
     }
 
     /// Whether [`encode_as_before`](Self::encode_as_before) may differ.
@@ -123,11 +129,11 @@ impl Encoder {
     /// returned: bottoms are up to the tolerance lower, tops as much higher. Spans of one kind between which that leaves no gap
     /// become one, but in pages with inferred ones.
     pub fn encode_loose(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) -> Page {
-        let Self { frame, tolerance, steps, adaptive, loose, builder } = self;
+        let Self { of, tolerance, steps, adaptive, loose, builder } = self;
         let wanted = (page, *tolerance, inferred.is_empty());
-        let (page, tried) = loose.simplify(frame.as_ref(), wanted, adaptive, builder);
+        let (page, tried) = loose.simplify(of, wanted, adaptive, builder);
         put_model(&page, inferred, out);
-        adaptive::encode_chosen(frame.as_ref(), steps, &page, tried, adaptive, out);
+        adaptive::encode_chosen(of, steps, &page, tried, adaptive, out);
         page
     }
 }

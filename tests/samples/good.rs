@@ -39,6 +39,7 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("newer-minor-version", newer()),
         ("holes", holes()),
         ("levels", archive_with_levels(&plan(), &(city(), totals()), None)),
+        ("levels-1.1", include_bytes!("levels-1.1.bin").to_vec()),
         ("colours", archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)),
         ("colours-exact", archive_with_colours(&two_pixels(), ColourScale::of_rgb(65_535), 0, false)),
         ("levels-of-one-page", archive_with_levels(&plan(), &two_pixels(), None)),

@@ -5,8 +5,9 @@
 //! follow each other in the order of pages, so a level holds one column of its own and gives it away when the next one begins.
 //! Memory: 2 MiB of spans for each of at most 16 levels; what does not fit is sorted in a temporary file.
 
-use super::coarse::{CoarseSpan, above, coarse};
+use super::coarse::{CoarseSpan, above, coarse, is_sparse, on_slices};
 use crate::Result;
+use crate::codec::LevelSteps;
 use crate::disk::{Files, Temporary};
 use crate::frame::{Frame, PageKey};
 use crate::slice::{Page, PageBuilder, Span};
@@ -20,7 +21,7 @@ pub const MAX_LEVELS: usize = 16;
 const KEPT: usize = 1 << 17;
 /// Spans of a sorted run read at once.
 const PIECE: usize = 128;
-const RECORD: usize = 10;
+const RECORD: usize = 12;
 const OBSTACLE: u16 = 1 << 15;
 
 /// Takes a page of the level with this number, less 1.
@@ -36,6 +37,7 @@ pub struct LevelBuilder {
     files: Files,
     beside: Option<PathBuf>,
     builder: PageBuilder,
+    steps: LevelSteps,
 }
 
 /// A level and what it takes to tell whether there is one.
@@ -57,8 +59,9 @@ impl Growing {
 }
 
 impl LevelBuilder {
-    /// No levels yet, over pages on the grid `frame`; temporary files lie beside `target`, or where the system has them.
-    pub fn new(frame: &Frame, files: &Files, target: Option<&Path>) -> Self {
+    /// No levels yet, over pages on the grid `frame`, with heights on `steps`; temporary files lie beside `target`, or where the system
+    /// has them.
+    pub fn new(frame: &Frame, steps: LevelSteps, files: &Files, target: Option<&Path>) -> Self {
         let most = (1..=MAX_LEVELS as u32).take_while(|&number| frame.coarser(number).is_some()).count();
         Self {
             levels: Vec::new(),
@@ -66,6 +69,7 @@ impl LevelBuilder {
             files: files.clone(),
             beside: target.map(Path::to_path_buf),
             builder: PageBuilder::default(),
+            steps,
         }
     }
 
@@ -112,7 +116,9 @@ impl LevelBuilder {
         let level = &mut self.levels[at];
         let Some(column) = level.column.take() else { return Ok(()) };
         let mut spans = std::mem::take(&mut level.spans);
-        let mut pages = Pages { builder: std::mem::take(&mut self.builder), layer: None, pixel: 0, spans: Vec::new() };
+        let steps = self.steps;
+        let builder = std::mem::take(&mut self.builder);
+        let mut pages = Pages { builder, steps, layer: None, pixel: 0, below: 0, spans: Vec::new() };
         spans.drain(|record| match pages.take(record) {
             Some((layer, page)) => self.give_page(at, PageKey::from_column(column, layer), page, give),
             None => Ok(()),
@@ -125,7 +131,7 @@ impl LevelBuilder {
     }
 
     fn give_page(&mut self, at: usize, key: PageKey, page: Page, give: &mut Give<'_>) -> Result<()> {
-        let spans = coarse(&page);
+        let spans = coarse(&page, self.steps);
         let level = &mut self.levels[at];
         if level.exists() {
             for (key, page) in level.held.drain(..) {
@@ -146,6 +152,8 @@ struct Record {
     place: u64,
     /// Top, and above it whether the span is an obstacle.
     top: u16,
+    /// Spans of the level below that became this one.
+    joined: u16,
 }
 
 impl Record {
@@ -153,7 +161,7 @@ impl Record {
         let (pixel, bottom, top) = span.place(below);
         let layer = above(below).layer as u32 ^ 1 << 31;
         let place = u64::from(layer) << 32 | u64::from(pixel) << 16 | u64::from(bottom);
-        Self { place, top: top as u16 | if span.is_obstacle() { OBSTACLE } else { 0 } }
+        Self { place, top: top as u16 | if span.is_obstacle() { OBSTACLE } else { 0 }, joined: span.joined() }
     }
 
     fn layer(&self) -> i32 {
@@ -167,20 +175,25 @@ impl Record {
     fn to_bytes(self) -> [u8; RECORD] {
         let mut bytes = [0; RECORD];
         bytes[..8].copy_from_slice(&self.place.to_le_bytes());
-        bytes[8..].copy_from_slice(&self.top.to_le_bytes());
+        bytes[8..10].copy_from_slice(&self.top.to_le_bytes());
+        bytes[10..].copy_from_slice(&self.joined.to_le_bytes());
         bytes
     }
 
-    fn of_bytes(&[a, b, c, d, e, f, g, h, i, j]: &[u8; RECORD]) -> Self {
-        Self { place: u64::from_le_bytes([a, b, c, d, e, f, g, h]), top: u16::from_le_bytes([i, j]) }
+    fn of_bytes(&[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; RECORD]) -> Self {
+        let place = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
+        Self { place, top: u16::from_le_bytes([i, j]), joined: u16::from_le_bytes([k, l]) }
     }
 }
 
 /// Makes pages of records in their order.
 struct Pages {
     builder: PageBuilder,
+    steps: LevelSteps,
     layer: Option<i32>,
     pixel: u32,
+    /// Spans of the level below that the page in work joins.
+    below: u64,
     spans: Vec<Span>,
 }
 
@@ -193,6 +206,7 @@ impl Pages {
             self.end_pixel();
         }
         (self.layer, self.pixel) = (Some(layer), pixel);
+        self.below += u64::from(record.joined);
         let (bottom, top) = (record.place as u32 & 0xFFFF, u32::from(record.top & !OBSTACLE));
         let obstacle = record.top & OBSTACLE != 0;
         // Of two pages below, one above the other.
@@ -218,7 +232,15 @@ impl Pages {
     /// The page in work.
     fn finish(&mut self) -> Option<(i32, Page)> {
         self.end_pixel();
-        let page = self.layer.take().map(|layer| (layer, self.builder.build()));
+        let layer = self.layer.take();
+        let page = layer.map(|layer| (layer, self.builder.build()));
+        let below = std::mem::take(&mut self.below);
+        let page = page.map(|(layer, page)| match self.steps {
+            LevelSteps::Thirds if is_sparse(page.span_count() as u64, below) => {
+                (layer, on_slices(&page, &mut self.builder))
+            }
+            _ => (layer, page),
+        });
         self.builder.clear();
         page
     }
@@ -267,17 +289,17 @@ impl Sorter {
             starts.zip(&self.runs).map(|(at, &end)| Run { file: &file, at, end, read: Vec::new() }).collect();
         let mut heads = BinaryHeap::new();
         for (number, run) in runs.iter_mut().enumerate() {
-            heads.extend(run.next()?.map(|record| Reverse((record.place, number, record.top))));
+            heads.extend(run.next()?.map(|record| Reverse((record.place, number, record.top, record.joined))));
         }
         let mut kept = self.records.drain(..).peekable();
-        while let Some(&Reverse((place, number, top))) = heads.peek() {
+        while let Some(&Reverse((place, number, top, joined))) = heads.peek() {
             if let Some(record) = kept.next_if(|record| record.place < place) {
                 give(record)?;
                 continue;
             }
-            give(Record { place, top })?;
+            give(Record { place, top, joined })?;
             heads.pop();
-            heads.extend(runs[number].next()?.map(|record| Reverse((record.place, number, record.top))));
+            heads.extend(runs[number].next()?.map(|record| Reverse((record.place, number, record.top, record.joined))));
         }
         kept.try_for_each(give)?;
         self.runs.clear();
@@ -319,7 +341,7 @@ mod tests {
         for count in [5, KEPT, KEPT + 1, 3 * KEPT + 77, 9] {
             let record = |n: usize| {
                 let place = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-                Record { place, top: (place >> 7) as u16 }
+                Record { place, top: (place >> 7) as u16, joined: (place >> 9) as u16 }
             };
             for n in 0..count {
                 sorter.push(record(n), &Files::current(), Some(&folder.path().join("a.slices"))).unwrap();
@@ -327,11 +349,12 @@ mod tests {
             let mut found = Vec::new();
             sorter
                 .drain(|record| {
-                    found.push((record.place, record.top));
+                    found.push((record.place, record.top, record.joined));
                     Ok(())
                 })
                 .unwrap();
-            let mut expected: Vec<_> = (0..count).map(|n| (record(n).place, record(n).top)).collect();
+            let mut expected: Vec<_> =
+                (0..count).map(record).map(|record| (record.place, record.top, record.joined)).collect();
             expected.sort_unstable();
             assert!(found == expected, "{count} records");
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

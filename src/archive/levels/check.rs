@@ -57,9 +57,11 @@ impl<'a> LevelCheck<'a> {
             next: level.bytes().start,
             broken: false,
         });
-        let scratch = Scratch { decoder: PageDecoder::new(), encoder: PageEncoder::of_levels(), bytes: Vec::new() };
+        let steps = archive.header().level_steps();
+        let scratch =
+            Scratch { decoder: PageDecoder::new(), encoder: PageEncoder::of_levels(steps), bytes: Vec::new() };
         Ok(Self {
-            builder: LevelBuilder::new(archive.frame(), &Files::current(), None),
+            builder: LevelBuilder::new(archive.frame(), steps, &Files::current(), None),
             comparing: true,
             levels: levels.collect(),
             scratch,

@@ -1,24 +1,22 @@
 //! What a level knows of the level below: 4 × 4 pixels as one, four slices as one, heights moved outwards.
 //!
 //! In: a page. Out: the spans that it gives to its page of the level above. All spans of 16 pixels go into one pixel; their
-//! bottoms go down and their tops up to fifths of a slice of the level; those that then share a slice or a height become
-//! one span, an obstacle if any of them is. So no matter is lost, and the result does not depend on any order.
+//! bottoms go down and their tops up to thirds of a slice of the level (before version 1.4 to fifths); those that then share a
+//! slice or a height become one span, an obstacle if any of them is. So no matter is lost, and the result does not depend on
+//! any order. Pages in which few spans become one are [sparse](is_sparse), and their heights go on to whole slices.
 
+use crate::codec::LevelSteps;
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA};
-use crate::slice::Page;
+use crate::slice::{Page, PageBuilder, Span};
 
 /// Pixels of a level along one edge of a pixel of the level above, and slices in one of its slices.
 pub const FACTOR: u32 = 4;
-/// Heights of levels are multiples of this (quanta of the level): a fifth of a slice.
-pub const HEIGHT_STEP: u32 = 51;
-/// As many quanta of the level below.
-const STEP_BELOW: u32 = HEIGHT_STEP * FACTOR;
 const SLICE: u32 = SLICE_QUANTA as u32;
 /// Pixels along an edge, slices, and quanta that a page takes in the level above.
 const PIXELS: u32 = 64 / FACTOR;
 const SLICES: u32 = PAGE_SLICES as u32 / FACTOR;
 const QUANTA: u32 = PAGE_QUANTA as u32 / FACTOR;
-const _: () = assert!(SLICE.is_multiple_of(HEIGHT_STEP) && PIXELS * PIXELS == 256 && SLICES == 16);
+const _: () = assert!(PIXELS * PIXELS == 256 && SLICES == 16);
 
 /// A span that a page gives to the level above.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,6 +24,8 @@ pub struct CoarseSpan {
     /// `16·y + x` in the part of the upper page that the lower one covers.
     pixel: u8,
     obstacle: bool,
+    /// Spans of the lower page that became this one (1..=1024).
+    joined: u16,
     /// Quanta of the level above the lower page's floor (0..=4080).
     bottom: u16,
     top: u16,
@@ -49,10 +49,23 @@ impl CoarseSpan {
     pub fn is_obstacle(&self) -> bool {
         self.obstacle
     }
+
+    /// Spans of the lower page that became this one.
+    pub fn joined(&self) -> u16 {
+        self.joined
+    }
 }
 
 /// The spans that `page` gives to the level above, by pixel and from below. Cost: one pass over its spans.
-pub fn coarse(page: &Page) -> Vec<CoarseSpan> {
+pub fn coarse(page: &Page, steps: LevelSteps) -> Vec<CoarseSpan> {
+    match steps {
+        LevelSteps::Fifths => moved::<{ LevelSteps::Fifths.quanta() }>(page),
+        LevelSteps::Thirds => moved::<{ LevelSteps::Thirds.quanta() }>(page),
+    }
+}
+
+/// With bottoms moved down and tops moved up to multiples of so many quanta of the level.
+fn moved<const STEP: u32>(page: &Page) -> Vec<CoarseSpan> {
     let mut out = Vec::new();
     for y in 0..PIXELS {
         for across in 0..PIXELS / 2 {
@@ -62,7 +75,7 @@ pub fn coarse(page: &Page) -> Vec<CoarseSpan> {
             }
             let mut cells = [Cell::default(), Cell::default()];
             for span in view.rows(y % 2 * 4, y % 2 * 4 + 3) {
-                cells[span.lane() as usize / 4].add(span.bottom(), span.top(), span.is_obstacle());
+                cells[span.lane() as usize / 4].add::<STEP>(span.bottom(), span.top(), span.is_obstacle());
             }
             for (side, cell) in (0..).zip(&cells) {
                 cell.give((y * PIXELS + across * 2 + side) as u8, &mut out);
@@ -82,11 +95,14 @@ struct Cell {
     /// Lowest bottom and highest top of the spans that begin and end in a slice.
     low: [u16; SLICES as usize],
     high: [u16; SLICES as usize],
+    /// Spans that begin in a slice.
+    began: [u16; SLICES as usize],
 }
 
 impl Cell {
-    fn add(&mut self, bottom: u32, top: u32, obstacle: bool) {
-        let (bottom, top) = (bottom / STEP_BELOW * HEIGHT_STEP, top.div_ceil(STEP_BELOW) * HEIGHT_STEP);
+    fn add<const STEP: u32>(&mut self, bottom: u32, top: u32, obstacle: bool) {
+        const { assert!(SLICE.is_multiple_of(STEP)) };
+        let (bottom, top) = (bottom / (FACTOR * STEP) * STEP, top.div_ceil(FACTOR * STEP) * STEP);
         let first = bottom / SLICE;
         let last = first.max(top.saturating_sub(1) / SLICE);
         let joined = ((1u32 << last) - (1 << first)) as u16;
@@ -94,7 +110,7 @@ impl Cell {
         let mut new = slices & !self.slices;
         while new != 0 {
             let slice = new.trailing_zeros() as usize;
-            (self.low[slice], self.high[slice]) = (u16::MAX, 0);
+            (self.low[slice], self.high[slice], self.began[slice]) = (u16::MAX, 0, 0);
             new &= new - 1;
         }
         self.slices |= slices;
@@ -103,6 +119,7 @@ impl Cell {
         let (low, high) = (&mut self.low[first as usize], &mut self.high[last as usize]);
         *low = (*low).min(bottom as u16);
         *high = (*high).max(top as u16);
+        self.began[first as usize] += 1;
     }
 
     fn give(&self, pixel: u8, out: &mut Vec<CoarseSpan>) {
@@ -115,7 +132,9 @@ impl Cell {
             }
             let own = (u16::MAX << first) & (u16::MAX >> (SLICES as usize - 1 - last));
             let obstacle = self.obstacles & own != 0;
-            out.push(CoarseSpan { pixel, obstacle, bottom: self.low[first], top: self.high[last] });
+            let joined =
+                (first..=last).filter(|slice| self.slices >> slice & 1 == 1).map(|slice| self.began[slice]).sum();
+            out.push(CoarseSpan { pixel, obstacle, joined, bottom: self.low[first], top: self.high[last] });
             slices &= !own;
         }
     }
@@ -129,6 +148,32 @@ impl Cell {
                 && self.slices >> next & 1 == 1
                 && (self.high[slice], self.low[next]) == (boundary, boundary)
     }
+}
+
+/// Whether a page of a level of `spans` spans is sparse: the `below` spans that it joins are fewer than four for one.
+///
+/// A surface that is scanned closely becomes a sixteenth of its spans. On a sparse scan each span of a level stands for two or
+/// three points, and heights would cost as much as those of the points themselves.
+pub fn is_sparse(spans: u64, below: u64) -> bool {
+    4 * spans > below
+}
+
+/// A page of a level with heights moved outwards to whole slices; spans that then touch become one.
+pub fn on_slices(page: &Page, builder: &mut PageBuilder) -> Page {
+    builder.clear();
+    let mut spans: Vec<Span> = Vec::new();
+    for (px, py, column) in page.columns() {
+        spans.clear();
+        for span in column {
+            let (bottom, top) = (span.bottom() / SLICE * SLICE, span.top().next_multiple_of(SLICE));
+            let below = spans.pop_if(|below| below.top() >= bottom);
+            let obstacle = span.is_obstacle() || below.is_some_and(|below| below.is_obstacle());
+            spans.extend(Span::new(below.map_or(bottom, |below| below.bottom()), top, obstacle));
+        }
+        let taken = builder.set_column(px, py, &spans);
+        debug_assert!(taken, "spans of a level are apart");
+    }
+    builder.build()
 }
 
 #[cfg(test)]
@@ -158,22 +203,46 @@ mod tests {
 
     proptest! {
         #[test]
-        fn spans_join_by_the_rule_and_hold_all_matter(page in pages()) {
+        fn spans_join_by_the_rule_and_hold_all_matter(page in pages(), is_new: bool) {
+            let (steps, step) = if is_new { (LevelSteps::Thirds, 85.0) } else { (LevelSteps::Fifths, 51.0) };
             let mut expected = Vec::new();
             for y in 0..PIXELS {
                 for x in 0..PIXELS {
                     let below = (0..16).flat_map(|n| page.column(4 * x + n % 4, 4 * y + n / 4));
                     let moved = below.map(|s| {
-                        let step = f64::from(STEP_BELOW);
-                        let (bottom, top) = ((f64::from(s.bottom()) / step).floor(), (f64::from(s.top()) / step).ceil());
-                        ((bottom * 51.0) as u32, (top * 51.0) as u32, s.is_obstacle())
+                        let (bottom, top) = (f64::from(s.bottom()) / (4.0 * step), f64::from(s.top()) / (4.0 * step));
+                        ((bottom.floor() * step) as u32, (top.ceil() * step) as u32, s.is_obstacle())
                     });
                     expected.extend(joined(moved.collect()).into_iter().map(|(bottom, top, obstacle)| {
-                        CoarseSpan { pixel: (16 * y + x) as u8, obstacle, bottom: bottom as u16, top: top as u16 }
+                        CoarseSpan { pixel: (16 * y + x) as u8, obstacle, joined: 0, bottom: bottom as u16, top: top as u16 }
                     }));
                 }
             }
-            prop_assert_eq!(coarse(&page), expected);
+            let mut found = coarse(&page, steps);
+            prop_assert_eq!(found.iter().map(|span| usize::from(span.joined)).sum::<usize>(), page.span_count());
+            prop_assert!(found.iter().all(|span| span.joined > 0));
+            found.iter_mut().for_each(|span| span.joined = 0);
+            prop_assert_eq!(found, expected);
+        }
+
+        #[test]
+        fn on_slices_spans_join_by_the_rule(page in pages()) {
+            let mut builder = PageBuilder::default();
+            // As pages of levels are: one span a slice.
+            for (px, py, spans) in page.columns() {
+                let spans = joined(spans.iter().map(|s| (s.bottom(), s.top(), s.is_obstacle())).collect());
+                let spans: Vec<_> = spans.iter().filter_map(|&(bottom, top, kind)| Span::new(bottom, top, kind)).collect();
+                prop_assert!(builder.set_column(px, py, &spans));
+            }
+            let level = builder.build();
+            let found = on_slices(&level, &mut builder);
+            for (pixel, spans) in level.columns().map(|(px, py, spans)| ((px, py), spans)) {
+                let moved = spans.iter().map(|s| (s.bottom() / 255 * 255, s.top().div_ceil(255) * 255, s.is_obstacle()));
+                let expected = joined(moved.collect());
+                let found = found.column(pixel.0, pixel.1).iter().map(|s| (s.bottom(), s.top(), s.is_obstacle()));
+                prop_assert_eq!(found.collect::<Vec<_>>(), expected);
+            }
+            prop_assert_eq!(found.columns().count(), level.columns().count());
         }
     }
 }

@@ -5,7 +5,8 @@
 //! grid: [`Archive::level`](super::Archive::level) opens one as an archive of its own, which a [`Store`](crate::store::Store),
 //! a [`Stream`](crate::store::Stream) or a [`Loader`](crate::store::Loader) loads and every query answers. A level errs towards
 //! "hit": what is clear in it is clear in the archive. Its pages hold all matter of the pages below, its heights are moved
-//! outwards to fifths of its slices, and a floor that shares a slice with an obstacle is part of it.
+//! outwards to thirds of its slices (whole ones where the scan is sparse), and a floor that shares a slice with an obstacle is
+//! part of it.
 //!
 //! ```no_run
 //! use slicewalk::archive::Archive;
@@ -62,9 +63,12 @@ pub(super) use writer::LevelWriter;
 use super::catalog::Catalog;
 use super::head::{self, Header, Leaf, MAX_LEAF_ENTRIES, MAX_LEAVES, Pages, Sections};
 use crate::bytes::crc;
-use crate::codec::{ByteReader, Packer, Unpacker, Violation};
+use crate::codec::{ByteReader, LevelSteps, Packer, Unpacker, Violation};
 use crate::frame::Frame;
 use std::ops::Range;
+
+/// Steps that heights of levels are written on.
+pub(super) const LEVEL_STEPS: LevelSteps = LevelSteps::Thirds;
 
 /// Where the levels of an archive are told of.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

@@ -8,7 +8,7 @@ use super::super::page::PageEncoder;
 use super::super::spill::{Entries, Spool, write_leaves};
 use super::build::LevelBuilder;
 use super::coarse::CoarseSpan;
-use super::{LevelRecord, Levels, encode_table};
+use super::{LEVEL_STEPS, LevelRecord, Levels, encode_table};
 use crate::Result;
 use crate::bytes::crc;
 use crate::disk::Files;
@@ -44,12 +44,12 @@ impl LevelWriter {
     /// Of an archive on the grid `frame`; temporary files lie beside `target`.
     pub fn new(frame: &Frame, files: &Files, target: &Path) -> Self {
         let made = Made {
-            encoder: PageEncoder::of_levels(),
+            encoder: PageEncoder::of_levels(LEVEL_STEPS),
             levels: Vec::new(),
             files: files.clone(),
             beside: target.to_path_buf(),
         };
-        Self { builder: LevelBuilder::new(frame, files, Some(target)), made }
+        Self { builder: LevelBuilder::new(frame, LEVEL_STEPS, files, Some(target)), made }
     }
 
     /// Adds the page `key` of the archive by its coarse spans. Keys ascend.
