@@ -1,4 +1,5 @@
-//! The fuzz targets over seeds: as they are, and changed at random. No bytes make a decoder or a reader panic.
+//! The fuzz targets over seeds: as they are, and changed at random. No bytes make a decoder or a reader panic. A fault planted behind
+//! the checks of a target is found, so changes get there.
 //!
 //! `tests/fuzz/seeds/TARGET/` holds seeds and what fuzzing found, small and committed; the samples of the format are seeds
 //! too. `SLICEWALK_FUZZ_RUNS` sets how many changed inputs each target gets, `SLICEWALK_FUZZ_SEED` where their numbers begin,
@@ -63,6 +64,14 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
     paths.iter().map(|path| std::fs::read(path).unwrap()).collect()
 }
 
+/// One of the seeds, changed by a number.
+fn changed(seeds: &[Vec<u8>], number: u64) -> Vec<u8> {
+    let mut random = Random(number);
+    let mut bytes = seeds[random.below(seeds.len())].clone();
+    change(&mut bytes, seeds, &mut random);
+    bytes
+}
+
 #[test]
 fn seeds_and_changed_seeds_make_no_target_panic() {
     let number = |name: &str, default: u64| std::env::var(name).ok().map_or(default, |text| text.parse().unwrap());
@@ -74,11 +83,11 @@ fn seeds_and_changed_seeds_make_no_target_panic() {
             scope.spawn(move || {
                 let seeds = seeds(name);
                 assert!(!seeds.is_empty(), "{name} has no seed");
-                seeds.iter().for_each(|seed| target(seed));
+                for seed in &seeds {
+                    let _ = target(seed);
+                }
                 for seed in first..first + runs {
-                    let mut random = Random(seed);
-                    let mut bytes = seeds[random.below(seeds.len())].clone();
-                    change(&mut bytes, &seeds, &mut random);
+                    let bytes = changed(&seeds, seed);
                     let done = std::panic::catch_unwind(|| target(&bytes));
                     assert!(
                         done.is_ok(),
@@ -86,6 +95,27 @@ fn seeds_and_changed_seeds_make_no_target_panic() {
                     );
                 }
                 println!("{name}: {} seeds, {runs} changed ones from number {first} on", seeds.len());
+            });
+        }
+    });
+}
+
+/// The fault: a panic where something is read to its end that no seed says.
+#[test]
+fn a_fault_behind_all_checks_of_a_target_is_found() {
+    const INPUTS: u64 = 20_000;
+    std::thread::scope(|scope| {
+        for &(name, target) in TARGETS {
+            scope.spawn(move || {
+                let seeds = seeds(name);
+                let known: Vec<_> = seeds.iter().map(|seed| target(seed)).collect();
+                assert!(known.iter().any(Option::is_some), "{name}: no seed is read to its end");
+                let found = (1..=INPUTS).find(|&number| {
+                    let read = target(&changed(&seeds, number));
+                    read.is_some() && !known.contains(&read)
+                });
+                let found = found.unwrap_or_else(|| panic!("{name}: no changed input gets past the checks"));
+                println!("{name}: the planted fault is found by input {found}");
             });
         }
     });

@@ -1,5 +1,14 @@
-//! The fuzz targets as plain functions: any bytes in; a panic is a finding. The fuzzer and `tests/seeds.rs` call them.
+//! The fuzz targets as plain functions: any bytes in; a panic is a finding. The fuzzer and `tests/seeds.rs` call them. Each says what
+//! it read, if it got to the end: tests see by that whether changed inputs get past all checks.
 
+mod forged;
+mod loader;
+mod script;
+
+pub use forged::forged;
+pub use loader::loader;
+
+use script::Script;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ColourReader};
 use slicewalk::codec::{ColourBlock, ColourEncoder, Decoder, Encoder};
@@ -7,18 +16,30 @@ use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
 use slicewalk::input::{InputOptions, InputSet, PointDecoder, quiet_decoder_panics};
 use slicewalk::mesh::{MeshOptions, MeshSet};
-use slicewalk::slice::{Occupancy, PageBuilder, Span};
+use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 
 /// Points and triangles after which reading ends: a few bytes may stand for billions.
 const ENOUGH: usize = 1 << 20;
 
+/// A number that stands for all that was read; `None` where reading ended before.
+pub type Read = Option<u64>;
+
 /// A target, by the name under which the fuzzer and the seeds know it.
-pub type Target = (&'static str, fn(&[u8]));
+pub type Target = (&'static str, fn(&[u8]) -> Read);
+
+fn digest(content: impl Hash) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    content.hash(&mut hasher);
+    hasher.finish()
+}
 
 /// All targets.
 pub const TARGETS: &[Target] = &[
     ("archive", archive),
+    ("forged", forged),
+    ("loader", loader),
     ("page", page),
     ("colours", colours),
     ("scan", scan),
@@ -39,35 +60,50 @@ pub const TARGETS: &[Target] = &[
 
 /// Opens, verifies and reads any bytes as an archive with its overview levels, as they are and with the checksums of the head, of
 /// the table of levels and of the footer put right.
-pub fn archive(bytes: &[u8]) {
-    read_archive(bytes.to_vec());
-    if let Some(repaired) = repair(bytes) {
-        read_archive(repaired);
-    }
+pub fn archive(bytes: &[u8]) -> Read {
+    let read = read_archive(bytes.to_vec());
+    repair(bytes).map_or(read, read_archive)
 }
 
-fn read_archive(bytes: Vec<u8>) {
-    let Ok(archive) = Archive::from_bytes(bytes.clone()) else { return };
-    let _ = archive.crs();
+fn read_archive(bytes: Vec<u8>) -> Read {
+    let archive = Archive::from_bytes(bytes.clone()).ok()?;
+    let mut said = (archive.crs().ok(), archive.units().ok(), archive.noise().ok().map(|noise| format!("{noise:?}")));
     let summary = archive.verify(&NoMonitor, &mut |_| ()).expect("nobody asks to stop");
-    let sound = |archive: &Archive| archive.entries().all(|entry| entry.and_then(|entry| archive.page(&entry)).is_ok());
-    assert!(sound(&archive) || summary.findings > 0, "verify finds what reading refuses");
+    let sound = |archive: &Archive| {
+        let mut hasher = DefaultHasher::new();
+        let read = |entry: slicewalk::Result<_>| -> slicewalk::Result<()> {
+            let entry = entry?;
+            let page = archive.page(&entry)?;
+            page.columns().for_each(|column| column.hash(&mut hasher));
+            Ok(())
+        };
+        archive.entries().try_for_each(read).ok().map(|()| hasher.finish())
+    };
+    let pages = sound(&archive);
+    assert!(pages.is_some() || summary.findings > 0, "verify finds what reading refuses");
+    let mut coloured = 0;
     let with_colours = match ColourReader::new(&archive) {
-        Ok(Some(mut reader)) => archive.entries().all(|entry| entry.and_then(|entry| reader.colours(&entry)).is_ok()),
+        Ok(Some(mut reader)) => archive.entries().all(|entry| {
+            let colours = entry.and_then(|entry| reader.colours(&entry));
+            colours.inspect(|colours| coloured = digest((coloured, colours.values()))).is_ok()
+        }),
         Ok(None) => true,
         Err(_) => false,
     };
     assert!(with_colours || summary.findings > 0, "verify finds the colours that reading refuses");
     let Ok(levels) = archive.levels() else {
-        return assert!(summary.findings > 0, "verify finds a table of levels that reading refuses");
+        assert!(summary.findings > 0, "verify finds a table of levels that reading refuses");
+        return None;
     };
     for level in levels {
         let range = level.bytes();
         let alone = bytes[range.start as usize..range.end as usize].to_vec();
         let alone = Archive::of_level(level, alone).expect("as many bytes as the level has");
-        let sound = sound(&alone) && archive.level(level.number()).is_ok_and(|level| sound(&level));
+        let sound = sound(&alone).is_some() && archive.level(level.number()).is_ok_and(|level| sound(&level).is_some());
         assert!(sound || summary.findings > 0, "verify finds what reading refuses of level {}", level.number());
     }
+    said.0 = said.0.take().filter(|crs| !crs.is_empty());
+    pages.map(|pages| digest((pages, coloured, format!("{said:?}"), archive.header().points_read)))
 }
 
 fn repair(bytes: &[u8]) -> Option<Vec<u8>> {
@@ -117,18 +153,49 @@ fn repair_colours(bytes: &mut [u8], head_len: usize) -> Option<()> {
     Some(())
 }
 
-/// Decodes any bytes as an encoded page; what decodes must encode to bytes that decode to the same page.
-pub fn page(bytes: &[u8]) {
-    let mut decoder = Decoder::default();
-    if let (Ok(page), Ok(frame)) = (decoder.decode(bytes), Frame::new(0.05, 0.15)) {
-        let mut again = Vec::new();
-        Encoder::new(frame, 0).encode(&page, &mut again);
-        assert_eq!(decoder.decode(&again).as_ref(), Ok(&page));
+/// The page that a script says: columns of spans, as far as they can stand together.
+fn page_of(script: &mut Script) -> Page {
+    let mut builder = PageBuilder::default();
+    for _ in 0..1 + script.below(64) {
+        if script.is_over() {
+            break;
+        }
+        let (px, py) = (script.below(64) as u32, script.below(64) as u32);
+        let (mut spans, mut floor) = (Vec::new(), 0);
+        for _ in 0..1 + script.below(4) {
+            let bottom = floor + u32::from(script.short()) % 4096;
+            let top = bottom + [0, 1, u32::from(script.byte()), u32::from(script.short()) % 16_321][script.below(4)];
+            spans.extend(Span::new(bottom, top.min(16_320), script.below(2) == 0));
+            floor = top;
+        }
+        let _ = builder.set_column(px, py, &spans);
     }
+    builder.build()
 }
 
-/// Decodes any bytes as the colours of a page of walls and floor; what decodes must encode to bytes that decode to the same.
-pub fn colours(bytes: &[u8]) {
+fn encoded(page: &Page) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    Encoder::new(Frame::new(0.05, 0.15).expect("sizes of a grid"), 0).encode(page, &mut bytes);
+    bytes
+}
+
+/// Decodes any bytes as an encoded page; what decodes must encode to bytes that decode to the same page. So must the page that the
+/// bytes describe as a script.
+pub fn page(bytes: &[u8]) -> Read {
+    let mut decoder = Decoder::default();
+    if let Ok(page) = decoder.decode(bytes) {
+        assert_eq!(decoder.decode(&encoded(&page)).as_ref(), Ok(&page));
+    }
+    let page = page_of(&mut Script(bytes));
+    let coded = (page.span_count() > 0).then(|| encoded(&page))?;
+    let decoded = decoder.decode(&coded);
+    assert_eq!(decoded.as_ref(), Ok(&page));
+    Some(digest(coded))
+}
+
+/// Decodes any bytes as the colours of a page of walls and floor; what decodes must encode to bytes that decode to the same. So must
+/// colours that the bytes are.
+pub fn colours(bytes: &[u8]) -> Read {
     let mut builder = PageBuilder::default();
     for at in 0..40 * 40 {
         let (px, py) = (at % 40, at / 40);
@@ -137,79 +204,99 @@ pub fn colours(bytes: &[u8]) {
         assert!(builder.set_column(px, py, &[span]));
     }
     let occupancy = Occupancy::of(&builder.build());
-    if let Ok(mut block) = ColourBlock::decode(bytes, &occupancy) {
+    let again = |mut block: ColourBlock| {
         let (mut again, before) = (Vec::new(), block.clone());
         block.encode(&occupancy, &mut ColourEncoder::default(), &mut again);
         assert_eq!(ColourBlock::decode(&again, &occupancy), Ok(before));
+        again
+    };
+    if let Ok(block) = ColourBlock::decode(bytes, &occupancy) {
+        again(block);
     }
+    let mut script = Script(bytes);
+    let error_milli = script.short();
+    // The bytes are a pattern that repeats; where one is 0 there is no colour.
+    let pattern: Vec<_> = script.0.chunks(4).map(|bytes| <[u8; 4]>::try_from(bytes).unwrap_or_default()).collect();
+    let colour = |[a, r, g, b]: [u8; 4]| (a != 0).then(|| [r, g, b].map(|channel| u16::from(channel) * 257));
+    let exact: Vec<_> = pattern.iter().cycle().take(occupancy.len()).map(|&bytes| colour(bytes)).collect();
+    let is_whole = exact.len() == occupancy.len();
+    let block = is_whole.then(|| ColourBlock::quantise(&exact, error_milli)).flatten()?;
+    Some(digest(again(block)))
 }
 
 /// Opens any bytes as a LAS or LAZ file, as they are and behind a sound signature, and decodes what they seem to hold.
-pub fn scan(bytes: &[u8]) {
+pub fn scan(bytes: &[u8]) -> Read {
     quiet_decoder_panics();
-    read_scan("laz", bytes);
+    let read = read_scan("laz", bytes);
     let mut signed = bytes.to_vec();
     if signed.len() > 24 {
         signed[..4].copy_from_slice(b"LASF");
         signed[24] = 1;
-        read_scan("laz", &signed);
+        return read_scan("laz", &signed);
     }
+    read
 }
 
 /// Opens any bytes as an E57, as they are and with the checksums of its pages put right.
-pub fn e57(bytes: &[u8]) {
+pub fn e57(bytes: &[u8]) -> Read {
     read_scan("e57", bytes);
     let mut checked = bytes.to_vec();
     for page in checked.as_chunks_mut::<1024>().0 {
         let (content, stated) = page.split_at_mut(1020);
         stated.copy_from_slice(&crc32c::crc32c(content).to_be_bytes());
     }
-    read_scan("e57", &checked);
+    read_scan("e57", &checked)
 }
 
 /// Opens any bytes as a scan with this ending, and decodes what they seem to hold.
-pub fn read_scan(ending: &str, bytes: &[u8]) {
+pub fn read_scan(ending: &str, bytes: &[u8]) -> Read {
     let file = File::new(ending, bytes);
     // Of formats that have some.
     let source = ColourSource::ALL[bytes.len() % 3];
     let options = InputOptions { colour: Some(source), ..InputOptions::default() };
-    let Ok(set) = InputSet::open(std::slice::from_ref(&file.0), options, &NoMonitor) else { return };
+    let set = InputSet::open(std::slice::from_ref(&file.0), options, &NoMonitor).ok()?;
     let mut decoder = PointDecoder::new();
-    let mut points = 0;
+    let (mut points, mut hasher) = (0, DefaultHasher::new());
     for chunk in set.chunks().take(64) {
         let decoded = decoder.decode(&set, &chunk, &mut |batch| {
             points += batch.len();
             assert!(batch.values.is_empty() || batch.values.len() == batch.len());
-            assert!(batch.x.iter().chain(&batch.y).chain(&batch.z).all(|v| v.abs() <= 1e12));
+            let coordinates = || batch.x.iter().chain(&batch.y).chain(&batch.z);
+            assert!(coordinates().all(|v| v.abs() <= 1e12));
+            coordinates().for_each(|v| v.to_bits().hash(&mut hasher));
             if points < ENOUGH { Ok(()) } else { Err(slicewalk::Error::Interrupted) }
         });
-        if decoded.is_err() {
-            return;
-        }
+        decoded.ok()?;
     }
+    (points > 0).then(|| hasher.finish())
 }
 
-/// Reads any bytes as a mesh of the format that `ending` names.
-pub fn mesh(ending: &str, bytes: &[u8]) {
+/// Reads any bytes as a mesh of the format that `ending` names, with its colours.
+pub fn mesh(ending: &str, bytes: &[u8]) -> Read {
     let file = File::new(ending, bytes);
-    let options = MeshOptions { memory_bytes: 1 << 16, ..MeshOptions::default() };
-    let Ok(set) = MeshSet::open(std::slice::from_ref(&file.0), options, &NoMonitor) else { return };
-    let (mut feed, mut batch, mut triangles) = (set.feed(), Vec::new(), 0);
+    let options =
+        MeshOptions { memory_bytes: 1 << 16, colours: true, texture_bytes: 1 << 22, ..MeshOptions::default() };
+    let set = MeshSet::open(std::slice::from_ref(&file.0), options, &NoMonitor).ok()?;
+    let (mut feed, mut batch, mut triangles, mut hasher) = (set.feed(), Vec::new(), 0, DefaultHasher::new());
     while triangles < ENOUGH && feed.next(&mut batch, &NoMonitor).unwrap_or(false) {
-        assert!(batch.as_flattened().as_flattened().iter().all(|v| v.abs() <= 1e12));
+        let coordinates = batch.as_flattened().as_flattened();
+        assert!(coordinates.iter().all(|v| v.abs() <= 1e12));
+        coordinates.iter().for_each(|v| v.to_bits().hash(&mut hasher));
         triangles += batch.len().max(1);
     }
+    (triangles > 0).then(|| hasher.finish())
 }
 
 /// Reads any bytes as a plan; what is read must be written as text that reads as the same.
 #[cfg(feature = "cli")]
-pub fn plan(bytes: &[u8]) {
+pub fn plan(bytes: &[u8]) -> Read {
     use slicewalk::convert::PlanFile;
     let file = File::new("json", bytes);
-    if let Ok(plan) = PlanFile::read(&file.0) {
-        let again = File::new("json", plan.to_json().to_string().as_bytes());
-        assert_eq!(PlanFile::read(&again.0).expect("it was written"), plan);
-    }
+    let plan = PlanFile::read(&file.0).ok()?;
+    let text = plan.to_json().to_string();
+    let again = File::new("json", text.as_bytes());
+    assert_eq!(PlanFile::read(&again.0).expect("it was written"), plan);
+    Some(digest(text))
 }
 
 /// A file of its own for each thread, which goes with this.
