@@ -29,6 +29,7 @@
 
 mod aabb;
 mod answer;
+mod batch;
 mod blocks;
 mod ceiling;
 mod cylinder;
@@ -50,7 +51,7 @@ pub use floor::floor_under;
 pub use grid::Shape;
 pub(crate) use grid::all_within_reach;
 pub use probe::{Probe, probe, probe_batch};
-pub use ray::{Ray, RayHit, Sight, cast, cast_far};
+pub use ray::{Ray, RayHit, Sight, cast, cast_batch, cast_far};
 pub use sphere::Sphere;
 pub(crate) use sweep::{GridCell, SweepArea, Visit, descend};
 pub use sweep::{
@@ -82,11 +83,11 @@ pub fn overlaps<S: PageSet, H: Shape>(set: &S, shape: &H) -> Overlap {
 
 /// [`overlaps`] for each of `shapes`, in order, into `answers`.
 ///
+/// Where the pages exceed the processor's caches and shapes that follow each other lie apart, they are asked in the order of their
+/// places, for which a batch takes 13 bytes of memory a shape; elsewhere it takes none. So do the other batches, with 12 bytes.
+///
 /// # Panics
 /// If `answers` is shorter than `shapes`.
 pub fn overlaps_batch<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers: &mut [Overlap]) {
-    assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
-    for (shape, answer) in shapes.iter().zip(answers) {
-        *answer = overlaps(set, shape);
-    }
+    batch::overlaps_each(set, shapes, answers);
 }

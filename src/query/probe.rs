@@ -1,6 +1,7 @@
 //! Everything that a walker asks in one go.
 
 use super::answer::Answer;
+use super::batch;
 use super::blocks::{MATTER, OBSTACLE};
 use super::floor::FloorSearch;
 use super::footprint::{Touch, for_each_column};
@@ -53,8 +54,5 @@ pub fn probe<S: PageSet, H: Shape>(set: &S, shape: &H) -> Answer<Probe> {
 /// # Panics
 /// If `answers` is shorter than `shapes`.
 pub fn probe_batch<S: PageSet, H: Shape>(set: &S, shapes: &[H], answers: &mut [Answer<Probe>]) {
-    assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
-    for (shape, answer) in shapes.iter().zip(answers) {
-        *answer = probe(set, shape);
-    }
+    batch::answer_each(set, shapes, answers, |shape| batch::pixel_of(set, shape), |shape| probe(set, shape));
 }

@@ -135,6 +135,10 @@ impl PageSet for Store {
         self.columns.has_region(rx, ry)
     }
 
+    fn weight_hint(&self) -> usize {
+        self.weight
+    }
+
     fn column_count(&self) -> usize {
         self.columns.column_count()
     }

@@ -69,6 +69,12 @@ pub trait PageSet {
     /// always safe. Long rays leap over regions without.
     fn has_region(&self, rx: i32, ry: i32) -> bool;
 
+    /// About how many bytes the pages in memory have, 0 if that is not known: batches of queries look ahead where these exceed the
+    /// processor's caches.
+    fn weight_hint(&self) -> usize {
+        0
+    }
+
     /// Number of tile columns with at least one slot.
     fn column_count(&self) -> usize;
 

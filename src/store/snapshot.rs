@@ -202,7 +202,11 @@ fn contents(entries: &[PageEntry]) -> Box<[u32]> {
 
 /// Which pages are in memory, at one moment.
 #[derive(Debug)]
-pub(super) struct Snapshot(Box<[Arc<[ViewSlot]>]>);
+pub(super) struct Snapshot {
+    groups: Box<[Arc<[ViewSlot]>]>,
+    /// Bytes of its pages.
+    weight: usize,
+}
 
 impl Snapshot {
     /// The snapshot with no page in memory.
@@ -212,22 +216,25 @@ impl Snapshot {
             let entries = &index.entries.slots()[ends[0] as usize..ends[1] as usize];
             entries.iter().map(slot).collect()
         });
-        Self(groups.collect())
+        Self { groups: groups.collect(), weight: 0 }
     }
 
     /// This snapshot with some pages put in or taken out.
     pub fn with(&self, index: &Index, changes: &mut [(u32, Option<Arc<Held>>)]) -> Self {
         changes.sort_by_key(|(page, _)| *page);
-        let mut groups = self.0.clone();
+        let (mut groups, mut weight) = (self.groups.clone(), self.weight);
         for change in changes.chunk_by_mut(|a, b| index.group(a.0).0 == index.group(b.0).0) {
             let (group, _) = index.group(change[0].0);
             let mut slots = groups[group].to_vec();
             for (page, held) in change {
-                slots[index.group(*page).1].page = held.take();
+                let slot = &mut slots[index.group(*page).1].page;
+                let bytes = |held: &Option<Arc<Held>>| held.as_ref().map_or(0, |held| held.page.weight_bytes());
+                weight = (weight + bytes(held)).saturating_sub(bytes(slot));
+                *slot = held.take();
             }
             groups[group] = slots.into();
         }
-        Self(groups)
+        Self { groups, weight }
     }
 }
 
@@ -247,14 +254,14 @@ impl View {
     /// Whether the page is known and in memory; `None` if the scan has no matter there.
     pub fn is_loaded(&self, key: PageKey) -> Option<bool> {
         let (group, offset) = self.index.group(self.index.find(key)?);
-        Some(self.snapshot.0[group][offset].page.is_some())
+        Some(self.snapshot.groups[group][offset].page.is_some())
     }
 
     /// Number of pages in memory that a body touches before it moves; none for an outlook that is not valid.
     pub fn count_loaded(&self, outlook: &Outlook) -> usize {
         let loaded = |page: &u32| {
             let (group, offset) = self.index.group(*page);
-            self.snapshot.0[group][offset].page.is_some()
+            self.snapshot.groups[group][offset].page.is_some()
         };
         let mut pages = HashMap::new();
         if outlook.is_valid() {
@@ -284,12 +291,16 @@ impl PageSet for View {
             return &[];
         }
         let offset = range.start & ((1 << self.index.shift) - 1);
-        &self.snapshot.0[range.start >> self.index.shift][offset..offset + range.len()]
+        &self.snapshot.groups[range.start >> self.index.shift][offset..offset + range.len()]
     }
 
     #[inline]
     fn has_region(&self, rx: i32, ry: i32) -> bool {
         self.index.entries.has_region(rx, ry)
+    }
+
+    fn weight_hint(&self) -> usize {
+        self.snapshot.weight
     }
 
     fn column_count(&self) -> usize {

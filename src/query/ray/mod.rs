@@ -15,6 +15,7 @@ mod line;
 mod walk;
 
 use super::answer::Answer;
+use super::batch;
 use super::grid::all_within_reach;
 use crate::store::PageSet;
 use crate::text::{number, place};
@@ -127,6 +128,15 @@ pub fn cast<S: PageSet>(set: &S, ray: &Ray) -> Answer<Option<RayHit>> {
         return exact::search(set, line, &bounds);
     }
     walk::first_hit(set, &line, &bounds).map_or_else(|_| exact::search(set, line, &bounds), Answer::Known)
+}
+
+/// [`cast`] for each of `rays`, in order, into `answers`.
+///
+/// # Panics
+/// If `answers` is shorter than `rays`.
+pub fn cast_batch<S: PageSet>(set: &S, rays: &[Ray], answers: &mut [Answer<Option<RayHit>>]) {
+    let pixel = |ray: &Ray| [ray.origin.x, ray.origin.y].map(|along| set.frame().pixel_of(along));
+    batch::answer_each(set, rays, answers, pixel, |ray| cast(set, ray));
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ pub use solid::Solid;
 pub use step::{mean_floor_under, top_under};
 
 use super::answer::Answer;
+use super::batch;
 use crate::frame::{Frame, PageKey, floor_index};
 use crate::store::{Missing, PageSet, note};
 use nalgebra::Vector3;
@@ -116,10 +117,8 @@ pub fn sweep_batch<S: PageSet, H: Solid>(
     ways: &[(H, Vector3<f64>)],
     answers: &mut [Answer<Option<SweepHit>>],
 ) {
-    assert!(answers.len() >= ways.len(), "{} answers for {} sweeps", answers.len(), ways.len());
-    for ((shape, motion), answer) in ways.iter().zip(answers) {
-        *answer = sweep(set, shape, *motion);
-    }
+    let pixel = |(shape, _): &(H, Vector3<f64>)| batch::pixel_of(set, shape);
+    batch::answer_each(set, ways, answers, pixel, |(shape, motion)| sweep(set, shape, *motion));
 }
 
 fn stopped(frame: &Frame, rest: &Resting) -> SweepHit {

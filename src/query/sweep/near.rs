@@ -4,6 +4,7 @@ use super::descent::{GridCell, SweepArea, Visit, descend};
 use super::solid::{Form, Moving, Resting, Solid, norm};
 use crate::frame::{Frame, PageKey, floor_index};
 use crate::query::answer::Answer;
+use crate::query::batch;
 use crate::query::disc::SLACK;
 use crate::query::grid::Rect;
 use crate::store::PageSet;
@@ -36,10 +37,7 @@ pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<O
 /// # Panics
 /// If `answers` is shorter than `shapes`.
 pub fn clearance_batch<S: PageSet, H: Solid>(set: &S, shapes: &[H], max: f64, answers: &mut [Answer<Option<f64>>]) {
-    assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
-    for (shape, answer) in shapes.iter().zip(answers) {
-        *answer = clearance(set, shape, max);
-    }
+    batch::answer_each(set, shapes, answers, |shape| batch::pixel_of(set, shape), |shape| clearance(set, shape, max));
 }
 
 /// The shortest push along one axis that brings `shape` out of all matter (m): zero if it is in none, `None` if that
@@ -82,10 +80,7 @@ pub fn depenetrate_batch<S: PageSet, H: Solid>(
     max: f64,
     answers: &mut [Answer<Option<Vector3<f64>>>],
 ) {
-    assert!(answers.len() >= shapes.len(), "{} answers for {} shapes", answers.len(), shapes.len());
-    for (shape, answer) in shapes.iter().zip(answers) {
-        *answer = depenetrate(set, shape, max);
-    }
+    batch::answer_each(set, shapes, answers, |shape| batch::pixel_of(set, shape), |shape| depenetrate(set, shape, max));
 }
 
 /// Metres per grid unit.
