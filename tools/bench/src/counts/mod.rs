@@ -129,7 +129,7 @@ fn prepare(folder: &Path) -> Result<()> {
         building::scan(spacing, 7, |point| points.push(point.into()));
         points
     };
-    let sample = |position: [f64; 3]| Sample { position, kind: Kind::Surface, surface: 0 };
+    let sample = |position: [f64; 3]| Sample { position, kind: Kind::Surface, surface: 0, station: 0 };
     let samples = points(CONVERTED_SPACING_M).into_iter().map(sample);
     write_samples(&folder.join(paths::SCAN), samples, &WriteSpec::default())?;
     let scan = Scan::new(points(PIXEL_M / PER_PIXEL))?.convert(Setting::new(PIXEL_M), Classifier::Plane)?;

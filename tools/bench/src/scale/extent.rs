@@ -1,6 +1,6 @@
 //! A scene of great extent: converted, opened, and walked across with a small cache.
 
-use super::Found;
+use super::{Found, MEMORY};
 use crate::measured::Conversion;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
@@ -19,7 +19,6 @@ use std::time::{Duration, Instant};
 const PIXEL_M: f64 = 0.05;
 /// Noise of the scanner, one standard deviation (m).
 const NOISE_M: f64 = 0.002;
-const MEMORY: u64 = 512 << 20;
 const CACHE: usize = 64 << 20;
 const FRAME_S: f64 = 1.0 / 60.0;
 /// How much faster than life the walk is run: a frame has an eighth of its time.

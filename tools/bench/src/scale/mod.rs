@@ -18,6 +18,9 @@ use std::path::PathBuf;
 /// The words at the top of the page.
 const HEAD: &str = include_str!("head.md");
 
+/// Memory budget of every conversion (bytes).
+pub(crate) const MEMORY: u64 = 512 << 20;
+
 /// What to measure.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Scale {

@@ -1,7 +1,7 @@
 //! Speed and memory of conversions against the number of points.
 
 use super::town::{SURFACE_M2, Town};
-use super::{Found, spread};
+use super::{Found, MEMORY, spread};
 use crate::measured::Conversion;
 use crate::reading::read_las;
 use crate::stability::Result;
@@ -10,8 +10,6 @@ use crate::watch::Memory;
 use std::path::Path;
 use std::time::Instant;
 
-/// Memory budget, and the bytes that a conversion may take beyond it.
-const MEMORY: u64 = 512 << 20;
 const PIXEL_M: f64 = 0.1;
 /// Points on a square metre: a pixel is four times their spacing, as a conversion chooses by itself.
 const DENSITY: u64 = 1600;

@@ -55,12 +55,14 @@ pub struct Setting {
     pub limit_deg: f64,
     /// Voxels with fewer points are dropped.
     pub min_points: u32,
+    /// Connected matter of at most so many voxels is dropped.
+    pub drop_floaters: u16,
 }
 
 impl Setting {
     /// Pixels of `pixel_m`, a limit of 45 degrees, every point counts.
     pub fn new(pixel_m: f64) -> Self {
-        Self { pixel_m, limit_deg: 45.0, min_points: 1 }
+        Self { pixel_m, limit_deg: 45.0, min_points: 1, drop_floaters: 0 }
     }
 
     /// The same with another limit (degrees).
@@ -94,7 +96,7 @@ impl Scan {
         for point in &mut points {
             *point = spec.rounded(*point).ok_or("a point does not fit a LAS file")?;
         }
-        let sample = |&position: &Vec3| Sample { position, kind: Kind::Surface, surface: 0 };
+        let sample = |&position: &Vec3| Sample { position, kind: Kind::Surface, surface: 0, station: 0 };
         write_samples(&folder.path().join("scan.las"), points.iter().map(sample), &spec)?;
         Ok(Self { folder, points })
     }
@@ -112,6 +114,7 @@ impl Scan {
                 max_slope_deg: setting.limit_deg,
                 classifier,
                 min_points: setting.min_points,
+                drop_floaters: setting.drop_floaters,
                 ..PlanOptions::default()
             },
             threads: 1,

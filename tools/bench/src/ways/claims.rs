@@ -15,18 +15,40 @@ const FEET_M: f64 = 0.01;
 /// A pixel.
 pub type Pixel = [i64; 2];
 
+/// What a point was measured of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Of {
+    /// A surface that one can stand on.
+    Floor,
+    /// Another surface.
+    Surface,
+    /// Nothing: two surfaces at an edge, which give a point between them.
+    Edge,
+    /// Nothing: what a mirror shows.
+    Image,
+}
+
+/// Points that stand for no surface, by what they are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ghost {
+    /// Between two surfaces at an edge.
+    Edge,
+    /// What a mirror shows.
+    Image,
+}
+
 /// The points of a scan by pixel.
 pub struct Points {
     first: Pixel,
     size: [usize; 2],
     starts: Vec<u32>,
-    /// Height (m), and whether it is a point of a true floor.
-    items: Vec<(f64, bool)>,
+    /// Height (m), and what it is a point of.
+    items: Vec<(f64, Of)>,
 }
 
 impl Points {
     /// Of samples as they lie in the file.
-    pub fn new(scene: &Scene, frame: &Frame, samples: &[Sample]) -> Self {
+    pub fn new(scene: &Scene, floors: &Floors, frame: &Frame, samples: &[Sample]) -> Self {
         let pixel = |sample: &Sample| [0, 1].map(|axis| frame.pixel_of(sample.position[axis]));
         let (mut low, mut high) = ([i64::MAX; 2], [i64::MIN; 2]);
         for at in samples.iter().map(pixel) {
@@ -41,18 +63,24 @@ impl Points {
         for n in 1..starts.len() {
             starts[n] += starts[n - 1];
         }
-        let (mut next, mut items) = (starts.clone(), vec![(0.0, false); samples.len()]);
+        let (mut next, mut items) = (starts.clone(), vec![(0.0, Of::Surface); samples.len()]);
         for sample in samples {
             let [x, y, z] = sample.position;
-            let is_floor = sample.kind == Kind::Surface && scene.slope_at(sample.surface as usize, x, y) <= SLOPE_DEG;
+            let is_level = || scene.slope_at(sample.surface as usize, x, y) <= SLOPE_DEG;
+            let of = match sample.kind {
+                Kind::Mixed => Of::Edge,
+                Kind::Outlier => Of::Image,
+                _ if is_level() && floors.holds([x, y, z]) => Of::Floor,
+                _ => Of::Surface,
+            };
             let place = &mut next[cell(pixel(sample))];
-            items[*place as usize] = (z, is_floor);
+            items[*place as usize] = (z, of);
             *place += 1;
         }
         Self { first: low, size, starts, items }
     }
 
-    fn at(&self, pixel: Pixel) -> &[(f64, bool)] {
+    fn at(&self, pixel: Pixel) -> &[(f64, Of)] {
         let [i, j] = [0, 1].map(|axis| pixel[axis] - self.first[axis]);
         if !(0..self.size[0] as i64).contains(&i) || !(0..self.size[1] as i64).contains(&j) {
             return &[];
@@ -144,18 +172,52 @@ impl Question<'_> {
         all.filter(|&[i, j]| gap(i).hypot(gap(j)) < self.radius - 1e-6).collect()
     }
 
+    /// Places in a pixel and within one pixel of it.
+    fn around(&self, pixel: Pixel) -> impl Iterator<Item = [f64; 2]> {
+        // A little farther, for what lies on the line between two pixels belongs to the next one.
+        let ([x, y], step) = (self.middle(pixel), 0.501 * self.frame.pixel_m());
+        (-3..=3).flat_map(move |j| (-3..=3).map(move |i| [x + step * f64::from(i), y + step * f64::from(j)]))
+    }
+
     /// Whether one can stand about `z` everywhere, or anywhere, in a pixel and within one pixel of it, on floor up to `limit_deg` steep.
     fn stands_near(&self, pixel: Pixel, z: f64, want_all: bool, limit_deg: f64) -> bool {
-        let middle = self.middle(pixel);
-        let near = |[i, j]: [i32; 2]| {
-            // A little farther, for what lies on the line between two pixels belongs to the next one.
-            let [x, y] = [(0, i), (1, j)].map(|(axis, n)| middle[axis] + 0.501 * f64::from(n) * self.frame.pixel_m());
+        let near = |[x, y]: [f64; 2]| {
             let all = self.floors.over(x, y);
             let mut own = all.iter().filter(|floor| (floor.0 - z).abs() <= CLIMB + NEAR_M);
             own.any(|&(z, slope)| self.floors.stands([x, y, z], slope, self.radius, limit_deg).is_some())
         };
-        let mut around = (-3..=3).flat_map(|j| (-3..=3).map(move |i| [i, j]));
+        let mut around = self.around(pixel);
         if want_all { around.all(near) } else { around.any(near) }
+    }
+
+    /// Whether one can stand about `z` if the surface under the middle is taken anywhere in the pixel or within one pixel of it.
+    fn stands_from_beside(&self, pixel: Pixel, z: f64) -> bool {
+        let [x, y] = self.middle(pixel);
+        let about = -NEAR_M..=CLIMB + NEAR_M + self.frame.pixel_m();
+        self.around(pixel).any(|[beside_x, beside_y]| {
+            let beside = self.floors.over(beside_x, beside_y);
+            let mut own = beside.iter().filter(|floor| about.contains(&(z - floor.0)));
+            let limit_deg = SLOPE_DEG + VERDICT_DEG;
+            own.any(|&(floor, slope)| self.floors.stands([x, y, floor], slope, self.radius, limit_deg).is_some())
+        })
+    }
+
+    /// Points of no surface that a place is missed for, or claimed on: those in the body of a missed one, or under the feet of a claim.
+    pub fn ghost(&self, (pixel, z): (Pixel, f64), is_claimed: bool) -> Option<Ghost> {
+        let footprint = self.footprint();
+        let under = footprint.iter().flat_map(|[i, j]| self.points.at([pixel[0] + i, pixel[1] + j]));
+        let own = |of: Of| match of {
+            Of::Edge => Some(Ghost::Edge),
+            Of::Image => Some(Ghost::Image),
+            _ => None,
+        };
+        if is_claimed {
+            let below = under.filter(|point| point.0 <= z + FEET_M);
+            below.max_by(|a, b| a.0.total_cmp(&b.0)).and_then(|point| own(point.1))
+        } else {
+            let mut inside = under.filter(|point| (z + FEET_M..z + HEIGHT + CLIMB).contains(&point.0));
+            inside.find_map(|point| own(point.1))
+        }
     }
 
     /// Compares what is claimed over sampled pixels with the truth. With `excuse`, what was not scanned is nobody's fault.
@@ -171,7 +233,7 @@ impl Question<'_> {
             let under = || footprint.iter().map(|[i, j]| self.points.at([pixel[0] + i, pixel[1] + j]));
             for (&(z, _), heights) in floors.iter().zip(&stands) {
                 let Some([low, high]) = *heights else { continue };
-                if !under().all(|points| points.iter().any(|(at, is_floor)| *is_floor && (at - z).abs() <= CLIMB)) {
+                if !under().all(|points| points.iter().any(|(at, of)| *of == Of::Floor && (at - z).abs() <= CLIMB)) {
                     judged.not_scanned += 1;
                     continue;
                 }
@@ -200,7 +262,9 @@ impl Question<'_> {
                 }
                 let in_body = |at: f64| at > claim + FEET_M && at < claim + HEIGHT;
                 let is_blocked = floors.iter().any(|floor| is_about(claim, floor.0));
-                if self.stands_near(pixel, claim, false, SLOPE_DEG + VERDICT_DEG) {
+                if self.stands_near(pixel, claim, false, SLOPE_DEG + VERDICT_DEG)
+                    || self.stands_from_beside(pixel, claim)
+                {
                     judged.border_wrong += 1;
                 } else if excuse && is_blocked && !under().flatten().any(|point| in_body(point.0)) {
                     judged.unseen += 1;

@@ -1,6 +1,6 @@
 //! Standing places beside the truth: what is missed, what is wrongly claimed, and why.
 
-use super::claims::{Judged, Pixel, Points, Question};
+use super::claims::{Ghost, Judged, Pixel, Points, Question};
 use super::peer::{Meshes, claims};
 use super::truth::{Floors, HEIGHT, SLOPE_DEG};
 use super::{Effort, everywhere, reached, spot};
@@ -15,6 +15,7 @@ use slicewalk::plan::Classifier;
 use slicewalk::reach::{Pawn, StandingPlaces};
 use slicewalk::walk::Body;
 use std::collections::HashMap;
+use std::fmt::Write as _;
 
 /// Radii of the pawns (m), all from one archive.
 pub const RADII: [f64; 4] = [0.2, 0.3, 0.45, 0.6];
@@ -24,6 +25,8 @@ const NOISE_M: f64 = 0.002;
 const PER_PIXEL: f64 = 3.0;
 /// Height of a pawn that ceilings are hardly in the way of (m).
 const LOW_M: f64 = 1.0;
+/// Connected matter of at most so many voxels is dropped from scans that are cleaned.
+const FLOATERS: u16 = 8;
 
 /// How a scene is scanned.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,13 +35,15 @@ enum How {
     Even,
     /// From stations: shadows, edges that give points in the air; so many million rays.
     Stations(f64),
+    /// The same, converted with `--drop-floaters`.
+    Cleaned(f64),
 }
 
 /// Name of a scene, its parameters, and how it is scanned.
 type Case = (&'static str, &'static [(&'static str, f64)], How);
 
 /// Scenes whose surfaces are known, and how each is scanned. Plants are left out: a leaf is no floor, but as level as one.
-const CASES: [Case; 16] = [
+const CASES: [Case; 20] = [
     ("plane", &[("size", 8.0)], How::Even),
     ("ramps", &[("slope_step", 10.0), ("heading_step", 30.0), ("size", 3.0)], How::Even),
     ("stairs", &[], How::Even),
@@ -55,6 +60,10 @@ const CASES: [Case; 16] = [
     ("house", &[], How::Stations(8.0)),
     ("hall", &[("leaves", 0.0)], How::Stations(4.0)),
     ("street", &[("length", 30.0)], How::Stations(4.0)),
+    ("corridor", &[], How::Cleaned(1.0)),
+    ("house", &[], How::Cleaned(8.0)),
+    ("hall", &[("leaves", 0.0)], How::Cleaned(4.0)),
+    ("street", &[("length", 30.0)], How::Cleaned(4.0)),
 ];
 
 /// A scene, its scan, and how the scan is made again with other noise.
@@ -62,6 +71,7 @@ struct Subject {
     scene: Scene,
     spec: SampleSpec,
     pixel_m: f64,
+    setting: Setting,
 }
 
 impl Subject {
@@ -73,9 +83,13 @@ impl Subject {
                 let even = SampleSpec::direct_density((PER_PIXEL / pixel_m).powi(2));
                 SampleSpec { mode: Mode::Direct(Order::Grid), ..even }
             }
-            How::Stations(millions) => SampleSpec::scanner((millions * 1e6) as u64),
+            How::Stations(millions) | How::Cleaned(millions) => SampleSpec::scanner((millions * 1e6) as u64),
         };
-        Ok(Self { scene, spec: spec.with_noise(NOISE_M), pixel_m })
+        let setting = match how {
+            How::Cleaned(_) => Setting { drop_floaters: FLOATERS, ..Setting::new(pixel_m) },
+            _ => Setting::new(pixel_m),
+        };
+        Ok(Self { scene, spec: spec.with_noise(NOISE_M), pixel_m, setting })
     }
 
     fn scan(&self, spec: &SampleSpec) -> Result<(Scan, Vec<Sample>)> {
@@ -146,6 +160,10 @@ impl Places {
 /// Why places are missed or wrong: what puts them right.
 #[derive(Debug, Clone, Copy, Default)]
 struct Causes {
+    /// On, or in the way, what a mirror shows.
+    mirror: [usize; 2],
+    /// On, or in the way, points between two surfaces at an edge.
+    edge: [usize; 2],
     /// Right without noise and without points in the air between surfaces.
     noise: [usize; 2],
     /// Right if every slope is a floor; or a floor that is too steep.
@@ -159,6 +177,8 @@ struct Causes {
 impl Causes {
     fn add(&mut self, other: Self) {
         for at in 0..2 {
+            self.mirror[at] += other.mirror[at];
+            self.edge[at] += other.edge[at];
             self.noise[at] += other.noise[at];
             self.verdict[at] += other.verdict[at];
             self.definition[at] += other.definition[at];
@@ -169,6 +189,8 @@ impl Causes {
     fn text(self, at: usize) -> String {
         let headroom = if at == 0 { self.headroom } else { 0 };
         let all = [
+            ("mirror", self.mirror[at]),
+            ("edge points", self.edge[at]),
             ("noise", self.noise[at]),
             ("verdict", self.verdict[at]),
             ("headroom", headroom),
@@ -189,12 +211,13 @@ struct Others<'a> {
 }
 
 impl Others<'_> {
-    fn causes(&mut self, own: &Converted, radius: f64, judged: &Judged, floors: &Floors) -> Result<Causes> {
+    fn causes(&mut self, own: &Converted, question: &Question, judged: &Judged) -> Result<Causes> {
+        let (radius, floors) = (question.radius, question.floors);
         let mut causes = Causes::default();
         if judged.missed.is_empty() && judged.wrong.is_empty() {
             return Ok(causes);
         }
-        let setting = Setting::new(self.subject.pixel_m);
+        let setting = self.subject.setting;
         if self.calm.is_none() {
             self.calm = Some(self.subject.scan(&self.subject.calm())?.0.convert(setting, Classifier::Plane)?);
             self.lenient = Some(self.scan.convert(setting.limit(89.0), Classifier::Plane)?);
@@ -203,25 +226,24 @@ impl Others<'_> {
         let (calm, lenient) = (places(&self.calm)?, places(&self.lenient)?);
         let low = Places::new(own, radius, LOW_M, None)?;
         for &place in &judged.missed {
-            if calm.claims(place) {
-                causes.noise[0] += 1;
-            } else if lenient.claims(place) {
-                causes.verdict[0] += 1;
-            } else if low.claims(place) {
-                causes.headroom += 1;
-            } else {
-                causes.definition[0] += 1;
+            match question.ghost(place, false) {
+                Some(Ghost::Image) => causes.mirror[0] += 1,
+                Some(Ghost::Edge) => causes.edge[0] += 1,
+                None if calm.claims(place) => causes.noise[0] += 1,
+                None if lenient.claims(place) => causes.verdict[0] += 1,
+                None if low.claims(place) => causes.headroom += 1,
+                None => causes.definition[0] += 1,
             }
         }
         for &(pixel, z) in &judged.wrong {
             let [x, y] = pixel.map(|v| (v as f64 + 0.5) * self.subject.pixel_m);
             let mut near = floors.over(x, y).into_iter().filter(|floor| super::claims::is_about(z, floor.0));
-            if !calm.claims((pixel, z)) {
-                causes.noise[1] += 1;
-            } else if near.any(|floor| floor.1 > SLOPE_DEG) {
-                causes.verdict[1] += 1;
-            } else {
-                causes.definition[1] += 1;
+            match question.ghost((pixel, z), true) {
+                Some(Ghost::Image) => causes.mirror[1] += 1,
+                Some(Ghost::Edge) => causes.edge[1] += 1,
+                None if !calm.claims((pixel, z)) => causes.noise[1] += 1,
+                None if near.any(|floor| floor.1 > SLOPE_DEG) => causes.verdict[1] += 1,
+                None => causes.definition[1] += 1,
             }
         }
         Ok(causes)
@@ -231,10 +253,16 @@ impl Others<'_> {
 /// The tables, as a page.
 pub fn page(effort: &Effort) -> Result<String> {
     let mut page = String::from(include_str!("standing.head.md"));
+    let fewer = if effort.quick { " `--quick`: an eighth of the rays from stations." } else { "" };
+    writeln!(page, "\nSample: {} random pixels in each scene.{fewer}", pixels_of(effort))?;
     for pixel_m in if effort.quick { &[0.05][..] } else { &[0.05, 0.025] } {
         page += &section(*pixel_m, effort)?;
     }
     Ok(page)
+}
+
+fn pixels_of(effort: &Effort) -> usize {
+    effort.of(20_000, 600)
 }
 
 fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
@@ -270,22 +298,28 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
     for &(name, params, how) in cases.filter(|case| effort.takes(case.0)) {
         let how = match how {
             How::Stations(millions) if effort.quick => How::Stations(millions / 8.0),
+            How::Cleaned(millions) if effort.quick => How::Cleaned(millions / 8.0),
             how => how,
         };
         let subject = Subject::new(name, params, how, pixel_m)?;
         let (scan, samples) = subject.scan(&subject.spec)?;
-        let own = scan.convert(Setting::new(pixel_m), Classifier::Plane)?;
+        let own = scan.convert(subject.setting, Classifier::Plane)?;
         let frame = *own.archive.frame();
-        let (floors, points) = (Floors::new(&subject.scene, pixel_m), Points::new(&subject.scene, &frame, &samples));
+        let floors = Floors::new(&subject.scene, pixel_m);
+        let points = Points::new(&subject.scene, &floors, &frame, &samples);
         drop(samples);
         let [low, high] = points.extent();
         let mut random = Random(5);
-        let pixels: Vec<Pixel> = (0..effort.of(20_000, 600))
+        let pixels: Vec<Pixel> = (0..pixels_of(effort))
             .map(|_| [0, 1].map(|axis| random.between(low[axis] as f64, high[axis] as f64 + 1.0).floor() as i64))
             .collect();
         let meshes = Meshes::new(&subject.scene, &scan.points, pixel_m)?;
         let mut others = Others { subject: &subject, scan: &scan, calm: None, lenient: None };
-        let title = if how == How::Even { name.to_owned() } else { format!("{name}, from stations") };
+        let title = match how {
+            How::Even => name.to_owned(),
+            How::Stations(_) => format!("{name}, from stations"),
+            How::Cleaned(_) => format!("{name}, from stations, floaters dropped"),
+        };
         for radius in RADII {
             let question = Question { floors: &floors, points: &points, frame, radius, noise: NOISE_M };
             let places = Places::new(&own, radius, HEIGHT, None)?;
@@ -297,7 +331,7 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
                 (judged.claims, judged.border_wrong, judged.unseen, judged.wrong) =
                     (on_foot.claims, on_foot.border_wrong, on_foot.unseen, on_foot.wrong);
             }
-            let causes = others.causes(&own, radius, &judged, &floors)?;
+            let causes = others.causes(&own, &question, &judged)?;
             table.row([
                 title.clone(),
                 number(radius, 2),

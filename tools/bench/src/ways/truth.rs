@@ -1,7 +1,8 @@
 //! What surfaces in closed form say about standing.
 //!
 //! A cylinder rests on the highest surface under it that it climbs onto from the surface under its middle. It stands there if nothing is in it,
-//! and if what it rests on is floor: a surface up to 45° steep lies under it, at most 5 cm below its feet.
+//! and if what it rests on is floor: a surface up to 45° steep lies under it, at most 5 cm below its feet. A claim may take the surface under the
+//! middle within one pixel (`docs/reach.md`).
 
 use scangen::{Scene, Truth};
 
@@ -11,6 +12,8 @@ pub const CLIMB: f64 = 0.35;
 pub const SLOPE_DEG: f64 = 45.0;
 /// Floor counts as at the feet down to so far below them (m).
 const NEAR_FEET_M: f64 = 0.05;
+/// A measured point lies no farther from its surface (m).
+const MEASURED_M: f64 = 0.03;
 /// Surfaces nearer to each other are one (m).
 const APART_M: f64 = 1e-4;
 
@@ -55,6 +58,13 @@ impl<'a> Floors<'a> {
             from = z - CLIMB;
         }
         floors
+    }
+
+    /// Whether a point measured at a place lies on a floor: on a surface up to 45° steep that nothing covers within a climb. The underside of a
+    /// slab is none.
+    pub fn holds(&self, [x, y, z]: [f64; 3]) -> bool {
+        let top = self.scene.floor_under(x, y, z + CLIMB);
+        top.is_some_and(|(top, slope)| (top - z).abs() <= MEASURED_M && slope <= SLOPE_DEG)
     }
 
     /// Whether a body of this radius stands where the surface under its middle is at `z` and `slope` steep, on floor up to `limit_deg` steep; and at

@@ -92,7 +92,17 @@ impl Axis {
 
     /// The number of a tick.
     pub fn number(&self, tick: f64) -> String {
-        if self.scale == Scale::Linear { short(tick) } else { with_prefix(tick) }
+        match self.scale {
+            Scale::Linear => short(tick),
+            // Zero has no place among logarithms: words, where the axis is broken.
+            Scale::LogAndZero if tick <= 0.0 => "none".into(),
+            _ => with_prefix(tick),
+        }
+    }
+
+    /// The two values between which the axis is broken: zero, which has a place of its own, and the least one above.
+    pub fn broken(&self) -> Option<(f64, f64)> {
+        (self.scale == Scale::LogAndZero).then_some((0.0, self.low))
     }
 }
 
@@ -175,7 +185,7 @@ mod tests {
         assert_eq!(short.ticks(), [20.0, 50.0, 100.0, 200.0, 500.0, 1000.0]);
         let long = Axis::log("ns", [0.0, 20.0, 3e6].into_iter());
         assert_eq!(long.ticks(), [0.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6]);
-        assert_eq!([0.0, 1.0, 1e4, 1e6].map(|tick| long.number(tick)), ["0", "1", "10 k", "1 M"]);
+        assert_eq!([0.0, 1.0, 1e4, 1e6].map(|tick| long.number(tick)), ["none", "1", "10 k", "1 M"]);
         let places = [0.0, 20.0, 3e6].map(|value| long.map(&value, (0, 1000)));
         assert!(0 < places[0] && places[0] + 50 < places[1] && places[2] < 1000, "{places:?}");
         assert_eq!(Axis::log("share", [0.0, 0.4, 0.9].into_iter()).up_to(1.0).ticks(), [0.0, 0.2, 0.5, 1.0]);

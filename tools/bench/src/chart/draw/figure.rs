@@ -15,6 +15,8 @@ pub struct Figure {
     pub tracks: Vec<Track>,
     /// Corners of the line through the Pareto front; none where there is no such line.
     pub front: Vec<(f64, f64)>,
+    /// A height that nothing may exceed, and what it is.
+    pub limit: Option<(f64, &'static str)>,
     /// Words under the legend, one line each.
     pub notes: Vec<String>,
 }

@@ -6,6 +6,7 @@ use super::front;
 use super::model::{COSTS, Cost, Scene, Series, Setting};
 use super::style;
 use crate::chart::lines::{PhantomShare, Scaled};
+use crate::scale::MEMORY;
 
 /// Group of the charts over size.
 pub const SCALE: &str = "scale";
@@ -103,6 +104,7 @@ fn against(scene: &Scene, wrong: Wrong, cost: &Cost) -> Option<Figure> {
         y: Axis::log(wrong.axis, all.iter().map(|found| found.2.1)).up_to(wrong.most),
         tracks,
         front: front::stairs(&allowed),
+        limit: None,
         notes: vec!["Numbers: t, the edge of".into(), "a pixel or cube (cm).".into(), "Left and low is good.".into()],
     })
 }
@@ -134,6 +136,7 @@ fn phantoms_of(scene: &Scene, phantoms: &[PhantomShare]) -> Option<Figure> {
         y: Axis::linear("share answered \"hit\"", 0.0, 1.05),
         tracks: methods.into_iter().map(track).collect(),
         front: vec![],
+        limit: None,
         notes: vec!["Right of 0 a hit is a".into(), "phantom; left of 0".into(), "anything but 1 misses.".into()],
     })
 }
@@ -152,6 +155,8 @@ struct Over {
     y: &'static str,
     /// Metric, and its name in the legend.
     metrics: &'static [(&'static str, &'static str)],
+    /// What nothing may exceed, and its name.
+    limit: Option<(f64, &'static str)>,
 }
 
 const OVER: [Over; 3] = [
@@ -162,6 +167,7 @@ const OVER: [Over; 3] = [
         x: "points of the input",
         y: "points per second",
         metrics: &[("points_per_s", "converted"), ("read_points_per_s", "read alone")],
+        limit: None,
     },
     Over {
         key: "memory",
@@ -170,6 +176,7 @@ const OVER: [Over; 3] = [
         x: "points of the input",
         y: "peak memory (bytes)",
         metrics: &[("peak_bytes", "converted")],
+        limit: Some((MEMORY as f64, "budget: --memory 512MiB")),
     },
     Over {
         key: "query",
@@ -178,6 +185,7 @@ const OVER: [Over; 3] = [
         x: "occupied voxels of the scene",
         y: "one box query of the pawn (ns, mean)",
         metrics: &[("walk_mean_ns", "along a walk"), ("random_mean_ns", "random places")],
+        limit: None,
     },
 ];
 
@@ -207,9 +215,10 @@ fn over_size(over: &Over, lines: &[Scaled]) -> Option<Figure> {
         name: file(SCALE, over.key),
         title: format!("slicewalk: {}", over.title),
         x: Axis::log(over.x, dots().map(|dot| dot.at.0)),
-        y: Axis::log(over.y, [least / 3.0, most * 3.0].into_iter()),
+        y: Axis::log(over.y, [least / 3.0, most.max(over.limit.map_or(0.0, |limit| limit.0)) * 3.0].into_iter()),
         tracks,
         front: vec![],
+        limit: over.limit,
         notes: vec![],
     })
 }

@@ -38,22 +38,27 @@ impl Marker {
     }
 }
 
-/// Known methods with their colour (index in [`COLOURS`]) and marker, in the order of legends and tables.
-const METHODS: [(&str, usize, Marker); 14] = [
-    ("slicewalk plane", 3, Marker::Circle),
-    ("slicewalk span", 5, Marker::Square),
-    ("slicewalk thesis", 5, Marker::Down),
-    ("slicewalk plane t/4", 3, Marker::Diamond),
-    ("slicewalk plane broad", 3, Marker::Up),
-    ("thesis", 0, Marker::Square),
-    ("parry3d Voxels", 1, Marker::Circle),
-    ("parry3d TriMesh", 1, Marker::Up),
-    ("rapier3d", 0, Marker::Diamond),
-    ("kiddo spheres", 4, Marker::Circle),
-    ("kiddo exact", 4, Marker::Up),
-    ("capt", 6, Marker::Square),
-    ("octomap", 2, Marker::Circle),
-    ("recast", 2, Marker::Diamond),
+const fn colour(rgb: u32) -> RGBColor {
+    RGBColor((rgb >> 16) as u8, (rgb >> 8) as u8, rgb as u8)
+}
+
+/// Known methods with their colour and marker, in the order of legends and tables. The colours extend those of Okabe and Ito by some of
+/// P. Tol's muted ones.
+const METHODS: [(&str, RGBColor, Marker); 14] = [
+    ("slicewalk plane", colour(0x0072B2), Marker::Circle),
+    ("slicewalk span", colour(0x56B4E9), Marker::Square),
+    ("slicewalk thesis", colour(0x332288), Marker::Down),
+    ("slicewalk plane t/4", colour(0x2FB5A5), Marker::Diamond),
+    ("slicewalk plane broad", colour(0x8A7BD8), Marker::Up),
+    ("thesis", colour(0xD55E00), Marker::Square),
+    ("parry3d Voxels", colour(0xE69F00), Marker::Circle),
+    ("parry3d TriMesh", colour(0x8C510A), Marker::Up),
+    ("rapier3d", colour(0x882255), Marker::Diamond),
+    ("kiddo spheres", colour(0xCC79A7), Marker::Circle),
+    ("kiddo exact", colour(0xE0218A), Marker::Up),
+    ("capt", colour(0x5A5A5A), Marker::Square),
+    ("octomap", colour(0x009E73), Marker::Circle),
+    ("recast", colour(0x999933), Marker::Diamond),
 ];
 
 /// Where a method stands among others; a new one stands last, by its name.
@@ -71,7 +76,7 @@ pub const QUANTITIES: [Style; 2] = [(COLOURS[3], Marker::Circle), (COLOURS[0], M
 /// That of a method; grey stars for one that is new here.
 pub fn style(method: &str) -> Style {
     let known = METHODS.iter().find(|known| known.0 == method);
-    known.map_or((COLOURS[6], Marker::Star), |known| (COLOURS[known.1], known.2))
+    known.map_or((COLOURS[6], Marker::Star), |known| (known.1, known.2))
 }
 
 #[cfg(test)]
@@ -79,9 +84,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_two_methods_look_alike() {
+    fn each_method_has_a_colour_of_its_own() {
         for (n, a) in METHODS.iter().enumerate() {
-            assert!(METHODS[n + 1..].iter().all(|b| style(a.0) != style(b.0) && a.0 != b.0), "{}", a.0);
+            assert!(METHODS[n + 1..].iter().all(|b| style(a.0).0 != style(b.0).0 && a.0 != b.0), "{}", a.0);
         }
     }
 }

@@ -64,9 +64,29 @@ fn draw(root: &Root, figure: &Figure) -> Result<String> {
     let (left, right) = ends(chart.plotting_area().get_x_axis_pixel_range());
     let (top, bottom) = ends(chart.plotting_area().get_y_axis_pixel_range());
     let bounds = Rect(left, top, right, bottom);
+    breaks(root, figure, &pixel, bounds)?;
     marks(root, figure, pixel, bounds)?;
     legend(root, figure)?;
     spots(figure, pixel)
+}
+
+/// Two strokes across an axis that has a place for zero.
+fn breaks(root: &Root, figure: &Figure, pixel: &impl Fn((f64, f64)) -> (f64, f64), bounds: Rect) -> Result<()> {
+    let mut strokes = Vec::new();
+    if let Some((zero, low)) = figure.x.broken() {
+        let middle = (pixel((zero, 0.0)).0 + pixel((low, 0.0)).0) / 2.0;
+        strokes
+            .extend([-2.0, 2.0].map(|by| [(middle + by - 3.0, bounds.3 + 5.0), (middle + by + 3.0, bounds.3 - 5.0)]));
+    }
+    if let Some((zero, low)) = figure.y.broken() {
+        let middle = (pixel((1.0, zero)).1 + pixel((1.0, low)).1) / 2.0;
+        strokes
+            .extend([-2.0, 2.0].map(|by| [(bounds.0 - 5.0, middle + by + 3.0), (bounds.0 + 5.0, middle + by - 3.0)]));
+    }
+    for stroke in strokes {
+        root.draw(&PathElement::new(stroke.map(whole), INK.stroke_width(1)))?;
+    }
+    Ok(())
 }
 
 /// Both ends of a range of pixels, the lesser first.
@@ -85,6 +105,11 @@ fn marks(root: &Root, figure: &Figure, pixel: impl Fn((f64, f64)) -> (f64, f64),
         root.draw(&PathElement::new(places.into_iter().map(whole).collect::<Vec<_>>(), style))?;
         Ok(())
     };
+    if let Some((limit, what)) = figure.limit {
+        let y = pixel((1.0, limit)).1;
+        line(vec![(bounds.0, y), (bounds.2, y)], front_style())?;
+        words(root, what, whole((bounds.0 + 8.0, y - 11.0)), HPos::Left, SMALL)?;
+    }
     line(figure.front.iter().map(|corner| pixel(*corner)).collect(), front_style())?;
     for track in &figure.tracks {
         let colour = track.style.0;
@@ -129,6 +154,9 @@ fn words_beside(
         }
         let width = dot.label.chars().count() as f64 * 7.5 + 2.0;
         if let Some(rect) = around.place(place, width, 12.0) {
+            // Lines that pass behind it fade.
+            let ground = [whole((rect.0, rect.1)), whole((rect.2, rect.3))];
+            root.draw(&Rectangle::new(ground, PAPER.mix(0.75).filled()))?;
             let font = ("sans-serif", SMALL).into_font().color(&track.style.0);
             root.draw(&Text::new(
                 dot.label.clone(),
