@@ -73,6 +73,14 @@ export const tower = () =>
 export const street = () =>
   made("street", ["street", "--param", "length=300", "--density", "400", "--noise", "0.015"], ["--pixel", "0.05"]);
 
+/** A coarser one with overview levels. */
+export const avenue = () =>
+  made(
+    "avenue",
+    ["street", "--param", "length=300", "--density", "60", "--noise", "0.015"],
+    ["--pixel", "0.1", "--levels", "on"],
+  );
+
 /**
  * A city of 896 × 427 × 789 m at pixels of 5 cm, with overview levels: 160 points on a square metre, 144 M in all. For `bench.js`
  * only: it takes minutes, and 3 GB of disk while it is made.

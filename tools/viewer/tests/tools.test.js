@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before, beforeEach, describe } from "node:test";
 import { drop, it, pages, pixels, state, until, walkIn } from "./browser.js";
-import { colouredHouse, DIST, house, WAY } from "./scans.js";
+import { avenue, colouredHouse, DIST, house, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
@@ -17,7 +17,8 @@ let server, page;
 const tests = pages();
 
 before(async () => {
-  server = await new StaticServer(DIST, { "/house.slices": house(), "/coloured.slices": colouredHouse() }).start();
+  const files = { "/house.slices": house(), "/coloured.slices": colouredHouse(), "/avenue.slices": avenue() };
+  server = await new StaticServer(DIST, files).start();
 });
 after(async () => {
   await server?.stop();
@@ -138,6 +139,23 @@ describe("places", () => {
     await page.waitForTimeout(400);
     assert.deepEqual((await state(page)).at.slice(0, 2), at.slice(0, 2));
     await page.evaluate(() => document.exitPointerLock());
+  });
+
+  it("teleports far beyond the pages in memory by one click", async () => {
+    const start = await walkIn(page, address(server, { archive: "avenue.slices", at: [2, 0, 0.1], look: [90, -1] }));
+    await until(page, "the outline", ({ drawn }) => drawn.overview > 0);
+    await page.mouse.click(middle.x, middle.y);
+    await page.waitForFunction(() => document.pointerLockElement !== null);
+    const { look, at, pages } = await state(page);
+    await page.mouse.down();
+    await page.mouse.up();
+    const far = await until(page, "elsewhere", (now) => now.at[0] > at[0] + 30, { timeout: 60_000 });
+    await page.evaluate(() => document.exitPointerLock());
+    // From the eye down to the street.
+    const expected = at[0] + 1.65 / Math.tan((-look[1] * Math.PI) / 180);
+    assert.ok(Math.abs(far.at[0] - expected) < 0.25 * expected, `${start.at} to ${far.at}, expected x = ${expected}`);
+    assert.ok(Math.abs(far.at[2]) < 0.3, `z = ${far.at[2]}`);
+    assert.ok(pages.resident > 0);
   });
 
   it("chooses a place to stand when the address names none", async () => {

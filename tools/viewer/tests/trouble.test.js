@@ -6,7 +6,7 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { beforeEach, describe } from "node:test";
 import { hold, it, pages, state, until, walkIn } from "./browser.js";
-import { DIST, house, other, WAY } from "./scans.js";
+import { colouredHouse, DIST, house, other, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
@@ -107,6 +107,22 @@ describe("trouble", () => {
     const { error } = await until(page, "an error", (now) => now.error !== null);
     assert.match(error, /damaged/);
     await page.getByRole("dialog").getByText("slicetool verify").waitFor();
+  });
+
+  it("says once that colours are damaged, and walks on without them", async () => {
+    const bytes = readFileSync(colouredHouse());
+    const number = (at) => Number(bytes.readBigUInt64LE(at));
+    // The end of pages, colours and levels, less the levels and the table of colour leaves: the last of these leaves.
+    const end = bytes.readUInt32LE(12) + number(288) - number(328);
+    bytes[end - 12 * bytes.readUInt32LE(320) - 1] ^= 1;
+    writeFileSync(join(folder, "bad.slices"), bytes);
+    await walkIn(page, address(server, { archive: "bad.slices", at: WAY.start, look: [0, -30] }));
+    await page.getByText("A part of this archive is damaged").waitFor();
+    await page.getByText(/rule K3: colour leaf 0/).waitFor();
+    await hold(page, ["w"], "walking on", ({ speed }) => speed > 0.5);
+    const { error, drawn, colours } = await state(page);
+    assert.deepEqual([error, drawn.coloured, colours.missing > 0], [null, 0, true]);
+    assert.equal(await page.getByText("Connection trouble").count(), 0);
   });
 
   it("says what a missing archive's address was answered", async () => {

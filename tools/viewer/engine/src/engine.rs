@@ -703,3 +703,66 @@ fn point(at: &[f64]) -> Result<Point3<f64>, String> {
 fn not_open() -> String {
     invalid("the archive is not open yet")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const COLOURED: &[u8] = include_bytes!("../../../../tests/golden/colours.slices");
+    const SETTINGS: [f64; 10] = [0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.5, 1.0, f64::NAN];
+    const STILL: [f64; 5] = [0.0, 0.0, 1.0, 0.0, 0.0];
+
+    /// What a poll says: each kind with its numbers.
+    fn polled(engine: &mut Engine) -> Vec<Vec<f64>> {
+        let todo = engine.poll(0.0).unwrap();
+        let (mut at, mut found) = (0, Vec::new());
+        while at < todo.len() {
+            let len = if [FETCH, FETCH_COLOURS].contains(&todo[at]) { 4 } else { 2 };
+            found.push(todo[at..at + len].to_vec());
+            at += len;
+        }
+        found
+    }
+
+    fn give(engine: &mut Engine, fetch: &[f64]) {
+        engine.given(fetch[1] as u32, COLOURED[fetch[2] as usize..fetch[3] as usize].to_vec(), 0.0);
+        while engine.decode(0.0) {}
+    }
+
+    /// Gives everything but colours, and draws; the first request for colours.
+    fn until_colours(engine: &mut Engine, scene: Option<u32>) -> Option<u32> {
+        loop {
+            let todo = polled(engine);
+            todo.iter().filter(|what| what[0] == FETCH).for_each(|fetch| give(engine, fetch));
+            let drawn = scene.is_some_and(|scene| !engine.build(scene).unwrap().is_empty());
+            let colours = todo.iter().find(|what| what[0] == FETCH_COLOURS).map(|what| what[1] as u32);
+            if colours.is_some() || !drawn && todo.iter().all(|what| what[0] == WAIT) {
+                return colours;
+            }
+        }
+    }
+
+    #[test]
+    fn a_request_for_colours_is_given_up_while_a_pawn_waits() {
+        let mut engine = Engine::new(COLOURED.len() as f64, 64e6, 4);
+        assert_eq!(until_colours(&mut engine, None), None);
+        let scene = engine.scene(2.0, 1e5, 0.01, false);
+        engine.bring_colours();
+        engine.look(scene, &[3.2, 3.2, 20.0]).unwrap();
+        let first = until_colours(&mut engine, Some(scene)).expect("colours of what is drawn");
+        // In a page far from the camera, which nobody asked for before.
+        let pawn = engine.pawn(&SETTINGS, &[16.0, -16.0, 97.0]).unwrap();
+        assert!(engine.step(pawn, 0.05, &STILL).unwrap()[9] > 0.0, "it waits");
+        let todo = polled(&mut engine);
+        assert!(todo.contains(&vec![CANCEL, f64::from(first)]), "{todo:?}");
+        let of_pages = todo.iter().find(|what| what[0] == FETCH).expect("what it waits for").clone();
+        assert!(polled(&mut engine).iter().all(|what| what[0] != FETCH_COLOURS), "none while it waits");
+        // An answer that comes all the same is none.
+        engine.given(first, vec![0; 12], 0.0);
+        assert!(engine.take_report().is_empty());
+        give(&mut engine, &of_pages);
+        assert_eq!(engine.step(pawn, 0.05, &STILL).unwrap()[9], 0.0);
+        let again = until_colours(&mut engine, Some(scene)).expect("colours again");
+        assert!(again > first);
+    }
+}

@@ -103,7 +103,7 @@ export class Link {
   }
 
   private receive(message: FromWorker): void {
-    if (message instanceof Float64Array) {
+    if (Array.isArray(message)) {
       const [id = 0] = message;
       const waiting = this.waiting.get(id);
       this.waiting.delete(id);

@@ -38,11 +38,11 @@ export type Note =
   | { readonly note: "abort"; readonly id: number };
 
 /**
- * A step: bare numbers, because steps come every frame and objects cost more than the engine's work. To the worker: id of the call,
+ * A step: numbers in a plain array, because steps come every frame, and objects and typed arrays take the browser longer. To the worker: id of the call,
  * walker, seconds, and the five numbers of the input. The answer: id of the call, and the twelve numbers of a state; a fault
  * comes as for any call.
  */
-export type Step = Float64Array<ArrayBuffer>;
+export type Step = number[];
 
 export type ToWorker = (Call & { readonly id: number }) | Note | Step;
 

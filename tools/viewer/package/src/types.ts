@@ -132,7 +132,10 @@ export interface Stats {
 export interface ArchiveEvents {
   /** About four times a second while something changes. */
   stats: (stats: Stats) => void;
-  /** A host that could be reached again is `null`; a lasting error ends the archive. */
+  /**
+   * The host cannot be reached (kind `network`; `null` once it can be again), or a page, its colours or the overview level is
+   * damaged and left out (kind `damaged`). A lasting error ends the archive.
+   */
   trouble: (error: SlicewalkError | null) => void;
   /** The archive can no longer be used: replaced, damaged, or the worker died. Everything that was asked is rejected. */
   failed: (error: SlicewalkError) => void;

@@ -55,11 +55,11 @@ function numbers(settings: Settings): Float64Array {
 function stepNumbers(walker: number, seconds: number, input: WalkerInput): Step {
   const [x, y] = input.toward ?? input.wish ?? [0, 0];
   const flags = (input.jump ? 1 : 0) | (input.crouch ? 2 : 0) | (input.fly ? 4 : 0) | (input.toward ? 8 : 0);
-  return Float64Array.of(0, walker, seconds, x, y, input.pace ?? 1, input.lift ?? 0, flags);
+  return [0, walker, seconds, x, y, input.pace ?? 1, input.lift ?? 0, flags];
 }
 
 /** The engine's twelve numbers. */
-function state(numbers: Float64Array): WalkerState {
+function state(numbers: ArrayLike<number>): WalkerState {
   const at = (n: number): number => numbers[n] ?? 0;
   return {
     at: [at(0), at(1), at(2)],
@@ -101,7 +101,7 @@ class WalkerHandle implements Walker {
   async step(seconds: number, input: WalkerInput): Promise<WalkerState> {
     this.check();
     const answer = await this.link.step(stepNumbers(this.name, seconds, input));
-    this.state = state(answer.subarray(1));
+    this.state = state(answer.slice(1));
     return this.state;
   }
 

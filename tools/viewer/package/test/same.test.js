@@ -16,12 +16,12 @@ before(async () => {
   module = await engineModule();
 });
 
-function serve(engine, now) {
+function serve(engine, now, archive = scene) {
   for (;;) {
     const todo = engine.poll(now);
     let fetched = false;
     for (let at = 0; todo[at] === 1; at += 4) {
-      engine.given(todo[at + 1], scene.slice(todo[at + 2], todo[at + 3]), now);
+      engine.given(todo[at + 1], archive.slice(todo[at + 2], todo[at + 3]), now);
       fetched = true;
     }
     while (engine.decode(now));
@@ -63,6 +63,29 @@ test(`${questions} boxes, their floors, sweeps and rays`, () => {
   same(engine.floor(boxes), numbers("boxes.floors.f64"), "floors");
   same(engine.sweep(numbers("sweeps.f64")), numbers("sweeps.answers.f64"), "sweeps");
   same(engine.cast(numbers("rays.f64")), numbers("rays.answers.f64"), "rays");
+  engine.free();
+});
+
+test("rays beyond the pages in memory, by an overview level", () => {
+  const levels = read("levels.slices");
+  const engine = module.open(levels.length, 64e6, 4);
+  serve(engine, 0, levels);
+  const view = engine.scene(0.1, 1e5, 0.01, true);
+  engine.look(view, Float64Array.of(0, 0, 1));
+  serve(engine, 0, levels);
+  engine.load(Float64Array.of(-3, -3, -1, 1, 1, 4));
+  serve(engine, 0, levels);
+  const found = engine.far(numbers("rays.f64"));
+  same(found, numbers("rays.far.f64"), "far rays");
+  const truth = numbers("rays.answers.f64");
+  let [exact, bounds] = [0, 0];
+  for (let ray = 0; 2 * ray < found.length; ray++) {
+    const [distance, coarse, first] = [found[2 * ray], found[2 * ray + 1], truth[5 * ray]];
+    if (coarse === 0) assert.equal(distance, first, `ray ${ray}`);
+    else assert.ok(distance <= first, `ray ${ray}: free for ${distance} m, and there is matter at ${first} m`);
+    coarse === 0 ? exact++ : bounds++;
+  }
+  assert.ok(exact > questions / 20 && bounds > questions / 20, `${exact} exact, ${bounds} bounds`);
   engine.free();
 });
 

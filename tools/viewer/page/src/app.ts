@@ -34,6 +34,8 @@ const SECOND_MS = 1000;
 /** A longer frame counts as so long: the page was away. */
 const LONGEST_FRAME_S = 0.25;
 const FLOOR_NORMAL = 0.5;
+/** News of damage stays so long. */
+const DAMAGE_MS = 15_000;
 
 const NO_STATS = {
   pages: { resident: 0, bytes: 0 },
@@ -59,6 +61,8 @@ export class App {
   #ready = false;
   #error: string | null = null;
   #troubled = false;
+  /** The first damage of the open archive. */
+  #damage: string | null = null;
   #frames = 0;
   #fps = 0;
   #longestTask = 0;
@@ -225,6 +229,8 @@ export class App {
   #enter(session: Session, mode: Mode): void {
     this.#session = session;
     this.#error = null;
+    this.#damage = null;
+    this.#troubled = false;
     const { archive, world, pawn } = session;
     world.moveOrigin(pawn.at);
     this.#canvas.scene.add(world.group);
@@ -262,7 +268,11 @@ export class App {
   }
 
   #trouble(error: SlicewalkError | null): void {
-    if (error !== null) {
+    if (error !== null && error.kind !== "network") {
+      // Said once: damaged colours leave shapes grey, damaged pages hold the pawn up.
+      if (this.#damage === null) this.#shell.messages.say(texts.news.damage(error.message), DAMAGE_MS);
+      this.#damage ??= error.message;
+    } else if (error !== null) {
       this.#troubled = true;
       this.#shell.messages.wait(texts.news.trouble(error.message));
     } else if (this.#troubled) {
@@ -519,7 +529,8 @@ export class App {
     this.#shell.slices.update(pawn.at[2]);
     if (!this.#troubled && this.#ready && !this.#canvas.lost) {
       const waits = pawn.state.missing;
-      this.#shell.messages.wait(waits > 0 ? texts.loading.waiting(waits) : null);
+      const reason = this.#damage === null ? texts.loading.waiting(waits) : texts.loading.damaged(waits, this.#damage);
+      this.#shell.messages.wait(waits > 0 ? reason : null);
     }
   }
 

@@ -25,6 +25,8 @@ export interface Surroundings {
 }
 
 const PICK_M = 5000;
+/** Beyond what an overview level says is free, pages are loaded along so much of a ray at a time. */
+const PIECE_M = 16;
 /** So far surfaces with gaps stop a ray, where it would come more than so many pixels farther. */
 const NEAR_M = 60;
 const GAP_PIXELS = 2;
@@ -51,9 +53,7 @@ export const heightError = (archive: Archive): number => archive.info.sliceHeigh
  */
 export async function pick(archive: Archive, { origin, direction }: Ray, signal: AbortSignal): Promise<Spot | null> {
   const options = { load: true, signal };
-  const hits = await archive.castHits(new Float64Array([...origin, ...direction, PICK_M]), options);
-  const hit = hits.distances[0] ?? NaN;
-  const normal: Vec3 = [hits.normals[0] ?? 0, hits.normals[1] ?? 0, hits.normals[2] ?? 0];
+  const { hit, normal } = await cast(archive, { origin, direction }, signal);
   const half = archive.info.pixelSize;
   const reach = Math.min(hit, NEAR_M);
   const box = [...origin.map((value) => value - half), ...origin.map((value) => value + half)];
@@ -72,6 +72,24 @@ export async function pick(archive: Archive, { origin, direction }: Ray, signal:
     if (Math.abs(floor - at[2]) <= 2 * half) return { at: [at[0], at[1], floor], normal: [0, 0, 1] };
   }
   return { at, normal: slipped ? [-direction[0], -direction[1], 0] : normal };
+}
+
+/** What a ray meets. Where an overview level says that the ray is free, no page is loaded. */
+async function cast(archive: Archive, { origin, direction }: Ray, signal: AbortSignal): Promise<{ hit: number; normal: Vec3 }> {
+  let from = 0;
+  while (from < PICK_M) {
+    const ray = (length: number): Float64Array => new Float64Array([...add(origin, direction, from), ...direction, length]);
+    const { distances, coarse } = await archive.castFar(ray(PICK_M - from), { signal });
+    if (distances[0] === Infinity) break;
+    const isCoarse = coarse[0] === 1;
+    from += isCoarse ? (distances[0] ?? 0) : 0;
+    const length = isCoarse ? Math.min(PIECE_M, PICK_M - from) : PICK_M - from;
+    const { distances: hits, normals } = await archive.castHits(ray(length), { load: true, signal });
+    const hit = hits[0] ?? NaN;
+    if (hit !== Infinity) return { hit: from + hit, normal: [normals[0] ?? 0, normals[1] ?? 0, normals[2] ?? 0] };
+    from += length;
+  }
+  return { hit: Infinity, normal: [0, 0, 0] };
 }
 
 /** Distance, distance across and difference of height of two places. */

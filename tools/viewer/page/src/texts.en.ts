@@ -59,6 +59,8 @@ export const texts = {
     opening: (name: string) => `Opening ${name} …`,
     place: "Loading the place …",
     waiting: (pages: number) => (pages === 1 ? "Waiting for 1 page …" : `Waiting for ${pages} pages …`),
+    damaged: (pages: number, message: string) =>
+      `Waiting for ${pages === 1 ? "1 page" : `${pages} pages`} of an archive that is damaged: ${message}`,
     found: "No place to stand was found; flying instead.",
   },
   modes: { label: "View", walk: "Walk", orbit: "Orbit", plan: "Plan" },
@@ -180,6 +182,8 @@ export const texts = {
     nothingThere: "No floor to stand on there.",
     trouble: (message: string) => `Connection trouble, trying again: ${message}`,
     back: "The connection is back.",
+    damage: (message: string) =>
+      `A part of this archive is damaged and is left out. “slicetool verify” lists all damage. ${message}`,
     graphicsLost: "The graphics were lost; waiting for the browser to give them back.",
     graphicsBack: "The graphics are back.",
     local: "A link cannot carry a file of this computer.",

@@ -21,14 +21,15 @@ export class Messages {
   readonly dialog = h("dialog", { class: "trouble", "aria-labelledby": "trouble-title" });
   #timer = 0;
 
-  say(text: string): void {
+  /** News, for as long as reading takes. */
+  say(text: string, ms = NEWS_MS): void {
     clearTimeout(this.#timer);
     this.news.hidden = false;
     write(this.news, text);
     this.#timer = window.setTimeout(() => {
       this.news.hidden = true;
       write(this.news, "");
-    }, NEWS_MS);
+    }, ms);
   }
 
   /** What is being waited for; null: nothing. */

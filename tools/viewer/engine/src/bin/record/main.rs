@@ -17,6 +17,8 @@ const FRAMES: usize = 36_000;
 const STREAMED: usize = 1800;
 /// Runs of each measurement.
 const RUNS: usize = 5;
+/// Least and greatest corner of what is loaded where an overview level says the rest.
+const CORNER: [f64; 6] = [-3.0, -3.0, -1.0, 1.0, 1.0, 4.0];
 const LOW: [f64; 3] = [-4.5, -4.5, -0.5];
 const HIGH: [f64; 3] = [4.5, 4.5, 6.5];
 /// A box and a cylinder.
@@ -31,8 +33,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_bits().to_le_bytes()).collect();
         std::fs::write(folder.join(name), bytes)
     };
-    let bytes = scene::hall()?;
+    let bytes = scene::hall(false)?;
     std::fs::write(folder.join("scene.slices"), &bytes)?;
+    let with_levels = scene::hall(true)?;
+    std::fs::write(folder.join("levels.slices"), &with_levels)?;
     write("settings.f64", SETTINGS.as_flattened())?;
 
     let mut engine = open(&bytes)?;
@@ -49,6 +53,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     });
     write("rays.f64", &rays)?;
     write("rays.answers.f64", &engine.cast(&rays)?)?;
+
+    write("rays.far.f64", &partly(&with_levels)?.far(&rays)?)?;
 
     let inputs = inputs(FRAMES);
     write("inputs.f64", inputs.as_flattened())?;
@@ -145,6 +151,18 @@ fn open(bytes: &[u8]) -> Result<Engine, String> {
         0.0 => Ok(engine),
         other => Err(format!("{other} pages were left out")),
     }
+}
+
+/// An engine that holds a corner of the archive, and all of its overview level.
+fn partly(bytes: &[u8]) -> Result<Engine, String> {
+    let mut engine = Engine::new(bytes.len() as f64, 64e6, 4);
+    serve(&mut engine, bytes, 0.0)?;
+    let scene = engine.scene(0.1, 1e5, 0.01, true);
+    engine.look(scene, &[0.0, 0.0, 1.0])?;
+    serve(&mut engine, bytes, 0.0)?;
+    engine.load(&CORNER)?;
+    serve(&mut engine, bytes, 0.0)?;
+    Ok(engine)
 }
 
 /// Gives all that is asked for at once.

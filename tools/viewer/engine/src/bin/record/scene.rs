@@ -45,7 +45,7 @@ fn column(x: f64, y: f64, rough: f64) -> Vec<Matter> {
 }
 
 /// The bytes of the archive.
-pub fn hall() -> slicewalk::Result<Vec<u8>> {
+pub fn hall(has_levels: bool) -> slicewalk::Result<Vec<u8>> {
     let frame = Frame::new(0.04, 0.12)?;
     let (mut random, pixels) = (Random(3), (HALF / frame.pixel_m()) as i64);
     let mut pages: BTreeMap<PageKey, PageBuilder> = BTreeMap::new();
@@ -70,7 +70,10 @@ pub fn hall() -> slicewalk::Result<Vec<u8>> {
     let folder = tempfile::tempdir().map_err(|error| slicewalk::Error::io("hall.slices", "create a folder", error))?;
     let target = folder.path().join("hall.slices");
     let mut writer = ArchiveWriter::create(&target, &plan, false)?;
-    let mut encoder = PageEncoder::new(plan.frame);
+    let mut encoder = PageEncoder::new(plan.frame).for_levels(has_levels);
+    if has_levels {
+        writer.set_levels();
+    }
     for (key, builder) in pages {
         writer.put(key, encoder.encode(key, &builder.build()))?;
     }
