@@ -72,10 +72,10 @@ fn levels_are_made_on_demand_and_a_plan_decides_for_its_parts() {
         (header.version, header.bytes.levels > 0)
     };
     assert_eq!(made(&[]), ((1, 0), false));
-    assert_eq!(made(&["--levels", "on", "--force"]), ((1, 1), true));
+    assert_eq!(made(&["--levels", "on", "--force"]), ((1, 4), true));
     let plan = ["scan.las", "--write-plan", "p.json", "--pixel", "0.1", "--units", "m", "--levels", "on"];
     assert!(sliceconv(at, &plan).status.success());
-    assert_eq!(made(&["--plan", "p.json", "--shard", "1/1", "--force"]), ((1, 1), true));
+    assert_eq!(made(&["--plan", "p.json", "--shard", "1/1", "--force"]), ((1, 4), true));
     let out = sliceconv(at, &with(&["scan.las"], &["--plan", "p.json", "--levels", "off", "--force"]));
     assert_eq!(out.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&out.stderr).contains("--levels: contradicts the plan"));

@@ -10,13 +10,14 @@ mod scans;
 mod write;
 
 use coloured::{Cloud, Coloured, Numbers, e57, las};
-use scangen::{Chunks, Params, SampleSpec, Scene, Texture, WriteSpec, write_las};
+use scangen::sample::{Mode, ScannerSpec};
+use scangen::{Chunks, Params, Sample, SampleSpec, Scene, Texture, WriteSpec, write_las, write_samples};
 use scans::{Random, converts, data, refuses, text, verifies};
 use slicewalk::archive::{Archive, ColourReader, extract, merge, recover};
 use slicewalk::colour::{LabTable, difference, to_8_bits};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::{Error, NoMonitor};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use write::{Pcd, Ply};
@@ -27,7 +28,7 @@ const OPTIONS: [&str; 6] = ["--pixel", "0.1", "--units", "m", "--quiet", "--forc
 type Sums = BTreeMap<[i64; 3], ([u64; 3], u64)>;
 
 fn texture(eight_bits: bool) -> Texture {
-    Texture { period_m: 1.7, eight_bits }
+    Texture { period_m: 1.7, eight_bits, exposure: 0.0 }
 }
 
 /// Points of a house in whole millimetres.
@@ -124,7 +125,7 @@ fn voxels_have_the_colours_of_their_points_in_every_format_and_pages_are_those_w
             let options = [&["--colour", "rgb"], options].concat();
             let archive = convert(at, &[name], "a.slices", &options);
             let header = archive.header();
-            assert_eq!(header.version, (1, 3));
+            assert_eq!(header.version, (1, if options.contains(&"--levels") { 4 } else { 3 }));
             assert_eq!(f64::from(header.colours.unwrap().plan.scale.high), greatest, "{name}");
             let sums = sums(&points, archive.frame(), |point| texture(eight_bits).at(point));
             let (found, count) = error_of(&archive, &sums, greatest);
@@ -153,6 +154,33 @@ fn voxels_have_the_colours_of_their_points_in_every_format_and_pages_are_those_w
             assert_eq!(plain.header().voxels, header.voxels);
         }
     }
+}
+
+#[test]
+fn voxels_that_stations_saw_in_different_light_have_the_mean_of_what_they_saw() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = Scene::named("house", &Params::new()).unwrap();
+    let spec = SampleSpec { mode: Mode::Scanner(ScannerSpec::default()), ..SampleSpec::direct_count(80_000) };
+    let texture = Texture { exposure: 0.5, ..texture(false) };
+    let writing = WriteSpec { format: 7, texture: Some(texture), ..WriteSpec::for_path(&at.join("a.laz")) };
+    let samples: Vec<Sample> = scene.samples(5, &spec).unwrap().collect();
+    write_samples(&at.join("a.laz"), samples.iter().copied(), &writing).unwrap();
+    let archive = convert(at, &["a.laz"], "a.slices", &["--colour", "rgb"]);
+    let (frame, mut sums, mut lights) = (archive.frame(), Sums::new(), BTreeMap::new());
+    for sample in &samples {
+        let point = writing.rounded(sample.position).unwrap();
+        let place = [frame.pixel_of(point[0]), frame.pixel_of(point[1]), frame.slice_of(point[2])];
+        let (sum, n) = sums.entry(place).or_default();
+        // The formula once more: a share of what is there.
+        let seen = texture.at(point).map(|value| (f64::from(value) * texture.share(sample.station)).round() as u64);
+        seen.iter().zip(sum).for_each(|(value, sum)| *sum += value);
+        *n += 1;
+        lights.entry(place).or_insert_with(BTreeSet::new).insert(sample.station);
+    }
+    assert!(lights.values().filter(|stations| stations.len() > 1).count() > 500);
+    let (found, count) = error_of(&archive, &sums, 65_535.0);
+    assert!(count > 2000 && found <= 2.0, "{found} in {count} voxels");
 }
 
 #[test]

@@ -94,7 +94,7 @@ fn filling_holes_stays_within_the_budget() {
 fn shuffled_points_with_colours_stay_within_the_budget() {
     let folder = tempfile::tempdir().unwrap();
     let mut random = Random(8);
-    let texture = Some(Texture { period_m: 37.0, eight_bits: false });
+    let texture = Some(Texture { period_m: 37.0, eight_bits: false, exposure: 0.0 });
     let spec = WriteSpec { format: 2, texture, scale: [0.01; 3], ..WriteSpec::default() };
     let points = (0..POINTS).map(|_| uniform(&mut random, [400.0, 400.0, 0.3]));
     write_las(&folder.path().join("scan.las"), points, &spec).unwrap();
@@ -120,7 +120,7 @@ fn clouds_of_scanners_stay_within_the_budget_and_go_to_disk() {
         let mut random = Random(6);
         let samples = (0..count).map(|_| {
             let position = uniform(&mut random, [400.0, 400.0, 0.3]);
-            Sample { position, kind: Kind::Surface, surface: 0 }
+            Sample { position, kind: Kind::Surface, surface: 0, station: 0 }
         });
         let spec = WriteSpec { scale: [0.01; 3], ..WriteSpec::default() };
         write_clouds(&folder.path().join(name), format, samples, &spec, 2_000_000).unwrap();

@@ -227,6 +227,63 @@ fn a_plan_makes_the_archive_of_the_same_options_and_parts_leave_files_out_that_t
 }
 
 #[test]
+fn a_part_opens_the_files_that_it_meets_and_those_whose_names_say_too_little() {
+    let (folder, _) = job();
+    let at = folder.path();
+    for (from, to) in
+        [("west.las", "a/tile.las"), ("east.laz", "b/tile.laz"), ("west.las", "c/one.las"), ("east.laz", "c/one.laz")]
+    {
+        let to = at.join(to);
+        fs::create_dir_all(to.parent().unwrap()).unwrap();
+        fs::copy(at.join(from), to).unwrap();
+    }
+    // Under other names, and copies under one name.
+    for inputs in [["a/tile.las", "b/tile.laz"], ["c/one.las", "c/one.laz"], ["west.las", "b/tile.laz"]] {
+        let parts = parts(at, &inputs, 3, &["--plan", "plan.json"]);
+        merges_to(&parts, &at.join("whole.slices"));
+    }
+    let plan = ["a/tile.las", "c/one.laz", "--pixel", "0.1", "--units", "m", "--write-plan", "q.json", "--quiet"];
+    converts(at, &plan);
+    let of_q = parts(at, &["a/tile.las", "c/one.laz"], 4, &["--plan", "q.json"]);
+    convert(at, &["a/tile.las", "c/one.laz"], "q.slices", &["--plan", "q.json"]);
+    merges_to(&of_q, &at.join("q.slices"));
+    // A part that does not need a file does without its content, but not without the file; another length is noticed.
+    let run = |shard: &str, output: &str| {
+        let shard = ["--plan", "plan.json", "--shard", shard, "-o", output, "--quiet", "--force"];
+        scans::sliceconv(at, &[&["west.las", "east.laz"][..], &shard].concat())
+    };
+    let east = fs::read(at.join("east.laz")).unwrap();
+    assert!(run("1/8", "before.slices").status.success());
+    fs::write(at.join("east.laz"), vec![0; east.len()]).unwrap();
+    assert!(run("1/8", "after.slices").status.success());
+    assert!(fs::read(at.join("before.slices")).unwrap() == fs::read(at.join("after.slices")).unwrap());
+    let out = run("8/8", "after.slices");
+    assert_eq!(out.status.code(), Some(1), "{out:?}");
+    fs::write(at.join("east.laz"), &east[..east.len() - 1]).unwrap();
+    assert_eq!(run("1/8", "after.slices").status.code(), Some(1));
+    fs::write(at.join("east.laz"), &east).unwrap();
+    // What the plan says of all inputs has to fit those that are opened; a plan without it opens all.
+    let good = fs::read_to_string(at.join("plan.json")).unwrap();
+    let change = |from: &str, to: &str| {
+        assert!(good.contains(from), "{from}");
+        fs::write(at.join("plan.json"), good.replacen(from, to, 1)).unwrap();
+    };
+    change("\"length_units\": [", "\"length_units\": [[0.5, 0.5]], \"none\": [");
+    let out = run("1/8", "after.slices");
+    assert!(
+        String::from_utf8_lossy(&out.stderr).contains("the inputs have another unit of length than it states"),
+        "{out:?}"
+    );
+    change("\"length_units\": [", "\"length_units\": [[0]], \"none\": [");
+    assert!(String::from_utf8_lossy(&run("1/8", "after.slices").stderr).contains("stated.length_units"));
+    change("\"stated\": {", "\"earlier\": {");
+    assert!(run("1/8", "after.slices").status.success());
+    assert!(fs::read(at.join("before.slices")).unwrap() == fs::read(at.join("after.slices")).unwrap());
+    fs::write(at.join("east.laz"), vec![0; east.len()]).unwrap();
+    assert_eq!(run("1/8", "after.slices").status.code(), Some(1));
+}
+
+#[test]
 fn any_order_and_copies_merge_and_what_is_there_already_is_left_alone() {
     let (folder, parts) = job();
     let (at, whole) = (folder.path(), folder.path().join("whole.slices"));
@@ -356,7 +413,7 @@ fn plans_and_parts_on_the_command_line_are_checked() {
     assert!(said.contains("plan.json: exists already; --force"), "{said}");
     let good = fs::read_to_string(at.join("plan.json")).unwrap();
     for (from, to, word) in [
-        ("{", "[", "line 2: no plan in JSON"),
+        ("{", "[", "line 1: no plan in JSON"),
         ("\"slicewalk_plan\": 2", "\"slicewalk_plan\": 1", "slicewalk_plan"),
         ("\"pixel_size\": 0.1", "\"pixel_size\": -1", "pixel_size"),
         ("\"pixel_size\": 0.1", "\"pixel_size\": 0.2", "plan_hash"),

@@ -52,7 +52,12 @@ class Constants:
     read_again: float = 0.15
     """Share of the input that parts read besides their own: files that the border of a part cuts."""
     requests_a_tile: float = 12.0
-    """Requests that a plan or a part sends to know a tile: header, records, chunk table, eight samples."""
+    """Requests to know a tile: header, records, chunk table, eight samples. The plan sends them for all tiles, a part for those
+    that its columns meet."""
+    tiles_a_list: float = 1000.0
+    """Names in an answer of a store that lists a folder; every part lists its inputs."""
+    plan_bytes_a_tile: float = 390.0
+    """Bytes of the plan file, which every part reads."""
     bytes_a_request: float = 8e6
     """Bytes of a request for points."""
     plan_seconds_a_tile: float = 0.0004
@@ -101,9 +106,11 @@ def costs(survey: Survey, constants: Constants, prices: Prices, cluster: Cluster
     levels = depth(cluster.parts, cluster.fan_in)
     convert_s = survey.points * (1 + constants.read_again) / constants.points_a_second
     merge_s = pages * levels / constants.merged_pages_a_second
-    # Every part knows all tiles of its plan by their samples.
+    plans = survey.tiles * constants.plan_bytes_a_tile * cluster.parts
     requests = (
-        survey.tiles * constants.requests_a_tile * (1 + cluster.parts)
+        survey.tiles * constants.requests_a_tile * (2 + constants.read_again)
+        + survey.tiles / constants.tiles_a_list * (1 + cluster.parts)
+        + plans / constants.bytes_a_request
         + read / constants.bytes_a_request
         + stored * (1 + 2 * levels) / constants.bytes_a_request
     )
@@ -112,10 +119,11 @@ def costs(survey: Survey, constants: Constants, prices: Prices, cluster: Cluster
         core_hours * prices.core_hour
         + requests / 1000 * prices.thousand_requests
         + stored / GB * prices.stored_gb_month
-        + read / GB * prices.egress_gb
+        + (read + plans) / GB * prices.egress_gb
     )
     return {
         "bytes_read": read,
+        "bytes_of_plans": plans,
         "bytes_spilled": survey.points * constants.spilled_bytes_a_point,
         "bytes_stored": stored,
         "pages": pages,
@@ -132,14 +140,15 @@ def breaks(survey: Survey, constants: Constants, cluster: Cluster) -> list[tuple
     # Tiles along the border of a compact part, and of the largest node below the root.
     border = 4 * math.sqrt(survey.tiles / cluster.parts) + 4
     node = survey.tiles / min(cluster.fan_in, cluster.parts)
-    all_known = survey.tiles * constants.requests_a_tile * cluster.parts
+    listed = survey.tiles / constants.tiles_a_list * cluster.parts
+    plan_bytes = survey.tiles * constants.plan_bytes_a_tile
     limits = [
         ("pages of one archive", constants.most_pages / pages),
         ("parts of one plan", constants.most_parts / cluster.parts),
         ("shared inputs of one part", constants.most_shared / border),
         ("shared inputs of one node of the tree", constants.most_shared / node),
-        ("plan file of 64 MiB, at 390 bytes a tile", (64 << 20) / (390 * survey.tiles)),
-        ("samples of all tiles by all parts, within 10^9 requests", 1e9 / all_known),
+        ("plan file of 256 MiB", (256 << 20) / plan_bytes),
+        ("lists of all tiles by all parts, within 10^9 requests", 1e9 / listed),
         ("last merge by one thread, within a day", 86400 * constants.merged_pages_a_second / pages),
     ]
     return sorted(limits, key=lambda limit: limit[1])

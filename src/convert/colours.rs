@@ -1,5 +1,7 @@
 //! Colours of a conversion: which values of the points they are made of, and how these become colours.
 //!
+//! Triangles have colours of 8 bits a channel, which count as RGB and become as wide as those of points are.
+//!
 //! Whether the points have values is decided before anything is converted, by the first value that is not 0; so a file whose
 //! RGB is zero throughout counts as one without, and costs a pass. How values become colours (8 or 16 bits, the range of
 //! intensities) follows from all kept points of the whole input: a conversion of the whole learns it in its first pass. A
@@ -9,6 +11,7 @@
 //! Where files of 8 bits come with files of 16, those of 8 are made wider. LAS does not say which it has: beside files that do,
 //! its values are read once more, up to the first that needs more than 8 bits.
 
+use super::Inputs;
 use super::options::{ColourMode, ConvertOptions};
 use super::work::on_threads;
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
@@ -100,34 +103,62 @@ impl ConvertOptions {
     }
 }
 
+/// What colours are made of.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Found {
+    pub source: ColourSource,
+    /// Whether points have it.
+    points: bool,
+}
+
+impl Found {
+    /// Reads what is found, from now on.
+    fn set(found: Option<Self>, Inputs { scans, meshes, .. }: &mut Inputs) {
+        scans.set_colour(found.filter(|found| found.points).map(|found| found.source));
+        meshes.set_colours(found.is_some_and(|found| found.source == ColourSource::Rgb));
+    }
+}
+
+/// What of an input has values of `source`: points, triangles, or nothing.
+fn look(
+    Inputs { scans, meshes, .. }: &mut Inputs,
+    source: ColourSource,
+    threads: usize,
+    monitor: &dyn Monitor,
+) -> Result<Option<Found>> {
+    let mut points = scans.has_values(source);
+    if points {
+        prepare(scans, source, threads, monitor)?;
+        points = any_value(scans, source, threads, monitor)?;
+    }
+    let is_found = points || (source == ColourSource::Rgb && meshes.has_colours(monitor)?);
+    Ok(is_found.then_some(Found { source, points }))
+}
+
 /// The values that colours are made of, if there are to be colours. Cost: mostly a piece of the input; where values are zero
 /// throughout, a pass over it.
-pub(super) fn source_of(
-    options: &ConvertOptions,
-    set: &mut InputSet,
-    monitor: &dyn Monitor,
-) -> Result<Option<ColourSource>> {
+pub(super) fn source_of(options: &ConvertOptions, inputs: &mut Inputs, monitor: &dyn Monitor) -> Result<Option<Found>> {
     let wanted: &[ColourSource] = match options.colour {
-        ColourMode::Off => return Ok(None),
+        ColourMode::Off => &[],
         ColourMode::Auto => &[ColourSource::Rgb, ColourSource::Intensity],
-        ColourMode::Of(source) => &[source],
+        ColourMode::Of(ref source) => std::slice::from_ref(source),
     };
     let mut found = None;
     for &source in wanted {
-        if set.has_values(source) {
-            prepare(set, source, options.threads, monitor)?;
-            if any_value(set, source, options.threads, monitor)? {
-                found = Some(source);
-                break;
-            }
+        found = look(inputs, source, options.threads, monitor)?;
+        if found.is_some() {
+            break;
         }
     }
-    set.set_colour(found);
+    Found::set(found, inputs);
     if found.is_some() {
         return Ok(found);
     }
+    // Whoever wanted colours is told why meshes have none, when they are read.
+    inputs.meshes.set_colours(wanted.contains(&ColourSource::Rgb));
     match options.colour {
-        ColourMode::Of(source) if !set.files().is_empty() => {
+        ColourMode::Off => Ok(None),
+        ColourMode::Of(source) if !inputs.scans.files().is_empty() => {
             let reason = format!(
                 "no point of the input has {}; choose another source, or off, or name the columns of text without a header",
                 match source {
@@ -138,19 +169,42 @@ pub(super) fn source_of(
             );
             Err(Error::parameter(Parameter::Colour, reason))
         }
-        ColourMode::Of(_) => {
-            let reason = "meshes have no colours that Slicewalk reads yet; convert them without";
+        ColourMode::Of(source) => {
+            let reason = match source {
+                ColourSource::Rgb => "no triangle has a colour other than black; convert the meshes without",
+                _ => "meshes have RGB alone; choose rgb or off",
+            };
             Err(Error::parameter(Parameter::Colour, reason))
         }
-        _ => {
-            monitor.warn(&"no point has RGB or intensity: the archive has no colours".into());
+        ColourMode::Auto => {
+            let text = "no point has RGB or intensity, and no triangle a colour: the archive has no colours";
+            monitor.warn(&text.into());
             Ok(None)
         }
     }
 }
 
+/// As [`source_of`], for a part of a plan that made `source` of all its inputs.
+pub(super) fn source_of_plan(
+    source: Option<ColourSource>,
+    options: &ConvertOptions,
+    inputs: &mut Inputs,
+    monitor: &dyn Monitor,
+) -> Result<Option<Found>> {
+    let found = match source {
+        None => None,
+        Some(source) if inputs.meshes.is_empty() => {
+            prepare(&mut inputs.scans, source, options.threads, monitor)?;
+            Some(Found { source, points: true })
+        }
+        Some(source) => look(inputs, source, options.threads, monitor)?,
+    };
+    Found::set(found, inputs);
+    Ok(found)
+}
+
 /// Finds out what values of `source` mean in each file, where only the points tell that.
-pub(super) fn prepare(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<()> {
+fn prepare(set: &mut InputSet, source: ColourSource, threads: usize, monitor: &dyn Monitor) -> Result<()> {
     set.prepare_values(source)?;
     if source != ColourSource::Rgb {
         return Ok(());
@@ -205,10 +259,13 @@ fn any_value(set: &mut InputSet, source: ColourSource, threads: usize, monitor: 
 /// What is known of the values of all points: a pass over the input.
 pub(super) fn measure(
     set: &mut InputSet,
-    source: ColourSource,
+    Found { source, points }: Found,
     threads: usize,
     monitor: &dyn Monitor,
 ) -> Result<ColourScale> {
+    if !points {
+        return Ok(Values::new(source).scale());
+    }
     if source == ColourSource::Class {
         return Ok(ColourScale::CLASS);
     }

@@ -2,11 +2,11 @@
 
 use super::points::bounds;
 use super::work::on_threads;
-use crate::bytes::{ByteSource, FileSource};
-use crate::input::{InputSet, PointDecoder, ScanFile, StatedBounds};
+use crate::bytes::open_named;
+use crate::input::{InputSet, PointDecoder, ScanFile, StatedBounds, threads_to_look};
 use crate::{Error, Monitor, NoMonitor, Result};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -31,10 +31,10 @@ pub struct InputFacts {
 }
 
 impl InputFacts {
-    /// Of all scans of `set`, then of its meshes. Cost: eight small reads a file.
-    pub(super) fn of(set: &InputSet, monitor: &dyn Monitor) -> Result<Vec<Self>> {
+    /// Of all scans of `set`, then of its meshes. Cost: eight small reads a file, by so many threads.
+    pub(super) fn of(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Vec<Self>> {
         let scans = set.files().iter().map(|file| (file.path(), Some(file)));
-        let all = scans.chain(set.meshes().iter().map(|path| (path.as_path(), None)));
+        let all: Vec<_> = scans.chain(set.meshes().iter().map(|path| (path.as_path(), None))).collect();
         let one = |(path, scan): (&Path, Option<&ScanFile>)| {
             if monitor.cancelled() {
                 return Err(Error::Interrupted);
@@ -45,13 +45,26 @@ impl InputFacts {
             let (points, bounds) = scan.map_or((0, None), |scan| (scan.points_stated(), scan.bounds_with_slack()));
             Ok(Self { name, bytes, points, fingerprint, bounds })
         };
-        all.map(one).collect()
+        let (next, failed) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let work = || {
+            let mut found = Vec::new();
+            while !failed.load(Ordering::Relaxed) {
+                let number = next.fetch_add(1, Ordering::Relaxed);
+                let Some(&input) = all.get(number) else { break };
+                found.push((number, one(input).inspect_err(|_| failed.store(true, Ordering::Relaxed))?));
+            }
+            Ok(found)
+        };
+        let threads = threads_to_look(threads, all.iter().map(|&(path, _)| path)).min(all.len());
+        let mut found = on_threads(threads, work)?.into_iter().flatten().collect::<Vec<_>>();
+        found.sort_unstable_by_key(|&(number, _)| number);
+        Ok(found.into_iter().map(|(_, facts)| facts).collect())
     }
 
     /// The same, with the number and bounds of the kept points of scans whose headers do not state them. Cost: these scans
     /// are read once.
     pub(super) fn measured(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<Vec<Self>> {
-        let mut facts = Self::of(set, monitor)?;
+        let mut facts = Self::of(set, threads, monitor)?;
         let is_open = |file: usize| !set.files()[file].has_header();
         if !(0..set.files().len()).any(is_open) {
             return Ok(facts);
@@ -109,7 +122,7 @@ pub(super) fn name_of(path: &Path) -> String {
 
 /// Length of the file at `path`, and XXH3-128 of the length and the blocks.
 fn fingerprint(path: &Path) -> Result<(u64, u128)> {
-    let source = FileSource::open(path)?;
+    let source = open_named(path)?;
     let len = source.len();
     let (mut hash, mut block) = (Xxh3::new(), [0; BLOCK_BYTES as usize]);
     hash.update(&len.to_le_bytes());

@@ -3,10 +3,11 @@
 use super::ConvertOptions;
 use super::points::{Own, Read, out_of_reach};
 use super::work::on_threads;
+use crate::colour::ColourScale;
 use crate::convert::ShardScope;
 use crate::input::PointCounts;
 use crate::input::scenes::Scene;
-use crate::mesh::{MeshCounts, MeshFeed, MeshSet};
+use crate::mesh::{MeshBatch, MeshCounts, MeshFeed, MeshSet};
 use crate::plan::Plan;
 use crate::voxel::record::Recorder;
 use crate::voxel::runs::{RunBuilder, RunStore};
@@ -42,19 +43,36 @@ impl<'a> MeshRead<'a> {
     }
 }
 
+/// How triangles get colours.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Colouring {
+    pub scale: ColourScale,
+    /// Whether values follow the records of what they belong to.
+    pub with_points: bool,
+}
+
+/// How the first pass works.
+#[derive(Clone, Copy)]
+pub(super) struct MeshReading<'a> {
+    /// Memory of one worker's run under construction.
+    pub build_bytes: u64,
+    pub scope: Option<&'a ShardScope>,
+    pub colouring: Option<Colouring>,
+}
+
 /// First pass: all triangles into runs. One worker at a time reads; all of them take triangles to the grid.
 pub(super) fn read_meshes<'a>(
     set: &'a MeshSet,
     options: &ConvertOptions,
-    build_bytes: u64,
     plan: &Plan,
     store: &RunStore,
-    scope: Option<&ShardScope>,
+    reading: MeshReading<'_>,
     monitor: &dyn Monitor,
 ) -> Result<MeshRead<'a>> {
     if set.is_empty() {
         return Ok(MeshRead::of(&set.feed()));
     }
+    let MeshReading { build_bytes, scope, colouring } = reading;
     monitor.stage("reading meshes", 0, "triangles");
     let feed = Mutex::new(set.feed());
     let failed = AtomicBool::new(false);
@@ -65,9 +83,21 @@ pub(super) fn read_meshes<'a>(
             runs = runs.only(scope.keeps());
         }
         let mut surfaces = SurfaceBuilder::new(plan, options.mesh);
-        let (mut read, mut batch) = (Read::NOTHING, Vec::new());
-        while feed.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next(&mut batch, monitor)? {
-            for triangle in &batch {
+        if let Some(Colouring { scale, with_points }) = colouring {
+            let mut values = RunBuilder::of_values(Recorder::new(plan.frame), build_bytes, with_points);
+            if let Some(scope) = scope {
+                values = values.only(scope.keeps());
+            }
+            surfaces = surfaces.colouring(scale, values);
+        }
+        let (mut read, mut batch) = (Read::NOTHING, MeshBatch::default());
+        let next = |batch: &mut MeshBatch| {
+            // Its textures are not to wait for another worker.
+            batch.clear();
+            feed.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next_painted(batch, monitor)
+        };
+        while next(&mut batch)? {
+            for (triangle, paint) in batch.iter() {
                 if cancelled() {
                     return Err(Error::Interrupted);
                 }
@@ -79,9 +109,9 @@ pub(super) fn read_meshes<'a>(
                     return Err(out_of_reach(&plan.frame, min, max));
                 }
                 read.merge(&Read { min, max, own: Own { min, max, ..Read::NOTHING.own }, ..Read::NOTHING });
-                surfaces.push(triangle, &mut runs, store, &cancelled)?;
+                surfaces.push(triangle, paint, &mut runs, store, &cancelled)?;
             }
-            monitor.advance(batch.len() as u64);
+            monitor.advance(batch.triangles.len() as u64);
         }
         surfaces.flush(&mut runs, store)?;
         runs.flush(store)?;

@@ -8,6 +8,7 @@
 //! Memory, for a budget of `M`: runs kept `M/2`, then runs being built and afterwards columns being worked on `M/4`,
 //! input pieces and encoded pages `M/8` each. Nothing is sized by what a header states.
 
+mod chosen;
 mod colours;
 mod columns;
 mod facts;
@@ -33,7 +34,7 @@ mod writer;
 
 pub use facts::InputFacts;
 pub use options::{ColourMode, ConvertOptions, PixelSize, ShardOptions, Tolerance};
-pub use plan_file::PlanFile;
+pub use plan_file::{PlanFile, Stated};
 pub use preview::{Preview, PreviewInput, preview};
 pub use report::Report;
 pub use resume::Resumed;
@@ -55,7 +56,8 @@ use crate::voxel::runs::RunStore;
 use crate::voxel::spill::SpillPlace;
 use crate::voxel::views::Views;
 use crate::{Error, Monitor, NoMonitor, Parameter, Result};
-use meshes::read_meshes;
+use chosen::Chosen;
+use meshes::{Colouring, MeshReading, read_meshes};
 use pages::{Writing, write_archive};
 use points::{Reading, Seeing, read_points};
 use removed::RemovedPoints;
@@ -82,16 +84,36 @@ const VALUE_BYTES_PER_POINT: u64 = 8;
 pub(crate) struct Inputs {
     pub scans: InputSet,
     pub meshes: MeshSet,
+    /// If they are not all: of a part that need not open the others.
+    pub chosen: Option<Chosen>,
 }
 
 impl Inputs {
+    /// Those that the command reads, opened or not.
     fn paths(&self) -> impl Iterator<Item = &Path> {
-        self.scans.files().iter().map(ScanFile::path).chain(self.scans.meshes().iter().map(PathBuf::as_path))
+        let opened = self.scans.files().iter().map(ScanFile::path);
+        let closed = self.chosen.iter().flat_map(|chosen| &chosen.closed);
+        opened.chain(self.scans.meshes().iter().chain(closed).map(PathBuf::as_path))
     }
+
+    /// Their different units.
+    fn length_units(&self) -> Vec<LengthUnit> {
+        LengthUnit::distinct(self.scans.length_units().chain(self.meshes.length_unit()))
+    }
+}
+
+/// What textures of meshes may take (bytes): a part of what runs may have otherwise, and what encoded pages have later.
+fn texture_bytes(options: &ConvertOptions) -> u64 {
+    options.memory_bytes / 8 * 3
 }
 
 /// Opens the inputs of a conversion.
 pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Inputs> {
+    open_chosen(options, None, monitor)
+}
+
+/// Opens the `chosen` inputs of a conversion, or all.
+fn open_chosen(options: &ConvertOptions, chosen: Option<Chosen>, monitor: &dyn Monitor) -> Result<Inputs> {
     options.check()?;
     let input_options = InputOptions {
         units: options.units,
@@ -105,8 +127,17 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
         allow_incomplete: options.allow_incomplete,
         // Only what the points of the archive are read from counts, not the pass for an automatic pixel size.
         hash: false,
+        threads: options.threads,
     };
-    let mut scans = InputSet::open(&options.inputs, input_options, monitor)?;
+    let mut scans = match &chosen {
+        None => InputSet::open(&options.inputs, input_options, monitor)?,
+        Some(chosen) => {
+            let mut scans = InputSet::of_paths(chosen.opened.clone(), input_options, monitor)?;
+            chosen.check_stated(&scans)?;
+            scans.set_crs(chosen.stated.crs.clone());
+            scans
+        }
+    };
     let mesh_options = MeshOptions {
         units: options.units,
         up: options.plan.up,
@@ -114,10 +145,13 @@ pub(crate) fn open_inputs(options: &ConvertOptions, monitor: &dyn Monitor) -> Re
         temp_dir: options.temp_dir.clone(),
         allow_incomplete: options.allow_incomplete,
         hash: options.shard.is_some(),
+        // Known later.
+        colours: false,
+        texture_bytes: texture_bytes(options),
     };
     let meshes = MeshSet::open(scans.meshes(), mesh_options, monitor)?;
     scans.set_meshes(meshes.paths());
-    Ok(Inputs { scans, meshes })
+    Ok(Inputs { scans, meshes, chosen })
 }
 
 /// What automatic options follow from; `None` where they were given.
@@ -151,7 +185,7 @@ impl Surveyed {
 /// The plan of a conversion of `inputs`, and what it follows from, which may be `known` from an earlier run.
 pub(crate) fn plan(
     options: &ConvertOptions,
-    Inputs { scans: set, meshes }: &Inputs,
+    Inputs { scans: set, meshes, .. }: &Inputs,
     known: Option<Surveyed>,
     monitor: &dyn Monitor,
 ) -> Result<(Plan, Surveyed)> {
@@ -226,6 +260,10 @@ impl ConvertOptions {
             let reason = "what stations saw is not kept with temporary data; begin anew without resuming";
             return Err(Error::parameter(Parameter::Resume, reason));
         }
+        if self.resume && crate::bytes::address(&self.output).is_some() {
+            let reason = "an archive that is written to an address is made anew; leave it out, or write a file";
+            return Err(Error::parameter(Parameter::Resume, reason));
+        }
         self.check_colour()?;
         self.plan.check()
     }
@@ -254,6 +292,11 @@ impl Limits {
         let views_bytes = if options.plan.remove_moving { options.memory_bytes / 4 } else { 0 };
         Self { retain_bytes: options.memory_bytes / 2 - views_bytes, build_bytes, views_bytes }
     }
+
+    /// Those beside textures of meshes: runs kept make room for them.
+    fn with_textures(self) -> Self {
+        Self { retain_bytes: self.retain_bytes / 2, ..self }
+    }
 }
 
 /// Converts `options.inputs` into the archive `options.output`, which appears complete or not at all.
@@ -269,10 +312,10 @@ pub fn convert(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Report
 
 /// As [`convert`], with limits of its own.
 pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: &dyn Monitor) -> Result<Report> {
-    let inputs = open_inputs(options, monitor)?;
+    let mut inputs = open_chosen(options, Chosen::of(options, monitor)?, monitor)?;
     // Begun first, so that a file that must not be replaced is found before the work and not after it.
     let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
-    let output = Output::create(&options.output, kind, inputs.paths().collect())?;
+    let output = Output::create_by(&options.output, kind, inputs.paths().collect(), &options.temp_dir)?;
     let mut removed = match &options.removed {
         Some(path) => {
             let mut protected: Protected = inputs.paths().collect();
@@ -288,14 +331,19 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
     let known = earlier.as_ref().and_then(|earlier| earlier.surveyed(options));
     let (plan, surveyed) = plan(options, &inputs, known, monitor)?;
     let noise = surveyed.noise.or(options.plan_file.as_ref().and_then(|file| file.noise));
-    let Inputs { scans: mut set, meshes } = inputs;
-    let units = LengthUnit::distinct(set.length_units().chain(meshes.length_unit()));
+    let (source, colours) = colours_of(options, &mut inputs, monitor)?;
+    let units = match &inputs.chosen {
+        Some(chosen) => chosen.stated.units.clone(),
+        None => inputs.length_units(),
+    };
+    let Inputs { scans: mut set, meshes, chosen } = inputs;
+    let limits = if meshes.has_paint() { limits.with_textures() } else { limits };
     if units.len() > MAX_UNITS {
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
         return Err(error.with_way_out(Parameter::Units));
     }
-    let (source, colours) = colours_of(options, &mut set, monitor)?;
-    let scope = scope(options, &set, &plan, colours, monitor)?;
+    let scope = scope(options, &set, &plan, colours, chosen.as_ref(), monitor)?;
+    drop(chosen);
     let shard = scope.as_ref().map(|scope| scope.shard);
     let seeing = match plan.options.remove_moving {
         true => {
@@ -363,24 +411,20 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
 /// all of them.
 fn colours_of(
     options: &ConvertOptions,
-    set: &mut InputSet,
+    inputs: &mut Inputs,
     monitor: &dyn Monitor,
 ) -> Result<(Option<ColourSource>, Option<ColourPlan>)> {
-    let (source, plan) = match &options.plan_file {
-        Some(file) => {
-            let source = file.colour.map(|plan| plan.scale.source);
-            source.map(|source| colours::prepare(set, source, options.threads, monitor)).transpose()?;
-            (source, file.colour)
-        }
-        None => {
-            let source = colours::source_of(options, set, monitor)?;
-            let part = source.filter(|_| options.shard.is_some());
-            let scale = part.map(|source| colours::measure(set, source, options.threads, monitor)).transpose()?;
-            (source, scale.map(|scale| options.colour_plan(scale)))
-        }
-    };
-    set.set_colour(source);
-    Ok((source, plan))
+    if let Some(file) = &options.plan_file {
+        let source = file.colour.map(|plan| plan.scale.source);
+        let found = colours::source_of_plan(source, options, inputs, monitor)?;
+        return Ok((found.map(|found| found.source), file.colour));
+    }
+    let found = colours::source_of(options, inputs, monitor)?;
+    let part = found.filter(|_| options.shard.is_some());
+    let set = &mut inputs.scans;
+    let scale = part.map(|found| colours::measure(set, found, options.threads, monitor)).transpose()?;
+    // Reading their range, all points were asked for.
+    Ok((found.map(|found| found.source), scale.map(|scale| options.colour_plan(scale))))
 }
 
 /// The part that the options ask for, if not the whole; refuses inputs that are not those of the options' plan file.
@@ -389,13 +433,15 @@ fn scope(
     set: &InputSet,
     plan: &Plan,
     colour: Option<ColourPlan>,
+    chosen: Option<&Chosen>,
     monitor: &dyn Monitor,
 ) -> Result<Option<ShardScope>> {
     if let Some(shard) = options.shard {
-        return ShardScope::new(shard, set, plan, options, colour, monitor).map(Some);
+        return ShardScope::new(shard, set, plan, options, colour, chosen, monitor).map(Some);
     }
     if let Some(file) = &options.plan_file {
-        file.check_same_inputs(&PlanFile::of(InputFacts::of(set, monitor)?, plan.clone(), options))?;
+        let facts = InputFacts::of(set, options.threads, monitor)?;
+        file.check_same_inputs(&PlanFile::of(facts, plan.clone(), options))?;
     }
     Ok(None)
 }
@@ -479,7 +525,8 @@ impl Conversion<'_> {
         let build_bytes = limits.build_bytes;
         let reading = Reading { build_bytes, threads, scope, progress: &progress, notes, seeing, source };
         let (mut read, of_files, values) = read_points(set, plan, store, reading, monitor)?;
-        if let Some(colours) = colours.or(values.map(|values| options.colour_plan(values.scale()))) {
+        let colours = colours.or(values.map(|values| options.colour_plan(values.scale())));
+        if let Some(colours) = colours {
             writer.set_colours(colours);
         }
         // A part that leaves files out cannot say of the whole that nothing in it can be used.
@@ -489,7 +536,10 @@ impl Conversion<'_> {
         }
         set.check_complete(monitor)?;
         let points_not_finite = read.own.left_out.not_finite;
-        let mesh_read = read_meshes(meshes, options, limits.build_bytes, plan, store, scope, monitor)?;
+        let colouring = colours.filter(|_| meshes.has_paint());
+        let colouring = colouring.map(|ColourPlan { scale, .. }| Colouring { scale, with_points: seeing.is_some() });
+        let reading = MeshReading { build_bytes, scope, colouring };
+        let mesh_read = read_meshes(meshes, options, plan, store, reading, monitor)?;
         read.merge(&mesh_read.read);
         if let Some(scope) = scope {
             let scans = set.files().iter().enumerate().map(|(number, file)| (file.path(), set.hash(number)));
@@ -566,7 +616,13 @@ fn pixel_of_extent(meshes: &MeshSet, monitor: &dyn Monitor) -> Result<f64> {
 /// tell. These may lie, so a count beyond one point per byte is not believed.
 fn temp_bytes(options: &ConvertOptions, set: &InputSet, retain_bytes: u64) -> (u64, u64) {
     let parts = options.shard.map_or(1, |shard| u64::from(shard.count.max(1)));
-    let points = set.points_stated().min(set.bytes()) / parts;
+    // A part need not have opened all of them.
+    let points = match &options.plan_file {
+        Some(file) if options.shard.is_some() => {
+            file.inputs.iter().map(|input| input.points.min(input.bytes)).fold(0, u64::saturating_add)
+        }
+        _ => set.points_stated().min(set.bytes()),
+    } / parts;
     let values = match options.colour {
         ColourMode::Off => 0,
         ColourMode::Of(ColourSource::Intensity | ColourSource::Class) => VALUE_BYTES_PER_POINT,

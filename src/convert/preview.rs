@@ -61,7 +61,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
     check_free_space(options, &Files::current(), temp_bytes)?;
     let (plan, Surveyed { spacing, noise }) = plan(options, &opened, None, monitor)?;
     let (set, meshes) = (&opened.scans, &opened.meshes);
-    scope(options, set, &plan, None, monitor)?;
+    scope(options, set, &plan, None, None, monitor)?;
     if options.plan.remove_moving {
         Stations::find(options.stations.as_deref(), set)?;
     }
@@ -86,7 +86,7 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         noise: noise.or(options.plan_file.as_ref().and_then(|file| file.noise)),
         bounds,
         crs: set.crs().unwrap_or_default().to_owned(),
-        units: LengthUnit::distinct(set.length_units().chain(meshes.length_unit())),
+        units: opened.length_units(),
         temp_bytes,
         inputs: scans.chain(set.meshes().iter().map(of_mesh)).collect::<Result<_>>()?,
     })

@@ -1,5 +1,6 @@
 //! One part of a conversion: which files it reads, and which points count in it.
 
+use super::chosen::Chosen;
 use super::facts::{InputFacts, name_of};
 use super::holes::Closer;
 use super::options::{ConvertOptions, ShardOptions};
@@ -20,6 +21,8 @@ pub(crate) struct ShardScope {
     pub shard: Shard,
     /// By number in the set of inputs: scans, then meshes.
     roles: Vec<Role>,
+    /// Whether it reads all inputs of the plan.
+    reads_all: bool,
     frame: Frame,
     /// Pixels around the part's columns whose points it needs.
     reach: i64,
@@ -39,11 +42,24 @@ struct Role {
     bounds: Option<StatedBounds>,
 }
 
+impl Role {
+    /// How the part `shard` of `file` treats one of its inputs.
+    fn of(file: &PlanFile, shard: Shard, input: &InputFacts) -> Self {
+        let reach = reach(&file.plan);
+        let meets = |first, last| meets(&file.plan.frame, reach, input, first, last);
+        let reads = meets(shard.first, shard.last);
+        let before = shard.first > 0 && meets(0, shard.first - 1);
+        let behind = shard.last < u64::MAX && meets(shard.last + 1, u64::MAX);
+        let number = file.number_of(input.fingerprint) as u32;
+        Self { reads, owns: reads && !before, shared: before || behind, number, bounds: input.bounds }
+    }
+}
+
 /// How far from a pixel matter may lie that decides what becomes of it (pixels): connected matter that reaches farther than
 /// it has voxels to be dropped stays, whatever is behind.
 ///
 /// And holes are closed by floors around them.
-fn reach(plan: &Plan) -> i64 {
+pub(super) fn reach(plan: &Plan) -> i64 {
     let holes = match plan.options.fill_holes {
         0 => 0,
         widest => Closer::reach(widest),
@@ -54,21 +70,35 @@ fn reach(plan: &Plan) -> i64 {
     }
 }
 
+/// Whether points of `input` may lie within `reach` pixels of the columns `first..=last`.
+pub(super) fn meets(frame: &Frame, reach: i64, input: &InputFacts, first: u64, last: u64) -> bool {
+    match &input.bounds {
+        Some(bounds) => QuadCell::WHOLE.meets(&tiles(frame, bounds, reach), first, last),
+        None => true,
+    }
+}
+
 impl ShardScope {
-    /// The part that `options` ask for, of the inputs `set`, which must be those of its plan file.
+    /// The part that `options` ask for, of the inputs `set`, which must be those of its plan file; or, with `chosen` ones, some of
+    /// them.
     pub fn new(
         shard: ShardOptions,
         set: &InputSet,
         plan: &Plan,
         options: &ConvertOptions,
         colour: Option<ColourPlan>,
+        chosen: Option<&Chosen>,
         monitor: &dyn Monitor,
     ) -> Result<Self> {
         let facts = match &options.plan_file {
-            Some(_) => InputFacts::of(set, monitor)?,
+            Some(_) => InputFacts::of(set, options.threads, monitor)?,
             None => InputFacts::measured(set, options.threads, monitor)?,
         };
         let fingerprints: Vec<u128> = facts.iter().map(|input| input.fingerprint).collect();
+        if let (Some(file), Some(chosen)) = (&options.plan_file, chosen) {
+            file.check_same_options(plan, options)?;
+            return Self::of_chosen(file, chosen, &facts);
+        }
         let here = PlanFile { colour, ..PlanFile::of(facts, plan.clone(), options) };
         let file = match &options.plan_file {
             Some(file) => {
@@ -78,30 +108,40 @@ impl ShardScope {
             None => &here,
         };
         let shard = file.shard(shard.index, shard.count)?;
-        let reach = reach(plan);
         // Files of equal fingerprint may differ in the bounds that a person put into the plan.
         let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
         file.inputs.iter().for_each(|input| inputs.entry(input.fingerprint).or_default().push(input));
-        let role = |fingerprint: &u128| {
-            let input = inputs.get_mut(fingerprint).and_then(Vec::pop)?;
-            let meets = |first, last| match &input.bounds {
-                Some(bounds) => QuadCell::WHOLE.meets(&tiles(&plan.frame, bounds, reach), first, last),
-                None => true,
-            };
-            let reads = meets(shard.first, shard.last);
-            let before = shard.first > 0 && meets(0, shard.first - 1);
-            let behind = shard.last < u64::MAX && meets(shard.last + 1, u64::MAX);
-            let number = file.number_of(*fingerprint) as u32;
-            Some(Role { reads, owns: reads && !before, shared: before || behind, number, bounds: input.bounds })
-        };
+        let role = |fingerprint: &u128| Some(Role::of(file, shard, inputs.get_mut(fingerprint).and_then(Vec::pop)?));
         // All are there: the inputs are those of the plan file.
         let roles: Vec<Role> = fingerprints.iter().filter_map(role).collect();
+        Self::with(file, shard, roles, true)
+    }
+
+    /// Of inputs of which others than the `chosen` ones stay closed.
+    fn of_chosen(file: &PlanFile, chosen: &Chosen, facts: &[InputFacts]) -> Result<Self> {
+        let mut inputs: HashMap<u128, Vec<&InputFacts>> = HashMap::new();
+        for (input, _) in file.inputs.iter().zip(&chosen.is_closed).filter(|(_, is_closed)| !**is_closed) {
+            inputs.entry(input.fingerprint).or_default().push(input);
+        }
+        let mut roles = Vec::with_capacity(facts.len());
+        for here in facts {
+            let known = inputs.get_mut(&here.fingerprint).and_then(Vec::pop);
+            roles.push(Role::of(file, chosen.shard, known.ok_or_else(|| PlanFile::stranger(&here.name))?));
+        }
+        if let Some(missing) = inputs.values().flatten().map(|input| &input.name).min() {
+            return Err(PlanFile::left_out(missing));
+        }
+        Self::with(file, chosen.shard, roles, chosen.closed.is_empty())
+    }
+
+    fn with(file: &PlanFile, shard: Shard, roles: Vec<Role>, all: bool) -> Result<Self> {
         let shared = roles.iter().filter(|role| role.reads && role.shared).count();
         if shared > InputRead::MOST {
             let what = "inputs that several parts read (join files, or convert fewer at once)";
             return Err(Error::limit(what, shared, InputRead::MOST));
         }
-        Ok(Self { shard, roles, frame: plan.frame, reach })
+        let reads_all = all && roles.iter().all(|role| role.reads);
+        Ok(Self { shard, roles, reads_all, frame: file.plan.frame, reach: reach(&file.plan) })
     }
 
     /// Whether the part needs the records of a tile column: one of its own, or one within reach.
@@ -148,7 +188,7 @@ impl ShardScope {
 
     /// Whether the part needs every file.
     pub fn reads_all(&self) -> bool {
-        self.roles.iter().all(|role| role.reads)
+        self.reads_all
     }
 
     /// Fails if points of a file that reach from `min` to `max` lie where other parts would not look for them.

@@ -13,13 +13,15 @@ pub(super) fn split(frame: &Frame, inputs: &[InputFacts], count: u32) -> Vec<u64
         areas = vec![(QuadCell::WHOLE.tiles(), 1.0)];
         total = 1.0;
     }
+    let targets: Vec<f64> = (1..count).map(|index| total * f64::from(index) / f64::from(count)).collect();
+    let mut wanted = Vec::with_capacity(targets.len());
+    columns_at(QuadCell::WHOLE, &areas, 0.0, &targets, &mut wanted);
     let mut firsts = vec![0u64];
     for index in 1..count {
         let least = firsts[firsts.len() - 1] + 1;
         // Room for the parts that follow, each of which has a column.
         let most = u64::MAX - u64::from(count - index);
-        let wanted = column_at(&areas, total * f64::from(index) / f64::from(count));
-        firsts.push(wanted.clamp(least, most));
+        firsts.push(wanted[index as usize - 1].clamp(least, most));
     }
     firsts
 }
@@ -96,24 +98,39 @@ impl QuadCell {
     }
 }
 
-/// The column before which the `areas`, evenly filled with their weights, hold `target`.
-fn column_at(areas: &[(TileRect, f64)], target: f64) -> u64 {
-    let mut cell = QuadCell::WHOLE;
-    let mut before = 0.0;
-    while cell.level > 0 {
-        let quarters = cell.quarters();
-        cell = quarters[3];
-        for quarter in &quarters[..3] {
-            let tiles = quarter.tiles();
-            let weight: f64 = areas.iter().map(|(area, weight)| weight * tiles.common(area) / area.common(area)).sum();
-            if before + weight > target {
-                cell = *quarter;
-                break;
-            }
-            before += weight;
-        }
+/// The columns before which the `areas`, evenly filled with their weights, hold each of the ascending `targets`. Those areas that
+/// meet `cell` suffice, since others add nothing; `before` is what lies in columns before it.
+///
+/// Cost: for each level of the quadtree, the areas that meet the cells in which targets lie; not areas times targets.
+fn columns_at(cell: QuadCell, areas: &[(TileRect, f64)], mut before: f64, mut targets: &[f64], found: &mut Vec<u64>) {
+    if cell.level == 0 {
+        found.extend(targets.iter().map(|_| cell.first));
+        return;
     }
-    cell.first
+    for (number, quarter) in cell.quarters().iter().enumerate() {
+        if targets.is_empty() {
+            return;
+        }
+        let tiles = quarter.tiles();
+        let weight: f64 = areas.iter().map(|(area, weight)| weight * tiles.common(area) / area.common(area)).sum();
+        let here = match number {
+            3 => targets.len(),
+            _ => targets.partition_point(|&target| before + weight > target),
+        };
+        let (within, rest) = targets.split_at(here);
+        if !within.is_empty() {
+            let meets = |(area, _): &&(TileRect, f64)| tiles.common(area) > 0.0;
+            match areas.iter().filter(meets).count() {
+                all if all == areas.len() => columns_at(*quarter, areas, before, within, found),
+                _ => {
+                    let met: Vec<_> = areas.iter().filter(meets).copied().collect();
+                    columns_at(*quarter, &met, before, within, found);
+                }
+            }
+        }
+        before += weight;
+        targets = rest;
+    }
 }
 
 #[cfg(test)]
@@ -122,7 +139,45 @@ mod tests {
     use crate::frame::morton;
     use proptest::prelude::*;
 
+    /// One target at a time, with all areas.
+    fn column_at(areas: &[(TileRect, f64)], target: f64) -> u64 {
+        let mut cell = QuadCell::WHOLE;
+        let mut before = 0.0;
+        while cell.level > 0 {
+            let quarters = cell.quarters();
+            cell = quarters[3];
+            for quarter in &quarters[..3] {
+                let tiles = quarter.tiles();
+                let weight: f64 =
+                    areas.iter().map(|(area, weight)| weight * tiles.common(area) / area.common(area)).sum();
+                if before + weight > target {
+                    cell = *quarter;
+                    break;
+                }
+                before += weight;
+            }
+        }
+        cell.first
+    }
+
     proptest! {
+        #[test]
+        fn columns_of_many_targets_are_those_of_each(
+            areas in proptest::collection::vec(((-5000i64..5000, 0i64..700), (-5000i64..5000, 0i64..700), 0.0f64..1e6), 1..12),
+            count in 2u32..40
+        ) {
+            let area = |&(x, y, weight): &((i64, i64), (i64, i64), f64)| {
+                (TileRect { x: (x.0, x.0 + x.1), y: (y.0, y.0 + y.1) }, weight)
+            };
+            let areas: Vec<_> = areas.iter().map(area).collect();
+            let total: f64 = areas.iter().map(|area| area.1).sum();
+            let targets: Vec<f64> = (1..count).map(|index| total * f64::from(index) / f64::from(count)).collect();
+            let mut found = Vec::new();
+            columns_at(QuadCell::WHOLE, &areas, 0.0, &targets, &mut found);
+            let expected: Vec<u64> = targets.iter().map(|&target| column_at(&areas, target)).collect();
+            prop_assert_eq!(found, expected);
+        }
+
         #[test]
         fn a_range_meets_an_area_exactly_when_it_has_a_column_of_it(
             x in (-20i64..20, 0i64..9), y in (-20i64..20, 0i64..9), at in (-24i32..32, -24i32..32), length in 0u64..200

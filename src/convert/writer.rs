@@ -73,7 +73,7 @@ impl PointWriter {
         }
         let plan = options.plan_of(pixel_m)?;
         let kind = OutputKind::Archive(Existing::replaced_if(options.overwrite));
-        let output = Output::create(&options.output, kind, Protected::default())?;
+        let output = Output::create_by(&options.output, kind, Protected::default(), &options.temp_dir)?;
         // What a program pushes cannot be resumed: without a head, the next run removes what a kill leaves.
         let name = output.beside().file_name().unwrap_or_default().to_owned();
         let place =

@@ -17,7 +17,8 @@ use crate::colour::ColourSource;
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
 /// One opened scan file.
@@ -55,24 +56,25 @@ pub(super) enum Content {
 #[derive(Debug)]
 pub(super) struct Common {
     /// By the bytes of the LASzip record.
-    packings: HashMap<Vec<u8>, Arc<Packing>>,
+    packings: Mutex<HashMap<Vec<u8>, Arc<Packing>>>,
     /// Chunks that may still be listed.
-    chunks_left: u64,
+    chunks_left: AtomicU64,
 }
 
 impl Common {
     /// For chunk tables of so many bytes in all.
     pub fn new(memory_bytes: u64) -> Self {
-        Self { packings: HashMap::new(), chunks_left: memory_bytes / size_of::<Chunk>() as u64 }
+        Self { packings: Mutex::default(), chunks_left: (memory_bytes / size_of::<Chunk>() as u64).into() }
     }
 
-    fn packing(&mut self, source: &Source, body: &[u8], memory_bytes: u64) -> Result<Arc<Packing>> {
-        if let Some(packing) = self.packings.get(body) {
+    fn packing(&self, source: &Source, body: &[u8], memory_bytes: u64) -> Result<Arc<Packing>> {
+        let packings = || self.packings.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(packing) = packings().get(body) {
             return Ok(packing.clone());
         }
         let packing = Arc::new(Packing::read(source, body, memory_bytes)?);
-        self.packings.insert(body.to_vec(), packing.clone());
-        Ok(packing)
+        // Another thread may have been faster.
+        Ok(packings().entry(body.to_vec()).or_insert(packing).clone())
     }
 }
 
@@ -91,7 +93,7 @@ impl ScanFile {
     pub(super) fn open(
         path: &Path,
         options: &InputOptions,
-        common: &mut Common,
+        common: &Common,
         findings: &mut Findings,
         monitor: &dyn Monitor,
     ) -> Result<(Self, Reference)> {
@@ -126,9 +128,12 @@ impl ScanFile {
             (Some(body), true) => {
                 let packing = common.packing(&source, body, options.memory_bytes)?;
                 packing.check_record_bytes(&header, findings);
-                let body = packing.body(&source, &header, bytes, common.chunks_left, findings)?;
+                let left = common.chunks_left.load(Ordering::Relaxed);
+                let body = packing.body(&source, &header, bytes, left, findings)?;
                 if let Chunking::Chunks { chunks, .. } = &body {
-                    common.chunks_left -= chunks.len() as u64;
+                    // Threads may overdraw it, each by its one file.
+                    let less = |left: u64| Some(left.saturating_sub(chunks.len() as u64));
+                    let _ = common.chunks_left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
                 }
                 Content::Packed { packing, body }
             }

@@ -38,11 +38,13 @@ pub mod spacing;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use self::convert::{Filter, Layout};
 use self::file::Common;
 use self::losses::{Findings, Losses};
+use crate::bytes::address;
 use crate::colour::ColourSource;
 use crate::plan::{ClassSet, Up};
 use crate::text::number;
@@ -111,6 +113,8 @@ pub struct InputOptions {
     pub allow_incomplete: bool,
     /// Whether all that is decoded is hashed, so that two runs can tell whether they read the same.
     pub hash: bool,
+    /// Threads that read headers, at least 1.
+    pub threads: usize,
 }
 
 impl Default for InputOptions {
@@ -125,6 +129,7 @@ impl Default for InputOptions {
             colour: None,
             allow_incomplete: false,
             hash: false,
+            threads: 1,
         }
     }
 }
@@ -230,6 +235,55 @@ pub struct StatedBounds {
     pub max: [f64; 3],
 }
 
+/// Files that are opened before warnings about them are given.
+const OPENED_AT_ONCE: usize = 1024;
+
+/// Threads that look at files with few reads each: more than processors where answers come from far away.
+pub(crate) fn threads_to_look<'a>(threads: usize, mut paths: impl Iterator<Item = &'a Path>) -> usize {
+    const AT_ONCE: usize = 32;
+    if paths.any(|path| address(path).is_some()) { threads.max(AT_ONCE) } else { threads }
+}
+
+/// The files that `inputs` stand for, in order of their paths, each once.
+pub(crate) fn expand_inputs(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {
+    expand::expand(inputs, None, monitor)
+}
+
+/// What `work` gives of `items`, in their order, by so many threads; up to the first that `stops`, or as far as it came when
+/// `monitor` was cancelled.
+fn in_order<I: Sync, T: Send>(
+    items: &[I],
+    threads: usize,
+    work: &(dyn Fn(&I) -> T + Sync),
+    stops: &(dyn Fn(&T) -> bool + Sync),
+    monitor: &dyn Monitor,
+) -> Vec<T> {
+    let next = AtomicUsize::new(0);
+    let found = Mutex::new((0..items.len()).map(|_| None).collect::<Vec<Option<T>>>());
+    let run = || {
+        loop {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            let Some(item) = items.get(number).filter(|_| !monitor.cancelled()) else { return };
+            let done = work(item);
+            if stops(&done) {
+                next.store(items.len(), Ordering::Relaxed);
+            }
+            found.lock().unwrap_or_else(PoisonError::into_inner)[number] = Some(done);
+        }
+    };
+    std::thread::scope(|scope| {
+        // The calling thread works too, also where the system starts no other.
+        for _ in 1..threads.min(items.len()) {
+            let _ = std::thread::Builder::new().spawn_scoped(scope, run);
+        }
+        run();
+    });
+    let found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let mut stopped = false;
+    let before = |done: &T| !std::mem::replace(&mut stopped, stops(done));
+    found.into_iter().map_while(|done| done).take_while(before).collect()
+}
+
 /// Opened scan files with checked headers, in order of their paths.
 #[derive(Debug)]
 pub struct InputSet {
@@ -256,6 +310,17 @@ impl InputSet {
     /// `monitor` too. Cost: a few small reads a file, and its chunk table; of text that states how many lines belong to a cloud
     /// (PTS, PTX, PLY, PCD) all lines, of E57 the heads of all packets.
     pub fn open(inputs: &[PathBuf], options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
+        let losses = Losses::default();
+        let paths = expand::expand(inputs, options.allow_incomplete.then_some(&losses), monitor)?;
+        Self::with(paths, losses, options, monitor)
+    }
+
+    /// As [`open`](Self::open), of files that [`expand_inputs`] found; there may be none.
+    pub(crate) fn of_paths(paths: Vec<PathBuf>, options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
+        Self::with(paths, Losses::default(), options, monitor)
+    }
+
+    fn with(paths: Vec<PathBuf>, losses: Losses, options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
         if let Units::Factor(factor) = options.units
             && !UNIT_RANGE_M.contains(&factor)
         {
@@ -264,23 +329,36 @@ impl InputSet {
                 format!("{} is no number of metres per unit", number(factor)),
             ));
         }
-        let losses = Losses::default();
-        let paths = expand::expand(inputs, options.allow_incomplete.then_some(&losses), monitor)?;
         let (meshes, paths): (Vec<_>, Vec<_>) = paths.into_iter().partition(|path| expand::is_mesh(path));
+        if let Some(mesh) = meshes.iter().find(|mesh| address(mesh).is_some()) {
+            return Err(Error::input(mesh, "address", "meshes are read from files only; copy it here"));
+        }
         let mut files: Vec<ScanFile> = Vec::with_capacity(paths.len());
-        let mut common = Common::new(options.memory_bytes.max(16 << 20));
+        let common = Common::new(options.memory_bytes.max(16 << 20));
         let (mut systems, mut no_unit, mut degrees) = (crs::Systems::default(), Those::default(), Those::default());
         let (mut left_out, mut said) = (None, BTreeMap::<String, Those>::new());
-        for path in paths {
+        let allow_incomplete = options.allow_incomplete;
+        let open = |path: &PathBuf| {
+            let mut findings = Findings { path, allow_incomplete, notes: Vec::new(), lost: Vec::new() };
+            let opened = ScanFile::open(path, &options, &common, &mut findings, monitor);
+            (findings.notes, findings.lost, opened)
+        };
+        let stops = |opened: &Result<_>| opened.as_ref().is_err_and(|error| !allow_incomplete || !is_of_input(error));
+        let blocks = paths.chunks(OPENED_AT_ONCE);
+        let opened = blocks.flat_map(|paths| {
+            let threads = threads_to_look(options.threads, paths.iter().map(PathBuf::as_path));
+            let found = in_order(paths, threads, &open, &|(_, _, opened)| stops(opened), monitor);
+            paths.iter().zip(found)
+        });
+        let mut count = 0;
+        for (path, (notes, lost, opened)) in opened {
             if monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
-            let allow_incomplete = options.allow_incomplete;
-            let mut findings = Findings { path: &path, allow_incomplete, notes: Vec::new(), lost: Vec::new() };
-            let opened = ScanFile::open(&path, &options, &mut common, &mut findings, monitor);
-            findings.notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display()).into()));
-            findings.lost.iter().for_each(|lost| warn_incomplete(&path, lost, monitor));
-            if !findings.lost.is_empty() {
+            count += 1;
+            notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display()).into()));
+            lost.iter().for_each(|lost| warn_incomplete(path, lost, monitor));
+            if !lost.is_empty() {
                 losses.note();
             }
             match opened {
@@ -299,6 +377,10 @@ impl InputSet {
                 Err(error) => return Err(error),
             }
         }
+        // All, but where the monitor was cancelled meanwhile.
+        if count < paths.len() {
+            return Err(Error::Interrupted);
+        }
         if let Some(error) = left_out.filter(|_| files.is_empty() && meshes.is_empty()) {
             return Err(error);
         }
@@ -316,7 +398,13 @@ impl InputSet {
         if let Some(source) = options.colour {
             files.iter_mut().try_for_each(|file| file.prepare_values(source))?;
         }
+        files.shrink_to_fit();
         Ok(Self { files, meshes, options, crs, filters, losses, hashes, tag: None })
+    }
+
+    /// Replaces the reference system, where these are not all scans.
+    pub(crate) fn set_crs(&mut self, crs: Option<String>) {
+        self.crs = crs;
     }
 
     /// Points that the headers and chunk tables lead to expect: for progress only.

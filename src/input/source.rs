@@ -3,12 +3,11 @@
 //! In: a path. Out: bytes at offsets. Nothing here moves a shared file position, so several threads may read one file.
 //! Memory: one [`Window`] holds at most [`WINDOW_BYTES`].
 
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::bytes::{Stamp, open_regular, read_up_to};
+use crate::bytes::{Input, Stamp};
 use crate::{Error, Result};
 use xxhash_rust::xxh3::{Xxh3, xxh3_128_with_seed};
 
@@ -18,7 +17,7 @@ const WINDOW_BYTES: usize = 64 << 10;
 /// An open scan file.
 #[derive(Debug)]
 pub(super) struct Source {
-    file: File,
+    input: Input,
     path: PathBuf,
     stamp: Stamp,
     /// Where reads are noted, if they are.
@@ -109,9 +108,8 @@ impl ReadLog {
 impl Source {
     /// Opens the file at `path`; what is read of it is noted in `log`.
     pub(super) fn open(path: &Path, log: Option<ReadLog>) -> Result<Self> {
-        let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
-        let stamp = Stamp::of(&file, &about);
-        Ok(Self { file, path: path.to_path_buf(), stamp, log })
+        let (input, stamp) = Input::open(path)?;
+        Ok(Self { input, path: path.to_path_buf(), stamp, log })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -130,7 +128,7 @@ impl Source {
     }
 
     fn fill(&self, out: &mut [u8], offset: u64) -> io::Result<usize> {
-        let read = read_up_to(&self.file, offset, out)?;
+        let read = self.input.read_up_to(offset, out)?;
         if let Some(log) = &self.log {
             log.add(offset, &out[..read]);
         }

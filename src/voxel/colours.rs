@@ -2,12 +2,14 @@
 //!
 //! The values of a point lie in records of their own beside that of the point, of 8 bytes and with the voxel in the same bits, so
 //! that one external sort serves both; without colours there are none. A point takes one record, or two where its RGB has 16
-//! bits that are not 8 bits made wider. Sums of records are the sums of points, in any order.
+//! bits that are not 8 bits made wider; a piece of a triangle takes one, or two where its weight is more than 1. Sums of records are the
+//! sums of points and pieces, in any order.
 
 use super::fold::{Area, Patch};
-use super::record::{PATCH_PIXELS, Record, VALUE_BITS};
+use super::record::{Content, PATCH_PIXELS, Record, VALUE_BITS};
 use crate::colour::{ColourScale, ColourSource, ColourSum, class_colour};
 use crate::frame::PAGE_SLICES;
+use crate::mesh::paint::{MOST_WEIGHT, PaintedPiece};
 use crate::slice::{Occupancy, Page};
 use crate::{Error, Parameter, Result};
 
@@ -18,7 +20,12 @@ const BYTES_256: u32 = 2;
 const FIRST_HALF: u32 = 3;
 const SECOND_HALF: u32 = 4;
 const VALUE: u32 = 5;
+/// Weight (6 bits), red times it (14 bits), and what blue times it has above its lower 10 bits.
+const FIRST_OF_PIECE: u32 = 6;
+/// Green times the weight (14 bits), and the lower 10 bits of blue times it.
+const SECOND_OF_PIECE: u32 = 7;
 const PAYLOAD_BITS: u32 = 24;
+const _: () = assert!(MOST_WEIGHT < 1 << 6 && MOST_WEIGHT * 255 < 1 << 14);
 const _: () = assert!(PAYLOAD_BITS + 3 == VALUE_BITS);
 
 /// The lower bits of the records of a point's values: one or two.
@@ -46,6 +53,20 @@ pub fn values_of(source: ColourSource, [r, g, b]: [u16; 3]) -> (u32, Option<u32>
     (first, Some(second))
 }
 
+/// The lower bits of the records of a triangle's piece in a voxel: one or two.
+#[inline]
+pub fn values_of_piece(scale: &ColourScale, piece: PaintedPiece) -> (u32, Option<u32>) {
+    let [r, g, b] = piece.colour.map(u32::from);
+    let weight = piece.weight.min(MOST_WEIGHT);
+    if weight == 1 {
+        let tag = if scale.high > u16::from(u8::MAX) { BYTES_257 } else { BYTES };
+        return (tag << PAYLOAD_BITS | r << 16 | g << 8 | b, None);
+    }
+    let [r, g, b] = [r * weight, g * weight, b * weight];
+    let first = FIRST_OF_PIECE << PAYLOAD_BITS | weight << 18 | r << 4 | b >> 10;
+    (first, Some(SECOND_OF_PIECE << PAYLOAD_BITS | g << 10 | b & 0x3FF))
+}
+
 /// What a record says of the values of an input: of RGB whether it needs more than 8 bits, else the value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ValueFact {
@@ -61,14 +82,14 @@ impl ValueFact {
     /// Of a record's [value](Record::value). Of the two records of one point, one says what both do.
     pub fn of(value: u32) -> Self {
         match value >> PAYLOAD_BITS {
-            BYTES | SECOND_HALF => Self::Bytes,
+            BYTES | SECOND_HALF | FIRST_OF_PIECE | SECOND_OF_PIECE => Self::Bytes,
             BYTES_257 | BYTES_256 | FIRST_HALF => Self::Wide,
             _ => Self::Value(value as u16),
         }
     }
 }
 
-/// Leaves out the values of points that are removed: each follows the record of its point.
+/// Leaves out the values of points that are removed: each follows the record of its point, or of a piece of a surface, which stays.
 #[derive(Debug, Default)]
 pub struct ValueSieve {
     next: Next,
@@ -89,10 +110,11 @@ impl ValueSieve {
     pub fn sift(&mut self, records: &[Record], removed: impl Fn(Record) -> bool, out: &mut Vec<Record>) {
         for &record in records {
             if self.next == Next::Point {
-                (self.next, self.is_removed) = (Next::Value, removed(record));
+                (self.next, self.is_removed) = (Next::Value, record.content() == Content::Point && removed(record));
                 continue;
             }
-            let has_second = self.next == Next::Value && record.value() >> PAYLOAD_BITS == FIRST_HALF;
+            let is_half = matches!(record.value() >> PAYLOAD_BITS, FIRST_HALF | FIRST_OF_PIECE);
+            let has_second = self.next == Next::Value && is_half;
             self.next = if has_second { Next::SecondHalf } else { Next::Point };
             if !self.is_removed {
                 out.push(record);
@@ -112,10 +134,19 @@ fn add(sum: &mut ColourSum, scale: &ColourScale, value: u32) {
         BYTES_256 => (1, bytes.map(|byte| byte * 256)),
         FIRST_HALF => (1, [payload >> 8, (payload & 0xFF) << 8, 0]),
         SECOND_HALF => (0, [0, payload >> 16, payload & 0xFFFF]),
+        // 8 bits, made as wide as the values of points are.
+        FIRST_OF_PIECE => {
+            let wide = u32::from(scale.high) / 255;
+            (payload >> 18, [(payload >> 4 & 0x3FFF) * wide, 0, ((payload & 0xF) << 10) * wide])
+        }
+        SECOND_OF_PIECE => {
+            let wide = u32::from(scale.high) / 255;
+            (0, [0, (payload >> 10) * wide, (payload & 0x3FF) * wide])
+        }
         _ if scale.source == ColourSource::Class => (1, class_colour(payload as u8).map(u32::from)),
         _ => (1, [u32::from(scale.stretch(payload as u16)); 3]),
     };
-    sum.n += points;
+    sum.n += u64::from(points);
     for (sum, channel) in sum.sum.iter_mut().zip(channels) {
         *sum += u64::from(channel);
     }
@@ -252,6 +283,25 @@ mod tests {
                 };
                 expected.n += 1;
                 (0..3).for_each(|at| expected.sum[at] += u64::from(channels[at]));
+            }
+            prop_assert_eq!(sum, expected);
+        }
+
+        #[test]
+        fn records_of_pieces_add_up_to_their_colours_times_their_weights(
+            pieces in proptest::collection::vec((any::<[u8; 3]>(), 1u32..=MOST_WEIGHT), 1..60), wide: bool
+        ) {
+            let scale = ColourScale::of_rgb(if wide { 1000 } else { 255 });
+            let (mut sum, mut expected) = (ColourSum::default(), ColourSum::default());
+            for &(colour, weight) in &pieces {
+                let (first, second) = values_of_piece(&scale, PaintedPiece { colour, weight });
+                prop_assert!(first < 1 << VALUE_BITS && second.is_none_or(|second| second < 1 << VALUE_BITS));
+                for record in second.into_iter().chain([first]) {
+                    add(&mut sum, &scale, record);
+                }
+                expected.n += u64::from(weight);
+                let one = if wide { 257 } else { 1 };
+                (0..3).for_each(|at| expected.sum[at] += u64::from(weight) * u64::from(colour[at]) * one);
             }
             prop_assert_eq!(sum, expected);
         }

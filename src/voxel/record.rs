@@ -252,6 +252,33 @@ impl Recorder {
         });
     }
 
+    /// Gives `sink` one or two records of a voxel with the values of a surface's piece, and no copies; before them, `with_points`, that of
+    /// the piece. The voxel must be on the grid.
+    pub fn record_surface_values(
+        &self,
+        voxel: &SurfaceVoxel,
+        with_points: bool,
+        (first, second): (u32, Option<u32>),
+        mut sink: impl FnMut(ColumnIndex, Record),
+    ) {
+        let mut give = |place: u64| {
+            let mut is_first = true;
+            spread(voxel.pixel, voxel.slice, place, &mut |index, record| {
+                // Copies come after it.
+                if std::mem::take(&mut is_first) {
+                    sink(index, record);
+                }
+            });
+        };
+        if with_points {
+            give(place_of_surface(voxel.part));
+        }
+        give(u64::from(first));
+        if let Some(second) = second {
+            give(u64::from(second));
+        }
+    }
+
     /// Gives `take` the number of each point, its place in subpixels, and its height in steps.
     #[inline]
     fn places(&self, x: &[f64], y: &[f64], z: &[f64], mut take: impl FnMut(usize, i64, i64, i64)) {
@@ -283,10 +310,14 @@ impl Recorder {
 
     /// Gives `sink` the record of what a surface fills of a voxel, and its copies. The voxel must be on the grid.
     pub fn record_surface(&self, voxel: &SurfaceVoxel, mut sink: impl FnMut(ColumnIndex, Record)) {
-        let SurfacePart { bottom, top, steep } = voxel.part;
-        let place = SURFACE + (u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep));
-        spread(voxel.pixel, voxel.slice, place, &mut sink);
+        spread(voxel.pixel, voxel.slice, place_of_surface(voxel.part), &mut sink);
     }
+}
+
+/// Lower bits of the record of what a surface fills of a voxel.
+#[inline]
+fn place_of_surface(SurfacePart { bottom, top, steep }: SurfacePart) -> u64 {
+    SURFACE + (u64::from(bottom) << 9 | u64::from(top) << 1 | u64::from(steep))
 }
 
 /// Place of a point in its voxel.

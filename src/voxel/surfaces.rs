@@ -1,9 +1,12 @@
-//! Triangles to records: exactly, as what they fill of voxels, or as points.
+//! Triangles to records: exactly, as what they fill of voxels, or as points; and their colours.
 
+use super::colours::values_of_piece;
 use super::record::{BATCH, Recorder, SurfaceVoxel, surface_voxels};
 use super::runs::{RunBuilder, RunStore};
+use crate::colour::ColourScale;
 use crate::frame::Frame;
 use crate::input::PointBatch;
+use crate::mesh::paint::{Paint, PaintedPiece, PlacedPaint};
 use crate::mesh::raster::{Raster, extent_of};
 use crate::mesh::sample::oversample;
 use crate::mesh::{MeshMode, Triangle};
@@ -26,6 +29,17 @@ pub struct SurfaceBuilder {
     points: PointBatch,
     /// Points made.
     made: u64,
+    colours: Option<SurfaceColours>,
+}
+
+/// Collects the colours of triangles' pieces.
+#[derive(Debug)]
+struct SurfaceColours {
+    scale: ColourScale,
+    runs: RunBuilder,
+    pieces: Vec<(SurfaceVoxel, (u32, Option<u32>))>,
+    /// Values of the points that [`SurfaceBuilder::points`] holds; `None` of those that nothing colours.
+    values: Vec<Option<[u8; 3]>>,
 }
 
 impl SurfaceBuilder {
@@ -43,7 +57,14 @@ impl SurfaceBuilder {
             voxels: Vec::with_capacity(BATCH),
             points: PointBatch::default(),
             made: 0,
+            colours: None,
         }
+    }
+
+    /// Puts the colours of painted triangles into `runs`, which are runs of values; `scale` says how values become colours.
+    pub fn colouring(mut self, scale: ColourScale, runs: RunBuilder) -> Self {
+        self.colours = Some(SurfaceColours { scale, runs, pieces: Vec::with_capacity(BATCH), values: Vec::new() });
+        self
     }
 
     /// Points made so far.
@@ -56,10 +77,11 @@ impl SurfaceBuilder {
         self.recorder.reaches(min, max)
     }
 
-    /// Adds a usable triangle within [`reaches`](Self::reaches); stops where `cancelled` says so.
+    /// Adds a usable triangle within [`reaches`](Self::reaches) and its colours; stops where `cancelled` says so.
     pub fn push(
         &mut self,
         triangle: &Triangle,
+        paint: &Paint,
         runs: &mut RunBuilder,
         store: &RunStore,
         cancelled: &dyn Fn() -> bool,
@@ -72,31 +94,37 @@ impl SurfaceBuilder {
             let error = Error::limit("voxels that one triangle fills", format!("{voxels:.0}"), MOST_VOXELS);
             return Err(error.with_way_out(Parameter::PixelSize));
         }
+        let paint = self.colours.as_ref().and_then(|_| PlacedPaint::new(&self.frame, triangle, paint));
         match self.step_m {
-            None => self.push_exactly(triangle, runs, store, cancelled),
-            Some(step_m) => self.push_points(triangle, step_m, runs, store, cancelled),
+            None => self.push_exactly(triangle, paint.as_ref(), runs, store, cancelled),
+            Some(step_m) => self.push_points(triangle, paint.as_ref(), step_m, runs, store, cancelled),
         }
     }
 
     fn push_exactly(
         &mut self,
         triangle: &Triangle,
+        paint: Option<&PlacedPaint>,
         runs: &mut RunBuilder,
         store: &RunStore,
         cancelled: &dyn Fn() -> bool,
     ) -> Result<()> {
         let Some(placed) = self.raster.place(triangle) else { return Ok(()) };
-        let (voxels, steep) = (&mut self.voxels, placed.is_steep());
+        let (voxels, colours, steep) = (&mut self.voxels, &mut self.colours, placed.is_steep());
         let (first, last) = placed.rows();
         for j in first..=last {
             let mut done = Ok(());
+            let row = paint.map(|paint| (paint, paint.row(j)));
             placed.for_each_pixel(j, |i, bottom, top| {
                 for voxel in surface_voxels((i, j), (bottom, top), steep) {
                     if done.is_err() {
                         return;
                     }
+                    if let (Some((paint, row)), Some(colours)) = (&row, colours.as_mut()) {
+                        done = colours.add(voxel, paint.piece(row, i, voxel.slice), store);
+                    }
                     voxels.push(voxel);
-                    if voxels.len() == BATCH {
+                    if done.is_ok() && voxels.len() == BATCH {
                         done = if cancelled() { Err(Error::Interrupted) } else { runs.push_surfaces(voxels, store) };
                         voxels.clear();
                     }
@@ -110,6 +138,7 @@ impl SurfaceBuilder {
     fn push_points(
         &mut self,
         triangle: &Triangle,
+        paint: Option<&PlacedPaint>,
         step_m: f64,
         runs: &mut RunBuilder,
         store: &RunStore,
@@ -125,8 +154,12 @@ impl SurfaceBuilder {
             points.y.push(y);
             points.z.push(z);
             self.made += 1;
+            if let Some(colours) = &mut self.colours {
+                colours.values.push(paint.map(|paint| paint.at(&self.frame, [x, y, z], step_m * step_m)));
+            }
             if points.len() == BATCH {
-                done = if cancelled() { Err(Error::Interrupted) } else { push_points(points, runs, store) };
+                let colours = self.colours.as_mut();
+                done = if cancelled() { Err(Error::Interrupted) } else { push_points(points, colours, runs, store) };
             }
         });
         done
@@ -136,12 +169,59 @@ impl SurfaceBuilder {
     pub fn flush(&mut self, runs: &mut RunBuilder, store: &RunStore) -> Result<()> {
         runs.push_surfaces(&self.voxels, store)?;
         self.voxels.clear();
-        push_points(&mut self.points, runs, store)
+        push_points(&mut self.points, self.colours.as_mut(), runs, store)?;
+        match &mut self.colours {
+            Some(colours) => colours.flush(store),
+            None => Ok(()),
+        }
     }
 }
 
-fn push_points(points: &mut PointBatch, runs: &mut RunBuilder, store: &RunStore) -> Result<()> {
+impl SurfaceColours {
+    fn add(&mut self, voxel: SurfaceVoxel, piece: PaintedPiece, store: &RunStore) -> Result<()> {
+        self.pieces.push((voxel, values_of_piece(&self.scale, piece)));
+        if self.pieces.len() == BATCH {
+            self.runs.push_surface_values(&self.pieces, store)?;
+            self.pieces.clear();
+        }
+        Ok(())
+    }
+
+    /// Adds the colours of these points, and forgets them.
+    fn add_points(&mut self, points: &PointBatch, store: &RunStore) -> Result<()> {
+        let Self { scale, runs, values, .. } = self;
+        let value = |colour: [u8; 3]| values_of_piece(scale, PaintedPiece { colour, weight: 1 });
+        // Of one triangle all points have a colour or none, so the pieces are long.
+        let mut begin = 0;
+        for piece in values.chunk_by(|a, b| a.is_some() == b.is_some()) {
+            let range = begin..begin + piece.len();
+            begin = range.end;
+            if piece.first().is_some_and(Option::is_some) {
+                let columns = [&points.x[range.clone()], &points.y[range.clone()], &points.z[range]];
+                runs.push_values(columns, |number| value(piece[number].unwrap_or_default()), store)?;
+            }
+        }
+        values.clear();
+        Ok(())
+    }
+
+    fn flush(&mut self, store: &RunStore) -> Result<()> {
+        self.runs.push_surface_values(&self.pieces, store)?;
+        self.pieces.clear();
+        self.runs.flush(store)
+    }
+}
+
+fn push_points(
+    points: &mut PointBatch,
+    colours: Option<&mut SurfaceColours>,
+    runs: &mut RunBuilder,
+    store: &RunStore,
+) -> Result<()> {
     runs.push(&points.x, &points.y, &points.z, store)?;
+    if let Some(colours) = colours {
+        colours.add_points(points, store)?;
+    }
     for column in [&mut points.x, &mut points.y, &mut points.z] {
         column.clear();
     }

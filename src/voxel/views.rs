@@ -84,15 +84,16 @@ struct Direction {
 impl Direction {
     #[inline]
     fn of(d: [f64; 3]) -> Self {
+        // Without branches: which axis is the longest changes from point to point.
         let [x, y, z] = d.map(f64::abs);
-        let (axis, u, v, size) = if x >= y && x >= z {
-            (0, d[1], d[2], x)
-        } else if y >= z {
-            (1, d[2], d[0], y)
-        } else {
-            (2, d[0], d[1], z)
-        };
-        Self { face: 2 * axis + usize::from(d[axis] < 0.0), at: [u / size, v / size] }
+        let is_x = (x >= y) & (x >= z);
+        let axis = usize::from(!is_x) * (2 - usize::from(y >= z));
+        let turned = [d[0], d[1], d[2], d[0], d[1]];
+        let size = turned[axis].abs();
+        Self {
+            face: 2 * axis + usize::from(turned[axis] < 0.0),
+            at: [turned[axis + 1] / size, turned[axis + 2] / size],
+        }
     }
 
     /// The middle of a cell, which may lie beyond the edges of the face.
@@ -187,6 +188,21 @@ impl View {
         }
     }
 
+    /// Whether the station may have seen through a place: false for most, at the cost of one cell.
+    #[inline]
+    fn may_see_through(&self, point: [f64; 3]) -> bool {
+        let (d, distance) = self.to(point);
+        let far = distance + margin_m(distance);
+        let first = self.station.first_level();
+        let (direction, edge) = (Direction::of(d), EDGE >> first);
+        let value = self.cell(first, direction.face, direction.cell(edge)).load(Ordering::Relaxed);
+        // A cell without a distance gives one beyond all.
+        let seen_m = f64::from(u32::from(FARTHEST_CM) + 1 - u32::from(value)) * 0.01;
+        let is_too_fine = self.station.within_m * edge as f64 > CELL_ANGLE * distance;
+        let is_judged = distance >= NEAREST_M && far < f64::from(FARTHEST_CM) * 0.01;
+        is_judged & (is_too_fine | (seen_m > far))
+    }
+
     fn says(&self, point: [f64; 3]) -> Says {
         let (d, distance) = self.to(point);
         let margin = margin_m(distance);
@@ -276,6 +292,9 @@ impl Views {
 
     /// Whether a point (m) is taken for moving.
     pub fn is_moving(&self, point: [f64; 3]) -> bool {
+        if !self.views.iter().any(|view| view.may_see_through(point)) {
+            return false;
+        }
         let (mut through, mut hit) = (0, 0);
         for (asked, view) in (1..).zip(&self.views) {
             match view.says(point) {
@@ -443,6 +462,7 @@ mod tests {
                 let point = place(5.0);
                 let says = view.says(point);
                 prop_assert_eq!(says, says_by_definition(&view, point));
+                prop_assert!(says != Says::Through || view.may_see_through(point));
                 counts[says as usize] += 1;
             }
             prop_assert!(counts[0] > 20 && counts[2] > 20 || within_m > 0.0, "{counts:?}");

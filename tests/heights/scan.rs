@@ -34,7 +34,7 @@ pub fn converted(points: &[[f64; 3]], setting: Setting) -> (Vec<[f64; 3]>, Vec<u
     let folder = tempfile::tempdir().unwrap();
     let spec = WriteSpec { scale: [setting.step; 3], offset: setting.offset, ..WriteSpec::default() };
     let points: Vec<_> = points.iter().map(|&p| spec.rounded(p).expect("fits the file")).collect();
-    let sample = |&position: &[f64; 3]| Sample { position, kind: Kind::Surface, surface: 0 };
+    let sample = |&position: &[f64; 3]| Sample { position, kind: Kind::Surface, surface: 0, station: 0 };
     let (input, output) = (folder.path().join("scan.las"), folder.path().join("scan.slices"));
     write_samples(&input, points.iter().map(sample), &spec).unwrap();
     let options = ConvertOptions {

@@ -41,10 +41,11 @@ use values::{classes, epsg, length, part};
 )]
 struct Arguments {
     /// Scans and meshes: files, folders of scans, or glob patterns in quotes. Folders and patterns do not find .txt and .csv
-    /// files; text may be compressed (.gz, .zst)
+    /// files; text may be compressed (.gz, .zst). Scans may also be at https:// addresses, or in object stores: s3://bucket/key (gs://,
+    /// az://), s3://bucket/folder/, "s3://bucket/tiles/*.laz", with credentials from AWS_* (GOOGLE_*, AZURE_*) in the environment
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
-    /// Archive to write
+    /// Archive to write: a file, or an address in an object store
     #[arg(short, long, required_unless_present_any = ["write_plan", "dry_run"], value_name = "OUT.slices")]
     output: Option<PathBuf>,
     /// Convert nothing; write grid, options and inputs to a plan. Reads headers only, unless the pixel size is `auto`
@@ -129,7 +130,8 @@ struct Arguments {
     #[arg(long, value_enum, default_value_t = Switch::Off)]
     levels: Switch,
     /// Colour of each voxel, beside the geometry: red, green and blue of the points, their intensity as grey, their LAS class by a
-    /// palette, `auto` (RGB where the input has it, else intensity, else none), or none. Meshes have no colours
+    /// palette, `auto` (RGB where the input has it, else intensity, else none), or none. Meshes have RGB: colours of corners, materials
+    /// and textures
     #[arg(long, default_value = "off", value_name = "rgb|intensity|class|auto|off")]
     colour: ColourMode,
     /// Greatest mean difference of a page's colours from the means of the points, in CIELAB; 0 keeps these exactly, to 8 bits

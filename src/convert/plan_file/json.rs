@@ -1,7 +1,7 @@
 //! Plan files as JSON.
 
-use super::{InputFacts, PlanFile};
-use crate::bytes::open_regular;
+use super::{InputFacts, PlanFile, Stated};
+use crate::bytes::{ByteSource, open_named};
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::Frame;
 use crate::info::noise_info;
@@ -9,21 +9,32 @@ use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
 use crate::output::{Existing, Output, OutputKind, PLAN_KEY, Protected};
 use crate::plan::{ClassSet, Classifier, Noise, Plan, PlanOptions, Up};
+use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
+use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
 use serde_json::{Value, json};
-use std::io::Read;
+use std::fmt;
+use std::io::{self, BufReader, BufWriter, Write};
 use std::path::Path;
 
 /// Version of plan files that is written and read.
 pub const VERSION: u64 = 2;
-/// Greatest length of a plan file that is read (bytes): some hundred thousand inputs.
-const MAX_BYTES: u64 = 64 << 20;
+/// Greatest length of a plan file that is read (bytes): half a million inputs.
+const MAX_BYTES: u64 = 256 << 20;
+/// Bytes of a plan file that are read at once.
+const READ_BYTES: usize = 1 << 20;
 
 impl PlanFile {
     /// The plan file as JSON.
     pub fn to_json(&self) -> Value {
+        let mut value = self.facts_to_json();
+        value["inputs"] = self.inputs.iter().map(input_to_json).collect();
+        value
+    }
+
+    /// All but the inputs, of which there may be many; their list comes last.
+    fn facts_to_json(&self) -> Value {
         let plan = &self.plan;
-        let inputs: Vec<Value> = self.inputs.iter().map(input_to_json).collect();
         json!({
             (PLAN_KEY): VERSION,
             "pixel_size": plan.frame.pixel_m(),
@@ -59,7 +70,11 @@ impl PlanFile {
             })),
             "point_spacing": self.spacing_m,
             "tolerance_auto": self.noise.as_ref().map(noise_info),
-            "inputs": inputs,
+            "stated": self.stated.as_ref().map(|Stated { crs, units }| json!({
+                "reference_system": crs,
+                "length_units": units.iter().map(|unit| [unit.horizontal_m, unit.vertical_m]).collect::<Vec<_>>(),
+            })),
+            "inputs": [],
         })
     }
 
@@ -69,29 +84,70 @@ impl PlanFile {
     }
 
     /// Writes the plan file to an output that was begun before the inputs were read, so that what must not be replaced was
-    /// refused then.
-    pub fn write_to(&self, mut output: Output) -> Result<()> {
-        output.write_at(0, format!("{:#}\n", self.to_json()).as_bytes())?;
+    /// refused then. Memory: one input at a time.
+    pub fn write_to(&self, output: Output) -> Result<()> {
+        let path = output.name().to_path_buf();
+        let mut text = BufWriter::new(output);
+        self.write_text(&mut text).map_err(|error| Error::io(&path, "write", error))?;
+        let output = text.into_inner().map_err(|error| Error::io(&path, "write", error.into_error()))?;
         output.publish().map(drop)
+    }
+
+    /// The text of [`to_json`](Self::to_json), input by input.
+    fn write_text(&self, text: &mut impl Write) -> io::Result<()> {
+        let facts = format!("{:#}", self.facts_to_json());
+        let Some(facts) = facts.strip_suffix("[]\n}").filter(|_| !self.inputs.is_empty()) else {
+            return writeln!(text, "{facts}");
+        };
+        write!(text, "{facts}[")?;
+        for (number, input) in self.inputs.iter().enumerate() {
+            let input = format!("{:#}", input_to_json(input)).replace('\n', "\n    ");
+            write!(text, "{}\n    {input}", if number > 0 { "," } else { "" })?;
+        }
+        writeln!(text, "\n  ]\n}}")
     }
 
     /// Reads the plan file at `path`.
     pub fn read(path: &Path) -> Result<Self> {
-        let (mut file, about) = open_regular(path).map_err(|error| Error::io(path, "open", error))?;
-        if about.len() > MAX_BYTES {
+        let source = open_named(path)?;
+        if source.len() > MAX_BYTES {
             let what = format!("bytes of the plan file {}", path.display());
-            return Err(Error::limit(what, about.len(), MAX_BYTES));
+            return Err(Error::limit(what, source.len(), MAX_BYTES));
         }
-        let mut text = String::new();
-        file.read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
-        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
-        let value: Value = serde_json::from_str(text).map_err(|error| {
-            Error::input(path, format!("line {}", error.line()), format!("no plan in JSON: {error}; write it again"))
+        let mut start = [0; 3];
+        let start = &mut start[..source.len().min(3) as usize];
+        source.read_at(0, start)?;
+        let at = if start == "\u{feff}".as_bytes() { 3 } else { 0 };
+        let text = BufReader::with_capacity(READ_BYTES, Text { source: &*source, at });
+        let read: Read = serde_json::from_reader(text).map_err(|error| match error.classify() {
+            serde_json::error::Category::Io => Error::io(path, "read", error.into()),
+            _ => {
+                let reason = format!("no plan in JSON: {error}; write it again");
+                Error::input(path, format!("line {}", error.line()), reason)
+            }
         })?;
-        from_json(&value).map_err(|wrong| {
+        from_json(read).map_err(|wrong| {
             let Wrong { at, expected } = wrong;
             Error::input(path, at, format!("expected {expected}; write the plan again"))
         })
+    }
+}
+
+/// The text of a plan file, from `at` on.
+struct Text<'a> {
+    source: &'a dyn ByteSource,
+    at: u64,
+}
+
+impl io::Read for Text<'_> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let count = bytes.len().min(usize::try_from(self.source.len().saturating_sub(self.at)).unwrap_or(usize::MAX));
+        self.source.read_at(self.at, &mut bytes[..count]).map_err(|error| match error {
+            Error::Io { source, .. } => source,
+            other => io::Error::other(other.to_string()),
+        })?;
+        self.at += count as u64;
+        Ok(count)
     }
 }
 
@@ -103,6 +159,77 @@ fn input_to_json(input: &InputFacts) -> Value {
         "fingerprint": format!("{:032x}", input.fingerprint),
         "bounds": input.bounds.map(|bounds| json!({ "min": bounds.min, "max": bounds.max })),
     })
+}
+
+/// A plan file as it was read: inputs become facts one by one, since as JSON they would take a kilobyte and more each.
+struct Read {
+    facts: Value,
+    /// `None` where there is no such list.
+    inputs: Option<Result<Vec<InputFacts>, Wrong>>,
+}
+
+impl<'de> Deserialize<'de> for Read {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(ReadVisitor)
+    }
+}
+
+struct ReadVisitor;
+
+impl<'de> Visitor<'de> for ReadVisitor {
+    type Value = Read;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Read, A::Error> {
+        let (mut facts, mut inputs) = (serde_json::Map::new(), None);
+        while let Some(key) = map.next_key::<String>()? {
+            match &key[..] {
+                "inputs" => inputs = map.next_value::<Inputs>()?.0,
+                _ => drop(facts.insert(key, map.next_value()?)),
+            }
+        }
+        Ok(Read { facts: Value::Object(facts), inputs })
+    }
+}
+
+/// The list of inputs, if it is one.
+struct Inputs(Option<Result<Vec<InputFacts>, Wrong>>);
+
+impl<'de> Deserialize<'de> for Inputs {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(InputsVisitor)
+    }
+}
+
+struct InputsVisitor;
+
+impl<'de> Visitor<'de> for InputsVisitor {
+    type Value = Inputs;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list of files")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Inputs, A::Error> {
+        let mut inputs = Ok(Vec::new());
+        let mut at = 0u64;
+        while let Some(value) = list.next_element::<Value>()? {
+            if let Ok(known) = &mut inputs {
+                match input_from_json(&value) {
+                    Ok(input) => known.push(input),
+                    Err(w) => inputs = Err(Wrong::new(format!("inputs[{at}].{}", w.at), w.expected)),
+                }
+            }
+            at += 1;
+        }
+        if let Ok(known) = &mut inputs {
+            known.shrink_to_fit();
+        }
+        Ok(Inputs(Some(inputs)))
+    }
 }
 
 /// What is wrong in a plan file.
@@ -135,7 +262,8 @@ fn number(value: &Value) -> Option<f64> {
     value.as_f64().filter(|number| number.is_finite())
 }
 
-fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
+fn from_json(Read { facts, inputs }: Read) -> Result<PlanFile, Wrong> {
+    let value = &facts;
     field(value, PLAN_KEY, "version 2 of a plan", |v| v.as_u64().filter(|&version| version == VERSION))?;
     let frame = Frame::new(
         field(value, "pixel_size", "a length in metres", number)?,
@@ -209,9 +337,7 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
         None | Some(Value::Null) => None,
         Some(colour) => Some(colour_from_json(colour).map_err(|w| Wrong::new(format!("colour.{}", w.at), w.expected))?),
     };
-    let inputs = field(value, "inputs", "a list of files", Value::as_array)?;
-    let input =
-        |(at, value)| input_from_json(value).map_err(|w| Wrong::new(format!("inputs[{at}].{}", w.at), w.expected));
+    let inputs = inputs.unwrap_or_else(|| Err(Wrong::new("inputs", "a list of files")))?;
     let mut file = PlanFile {
         plan,
         units: field(value, "units", "auto or metres per unit", units)?,
@@ -227,10 +353,32 @@ fn from_json(value: &Value) -> Result<PlanFile, Wrong> {
             None | Some(Value::Null) => None,
             Some(noise) => Some(noise_from_json(noise)?),
         },
-        inputs: inputs.iter().enumerate().map(input).collect::<Result<_, _>>()?,
+        // Plans of earlier builds have none.
+        stated: match value.get("stated") {
+            None | Some(Value::Null) => None,
+            Some(stated) => Some(stated_from_json(stated)?),
+        },
+        inputs,
     };
     file.sort_inputs();
     Ok(file)
+}
+
+fn stated_from_json(value: &Value) -> Result<Stated, Wrong> {
+    let crs = |v: &Value| if v.is_null() { Some(None) } else { v.as_str().map(|text| Some(text.to_owned())) };
+    let unit = |v: &Value| {
+        let [horizontal, vertical] = &v.as_array()?[..] else { return None };
+        let length = |v: &Value| number(v).filter(|length| UNIT_RANGE_M.contains(length));
+        Some(LengthUnit { horizontal_m: length(horizontal)?, vertical_m: length(vertical)? })
+    };
+    let units = |v: &Value| v.as_array()?.iter().map(unit).collect::<Option<Vec<_>>>();
+    let stated = (|| {
+        Ok(Stated {
+            crs: field(value, "reference_system", "a text or null", crs)?,
+            units: field(value, "length_units", "pairs of metres per unit", units)?,
+        })
+    })();
+    stated.map_err(|wrong: Wrong| Wrong { at: format!("stated.{}", wrong.at), ..wrong })
 }
 
 fn noise_from_json(value: &Value) -> Result<Noise, Wrong> {
@@ -325,11 +473,16 @@ mod tests {
                 scale: ColourScale { source: ColourSource::ALL[rule], low: drop_floaters / 2, high: drop_floaters / 2 + 9 },
                 error_milli: drop_floaters,
             });
-            let mut file = PlanFile { plan, units, epsg, columns, mesh, levels: rule % 2 == 0, colour, spacing_m, noise, inputs };
+            let stated = flags.1.then(|| Stated {
+                crs: flags.0.then(|| "EPSG:25832".to_owned()),
+                units: vec![LengthUnit { horizontal_m: 0.3048, vertical_m: 1.0 }],
+            });
+            let mut file = PlanFile { plan, units, epsg, columns, mesh, levels: rule % 2 == 0, colour, spacing_m, noise, stated, inputs };
             file.sort_inputs();
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
             file.write(&path, false).unwrap();
+            prop_assert_eq!(std::fs::read_to_string(&path).unwrap(), format!("{:#}\n", file.to_json()));
             let again = PlanFile::read(&path).unwrap();
             prop_assert_eq!(again.hash(), file.hash());
             prop_assert_eq!(again, file);
@@ -346,7 +499,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, colour: None, spacing_m: None, noise: None, inputs: Vec::new() }.to_json().to_string();
+            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, colour: None, spacing_m: None, noise: None, stated: None, inputs: Vec::new() }.to_json().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

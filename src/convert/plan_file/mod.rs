@@ -26,6 +26,7 @@ use crate::input::scenes::{Scene, far_apart};
 use crate::input::{Columns, ScanFile, Units};
 use crate::mesh::MeshMode;
 use crate::plan::{Noise, Plan};
+use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result};
 use std::collections::HashMap;
 use xxhash_rust::xxh3::xxh3_128;
@@ -51,8 +52,19 @@ pub struct PlanFile {
     pub spacing_m: Option<f64>,
     /// Noise of the scan, if the tolerance was chosen by it.
     pub noise: Option<Noise>,
+    /// What the headers of all inputs say together; `None` in plans of earlier builds, whose parts open every input.
+    pub stated: Option<Stated>,
     /// The inputs, in order of their fingerprints: the same on every machine.
     pub inputs: Vec<InputFacts>,
+}
+
+/// What the headers of all inputs say together.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Stated {
+    /// Their reference system, or the one of the options.
+    pub crs: Option<String>,
+    /// Their different units.
+    pub units: Vec<LengthUnit>,
 }
 
 impl PlanFile {
@@ -61,20 +73,21 @@ impl PlanFile {
     pub fn new(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Self> {
         let mut inputs = super::open_inputs(options, monitor)?;
         let (plan, Surveyed { spacing, noise }) = super::plan(options, &inputs, None, monitor)?;
-        let source = super::colours::source_of(options, &mut inputs.scans, monitor)?;
+        let found = super::colours::source_of(options, &mut inputs, monitor)?;
         let set = &mut inputs.scans;
-        let scale = source.map(|source| super::colours::measure(set, source, options.threads, monitor)).transpose()?;
+        let scale = found.map(|found| super::colours::measure(set, found, options.threads, monitor)).transpose()?;
         let colour = scale.map(|scale| options.colour_plan(scale));
         let scenes: Vec<Scene> = inputs.scans.files().iter().filter_map(ScanFile::scene_stated).collect();
         far_apart(&scenes).inspect(|warning| monitor.warn(warning));
+        let stated = Some(Stated { crs: inputs.scans.crs().map(str::to_owned), units: inputs.length_units() });
         let file = Self::of(InputFacts::measured(&inputs.scans, options.threads, monitor)?, plan, options);
-        Ok(Self { spacing_m: spacing.map(|spacing| spacing.spacing_m), noise, colour, ..file })
+        Ok(Self { stated, spacing_m: spacing.map(|spacing| spacing.spacing_m), noise, colour, ..file })
     }
 
     pub(super) fn of(inputs: Vec<InputFacts>, plan: Plan, options: &ConvertOptions) -> Self {
         let ConvertOptions { units, epsg, columns, mesh, levels, .. } = *options;
-        let mut file =
-            Self { plan, units, epsg, columns, mesh, levels, colour: None, spacing_m: None, noise: None, inputs };
+        let (colour, spacing_m, noise, stated) = (None, None, None, None);
+        let mut file = Self { plan, units, epsg, columns, mesh, levels, colour, spacing_m, noise, stated, inputs };
         file.sort_inputs();
         file
     }
@@ -171,15 +184,36 @@ impl PlanFile {
             missing.map(|input| input.name.clone())
         };
         if let Some(name) = missing(self, here) {
-            let reason = "it is not among the files of the plan, or has changed since; write the plan again, and convert \
-                          every part with it";
-            return Err(Error::input(name, "content", reason));
+            return Err(Self::stranger(&name));
         }
         if let Some(name) = missing(here, self) {
-            return Err(Error::input(name, "plan", "it is a file of the plan, but not among the inputs; name it too"));
+            return Err(Self::left_out(&name));
         }
         let options = |file: &Self| (file.units, file.epsg, file.columns, file.mesh);
-        if here.plan != self.plan || options(here) != options(self) {
+        Self::refuse_other_options(here.plan != self.plan || options(here) != options(self))
+    }
+
+    /// Refuses options that are not those of the plan file.
+    pub(super) fn check_same_options(&self, plan: &Plan, options: &ConvertOptions) -> Result<()> {
+        let ConvertOptions { units, epsg, columns, mesh, .. } = *options;
+        let same = (units, epsg, columns, mesh) == (self.units, self.epsg, self.columns, self.mesh);
+        Self::refuse_other_options(*plan != self.plan || !same)
+    }
+
+    /// An input that the plan does not know.
+    pub(super) fn stranger(name: &str) -> Error {
+        let reason = "it is not among the files of the plan, or has changed since; write the plan again, and convert every \
+                      part with it";
+        Error::input(name, "content", reason)
+    }
+
+    /// A file of the plan that is not there.
+    pub(super) fn left_out(name: &str) -> Error {
+        Error::input(name, "plan", "it is a file of the plan, but not among the inputs; name it too")
+    }
+
+    fn refuse_other_options(differ: bool) -> Result<()> {
+        if differ {
             return Err(Error::parameter(
                 "plan",
                 "its options are not those of the conversion; apply it to them first",
@@ -217,6 +251,7 @@ mod tests {
             colour: None,
             spacing_m: None,
             noise: None,
+            stated: None,
             inputs: areas.iter().enumerate().map(facts).collect(),
         }
     }

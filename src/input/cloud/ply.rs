@@ -7,7 +7,7 @@ use super::records::{Field, MOST_BYTES, Records, Rgb, Values, kind_of};
 use super::text::{Lines, Places, RgbPlaces, RowLayout, Rows, Separator};
 use super::values::Channels;
 use super::{Format, Opened, Opening, SPLATS, shown};
-use crate::bytes::open_regular;
+use crate::bytes::Input;
 use crate::input::ply_header::{Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
 use crate::{Error, Result};
 use std::io::Read;
@@ -58,9 +58,10 @@ impl Start {
 /// Whether the PLY at `path` is to be read here and not as a mesh: it has no faces, or is a splat. What cannot be read is
 /// left to the mesh reader, which says why.
 pub(in crate::input) fn is_point_cloud(path: &Path) -> bool {
-    let mut start = Vec::new();
-    let read = open_regular(path).is_ok_and(|(file, _)| file.take(MOST_HEADER as u64).read_to_end(&mut start).is_ok());
-    read && Start::parse(&start).is_ok_and(|start| !start.has_faces() || start.is_splat())
+    let Ok((input, stamp)) = Input::open(path) else { return false };
+    let mut start = vec![0; stamp.len().min(MOST_HEADER as u64) as usize];
+    let Ok(read) = input.read_up_to(0, &mut start) else { return false };
+    Start::parse(&start[..read]).is_ok_and(|start| !start.has_faces() || start.is_splat())
 }
 
 pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {

@@ -213,6 +213,23 @@ impl RunBuilder {
         Ok(())
     }
 
+    /// Adds the values of surfaces' pieces in voxels (all on the grid), one or two for each; a full run goes to `store`.
+    pub fn push_surface_values(
+        &mut self,
+        pieces: &[(SurfaceVoxel, (u32, Option<u32>))],
+        store: &RunStore,
+    ) -> Result<()> {
+        for chunk in pieces.chunks(BATCH) {
+            self.make_room(chunk.len(), store)?;
+            let (recorder, with_points) = (self.recorder, self.with_points);
+            let mut add = self.adder();
+            for (voxel, values) in chunk {
+                recorder.record_surface_values(voxel, with_points, *values, &mut add);
+            }
+        }
+        Ok(())
+    }
+
     /// Notes that voxels (pixel and slice, all on the grid) are dropped; a full run goes to `store`.
     pub fn push_dropped(&mut self, voxels: &[((i64, i64), i64)], store: &RunStore) -> Result<()> {
         for chunk in voxels.chunks(BATCH) {

@@ -24,8 +24,9 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 /// conversion within a moment and leaves nothing behind.
 ///
 /// Args:
-///     inputs: one or many: files, folders of scans, glob patterns
-///     output: the archive to write
+///     inputs: one or many: files, folders of scans, glob patterns; scans also at https:// addresses and in object stores, where
+///         ``"s3://bucket/folder/"`` and patterns work too, with credentials from ``AWS_*`` in the environment
+///     output: the archive to write: a file, or an address ``"s3://bucket/key"``
 ///     progress: called with stage, amount done, total (an estimate, 0 if unknown) and unit, on this thread, at most 20 times
 ///         a second; what it raises ends the conversion
 ///     pixel: edge of a pixel (m), or ``"auto"``: four times the scan's point spacing

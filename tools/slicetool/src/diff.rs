@@ -140,8 +140,10 @@ pub fn run(a: &Path, b: &Path, json: bool) -> Outcome {
         let [only_a, only_b, other, both] =
             [colours.only_a, colours.only_b, colours.other, colours.in_both].map(grouped);
         writeln!(text, "voxels with colours: {only_a} only in A, {only_b} only in B; {other} of {both} differ")?;
-        let (mean, greatest) = (colours.mean(), colours.greatest);
-        writeln!(text, "colours differ by {mean:.2} ΔE in the mean, by {greatest:.2} at most")?;
+        if colours.in_both > 0 {
+            let (mean, greatest) = (colours.mean(), colours.greatest);
+            writeln!(text, "colours differ by {mean:.2} ΔE in the mean, by {greatest:.2} at most")?;
+        }
     }
     Ok(text)
 }

@@ -9,13 +9,13 @@ use std::path::PathBuf;
 /// What to join.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Archives that `sliceconv --shard` wrote: all parts of one plan, in any order
+    /// Archives that `sliceconv --shard` wrote: all parts of one plan, in any order; files or addresses (s3://, gs://, az://, https://)
     #[arg(required = true, value_name = "SHARD")]
     shards: Vec<PathBuf>,
     /// Join neighbouring parts alone, into part I of N of a coarser cut, which is merged with its other parts later
     #[arg(long, value_name = "I/N", value_parser = part)]
     part: Option<(u32, u32)>,
-    /// Archive to write; one that has the right bytes already is left alone
+    /// Archive to write, a file or an address in an object store; one that has the right bytes already is left alone
     #[arg(short, long, value_name = "OUT.slices")]
     output: PathBuf,
     /// Replace an existing slice archive that holds something else

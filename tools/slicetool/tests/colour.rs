@@ -18,7 +18,7 @@ fn folder() -> TempDir {
     let step = |n: i32| f64::from(n) * 0.05 + 0.025;
     let floor = (0..64).flat_map(|i| (0..64).map(move |j| [step(i), step(j), 0.35]));
     let wall = (0..64).flat_map(|j| (0..40).map(move |k| [2.525, step(j), 0.35 + step(k)]));
-    let texture = Some(Texture { period_m: 1.3, eight_bits: false });
+    let texture = Some(Texture { period_m: 1.3, eight_bits: false, exposure: 0.0 });
     let spec = WriteSpec { format: 7, texture, ..WriteSpec::for_path(&scan) };
     write_las(&scan, floor.chain(wall), &spec).unwrap();
     for (name, colour, error) in [

@@ -25,13 +25,14 @@ import math
 import os
 import platform
 import queue
+import re
 import shutil
 import time
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, TypeGuard, Unpack
 
 import slicewalk
 from slicewalk.errors import CancelledError, Error, LimitError, OutputError, ParameterError
@@ -115,8 +116,9 @@ def convert(  # noqa: PLR0913
     """Convert scans and meshes into one slice archive, in parts on the workers of a Dask cluster.
 
     Args:
-        inputs: as for `slicewalk.convert`: paths that the workers see too
-        output: the archive to write, in a folder that the workers see too
+        inputs: as for `slicewalk.convert`: paths that the workers see too, or addresses, for which each worker has
+            credentials in its environment
+        output: the archive to write: a file in a folder that the workers see too
         client: a connected, synchronous `distributed.Client`
         parts: number of parts; by default four for each thread of the workers
         memory: memory of one part, as for `slicewalk.convert`. A worker whose threads cannot all have as much gives
@@ -164,7 +166,7 @@ def convert(  # noqa: PLR0913
             raise ParameterError(f"{name}: expected {least} or more, found {value}", at=name)
     target = _checked_target(output, force)
     given = [inputs] if isinstance(inputs, (str, os.PathLike)) else list(inputs)
-    paths = [os.path.abspath(path) for path in given]
+    paths = [path if _is_address(path) else os.path.abspath(path) for path in given]
     plan_options: dict[str, Any] = {**options, "memory": "512MiB" if memory is None else memory}
     count = parts or 4 * max(1, sum(client.nthreads().values()))
     work = _work(target)
@@ -226,6 +228,11 @@ def discard(output: StrPath) -> bool:
 def _work(target: Path) -> Path:
     """Folder of the steps, beside the output: what is whole is renamed, not copied."""
     return target.with_name(f".{target.name}.slicewalk-cluster")
+
+
+def _is_address(path: StrPath) -> TypeGuard[str]:
+    """Whether an input lies in an object store or on a web server."""
+    return isinstance(path, str) and re.match(r"[A-Za-z][A-Za-z0-9+.-]+://", path) is not None
 
 
 def _checked_target(output: StrPath, force: bool) -> Path:
