@@ -64,7 +64,7 @@ def workers(runs: int, seed: int = 1) -> None:
             LocalCluster(n_workers=4, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster,
             Client(cluster) as client,
         ):
-            client.register_plugin(tiles.Murder(SHARE, 0.2, seed))
+            client.register_plugin(tiles.Murder(SHARE, 0.06, seed))
             manager = threading.Thread(target=replace, args=(cluster,), daemon=True)
             manager.start()
             try:
