@@ -2,9 +2,10 @@
 
 python benchmark/overhead.py FOLDER [TILES] [MILLIONS] [ROUNDS]
 
-Both have two processes of one thread, one plan and as many parts; by hand each process takes the next part that nobody has,
-then one of them joins and verifies. FOLDER gets that many LAZ tiles of so many million points of rough ground, about one
-a voxel, and keeps them: 36 tiles of 10 million, 2.5 GB, keep two cores busy for two minutes. Needs laspy with lazrs.
+Both have two processes of one thread, one plan and as many parts; by hand each process takes the next part that nobody
+has, then one of them joins and verifies. FOLDER gets that many LAZ tiles of so many million points of rough ground,
+about one a voxel, and keeps them: 36 tiles of 10 million, 2.5 GB, keep two cores busy for two minutes. Needs laspy with
+lazrs.
 """
 
 from __future__ import annotations
