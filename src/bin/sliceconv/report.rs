@@ -12,7 +12,7 @@ use slicewalk::plan::{Noise, Plan};
 use slicewalk::terminal::say;
 use slicewalk::text::{counted, extent, file_size, grouped, lines, memory_size, number, one_line, rounded};
 use std::fmt::Display;
-use std::io::Write;
+use std::io::{BufWriter, Write};
 
 /// Files that a preview lists by name; there may be thousands.
 const MOST_LISTED: usize = 10;
@@ -26,7 +26,8 @@ pub fn print(result: impl Display) {
 
 pub fn of_plan(arguments: &Arguments, file: &PlanFile) {
     if arguments.json {
-        print(format!("{:#}", file.to_json()));
+        let mut out = BufWriter::new(std::io::stdout().lock());
+        let _ = file.write_text(&mut out).and_then(|()| out.flush());
     } else if !arguments.quiet {
         let frame = &file.plan.frame;
         let (pixel, slice) = (number(frame.pixel_m()), number(frame.slice_m()));

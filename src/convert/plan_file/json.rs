@@ -25,15 +25,8 @@ const MAX_BYTES: u64 = 256 << 20;
 const READ_BYTES: usize = 1 << 20;
 
 impl PlanFile {
-    /// The plan file as JSON.
-    pub fn to_json(&self) -> Value {
-        let mut value = self.facts_to_json();
-        value["inputs"] = self.inputs.iter().map(input_to_json).collect();
-        value
-    }
-
-    /// All but the inputs, of which there may be many; their list comes last.
-    fn facts_to_json(&self) -> Value {
+    /// The plan file as JSON, without its list of inputs, of which there may be many.
+    pub fn facts(&self) -> Value {
         let plan = &self.plan;
         json!({
             (PLAN_KEY): VERSION,
@@ -93,9 +86,10 @@ impl PlanFile {
         output.publish().map(drop)
     }
 
-    /// The text of [`to_json`](Self::to_json), input by input.
-    fn write_text(&self, text: &mut impl Write) -> io::Result<()> {
-        let facts = format!("{:#}", self.facts_to_json());
+    /// Writes the plan file as JSON in lines, input by input.
+    pub fn write_text(&self, text: &mut impl Write) -> io::Result<()> {
+        // The list of inputs comes last.
+        let facts = format!("{:#}", self.facts());
         let Some(facts) = facts.strip_suffix("[]\n}").filter(|_| !self.inputs.is_empty()) else {
             return writeln!(text, "{facts}");
         };
@@ -445,6 +439,12 @@ mod tests {
         )
     }
 
+    fn whole(file: &PlanFile) -> Value {
+        let mut facts = file.facts();
+        facts["inputs"] = file.inputs.iter().map(input_to_json).collect();
+        facts
+    }
+
     proptest! {
         #[test]
         fn plans_come_back_to_the_last_bit(
@@ -482,7 +482,7 @@ mod tests {
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("plan.json");
             file.write(&path, false).unwrap();
-            prop_assert_eq!(std::fs::read_to_string(&path).unwrap(), format!("{:#}\n", file.to_json()));
+            prop_assert_eq!(std::fs::read_to_string(&path).unwrap(), format!("{:#}\n", whole(&file)));
             let again = PlanFile::read(&path).unwrap();
             prop_assert_eq!(again.hash(), file.hash());
             prop_assert_eq!(again, file);
@@ -499,7 +499,7 @@ mod tests {
             };
             prop_assert!(refused(&text));
             let plan = Plan::new(Frame::new(0.1, 0.3).unwrap());
-            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, colour: None, spacing_m: None, noise: None, stated: None, inputs: Vec::new() }.to_json().to_string();
+            let good = PlanFile { plan, units: Units::Auto, epsg: None, columns: None, mesh: MeshMode::Exact, levels: true, colour: None, spacing_m: None, noise: None, stated: None, inputs: Vec::new() }.facts().to_string();
             prop_assert!(refused(&good[..cut % good.len()]));
         }
     }

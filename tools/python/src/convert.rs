@@ -101,7 +101,7 @@ pub fn convert<'py>(
 ///     options: those of :func:`convert`, but for ``plan`` and ``shard``
 ///
 /// Returns:
-///     the plan as a dict
+///     the plan as a dict, but for its inputs: ``inputs`` is their number. There may be hundreds of thousands; the file lists them
 ///
 /// >>> plan = slicewalk.write_plan("room.las", "plan.json", pixel=0.1, units="m")
 /// >>> for part in (1, 2):
@@ -123,8 +123,10 @@ pub fn write_plan<'py>(
         let kind = OutputKind::Plan(Existing::replaced_if(asked.options.overwrite));
         let output = Output::create(&path, kind, asked.options.inputs.iter().collect())?;
         let file = PlanFile::new(&asked.options, monitor)?;
+        let mut facts = file.facts();
+        facts["inputs"] = file.inputs.len().into();
         file.write_to(output)?;
-        Ok::<_, Failure>(file.to_json())
+        Ok::<_, Failure>(facts)
     })?;
     dictionary(py, &plan)
 }

@@ -163,7 +163,7 @@ def test_keyboard_interrupt(tmp_path):
 
 def test_parts_join_to_one(las, tmp_path):
     plan = slicewalk.write_plan(las, tmp_path / "plan.json", pixel=0.1, units="m")
-    assert plan["pixel_size"] == 0.1 if "pixel_size" in plan else plan
+    assert (plan["pixel_size"], plan["inputs"]) == (0.1, 1)
     shards = [(1, 3), "2/3", (3, 3)]
     reports = [
         slicewalk.convert(las, tmp_path / f"{number}.slices", plan=tmp_path / "plan.json", shard=shard)
