@@ -17,6 +17,7 @@ import dask
 import distributed
 
 import slicewalk
+import store as stores
 import tiles
 from slicewalk import cluster as sut
 
@@ -147,6 +148,104 @@ def test_errors_of_workers_come_with_their_facts_and_a_repaired_input_converts(s
     converted((inputs, None), tmp_path, client)
     assert (tmp_path / "out.slices").read_bytes() == scans[1]
     assert tiles.leftovers(tmp_path) == []
+
+
+@pytest.fixture
+def store(scans, monkeypatch):
+    """The scans in a store, which this process knows of. The workers need it for the inputs alone."""
+    with stores.serving() as store:
+        for name, value in store.environment().items():
+            monkeypatch.setenv(name, value)
+        for path in scans[0]:
+            store.put(f"/bucket/tiles/{path.name}", path.read_bytes())
+        yield store
+
+
+def to_store(scans, folder, client, **options):
+    given = {"parts": 5, "fan_in": 3, "memory": "64MiB", "work": folder, **tiles.OPTIONS, **options}
+    return sut.convert(scans[0], "s3://bucket/out/city.slices", client, **given)
+
+
+def test_scans_in_a_store_become_the_archive_of_a_single_run_there(scans, tmp_path, store):
+    told = []
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit="1GiB", env=store.environment()
+        ) as local,
+        distributed.Client(local) as client,
+    ):
+        report = to_store((["s3://bucket/tiles/"],), tmp_path, client, progress=lambda *news: told.append(news))
+    assert store.objects["/bucket/out/city.slices"] == scans[1]
+    assert os.listdir(tmp_path) == []
+    assert (report["parts"], report["skipped"], report["output"]) == (5, 0, "s3://bucket/out/city.slices")
+    assert report["info"]["points_kept"] == 12 * 12_000
+    assert told[-1] == ("upload", len(scans[1]), len(scans[1]), "bytes")
+    assert sum(line.startswith("PUT") for line in store.requests) == 1
+
+
+def test_what_is_there_in_a_store_is_judged_first_and_replaced_with_force(scans, tmp_path, client, store):
+    for folder in (None, tmp_path / "none"):
+        with pytest.raises(slicewalk.ParameterError, match="work: "):
+            to_store(scans, folder, client)
+    with pytest.raises(slicewalk.ParameterError, match="work: "):
+        converted(scans, tmp_path, client, work=tmp_path)
+    store.put("/bucket/out/city.slices", b"something else")
+    for force in (False, True):
+        with pytest.raises(slicewalk.OutputError, match="not a slice archive"):
+            to_store(scans, tmp_path, client, force=force)
+    store.put("/bucket/out/city.slices", scans[1][:5000])
+    with pytest.raises(slicewalk.OutputError, match="exists already; force=True"):
+        to_store(scans, tmp_path, client)
+    with pytest.raises(slicewalk.ParameterError, match="can be written"):
+        sut.convert(scans[0], f"{store.address}/bucket/x.slices", client, work=tmp_path)
+    assert os.listdir(tmp_path) == []
+    to_store(scans, tmp_path, client, force=True)
+    assert store.objects["/bucket/out/city.slices"] == scans[1]
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_upload_that_fails_leaves_the_steps_for_the_next_call(scans, tmp_path, client, store):
+    store.fails = lambda line: line.startswith("PUT")
+    with pytest.raises(slicewalk.FileError, match="403") as raised:
+        to_store(scans, tmp_path, client)
+    assert "very-secret" not in str(raised.value)
+    assert "/bucket/out/city.slices" not in store.objects
+    assert len(os.listdir(tmp_path)) == 1
+    store.fails = lambda _line: False
+    report = to_store(scans, tmp_path, client)
+    # Seven archives; the check is made again.
+    assert report["skipped"] == len(report["ran"]) - 1
+    assert store.objects["/bucket/out/city.slices"] == scans[1]
+    assert os.listdir(tmp_path) == []
+    # What another writer made while this one worked stays, and so do the steps.
+    del store.objects["/bucket/out/city.slices"]
+
+    def rival(stage, *_):
+        if stage == "verify":
+            store.put("/bucket/out/city.slices", b"first")
+
+    with pytest.raises(slicewalk.OutputError):
+        to_store(scans, tmp_path, client, progress=rival)
+    assert store.objects["/bucket/out/city.slices"] == b"first"
+    assert not store.uploads
+    assert sut.discard("s3://bucket/out/city.slices", work=tmp_path)
+    assert not sut.discard("s3://bucket/out/city.slices", work=tmp_path)
+    assert os.listdir(tmp_path) == []
+
+
+def test_plans_and_parts_in_a_store_merge_there(scans, tmp_path, store):
+    slicewalk.write_plan("s3://bucket/tiles/", "s3://bucket/plan.json", **tiles.OPTIONS)
+    parts = [f"s3://bucket/{part}.slices" for part in (1, 2)]
+    for part, output in enumerate(parts, 1):
+        slicewalk.convert(
+            "s3://bucket/tiles/", output, plan="s3://bucket/plan.json", shard=(part, 2), quiet=True, memory="64MiB"
+        )
+    assert slicewalk.merge(parts, "s3://bucket/whole.slices")["written"]
+    assert store.objects["/bucket/whole.slices"] == scans[1]
+    assert not slicewalk.merge(parts, "s3://bucket/whole.slices")["written"]
+    with pytest.raises(slicewalk.InputError, match="missing of 2: 1"):
+        slicewalk.merge(parts[1:], "s3://bucket/other.slices")
+    assert "/bucket/other.slices" not in store.objects
 
 
 def test_discard_removes_what_is_left(scans, tmp_path, client):
