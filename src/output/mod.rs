@@ -242,11 +242,11 @@ pub fn upload_archive(from: &Path, address: &Path, existing: Existing, monitor: 
 }
 
 /// Reads bytes of a complete file.
-type Read<'a> = &'a dyn Fn(u64, &mut [u8]) -> Result<()>;
+type BytesAt<'a> = &'a dyn Fn(u64, &mut [u8]) -> Result<()>;
 
 /// Writes the `len` bytes that `read` gives to the address `name`, if what is there now may be replaced.
 #[cfg(feature = "remote")]
-fn publish_object(name: &Path, kind: OutputKind, existed: bool, len: u64, read: Read<'_>) -> Result<bool> {
+fn publish_object(name: &Path, kind: OutputKind, existed: bool, len: u64, read: BytesAt<'_>) -> Result<bool> {
     if kind.existing() == Existing::KeepSame && existed {
         if is_at(name, len, read)? {
             return Ok(false);
@@ -265,13 +265,13 @@ fn publish_object(name: &Path, kind: OutputKind, existed: bool, len: u64, read: 
 }
 
 #[cfg(not(feature = "remote"))]
-fn publish_object(name: &Path, _: OutputKind, _: bool, _: u64, _: Read<'_>) -> Result<bool> {
+fn publish_object(name: &Path, _: OutputKind, _: bool, _: u64, _: BytesAt<'_>) -> Result<bool> {
     Err(crate::bytes::without_feature(name))
 }
 
 /// Whether the object called `name` has the `len` bytes that `read` gives.
 #[cfg(feature = "remote")]
-fn is_at(name: &Path, len: u64, read: Read<'_>) -> Result<bool> {
+fn is_at(name: &Path, len: u64, read: BytesAt<'_>) -> Result<bool> {
     let there = crate::bytes::open_named(name)?;
     if there.len() != len {
         return Ok(false);
@@ -280,7 +280,7 @@ fn is_at(name: &Path, len: u64, read: Read<'_>) -> Result<bool> {
 }
 
 /// Whether two files of `len` bytes hold the same.
-fn same_bytes(len: u64, one: Read<'_>, other: Read<'_>) -> Result<bool> {
+fn same_bytes(len: u64, one: BytesAt<'_>, other: BytesAt<'_>) -> Result<bool> {
     let (mut one_bytes, mut other_bytes) = (vec![0; CHUNK], vec![0; CHUNK]);
     for at in (0..len).step_by(CHUNK) {
         let count = (len - at).min(CHUNK as u64) as usize;

@@ -17,7 +17,6 @@ import dask
 import distributed
 
 import slicewalk
-import store as stores
 import tiles
 from slicewalk import cluster as sut
 
@@ -150,23 +149,14 @@ def test_errors_of_workers_come_with_their_facts_and_a_repaired_input_converts(s
     assert tiles.leftovers(tmp_path) == []
 
 
-@pytest.fixture
-def store(scans, monkeypatch):
-    """The scans in a store, which this process knows of. The workers need it for the inputs alone."""
-    with stores.serving() as store:
-        for name, value in store.environment().items():
-            monkeypatch.setenv(name, value)
-        for path in scans[0]:
-            store.put(f"/bucket/tiles/{path.name}", path.read_bytes())
-        yield store
-
-
 def to_store(scans, folder, client, **options):
     given = {"parts": 5, "fan_in": 3, "memory": "64MiB", "work": folder, **tiles.OPTIONS, **options}
     return sut.convert(scans[0], "s3://bucket/out/city.slices", client, **given)
 
 
 def test_scans_in_a_store_become_the_archive_of_a_single_run_there(scans, tmp_path, store):
+    for path in scans[0]:
+        store.put(f"/bucket/tiles/{path.name}", path.read_bytes())
     told = []
     with (
         distributed.LocalCluster(
@@ -231,21 +221,6 @@ def test_an_upload_that_fails_leaves_the_steps_for_the_next_call(scans, tmp_path
     assert sut.discard("s3://bucket/out/city.slices", work=tmp_path)
     assert not sut.discard("s3://bucket/out/city.slices", work=tmp_path)
     assert os.listdir(tmp_path) == []
-
-
-def test_plans_and_parts_in_a_store_merge_there(scans, tmp_path, store):
-    slicewalk.write_plan("s3://bucket/tiles/", "s3://bucket/plan.json", **tiles.OPTIONS)
-    parts = [f"s3://bucket/{part}.slices" for part in (1, 2)]
-    for part, output in enumerate(parts, 1):
-        slicewalk.convert(
-            "s3://bucket/tiles/", output, plan="s3://bucket/plan.json", shard=(part, 2), quiet=True, memory="64MiB"
-        )
-    assert slicewalk.merge(parts, "s3://bucket/whole.slices")["written"]
-    assert store.objects["/bucket/whole.slices"] == scans[1]
-    assert not slicewalk.merge(parts, "s3://bucket/whole.slices")["written"]
-    with pytest.raises(slicewalk.InputError, match="missing of 2: 1"):
-        slicewalk.merge(parts[1:], "s3://bucket/other.slices")
-    assert "/bucket/other.slices" not in store.objects
 
 
 def test_discard_removes_what_is_left(scans, tmp_path, client):
