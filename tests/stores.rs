@@ -176,7 +176,8 @@ fn tiles_share_the_connections_of_their_threads() {
         let arguments = ["s3://bucket/tiles/", "-o", "s3://bucket/out.slices", "--quiet", "--force"];
         server.done(at, &[&arguments[..], &OPTIONS[..4], &["--threads", threads]].concat()).unwrap();
         assert!(server.get("out.slices").unwrap() == whole);
-        let (connections, requests) = (server.store().connections, server.store().requests.len());
+        let store = server.store();
+        let (connections, requests) = (store.connections, store.requests.len());
         println!("{} tiles, {threads} threads: {requests} requests, {connections} connections", names.len());
         assert!(requests > 3 * names.len() && connections <= most, "{requests} requests, {connections} connections");
     }

@@ -37,7 +37,7 @@ class Store:
             "AWS_REGION": "here",
         }
 
-    def answer(self, method: str, path: str, query: dict[str, str], headers, body: bytes):
+    def answer(self, method: str, path: str, query: dict[str, str], headers, body: bytes):  # noqa: PLR0911
         """Status, headers and body."""
         tag = f'"v{self.versions.get(path)}"'
         there = self.objects.get(path)

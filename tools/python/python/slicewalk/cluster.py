@@ -13,8 +13,8 @@ the output: the bytes of a single run. Every step is one file in a folder beside
 what decides its content, and complete or not there. So a step that runs twice does no harm, a step that lost its worker
 runs again, and a conversion that ended early, even by the death of scheduler or client, goes on with the next call.
 
-Workers read the inputs and write the parts by the same paths as the client: all of them see one shared folder. An output in an
-object store needs such a folder too (``work=``), and is uploaded from there at the end.
+Workers read the inputs and write the parts by the same paths as the client: all of them see one shared folder. An
+output in an object store needs such a folder too (``work=``), and is uploaded from there at the end.
 """
 
 from __future__ import annotations
@@ -133,11 +133,11 @@ def convert(  # noqa: PLR0913
         failures: how often one step may lose its worker before the conversion fails. Dask itself gives a step up after
             ``distributed.scheduler.allowed-failures`` + 1 losses (4 by default); it is submitted again until then
         patience: how long the conversion waits while there is no worker at all, seconds
-        progress: called with stage ("plan", "parts", "merge", "verify", for an address "upload"), amount done, total and unit, five times a
-            second; what it raises ends the conversion, as Ctrl-C does
+        progress: called with stage ("plan", "parts", "merge", "verify", for an address "upload"), amount done, total
+            and unit, five times a second; what it raises ends the conversion, as Ctrl-C does
         force: replace an existing archive
-        work: for an output that is an address, and only then: a folder that client and workers see, for the finished steps.
-            It takes as much as the parts and the whole
+        work: for an output that is an address, and only then: a folder that client and workers see, for the finished
+            steps. It needs room for the parts and the whole
         temp_dir: folder for temporary data on the workers; by default that of the Dask worker, which removes what a
             killed one left
         options: those of `slicewalk.write_plan`, which runs on the client: with ``pixel="auto"`` it reads all points
@@ -154,10 +154,10 @@ def convert(  # noqa: PLR0913
         SchedulerLostError: the scheduler died and was not back within the client's timeout
         Error: what `slicewalk.convert` and `slicewalk.merge` raise, from the worker
 
-    Whatever is raised, and however the client dies: finished steps stay in a hidden folder beside the output (in `work`), and the
-    next call with the same inputs and options goes on from there; `discard` removes them. After success nothing is
-    left. Cost beyond the conversion: each page is written, read and checked once more a level of the tree, and read
-    once more at the end.
+    Whatever is raised, and however the client dies: finished steps stay in a hidden folder beside the output or in
+    `work`, and the next call with the same inputs and options goes on from there; `discard` removes them. After success
+    nothing is left. Cost beyond the conversion: each page is written, read and checked once more a level of the tree,
+    and read once more at the end.
 
     """
     started = time.monotonic()
