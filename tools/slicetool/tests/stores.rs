@@ -72,7 +72,8 @@ fn parts_in_a_store_merge_to_an_archive_there_as_files_do() {
     assert!(!server.store().requests.iter().any(|line| line.starts_with("PUT")));
     // Files and objects mix, as a tree too.
     server.done(at, &["merge", PARTS[0], "2.slices", "--part", "1/2", "-o", "s3://bucket/left.slices"]).unwrap();
-    server.done(at, &["merge", "s3://bucket/left.slices", PARTS[2], "-o", "here.slices"]).unwrap();
+    server.done(at, &["merge", PARTS[2], "--part", "2/2", "-o", "right.slices"]).unwrap();
+    server.done(at, &["merge", "s3://bucket/left.slices", "right.slices", "-o", "here.slices"]).unwrap();
     assert!(fs::read(at.join("here.slices")).unwrap() == whole);
     // What else is there stays.
     let stays = |bytes: Vec<u8>, more: &[&'static str], words: &str| {
