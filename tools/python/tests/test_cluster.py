@@ -196,7 +196,7 @@ def test_what_is_there_in_a_store_is_judged_first_and_replaced_with_force(scans,
 
 def test_an_upload_that_fails_leaves_the_steps_for_the_next_call(scans, tmp_path, client, store):
     store.fails = lambda line: line.startswith("PUT")
-    with pytest.raises(slicewalk.FileError, match="cannot write: .*privileges") as raised:
+    with pytest.raises(slicewalk.FileError, match="cannot write") as raised:
         to_store(scans, tmp_path, client)
     assert "very-secret" not in str(raised.value)
     assert "/bucket/out/city.slices" not in store.objects

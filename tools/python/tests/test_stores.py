@@ -21,7 +21,7 @@ def test_plans_and_parts_in_a_store_merge_there(folder, store):
     assert slicewalk.merge(parts, "s3://bucket/whole.slices")["written"]
     assert store.objects["/bucket/whole.slices"] == (folder / "room.slices").read_bytes()
     assert not slicewalk.merge(parts, "s3://bucket/whole.slices")["written"]
-    with pytest.raises(slicewalk.InputError, match="missing of 2: 1"):
+    with pytest.raises(slicewalk.ParameterError, match="missing of 2: 1"):
         slicewalk.merge(parts[1:], "s3://bucket/other.slices")
     store.fails = lambda line: "/1.slices" in line
     with pytest.raises(slicewalk.FileError, match="403") as raised:
