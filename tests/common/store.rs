@@ -190,7 +190,7 @@ impl Store {
             When::Once(at) => number == at,
             When::From(at) => number >= at,
             When::Share(percent) => {
-                (number as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33 & 127 < percent * 128 / 100
+                ((number as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) % 128 < percent * 128 / 100
             }
         };
         strikes.then_some(self.fault)
