@@ -12,10 +12,10 @@ mod write;
 use coloured::{Cloud, Coloured, Numbers, e57, las};
 use scangen::sample::{Mode, ScannerSpec};
 use scangen::{Chunks, Params, Sample, SampleSpec, Scene, Texture, WriteSpec, write_las, write_samples};
-use scans::{Random, converts, data, refuses, text, verifies};
+use scans::{Random, colours, converts, data, refuses, text, verifies};
 use slicewalk::archive::{Archive, ColourReader, extract, merge, recover};
 use slicewalk::colour::{LabTable, difference, to_8_bits};
-use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
+use slicewalk::frame::Frame;
 use slicewalk::{Error, NoMonitor};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -56,20 +56,6 @@ fn sums(points: &[[f64; 3]], frame: &Frame, of: impl Fn([f64; 3]) -> [u16; 3]) -
         *n += 1;
     }
     sums
-}
-
-/// The colours of all voxels of an archive; `None` where a voxel has none.
-fn colours(archive: &Archive) -> BTreeMap<[i64; 3], Option<[u8; 3]>> {
-    let mut reader = ColourReader::new(archive).unwrap().expect("the archive has colours");
-    let mut found = BTreeMap::new();
-    for entry in archive.entries().map(Result::unwrap) {
-        let key = entry.key;
-        for (px, py, k, colour) in reader.colours(&entry).unwrap().voxels() {
-            let at = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
-            found.insert([at(key.tx, px), at(key.ty, py), i64::from(key.layer) * PAGE_SLICES + i64::from(k)], colour);
-        }
-    }
-    found
 }
 
 /// Mean difference from the exact means (ΔE*ab), and voxels compared. Every voxel with matter and points has a colour.

@@ -9,10 +9,10 @@ mod scans;
 
 use files::write_glb;
 use scangen::{WriteSpec, write_las};
-use scans::{Random, converts, refuses, text, verifies};
+use scans::{Random, colours, converts, refuses, text, verifies};
 use slicewalk::NoMonitor;
-use slicewalk::archive::{Archive, ColourReader, merge};
-use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
+use slicewalk::archive::{Archive, merge};
+use slicewalk::frame::Frame;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
@@ -78,19 +78,6 @@ fn truth(frame: &Frame) -> BTreeMap<[i64; 3], ([f64; 3], u32)> {
     }
     sums.values_mut().for_each(|(sum, n)| *sum = sum.map(|sum| sum / f64::from(*n)));
     sums
-}
-
-fn colours(archive: &Archive) -> BTreeMap<[i64; 3], Option<[u8; 3]>> {
-    let mut reader = ColourReader::new(archive).unwrap().expect("the archive has colours");
-    let mut found = BTreeMap::new();
-    for entry in archive.entries().map(Result::unwrap) {
-        let key = entry.key;
-        for (px, py, k, colour) in reader.colours(&entry).unwrap().voxels() {
-            let at = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
-            found.insert([at(key.tx, px), at(key.ty, py), i64::from(key.layer) * PAGE_SLICES + i64::from(k)], colour);
-        }
-    }
-    found
 }
 
 fn convert(at: &Path, inputs: &[&str], output: &str, options: &[&str]) -> Archive {

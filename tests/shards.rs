@@ -6,7 +6,7 @@
 mod scans;
 
 use scangen::{Params, SampleSpec, Scene, WriteSpec, write_samples};
-use scans::{converts, data, names, points, refuses, text, verifies, write};
+use scans::{converts, data, merges_to, names, points, refuses, text, verifies, write};
 use slicewalk::archive::{Archive, merge, merge_run};
 use slicewalk::{Error, NoMonitor};
 use std::fs;
@@ -39,15 +39,6 @@ fn parts(folder: &Path, inputs: &[&str], count: u32, options: &[&str]) -> Vec<Pa
         verifies(name);
     }
     names
-}
-
-/// The parts merged have the bytes of `whole`.
-fn merges_to(parts: &[PathBuf], whole: &Path) {
-    let output = whole.with_extension("merged");
-    let _ = fs::remove_file(&output);
-    let merged = merge(parts, &output, false, &NoMonitor).unwrap();
-    assert!(merged.written);
-    assert!(fs::read(&output).unwrap() == fs::read(whole).unwrap(), "{} parts of {}", parts.len(), whole.display());
 }
 
 #[test]

@@ -1,353 +1,21 @@
 //! Conversion from and to an object store: the bytes of local files, or an error of one line and nothing half visible,
 //! whatever the store does wrong.
 //!
-//! The store is a server on loopback that speaks as much of S3 as is needed. It misbehaves at one request, at a share of
-//! them, or from one on. Nothing asks a cloud: credentials and address come from the environment of the programs.
+//! `slicetool merge` has such tests in `tools/slicetool/tests/stores.rs`.
 #![cfg(all(feature = "cli", feature = "remote"))]
 
 #[path = "common/scans.rs"]
 mod scans;
+#[path = "common/store.rs"]
+mod store;
 
-use scans::{Random, command, converts, points, write};
-use std::collections::BTreeMap;
+use scans::{Random, converts, merges_to, points, write};
 use std::fs;
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{TcpListener, TcpStream};
 use std::path::Path;
-use std::process::Output;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard};
+use store::{Fault, Server, When};
 use tempfile::TempDir;
 
-/// What the store does to a request instead of answering it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Fault {
-    /// 503 with a wish to wait.
-    Throttles,
-    /// 500.
-    Fails,
-    /// Reads the request and closes.
-    Closes,
-    /// Does what it was asked for, and closes without an answer.
-    Mute,
-    /// Stops in the middle of the body.
-    Cuts,
-    /// Gives other bytes than those that were asked for, and says so.
-    OtherRange,
-    /// Another writer has just replaced the object.
-    Replaced,
-    /// 403.
-    Refuses,
-}
-
-/// Which requests a fault meets.
-#[derive(Debug, Clone, Copy)]
-enum When {
-    Never,
-    Once(usize),
-    From(usize),
-    /// So many of a hundred.
-    Share(usize),
-}
-
-struct Store {
-    objects: BTreeMap<String, Vec<u8>>,
-    versions: BTreeMap<String, u64>,
-    uploads: BTreeMap<String, BTreeMap<u32, Vec<u8>>>,
-    /// What lists show, if not what is there.
-    listed: Option<Vec<String>>,
-    /// Another writer's object appears under the name of an upload just before its last request.
-    rival: Option<Vec<u8>>,
-    /// First lines of all requests.
-    requests: Vec<String>,
-    fault: Fault,
-    when: When,
-    dice: Random,
-}
-
-struct Server {
-    address: String,
-    store: Arc<Mutex<Store>>,
-    stop: Arc<AtomicBool>,
-}
-
-impl Server {
-    fn new() -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = listener.local_addr().unwrap().to_string();
-        let store = Store {
-            objects: BTreeMap::new(),
-            versions: BTreeMap::new(),
-            uploads: BTreeMap::new(),
-            listed: None,
-            rival: None,
-            requests: Vec::new(),
-            fault: Fault::Fails,
-            when: When::Never,
-            dice: Random(7),
-        };
-        let (store, stop) = (Arc::new(Mutex::new(store)), Arc::new(AtomicBool::new(false)));
-        let (shared, stopped) = (store.clone(), stop.clone());
-        std::thread::spawn(move || {
-            for client in listener.incoming() {
-                if stopped.load(Ordering::Relaxed) {
-                    return;
-                }
-                let shared = shared.clone();
-                std::thread::spawn(move || client.and_then(|client| answer(client, &shared)));
-            }
-        });
-        Self { address, store, stop }
-    }
-
-    fn store(&self) -> MutexGuard<'_, Store> {
-        self.store.lock().unwrap()
-    }
-
-    fn put(&self, key: &str, bytes: Vec<u8>) {
-        self.store().put(&format!("/bucket/{key}"), bytes);
-    }
-
-    fn get(&self, key: &str) -> Option<Vec<u8>> {
-        self.store().objects.get(&format!("/bucket/{key}")).cloned()
-    }
-
-    /// Forgets what was asked, and misbehaves so from now on.
-    fn set(&self, fault: Fault, when: When) {
-        let mut store = self.store();
-        (store.fault, store.when) = (fault, when);
-        store.requests.clear();
-    }
-
-    /// The program, which knows of this store alone.
-    fn program(&self, folder: &Path) -> std::process::Command {
-        let mut command = command(folder);
-        for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("AWS_")) {
-            command.env_remove(name);
-        }
-        command
-            .env("AWS_ENDPOINT", format!("http://{}", self.address))
-            .env("AWS_ALLOW_HTTP", "true")
-            .env("AWS_ACCESS_KEY_ID", "id")
-            .env("AWS_SECRET_ACCESS_KEY", "very-secret")
-            .env("AWS_REGION", "here");
-        command
-    }
-
-    fn run(&self, folder: &Path, arguments: &[&str]) -> Output {
-        self.program(folder).args(arguments).output().unwrap()
-    }
-
-    /// Succeeds, or says one line that holds no secret; returns whether it succeeded.
-    fn done(&self, folder: &Path, arguments: &[&str]) -> Result<(), String> {
-        let out = self.run(folder, arguments);
-        let said = String::from_utf8(out.stderr).unwrap();
-        assert!(!said.contains("very-secret") && !said.contains("panicked"), "{said}");
-        match out.status.code() {
-            Some(0) => Ok(()),
-            Some(1) => {
-                assert_eq!(said.lines().filter(|line| !line.contains("warning")).count(), 1, "{said}");
-                Err(said)
-            }
-            other => panic!("{other:?}: {said}"),
-        }
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        let _ = TcpStream::connect(&self.address);
-    }
-}
-
-impl Store {
-    fn put(&mut self, path: &str, bytes: Vec<u8>) {
-        self.objects.insert(path.to_owned(), bytes);
-        *self.versions.entry(path.to_owned()).or_default() += 1;
-    }
-
-    /// What meets the request that is now noted.
-    fn fault(&mut self, line: String) -> Option<Fault> {
-        let number = self.requests.len();
-        self.requests.push(line);
-        let strikes = match self.when {
-            When::Never => false,
-            When::Once(at) => number == at,
-            When::From(at) => number >= at,
-            When::Share(percent) => self.dice.chance(percent),
-        };
-        strikes.then_some(self.fault)
-    }
-
-    /// Status line, header lines and body for a request.
-    fn answer(&mut self, method: &str, target: &str, head: &[String], body: Vec<u8>) -> (String, String, Vec<u8>) {
-        let field = |name: &str| {
-            let is_it = |line: &&String| line.to_ascii_lowercase().starts_with(&format!("{name}:"));
-            head.iter().find(is_it).map(|line| line[name.len() + 1..].trim().to_owned())
-        };
-        let (path, query) = target.split_once('?').unwrap_or((target, ""));
-        let query: BTreeMap<&str, &str> =
-            query.split('&').map(|pair| pair.split_once('=').unwrap_or((pair, ""))).collect();
-        let tag = self.versions.get(path).map_or(String::new(), |version| format!("\"v{version}\""));
-        let plain = |status: &str| (status.to_owned(), String::new(), Vec::new());
-        match method {
-            "GET" if query.contains_key("list-type") => {
-                let plain_text = |text: &str| text.replace("%2F", "/").replace("%20", " ").replace('+', " ");
-                let value = |name: &str| query.get(name).map_or(String::new(), |text| plain_text(text));
-                let (prefix, after) = (value("prefix"), value("continuation-token"));
-                let all = self.listed.clone().unwrap_or_else(|| self.objects.keys().cloned().collect());
-                let keys: Vec<String> =
-                    all.iter().filter_map(|key| key.strip_prefix("/bucket/")).map(plain_text).collect();
-                let direct = |key: &&String| value("delimiter").is_empty() || !key[prefix.len()..].contains('/');
-                let found = keys.iter().filter(|key| key.starts_with(&prefix) && **key > after).filter(direct);
-                // Two at a time.
-                let page: Vec<&String> = found.take(3).collect();
-                let more = page.len() == 3;
-                let contents: String = page
-                    .iter()
-                    .take(2)
-                    .map(|key| {
-                        format!(
-                            "<Contents><Key>{key}</Key><LastModified>2025-06-03T10:00:00.000Z</LastModified>\
-                             <ETag>\"x\"</ETag><Size>1</Size></Contents>"
-                        )
-                    })
-                    .collect();
-                let next = match more {
-                    true => format!("<NextContinuationToken>{}</NextContinuationToken>", page[1]),
-                    false => String::new(),
-                };
-                let xml = format!(
-                    "<ListBucketResult><Name>bucket</Name><Prefix>{prefix}</Prefix><KeyCount>2</KeyCount><MaxKeys>2</MaxKeys>\
-                     <IsTruncated>{more}</IsTruncated>{contents}{next}</ListBucketResult>"
-                );
-                ("200 OK".into(), String::new(), xml.into_bytes())
-            }
-            "GET" | "HEAD" => {
-                let Some(bytes) = self.objects.get(path) else { return plain("404 Not Found") };
-                let dates = format!("ETag: {tag}\r\nLast-Modified: Tue, 03 Jun 2025 10:00:00 GMT\r\n");
-                if field("if-match").is_some_and(|wanted| wanted != tag) {
-                    return plain("412 Precondition Failed");
-                }
-                if method == "HEAD" {
-                    return ("200 OK".into(), format!("{dates}X-Length: {}\r\n", bytes.len()), Vec::new());
-                }
-                let range = field("range").unwrap();
-                let (from, to) = range.strip_prefix("bytes=").unwrap().split_once('-').unwrap();
-                let (from, to) = (from.parse::<usize>().unwrap(), to.parse::<usize>().unwrap());
-                if from >= bytes.len() {
-                    return plain("416 Range Not Satisfiable");
-                }
-                let to = to.min(bytes.len() - 1);
-                let about = format!("{dates}Content-Range: bytes {from}-{to}/{}\r\n", bytes.len());
-                ("206 Partial Content".into(), about, bytes[from..=to].to_vec())
-            }
-            "POST" if query.contains_key("uploads") => {
-                let id = format!("upload{}", self.uploads.len());
-                self.uploads.insert(id.clone(), BTreeMap::new());
-                let xml = format!(
-                    "<InitiateMultipartUploadResult><Bucket>b</Bucket><Key>k</Key><UploadId>{id}</UploadId>\
-                     </InitiateMultipartUploadResult>"
-                );
-                ("200 OK".into(), String::new(), xml.into_bytes())
-            }
-            "PUT" if query.contains_key("uploadId") => {
-                let number: u32 = query["partNumber"].parse().unwrap();
-                let Some(upload) = self.uploads.get_mut(query["uploadId"]) else { return plain("404 Not Found") };
-                upload.insert(number, body);
-                ("200 OK".into(), format!("ETag: \"p{number}\"\r\n"), Vec::new())
-            }
-            "POST" => {
-                if let Some(rival) = self.rival.take() {
-                    self.put(path, rival);
-                }
-                if field("if-none-match").is_some() && self.objects.contains_key(path) {
-                    return plain("412 Precondition Failed");
-                }
-                let Some(parts) = self.uploads.remove(query["uploadId"]) else { return plain("404 Not Found") };
-                assert!(parts.keys().copied().eq(1..=parts.len() as u32));
-                self.put(path, parts.into_values().flatten().collect());
-                let xml = "<CompleteMultipartUploadResult><Bucket>b</Bucket><Key>k</Key><ETag>\"x\"</ETag>\
-                           </CompleteMultipartUploadResult>";
-                ("200 OK".into(), String::new(), xml.into())
-            }
-            "PUT" => {
-                if field("if-none-match").is_some() && self.objects.contains_key(path) {
-                    return plain("412 Precondition Failed");
-                }
-                self.put(path, body);
-                let tag = format!("ETag: \"v{}\"\r\n", self.versions[path]);
-                ("200 OK".into(), tag, Vec::new())
-            }
-            "DELETE" => {
-                self.uploads.remove(query["uploadId"]);
-                plain("204 No Content")
-            }
-            other => panic!("{other} {target}"),
-        }
-    }
-}
-
-/// One request per connection.
-fn answer(mut client: TcpStream, store: &Mutex<Store>) -> std::io::Result<()> {
-    let mut reader = BufReader::new(client.try_clone()?);
-    let mut head: Vec<String> = Vec::new();
-    loop {
-        let mut line = String::new();
-        if reader.read_line(&mut line)? == 0 || line.trim().is_empty() {
-            break;
-        }
-        head.push(line.trim().to_owned());
-    }
-    let Some((method, rest)) = head.first().and_then(|line| line.split_once(' ')) else { return Ok(()) };
-    let target = rest.split(' ').next().unwrap_or_default().to_owned();
-    let length =
-        head.iter().find_map(|line| line.to_ascii_lowercase().strip_prefix("content-length:")?.trim().parse().ok());
-    let mut body = vec![0; length.unwrap_or(0)];
-    reader.read_exact(&mut body)?;
-    let mut store = store.lock().unwrap();
-    let fault = store.fault(format!("{method} {target}"));
-    let refusal = |status: &str, more: &str| {
-        format!("HTTP/1.1 {status}\r\n{more}Content-Length: 3\r\nConnection: close\r\n\r\nno\n").into_bytes()
-    };
-    match fault {
-        Some(Fault::Throttles) => return client.write_all(&refusal("503 Slow Down", "Retry-After: 0\r\n")),
-        Some(Fault::Fails) => return client.write_all(&refusal("500 Internal Server Error", "")),
-        Some(Fault::Refuses) => return client.write_all(&refusal("403 Forbidden", "")),
-        Some(Fault::Closes) => return Ok(()),
-        Some(Fault::Replaced) => {
-            let path = target.split('?').next().unwrap().to_owned();
-            if let (true, Some(bytes)) = (method == "GET", store.objects.get(&path).cloned()) {
-                let flipped = bytes.iter().map(|byte| byte ^ 1).collect();
-                store.put(&path, flipped);
-            }
-        }
-        _ => {}
-    }
-    let (status, mut more, mut bytes) = store.answer(method, &target, &head, body);
-    drop(store);
-    let mut length = bytes.len();
-    match fault {
-        Some(Fault::Mute) => return Ok(()),
-        Some(Fault::Cuts) if length > 1 => bytes.truncate(length / 2),
-        Some(Fault::OtherRange) if status.starts_with("206") && length > 1 => {
-            let at = more.find("bytes ").unwrap() + 6;
-            let dash = at + more[at..].find('-').unwrap();
-            let from: usize = more[at..dash].parse().unwrap();
-            more.replace_range(at..dash, &(from + 1).to_string());
-            bytes.remove(0);
-            length -= 1;
-        }
-        _ => {}
-    }
-    if let Some(at) = more.find("X-Length: ") {
-        length = more[at + 10..].trim().parse().unwrap();
-        more.truncate(at);
-    }
-    write!(client, "HTTP/1.1 {status}\r\n{more}Content-Length: {length}\r\nConnection: close\r\n\r\n")?;
-    client.write_all(&bytes)
-}
+const SLICECONV: &str = env!("CARGO_BIN_EXE_sliceconv");
 
 const OPTIONS: [&str; 6] = ["--pixel", "0.1", "--units", "m", "--threads", "1"];
 
@@ -361,7 +29,7 @@ fn job() -> (TempDir, Server, Vec<u8>) {
     let east: Vec<_> = all.iter().map(|[x, y, z]| [x + 30.0, *y, *z]).collect();
     write(&at.join("east.las"), &east);
     converts(at, &[&["west.laz", "east.las", "-o", "whole.slices", "--quiet"][..], &OPTIONS].concat());
-    let server = Server::new();
+    let server = Server::new(SLICECONV);
     for name in ["west.laz", "east.las"] {
         server.put(name, fs::read(at.join(name)).unwrap());
     }
@@ -406,9 +74,7 @@ fn scans_plans_parts_and_archives_in_a_store_have_the_bytes_of_local_ones() {
     for part in ["part1.slices", "part2.slices"] {
         fs::write(at.join(part), server.get(part).unwrap()).unwrap();
     }
-    let parts = ["part1.slices", "part2.slices"].map(|part| at.join(part));
-    slicewalk::archive::merge(&parts, &at.join("merged.slices"), false, &slicewalk::NoMonitor).unwrap();
-    assert!(fs::read(at.join("merged.slices")).unwrap() == whole);
+    merges_to(&["part1.slices", "part2.slices"].map(|part| at.join(part)), &at.join("whole.slices"));
     let said = server.done(at, &from_and_to("s3://bucket/out/whole.slices")).unwrap_err();
     assert!(said.contains("exists already; --force"), "{said}");
     server.put("notes.txt", b"mine".to_vec());
@@ -483,13 +149,12 @@ fn folders_and_patterns_name_the_scans_of_a_store_and_old_lists_are_noticed() {
     assert!(said.contains("is a file of the plan, but not among the inputs"), "{said}");
 }
 
-#[test]
-fn a_part_asks_for_no_tile_that_its_columns_do_not_meet() {
-    let folder = tempfile::tempdir().unwrap();
-    let (at, server, mut random) = (folder.path(), Server::new(), Random(9));
-    let names: Vec<String> = (0..16).map(|number| format!("t{number:02}.laz")).collect();
+/// A square of so many tiles in the store, and `whole.slices`, their archive, on disk; the names of the tiles.
+fn tiles(at: &Path, side: usize) -> (Server, Vec<String>) {
+    let (server, mut random) = (Server::new(SLICECONV), Random(9));
+    let names: Vec<String> = (0..side * side).map(|number| format!("t{number:02}.laz")).collect();
     for (number, name) in names.iter().enumerate() {
-        let corner = [20.0 * (number % 4) as f64, 20.0 * (number / 4) as f64, 0.0];
+        let corner = [20.0 * (number % side) as f64, 20.0 * (number / side) as f64, 0.0];
         let mut along = |axis: usize, size: f64| corner[axis] + (random.uniform() * size * 1000.0).round() / 1000.0;
         let tile: Vec<[f64; 3]> = (0..2000).map(|_| [along(0, 12.0), along(1, 12.0), along(2, 0.5)]).collect();
         write(&at.join(name), &tile);
@@ -497,7 +162,32 @@ fn a_part_asks_for_no_tile_that_its_columns_do_not_meet() {
     }
     let local: Vec<&str> = names.iter().map(|name| &name[..]).collect();
     converts(at, &[&local[..], &["-o", "whole.slices", "--quiet"], &OPTIONS].concat());
+    (server, names)
+}
+
+#[test]
+fn tiles_share_the_connections_of_their_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let (server, names) = tiles(at, 4);
     let whole = fs::read(at.join("whole.slices")).unwrap();
+    for (threads, most) in [("1", 10), ("3", 12)] {
+        server.set(Fault::Fails, When::Never);
+        let arguments = ["s3://bucket/tiles/", "-o", "s3://bucket/out.slices", "--quiet", "--force"];
+        server.done(at, &[&arguments[..], &OPTIONS[..4], &["--threads", threads]].concat()).unwrap();
+        assert!(server.get("out.slices").unwrap() == whole);
+        let store = server.store();
+        let (connections, requests) = (store.connections, store.requests.len());
+        println!("{} tiles, {threads} threads: {requests} requests, {connections} connections", names.len());
+        assert!(requests > 3 * names.len() && connections <= most, "{requests} requests, {connections} connections");
+    }
+}
+
+#[test]
+fn a_part_asks_for_no_tile_that_its_columns_do_not_meet() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let (server, names) = tiles(at, 4);
     let plan = ["s3://bucket/tiles/", "--write-plan", "plan.json", "--quiet"];
     server.done(at, &[&plan[..], &OPTIONS[..4], &["--threads", "4"]].concat()).unwrap();
     let part = |shard: &str, output: &str| {
@@ -521,8 +211,7 @@ fn a_part_asks_for_no_tile_that_its_columns_do_not_meet() {
     all.dedup();
     assert_eq!(all, names);
     let parts: Vec<_> = (1..=4).map(|index| at.join(format!("part{index}.slices"))).collect();
-    slicewalk::archive::merge(&parts, &at.join("merged.slices"), false, &slicewalk::NoMonitor).unwrap();
-    assert!(fs::read(at.join("merged.slices")).unwrap() == whole);
+    merges_to(&parts, &at.join("whole.slices"));
     // A tile that was replaced is noticed by the parts that read it, and by these alone.
     let foreign = names.iter().find(|name| !asked[0].contains(name)).unwrap();
     let tile = at.join(foreign);
@@ -552,11 +241,7 @@ fn without_credentials_requests_go_unsigned_and_no_metadata_address_is_asked() {
     let (folder, server, whole) = job();
     let at = folder.path();
     let run = |metadata: Option<&str>| {
-        let mut program = command(at);
-        for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("AWS_")) {
-            program.env_remove(name);
-        }
-        program.env("AWS_ENDPOINT", format!("http://{}", server.address)).env("AWS_ALLOW_HTTP", "true");
+        let mut program = server.stranger(at);
         // Whoever asks another server shows here.
         program.env("http_proxy", format!("http://{}", server.address)).env("no_proxy", "127.0.0.1");
         metadata.map(|address| program.env("AWS_METADATA_ENDPOINT", address));
@@ -615,7 +300,7 @@ fn whatever_a_store_does_wrong_the_bytes_are_right_or_nothing_is_there() {
 #[test]
 fn a_large_archive_appears_whole_by_parts_that_are_thrown_away_if_one_fails() {
     let folder = tempfile::tempdir().unwrap();
-    let (at, server) = (folder.path(), Server::new());
+    let (at, server) = (folder.path(), Server::new(SLICECONV));
     let mut random = Random(3);
     let scattered: Vec<[f64; 3]> = (0..3_200_000)
         .map(|_| [40.0, 40.0, 12.0].map(|size| (random.uniform() * size * 1000.0).round() / 1000.0))

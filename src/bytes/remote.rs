@@ -6,8 +6,10 @@
 //!
 //! Errors name the address without user, password and query, and print of an answer its status and one line.
 
+mod connect;
 #[cfg(feature = "convert")]
 mod list;
+mod pool;
 mod text;
 mod transport;
 mod upload;
@@ -18,27 +20,16 @@ pub(crate) use upload::{check_upload, upload};
 
 use super::{ByteSource, FileId, Stamp};
 use crate::{Error, Result};
-use base64::Engine;
+use connect::{Connected, Use, connect};
 use futures_util::StreamExt;
-use object_store::aws::{AmazonS3Builder, AmazonS3ConfigKey};
-#[cfg(feature = "clouds")]
-use object_store::azure::{AzureConfigKey, MicrosoftAzureBuilder};
 use object_store::client::HttpError;
-#[cfg(feature = "clouds")]
-use object_store::gcp::{GoogleCloudStorageBuilder, GoogleConfigKey};
-use object_store::http::HttpBuilder;
-use object_store::local::LocalFileSystem;
-use object_store::path::Path;
-use object_store::{
-    ClientOptions, GetOptions, GetRange, HeaderValue, ObjectMeta, ObjectStore, ObjectStoreScheme, RetryConfig,
-};
-use percent_encoding::percent_decode_str;
+use object_store::{GetOptions, GetRange, ObjectMeta};
 use std::io;
 use std::ops::Range;
 use std::time::Duration;
 use text::{cause, connection, one_line, public_name};
-use tokio::runtime::{Builder, Handle, Runtime};
-use transport::{Connector, Refusal};
+use tokio::runtime::Handle;
+use transport::Refusal;
 use url::Url;
 
 /// Bytes that come with the first request: the longest head of an archive.
@@ -84,16 +75,13 @@ impl std::fmt::Debug for RemoteOptions {
 /// An object on a web server or in an object store.
 ///
 /// Reads block the calling thread: give the archive to a [`Stream`](crate::store::Stream), whose thread does the waiting.
-/// Memory: 16 KiB, and the connection's.
+/// All objects of a server or bucket that are opened with the same options share one client: as many connections as there are
+/// reads at the same time, which stay open for the next ones. Memory: 16 KiB, and the connection's.
 pub struct RemoteSource {
-    store: Box<dyn ObjectStore>,
-    path: Path,
-    unsigned: bool,
+    connected: Connected,
     /// For messages: no password, no query.
     name: String,
     options: RemoteOptions,
-    /// `None` only while it is dropped.
-    runtime: Option<Runtime>,
     first: Vec<u8>,
     meta: ObjectMeta,
 }
@@ -109,24 +97,22 @@ impl RemoteSource {
     /// As [`open`](Self::open), with options.
     ///
     /// Fails if the address is not understood, the object is not there, the server does not give ranges, or the calling
-    /// thread belongs to an asynchronous runtime (reads block; use a thread of your own).
+    /// thread belongs to an asynchronous runtime (reads block; use a thread of your own). After a `fork`, open it again: the
+    /// connections belong to the process that opened it, and reads fail in another.
     pub fn with(url: &str, options: &RemoteOptions) -> Result<Self> {
         let refused = |reason: String| Error::parameter("address of a remote archive", reason);
         let url = Url::parse(url).map_err(|error| refused(error.to_string()))?;
         let name = public_name(&url);
         refuse_tasks(&name)?;
-        let Connected { store, path, unsigned } = connect(url, options, Use::READ).map_err(refused)?;
-        let runtime = Builder::new_current_thread().enable_all().build();
-        let runtime = Some(runtime.map_err(|error| Error::io(&name, "start its runtime", error))?);
+        let connected = connect(url, options, Use::READ).map_err(refused)?;
         let meta = ObjectMeta {
-            location: path.clone(),
+            location: connected.path.clone(),
             last_modified: Default::default(),
             size: u64::MAX,
             e_tag: None,
             version: None,
         };
-        let mut source =
-            Self { store, path, unsigned, name, options: options.clone(), runtime, first: Vec::new(), meta };
+        let mut source = Self { connected, name, options: options.clone(), first: Vec::new(), meta };
         let (meta, first) = source.get(0..FIRST, None)?;
         (source.meta, source.first) = (meta, first);
         Ok(source)
@@ -152,11 +138,11 @@ impl RemoteSource {
     /// The bytes of `range` that the object has, of the version `known`, or of any.
     fn get(&self, range: Range<u64>, known: Option<&ObjectMeta>) -> Result<(ObjectMeta, Vec<u8>)> {
         refuse_tasks(&self.name)?;
-        let runtime = self.runtime.as_ref().expect("only dropping takes it");
         let (mut meta, mut bytes) = (known.cloned(), Vec::with_capacity((range.end - range.start) as usize));
         let mut failures = 0;
         loop {
-            let failure = match runtime.block_on(self.ask(&range, &mut meta, &mut bytes)) {
+            let answer = self.connected.wait_for(self.ask(&range, &mut meta, &mut bytes));
+            let failure = match answer.map_err(|error| Error::io(&self.name, reading(&range), error))? {
                 Ok(meta) => return Ok((meta, bytes)),
                 Err(failure) => failure,
             };
@@ -164,7 +150,7 @@ impl RemoteSource {
             let Some(wait) = wait else {
                 let action = if known.is_none() { "open".to_owned() } else { reading(&range) };
                 let error = io::Error::from(failure);
-                return Err(Error::io(&self.name, action, if self.unsigned { said_unsigned(error) } else { error }));
+                return Err(Error::io(&self.name, action, self.connected.explained(error)));
             };
             failures += 1;
             std::thread::sleep(wait);
@@ -185,7 +171,7 @@ impl RemoteSource {
         }
         let start = range.start + bytes.len() as u64;
         options.range = Some(GetRange::Bounded(start..range.end));
-        let answer = self.store.get_opts(&self.path, options).await?;
+        let answer = self.connected.store.get_opts(&self.connected.path, options).await?;
         let found = answer.meta.clone();
         let version = |meta: &ObjectMeta| (meta.size, meta.e_tag.clone(), meta.last_modified);
         if meta.as_ref().is_some_and(|known| version(known) != version(&found)) {
@@ -225,15 +211,6 @@ impl ByteSource for RemoteSource {
         let (_, bytes) = self.get(offset..end, Some(&self.meta))?;
         buf.copy_from_slice(&bytes);
         Ok(())
-    }
-}
-
-impl Drop for RemoteSource {
-    fn drop(&mut self) {
-        // An ordinary drop waits for the runtime's threads, which panics in an asynchronous task.
-        if let Some(runtime) = self.runtime.take() {
-            runtime.shutdown_background();
-        }
     }
 }
 
@@ -307,16 +284,6 @@ impl From<Failure> for io::Error {
     }
 }
 
-/// Adds why a store may have refused a request that was not signed.
-fn said_unsigned(error: io::Error) -> io::Error {
-    match error.kind() {
-        io::ErrorKind::PermissionDenied => {
-            io::Error::new(error.kind(), format!("{error}; no credentials are set, so the request was not signed"))
-        }
-        _ => error,
-    }
-}
-
 fn reading(range: &Range<u64>) -> String {
     format!("read {} bytes at {}", range.end - range.start, range.start)
 }
@@ -336,205 +303,4 @@ fn same_version(meta: &ObjectMeta) -> GetOptions {
     let strong = meta.e_tag.clone().filter(|tag| !tag.starts_with("W/"));
     let time = Some(meta.last_modified).filter(|time| strong.is_none() && time.timestamp() > 0);
     GetOptions { if_match: strong, if_unmodified_since: time, ..GetOptions::default() }
-}
-
-/// A store, and the path of an object in it.
-struct Connected {
-    store: Box<dyn ObjectStore>,
-    path: Path,
-    /// Without credentials in settings or environment: requests are not signed.
-    unsigned: bool,
-}
-
-/// How a connection is used.
-#[derive(Clone, Copy)]
-struct Use {
-    /// Repetitions by the store's client. For reading there are none: they are made here, where a server's wish to wait and the
-    /// version are known.
-    retries: usize,
-    /// Uploads in parts are completed on the condition that no such object is there, where the store knows that condition.
-    creates: bool,
-}
-
-impl Use {
-    const READ: Self = Self { retries: 0, creates: false };
-}
-
-/// Connects to the store that serves `url`. Without credentials requests go unsigned: no machine's metadata address is asked
-/// for them, unless the environment or a setting names it.
-fn connect(mut url: Url, options: &RemoteOptions, how: Use) -> Result<Connected, String> {
-    let client = ClientOptions::new().with_timeout(options.timeout).with_connect_timeout(options.timeout);
-    let retry = RetryConfig { max_retries: how.retries, ..RetryConfig::default() };
-    let web = matches!(url.scheme(), "http" | "https");
-    let authorization = basic_authorization(&url);
-    let secret = authorization.is_some() || url.query().is_some();
-    if secret && !web {
-        let what = if authorization.is_some() { "a user or password" } else { "a query" };
-        return Err(format!(
-            "has {what}, as only http and https addresses may; give the settings of the store instead"
-        ));
-    }
-    match ObjectStoreScheme::parse(&url) {
-        Ok((ObjectStoreScheme::AmazonS3, path)) if !secret => {
-            connect_s3(&url, path, options, client, retry, how.creates)
-        }
-        #[cfg(feature = "clouds")]
-        Ok((ObjectStoreScheme::GoogleCloudStorage, path)) if !secret => connect_gs(&url, path, options, client, retry),
-        #[cfg(feature = "clouds")]
-        Ok((ObjectStoreScheme::MicrosoftAzure, path)) if !secret && !web => {
-            connect_az(&url, path, options, client, retry)
-        }
-        Ok((ObjectStoreScheme::Local, path)) => {
-            Ok(Connected { store: Box::new(LocalFileSystem::new()), path, unsigned: false })
-        }
-        _ if web => {
-            let client = client.with_allow_http(url.scheme() == "http");
-            url.set_fragment(None);
-            // The header says them.
-            let _ = (url.set_username(""), url.set_password(None));
-            // With the whole address as the base, and nothing below it, no character of its path is decoded.
-            let server = HttpBuilder::new().with_url(url).with_client_options(client).with_retry(retry);
-            let server = server.with_http_connector(Connector { authorization, creates: false });
-            Ok(Connected { store: Box::new(server.build().map_err(text_of)?), path: Path::default(), unsigned: false })
-        }
-        #[cfg(not(feature = "clouds"))]
-        Ok((ObjectStoreScheme::GoogleCloudStorage | ObjectStoreScheme::MicrosoftAzure, _)) => {
-            Err("is of a store that this build does not know; build it with --features clouds".into())
-        }
-        _ => Err("is none that is supported; use https, http, s3, gs, az or file".into()),
-    }
-}
-
-fn text_of(error: object_store::Error) -> String {
-    one_line(&error.to_string())
-}
-
-/// Variables of the environment that begin with `prefix`, as names of settings.
-fn environment(prefix: &'static str) -> impl Iterator<Item = (String, String)> {
-    let text = |(name, value): (std::ffi::OsString, std::ffi::OsString)| {
-        Some((name.to_str()?.to_owned(), value.to_str()?.to_owned()))
-    };
-    let named =
-        move |(name, value): (String, String)| name.starts_with(prefix).then(|| (name.to_ascii_lowercase(), value));
-    std::env::vars_os().filter_map(text).filter_map(named)
-}
-
-fn connect_s3(
-    url: &Url,
-    path: Path,
-    options: &RemoteOptions,
-    client: ClientOptions,
-    retry: RetryConfig,
-    creates: bool,
-) -> Result<Connected, String> {
-    use AmazonS3ConfigKey as Key;
-    let mut builder = AmazonS3Builder::from_env().with_client_options(client).with_retry(retry).with_url(url.as_str());
-    // Options of the client in the environment, such as AWS_ALLOW_HTTP, which those above replaced.
-    for (name, value) in environment("AWS_") {
-        if let Ok(key @ Key::Client(_)) = name.parse() {
-            builder = builder.with_config(key, value);
-        }
-    }
-    for (key, value) in &options.settings {
-        builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text_of)?, value);
-    }
-    let given = |key: Key| builder.get_config_value(&key).is_some();
-    let credentials = [
-        Key::AccessKeyId,
-        Key::SecretAccessKey,
-        Key::WebIdentityTokenFile,
-        Key::ContainerCredentialsRelativeUri,
-        Key::ContainerCredentialsFullUri,
-        Key::MetadataEndpoint,
-    ];
-    let unsigned = !credentials.into_iter().any(given);
-    let conditional = builder.get_config_value(&Key::ConditionalPut).is_none_or(|value| value != "disabled");
-    if unsigned {
-        builder = builder.with_skip_signature(true);
-    }
-    let connector = Connector { authorization: None, creates: creates && conditional };
-    let store = builder.with_http_connector(connector).build().map_err(text_of)?;
-    Ok(Connected { store: Box::new(store), path, unsigned })
-}
-
-#[cfg(feature = "clouds")]
-fn connect_gs(
-    url: &Url,
-    path: Path,
-    options: &RemoteOptions,
-    client: ClientOptions,
-    retry: RetryConfig,
-) -> Result<Connected, String> {
-    use GoogleConfigKey as Key;
-    let mut builder =
-        GoogleCloudStorageBuilder::from_env().with_client_options(client).with_retry(retry).with_url(url.as_str());
-    for (name, value) in environment("GOOGLE_") {
-        if let Ok(key @ Key::Client(_)) = name.parse() {
-            builder = builder.with_config(key, value);
-        }
-    }
-    for (key, value) in &options.settings {
-        builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text_of)?, value);
-    }
-    // Where the programs of that cloud leave the credentials of whoever logged in.
-    let (home, below) = match cfg!(windows) {
-        true => ("APPDATA", "gcloud/application_default_credentials.json"),
-        false => ("HOME", ".config/gcloud/application_default_credentials.json"),
-    };
-    let logged_in = std::env::var_os(home).is_some_and(|home| std::path::Path::new(&home).join(below).is_file());
-    let given = |key: Key| builder.get_config_value(&key).is_some();
-    let credentials = [Key::ServiceAccount, Key::ServiceAccountKey, Key::ApplicationCredentials];
-    let unsigned = !logged_in && !credentials.into_iter().any(given);
-    if unsigned {
-        builder = builder.with_skip_signature(true);
-    }
-    let connector = Connector { authorization: None, creates: false };
-    let store = builder.with_http_connector(connector).build().map_err(text_of)?;
-    Ok(Connected { store: Box::new(store), path, unsigned })
-}
-
-#[cfg(feature = "clouds")]
-fn connect_az(
-    url: &Url,
-    path: Path,
-    options: &RemoteOptions,
-    client: ClientOptions,
-    retry: RetryConfig,
-) -> Result<Connected, String> {
-    use AzureConfigKey as Key;
-    let mut builder =
-        MicrosoftAzureBuilder::from_env().with_client_options(client).with_retry(retry).with_url(url.as_str());
-    for (name, value) in environment("AZURE_") {
-        if let Ok(key @ Key::Client(_)) = name.parse() {
-            builder = builder.with_config(key, value);
-        }
-    }
-    for (key, value) in &options.settings {
-        builder = builder.with_config(key.to_ascii_lowercase().parse().map_err(text_of)?, value);
-    }
-    let given = |key: Key| builder.get_config_value(&key).is_some();
-    let credentials =
-        [Key::AccessKey, Key::SasKey, Key::Token, Key::ClientSecret, Key::FederatedTokenFile, Key::MsiEndpoint];
-    let is_set = |key: Key| builder.get_config_value(&key).is_some_and(|value| value == "true");
-    let unsigned = !credentials.into_iter().any(given) && !is_set(Key::UseAzureCli) && !is_set(Key::UseEmulator);
-    if unsigned {
-        builder = builder.with_skip_signature(true);
-    }
-    let connector = Connector { authorization: None, creates: false };
-    let store = builder.with_http_connector(connector).build().map_err(text_of)?;
-    Ok(Connected { store: Box::new(store), path, unsigned })
-}
-
-/// The header for user and password of an address, if it has them.
-fn basic_authorization(url: &Url) -> Option<HeaderValue> {
-    if url.username().is_empty() && url.password().is_none() {
-        return None;
-    }
-    let mut bytes: Vec<u8> = percent_decode_str(url.username()).collect();
-    bytes.push(b':');
-    bytes.extend(percent_decode_str(url.password().unwrap_or_default()));
-    let text = format!("Basic {}", base64::engine::general_purpose::STANDARD.encode(bytes));
-    let mut value = HeaderValue::try_from(text).ok()?;
-    value.set_sensitive(true);
-    Some(value)
 }

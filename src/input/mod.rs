@@ -238,11 +238,16 @@ pub struct StatedBounds {
 /// Files that are opened before warnings about them are given.
 const OPENED_AT_ONCE: usize = 1024;
 
-/// Threads that look at files with few reads each: more than processors where answers come from far away.
-pub(crate) fn threads_to_look<'a>(threads: usize, mut paths: impl Iterator<Item = &'a Path>) -> usize {
+/// Threads that look at files with few reads each: more than processors where answers come from far away, each of which has a
+/// connection of its own.
+pub(crate) fn threads_to_look<'a>(threads: usize, mut paths: impl ExactSizeIterator<Item = &'a Path>) -> usize {
     const AT_ONCE: usize = 32;
-    if paths.any(|path| address(path).is_some()) { threads.max(AT_ONCE) } else { threads }
+    let many = (paths.len() / FILES_A_CONNECTION).min(AT_ONCE);
+    if paths.any(|path| address(path).is_some()) { threads.max(many) } else { threads }
 }
+
+/// Fewest files in a store that pay for another connection.
+const FILES_A_CONNECTION: usize = 3;
 
 /// The files that `inputs` stand for, in order of their paths, each once.
 pub(crate) fn expand_inputs(inputs: &[PathBuf], monitor: &dyn Monitor) -> Result<Vec<PathBuf>> {

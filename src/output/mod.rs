@@ -23,8 +23,9 @@ pub(crate) use target::ARCHIVE_MAGIC;
 pub(crate) use target::PLAN_KEY;
 pub use target::{Existing, OutputKind, Protected, is_standard};
 
+use crate::bytes::{ByteSource, FileSource, local};
 use crate::disk::{Access, Files, OpenFile, Temporary, remove_leftovers};
-use crate::{Error, Parameter, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use target::{Judged, Target};
@@ -145,8 +146,9 @@ impl Output {
         if self.failed {
             return Err(Error::output(&self.name, "not all of it could be written, so it was not published"));
         }
-        if let Target::Object { address, existed } = &self.target {
-            return self.publish_object(address, *existed);
+        if let Target::Object { existed, .. } = self.target {
+            let len = self.temporary.len()?;
+            return publish_object(&self.name, self.kind, existed, len, &|at, bytes| self.temporary.read_at(at, bytes));
         }
         let (path, existed) = match &self.target {
             Target::Stream(stream) => {
@@ -178,50 +180,6 @@ impl Output {
             }
             Target::Stream(_) | Target::Object { .. } => Ok(true),
         }
-    }
-
-    /// Writes the complete file to its address, if what is there now may be replaced.
-    #[cfg(feature = "remote")]
-    fn publish_object(&self, address: &str, existed: bool) -> Result<bool> {
-        let len = self.temporary.len()?;
-        if self.kind.existing() == Existing::KeepSame && existed {
-            if self.is_at(&self.name, len)? {
-                return Ok(false);
-            }
-            let error = Error::output(&self.name, "exists already and holds something else");
-            return Err(error.with_way_out(Parameter::Overwrite));
-        }
-        let judged = target::judge_object(&self.name, address, self.kind)?;
-        let create = self.kind.existing() != Existing::Replace || judged == Judged::Free;
-        match crate::bytes::upload(address, len, create, &mut |at, bytes| self.temporary.read_at(at, bytes)) {
-            // Done, but the answer was lost, and the repetition found the object there.
-            Err(_) if self.is_at(&self.name, len).unwrap_or(false) => Ok(true),
-            done => done.map(|()| true),
-        }
-    }
-
-    #[cfg(not(feature = "remote"))]
-    fn publish_object(&self, _: &str, _: bool) -> Result<bool> {
-        Ok(false)
-    }
-
-    /// Whether the object called `name` has these bytes.
-    #[cfg(feature = "remote")]
-    fn is_at(&self, name: &Path, len: u64) -> Result<bool> {
-        let there = crate::bytes::open_named(name)?;
-        if there.len() != len {
-            return Ok(false);
-        }
-        let (mut old_bytes, mut new_bytes) = (vec![0; CHUNK], vec![0; CHUNK]);
-        for at in (0..len).step_by(CHUNK) {
-            let count = (len - at).min(CHUNK as u64) as usize;
-            there.read_at(at, &mut old_bytes[..count])?;
-            self.temporary.read_at(at, &mut new_bytes[..count])?;
-            if old_bytes[..count] != new_bytes[..count] {
-                return Ok(false);
-            }
-        }
-        Ok(true)
     }
 
     /// Renames the complete file to `path`, if what is there now may be replaced.
@@ -256,6 +214,85 @@ impl Output {
     }
 }
 
+/// Uploads the archive in the file `from` to `address`, whole or not at all, and returns whether it did; not if `existing` is
+/// [`Existing::KeepSame`] and the object there has these bytes.
+///
+/// As for an [`Output`] to that address, but without a copy on disk: `from` must not change meanwhile, and stays.
+pub fn upload_archive(from: &Path, address: &Path, existing: Existing, monitor: &dyn Monitor) -> Result<bool> {
+    let source = FileSource::open(from)?;
+    let mut start = vec![0; ARCHIVE_MAGIC.len().min(source.len() as usize)];
+    source.read_at(0, &mut start)?;
+    if start != ARCHIVE_MAGIC {
+        return Err(Error::output(from, "is not a slice archive, so it is not uploaded"));
+    }
+    if crate::bytes::address(address).is_none() || local(address).is_some() {
+        return Err(Error::output(address, "is no address in an object store"));
+    }
+    let kind = OutputKind::Archive(existing);
+    let existed = target::judge_object(address, kind)? == Judged::Replaceable;
+    monitor.stage("upload", source.len(), "bytes");
+    publish_object(address, kind, existed, source.len(), &|at, bytes| {
+        if monitor.cancelled() {
+            return Err(Error::Interrupted);
+        }
+        source.read_at(at, bytes)?;
+        monitor.advance(bytes.len() as u64);
+        Ok(())
+    })
+}
+
+/// Reads bytes of a complete file.
+type BytesAt<'a> = &'a dyn Fn(u64, &mut [u8]) -> Result<()>;
+
+/// Writes the `len` bytes that `read` gives to the address `name`, if what is there now may be replaced.
+#[cfg(feature = "remote")]
+fn publish_object(name: &Path, kind: OutputKind, existed: bool, len: u64, read: BytesAt<'_>) -> Result<bool> {
+    if kind.existing() == Existing::KeepSame && existed {
+        if is_at(name, len, read)? {
+            return Ok(false);
+        }
+        let error = Error::output(name, "exists already and holds something else");
+        return Err(error.with_way_out(Parameter::Overwrite));
+    }
+    let judged = target::judge_object(name, kind)?;
+    let create = kind.existing() != Existing::Replace || judged == Judged::Free;
+    match crate::bytes::upload(name, len, create, &mut |at, bytes| read(at, bytes)) {
+        Err(Error::Interrupted) => Err(Error::Interrupted),
+        // Done, but the answer was lost, and the repetition found the object there.
+        Err(_) if is_at(name, len, read).unwrap_or(false) => Ok(true),
+        done => done.map(|()| true),
+    }
+}
+
+#[cfg(not(feature = "remote"))]
+fn publish_object(name: &Path, _: OutputKind, _: bool, _: u64, _: BytesAt<'_>) -> Result<bool> {
+    Err(crate::bytes::without_feature(name))
+}
+
+/// Whether the object called `name` has the `len` bytes that `read` gives.
+#[cfg(feature = "remote")]
+fn is_at(name: &Path, len: u64, read: BytesAt<'_>) -> Result<bool> {
+    let there = crate::bytes::open_named(name)?;
+    if there.len() != len {
+        return Ok(false);
+    }
+    same_bytes(len, &|at, bytes| there.read_at(at, bytes), read)
+}
+
+/// Whether two files of `len` bytes hold the same.
+fn same_bytes(len: u64, one: BytesAt<'_>, other: BytesAt<'_>) -> Result<bool> {
+    let (mut one_bytes, mut other_bytes) = (vec![0; CHUNK], vec![0; CHUNK]);
+    for at in (0..len).step_by(CHUNK) {
+        let count = (len - at).min(CHUNK as u64) as usize;
+        one(at, &mut one_bytes[..count])?;
+        other(at, &mut other_bytes[..count])?;
+        if one_bytes[..count] != other_bytes[..count] {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
 /// Whether the file at `path` has the bytes of `new`.
 fn is_there(files: &Files, new: &Temporary, path: &Path) -> Result<bool> {
     let failed = |error| Error::io(path, "compare with the new file", error);
@@ -265,16 +302,8 @@ fn is_there(files: &Files, new: &Temporary, path: &Path) -> Result<bool> {
         return Ok(false);
     }
     let there = files.open(path, Access::Read).map_err(failed)?;
-    let (mut old_bytes, mut new_bytes) = (vec![0; CHUNK], vec![0; CHUNK]);
-    for at in (0..len).step_by(CHUNK) {
-        let count = (len - at).min(CHUNK as u64) as usize;
-        there.read_exact_at(at, &mut old_bytes[..count]).map_err(failed)?;
-        new.read_at(at, &mut new_bytes[..count])?;
-        if old_bytes[..count] != new_bytes[..count] {
-            return Ok(false);
-        }
-    }
-    Ok(true)
+    let read = |at, bytes: &mut [u8]| there.read_exact_at(at, bytes).map_err(failed);
+    same_bytes(len, &read, &|at, bytes| new.read_at(at, bytes))
 }
 
 /// Writes all of `new` to a pipe or device.

@@ -131,8 +131,8 @@ pub(super) enum Target {
     File { path: PathBuf, folder: OpenFolder, existed: bool },
     /// A pipe, a terminal or a device.
     Stream(OpenFile),
-    /// An object at an address, and whether it was there.
-    Object { address: String, existed: bool },
+    /// An object at the address that is its name, and whether it was there.
+    Object { existed: bool },
 }
 
 impl Target {
@@ -144,8 +144,8 @@ impl Target {
             if protected.holds_address(address) {
                 return Err(is_read(name));
             }
-            let existed = judge_object(name, address, kind)? == Judged::Replaceable;
-            return Ok(Self::Object { address: address.to_owned(), existed });
+            let existed = judge_object(name, kind)? == Judged::Replaceable;
+            return Ok(Self::Object { existed });
         }
         let (path, is_descriptor) = follow(files, name)?;
         let about = files.about(&path).ok().flatten();
@@ -237,10 +237,10 @@ pub(super) fn judge(
     may_replace(name, kind, content, about.read_only)
 }
 
-/// Refuses what an object of `kind` must not replace at `address`.
+/// Refuses what an object of `kind` must not replace at the address `name`.
 #[cfg(feature = "remote")]
-pub(super) fn judge_object(name: &Path, address: &str, kind: OutputKind) -> Result<Judged> {
-    check_upload(address)?;
+pub(super) fn judge_object(name: &Path, kind: OutputKind) -> Result<Judged> {
+    check_upload(name)?;
     let source = match open_named(name) {
         Ok(source) => source,
         Err(Error::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => return Ok(Judged::Free),
@@ -252,7 +252,7 @@ pub(super) fn judge_object(name: &Path, address: &str, kind: OutputKind) -> Resu
 }
 
 #[cfg(not(feature = "remote"))]
-pub(super) fn judge_object(name: &Path, _: &str, _: OutputKind) -> Result<Judged> {
+pub(super) fn judge_object(name: &Path, _: OutputKind) -> Result<Judged> {
     Err(without_feature(name))
 }
 

@@ -10,9 +10,12 @@ pub use random::Random;
 
 use scangen::{Chunks, WriteSpec, write_las};
 use slicewalk::NoMonitor;
-use slicewalk::archive::Archive;
+use slicewalk::archive::{Archive, ColourReader, merge};
+use slicewalk::frame::{PAGE_SLICES, TILE_PIXELS};
+use std::collections::BTreeMap;
 use std::ffi::OsStr;
-use std::path::Path;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// A rough floor of 20 × 20 m with a wall, a roof over a part of it and a few far points: whole millimetres, about the
@@ -90,9 +93,32 @@ pub fn verifies(path: &Path) {
     assert_eq!(findings, [""; 0], "{}", path.display());
 }
 
+/// The parts merged have the bytes of `whole`.
+pub fn merges_to(parts: &[PathBuf], whole: &Path) {
+    let output = whole.with_extension("merged");
+    let _ = fs::remove_file(&output);
+    let merged = merge(parts, &output, false, &NoMonitor).unwrap();
+    assert!(merged.written);
+    assert!(fs::read(&output).unwrap() == fs::read(whole).unwrap(), "{} parts of {}", parts.len(), whole.display());
+}
+
+/// The colours of all voxels of an archive; `None` where a voxel has none.
+pub fn colours(archive: &Archive) -> BTreeMap<[i64; 3], Option<[u8; 3]>> {
+    let mut reader = ColourReader::new(archive).unwrap().expect("the archive has colours");
+    let mut found = BTreeMap::new();
+    for entry in archive.entries().map(Result::unwrap) {
+        let key = entry.key;
+        for (px, py, k, colour) in reader.colours(&entry).unwrap().voxels() {
+            let at = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
+            found.insert([at(key.tx, px), at(key.ty, py), i64::from(key.layer) * PAGE_SLICES + i64::from(k)], colour);
+        }
+    }
+    found
+}
+
 /// Names in `folder`, sorted.
 pub fn names(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name());
+    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name());
     let mut names: Vec<String> = entries.map(|name| name.to_string_lossy().into_owned()).collect();
     names.sort();
     names

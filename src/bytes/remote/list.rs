@@ -1,13 +1,12 @@
 //! The objects of a store below a prefix.
 
-use super::{Connected, Failure, Refusal, Use, WAIT, cause, connect, public_name, refuse_tasks, said_unsigned};
+use super::{Failure, Refusal, Use, WAIT, cause, connect, public_name, refuse_tasks};
 use crate::bytes::named::patient;
 use crate::{Error, Result};
 use futures_util::TryStreamExt;
 use object_store::ObjectStore;
 use percent_encoding::{AsciiSet, CONTROLS, utf8_percent_encode};
 use std::io;
-use tokio::runtime::Builder;
 use url::Url;
 
 /// What addresses may not hold as it is, and what object stores' paths write in another way.
@@ -24,14 +23,12 @@ pub(crate) fn list(address: &str, deep: bool) -> Result<Vec<String>> {
     refuse_tasks(&name)?;
     let bucket = format!("{}://{}", url.scheme(), url.authority());
     let options = patient();
-    let Connected { store, path, unsigned } =
-        connect(url, &options, Use { retries: 0, creates: false }).map_err(refused)?;
-    let runtime = Builder::new_current_thread().enable_all().build();
-    let runtime = runtime.map_err(|error| Error::io(&name, "start its runtime", error))?;
+    let connected = connect(url, &options, Use::READ).map_err(refused)?;
     let mut failures = 0;
     let keys = loop {
         // A list that breaks off begins again, so that it is of one piece.
-        let failed = match runtime.block_on(keys(&*store, &path, deep)) {
+        let found = connected.wait_for(keys(&*connected.store, &connected.path, deep));
+        let failed = match found.map_err(|error| Error::io(&name, "list", error))? {
             Ok(keys) => break keys,
             Err(error) => error,
         };
@@ -44,7 +41,7 @@ pub(crate) fn list(address: &str, deep: bool) -> Result<Vec<String>> {
         };
         let Some(wait) = wait.filter(|_| failures < options.retries) else {
             let error = io::Error::from(failure);
-            return Err(Error::io(&name, "list", if unsigned { said_unsigned(error) } else { error }));
+            return Err(Error::io(&name, "list", connected.explained(error)));
         };
         failures += 1;
         std::thread::sleep(wait);

@@ -1,6 +1,7 @@
 //! What goes over the wire: a client below `object_store` that bounds what it takes from a server that refuses, and keeps
 //! what the store above would lose: the status, the reason the server gives, and the wait it asks for.
 
+use super::pool::Bucket;
 use super::text::one_line;
 use async_trait::async_trait;
 use futures_util::StreamExt;
@@ -8,8 +9,8 @@ use object_store::ClientOptions;
 use object_store::HeaderValue;
 use object_store::client::{
     HttpClient, HttpConnector, HttpError, HttpErrorKind, HttpRequest, HttpResponse, HttpResponseBody, HttpService,
-    ReqwestConnector,
 };
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Bytes of a refusal's body that are read.
@@ -57,9 +58,10 @@ impl Refusal {
     }
 }
 
-/// Makes clients.
+/// Makes what a store sends its requests by, on the connections that all objects of a bucket share.
 #[derive(Debug)]
 pub(super) struct Connector {
+    pub(super) bucket: Arc<Bucket>,
     /// Goes with every request.
     pub(super) authorization: Option<HeaderValue>,
     /// Whether uploads in parts are completed only if no such object is there (`If-None-Match` of S3, which the signature need
@@ -71,7 +73,7 @@ impl HttpConnector for Connector {
     fn connect(&self, options: &ClientOptions) -> object_store::Result<HttpClient> {
         // Fails where the program has chosen its own, which then stays.
         let _ = rustls::crypto::ring::default_provider().install_default();
-        let client = ReqwestConnector::default().connect(options)?;
+        let client = self.bucket.client(options)?;
         Ok(HttpClient::new(Transport { client, authorization: self.authorization.clone(), creates: self.creates }))
     }
 }

@@ -1,21 +1,28 @@
 //! Writing an object: whole or not at all.
 
-use super::{Connected, Use, connect, one_line, public_name, refuse_tasks, said_unsigned};
+use super::{Connected, Use, connect, one_line, public_name, refuse_tasks};
 use crate::bytes::named::patient;
 use crate::{Error, Parameter, Result};
+use futures_util::StreamExt;
+use futures_util::stream::FuturesUnordered;
 use object_store::path::Path;
 use object_store::{MultipartUpload, ObjectStore, ObjectStoreExt, ObjectStoreScheme, PutMode, PutPayload};
 use std::io;
-use tokio::runtime::Builder;
+use std::path::Path as FilePath;
+use std::time::Duration;
 use url::Url;
 
 /// Bytes of a part of an upload, unless there would be too many parts.
 const PART: u64 = 5 << 20;
 /// Most parts; stores allow 10,000.
 const MOST_PARTS: u64 = 9000;
+/// Bytes of the parts that are on their way at the same time, unless one has more.
+const ON_THEIR_WAY: u64 = 4 * PART;
 
 /// No upload is tried again after that wait.
-const LONGEST_WAIT: std::time::Duration = std::time::Duration::from_secs(5);
+const LONGEST_WAIT: Duration = Duration::from_secs(5);
+/// After a part has failed, how long the others that are on their way are waited for.
+const LATE: Duration = Duration::from_secs(20);
 
 /// What an upload failed by.
 enum Failed {
@@ -39,15 +46,21 @@ fn may_pass(error: &object_store::Error) -> bool {
     matches!(error, object_store::Error::Generic { .. } | object_store::Error::NotFound { .. })
 }
 
-/// Whether objects can be written at `address`; `Err` says why not.
-pub(crate) fn check_upload(address: &str) -> Result<()> {
+/// Whether an object can be written at `address`; `Err` says why not.
+pub(crate) fn check_upload(address: &FilePath) -> Result<()> {
+    checked(address).map(drop)
+}
+
+fn checked(address: &FilePath) -> Result<Url> {
     let refused = |reason: String| Error::parameter("address of an output", reason);
-    let url = Url::parse(address).map_err(|error| refused(error.to_string()))?;
+    let url = Url::parse(&address.to_string_lossy()).map_err(|error| refused(error.to_string()))?;
     match ObjectStoreScheme::parse(&url) {
         Ok((
             ObjectStoreScheme::AmazonS3 | ObjectStoreScheme::GoogleCloudStorage | ObjectStoreScheme::MicrosoftAzure,
             path,
-        )) if url.query().is_none() && !path.as_ref().is_empty() && !matches!(url.scheme(), "http" | "https") => Ok(()),
+        )) if url.query().is_none() && !path.as_ref().is_empty() && !matches!(url.scheme(), "http" | "https") => {
+            Ok(url)
+        }
         _ => {
             let reason = "only files and s3://, gs:// and az:// addresses with a name can be written";
             Err(refused(format!("{}: {reason}", public_name(&url))))
@@ -59,29 +72,32 @@ pub(crate) fn check_upload(address: &str) -> Result<()> {
 /// joins, so that the object is there whole or not at all. Failed requests are repeated for some minutes. If `create`,
 /// an object that is there stays: the last request has that condition, where the store knows it, and a look comes just before it.
 ///
-/// Memory: one part, 5 MiB up to 44 GiB. What a killed upload leaves is invisible; a rule of the bucket removes it.
+/// Memory: 20 MiB, four parts on their way; beyond 44 GiB parts are longer, and beyond 176 GiB it is that of one part, a
+/// 9000th of the whole. If a part fails, the store is asked to throw the others away. What a killed upload leaves is
+/// invisible; a rule of the bucket removes it.
 pub(crate) fn upload(
-    address: &str,
+    address: &FilePath,
     len: u64,
     create: bool,
     read: &mut dyn FnMut(u64, &mut [u8]) -> Result<()>,
 ) -> Result<()> {
-    check_upload(address)?;
     let refused = |reason: String| Error::parameter("address of an output", reason);
-    let url = Url::parse(address).map_err(|error| refused(error.to_string()))?;
+    let url = checked(address)?;
     let name = public_name(&url);
     refuse_tasks(&name)?;
-    let Connected { store, path, unsigned } =
-        connect(url, &patient(), Use { retries: 8, creates: create }).map_err(refused)?;
-    let runtime = Builder::new_current_thread().enable_all().build();
-    let runtime = runtime.map_err(|error| Error::io(&name, "start its runtime", error))?;
-    let mut wait = std::time::Duration::from_millis(100);
+    let connected = connect(url, &patient(), Use { retries: 8, creates: create }).map_err(refused)?;
+    let Connected { store, path, .. } = &connected;
+    let mut wait = Duration::from_millis(100);
+    let mut together = ON_THEIR_WAY;
     let done = loop {
-        match runtime.block_on(put(&*store, &path, len, create, read)) {
+        let sent = connected.wait_for(put(&**store, path, len, create, together, read));
+        match sent.map_err(|error| Error::io(&name, "write", error))? {
             // The store's client repeats no request that could have been done before its answer was lost.
             Err(Failed::Store(error)) if wait < LONGEST_WAIT && may_pass(&error) => {
                 std::thread::sleep(wait);
                 wait *= 4;
+                // Maybe the line is too slow for several parts.
+                together = PART;
             }
             done => break done,
         }
@@ -94,7 +110,7 @@ pub(crate) fn upload(
             let denied = matches!(error, PermissionDenied { .. } | Unauthenticated { .. });
             let kind = if denied { io::ErrorKind::PermissionDenied } else { io::ErrorKind::Other };
             let error = io::Error::new(kind, one_line(&error.to_string()));
-            Error::io(&name, "write", if unsigned { said_unsigned(error) } else { error })
+            Error::io(&name, "write", connected.explained(error))
         }
         Failed::Other(reason) => Error::io(&name, "write", io::Error::other(reason)),
     })
@@ -105,6 +121,7 @@ async fn put(
     path: &Path,
     len: u64,
     create: bool,
+    together: u64,
     read: &mut dyn FnMut(u64, &mut [u8]) -> Result<()>,
 ) -> Result<(), Failed> {
     let part = PART.max(len.div_ceil(MOST_PARTS));
@@ -126,7 +143,14 @@ async fn put(
         }
     } else {
         let mut upload = store.put_multipart(path).await?;
-        let sent = send(store, path, len, part, create, &mut *upload, &mut bytes_at).await;
+        let starts = (0..len).step_by(part as usize);
+        let mut sent = send(&mut *upload, starts, together / part, &mut bytes_at).await;
+        if sent.is_ok() && create {
+            sent = refuse_existing(store, path).await;
+        }
+        if sent.is_ok() {
+            sent = upload.complete().await.map(drop).map_err(Failed::from);
+        }
         if let Err(failed) = sent {
             // If that fails too, its parts stay invisible.
             let _ = upload.abort().await;
@@ -141,23 +165,33 @@ async fn put(
     }
 }
 
+/// Sends the parts that begin at `starts`, so many at the same time, or one. None is on its way any more when this returns: one
+/// that came after the upload was thrown away would stay.
 async fn send(
-    store: &dyn ObjectStore,
-    path: &Path,
-    len: u64,
-    part: u64,
-    create: bool,
     upload: &mut dyn MultipartUpload,
+    mut starts: impl Iterator<Item = u64>,
+    together: u64,
     bytes_at: &mut dyn FnMut(u64) -> Result<PutPayload, Failed>,
 ) -> Result<(), Failed> {
-    for at in (0..len).step_by(part as usize) {
-        upload.put_part(bytes_at(at)?).await?;
-    }
-    if create {
-        refuse_existing(store, path).await?;
-    }
-    upload.complete().await?;
-    Ok(())
+    let mut on_their_way = FuturesUnordered::new();
+    let failed = loop {
+        if (on_their_way.len() as u64) < together.max(1)
+            && let Some(at) = starts.next()
+        {
+            match bytes_at(at) {
+                Ok(bytes) => on_their_way.push(upload.put_part(bytes)),
+                Err(failed) => break failed,
+            }
+            continue;
+        }
+        match on_their_way.next().await {
+            None => return Ok(()),
+            Some(Ok(())) => {}
+            Some(Err(error)) => break error.into(),
+        }
+    };
+    let _ = tokio::time::timeout(LATE, on_their_way.for_each(|_| std::future::ready(()))).await;
+    Err(failed)
 }
 
 async fn refuse_existing(store: &dyn ObjectStore, path: &Path) -> Result<(), Failed> {

@@ -9,7 +9,7 @@ use serde_json::Value;
 use slicewalk::archive::{merge as join, merge_run};
 use slicewalk::convert::PlanFile;
 use slicewalk::info::header_info;
-use slicewalk::output::{Existing, Output, OutputKind};
+use slicewalk::output::{Existing, Output, OutputKind, Protected, check, upload_archive};
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -178,4 +178,29 @@ pub fn merge<'py>(
     facts["copies_left_out"] = merged.copies.iter().map(|path| path.to_string_lossy().into_owned()).collect();
     facts["dropped"] = merged.dropped.into();
     dictionary(py, &facts)
+}
+
+/// Refuses what an archive called `output` must not replace; for `slicewalk.cluster`.
+#[pyfunction]
+#[pyo3(name = "_check_output")]
+pub fn check_output(py: Python<'_>, output: PathBuf, force: bool) -> PyResult<()> {
+    attended(py, &Audience::default(), None, |_| {
+        Ok(check(&output, OutputKind::Archive(Existing::replaced_if(force)), Protected::default())?)
+    })
+}
+
+/// Uploads an archive to an address, whole or not at all; for `slicewalk.cluster`.
+#[pyfunction]
+#[pyo3(name = "_upload_archive", signature = (path, address, *, force=false, progress=None))]
+pub fn upload(
+    py: Python<'_>,
+    path: PathBuf,
+    address: PathBuf,
+    force: bool,
+    progress: Option<&Bound<'_, PyAny>>,
+) -> PyResult<bool> {
+    let existing = if force { Existing::Replace } else { Existing::KeepSame };
+    attended(py, &Audience { progress, quiet: false }, None, |monitor| {
+        Ok(upload_archive(&path, &address, existing, monitor)?)
+    })
 }

@@ -23,7 +23,7 @@ mod _slicewalk {
     #[pymodule_export]
     use crate::archive::{Archive, open};
     #[pymodule_export]
-    use crate::convert::{convert, merge, write_plan};
+    use crate::convert::{check_output, convert, merge, upload, write_plan};
     #[pymodule_export]
     use crate::page::{Column, Page};
     #[pymodule_export]

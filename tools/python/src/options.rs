@@ -137,7 +137,12 @@ impl Asked {
             }
             named.push(name);
         }
-        let plan_file = plan.map(|path| PlanFile::read(&path)).transpose().map_err(Failure::from)?;
+        // With the interpreter free: a plan may lie in a store.
+        let read = |path: PathBuf| match given {
+            Some(given) => given.py().detach(|| PlanFile::read(&path)),
+            None => PlanFile::read(&path),
+        };
+        let plan_file = plan.map(read).transpose().map_err(Failure::from)?;
         if let Some(file) = &plan_file {
             let wanted = options.clone();
             file.apply_to(&mut options);

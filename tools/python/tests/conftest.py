@@ -10,6 +10,7 @@ import pytest
 
 import scan
 import slicewalk
+import store as stores
 
 
 @pytest.fixture(scope="session")
@@ -19,6 +20,15 @@ def folder(tmp_path_factory):
     (folder / "room.las").write_bytes(scan.las(scan.room()))
     slicewalk.convert(folder / "room.las", folder / "room.slices", pixel=scan.PIXEL, units="m")
     return folder
+
+
+@pytest.fixture
+def store(monkeypatch):
+    """An empty object store that this process knows of, bucket ``bucket``."""
+    with stores.serving() as store:
+        for name, value in store.environment().items():
+            monkeypatch.setenv(name, value)
+        yield store
 
 
 @pytest.fixture(scope="session")

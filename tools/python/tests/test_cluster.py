@@ -149,6 +149,80 @@ def test_errors_of_workers_come_with_their_facts_and_a_repaired_input_converts(s
     assert tiles.leftovers(tmp_path) == []
 
 
+def to_store(scans, folder, client, **options):
+    given = {"parts": 5, "fan_in": 3, "memory": "64MiB", "work": folder, **tiles.OPTIONS, **options}
+    return sut.convert(scans[0], "s3://bucket/out/city.slices", client, **given)
+
+
+def test_scans_in_a_store_become_the_archive_of_a_single_run_there(scans, tmp_path, store):
+    for path in scans[0]:
+        store.put(f"/bucket/tiles/{path.name}", path.read_bytes())
+    told = []
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit="1GiB", env=store.environment()
+        ) as local,
+        distributed.Client(local) as client,
+    ):
+        report = to_store((["s3://bucket/tiles/"],), tmp_path, client, progress=lambda *news: told.append(news))
+    assert store.objects["/bucket/out/city.slices"] == scans[1]
+    assert os.listdir(tmp_path) == []
+    assert (report["parts"], report["skipped"], report["output"]) == (5, 0, "s3://bucket/out/city.slices")
+    assert report["info"]["points_kept"] == 12 * 12_000
+    assert told[-1] == ("upload", len(scans[1]), len(scans[1]), "bytes")
+    assert sum(line.startswith("PUT") for line in store.requests) == 1
+
+
+def test_what_is_there_in_a_store_is_judged_first_and_replaced_with_force(scans, tmp_path, client, store):
+    for folder in (None, tmp_path / "none"):
+        with pytest.raises(slicewalk.ParameterError, match="work: "):
+            to_store(scans, folder, client)
+    with pytest.raises(slicewalk.ParameterError, match="work: "):
+        converted(scans, tmp_path, client, work=tmp_path)
+    store.put("/bucket/out/city.slices", b"something else")
+    for force in (False, True):
+        with pytest.raises(slicewalk.OutputError, match="not a slice archive"):
+            to_store(scans, tmp_path, client, force=force)
+    store.put("/bucket/out/city.slices", scans[1][:5000])
+    with pytest.raises(slicewalk.OutputError, match="exists already; force=True"):
+        to_store(scans, tmp_path, client)
+    with pytest.raises(slicewalk.ParameterError, match="can be written"):
+        sut.convert(scans[0], f"{store.address}/bucket/x.slices", client, work=tmp_path)
+    assert os.listdir(tmp_path) == []
+    to_store(scans, tmp_path, client, force=True)
+    assert store.objects["/bucket/out/city.slices"] == scans[1]
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_upload_that_fails_leaves_the_steps_for_the_next_call(scans, tmp_path, client, store):
+    store.fails = lambda line: line.startswith("PUT")
+    with pytest.raises(slicewalk.FileError, match="cannot write") as raised:
+        to_store(scans, tmp_path, client)
+    assert "very-secret" not in str(raised.value)
+    assert "/bucket/out/city.slices" not in store.objects
+    assert len(os.listdir(tmp_path)) == 1
+    store.fails = lambda _line: False
+    report = to_store(scans, tmp_path, client)
+    # Seven archives; the check is made again.
+    assert report["skipped"] == len(report["ran"]) - 1
+    assert store.objects["/bucket/out/city.slices"] == scans[1]
+    assert os.listdir(tmp_path) == []
+    # What another writer made while this one worked stays, and so do the steps.
+    del store.objects["/bucket/out/city.slices"]
+
+    def rival(stage, *_):
+        if stage == "verify":
+            store.put("/bucket/out/city.slices", b"first")
+
+    with pytest.raises(slicewalk.OutputError):
+        to_store(scans, tmp_path, client, progress=rival)
+    assert store.objects["/bucket/out/city.slices"] == b"first"
+    assert not store.uploads
+    assert sut.discard("s3://bucket/out/city.slices", work=tmp_path)
+    assert not sut.discard("s3://bucket/out/city.slices", work=tmp_path)
+    assert os.listdir(tmp_path) == []
+
+
 def test_discard_removes_what_is_left(scans, tmp_path, client):
     def enough(*_):
         raise ValueError

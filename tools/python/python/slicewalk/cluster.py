@@ -13,7 +13,8 @@ the output: the bytes of a single run. Every step is one file in a folder beside
 what decides its content, and complete or not there. So a step that runs twice does no harm, a step that lost its worker
 runs again, and a conversion that ended early, even by the death of scheduler or client, goes on with the next call.
 
-Workers read the inputs and write the parts by the same paths as the client: all of them see one shared folder.
+Workers read the inputs and write the parts by the same paths as the client: all of them see one shared folder. An
+output in an object store needs such a folder too (``work=``), and is uploaded from there at the end.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import queue
 import re
 import shutil
 import time
+import urllib.parse
 import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -35,6 +37,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, Unpack
 
 import slicewalk
+from slicewalk import _slicewalk
 from slicewalk.errors import CancelledError, Error, LimitError, OutputError, ParameterError
 
 if TYPE_CHECKING:
@@ -110,6 +113,7 @@ def convert(  # noqa: PLR0913
     patience: float = 600.0,
     progress: _Progress | None = None,
     force: bool = False,
+    work: StrPath | None = None,
     temp_dir: StrPath | None = None,
     **options: Unpack[ClusterOptions],
 ) -> dict[str, Any]:
@@ -118,7 +122,8 @@ def convert(  # noqa: PLR0913
     Args:
         inputs: as for `slicewalk.convert`: paths that the workers see too, or addresses, for which each worker has
             credentials in its environment
-        output: the archive to write: a file in a folder that the workers see too
+        output: the archive to write: a file in a folder that the workers see too, or with `work` an address
+            ``"s3://bucket/key"``, for which the client has credentials
         client: a connected, synchronous `distributed.Client`
         parts: number of parts; by default four for each thread of the workers
         memory: memory of one part, as for `slicewalk.convert`. A worker whose threads cannot all have as much gives
@@ -128,9 +133,11 @@ def convert(  # noqa: PLR0913
         failures: how often one step may lose its worker before the conversion fails. Dask itself gives a step up after
             ``distributed.scheduler.allowed-failures`` + 1 losses (4 by default); it is submitted again until then
         patience: how long the conversion waits while there is no worker at all, seconds
-        progress: called with stage ("plan", "parts", "merge", "verify"), amount done, total and unit, five times a
-            second; what it raises ends the conversion, as Ctrl-C does
+        progress: called with stage ("plan", "parts", "merge", "verify", for an address "upload"), amount done, total
+            and unit, five times a second; what it raises ends the conversion, as Ctrl-C does
         force: replace an existing archive
+        work: for an output that is an address, and only then: a folder that client and workers see, for the finished
+            steps. It needs room for the parts and the whole
         temp_dir: folder for temporary data on the workers; by default that of the Dask worker, which removes what a
             killed one left
         options: those of `slicewalk.write_plan`, which runs on the client: with ``pixel="auto"`` it reads all points
@@ -147,10 +154,10 @@ def convert(  # noqa: PLR0913
         SchedulerLostError: the scheduler died and was not back within the client's timeout
         Error: what `slicewalk.convert` and `slicewalk.merge` raise, from the worker
 
-    Whatever is raised, and however the client dies: finished steps stay in a hidden folder beside the output, and the
-    next call with the same inputs and options goes on from there; `discard` removes them. After success nothing is
-    left. Cost beyond the conversion: each page is written, read and checked once more a level of the tree, and read
-    once more at the end.
+    Whatever is raised, and however the client dies: finished steps stay in a hidden folder beside the output or in
+    `work`, and the next call with the same inputs and options goes on from there; `discard` removes them. After success
+    nothing is left. Cost beyond the conversion: each page is written, read and checked once more a level of the tree,
+    and read once more at the end.
 
     """
     started = time.monotonic()
@@ -165,18 +172,18 @@ def convert(  # noqa: PLR0913
         if value is not None and value < least:
             raise ParameterError(f"{name}: expected {least} or more, found {value}", at=name)
     target = _checked_target(output, force)
+    folder = _work(target, work)
     given = [inputs] if isinstance(inputs, (str, os.PathLike)) else list(inputs)
     paths = [path if _is_address(path) else os.path.abspath(path) for path in given]
     plan_options: dict[str, Any] = {**options, "memory": "512MiB" if memory is None else memory}
     count = parts or 4 * max(1, sum(client.nthreads().values()))
-    work = _work(target)
-    work.mkdir(exist_ok=True)
-    plan = _plan(work, paths, plan_options, progress)
+    folder.mkdir(exist_ok=True)
+    plan = _plan(folder, paths, plan_options, progress)
     key = hashlib.sha256(f"{slicewalk.__version__}\n{plan}".encode()).hexdigest()[:16]
-    _put(work / f"{key}-inputs.json", json.dumps(paths))
-    _put(work / f"{key}-plan.json", plan)
+    _put(folder / f"{key}-inputs.json", json.dumps(paths))
+    _put(folder / f"{key}-plan.json", plan)
     job = _Job(
-        work=str(work),
+        work=str(folder),
         run=uuid.uuid4().hex[:12],
         key=key,
         count=count,
@@ -193,12 +200,12 @@ def convert(  # noqa: PLR0913
     except Error as error:
         # The next call plans anew: the inputs may have changed.
         if not isinstance(error, (WorkerLostError, SchedulerLostError, CancelledError)):
-            _remove(work / "plan.json")
+            _remove(folder / "plan.json")
         raise
     retries = driver.passing + _lost(job)
-    _publish(work / steps[-2].name, target, force)
+    _publish(folder / steps[-2].name, target, force, progress)
     info = slicewalk.open(target).info()
-    _clean(work)
+    _clean(folder)
     return {
         "parts": count,
         "retries": retries,
@@ -210,24 +217,43 @@ def convert(  # noqa: PLR0913
     }
 
 
-def discard(output: StrPath) -> bool:
-    """Remove what a conversion to `output` that ended early left, and return whether there was anything.
+def discard(output: StrPath, work: StrPath | None = None) -> bool:
+    """Remove what a conversion to `output` (with `work`) that ended early left, and return whether there was anything.
 
     >>> slicewalk.cluster.discard("whole.slices")
     False
     """
-    work = _work(Path(os.path.realpath(output)))
-    there = work.exists()
-    _clean(work)
+    folder = _work(_target(output), work)
+    there = folder.exists()
+    _clean(folder)
     return there
 
 
 # ---- files
 
 
-def _work(target: Path) -> Path:
-    """Folder of the steps, beside the output: what is whole is renamed, not copied."""
-    return target.with_name(f".{target.name}.slicewalk-cluster")
+def _target(output: StrPath) -> Path | str:
+    """Where the links of a file lead, or an address in a store."""
+    if not _is_address(output):
+        return Path(os.path.realpath(output))
+    parts = urllib.parse.urlsplit(output)
+    return Path(urllib.parse.unquote(parts.path)) if parts.scheme == "file" else output
+
+
+def _work(target: Path | str, work: StrPath | None) -> Path:
+    """Folder of the steps: beside the output, so that what is whole is renamed, not copied; of an address in `work`."""
+    if isinstance(target, Path):
+        if work is not None:
+            raise ParameterError("work: is for an output in a store; the steps of a file lie beside it", at="work")
+        return target.with_name(f".{target.name}.slicewalk-cluster")
+    if work is None:
+        message = "work: an output in a store needs a folder for the finished steps that client and workers see"
+        raise ParameterError(message, at="work")
+    folder = Path(os.path.realpath(work))
+    if not folder.is_dir():
+        raise ParameterError(f"work: {work}: expected a folder that is there", at="work")
+    name = re.sub(r"[^A-Za-z0-9._-]", "_", target.rpartition("/")[2])[:100]
+    return folder / f".{name}.{hashlib.sha256(target.encode()).hexdigest()[:8]}.slicewalk-cluster"
 
 
 def _is_address(path: StrPath) -> TypeGuard[str]:
@@ -235,9 +261,12 @@ def _is_address(path: StrPath) -> TypeGuard[str]:
     return isinstance(path, str) and re.match(r"[A-Za-z][A-Za-z0-9+.-]+://", path) is not None
 
 
-def _checked_target(output: StrPath, force: bool) -> Path:
-    """Where the links of `output` lead, if an archive may be written there."""
-    target = Path(os.path.realpath(output))
+def _checked_target(output: StrPath, force: bool) -> Path | str:
+    """Where the links of `output` lead, or its address, if an archive may be written there."""
+    target = _target(output)
+    if isinstance(target, str):
+        _slicewalk._check_output(target, force)
+        return target
 
     def refuse(reason: str, hint: str) -> OutputError:
         return OutputError(f"{output}: {reason}; {hint}", path=str(output), reason=reason, hint=hint)
@@ -274,8 +303,11 @@ def _clean(work: Path) -> None:
         time.sleep(0.1)
 
 
-def _publish(whole: Path, target: Path, force: bool) -> None:
+def _publish(whole: Path, target: Path | str, force: bool, progress: _Progress | None) -> None:
     """Give the whole its name; it is synced already, and verified."""
+    if isinstance(target, str):
+        _slicewalk._upload_archive(whole, target, force=force, progress=progress)
+        return
     _checked_target(target, force)
     if force:
         os.replace(whole, target)

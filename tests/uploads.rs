@@ -1,0 +1,142 @@
+//! Uploads in parts: some on their way at the same time, in bounded memory; whole or not at all, and nothing stays at the store
+//! whatever it does wrong.
+#![cfg(all(feature = "cli", feature = "remote"))]
+
+#[path = "common/store.rs"]
+mod store;
+
+use slicewalk::output::{Existing, Output, OutputKind, Protected};
+use std::collections::BTreeMap;
+use std::path::Path;
+use store::{Fault, Server, When};
+
+/// This program, which uploads if it is asked to.
+fn server() -> Server {
+    let program = std::env::current_exe().unwrap();
+    Server::new(program.to_str().unwrap().to_owned().leak())
+}
+
+const UPLOADS: [&str; 3] = ["this_program_uploads", "--exact", "--nocapture"];
+
+fn content(len: usize) -> Vec<u8> {
+    let mut bytes: Vec<u8> = (0..len).map(|at| ((at / 7) ^ (at >> 11)) as u8).collect();
+    bytes[..8].copy_from_slice(b"\x89SLIC\r\n\x1a");
+    bytes
+}
+
+/// Writes as many bytes as the environment says to `s3://bucket/large.slices`; does nothing as a test. The environment of a
+/// test holds no address of a store, so this is a process of its own.
+#[test]
+fn this_program_uploads() {
+    let Some(len) = std::env::var("UPLOADED_BYTES").ok().and_then(|text| text.parse().ok()) else { return };
+    let existing = Existing::replaced_if(std::env::var_os("REPLACES").is_some());
+    let upload = || {
+        let name = Path::new("s3://bucket/large.slices");
+        let mut output = Output::create(name, OutputKind::Archive(existing), Protected::default())?;
+        output.write_at(0, &content(len))?;
+        output.publish()
+    };
+    if let Err(error) = upload() {
+        eprintln!("{error}");
+        std::process::exit(1);
+    }
+    std::process::exit(0);
+}
+
+/// Uploads so many bytes; `Err` holds the one line that was said.
+fn uploads(server: &Server, len: usize, replaces: bool) -> Result<(), String> {
+    let mut program = server.program(Path::new("."));
+    program.args(UPLOADS).env("UPLOADED_BYTES", len.to_string());
+    if replaces {
+        program.env("REPLACES", "yes");
+    }
+    let out = program.output().unwrap();
+    let said = String::from_utf8(out.stderr).unwrap();
+    match out.status.code() {
+        Some(0) => Ok(()),
+        Some(1) if said.lines().count() == 1 && !said.contains("very-secret") => Err(said),
+        other => panic!("{other:?}: {said}"),
+    }
+}
+
+const MIB: usize = 1 << 20;
+
+#[test]
+fn four_parts_are_on_their_way_and_no_more() {
+    let server = server();
+    let len = 57 * MIB + 11;
+    // A program that waits for one part before it sends the next would wait in vain.
+    server.store().gathers = 4;
+    uploads(&server, len, false).unwrap();
+    assert!(server.get("large.slices").unwrap() == content(len));
+    let store = server.store();
+    assert_eq!((store.parts[0], store.parts[2]), (12, 4), "parts, and the most at a time");
+    assert!(store.connections <= 6, "{} connections", store.connections);
+    assert!(store.uploads.is_empty());
+}
+
+#[test]
+fn whatever_request_fails_the_object_is_whole_or_absent_and_no_upload_stays_open() {
+    let server = server();
+    let len = 26 * MIB;
+    let whole = content(len);
+    uploads(&server, len, false).unwrap();
+    let requests = server.store().requests.clone();
+    let begin = requests.iter().position(|line| line.ends_with("?uploads=")).unwrap();
+    let last_part = requests.iter().rposition(|line| line.contains("partNumber=")).unwrap();
+    let complete = requests.iter().position(|line| line.starts_with("POST") && line.contains("uploadId=")).unwrap();
+    assert_eq!(requests.iter().filter(|line| line.contains("partNumber=")).count(), 6, "{requests:#?}");
+    let mut outcomes = BTreeMap::new();
+    let mut run = |fault: Fault, at: usize, replaces: bool| {
+        server.store().objects.clear();
+        server.store().uploads.clear();
+        if replaces {
+            server.put("large.slices", content(100));
+        }
+        server.set(fault, When::Once(at));
+        let done = uploads(&server, len, replaces);
+        let what = format!("{fault:?} at {at} ({replaces}): {done:?}");
+        let found = server.get("large.slices");
+        let old = replaces.then(|| content(100));
+        match done.is_ok() {
+            true => assert!(found.as_ref() == Some(&whole), "{what}"),
+            false => assert!(found == old, "{what}"),
+        }
+        // Nobody knows of an upload whose first answer was lost.
+        let lost = at == begin && matches!(fault, Fault::Mute | Fault::Cuts);
+        let open = server.store().uploads.len();
+        assert!(open == 0 || lost && open == 1, "{what}: {open} uploads are open");
+        *outcomes.entry((format!("{fault:?}"), done.is_ok())).or_insert(0) += 1;
+    };
+    for at in 0..requests.len() {
+        run(Fault::Refuses, at, false);
+    }
+    for fault in [Fault::Throttles, Fault::Fails, Fault::Closes, Fault::Mute, Fault::Cuts] {
+        for at in [begin, begin + 1, last_part, complete, requests.len() - 1] {
+            run(fault, at, at == complete);
+        }
+    }
+    println!("{outcomes:?}");
+    for fault in ["Throttles", "Fails", "Closes"] {
+        assert_eq!(outcomes[&(fault.to_owned(), true)], 5, "{outcomes:?}");
+    }
+    assert!(outcomes[&("Refuses".to_owned(), false)] >= 8, "{outcomes:?}");
+}
+
+#[test]
+fn a_store_that_fails_for_long_keeps_neither_parts_nor_the_object() {
+    let server = server();
+    let len = 26 * MIB;
+    server.set(Fault::Throttles, When::Share(30));
+    uploads(&server, len, false).unwrap();
+    assert!(server.get("large.slices").unwrap() == content(len));
+    assert!(server.store().uploads.is_empty());
+    // An object that another writer made meanwhile stays.
+    server.store().objects.clear();
+    server.set(Fault::Fails, When::Never);
+    server.store().rival = Some(b"first".to_vec());
+    let said = uploads(&server, len, false).unwrap_err();
+    assert!(said.contains("exists already"), "{said}");
+    assert_eq!(server.get("large.slices").unwrap(), b"first");
+    assert!(server.store().uploads.is_empty());
+}
