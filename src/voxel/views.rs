@@ -187,12 +187,18 @@ struct View {
     /// For each level from the first one on all faces, row after row: [`FARTHEST_CM`] + 1 minus the least distance (cm), 0 where there
     /// is none.
     levels: [Vec<AtomicU16>; LEVELS],
+    /// Of the values by which places are seen through, the farthest; 0 while there are none.
+    farthest: AtomicU16,
 }
 
 impl View {
     fn new(station: Station) -> Self {
         let cells = |level: usize| if level < station.first_level() { 0 } else { 6 * (EDGE >> level).pow(2) };
-        Self { station, levels: std::array::from_fn(|level| (0..cells(level)).map(|_| AtomicU16::new(0)).collect()) }
+        Self {
+            station,
+            levels: std::array::from_fn(|level| (0..cells(level)).map(|_| AtomicU16::new(0)).collect()),
+            farthest: AtomicU16::new(0),
+        }
     }
 
     fn cell(&self, level: usize, face: usize, cell: [i64; 2]) -> &AtomicU16 {
@@ -235,6 +241,18 @@ impl View {
                 }
             }
         }
+        let values = self.levels[self.station.first_level() + 1].iter().map(|cell| cell.load(Ordering::Relaxed));
+        self.farthest.store(values.filter(|&value| value != 0).min().unwrap_or(0), Ordering::Relaxed);
+    }
+
+    /// Whether the station may have seen through a place in a box (m) between these corners: not if all are beyond what it saw.
+    fn reaches(&self, min: [f64; 3], max: [f64; 3]) -> bool {
+        let farthest = self.farthest.load(Ordering::Relaxed);
+        // The operations and their order are those for a place, and rounding keeps order.
+        let at = self.station.at;
+        let d: [f64; 3] = std::array::from_fn(|axis| (min[axis] - at[axis]).max(at[axis] - max[axis]).max(0.0));
+        let nearest = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+        farthest != 0 && seen_m(farthest) > nearest + margin_m(nearest)
     }
 
     /// The nearest distance (m) known in a cell, from the image of this `level` or the first coarser one that has it; 0 where none has.
@@ -393,11 +411,11 @@ impl Views {
         for (((record, x), y), z) in records.iter().zip(&mut x).zip(&mut y).zip(&mut z) {
             [*x, *y, *z] = places.of(*record);
         }
-        let count = records.len();
+        let points = [&x, &y, &z].map(|column| &column[..records.len()]);
+        let (min, max) = places.bounds();
         let mut is_moving = [false; BATCH];
-        self.views
-            .iter()
-            .for_each(|view| view.note_seen_through([&x[..count], &y[..count], &z[..count]], &mut is_moving));
+        let reaching = self.views.iter().filter(|view| view.reaches(min, max));
+        reaching.for_each(|view| view.note_seen_through(points, &mut is_moving));
         for (number, record) in records.iter().enumerate() {
             if is_moving[number] {
                 let point = [x[number], y[number], z[number]];
@@ -426,6 +444,14 @@ pub struct Places {
 }
 
 impl Places {
+    /// A box around the places of all points (m).
+    fn bounds(&self) -> ([f64; 3], [f64; 3]) {
+        let [x, y] = self.corner;
+        let edge = |pixels: f64| pixels * self.frame.pixel_m();
+        let [end_x, end_y] = [x, y].map(|pixels| edge(pixels + PATCH_PIXELS as f64));
+        ([edge(x), edge(y), f64::NEG_INFINITY], [end_x, end_y, f64::INFINITY])
+    }
+
     /// Where the point of a record lies, to the precision of records (m).
     #[inline(always)]
     pub fn of(&self, record: Record) -> [f64; 3] {
@@ -483,6 +509,8 @@ mod tests {
             let views = Views::new(&[], frame(), 0).unwrap();
             Recorder::new(frame()).record(&[x], &[y], &[z], |index, record| {
                 let place = views.places(index.key()).of(record);
+                let (min, max) = views.places(index.key()).bounds();
+                assert!((0..3).all(|axis| min[axis] <= place[axis] && place[axis] <= max[axis]));
                 let near = (place[0] - x).abs() < 0.0005 && (place[1] - y).abs() < 0.0005 && (place[2] - z).abs() < 0.0001;
                 assert!(near, "{place:?}");
             });
@@ -586,6 +614,7 @@ mod tests {
                 prop_assert_eq!(says, says_by_definition(&view, point));
                 let may = view.may_see_through(distance, cell);
                 prop_assert!(says != Says::Through || may);
+                prop_assert!(!may || view.reaches(point, point));
                 let mut noted = [false; BATCH];
                 view.note_seen_through([&[point[0]], &[point[1]], &[point[2]]], &mut noted);
                 prop_assert_eq!(noted[0], may);
@@ -643,6 +672,19 @@ mod tests {
         let others: Vec<_> = of_one.iter().filter(|p| !on_person(p)).chain(&of_two).collect();
         let lost = others.iter().filter(|p| views.is_moving(***p)).count();
         assert!(lost * 100_000 <= others.len(), "{lost} of {}", others.len());
+    }
+
+    #[test]
+    fn many_stations_are_asked_only_about_what_lies_within_what_they_saw() {
+        let near = View::new(stood([0.0; 3]));
+        assert!(!near.reaches([-1.0; 3], [1.0; 3]), "it saw nothing");
+        near.add_point([3.0, 0.0, 0.0]);
+        near.add_point([0.0, 8.0, 0.0]);
+        near.make_coarser();
+        assert!(near.reaches([-1.0; 3], [1.0; 3]) && near.reaches([7.0, -1.0, -1.0], [9.0, 1.0, 1.0]));
+        assert!(near.reaches([-50.0, -50.0, -7.5], [50.0, 50.0, -7.0]), "in another direction it may have, too");
+        assert!(!near.reaches([8.0, -50.0, -50.0], [9.0, 50.0, 50.0]));
+        assert!(!near.reaches([5.0, 5.0, 5.0], [6.0, 6.0, 6.0]));
     }
 
     #[test]
