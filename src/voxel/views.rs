@@ -123,7 +123,7 @@ impl Cell {
     /// Face, column and row in the image of this level.
     #[inline]
     fn parts(self, level: usize) -> (usize, [i64; 2]) {
-        let part = |shift: u32| (self.0 >> shift) as usize % EDGE >> level;
+        let part = |shift: u32| ((self.0 >> shift) as usize % EDGE) >> level;
         ((self.0 >> (2 * EDGE_BITS)) as usize, [part(0) as i64, part(EDGE_BITS) as i64])
     }
 
