@@ -5,9 +5,9 @@ use crate::plan::Plan;
 use crate::voxel::bands::Bands;
 use crate::voxel::colours::ValueSieve;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
-use crate::voxel::record::{ColumnKey, Content, PATCH_AREA, Record};
+use crate::voxel::record::{ColumnKey, PATCH_AREA, Record};
 use crate::voxel::runs::{ColumnJob, Merge};
-use crate::voxel::views::Views;
+use crate::voxel::views::{BATCH, Views};
 use crate::{Error, Monitor, Parameter, Result};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -137,13 +137,20 @@ fn remove_moving(
     removed: &mut Vec<(ColumnKey, Record)>,
 ) {
     let places = views.places(key);
-    records.retain(|&record| {
-        let is_moving = record.content() == Content::Point && views.is_moving(places.of(record));
-        if is_moving && area.holds(record.pixel()) {
-            removed.push((key, record));
+    let mut kept = 0;
+    for begin in (0..records.len()).step_by(BATCH) {
+        let batch = begin..(begin + BATCH).min(records.len());
+        let is_moving = views.are_moving(places, &records[batch.clone()]);
+        for (number, is_moving) in batch.zip(is_moving) {
+            let record = records[number];
+            records[kept] = record;
+            kept += usize::from(!is_moving);
+            if is_moving && area.holds(record.pixel()) {
+                removed.push((key, record));
+            }
         }
-        !is_moving
-    });
+    }
+    records.truncate(kept);
 }
 
 /// Memory of a worker per record of a column.

@@ -127,13 +127,24 @@ pub(super) struct Seeing {
 impl Seeing {
     /// Adds the points of a batch of a file; fails for points whose station is not known.
     fn add(&self, batch: &PointBatch, file: &ScanFile, of_cloud: &[Measured]) -> Result<()> {
-        let points = batch.x.iter().zip(&batch.y).zip(&batch.z).map(|((&x, &y), &z)| [x, y, z]);
+        let add = |station: usize, points: Range<usize>| {
+            self.views.add(station, [&batch.x[points.clone()], &batch.y[points.clone()], &batch.z[points]]);
+        };
         match &of_cloud[batch.cloud] {
-            Measured::From(station) => points.for_each(|point| self.views.add(*station, point)),
+            Measured::From(station) => add(*station, 0..batch.len()),
             by_tag => {
-                for (point, &tag) in points.zip(&batch.tags) {
+                // Points of one station mostly follow each other.
+                let (mut begin, mut of_run) = (0, None);
+                for (number, &tag) in batch.tags.iter().enumerate().take(batch.len()) {
                     let station = by_tag.station(tag).map_err(|reason| Error::input(file.path(), "points", reason))?;
-                    self.views.add(station, point);
+                    if let Some(other) = of_run.filter(|other| *other != station) {
+                        add(other, begin..number);
+                        begin = number;
+                    }
+                    of_run = Some(station);
+                }
+                if let Some(station) = of_run {
+                    add(station, begin..batch.len());
                 }
             }
         }
