@@ -501,6 +501,11 @@ impl ColourReader {
         self.archive.catalog().decode_colour_leaf(&self.table, index, &stored)
     }
 
+    /// Where the colours lie: of an archive with those of its levels, which come first; of a level its own (bytes).
+    pub fn bytes(&self) -> Range<u64> {
+        self.archive.catalog().colours_section().unwrap_or(0..0)
+    }
+
     /// Voxels with a colour, as the archive states them.
     pub(super) fn stated_voxels(&self) -> u64 {
         self.archive.header().colours.map_or(0, |colours| colours.voxels)
