@@ -122,6 +122,6 @@ def check_levels(head, levels, pages, coloured, read_entries, read_columns):
             section, voxels, crc = parts[level.number - 1]
             need(len(section) >= 12 * level.leaf_count, "K11", f"colours of level {level.number} of {len(section)} bytes")
             blocks = check_blocks(section, level.root, crc, voxels, 0, keys, wanted.get)
-            check_level_colours(level.number, keys, blocks, archive)
+            check_level_colours(level.number, keys, blocks, wanted.get, archive)
             shown[-1]["colours"] = [show_block(block) for block in blocks]
     return shown

@@ -7,15 +7,16 @@ use common::forge::{Parts, put, word};
 use common::random::Random;
 use common::{Pages, archive_coloured_by_place, archive_of, archive_with_levels, key, page, plan};
 use nalgebra::{Point3, Vector3};
-use slicewalk::{Error, NoMonitor};
 use slicewalk::archive::{
-    Archive, ArchiveWriter, ColourReader, EncodedColours, Opened, Opening, PageEncoder, Shard, Totals, extract, merge, recover,
+    Archive, ArchiveWriter, ColourReader, EncodedColours, Opened, Opening, PageEncoder, Shard, Totals, extract, merge,
+    recover,
 };
 use slicewalk::codec::ColourEncoder;
 use slicewalk::colour::{ColourPlan, ColourScale, LabTable, difference};
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, Sight, cast, cast_far, overlaps};
 use slicewalk::slice::{Occupancy, Span};
 use slicewalk::store::{Loader, LoaderOptions, Next, Prefetch, Store, Stream, StreamOptions, Time};
+use slicewalk::{Error, NoMonitor};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
@@ -385,7 +386,7 @@ fn parts_extracts_and_recovered_archives_have_the_coloured_levels_of_a_single_ru
     let everything = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
     extract(&archive, &everything, &path("all.slices"), false, &NoMonitor).unwrap();
     assert!(fs::read(path("all.slices")).unwrap() == single);
-    extract(&archive, &([0.0; 3], [20.0, 20.0, 9.0]), &path("room.slices"), false, &NoMonitor).unwrap();
+    extract(&archive, &([-40.0; 3], [60.0, 50.0, 9.0]), &path("room.slices"), false, &NoMonitor).unwrap();
     let room = fs::read(path("room.slices")).unwrap();
     assert_eq!(rules(room.clone()), [""; 0]);
     assert!(!colours_of(&Archive::from_bytes(room).unwrap().level(1).unwrap()).is_empty());
@@ -426,7 +427,7 @@ fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
         let mut found = Vec::new();
         archive.verify(&NoMonitor, &mut |finding| found.push((finding.rule, finding.part))).unwrap();
         assert!(
-            !found.is_empty() && found.iter().all(|(rule, part)| rule.starts_with('K') && part.contains("colours")),
+            !found.is_empty() && found.iter().all(|(rule, part)| rule.starts_with('K') && part.contains("colour")),
             "byte {at}: {found:?}"
         );
         assert_eq!(colours_of(&archive), colours_of(&good));
@@ -471,28 +472,6 @@ fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
     let parts = Parts::of(&bytes);
     let refused = Archive::from_bytes(parts.build(|head| put(head, 352, 70, 8))).unwrap_err().to_string();
     assert!(refused.contains("rule K1"), "{refused}");
-}
-
-#[test]
-fn colours_of_levels_of_other_colours_are_found() {
-    let others = |seed: u16| {
-        let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
-        common::archive_in_colour(&(city(), totals()), colours, true, None, |_, _, occupancy| {
-            occupancy.voxels().map(|(pixel, _)| Some([pixel as u16 * 9, seed, 30_000])).collect()
-        })
-    };
-    let [own, other] = [Parts::of(&others(20_000)), Parts::of(&others(21_000))];
-    let levels = |parts: &Parts| {
-        let start = word(&parts.head, 288) - word(&parts.head, 352) - word(&parts.head, 328);
-        let lens = (0..3).map(|level| word(&parts.pages, start + 20 * level)).sum::<usize>();
-        start..start + 64 + lens
-    };
-    let (of_own, of_other) = (levels(&own), levels(&other));
-    assert_eq!(of_own.len(), of_other.len(), "else the bases of the archive's leaf differ");
-    let mut pages = own.pages.clone();
-    pages[of_own].copy_from_slice(&other.pages[of_other]);
-    let found = rules(Parts { pages, ..own }.build(|_| ()));
-    assert_eq!(found, ["K12"; 3]);
 }
 
 /// The archive of `pages` with the levels of `others`, and right checksums.

@@ -2,8 +2,8 @@
 //!
 //! In: bytes that the caller fetched. Out: entries of pages, metadata. No reads, and no state.
 
-use super::directory::{LeafEntries, LeafPlace, PageEntry, max_raw_len};
 use super::colours::{ColourHead, LevelColours};
+use super::directory::{LeafEntries, LeafPlace, PageEntry, max_raw_len};
 use super::head::{Header, Leaf};
 use super::levels::{Level, decode_table};
 use super::metadata::Metadata;

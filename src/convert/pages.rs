@@ -102,8 +102,10 @@ pub(super) fn write_columns(
     let values = colours.is_some();
     let pass = Columns { merge: &merge, memory_bytes, threads, ahead, max_columns, views, values, monitor };
     let most = (memory_bytes / 16 / threads as u64).max(LEAST_COLOUR_BYTES) / BYTES_PER_COLOUR;
-    let maker =
-        || PageMaker { colours: colours.map(|plan| PageColours::new(plan, most, levels)), ..PageMaker::new(plan, levels) };
+    let maker = || PageMaker {
+        colours: colours.map(|plan| PageColours::new(plan, most, levels)),
+        ..PageMaker::new(plan, levels)
+    };
     let worker = |patches| PageWorker { patches, pages: maker(), columns };
     let mut left_out = LeftOut::default();
     pass.work_in_order(plan, worker, |done: PagesDone| {

@@ -99,12 +99,7 @@ pub fn scene() -> (Pages, Totals) {
 }
 
 /// The bytes of an archive with colours by a formula; every seventh voxel has none, nor has every fifth page.
-pub fn archive_with_colours(
-    made: &(Pages, Totals),
-    scale: ColourScale,
-    error_milli: u16,
-    levels: bool,
-) -> Vec<u8> {
+pub fn archive_with_colours(made: &(Pages, Totals), scale: ColourScale, error_milli: u16, levels: bool) -> Vec<u8> {
     archive_in_colour(made, ColourPlan { scale, error_milli }, levels, None, |number, _, occupancy| {
         let mut random = Congruential(number as u64);
         let value = |(pixel, k): (usize, u32)| {
@@ -268,7 +263,11 @@ pub fn render(archive: &Archive) -> String {
         for entry in level.entries().map(Result::unwrap) {
             let colours = reader.colours(&entry).unwrap();
             let hash = crc32c::crc32c(colours.values().as_flattened());
-            line(format_args!("level {number} page {}: {} coloured voxels, crc {hash:08x}", entry.key, colours.count()));
+            line(format_args!(
+                "level {number} page {}: {} coloured voxels, crc {hash:08x}",
+                entry.key,
+                colours.count()
+            ));
         }
     }
     out

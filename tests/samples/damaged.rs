@@ -142,9 +142,8 @@ fn colours_of_levels(change: impl FnOnce(&mut [u8], &[u8])) -> Vec<u8> {
     let one = page([((3, 4), vec![Span::new(40, 50, true).unwrap()])]);
     let made = ([key(0, 0, 0), key(1, 0, 0)].map(|key| (key, one.clone())).into(), Totals::default());
     let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
-    let [mut own, other] = [9000, 9257].map(|red| {
-        archive_in_colour(&made, colours, true, None, |_, _, _| vec![Some([red, 20_000, 40_000])])
-    });
+    let [mut own, other] = [9000, 9257]
+        .map(|red| archive_in_colour(&made, colours, true, None, |_, _, _| vec![Some([red, 20_000, 40_000])]));
     let archive = Archive::from_bytes(own.clone()).unwrap();
     let (header, first) = (archive.header(), archive.catalog().colour_table_range().unwrap().start);
     let (start, end) = (header.colours_offset() as usize, first as usize);

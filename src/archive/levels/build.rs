@@ -205,7 +205,6 @@ impl Record {
     fn pixel(&self) -> u32 {
         (self.place >> 16) as u32 & 0xFFFF
     }
-
 }
 
 impl Sortable for Record {
@@ -223,7 +222,9 @@ impl Sortable for Record {
     }
 
     fn of(bytes: &[u8]) -> Self {
-        let Ok([a, b, c, d, e, f, g, h, i, j, k, l]) = <[u8; Self::LEN]>::try_from(bytes) else { return Self::default() };
+        let Ok([a, b, c, d, e, f, g, h, i, j, k, l]) = <[u8; Self::LEN]>::try_from(bytes) else {
+            return Self::default();
+        };
         let place = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
         Self { place, top: u16::from_le_bytes([i, j]), joined: u16::from_le_bytes([k, l]) }
     }

@@ -14,7 +14,7 @@ use crate::bytes::ByteSource;
 use crate::codec::Violation;
 use crate::disk::Files;
 use crate::frame::PageKey;
-use crate::slice::{Inferred, Page};
+use crate::slice::{Inferred, Occupancy, Page};
 use crate::{Error, Result};
 
 /// Compares the levels of an archive with those that its pages make.
@@ -132,14 +132,7 @@ impl<'a> LevelCheck<'a> {
     }
 }
 
-fn compare(
-    levels: &mut [Checked<'_>],
-    scratch: &mut Scratch,
-    at: usize,
-    key: PageKey,
-    page: &Page,
-    sums: &[VoxelSum],
-) {
+fn compare(levels: &mut [Checked<'_>], scratch: &mut Scratch, at: usize, key: PageKey, page: &Page, sums: &[VoxelSum]) {
     match levels.get_mut(at) {
         Some(level) if level.broken => {}
         Some(level) => {
@@ -275,7 +268,7 @@ fn check_colours(check: &mut ColourCheck, key: PageKey, page: &Page, sums: Optio
     let Some(sums) = sums else { return Ok(()) };
     let right = match &block {
         Some(block) => block.is_of(&exact(check.occupancy(), sums)),
-        None => sums.is_empty(),
+        None => sums.is_empty() || exact(&Occupancy::of(page), sums).iter().all(Option::is_none),
     };
     match right {
         true => Ok(()),

@@ -45,10 +45,7 @@ fn place(cell: usize) -> (u8, u8) {
 }
 
 /// What a page gives to level 1, in order of pixels and slices, by the decoded colours of its voxels.
-pub fn coarse_colours(
-    occupancy: &Occupancy,
-    colours: impl Iterator<Item = Option<[u8; 3]>>,
-) -> Box<[CoarseColour]> {
+pub fn coarse_colours(occupancy: &Occupancy, colours: impl Iterator<Item = Option<[u8; 3]>>) -> Box<[CoarseColour]> {
     let mut sums = vec![(0u8, [0u16; 3]); CELLS];
     for ((pixel, k), colour) in occupancy.voxels().zip(colours) {
         let Some(colour) = colour else { continue };
@@ -93,16 +90,16 @@ pub fn coarser(voxels: &[VoxelSum]) -> Vec<(u8, u8, ColourSum)> {
     .collect()
 }
 
-/// Exact colours (16 bits a channel) of the voxels of a page of a level, from their sums in order of pixels and slices.
+/// Exact colours (16 bits a channel) of the voxels of a page of a level, from sums in order of pixels and slices. A sum may be of no
+/// voxel: matter that only touches a boundary from above is one with what ends there, and then belongs to the slice below.
 pub fn exact(occupancy: &Occupancy, sums: &[VoxelSum]) -> Vec<Option<[u16; 3]>> {
     let mut sums = sums.iter().peekable();
-    let own = |(pixel, k): (usize, u32)| {
-        let sum = sums.next_if(|sum| (usize::from(sum.pixel), u32::from(sum.slice)) == (pixel, k))?;
-        sum.sum.mean(WHITE)
+    let own = |place: (usize, u32)| {
+        let place_of = |sum: &VoxelSum| (usize::from(sum.pixel), u32::from(sum.slice));
+        while sums.next_if(|sum| place_of(sum) < place).is_some() {}
+        sums.next_if(|sum| place_of(sum) == place)?.sum.mean(WHITE)
     };
-    let exact = occupancy.voxels().map(own).collect();
-    debug_assert!(sums.next().is_none(), "a level has matter wherever there is some below");
-    exact
+    occupancy.voxels().map(own).collect()
 }
 
 /// The sum of a voxel of a level, in the order of layers, pixels and slices.
@@ -156,6 +153,7 @@ impl Sortable for ColourRecord {
 mod tests {
     use super::*;
     use crate::codec::pages;
+    use crate::slice::{PageBuilder, Span};
     use proptest::prelude::*;
     use std::collections::BTreeMap;
 
@@ -189,6 +187,22 @@ mod tests {
                 }
             }
             prop_assert_eq!(found, expected);
+        }
+    }
+
+    #[test]
+    fn sums_of_no_voxel_colour_none() {
+        let mut builder = PageBuilder::default();
+        assert!(builder.set_column(5, 1, &[Span::new(100, 600, false).unwrap()]));
+        let occupancy = Occupancy::of(&builder.build());
+        let voxel = |pixel, slice| VoxelSum { pixel, slice, sum: ColourSum { n: 2, sum: [2, 3, 510] } };
+        let colour = Some([257, 386, 65_535]);
+        for (sums, expected) in [
+            (vec![voxel(69, 0), voxel(69, 2)], [colour, None, colour]),
+            (vec![voxel(3, 1), voxel(68, 1), voxel(69, 1), voxel(69, 3), voxel(70, 0)], [None, colour, None]),
+            (vec![voxel(69, 3)], [None; 3]),
+        ] {
+            assert_eq!(exact(&occupancy, &sums), expected);
         }
     }
 
