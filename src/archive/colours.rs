@@ -210,12 +210,12 @@ impl LevelColours {
         self.start..self.start + LEVEL_CRC + LEVEL_RECORD * u64::from(self.count)
     }
 
-    /// What the table says of each level, the finest first, and where the parts end (rule K11).
-    pub fn decode(&self, bytes: &[u8]) -> Result<(Vec<(ColourHead, Range<u64>)>, u64)> {
+    /// What the table says of each level, the finest first, whose part is the last one (rule K11).
+    pub fn decode(&self, bytes: &[u8]) -> Result<Vec<LevelPlace>> {
         self.decoded(bytes).map_err(|violation| violation.at("table of colours of levels", self.start))
     }
 
-    fn decoded(&self, bytes: &[u8]) -> Result<(Vec<(ColourHead, Range<u64>)>, u64), Violation> {
+    fn decoded(&self, bytes: &[u8]) -> Result<Vec<LevelPlace>, Violation> {
         let wrong = |found: String| {
             Violation::new("K11", format!("{} levels and the checksum of what is said of them", self.count), found)
         };
@@ -228,17 +228,24 @@ impl LevelColours {
         let (mut told, mut end) = (Vec::with_capacity(MAX_LEVELS), self.table().end);
         for _ in 0..self.count {
             let (len, voxels, table_crc) = (reader.u64()?, reader.u64()?, reader.u32()?);
-            told.push((ColourHead { plan: self.plan, voxels, table_crc }, 0..len));
+            told.push(LevelPlace { head: ColourHead { plan: self.plan, voxels, table_crc }, range: 0..len });
         }
         // The coarsest lies first.
-        for (_, range) in told.iter_mut().rev() {
+        for LevelPlace { range, .. } in told.iter_mut().rev() {
             let outside = || Violation::new("K11", format!("colours of levels up to byte {}", self.end), "some beyond");
             let next = end.checked_add(range.end).filter(|&next| next <= self.end).ok_or_else(outside)?;
             *range = end..next;
             end = next;
         }
-        Ok((told, end))
+        Ok(told)
     }
+}
+
+/// What is told of the colours of one level, and where they lie.
+#[derive(Debug, Clone)]
+pub(super) struct LevelPlace {
+    pub head: ColourHead,
+    pub range: Range<u64>,
 }
 
 /// Where the colours of a page lie.
@@ -325,12 +332,14 @@ impl Catalog {
     /// [`level_colours_range`](Self::level_colours_range) (rule K11).
     pub fn with_level_colours(&self, table: &[u8]) -> Result<Self> {
         let Some(place) = &self.level_colours else { return Ok(self.clone()) };
-        let (told, _) = place.decode(table)?;
+        let told = place.decode(table)?;
         let number = self.header().level;
         let own = (number as usize).checked_sub(1).and_then(|at| told.get(at).cloned());
         let least = (self.leaf_count() * LEAF_RECORD) as u64;
         match own {
-            Some((head, range)) if range.end - range.start >= least => Ok(self.with_colours_at(head, range)),
+            Some(LevelPlace { head, range }) if range.end - range.start >= least => {
+                Ok(self.with_colours_at(head, range))
+            }
             _ => {
                 let violation = Violation::new("K11", format!("colours of {least} bytes or more"), "fewer");
                 Err(violation.at(format!("colours of level {number}"), place.start))

@@ -210,7 +210,7 @@ impl Pass<'_> {
             let range = place.table();
             let mut table = vec![0; (range.end - range.start) as usize];
             self.archive.source().read_at(range.start, &mut table).ok()?;
-            Some(place.decode(&table).ok()?.1)
+            Some(place.decode(&table).ok()?.first()?.range.end)
         });
         match ColourCheck::new(self.archive, start) {
             Ok(check) => self.colours = check,

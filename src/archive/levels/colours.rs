@@ -164,7 +164,7 @@ mod tests {
             let occupancy = Occupancy::of(&page);
             let colour = |number: usize| {
                 let hash = (number as u32 ^ seed).wrapping_mul(0x9E37_79B1);
-                (hash % 5 > 0).then(|| [8, 16, 24].map(|shift| (hash >> shift) as u8))
+                (!hash.is_multiple_of(5)).then(|| [8, 16, 24].map(|shift| (hash >> shift) as u8))
             };
             let given = coarse_colours(&occupancy, (0..occupancy.len()).map(colour));
             let below = PageKey { tx: key[0].into(), ty: key[1].into(), layer: key[2].into() };
