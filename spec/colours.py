@@ -14,6 +14,7 @@ SOURCES = "rgb", "intensity", "class"
 def read_head(head):
     """What the head says of colours; `pages_len` is then that of the pages alone."""
     head.colours_len = head.voxels_coloured = 0
+    head.levels_have_colours = False
     head.has_colours = head.minor >= 3 and head.features_optional & 2 == 2
     fields = head.reserved[27:]
     if not head.has_colours:
@@ -24,21 +25,21 @@ def read_head(head):
     head.colour_error, head.colour_source, zero = fields[5:]
     right = 1 <= head.colour_source <= 3 and head.colour_low < head.colour_high
     need(right and (head.minor > 4 or not any(zero)), "K1", f"colours {fields}")
-    need(12 * head.leaf_count <= head.colours_len, "K1", f"colours of {head.colours_len} bytes")
+    head.levels_have_colours = head.minor >= 4 and head.features_optional & 8 == 8 and head.level_count > 0
+    tables = 12 * head.leaf_count + (20 * head.level_count + 4 if head.levels_have_colours else 0)
+    need(tables <= head.colours_len, "K1", f"colours of {head.colours_len} bytes")
     need(head.colours_len <= head.pages_len, "L1", f"colours of {head.colours_len} bytes")
     need(head.voxels_coloured <= head.voxels_occupied, "K1", f"{head.voxels_coloured} voxels with colours")
     head.pages_len -= head.colours_len
 
 
-def read_table(head, section):
-    """Where each colour leaf lies, and what the table says of it."""
-    if not head.has_colours:
-        return []
-    table = section[len(section) - 12 * head.leaf_count :]
-    need(crc32c(table) == head.colours_crc, "K2", "the checksum of the table of colours is wrong")
+def read_table(section, root, table_crc):
+    """Where each colour leaf lies, and what the table says of it; a leaf for each record of a root directory."""
+    table = section[len(section) - 12 * len(root) :]
+    need(crc32c(table) == table_crc, "K2", "the checksum of the table of colours is wrong")
     leaves, end = [], len(section) - len(table)
     for number, (stored_len, raw_len, crc) in reversed(list(enumerate(struct.iter_unpack("<III", table)))):
-        need(raw_len <= 10 + 9 * head.root[number][2], "K2", f"a colour leaf of {raw_len} bytes")
+        need(raw_len <= 10 + 9 * root[number][2], "K2", f"a colour leaf of {raw_len} bytes")
         need(stored_len <= end, "K2", "colour leaves lie outside their section")
         end -= stored_len
         leaves.insert(0, (end, stored_len, raw_len, crc))
@@ -87,7 +88,7 @@ def number_models():
 
 
 def read_block(data, voxels):
-    """Colours of `voxels`, pairs of pixel and slice in order; None for those without."""
+    """Steps, and the numbers of `voxels`, pairs of pixel and slice; None for those without a colour."""
     need(len(data) >= 4 and data[0] == 1 and all(data[1:4]), "K5", f"a block that begins with {data[:4].hex()}")
     steps = data[1:4]
     try:
@@ -95,7 +96,7 @@ def read_block(data, voxels):
     except Refused as refused:
         raise Refused("K6", str(refused)) from None
     need(sound and any(found.values()), "K7", "numbers beyond colours, or no colour")
-    return [rgb(found[voxel], steps) if found[voxel] else None for voxel in voxels]
+    return steps, found
 
 
 def walk(symbols, steps, voxels):
@@ -144,34 +145,110 @@ def walk(symbols, steps, voxels):
     return found, sound
 
 
-def check_colours(head, section, entries, columns_of):
-    """Reads all colours; for each page those of its voxels as hexadecimal digits, `-` where there is none."""
-    if not head.has_colours:
-        return None
-    leaves = read_table(head, section)
+def voxels_of(columns):
+    """Pixel and slice of the voxels of a page in order."""
+    voxels = []
+    for pixel, spans in enumerate(columns):
+        mask = 0
+        for bottom, top, *_ in spans:
+            mask |= slices_of(bottom, top)
+        voxels += [(pixel, k) for k in range(64) if mask >> k & 1]
+    return voxels
+
+
+def check_blocks(section, root, table_crc, coloured, place, keys, columns_of):
+    """Reads all blocks of a section, or of the part of a level, from `place` on: steps and numbers for each page, None without colours."""
+    leaves = read_table(section, root, table_crc)
     blocks_end = leaves[0][0] if leaves else len(section)
-    place, coloured, shown, at = 0, 0, [], 0
-    for leaf, record in zip(leaves, head.root):
-        count = record[2]
-        for entry, (start, length, crc) in zip(entries[at : at + count], read_leaf(section, leaf, count, blocks_end)):
+    count, blocks, keys = 0, [], iter(keys)
+    for leaf, record in zip(leaves, root):
+        for start, length, crc in read_leaf(section, leaf, record[2], blocks_end):
+            key = next(keys)
             need(start == place, "K8", f"colours at {start}, not {place}")
             place = start + length
             if not length:
-                shown.append(None)
+                blocks.append(None)
                 continue
             data = section[start : start + length]
-            key = struct.pack("<iii", entry.tx, entry.ty, entry.layer)
-            need(crc32c(key + data) == crc, "K4", f"the checksum of the colours of page {entry.key()} is wrong")
-            voxels = []
-            for pixel, spans in enumerate(columns_of(entry)):
-                mask = 0
-                for bottom, top, *_ in spans:
-                    mask |= slices_of(bottom, top)
-                voxels += [(pixel, k) for k in range(64) if mask >> k & 1]
-            colours = read_block(data, voxels)
-            coloured += sum(colour is not None for colour in colours)
-            shown.append(" ".join("-" if colour is None else bytes(colour).hex() for colour in colours))
-        at += count
+            right = crc32c(struct.pack("<iii", *key) + data) == crc
+            need(right, "K4", f"the checksum of the colours of page {key} is wrong")
+            blocks.append(read_block(data, voxels_of(columns_of(key))))
+            count += sum(numbers is not None for numbers in blocks[-1][1].values())
     need(place == blocks_end, "K8", f"blocks of {place} bytes before leaves at {blocks_end}")
-    need(coloured == head.voxels_coloured, "K10", f"{coloured} voxels with colours, not {head.voxels_coloured}")
-    return shown
+    need(count == coloured, "K10", f"{count} voxels with colours, not {coloured}")
+    return blocks
+
+
+def show_block(block):
+    """As the twins show it: six hexadecimal digits for each voxel, `-` where there is no colour."""
+    if not block:
+        return None
+    steps, found = block
+    return " ".join(bytes(rgb(numbers, steps)).hex() if numbers else "-" for numbers in found.values())
+
+
+def check_colours(head, section, keys, columns_of):
+    """Reads all colours of the archive; blocks in order, and the parts of its levels."""
+    if not head.has_colours:
+        return None, []
+    parts, place = level_parts(head, section)
+    crc, coloured = head.colours_crc, head.voxels_coloured
+    return check_blocks(section, head.root, crc, coloured, place, keys, columns_of), parts
+
+
+def level_parts(head, section):
+    """For each level the bytes of its colours, how many voxels they are of, the checksum of their table; where the last part ends."""
+    if not head.levels_have_colours:
+        return [], 0
+    size = 20 * head.level_count
+    right = crc32c(section[:size]) == int.from_bytes(section[size : size + 4], "little")
+    need(right, "K11", "the checksum of the table of levels in the colours is wrong")
+    told, place, parts = list(struct.iter_unpack("<QQI", section[:size])), size + 4, []
+    for length, voxels, crc in reversed(told):
+        need(length <= len(section) - 12 * head.leaf_count - place, "K11", "colours of levels beyond their section")
+        parts.insert(0, (section[place : place + length], voxels, crc))
+        place += length
+    return parts, place
+
+
+def indices(key, voxel):
+    """Indices of a voxel of a page on the whole grid."""
+    pixel, k = voxel
+    return SIDE * key[0] + pixel % SIDE, SIDE * key[1] + pixel // SIDE, SIDE * key[2] + k
+
+
+def numbers_of(means, steps):
+    """The numbers of steps of a mean colour."""
+    if set(steps) == {1}:
+        r, g, b = ((mean + 128) // 257 for mean in means)
+        o = r - b
+        t = b + (o >> 1)
+        return t + (g - t >> 1), o, g - t
+    red, green, blue = means
+    found = []
+    for value, step in zip(((red + 2 * green + blue + 2) // 4, red - blue, green - (red + blue) // 2), steps):
+        size = (abs(value) + 257 * step // 2) // (257 * step)
+        found.append(size if value >= 0 else -size)
+    return tuple(found)
+
+
+def check_level_colours(number, keys, blocks, columns_of, archive):
+    """Compares the colours of level `number` with those of the archive's voxels, of which `archive` has key and block."""
+    sums = {}
+    for key, block in archive:
+        for voxel, numbers in block[1].items() if block else ():
+            if numbers:
+                place = tuple(index >> 2 * number for index in indices(key, voxel))
+                count, *sum_of = sums.get(place, (0, 0, 0, 0))
+                sums[place] = count + 1, *(a + b for a, b in zip(sum_of, rgb(numbers, block[0])))
+    for key, block in zip(keys, blocks):
+        for voxel in voxels_of(columns_of(key)):
+            numbers = block[1][voxel] if block else None
+            sum_of = sums.get(indices(key, voxel))
+            need(block or not sum_of, "K12", f"page {key} of level {number} without its colours")
+            expected = None
+            if sum_of:
+                count, *sum_of = sum_of
+                means = [(65535 * s + 255 * count // 2) // (255 * count) for s in sum_of]
+                expected = numbers_of(means, block[0])
+            need(numbers == expected, "K12", f"a colour of page {key} of level {number} is {numbers}, not {expected}")

@@ -3,6 +3,7 @@
 import struct
 from types import SimpleNamespace
 
+from colours import check_blocks, check_level_colours, show_block
 from encoding import column_of, crc32c, unpack_frame
 from page import SIDE, SLICE, THIRD, TOP, need
 from head import RECORD_LEN, check_root
@@ -99,8 +100,9 @@ def levels_of(head, pages):
         number += 1
 
 
-def check_levels(head, levels, pages, read_entries, read_columns):
-    """Reads all levels and compares them with those that the archive's pages make; their pages as the twins show them."""
+def check_levels(head, levels, pages, coloured, read_entries, read_columns):
+    """Reads all levels and compares them with those that the archive's pages and their colours make; as the twins show them."""
+    parts, archive = coloured
     made = list(levels_of(head, pages))
     need(len(made) == len(levels), "L5", f"{len(levels)} levels, should be {len(made)}")
     shown = []
@@ -116,4 +118,10 @@ def check_levels(head, levels, pages, read_entries, read_columns):
             columns = read_columns(entry, level.pages, head.level_step)
             need(columns == wanted[key], "L5", f"page {key} of level {level.number} is not what the pages below make")
         shown.append({"pages": len(entries), "pixel_size": head.pixel_size * FACTOR**level.number})
+        if parts:
+            section, voxels, crc = parts[level.number - 1]
+            need(len(section) >= 12 * level.leaf_count, "K11", f"colours of level {level.number} of {len(section)} bytes")
+            blocks = check_blocks(section, level.root, crc, voxels, 0, keys, wanted.get)
+            check_level_colours(level.number, keys, blocks, wanted.get, archive)
+            shown[-1]["colours"] = [show_block(block) for block in blocks]
     return shown

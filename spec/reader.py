@@ -17,7 +17,7 @@ import sys
 from bisect import bisect_left
 from collections import deque
 
-from colours import SOURCES, check_colours
+from colours import SOURCES, check_colours, show_block
 from encoding import U64, Bytes, column_of, crc32c, tile_of, unpack_frame
 from head import INDEX, Head
 from levels import check_levels, read_table
@@ -364,12 +364,14 @@ def read_archive(data):
     need(right, "T3", f"{occupied} voxels, {obstacle} of obstacles, {inferred} inferred")
     check_bounds(head, part, matter)
     content = {"info": show(head, crs, part, units, noise), "pages": contents}
-    shown = check_colours(head, colours, entries, lambda entry: all_columns[entry.tx, entry.ty, entry.layer])
-    for item, of_page in zip(contents, shown or ()):
-        item["colours"] = of_page
+    keys = list(all_columns)
+    blocks, parts = check_colours(head, colours, keys, all_columns.get)
+    for item, block in zip(contents, blocks or ()):
+        item["colours"] = show_block(block)
     if head.has_levels:
         levels = read_table(head, section)
-        content["levels"] = check_levels(head, levels, all_columns, read_entries, level_columns)
+        coloured = parts, list(zip(keys, blocks or ()))
+        content["levels"] = check_levels(head, levels, all_columns, coloured, read_entries, level_columns)
     return content
 
 

@@ -5,16 +5,19 @@ mod common;
 
 use common::forge::{Parts, put, word};
 use common::random::Random;
-use common::{Pages, archive_of, archive_with_levels, key, page, plan};
+use common::{Pages, archive_coloured_by_place, archive_of, archive_with_levels, key, page, plan};
 use nalgebra::{Point3, Vector3};
-use slicewalk::NoMonitor;
 use slicewalk::archive::{
-    Archive, ArchiveWriter, Opened, Opening, PageEncoder, Shard, Totals, extract, merge, recover,
+    Archive, ArchiveWriter, ColourReader, EncodedColours, Opened, Opening, PageEncoder, Shard, Totals, extract, merge,
+    recover,
 };
+use slicewalk::codec::ColourEncoder;
+use slicewalk::colour::{ColourPlan, ColourScale, LabTable, difference};
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, Sight, cast, cast_far, overlaps};
-use slicewalk::slice::Span;
+use slicewalk::slice::{Occupancy, Span};
 use slicewalk::store::{Loader, LoaderOptions, Next, Prefetch, Store, Stream, StreamOptions, Time};
-use std::collections::BTreeSet;
+use slicewalk::{Error, NoMonitor};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
 /// Floors and walls in pages near and far; most are alike.
@@ -202,6 +205,12 @@ fn pages_that_were_not_prepared_for_levels_are_refused() {
     let (key, page) = city().pop_first().unwrap();
     let encoded = PageEncoder::new(plan().frame).for_levels(false).encode(key, &page);
     assert!(writer.put(key, encoded).unwrap_err().to_string().contains("without overview levels"));
+    let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
+    writer.set_colours(colours);
+    let (occupancy, mut encoder) = (Occupancy::of(&page), ColourEncoder::default().for_levels(false));
+    let made = EncodedColours::new(&colours, &occupancy, &vec![Some([7; 3]); occupancy.len()], &mut encoder);
+    let encoded = PageEncoder::new(plan().frame).encode(key, &page).with_colours(made);
+    assert!(writer.put(key, encoded).unwrap_err().to_string().contains("without overview levels"));
 }
 
 #[test]
@@ -254,6 +263,215 @@ fn parts_extracts_and_recovered_archives_have_the_levels_of_a_single_run() {
     let pages = Archive::open(path("pages.slices")).unwrap();
     assert_eq!(pages.header().pages.stored, archive.header().pages.stored);
     assert!(pages.header().levels.is_none());
+}
+
+/// Indices of a voxel on the whole grid of an archive or a level.
+type Place = [i64; 3];
+
+/// All colours of an archive or a level.
+fn colours_of(archive: &Archive) -> BTreeMap<Place, [u8; 3]> {
+    let mut reader = ColourReader::new(archive).unwrap().expect("it has colours");
+    let mut found = BTreeMap::new();
+    for entry in archive.entries().map(Result::unwrap) {
+        let key = entry.key;
+        for (px, py, k, colour) in reader.colours(&entry).unwrap().voxels() {
+            let place = [(key.tx, px), (key.ty, py), (key.layer, k)].map(|(t, p)| 64 * i64::from(t) + i64::from(p));
+            found.extend(colour.map(|colour| (place, colour)));
+        }
+    }
+    found
+}
+
+#[test]
+fn voxels_of_levels_have_the_mean_colours_of_the_voxels_in_them() {
+    for error_milli in [0u16, 2000, 6000] {
+        let bytes = archive_coloured_by_place(&(city(), totals()), error_milli, true, None);
+        assert_eq!(rules(bytes.clone()), [""; 0]);
+        let archive = Archive::from_bytes(bytes).unwrap();
+        assert_eq!(archive.header().features_optional, 0b1111);
+        let all = colours_of(&archive);
+        assert_eq!(archive.levels().unwrap().len(), 3);
+        for told in archive.levels().unwrap() {
+            let number = told.number();
+            let mut sums: BTreeMap<Place, (f64, [f64; 3])> = BTreeMap::new();
+            for (place, colour) in &all {
+                let (n, sum) = sums.entry(place.map(|index| index >> (2 * number))).or_default();
+                *n += 1.0;
+                sum.iter_mut().zip(colour).for_each(|(sum, channel)| *sum += f64::from(*channel));
+            }
+            let level = archive.level(number).unwrap();
+            let found = colours_of(&level);
+            assert!(found.keys().eq(sums.keys()), "level {number}");
+            assert!(found.len() > 50 && found.len() < all.len());
+            let (table, mut apart) = (LabTable::get(), 0.0);
+            for (place, colour) in &found {
+                let (n, sum) = sums[place];
+                if error_milli == 0 {
+                    for (channel, sum) in colour.iter().zip(sum) {
+                        assert!((f64::from(*channel) - sum / n).abs() <= 0.51, "{place:?} of level {number}");
+                    }
+                }
+                let mean = sum.map(|sum| (sum / n * 257.0).round() as u16);
+                apart += f64::from(difference(table.of_16_bits(mean), table.of_8_bits(*colour)));
+            }
+            // Of each page, and so of all; 8 bits are as fine as it gets.
+            let (apart, most) = (apart / found.len() as f64, f64::from(error_milli.max(500)) / 1000.0);
+            assert!(apart <= most, "level {number}: {apart} of {most}");
+            // The table tells where the colours lie, and they need no other byte.
+            let catalog = level.catalog();
+            assert!(catalog.colours_section().is_none());
+            let table = catalog.level_colours_range().unwrap();
+            assert_eq!((table.start, table.end - table.start), (archive.header().colours_offset(), 64));
+        }
+        let voxels = archive.header().colours.unwrap().voxels;
+        assert_eq!(voxels, all.len() as u64, "the archive's own");
+    }
+}
+
+#[test]
+fn plain_archives_keep_their_bytes_and_what_comes_before_colours_of_levels_is_as_without() {
+    let made = (city(), totals());
+    let [with, without] = [true, false].map(|levels| archive_coloured_by_place(&made, 2000, levels, None));
+    let both = [&with, &without].map(|bytes| Archive::from_bytes(bytes.clone()).unwrap());
+    assert_eq!(both[1].header().features_optional, 0b10);
+    let section = |archive: &Archive, from: u64, to: u64| {
+        let mut bytes = vec![0; (to - from) as usize];
+        archive.source().read_at(from, &mut bytes).unwrap();
+        bytes
+    };
+    let pages = |archive: &Archive| {
+        let header = archive.header();
+        section(archive, header.pages_offset(), header.colours_offset())
+    };
+    assert!(pages(&both[0]) == pages(&both[1]));
+    assert_eq!(colours_of(&both[0]), colours_of(&both[1]));
+    // The levels are those of an archive without colours.
+    let plain = Archive::from_bytes(with_levels(city())).unwrap();
+    assert_eq!(plain.header().features_optional, 0b101);
+    let levels = |archive: &Archive| {
+        let header = archive.header();
+        section(archive, header.levels_offset(), header.directory_offset())
+    };
+    assert!(levels(&plain) == levels(&both[0]));
+    // Who does not know of them reads the archive's colours and the levels, and finds a gap.
+    let forged = Parts::of(&with).build(|head| put(head, 24, 0b111, 8));
+    assert_eq!(rules(forged.clone()), ["K8"]);
+    let forged = Archive::from_bytes(forged).unwrap();
+    assert_eq!(colours_of(&forged), colours_of(&both[0]));
+    assert!(ColourReader::new(&forged.level(1).unwrap()).unwrap().is_none());
+    assert_eq!(pages_of(&forged.level(2).unwrap()), pages_of(&both[0].level(2).unwrap()));
+}
+
+#[test]
+fn parts_extracts_and_recovered_archives_have_the_coloured_levels_of_a_single_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let single = archive_coloured_by_place(&(city(), totals()), 2000, true, None);
+    let middle = key(1, 0, 0).column();
+    let parts: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
+        .map(|(index, first, last)| {
+            let shard = Shard { index, count: 2, first, last, plan_file: 7 };
+            let own = city().into_iter().filter(|(key, _)| shard.columns().contains(&key.column())).collect();
+            let totals = if index == 1 { totals() } else { Totals { crs: "here".into(), ..Totals::default() } };
+            let bytes = archive_coloured_by_place(&(own, totals), 2000, true, Some(shard));
+            assert_eq!(rules(bytes.clone()), [""; 0]);
+            fs::write(path(&format!("{index}.slices")), bytes).unwrap();
+            path(&format!("{index}.slices"))
+        })
+        .into();
+    merge(&parts, &path("whole.slices"), false, &NoMonitor).unwrap();
+    assert!(fs::read(path("whole.slices")).unwrap() == single);
+
+    let archive = Archive::from_bytes(single.clone()).unwrap();
+    let everything = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+    extract(&archive, &everything, &path("all.slices"), false, &NoMonitor).unwrap();
+    assert!(fs::read(path("all.slices")).unwrap() == single);
+    extract(&archive, &([-40.0; 3], [60.0, 50.0, 9.0]), &path("room.slices"), false, &NoMonitor).unwrap();
+    let room = fs::read(path("room.slices")).unwrap();
+    assert_eq!(rules(room.clone()), [""; 0]);
+    assert!(!colours_of(&Archive::from_bytes(room).unwrap().level(1).unwrap()).is_empty());
+
+    // Damaged colours of a level are made anew.
+    let mut damaged = single.clone();
+    damaged[archive.header().colours_offset() as usize + 64 + 10] ^= 1;
+    assert_eq!(rules(damaged.clone()), ["K4"]);
+    fs::write(path("damaged.slices"), &damaged).unwrap();
+    let recovered = recover(&path("damaged.slices"), None, &path("saved.slices"), false, &NoMonitor).unwrap();
+    assert!(recovered.identical && fs::read(path("saved.slices")).unwrap() == single);
+    // Levels without colours get some.
+    let forged = Parts::of(&single).build(|head| put(head, 24, 0b111, 8));
+    fs::write(path("forged.slices"), forged).unwrap();
+    recover(&path("forged.slices"), None, &path("coloured.slices"), false, &NoMonitor).unwrap();
+    assert!(fs::read(path("coloured.slices")).unwrap() == single);
+}
+
+#[test]
+fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
+    let bytes = archive_coloured_by_place(&(city(), totals()), 2000, true, None);
+    let good = Archive::from_bytes(bytes.clone()).unwrap();
+    let start = good.header().colours_offset();
+    let parts: Vec<_> = [1, 2, 3]
+        .map(|number| {
+            let level = good.level(number).unwrap();
+            let table = level.catalog().level_colours_range().unwrap();
+            let table = bytes[table.start as usize..table.end as usize].to_vec();
+            level.catalog().with_level_colours(&table).unwrap().colours_section().unwrap()
+        })
+        .into();
+    assert_eq!((parts[2].start, parts[2].end, parts[1].end), (start + 64, parts[1].start, parts[0].start));
+    let all = start..parts[0].end;
+    for at in all.clone().step_by(((all.end - all.start) / 24) as usize).chain((start..start + 64).step_by(9)) {
+        let mut damaged = bytes.clone();
+        damaged[at as usize] ^= 1 << (at % 8);
+        let archive = Archive::from_bytes(damaged).unwrap();
+        let mut found = Vec::new();
+        archive.verify(&NoMonitor, &mut |finding| found.push((finding.rule, finding.part))).unwrap();
+        assert!(
+            !found.is_empty() && found.iter().all(|(rule, part)| rule.starts_with('K') && part.contains("colour")),
+            "byte {at}: {found:?}"
+        );
+        assert_eq!(colours_of(&archive), colours_of(&good));
+        for (number, range) in (1..).zip(&parts) {
+            let (level, sound) = (archive.level(number).unwrap(), good.level(number).unwrap());
+            assert_eq!(pages_of(&level), pages_of(&sound));
+            let mut sound = ColourReader::new(&sound).unwrap().unwrap();
+            let mut reader = match ColourReader::new(&level) {
+                Ok(reader) => reader.unwrap(),
+                Err(Error::Format { rule, .. }) => {
+                    assert!(rule == "K11" && at < start + 64 || rule == "K2" && range.contains(&at), "{rule} at {at}");
+                    continue;
+                }
+                Err(error) => panic!("{error}"),
+            };
+            for entry in level.entries().map(Result::unwrap) {
+                match reader.colours(&entry) {
+                    Ok(colours) => assert_eq!(colours, sound.colours(&entry).unwrap()),
+                    Err(Error::Format { rule, .. }) => assert!(rule.starts_with('K') && range.contains(&at)),
+                    Err(error) => panic!("{error}"),
+                }
+            }
+        }
+    }
+    // Sound checksums around wrong numbers.
+    let forged = |change: &dyn Fn(&mut [u8])| {
+        let mut parts = Parts::of(&bytes);
+        let at = (start - parts.head.len() as u64) as usize;
+        let table = &mut parts.pages[at..at + 64];
+        change(table);
+        let crc = crc32c::crc32c(&table[..60]);
+        put(table, 60, crc.into(), 4);
+        rules(parts.build(|_| ()))
+    };
+    assert_eq!(forged(&|_| ()), [""; 0]);
+    // Voxels, length and checksum of level 2; a length beyond the section.
+    assert_eq!(forged(&|table| table[28] ^= 1), ["K10"]);
+    assert!(forged(&|table| table[36] ^= 1).contains(&"K2"));
+    assert!(forged(&|table| put(table, 20, 3, 8)).contains(&"K11"));
+    assert!(forged(&|table| put(table, 20, u64::MAX - 5, 8)).contains(&"K11"));
+    // Room for the tables.
+    let parts = Parts::of(&bytes);
+    let refused = Archive::from_bytes(parts.build(|head| put(head, 352, 70, 8))).unwrap_err().to_string();
+    assert!(refused.contains("rule K1"), "{refused}");
 }
 
 /// The archive of `pages` with the levels of `others`, and right checksums.

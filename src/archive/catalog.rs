@@ -2,6 +2,7 @@
 //!
 //! In: bytes that the caller fetched. Out: entries of pages, metadata. No reads, and no state.
 
+use super::colours::{ColourHead, LevelColours};
 use super::directory::{LeafEntries, LeafPlace, PageEntry, max_raw_len};
 use super::head::{Header, Leaf};
 use super::levels::{Level, decode_table};
@@ -22,11 +23,33 @@ pub struct Catalog {
     header: Header,
     leaves: Vec<Leaf>,
     ignores_inferred: bool,
+    /// Where colours lie.
+    pub(super) colours: Option<Range<u64>>,
+    /// Of a level: where it is told where its colours lie, as long as that is not known.
+    pub(super) level_colours: Option<LevelColours>,
 }
 
 impl Catalog {
     pub(super) fn new(header: Header, leaves: Vec<Leaf>) -> Self {
-        Self { header, leaves, ignores_inferred: false }
+        let colours = header.colours.map(|_| header.colours_offset()..header.levels_offset());
+        Self { header, leaves, ignores_inferred: false, colours, level_colours: None }
+    }
+
+    /// That of a level, of which the archive says that it has colours, if it does.
+    pub(super) fn of_level(header: Header, leaves: Vec<Leaf>, level_colours: Option<LevelColours>) -> Self {
+        Self { level_colours, ..Self::new(header, leaves) }
+    }
+
+    /// That of a level whose colours lie in `range`.
+    pub(super) fn with_colours_at(&self, head: ColourHead, range: Range<u64>) -> Self {
+        let mut catalog = Self { colours: Some(range), level_colours: None, ..self.clone() };
+        catalog.header.colours = Some(head);
+        catalog
+    }
+
+    /// That of a level without its colours.
+    pub(super) fn without_level_colours(&self) -> Self {
+        Self { level_colours: None, ..self.clone() }
     }
 
     /// The same, of which archives, stores, loaders and streams give pages without inferred matter: what was scanned and nothing

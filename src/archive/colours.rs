@@ -3,10 +3,14 @@
 //! The section holds the blocks in the order of their pages, then a *colour leaf* for each directory leaf, which says where the
 //! blocks of its pages lie, then a table of these leaves. Who only collides never reads a byte of it. [`ColourReader`] reads
 //! the colours of one page after another; a program that fetches bytes itself asks a [`Catalog`](super::Catalog) where they lie.
+//!
+//! Colours of overview levels lie before those of the archive: a table that says where those of each level lie, then a part for each
+//! level, the coarsest first, built as the section is.
 
 use super::catalog::Catalog;
 use super::directory::PageEntry;
 use super::head::{MAX_LEAF_ENTRIES, MAX_LEAVES};
+use super::levels::{CoarseColour, MAX_LEVELS, coarse_colours};
 use super::page::PageDecoder;
 use super::reader::Archive;
 use super::spill::Spool;
@@ -21,11 +25,14 @@ use std::ops::Range;
 use std::path::Path;
 
 /// Bytes of a leaf's record in the table.
-const LEAF_RECORD: usize = 12;
+pub(super) const LEAF_RECORD: usize = 12;
 /// Least and greatest bytes of an entry of a leaf before compression.
 const MAX_ENTRY: u64 = 5 + 4;
 /// Bytes of an entry while an archive is written: length and checksum.
 const ENTRY: usize = 8;
+/// Bytes of a level's record in the table of colours of levels, and of the checksum behind them.
+const LEVEL_RECORD: u64 = 20;
+const LEVEL_CRC: u64 = 4;
 
 /// What the head says of colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,6 +50,8 @@ pub struct ColourHead {
 pub struct EncodedColours {
     pub(super) bytes: Vec<u8>,
     pub(super) voxels: u64,
+    /// What they give to overview levels, if they are to give anything.
+    pub(super) coarse: Option<Box<[CoarseColour]>>,
 }
 
 impl EncodedColours {
@@ -63,7 +72,8 @@ impl EncodedColours {
     pub(super) fn of_block(mut block: ColourBlock, occupancy: &Occupancy, encoder: &mut ColourEncoder) -> Self {
         let mut bytes = Vec::new();
         block.encode(occupancy, encoder, &mut bytes);
-        Self { voxels: block.count(), bytes }
+        let coarse = encoder.is_for_levels().then(|| coarse_colours(occupancy, block.rgb()));
+        Self { voxels: block.count(), bytes, coarse }
     }
 
     /// Bytes that the colours take.
@@ -107,12 +117,17 @@ impl ColourWriter {
         self.entries.push(&entry)
     }
 
-    /// Gives all bytes of the section, in order, where each directory leaf but the last has `leaf_entries` entries; what the
-    /// head says of it, and its length (bytes).
-    pub fn finish(self, leaf_entries: u32, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<(ColourHead, u64)> {
+    /// Gives all bytes of the section beyond the first `base`, in order, where each directory leaf but the last has `leaf_entries`
+    /// entries; what the head says of it, and their length (bytes).
+    pub fn finish(
+        self,
+        leaf_entries: u32,
+        mut base: u64,
+        give: &mut dyn FnMut(&[u8]) -> Result<()>,
+    ) -> Result<(ColourHead, u64)> {
         let mut len = self.blocks.len();
         self.blocks.read(give)?;
-        let (mut table, mut base, mut packer) = (Vec::new(), 0u64, Packer::new());
+        let (mut table, mut packer) = (Vec::new(), Packer::new());
         let mut entries: Vec<u8> = Vec::new();
         let mut leaf = |entries: &[u8], give: &mut dyn FnMut(&[u8]) -> Result<()>| -> Result<()> {
             let (raw, mut stored) = (encode_leaf(entries, &mut base), Vec::new());
@@ -155,6 +170,84 @@ fn encode_leaf(entries: &[u8], base: &mut u64) -> Vec<u8> {
     raw
 }
 
+/// The colours of a level as they were written.
+pub(super) struct LevelPart {
+    pub head: ColourHead,
+    /// Length of the part (bytes).
+    pub len: u64,
+}
+
+/// The table of colours of levels, the finest first.
+pub(super) fn encode_level_colours(levels: &[LevelPart]) -> Vec<u8> {
+    let mut table = Vec::new();
+    for LevelPart { head, len } in levels {
+        table.extend(len.to_le_bytes());
+        table.extend(head.voxels.to_le_bytes());
+        table.extend(head.table_crc.to_le_bytes());
+    }
+    table.extend(crc::crc32c(&table).to_le_bytes());
+    table
+}
+
+/// Where the colours of levels are told of.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct LevelColours {
+    count: u32,
+    /// Where the table begins, and where parts end at the latest.
+    start: u64,
+    end: u64,
+    plan: ColourPlan,
+}
+
+impl LevelColours {
+    /// Of `count` levels, whose table begins at byte `start` and whose parts end at `end` at the latest.
+    pub fn new(count: u32, start: u64, end: u64, plan: ColourPlan) -> Self {
+        Self { count, start, end, plan }
+    }
+
+    /// Where the table lies.
+    pub fn table(&self) -> Range<u64> {
+        self.start..self.start + LEVEL_CRC + LEVEL_RECORD * u64::from(self.count)
+    }
+
+    /// What the table says of each level, the finest first, whose part is the last one (rule K11).
+    pub fn decode(&self, bytes: &[u8]) -> Result<Vec<LevelPlace>> {
+        self.decoded(bytes).map_err(|violation| violation.at("table of colours of levels", self.start))
+    }
+
+    fn decoded(&self, bytes: &[u8]) -> Result<Vec<LevelPlace>, Violation> {
+        let wrong = |found: String| {
+            Violation::new("K11", format!("{} levels and the checksum of what is said of them", self.count), found)
+        };
+        let (records, crc) = bytes.split_last_chunk::<4>().ok_or_else(|| wrong(format!("{} bytes", bytes.len())))?;
+        let found = crc::crc32c(records);
+        if bytes.len() as u64 != self.table().end - self.start || found != u32::from_le_bytes(*crc) {
+            return Err(wrong(format!("{} bytes of checksum {found:08x}", bytes.len())));
+        }
+        let mut reader = ByteReader::new(records, "K11");
+        let (mut told, mut end) = (Vec::with_capacity(MAX_LEVELS), self.table().end);
+        for _ in 0..self.count {
+            let (len, voxels, table_crc) = (reader.u64()?, reader.u64()?, reader.u32()?);
+            told.push(LevelPlace { head: ColourHead { plan: self.plan, voxels, table_crc }, range: 0..len });
+        }
+        // The coarsest lies first.
+        for LevelPlace { range, .. } in told.iter_mut().rev() {
+            let outside = || Violation::new("K11", format!("colours of levels up to byte {}", self.end), "some beyond");
+            let next = end.checked_add(range.end).filter(|&next| next <= self.end).ok_or_else(outside)?;
+            *range = end..next;
+            end = next;
+        }
+        Ok(told)
+    }
+}
+
+/// What is told of the colours of one level, and where they lie.
+#[derive(Debug, Clone)]
+pub(super) struct LevelPlace {
+    pub head: ColourHead,
+    pub range: Range<u64>,
+}
+
 /// Where the colours of a page lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColourEntry {
@@ -194,7 +287,7 @@ impl ColourEntry {
         Ok(block.colours(occupancy).unwrap_or_default())
     }
 
-    pub(super) fn broken(&self, key: PageKey, violation: Violation) -> Error {
+    fn broken(&self, key: PageKey, violation: Violation) -> Error {
         violation.at(format!("colours of page {key}"), self.offset)
     }
 }
@@ -223,13 +316,38 @@ impl ColourTable {
 }
 
 impl Catalog {
-    /// Where all colours lie; `None` if the archive has none.
+    /// Where all colours lie, with those of overview levels; `None` if the archive has none. Of a level, once it is known where its
+    /// colours lie: where these lie.
     pub fn colours_section(&self) -> Option<Range<u64>> {
-        let header = self.header();
-        header.colours.map(|_| header.colours_offset()..header.levels_offset())
+        self.colours.clone()
     }
 
-    /// Where the table of colour leaves lies, at most 6 KiB; `None` if the archive has no colours.
+    /// Of an overview level: where the table lies that says where its colours lie, at most 324 bytes. `None` if it has no colours,
+    /// and once it is [known](Self::with_level_colours) where they lie.
+    pub fn level_colours_range(&self) -> Option<Range<u64>> {
+        self.level_colours.as_ref().map(LevelColours::table)
+    }
+
+    /// The same overview level, of which it is known where its colours lie, from the bytes of
+    /// [`level_colours_range`](Self::level_colours_range) (rule K11).
+    pub fn with_level_colours(&self, table: &[u8]) -> Result<Self> {
+        let Some(place) = &self.level_colours else { return Ok(self.clone()) };
+        let told = place.decode(table)?;
+        let number = self.header().level;
+        let own = (number as usize).checked_sub(1).and_then(|at| told.get(at).cloned());
+        let least = (self.leaf_count() * LEAF_RECORD) as u64;
+        match own {
+            Some(LevelPlace { head, range }) if range.end - range.start >= least => {
+                Ok(self.with_colours_at(head, range))
+            }
+            _ => {
+                let violation = Violation::new("K11", format!("colours of {least} bytes or more"), "fewer");
+                Err(violation.at(format!("colours of level {number}"), place.start))
+            }
+        }
+    }
+
+    /// Where the table of colour leaves lies, at most 6 KiB; `None` without a [`colours_section`](Self::colours_section).
     pub fn colour_table_range(&self) -> Option<Range<u64>> {
         let end = self.colours_section()?.end;
         Some(end - (self.leaf_count() * LEAF_RECORD) as u64..end)
@@ -260,7 +378,7 @@ impl Catalog {
             leaves.push(ColourLeaf { offset: 0, stored_len, raw_len, crc });
         }
         // Leaves lie one after the other, before the table.
-        let section = self.header().colours_offset();
+        let section = self.colours_start();
         let mut end = range.start;
         for leaf in leaves.iter_mut().rev() {
             let start = end.checked_sub(u64::from(leaf.stored_len)).filter(|&start| start >= section);
@@ -290,7 +408,7 @@ impl Catalog {
             return Err(Violation::new("K3", format!("{} bytes in the frame", leaf.raw_len), content.len()));
         }
         let mut reader = ByteReader::new(content, "K3");
-        let section = self.header().colours_offset();
+        let section = self.colours_start();
         // Blocks end where leaves begin.
         let end = table.leaves.first().map_or(section, |first| first.offset);
         let outside = || Violation::new("K4", format!("blocks in bytes {section} to {end}"), "one outside");
@@ -314,6 +432,13 @@ impl Catalog {
     }
 }
 
+impl Catalog {
+    /// Where the colours begin.
+    fn colours_start(&self) -> u64 {
+        self.colours.as_ref().map_or(0, |range| range.start)
+    }
+}
+
 /// Greatest length of a colour leaf of so many entries before compression (bytes).
 fn max_raw_len(entries: u32) -> u64 {
     10 + u64::from(entries) * MAX_ENTRY
@@ -334,10 +459,14 @@ pub struct ColourReader {
 }
 
 impl ColourReader {
-    /// A reader of the colours of `archive`; `None` if it has none. One read.
+    /// A reader of the colours of `archive`; `None` if it has none. One read, of an overview level two.
     pub fn new(archive: &Archive) -> Result<Option<Self>> {
+        let mut archive = archive.whole();
+        if let Some(range) = archive.catalog().level_colours_range() {
+            let catalog = archive.catalog().with_level_colours(&read(&archive, range)?)?;
+            archive = archive.with_catalog(catalog);
+        }
         let Some(range) = archive.catalog().colour_table_range() else { return Ok(None) };
-        let archive = archive.whole();
         let table = archive.catalog().decode_colour_table(&read(&archive, range)?)?;
         let (decoder, occupancy) = (PageDecoder::new(), Occupancy::default());
         Ok(Some(Self { archive, table, decoder, occupancy, bytes: Vec::new(), leaf: None }))
@@ -381,10 +510,25 @@ impl ColourReader {
         self.archive.catalog().decode_colour_leaf(&self.table, index, &stored)
     }
 
+    /// Where the colours lie: of an archive with those of its levels, which come first; of a level its own (bytes).
+    pub fn bytes(&self) -> Range<u64> {
+        self.archive.catalog().colours_section().unwrap_or(0..0)
+    }
+
+    /// Voxels with a colour, as the archive states them.
+    pub(super) fn stated_voxels(&self) -> u64 {
+        self.archive.header().colours.map_or(0, |colours| colours.voxels)
+    }
+
+    /// Where the section begins.
+    pub(super) fn start(&self) -> u64 {
+        self.archive.catalog().colours_start()
+    }
+
     /// Where the blocks end.
     pub(super) fn blocks_end(&self) -> u64 {
         let first = self.table.leaves.first();
-        first.map_or(self.archive.header().colours_offset(), |first| first.offset)
+        first.map_or(self.archive.catalog().colour_table_range().map_or(0, |range| range.start), |first| first.offset)
     }
 
     fn fetch(&mut self, place: &ColourEntry) -> Result<()> {
@@ -403,19 +547,34 @@ impl ColourReader {
         self.fetch(place)?;
         self.occupancy.set(page);
         let block = place.block(key, &self.occupancy, &self.bytes);
-        block.map(Some).map_err(|violation| place.broken(key, violation))
+        block.map(Some).map_err(|violation| self.broken(place, key, violation))
+    }
+
+    pub(super) fn broken(&self, place: &ColourEntry, key: PageKey, violation: Violation) -> Error {
+        match self.archive.header().level {
+            0 => place.broken(key, violation),
+            level => violation.at(format!("colours of page {key} of level {level}"), place.offset),
+        }
+    }
+
+    /// Voxels of the page whose block was read last.
+    pub(super) fn occupancy(&self) -> &Occupancy {
+        &self.occupancy
     }
 
     /// The colours of page `key`, whose content is `page`, for another archive; they are decoded to be checked.
     pub(super) fn copied(&mut self, key: PageKey, page: &Page) -> Result<EncodedColours> {
         let place = self.find(key)?;
         let Some(block) = self.block(&place, key, page)? else { return Ok(EncodedColours::default()) };
-        Ok(EncodedColours { bytes: self.bytes.clone(), voxels: block.count() })
+        let coarse = Some(coarse_colours(&self.occupancy, block.rgb()));
+        Ok(EncodedColours { bytes: self.bytes.clone(), voxels: block.count(), coarse })
     }
 
-    /// Whether the block read last has the one encoding of its content (rule K9).
-    pub(super) fn is_canonical(&self, block: ColourBlock, encoder: &mut ColourEncoder) -> bool {
-        EncodedColours::of_block(block, &self.occupancy, encoder).bytes == self.bytes
+    /// Whether `block`, which was read last, has the one encoding of its content (rule K9).
+    pub(super) fn is_canonical(&self, block: &mut ColourBlock, encoder: &mut ColourEncoder) -> bool {
+        let mut again = Vec::with_capacity(self.bytes.len());
+        block.encode(&self.occupancy, encoder, &mut again);
+        again == self.bytes
     }
 
     /// The colours of those voxels of `page` that `part`, cut from it, has as well.

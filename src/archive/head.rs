@@ -3,7 +3,7 @@
 //! The head is read and checked as a whole: magic, length, checksum, then version and features, then every field.
 
 use super::FORMAT_VERSION;
-use super::colours::ColourHead;
+use super::colours::{ColourHead, LEAF_RECORD, LevelColours};
 use super::levels::{Levels, MAX_LEVELS, MAX_STORED_TABLE};
 use crate::bytes::crc;
 use crate::codec::{ByteReader, LevelSteps, Violation};
@@ -56,6 +56,10 @@ const LEVELS_MINOR: u16 = 1;
 pub(super) const LEVEL_THIRDS: u64 = 4;
 /// Minor version from which they may.
 const LEVEL_THIRDS_MINOR: u16 = 4;
+/// Bit of `features_optional`: with levels and colours, levels have colours.
+pub(super) const LEVEL_COLOURS: u64 = 8;
+/// Minor version from which they may.
+const LEVEL_COLOURS_MINOR: u16 = 4;
 /// Bit of `features_required`: holes were filled, so pages may hold inferred matter.
 pub(super) const INFERRED: u64 = 1;
 /// Minor version from which there is inferred matter.
@@ -208,6 +212,15 @@ impl Header {
     pub(super) fn level_steps(&self) -> LevelSteps {
         let has_thirds = self.version.1 >= LEVEL_THIRDS_MINOR && self.features_optional & LEVEL_THIRDS != 0;
         if has_thirds { LevelSteps::Thirds } else { LevelSteps::Fifths }
+    }
+
+    /// Where the colours of the overview levels are told of; `None` if levels have none.
+    pub(super) fn level_colours(&self) -> Option<LevelColours> {
+        let has_colours = self.version.1 >= LEVEL_COLOURS_MINOR && self.features_optional & LEVEL_COLOURS != 0;
+        let (levels, colours) = (self.levels?, self.colours.filter(|_| has_colours)?);
+        let leaves = self.pages.total().div_ceil(u64::from(self.leaf_entries.max(1)));
+        let end = self.levels_offset().saturating_sub(LEAF_RECORD as u64 * leaves);
+        (levels.count > 0).then(|| LevelColours::new(levels.count, self.colours_offset(), end, colours.plan))
     }
 
     /// Offset of the pages (bytes).
@@ -443,11 +456,6 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
         let (levels, levels_len) = decode_levels(version.1, features_optional, &reserved[..LEVELS_END])?;
         let inferred = decode_inferred(version.1, features_required, &plan, &reserved[LEVELS_END..INFERRED_END])?;
         let (colours, colours_len) = decode_colours(version.1, features_optional, &reserved[INFERRED_END..])?;
-        let table_len = 12 * u64::from(leaf_count);
-        if colours.is_some() && colours_len < table_len {
-            let expected = format!("colours of {table_len} bytes or more");
-            return Err(Violation::new("K1", expected, colours_len));
-        }
         let Some(pages_len) = words[20].checked_sub(levels_len).and_then(|len| len.checked_sub(colours_len)) else {
             return Err(Violation::new("L1", format!("levels of at most {} bytes", words[20]), levels_len));
         };
@@ -486,6 +494,12 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
             level: 0,
         };
         check_sums(&header)?;
+        let of_levels = header.level_colours().map_or(0, |levels| levels.table().end - levels.table().start);
+        let tables = LEAF_RECORD as u64 * u64::from(leaf_count) + of_levels;
+        if header.colours.is_some() && colours_len < tables {
+            let expected = format!("colours of {tables} bytes or more");
+            return Err(Violation::new("K1", expected, colours_len));
+        }
         Ok((header, leaf_count as usize))
     };
     rest().map_err(at)

@@ -17,6 +17,8 @@ mod matter;
 
 mod colours;
 
+mod colour_check;
+
 mod levels;
 
 mod shard;

@@ -74,6 +74,11 @@ impl Archive {
         Self::from_parts(self.source, self.catalog.ignoring_inferred())
     }
 
+    /// The same bytes, of which `catalog` says more.
+    pub(super) fn with_catalog(&self, catalog: Catalog) -> Self {
+        Self::from_parts(self.source.clone(), catalog)
+    }
+
     /// The same archive with inferred matter.
     pub(super) fn whole(&self) -> Self {
         Self::from_parts(self.source.clone(), self.catalog.whole())
@@ -93,7 +98,8 @@ impl Archive {
     }
 
     /// Overview level `number` (1 is the finest) as an archive of its own on a coarser grid, for a store, a stream and every
-    /// query. It reads from the same source; its metadata are empty.
+    /// query. It reads from the same source; its metadata are empty. A [`ColourReader`](super::ColourReader) of it reads its colours,
+    /// if the archive has some.
     pub fn level(&self, number: u32) -> Result<Self> {
         let levels = self.levels()?;
         let level = levels.iter().find(|level| level.number() == number).ok_or_else(|| {
@@ -107,7 +113,7 @@ impl Archive {
     }
 
     /// As [`level`](Self::level), from the bytes of the level alone ([`Level::bytes`]): for programs that fetch bytes
-    /// themselves. Fails if there are more or fewer.
+    /// themselves. Fails if there are more or fewer. Its colours lie elsewhere: it has none.
     pub fn of_level(level: &Level, bytes: Vec<u8>) -> Result<Self> {
         let range = level.bytes();
         let len = range.end - range.start;
@@ -115,7 +121,8 @@ impl Archive {
             let reason = format!("expected its {len} bytes from {} on, found {}", range.start, bytes.len());
             return Err(Error::parameter(format!("level {}", level.number()), reason));
         }
-        Ok(Self::from_parts(Arc::new(MemorySource::part(range.start, bytes)), level.catalog().clone()))
+        let source = Arc::new(MemorySource::part(range.start, bytes));
+        Ok(Self::from_parts(source, level.catalog().without_level_colours()))
     }
 
     /// What is known of the archive without another read.

@@ -5,16 +5,16 @@
 //! Memory: the bytes of one leaf, 1 MiB of pages, and what was found of the last 65,536 stored pages (about 8 MiB): a page
 //! that shares their bytes is checked by that. Time: linear in the bytes of the pages and in their number.
 
-use super::colours::{ColourEntry, ColourReader};
+use super::colour_check::ColourCheck;
 use super::dedup::WINDOW;
 use super::directory::{Content, Extent, PageEntry, Storage};
 use super::head::{Pages, Tiles, Voxels};
-use super::levels::{CoarseSpan, LevelCheck, coarse};
+use super::levels::{CoarseColour, CoarseSpan, LevelCheck, coarse, coarse_colours};
 use super::matter::Matter;
 use super::page::{PageDecoder, PageEncoder, check_entry, check_key, check_leader};
 use super::reader::Archive;
 use super::shard::Shard;
-use crate::codec::{ColourEncoder, Violation};
+use crate::codec::Violation;
 use crate::frame::TILE_PIXELS;
 use crate::monitor::Monitor;
 use crate::slice::{Inferred, Page, PageBounds, PageSize, Span};
@@ -101,6 +101,7 @@ impl Archive {
             coarse: HashMap::new(),
             coarse_kept: 0,
             colours: None,
+            colour_decoder: PageDecoder::new(),
         };
         pass.metadata();
         pass.colour_table();
@@ -188,18 +189,7 @@ struct Pass<'a> {
     coarse_kept: usize,
     /// `None` without colours, and where their table is damaged.
     colours: Option<ColourCheck>,
-}
-
-/// Colours and how far they were checked.
-struct ColourCheck {
-    reader: ColourReader,
-    encoder: ColourEncoder,
-    decoder: PageDecoder,
-    /// Those of the directory leaf at hand that are to come, last first; none if they are not known.
-    leaf: Vec<ColourEntry>,
-    /// Where the next block must begin; unknown after a damaged leaf.
-    next: Option<u64>,
-    voxels: u64,
+    colour_decoder: PageDecoder,
 }
 
 impl Pass<'_> {
@@ -215,73 +205,55 @@ impl Pass<'_> {
 
     fn colour_table(&mut self) {
         let header = self.archive.header();
-        match ColourReader::new(self.archive) {
-            Ok(reader) => {
-                self.colours = reader.map(|reader| ColourCheck {
-                    reader,
-                    encoder: ColourEncoder::default(),
-                    decoder: PageDecoder::new(),
-                    leaf: Vec::new(),
-                    next: Some(header.colours_offset()),
-                    voxels: 0,
-                });
-            }
+        // Those of levels come first, whose table is checked with the levels.
+        let start = header.level_colours().map_or(Some(header.colours_offset()), |place| {
+            let range = place.table();
+            let mut table = vec![0; (range.end - range.start) as usize];
+            self.archive.source().read_at(range.start, &mut table).ok()?;
+            Some(place.decode(&table).ok()?.first()?.range.end)
+        });
+        match ColourCheck::new(self.archive, start) {
+            Ok(check) => self.colours = check,
             Err(error) => self.error(error, "table of colours", header.colours_offset()),
         }
     }
 
     /// Takes the colour leaf of directory leaf `index`.
     fn colour_leaf(&mut self, index: usize) {
-        let Some(check) = &mut self.colours else { return };
-        match check.reader.leaf_entries(index) {
-            Ok(mut entries) => {
-                entries.reverse();
-                check.leaf = entries;
-            }
-            Err(error) => {
-                (check.leaf, check.next) = (Vec::new(), None);
-                let at = self.archive.header().colours_offset();
-                self.error(error, &format!("colour leaf {index}"), at);
-            }
+        if let Some(check) = &mut self.colours
+            && let Err(error) = check.open_leaf(index)
+        {
+            let at = self.archive.header().colours_offset();
+            self.error(error, &format!("colour leaf {index}"), at);
         }
     }
 
-    /// Checks the colours of the next page of the leaf: of a page that is not sound only where they lie.
-    fn page_colours(&mut self, entry: &PageEntry, sound: bool) {
-        let Some(mut check) = self.colours.take() else { return };
-        if let Some(place) = check.leaf.pop()
-            && let Err(error) = self.check_colours(&mut check, &place, entry, sound)
-        {
-            self.error(error, &format!("colours of page {}", entry.key), place.offset);
-        }
+    /// Checks the colours of the next page of the leaf, of a page that is not sound only where they lie; what they give to levels,
+    /// where there are some.
+    fn page_colours(&mut self, entry: &PageEntry, sound: bool) -> Box<[CoarseColour]> {
+        let Some(mut check) = self.colours.take() else { return Box::default() };
+        let checked = self.check_colours(&mut check, entry, sound);
         self.colours = Some(check);
+        checked.unwrap_or_else(|error| {
+            let at = self.archive.header().colours_offset();
+            self.error(error, &format!("colours of page {}", entry.key), at);
+            Box::default()
+        })
     }
 
     /// Rules K4 to K9.
     fn check_colours(
         &mut self,
         check: &mut ColourCheck,
-        place: &ColourEntry,
         entry: &PageEntry,
         sound: bool,
-    ) -> Result<()> {
-        let expected = check.next.replace(place.range().end);
-        if let Some(expected) = expected.filter(|&expected| expected != place.offset) {
-            let violation = Violation::new("K8", format!("the block at byte {expected}"), place.offset);
-            return Err(place.broken(entry.key, violation));
-        }
-        if place.len == 0 || !sound {
-            return Ok(());
-        }
-        let page = self.archive.page_with(entry, &mut check.decoder)?;
-        let Some(block) = check.reader.block(place, entry.key, &page)? else { return Ok(()) };
-        check.voxels += block.count();
-        self.summary.bytes += u64::from(place.len);
-        if !check.reader.is_canonical(block, &mut check.encoder) {
-            let violation = Violation::new("K9", "the one encoding of its content", "another");
-            return Err(place.broken(entry.key, violation));
-        }
-        Ok(())
+    ) -> Result<Box<[CoarseColour]>> {
+        let Some(place) = check.place(entry.key)?.filter(|place| place.len > 0 && sound) else {
+            return Ok(Box::default());
+        };
+        let page = self.archive.page_with(entry, &mut self.colour_decoder)?;
+        let block = check.block(&place, entry.key, &page)?.filter(|_| self.levels.is_some());
+        Ok(block.map_or_else(Box::default, |block| coarse_colours(check.occupancy(), block.rgb())))
     }
 
     /// Counts a finding of `rule`, and lists it if there are not too many.
@@ -344,7 +316,7 @@ impl Pass<'_> {
             Storage::Stored(extent) => self.stored(entry, extent),
             Storage::Shared(extent) => self.shared(entry, extent),
         };
-        self.page_colours(entry, facts.is_some());
+        let colours = self.page_colours(entry, facts.is_some());
         if let Some(facts) = facts {
             self.summary.voxels.occupied += facts.voxels.0;
             self.summary.voxels.obstacle += facts.voxels.1;
@@ -353,7 +325,7 @@ impl Pass<'_> {
         }
         if let Some(mut levels) = self.levels.take() {
             match self.coarse_of(entry) {
-                Some(spans) => levels.add(entry.key, &spans),
+                Some(spans) => levels.add(entry.key, &spans, &colours),
                 None => levels.give_up(),
             }
             self.level_findings(&mut levels);
@@ -387,7 +359,7 @@ impl Pass<'_> {
 
     fn level_findings(&mut self, levels: &mut LevelCheck<'_>) {
         let at = self.archive.header().levels_offset();
-        for error in levels.found.drain(..) {
+        for error in levels.found() {
             self.error(error, "levels", at);
         }
     }
@@ -520,17 +492,17 @@ impl Pass<'_> {
             self.error(violation.at("pages", header.pages_offset()), "pages", 0);
         }
         if let Some(check) = self.colours.take() {
-            let end = check.reader.blocks_end();
-            if let Some(found) = check.next.filter(|&found| found != end) {
-                let violation = Violation::new("K8", format!("blocks up to byte {end}"), found);
+            if let Err(violation) = check.at_end() {
                 self.error(violation.at("colours", header.colours_offset()), "colours", 0);
             }
-            let stated = header.colours.map_or(0, |colours| colours.voxels);
+            self.summary.bytes += check.bytes;
+            let stated = check.stated_voxels();
             if self.summary.findings == 0 && stated != check.voxels {
                 self.error(Violation::new("K10", check.voxels, stated).at("head", 0), "head", 0);
             }
             if self.summary.findings == 0 {
-                self.summary.bytes += header.levels_offset() - end;
+                let start = check.start.unwrap_or(header.colours_offset());
+                self.summary.bytes += start - header.colours_offset() + header.levels_offset() - check.end();
             }
         }
         if let Some(mut levels) = self.levels.take() {

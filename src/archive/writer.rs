@@ -167,6 +167,7 @@ impl ArchiveWriter {
         self.levels = Some(LevelWriter::new(&self.plan.frame, self.output.files(), self.output.beside()));
         self.counts.version.1 = head::needs(&self.plan, true, self.colours.is_some()).0;
         self.counts.features_optional |= head::LEVELS | head::LEVEL_THIRDS;
+        self.colour_levels();
     }
 
     /// Gives the archive colours of `plan`: before its first page.
@@ -175,6 +176,15 @@ impl ArchiveWriter {
         self.colours = Some(ColourWriter::new(plan, self.output.files(), self.output.beside()));
         self.counts.version.1 = head::needs(&self.plan, self.levels.is_some(), true).0;
         self.counts.features_optional |= head::COLOURS;
+        self.colour_levels();
+    }
+
+    /// Gives levels colours where there are both.
+    fn colour_levels(&mut self) {
+        if let (Some(levels), Some(colours)) = (&mut self.levels, &self.colours) {
+            levels.set_colours(colours.plan);
+            self.counts.features_optional |= head::LEVEL_COLOURS;
+        }
     }
 
     /// How the colours of the archive are made, if it gets some.
@@ -281,6 +291,12 @@ impl ArchiveWriter {
 
     /// Adds an entry whose bytes have their place, and counts it.
     fn push(&mut self, key: PageKey, placed: &Placed, coarse: &[CoarseSpan], colours: &EncodedColours) -> Result<()> {
+        if self.levels.is_some() && !colours.bytes.is_empty() && colours.coarse.is_none() {
+            return Err(Error::parameter(
+                format!("page {key}"),
+                "its colours are encoded for an archive without overview levels",
+            ));
+        }
         let &Placed { storage, slices, size, bounds, voxels, inferred, .. } = placed;
         let entry = PageEntry { key, slices, size, storage };
         self.entries.push(entry)?;
@@ -307,7 +323,10 @@ impl ArchiveWriter {
         let (low, high) = entry.slice_range();
         let (first, last) = self.counts.slices.unwrap_or((low, high));
         self.counts.slices = Some((first.min(low), last.max(high)));
-        self.levels.as_mut().map_or(Ok(()), |levels| levels.add(key, coarse))?;
+        if let Some(levels) = &mut self.levels {
+            let of_colours = if self.colours.is_some() { colours.coarse.as_deref() } else { None };
+            levels.add(key, coarse, of_colours.unwrap_or_default())?;
+        }
         self.colours.as_mut().map_or(Ok(()), |writer| writer.add(key, colours))
     }
 
@@ -376,11 +395,17 @@ impl ArchiveWriter {
         }
         let pages = self.flushed + self.buffer.len() as u64;
         let (mut colours_len, mut levels_len) = (0, 0);
-        if let Some(colours) = self.colours.take() {
-            let (colours, len) = colours.finish(leaf_entries, &mut |bytes| self.append(bytes))?;
-            (header.colours, colours_len) = (Some(colours), len);
+        let mut levels = self.levels.take();
+        if let Some(levels) = &mut levels {
+            levels.end()?;
         }
-        if let Some(levels) = self.levels.take() {
+        if let Some(colours) = self.colours.take() {
+            let mut give = |bytes: &[u8]| self.append(bytes);
+            let of_levels = levels.as_mut().map_or(Ok(0), |levels| levels.finish_colours(&mut give))?;
+            let (colours, len) = colours.finish(leaf_entries, of_levels, &mut give)?;
+            (header.colours, colours_len) = (Some(colours), of_levels + len);
+        }
+        if let Some(levels) = levels {
             let (levels, len) = levels.finish(&mut |bytes| self.append(bytes))?;
             (header.levels, levels_len) = (Some(levels), len);
         }

@@ -175,6 +175,19 @@ impl Quantiser {
     }
 }
 
+/// What [`Quantiser`] makes of a colour, for steps of any width, by divisions.
+fn numbers(colour: [u16; 3], steps: [u8; 3]) -> [i16; 3] {
+    if steps == [1; 3] {
+        return ycocg(colour.map(to_8_bits)).map(|value| value as i16);
+    }
+    let [r, g, b] = colour.map(i32::from);
+    let all = [(r + 2 * g + b + 2) / 4, r - b, g - (r + b) / 2];
+    [0, 1, 2].map(|at: usize| {
+        let step = 257 * i32::from(steps[at]);
+        ((all[at].abs() + step / 2) / step * all[at].signum()) as i16
+    })
+}
+
 /// The colour of numbers of steps.
 #[inline]
 fn restored(value: [i16; 3], steps: [u8; 3]) -> [u8; 3] {
@@ -229,9 +242,20 @@ impl ColourBlock {
         values.iter().any(|value| value[0] != ABSENT).then_some(Self { steps: self.steps, values })
     }
 
+    /// Whether the numbers are those that exact colours (16 bits a channel) of the same voxels become with the steps of the block.
+    pub fn is_of(&self, colours: &[Option<[u16; 3]>]) -> bool {
+        let value = |colour: &Option<[u16; 3]>| colour.map_or([ABSENT, 0, 0], |colour| numbers(colour, self.steps));
+        self.values.len() == colours.len() && self.values.iter().zip(colours).all(|(own, colour)| *own == value(colour))
+    }
+
     /// Number of voxels with a colour.
     pub fn count(&self) -> u64 {
         self.values.iter().filter(|value| value[0] != ABSENT).count() as u64
+    }
+
+    /// Colours in order of voxels.
+    pub fn rgb(&self) -> impl Iterator<Item = Option<[u8; 3]>> + '_ {
+        self.values.iter().map(|&value| (value[0] != ABSENT).then(|| restored(value, self.steps)))
     }
 
     /// The colours.
@@ -282,6 +306,20 @@ impl ColourBlock {
 #[derive(Debug, Default)]
 pub struct ColourEncoder {
     rans: RansEncoder,
+    without_levels: bool,
+}
+
+impl ColourEncoder {
+    /// Whether colours are prepared for overview levels, as they are unless this says otherwise. An archive without levels costs
+    /// less if they are not; one with levels refuses colours that are not.
+    pub fn for_levels(self, levels: bool) -> Self {
+        Self { without_levels: !levels, ..self }
+    }
+
+    /// Whether colours are prepared for overview levels.
+    pub fn is_for_levels(&self) -> bool {
+        !self.without_levels
+    }
 }
 
 /// What is known around a voxel.
@@ -501,6 +539,9 @@ mod tests {
             let before = block.clone();
             let bytes = code(&mut block, &occupancy);
             prop_assert_eq!(&block, &before);
+            prop_assert!(block.is_of(&colours));
+            let rgb: Vec<_> = block.colours(occupancy.clone()).unwrap().voxels().map(|(.., colour)| colour).collect();
+            prop_assert_eq!(block.rgb().collect::<Vec<_>>(), rgb);
             prop_assert_eq!(&ColourBlock::decode(&bytes, &occupancy).unwrap(), &block);
             let found = block.colours(occupancy.clone()).unwrap();
             prop_assert_eq!(found.count(), block.count());

@@ -102,8 +102,10 @@ pub(super) fn write_columns(
     let values = colours.is_some();
     let pass = Columns { merge: &merge, memory_bytes, threads, ahead, max_columns, views, values, monitor };
     let most = (memory_bytes / 16 / threads as u64).max(LEAST_COLOUR_BYTES) / BYTES_PER_COLOUR;
-    let maker =
-        || PageMaker { colours: colours.map(|plan| PageColours::new(plan, most)), ..PageMaker::new(plan, levels) };
+    let maker = || PageMaker {
+        colours: colours.map(|plan| PageColours::new(plan, most, levels)),
+        ..PageMaker::new(plan, levels)
+    };
     let worker = |patches| PageWorker { patches, pages: maker(), columns };
     let mut left_out = LeftOut::default();
     pass.work_in_order(plan, worker, |done: PagesDone| {
@@ -238,10 +240,10 @@ struct PageColours {
 }
 
 impl PageColours {
-    /// Of up to `most` voxels a column.
-    fn new(plan: ColourPlan, most: u64) -> Self {
+    /// Of up to `most` voxels a column, for an archive with `levels` or without.
+    fn new(plan: ColourPlan, most: u64, levels: bool) -> Self {
         let column = ColumnColours::new(plan.scale, usize::try_from(most).unwrap_or(usize::MAX));
-        let (occupancy, encoder) = (Occupancy::default(), ColourEncoder::default());
+        let (occupancy, encoder) = (Occupancy::default(), ColourEncoder::default().for_levels(levels));
         Self { plan, column, occupancy, found: Vec::new(), encoder }
     }
 

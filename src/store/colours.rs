@@ -62,6 +62,8 @@ struct Flight {
 
 #[derive(Debug)]
 enum What {
+    /// The table that says where the colours of a level lie.
+    Levels,
     Table,
     Leaf(usize),
     Pages(Vec<(u32, ColourEntry)>),
@@ -78,14 +80,16 @@ struct Here {
 
 impl Loader {
     /// Colours of the pages that this loader brings, within its budget; `None` until the directory is there, and for an archive
-    /// without colours.
+    /// or overview level without colours.
     pub fn colours(&self) -> Option<ColourLoader> {
         let (catalog, index) = (self.shared_catalog()?, self.cache.as_ref()?.index().clone());
         // Inferred matter has no colours, but its voxels are counted.
         if catalog.ignores_inferred() {
             return None;
         }
-        catalog.colours_section()?;
+        if catalog.colours_section().is_none() && catalog.level_colours_range().is_none() {
+            return None;
+        }
         Some(ColourLoader {
             catalog,
             index,
@@ -146,6 +150,10 @@ impl ColourLoader {
         }
         loop {
             let page = *self.wanted.first()?;
+            if let Some(range) = self.catalog.level_colours_range() {
+                let bytes = 2 * (range.end - range.start) as usize;
+                return self.launch(range, What::Levels, bytes);
+            }
             if self.table.is_none() {
                 let range = self.catalog.colour_table_range()?;
                 let bytes = 2 * (range.end - range.start) as usize;
@@ -205,6 +213,10 @@ impl ColourLoader {
     fn arrived(&mut self, bytes: Vec<u8>) -> Result<()> {
         let Some(Flight { range, what, room }) = self.flight.take() else { return Ok(()) };
         match what {
+            What::Levels => {
+                let catalog = self.catalog.with_level_colours(&bytes);
+                self.catalog = Arc::new(catalog.inspect_err(|_| self.again = Time::MAX)?);
+            }
             What::Table => {
                 let table = self.catalog.decode_colour_table(&bytes);
                 self.table = Some(table.inspect_err(|_| self.again = Time::MAX)?);
@@ -309,12 +321,15 @@ mod tests {
     use crate::slice::{PageBuilder, Span};
 
     /// 12 × 3 pages of rough ground; every fourth has no colours.
-    fn archive() -> Vec<u8> {
+    fn archive(levels: bool) -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("a.slices");
         let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
         let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
         let plan_of_colours = ColourPlan { scale: ColourScale::of_rgb(65_535), error_milli: 0 };
+        if levels {
+            writer.set_levels();
+        }
         writer.set_colours(plan_of_colours);
         let (mut encoder, mut of_colours) = (PageEncoder::new(plan.frame), ColourEncoder::default());
         let mut keys: Vec<_> = (0..36).map(|n| PageKey { tx: n % 12, ty: n / 12, layer: 0 }).collect();
@@ -344,7 +359,10 @@ mod tests {
 
     /// A loader with all pages of the archive in memory.
     fn whole(bytes: &[u8], budget: usize) -> Loader {
-        let archive = Archive::from_bytes(bytes.to_vec()).unwrap();
+        whole_of(&Archive::from_bytes(bytes.to_vec()).unwrap(), bytes, budget)
+    }
+
+    fn whole_of(archive: &Archive, bytes: &[u8], budget: usize) -> Loader {
         let mut loader = Loader::new(archive.catalog().clone(), LoaderOptions::new(budget)).unwrap();
         let mut request = None;
         loop {
@@ -356,7 +374,7 @@ mod tests {
                     }
                 }
                 Next::Wait(_) if request.is_some() => return loader,
-                Next::Wait(_) => request = Some(loader.request(&keys(&archive), keys(&archive)[0])),
+                Next::Wait(_) => request = Some(loader.request(&keys(archive), keys(archive)[0])),
                 other => panic!("{other:?}"),
             }
         }
@@ -364,7 +382,7 @@ mod tests {
 
     #[test]
     fn colours_come_as_a_reader_reads_them_the_most_urgent_first() {
-        let bytes = archive();
+        let bytes = archive(false);
         let mut reader = ColourReader::new(&Archive::from_bytes(bytes.clone()).unwrap()).unwrap().unwrap();
         let loader = whole(&bytes, 64 << 20);
         let view = loader.view().unwrap();
@@ -407,8 +425,50 @@ mod tests {
     }
 
     #[test]
+    fn colours_of_a_level_come_like_those_of_an_archive_and_damage_keeps_them_away() {
+        let bytes = archive(true);
+        let level = Archive::from_bytes(bytes.clone()).unwrap().level(1).unwrap();
+        let table = level.catalog().level_colours_range().unwrap();
+        let mut reader = ColourReader::new(&level).unwrap().unwrap();
+        let loader = whole_of(&level, &bytes, 64 << 20);
+        let view = loader.view().unwrap();
+        for damage in [None, Some(table.start), Some(table.end - 1)] {
+            let mut damaged = bytes.clone();
+            damage.into_iter().for_each(|at| damaged[at as usize] ^= 1);
+            let mut colours = loader.colours().unwrap();
+            colours.want(keys(&level));
+            let (mut found, mut errors, mut fetched) = (0, Vec::new(), 0);
+            while let Some(range) = colours.poll(Time::ZERO) {
+                assert_eq!(fetched == 0, range == table, "the table comes first");
+                fetched += 1;
+                let bytes = damaged[range.start as usize..range.end as usize].to_vec();
+                errors.extend(colours.given(bytes, Time::ZERO).err());
+                while let Some((key, colours)) = colours.decode(&view) {
+                    let expected = reader.colours_of(key, loaded(&view, key).unwrap()).unwrap();
+                    assert!(expected.count() > 0);
+                    assert_eq!(colours.unwrap(), expected);
+                    found += 1;
+                }
+            }
+            match damage {
+                None => assert_eq!((found, errors.len(), fetched), (3, 0, 4)),
+                Some(_) => {
+                    assert_eq!((found, errors.len(), fetched), (0, 1, 1));
+                    assert!(matches!(errors[0], Error::Format { rule: "K11", .. }), "{}", errors[0]);
+                }
+            }
+        }
+        // From the bytes of the level alone.
+        let archive = Archive::from_bytes(bytes.clone()).unwrap();
+        let told = &archive.levels().unwrap()[0];
+        let range = told.bytes();
+        let alone = Archive::of_level(told, bytes[range.start as usize..range.end as usize].to_vec()).unwrap();
+        assert!(ColourReader::new(&alone).unwrap().is_none());
+    }
+
+    #[test]
     fn a_budget_without_room_and_damage_keep_colours_away_and_nothing_else() {
-        let bytes = archive();
+        let bytes = archive(false);
         let archive_of = |bytes: &[u8]| Archive::from_bytes(bytes.to_vec()).unwrap();
         let all = keys(&archive_of(&bytes));
         let loader = whole(&bytes, 64 << 20);
@@ -445,7 +505,7 @@ mod tests {
 
     #[test]
     fn a_stream_reads_colours_when_no_page_is_to_be_read() {
-        let bytes = archive();
+        let bytes = archive(false);
         let archive = Archive::from_bytes(bytes.clone()).unwrap();
         let wanted = keys(&archive);
         let mut reader = ColourReader::new(&archive).unwrap().unwrap();

@@ -46,10 +46,21 @@ pub fn content(archive: &Archive) -> Result<Value> {
     let pages = archive.entries().map(one).collect::<Result<Vec<_>>>()?;
     let mut content = json!({ "info": info::info(archive)?, "pages": pages });
     if archive.header().levels.is_some() {
-        let level = |level: &Level| json!({ "pages": level.catalog().header().pages.total(), "pixel_size": level.frame().pixel_m() });
-        content["levels"] = archive.levels()?.iter().map(level).collect();
+        let levels = archive.levels()?.iter().map(|told| level(archive, told));
+        content["levels"] = levels.collect::<Result<Vec<_>>>()?.into();
     }
     Ok(content)
+}
+
+fn level(archive: &Archive, level: &Level) -> Result<Value> {
+    let pages = level.catalog().header().pages.total();
+    let mut value = json!({ "pages": pages, "pixel_size": level.frame().pixel_m() });
+    let level = archive.level(level.number())?;
+    if let Some(mut reader) = ColourReader::new(&level)? {
+        let pages = level.entries().map(|entry| colours(&mut reader, &entry?));
+        value["colours"] = pages.collect::<Result<Vec<_>>>()?.into();
+    }
+    Ok(value)
 }
 
 fn page(archive: &Archive, entry: &PageEntry) -> Result<Value> {

@@ -99,23 +99,8 @@ pub fn scene() -> (Pages, Totals) {
 }
 
 /// The bytes of an archive with colours by a formula; every seventh voxel has none, nor has every fifth page.
-pub fn archive_with_colours(
-    (pages, totals): &(Pages, Totals),
-    scale: ColourScale,
-    error_milli: u16,
-    levels: bool,
-) -> Vec<u8> {
-    let colours = ColourPlan { scale, error_milli };
-    let folder = tempfile::tempdir().unwrap();
-    let target = folder.path().join("a.slices");
-    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
-    if levels {
-        writer.set_levels();
-    }
-    writer.set_colours(colours);
-    let (mut encoder, mut colour_encoder) = (PageEncoder::new(plan().frame), ColourEncoder::default());
-    for (number, (&key, page)) in pages.iter().enumerate() {
-        let occupancy = Occupancy::of(page);
+pub fn archive_with_colours(made: &(Pages, Totals), scale: ColourScale, error_milli: u16, levels: bool) -> Vec<u8> {
+    archive_in_colour(made, ColourPlan { scale, error_milli }, levels, None, |number, _, occupancy| {
         let mut random = Congruential(number as u64);
         let value = |(pixel, k): (usize, u32)| {
             let base = (pixel as u32 % 64 * 700 + k * 900) % 60_000;
@@ -123,7 +108,50 @@ pub fn archive_with_colours(
                 [base, base / 2 + 9000, 50_000 - base / 2].map(|channel| (channel + random.below(3000)) as u16);
             (random.below(7) > 0 && number % 5 < 4).then_some(colour)
         };
-        let values: Vec<_> = occupancy.voxels().map(value).collect();
+        occupancy.voxels().map(value).collect()
+    })
+}
+
+/// The same by the place of voxels alone, so that parts have the colours of the whole.
+pub fn archive_coloured_by_place(
+    made: &(Pages, Totals),
+    error_milli: u16,
+    levels: bool,
+    shard: Option<Shard>,
+) -> Vec<u8> {
+    let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli };
+    archive_in_colour(made, colours, levels, shard, |_, key, occupancy| {
+        let mut random = Congruential(key.column() ^ key.layer as u64);
+        let value = |(pixel, k): (usize, u32)| {
+            let [x, y] = [(key.tx, pixel & 63), (key.ty, pixel >> 6)].map(|(t, p)| (64 * t + p as i32).rem_euclid(400));
+            let base = (x * 90 + y * 40) as u32 + k * 100;
+            let colour = [base, 60_000 - base, base / 2 + 7000].map(|channel| (channel + random.below(4000)) as u16);
+            (random.below(7) > 0 && key.tx % 5 != 3).then_some(colour)
+        };
+        occupancy.voxels().map(value).collect()
+    })
+}
+
+/// The bytes of an archive in which `colours_of` gives each page, by its number and key, the exact colours of its voxels.
+pub fn archive_in_colour(
+    (pages, totals): &(Pages, Totals),
+    colours: ColourPlan,
+    levels: bool,
+    shard: Option<Shard>,
+    mut colours_of: impl FnMut(usize, PageKey, &Occupancy) -> Vec<Option<[u16; 3]>>,
+) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("a.slices");
+    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    if levels {
+        writer.set_levels();
+    }
+    writer.set_colours(colours);
+    shard.into_iter().for_each(|shard| writer.set_shard(shard));
+    let (mut encoder, mut colour_encoder) = (PageEncoder::new(plan().frame), ColourEncoder::default());
+    for (number, (&key, page)) in pages.iter().enumerate() {
+        let occupancy = Occupancy::of(page);
+        let values = colours_of(number, key, &occupancy);
         let made = EncodedColours::new(&colours, &occupancy, &values, &mut colour_encoder);
         writer.put(key, encoder.encode(key, page).with_colours(made)).unwrap();
     }
@@ -227,6 +255,19 @@ pub fn render(archive: &Archive) -> String {
         }
         for (px, py, spans) in archive.page(&entry).unwrap().columns() {
             line(format_args!("  {px},{py}: {spans:?}"));
+        }
+    }
+    for level in archive.levels().unwrap() {
+        let (number, level) = (level.number(), archive.level(level.number()).unwrap());
+        let Some(mut reader) = ColourReader::new(&level).unwrap() else { continue };
+        for entry in level.entries().map(Result::unwrap) {
+            let colours = reader.colours(&entry).unwrap();
+            let hash = crc32c::crc32c(colours.values().as_flattened());
+            line(format_args!(
+                "level {number} page {}: {} coloured voxels, crc {hash:08x}",
+                entry.key,
+                colours.count()
+            ));
         }
     }
     out

@@ -1,10 +1,10 @@
 //! Damaged and forged samples. Forged ones have right checksums and break the one rule that says so.
 
 use crate::common::forge::{Parts, put, word};
-use crate::common::{archive, archive_of, archive_with_colours, key, page, plan, scene, two_pixels};
+use crate::common::{archive, archive_in_colour, archive_of, archive_with_colours, key, page, plan, scene, two_pixels};
 use slicewalk::archive::{Archive, Totals};
 use slicewalk::codec::{Encoder, Packer};
-use slicewalk::colour::ColourScale;
+use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::frame::Frame;
 use slicewalk::plan::{Plan, PlanOptions};
 use slicewalk::slice::Span;
@@ -94,6 +94,8 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("words-left-in-colours", "K6", with_block(&coloured, |block| block.extend([0, 0]))),
         ("colours-beyond-white", "K7", with_block(&coloured, |block| block[1] = 255)),
         ("colours-miscounted", "K10", coloured.build(|head| put(head, 360, 1, 8))),
+        ("flipped-in-colours-of-levels", "K11", colours_of_levels(|own, _| own[3] ^= 2)),
+        ("colours-of-levels-of-others", "K12", colours_of_levels(|own, other| own.copy_from_slice(other))),
         ("unordered-metadata", "M2", metadata(b"zzzz\0\0\0\0aaaa\0\0\0\0")),
         ("crs-not-utf-8", "M3", metadata(b"CRS \x01\0\0\0\xFF")),
         ("page-of-another-part", "T5", metadata(&[b"SHRD\x28\0\0\0\x01\0\0\0\x02\0\0\0", &[0; 32][..]].concat())),
@@ -133,6 +135,24 @@ fn with_block(parts: &Parts, change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
         put(head, 352, len as u64, 8);
         put(head, 368, crc.into(), 4);
     })
+}
+
+/// Two pages in colour, with the table and the colours of their level changed; those of other colours are as long.
+fn colours_of_levels(change: impl FnOnce(&mut [u8], &[u8])) -> Vec<u8> {
+    let one = page([((3, 4), vec![Span::new(40, 50, true).unwrap()])]);
+    let made = ([key(0, 0, 0), key(1, 0, 0)].map(|key| (key, one.clone())).into(), Totals::default());
+    let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
+    let [mut own, other] = [9000, 9257]
+        .map(|red| archive_in_colour(&made, colours, true, None, |_, _, _| vec![Some([red, 20_000, 40_000])]));
+    let archive = Archive::from_bytes(own.clone()).unwrap();
+    let (header, first) = (archive.header(), archive.catalog().colour_table_range().unwrap().start);
+    let (start, end) = (header.colours_offset() as usize, first as usize);
+    assert_eq!(own.len(), other.len());
+    // Behind the part of the level come the blocks of the archive, each as long as the other, then its leaf.
+    let len = 24 + u64::from_le_bytes(own[start..start + 8].try_into().unwrap()) as usize;
+    assert!(start + len < end && own[start..start + len] != other[start..start + len]);
+    change(&mut own[start..start + len], &other[start..start + len]);
+    own
 }
 
 /// The only shared page begins one byte beside the page that it shares.

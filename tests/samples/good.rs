@@ -41,6 +41,7 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("levels", archive_with_levels(&plan(), &(city(), totals()), None)),
         ("levels-1.1", include_bytes!("levels-1.1.bin").to_vec()),
         ("colours", archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)),
+        ("colours-1.3", include_bytes!("../golden/colours.slices").to_vec()),
         ("colours-exact", archive_with_colours(&two_pixels(), ColourScale::of_rgb(65_535), 0, false)),
         ("levels-of-one-page", archive_with_levels(&plan(), &two_pixels(), None)),
     ]

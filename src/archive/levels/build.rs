@@ -1,31 +1,34 @@
 //! Making all levels in the pass that writes, checks or copies an archive: pages come in the order of the archive and go out in
 //! the order of each level.
 //!
-//! In: the coarse spans of each page. Out: pages of levels, by [`Give`]. The 16 columns of pages under one column of a level
-//! follow each other in the order of pages, so a level holds one column of its own and gives it away when the next one begins.
-//! Memory: 2 MiB of spans for each of at most 16 levels; what does not fit is sorted in a temporary file.
+//! In: the coarse spans of each page, and its coarse colours. Out: pages of levels and the sums of their colours, by [`Give`]. The 16
+//! columns of pages under one column of a level follow each other in the order of pages, so a level holds one column of its own and
+//! gives it away when the next one begins. Memory: 2 MiB of spans for each of at most 16 levels, and 1.3 MiB of colours; what does
+//! not fit is sorted in temporary files.
 
 use super::coarse::{CoarseSpan, above, coarse, is_sparse, on_slices};
+use super::colours::{CoarseColour, ColourRecord, VoxelSum, coarser};
 use crate::Result;
 use crate::codec::LevelSteps;
+use crate::colour::ColourSum;
 use crate::disk::{Files, Temporary};
 use crate::frame::{Frame, PageKey};
 use crate::slice::{Page, PageBuilder, Span};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::iter::Peekable;
 use std::path::{Path, PathBuf};
+use std::vec::Drain;
 
 /// Greatest number of levels: then every tile index is 0 or −1.
 pub const MAX_LEVELS: usize = 16;
-/// Spans of a level held in memory.
-const KEPT: usize = 1 << 17;
-/// Spans of a sorted run read at once.
+/// Records of a sorted run read at once, and written.
 const PIECE: usize = 128;
-const RECORD: usize = 12;
+const PIECE_WRITTEN: usize = 1 << 14;
 const OBSTACLE: u16 = 1 << 15;
 
-/// Takes a page of the level with this number, less 1.
-pub type Give<'a> = dyn FnMut(usize, PageKey, &Page) -> Result<()> + 'a;
+/// Takes a page of the level with this number, less 1, and the sums of the colours in its voxels, in their order.
+pub type Give<'a> = dyn FnMut(usize, PageKey, &Page, &[VoxelSum]) -> Result<()> + 'a;
 
 /// The levels above pages that come in the order of the archive.
 #[derive(Debug)]
@@ -44,12 +47,13 @@ pub struct LevelBuilder {
 #[derive(Debug, Default)]
 struct Growing {
     column: Option<u64>,
-    spans: Sorter,
+    spans: Sorter<Record>,
+    colours: Sorter<ColourRecord>,
     /// Pages of the level below, and whether one lies beyond the eight around the origin, which no level can join.
     pages_below: u64,
     beyond_origin: bool,
     /// Pages that come before it is known that there is such a level: at most eight.
-    held: Vec<(PageKey, Page)>,
+    held: Vec<(PageKey, Page, Vec<VoxelSum>)>,
 }
 
 impl Growing {
@@ -73,9 +77,15 @@ impl LevelBuilder {
         }
     }
 
-    /// Adds the page `key` of the archive by its coarse spans. Keys ascend.
-    pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan], give: &mut Give<'_>) -> Result<()> {
-        self.add_below(0, key, spans, give)
+    /// Adds the page `key` of the archive by its coarse spans and colours. Keys ascend.
+    pub fn add(
+        &mut self,
+        key: PageKey,
+        spans: &[CoarseSpan],
+        colours: &[CoarseColour],
+        give: &mut Give<'_>,
+    ) -> Result<()> {
+        self.add_below(0, key, spans, &mut colours.iter().map(CoarseColour::place_and_sum), give)
     }
 
     /// Gives the pages that are left, and returns the number of levels.
@@ -89,7 +99,14 @@ impl LevelBuilder {
     }
 
     /// Adds a page of the level below number `at`.
-    fn add_below(&mut self, at: usize, key: PageKey, spans: &[CoarseSpan], give: &mut Give<'_>) -> Result<()> {
+    fn add_below(
+        &mut self,
+        at: usize,
+        key: PageKey,
+        spans: &[CoarseSpan],
+        colours: &mut dyn Iterator<Item = (u8, u8, ColourSum)>,
+        give: &mut Give<'_>,
+    ) -> Result<()> {
         if at == self.most {
             return Ok(());
         }
@@ -108,6 +125,9 @@ impl LevelBuilder {
         for span in spans {
             level.spans.push(Record::new(key, span), &self.files, self.beside.as_deref())?;
         }
+        for colour in colours {
+            level.colours.push(ColourRecord::new(key, colour), &self.files, self.beside.as_deref())?;
+        }
         Ok(())
     }
 
@@ -115,38 +135,52 @@ impl LevelBuilder {
     fn give_column(&mut self, at: usize, give: &mut Give<'_>) -> Result<()> {
         let level = &mut self.levels[at];
         let Some(column) = level.column.take() else { return Ok(()) };
-        let mut spans = std::mem::take(&mut level.spans);
+        let (mut spans, mut colours) = (std::mem::take(&mut level.spans), std::mem::take(&mut level.colours));
         let steps = self.steps;
         let builder = std::mem::take(&mut self.builder);
         let mut pages = Pages { builder, steps, layer: None, pixel: 0, below: 0, spans: Vec::new() };
-        spans.drain(|record| match pages.take(record) {
-            Some((layer, page)) => self.give_page(at, PageKey::from_column(column, layer), page, give),
-            None => Ok(()),
-        })?;
+        let mut sums = LayerSums { sorted: colours.sorted()?, next: None };
+        let mut sorted = spans.sorted()?;
+        while let Some(record) = sorted.next()? {
+            if let Some((layer, page)) = pages.take(record) {
+                self.give_page(at, PageKey::from_column(column, layer), page, sums.of(layer)?, give)?;
+            }
+        }
         let last = pages.finish();
         self.builder = pages.builder;
-        // Its memory serves the next column.
-        self.levels[at].spans = spans;
-        last.map_or(Ok(()), |(layer, page)| self.give_page(at, PageKey::from_column(column, layer), page, give))
+        if let Some((layer, page)) = last {
+            self.give_page(at, PageKey::from_column(column, layer), page, sums.of(layer)?, give)?;
+        }
+        // Their memory serves the next column.
+        drop((sorted, sums));
+        (self.levels[at].spans, self.levels[at].colours) = (spans, colours);
+        Ok(())
     }
 
-    fn give_page(&mut self, at: usize, key: PageKey, page: Page, give: &mut Give<'_>) -> Result<()> {
-        let spans = coarse(&page, self.steps);
+    fn give_page(
+        &mut self,
+        at: usize,
+        key: PageKey,
+        page: Page,
+        sums: Vec<VoxelSum>,
+        give: &mut Give<'_>,
+    ) -> Result<()> {
+        let (spans, colours) = (coarse(&page, self.steps), coarser(&sums));
         let level = &mut self.levels[at];
         if level.exists() {
-            for (key, page) in level.held.drain(..) {
-                give(at, key, &page)?;
+            for (key, page, sums) in level.held.drain(..) {
+                give(at, key, &page, &sums)?;
             }
-            give(at, key, &page)?;
+            give(at, key, &page, &sums)?;
         } else {
-            level.held.push((key, page));
+            level.held.push((key, page, sums));
         }
-        self.add_below(at + 1, key, &spans, give)
+        self.add_below(at + 1, key, &spans, &mut colours.into_iter(), give)
     }
 }
 
 /// A span of a level, in the order of layers, pixels and bottoms.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Record {
     /// Layer (plus 2³¹) in the bits from 32 on, pixel in those from 16 on, bottom below.
     place: u64,
@@ -171,18 +205,55 @@ impl Record {
     fn pixel(&self) -> u32 {
         (self.place >> 16) as u32 & 0xFFFF
     }
+}
 
-    fn to_bytes(self) -> [u8; RECORD] {
-        let mut bytes = [0; RECORD];
-        bytes[..8].copy_from_slice(&self.place.to_le_bytes());
-        bytes[8..10].copy_from_slice(&self.top.to_le_bytes());
-        bytes[10..].copy_from_slice(&self.joined.to_le_bytes());
-        bytes
+impl Sortable for Record {
+    const KEPT: usize = 1 << 17;
+    const LEN: usize = 12;
+
+    fn place(&self) -> u64 {
+        self.place
     }
 
-    fn of_bytes(&[a, b, c, d, e, f, g, h, i, j, k, l]: &[u8; RECORD]) -> Self {
+    fn put(&self, out: &mut Vec<u8>) {
+        out.extend(self.place.to_le_bytes());
+        out.extend(self.top.to_le_bytes());
+        out.extend(self.joined.to_le_bytes());
+    }
+
+    fn of(bytes: &[u8]) -> Self {
+        let Ok([a, b, c, d, e, f, g, h, i, j, k, l]) = <[u8; Self::LEN]>::try_from(bytes) else {
+            return Self::default();
+        };
         let place = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
         Self { place, top: u16::from_le_bytes([i, j]), joined: u16::from_le_bytes([k, l]) }
+    }
+}
+
+/// The sums of colours of one layer of a column after the other.
+struct LayerSums<'a> {
+    sorted: Sorted<'a, ColourRecord>,
+    next: Option<ColourRecord>,
+}
+
+impl LayerSums<'_> {
+    /// Those of `layer`; layers ascend.
+    fn of(&mut self, layer: i32) -> Result<Vec<VoxelSum>> {
+        let mut found = Vec::new();
+        loop {
+            let next = match self.next.take() {
+                Some(next) => next,
+                None => match self.sorted.next()? {
+                    Some(next) => next,
+                    None => return Ok(found),
+                },
+            };
+            if next.layer() > layer {
+                self.next = Some(next);
+                return Ok(found);
+            }
+            found.push(next.voxel());
+        }
     }
 }
 
@@ -246,18 +317,40 @@ impl Pages {
     }
 }
 
-/// Sorts records, in memory and beyond [`KEPT`] of them in a temporary file.
-#[derive(Debug, Default)]
-struct Sorter {
-    records: Vec<Record>,
+/// What is sorted by its place, which nothing else shares.
+pub trait Sortable: Copy {
+    /// Records held in memory.
+    const KEPT: usize;
+    /// Bytes of a record.
+    const LEN: usize;
+
+    fn place(&self) -> u64;
+
+    /// Appends its bytes.
+    fn put(&self, out: &mut Vec<u8>);
+
+    /// From its bytes.
+    fn of(bytes: &[u8]) -> Self;
+}
+
+/// Sorts records, in memory and beyond [`Sortable::KEPT`] of them in a temporary file.
+#[derive(Debug)]
+struct Sorter<R> {
+    records: Vec<R>,
     file: Option<Temporary>,
     /// Where the sorted runs in the file end, in records.
     runs: Vec<u64>,
 }
 
-impl Sorter {
-    fn push(&mut self, record: Record, files: &Files, beside: Option<&Path>) -> Result<()> {
-        if self.records.len() == KEPT {
+impl<R> Default for Sorter<R> {
+    fn default() -> Self {
+        Self { records: Vec::new(), file: None, runs: Vec::new() }
+    }
+}
+
+impl<R: Sortable> Sorter<R> {
+    fn push(&mut self, record: R, files: &Files, beside: Option<&Path>) -> Result<()> {
+        if self.records.len() == R::KEPT {
             let file = match &mut self.file {
                 Some(file) => file,
                 none => {
@@ -265,68 +358,83 @@ impl Sorter {
                     none.insert(Temporary::beside(files, &beside.map_or_else(systems, Path::to_path_buf))?)
                 }
             };
-            self.records.sort_unstable_by_key(|record| record.place);
+            self.records.sort_unstable_by_key(R::place);
             let start = self.runs.last().copied().unwrap_or(0);
-            for (piece, records) in (0..).zip(self.records.chunks(1 << 14)) {
-                let bytes: Vec<u8> = records.iter().flat_map(|record| record.to_bytes()).collect();
-                file.write_at((start + (piece << 14)) * RECORD as u64, &bytes)?;
+            let mut bytes = Vec::with_capacity(PIECE_WRITTEN * R::LEN);
+            for (piece, records) in (0..).zip(self.records.chunks(PIECE_WRITTEN)) {
+                bytes.clear();
+                records.iter().for_each(|record| record.put(&mut bytes));
+                file.write_at((start + piece * PIECE_WRITTEN as u64) * R::LEN as u64, &bytes)?;
             }
-            self.runs.push(start + KEPT as u64);
+            self.runs.push(start + R::KEPT as u64);
             self.records.clear();
         }
         self.records.push(record);
         Ok(())
     }
 
-    /// Gives all records in order and forgets them.
-    fn drain(&mut self, mut give: impl FnMut(Record) -> Result<()>) -> Result<()> {
-        self.records.sort_unstable_by_key(|record| record.place);
-        let Some(file) = self.file.take() else {
-            return self.records.drain(..).try_for_each(give);
-        };
-        let starts = [0].into_iter().chain(self.runs.iter().copied());
-        let mut runs: Vec<Run<'_>> =
-            starts.zip(&self.runs).map(|(at, &end)| Run { file: &file, at, end, read: Vec::new() }).collect();
+    /// All records in order; forgets them.
+    fn sorted(&mut self) -> Result<Sorted<'_, R>> {
+        self.records.sort_unstable_by_key(R::place);
+        let file = self.file.take();
+        let ends = std::mem::take(&mut self.runs);
+        let starts = [0].into_iter().chain(ends.iter().copied());
+        let mut runs: Vec<Run<R>> = starts.zip(&ends).map(|(at, &end)| Run { at, end, read: Vec::new() }).collect();
         let mut heads = BinaryHeap::new();
-        for (number, run) in runs.iter_mut().enumerate() {
-            heads.extend(run.next()?.map(|record| Reverse((record.place, number, record.top, record.joined))));
-        }
-        let mut kept = self.records.drain(..).peekable();
-        while let Some(&Reverse((place, number, top, joined))) = heads.peek() {
-            if let Some(record) = kept.next_if(|record| record.place < place) {
-                give(record)?;
-                continue;
+        if let Some(file) = &file {
+            for (number, run) in runs.iter_mut().enumerate() {
+                heads.extend(run.peek(file)?.map(|place| Reverse((place, number))));
             }
-            give(Record { place, top, joined })?;
-            heads.pop();
-            heads.extend(runs[number].next()?.map(|record| Reverse((record.place, number, record.top, record.joined))));
         }
-        kept.try_for_each(give)?;
-        self.runs.clear();
-        Ok(())
+        Ok(Sorted { kept: self.records.drain(..).peekable(), file, runs, heads })
+    }
+}
+
+/// Records in order.
+struct Sorted<'a, R> {
+    kept: Peekable<Drain<'a, R>>,
+    file: Option<Temporary>,
+    runs: Vec<Run<R>>,
+    /// The least place of each run that has records left.
+    heads: BinaryHeap<Reverse<(u64, usize)>>,
+}
+
+impl<R: Sortable> Sorted<'_, R> {
+    fn next(&mut self) -> Result<Option<R>> {
+        let (Some(file), Some(&Reverse((place, number)))) = (&self.file, self.heads.peek()) else {
+            return Ok(self.kept.next());
+        };
+        if let Some(record) = self.kept.next_if(|record| record.place() < place) {
+            return Ok(Some(record));
+        }
+        self.heads.pop();
+        let run = &mut self.runs[number];
+        let record = run.read.pop();
+        self.heads.extend(run.peek(file)?.map(|place| Reverse((place, number))));
+        Ok(record)
     }
 }
 
 /// A sorted run in the file.
-struct Run<'a> {
-    file: &'a Temporary,
+struct Run<R> {
     /// The next record that is not read, and the end.
     at: u64,
     end: u64,
     /// Records read, last first.
-    read: Vec<Record>,
+    read: Vec<R>,
 }
 
-impl Run<'_> {
-    fn next(&mut self) -> Result<Option<Record>> {
+impl<R: Sortable> Run<R> {
+    /// Place of the next record.
+    fn peek(&mut self, file: &Temporary) -> Result<Option<u64>> {
         if self.read.is_empty() && self.at < self.end {
             let count = (self.end - self.at).min(PIECE as u64);
-            let mut bytes = vec![0; count as usize * RECORD];
-            self.file.read_at(self.at * RECORD as u64, &mut bytes)?;
-            self.read.extend(bytes.as_chunks().0.iter().rev().map(Record::of_bytes));
+            let mut bytes = vec![0; count as usize * R::LEN];
+            file.read_at(self.at * R::LEN as u64, &mut bytes)?;
+            self.read.extend(bytes.chunks_exact(R::LEN).rev().map(R::of));
             self.at += count;
         }
-        Ok(self.read.pop())
+        Ok(self.read.last().map(R::place))
     }
 }
 
@@ -336,25 +444,35 @@ mod tests {
 
     #[test]
     fn records_come_back_in_order_from_memory_and_file() {
+        let span = |n: usize| {
+            let place = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            Record { place, top: (place >> 7) as u16, joined: (place >> 9) as u16 }
+        };
+        sorted_come_back(span, |record| (record.place, record.top, record.joined));
+        let colour = |n: usize| {
+            let word = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            let (below, sum) = (PageKey { tx: 0, ty: 0, layer: word as i32 >> 4 }, [word, word >> 3, word >> 5]);
+            ColourRecord::new(below, ((word >> 33) as u8, (word >> 41) as u8 & 15, ColourSum { n: word >> 1, sum }))
+        };
+        sorted_come_back(colour, |record| (record.place(), record.voxel().sum.n, record.voxel().sum.sum));
+    }
+
+    fn sorted_come_back<R: Sortable, T: Ord>(record: impl Fn(usize) -> R, shown: impl Fn(&R) -> T) {
         let folder = tempfile::tempdir().unwrap();
         let mut sorter = Sorter::default();
-        for count in [5, KEPT, KEPT + 1, 3 * KEPT + 77, 9] {
-            let record = |n: usize| {
-                let place = (n as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-                Record { place, top: (place >> 7) as u16, joined: (place >> 9) as u16 }
-            };
+        for count in [5, R::KEPT, R::KEPT + 1, 3 * R::KEPT + 77, 9] {
             for n in 0..count {
                 sorter.push(record(n), &Files::current(), Some(&folder.path().join("a.slices"))).unwrap();
             }
-            let mut found = Vec::new();
-            sorter
-                .drain(|record| {
-                    found.push((record.place, record.top, record.joined));
-                    Ok(())
-                })
-                .unwrap();
-            let mut expected: Vec<_> =
-                (0..count).map(record).map(|record| (record.place, record.top, record.joined)).collect();
+            let (mut found, mut sorted) = (Vec::new(), sorter.sorted().unwrap());
+            while let Some(record) = sorted.next().unwrap() {
+                found.push(record);
+            }
+            drop(sorted);
+            assert!(found.is_sorted_by_key(R::place), "{count} records");
+            let mut found: Vec<T> = found.iter().map(&shown).collect();
+            let mut expected: Vec<T> = (0..count).map(|n| shown(&record(n))).collect();
+            found.sort_unstable();
             expected.sort_unstable();
             assert!(found == expected, "{count} records");
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -1,18 +1,20 @@
 //! Checking the levels of an archive against its pages: they are made once more and compared, page by page.
 //!
-//! Memory: that of a [`LevelBuilder`], and one directory leaf and one page of each level.
+//! Memory: that of a [`LevelBuilder`], and one directory leaf and one page of each level, with their colours.
 
 use super::super::catalog::Catalog;
+use super::super::colour_check::ColourCheck;
 use super::super::directory::{LeafEntries, PageEntry, Storage};
 use super::super::page::{LEVEL_MAGIC, PageDecoder, PageEncoder};
 use super::super::reader::Archive;
 use super::build::LevelBuilder;
 use super::coarse::CoarseSpan;
+use super::colours::{CoarseColour, VoxelSum, exact};
 use crate::bytes::ByteSource;
 use crate::codec::Violation;
 use crate::disk::Files;
 use crate::frame::PageKey;
-use crate::slice::{Inferred, Page};
+use crate::slice::{Inferred, Occupancy, Page};
 use crate::{Error, Result};
 
 /// Compares the levels of an archive with those that its pages make.
@@ -22,14 +24,14 @@ pub struct LevelCheck<'a> {
     comparing: bool,
     levels: Vec<Checked<'a>>,
     scratch: Scratch,
-    /// What is wrong, until it is taken.
-    pub found: Vec<Error>,
 }
 
 struct Scratch {
     decoder: PageDecoder,
     encoder: PageEncoder,
     bytes: Vec<u8>,
+    /// What is wrong, until it is taken.
+    found: Vec<Error>,
 }
 
 /// A level and how far it was read.
@@ -43,6 +45,8 @@ struct Checked<'a> {
     next: u64,
     /// Whether something of it is wrong: one finding is enough.
     broken: bool,
+    /// Its colours, as long as nothing of them is wrong.
+    colours: Option<ColourCheck>,
 }
 
 impl<'a> LevelCheck<'a> {
@@ -56,17 +60,31 @@ impl<'a> LevelCheck<'a> {
             entries: None,
             next: level.bytes().start,
             broken: false,
+            colours: None,
         });
+        let mut levels: Vec<_> = levels.collect();
         let steps = archive.header().level_steps();
-        let scratch =
-            Scratch { decoder: PageDecoder::new(), encoder: PageEncoder::of_levels(steps), bytes: Vec::new() };
+        let mut found = Vec::new();
+        for level in &mut levels {
+            match ColourCheck::of_level(&archive.level(level.number)?) {
+                Ok(colours) => level.colours = colours,
+                // Damage of their common table is the same for all.
+                Err(error) if found.iter().any(|other: &Error| other.to_string() == error.to_string()) => {}
+                Err(error) => found.push(error),
+            }
+        }
+        let (decoder, encoder) = (PageDecoder::new(), PageEncoder::of_levels(steps));
         Ok(Self {
             builder: LevelBuilder::new(archive.frame(), steps, &Files::current(), None),
             comparing: true,
-            levels: levels.collect(),
-            scratch,
-            found: Vec::new(),
+            levels,
+            scratch: Scratch { decoder, encoder, bytes: Vec::new(), found },
         })
+    }
+
+    /// What is wrong, once.
+    pub fn found(&mut self) -> Vec<Error> {
+        std::mem::take(&mut self.scratch.found)
     }
 
     /// Compares no further: a page of the archive is not sound.
@@ -74,63 +92,62 @@ impl<'a> LevelCheck<'a> {
         self.comparing = false;
     }
 
-    /// Takes the page `key` of the archive by its coarse spans. Keys ascend.
-    pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan]) {
-        let Self { builder, comparing, levels, scratch, found } = self;
-        if *comparing
-            && let Err(error) =
-                builder.add(key, spans, &mut |at, key, page| compare(levels, scratch, found, at, key, page))
-        {
-            found.push(error);
-            *comparing = false;
+    /// Takes the page `key` of the archive by its coarse spans and colours. Keys ascend.
+    pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan], colours: &[CoarseColour]) {
+        let Self { builder, comparing, levels, scratch } = self;
+        if *comparing {
+            let added = builder.add(key, spans, colours, &mut |at, key, page, sums| {
+                compare(levels, scratch, at, key, page, sums);
+                Ok(())
+            });
+            if let Err(error) = added {
+                scratch.found.push(error);
+                *comparing = false;
+            }
         }
     }
 
     /// Takes the end of the pages.
     pub fn finish(&mut self) {
-        let Self { builder, comparing, levels, scratch, found } = self;
+        let Self { builder, comparing, levels, scratch } = self;
         if *comparing {
-            match builder.finish(&mut |at, key, page| compare(levels, scratch, found, at, key, page)) {
+            let count = builder.finish(&mut |at, key, page, sums| {
+                compare(levels, scratch, at, key, page, sums);
+                Ok(())
+            });
+            match count {
                 Ok(count) if count < levels.len() => {
                     let wrong = Violation::new("L5", format!("{count} levels"), levels.len());
-                    found.push(levels[count].error(wrong));
+                    scratch.found.push(levels[count].error(wrong));
                     levels[count..].iter_mut().for_each(|level| level.broken = true);
                 }
                 Ok(_) => {}
-                Err(error) => found.push(error),
+                Err(error) => scratch.found.push(error),
             }
         }
         for level in levels.iter_mut().filter(|level| !level.broken) {
             let ended = level.rest(*comparing, scratch);
-            found.extend(ended.err());
+            scratch.found.extend(ended.err());
         }
     }
 }
 
-fn compare(
-    levels: &mut [Checked<'_>],
-    scratch: &mut Scratch,
-    found: &mut Vec<Error>,
-    at: usize,
-    key: PageKey,
-    page: &Page,
-) -> Result<()> {
+fn compare(levels: &mut [Checked<'_>], scratch: &mut Scratch, at: usize, key: PageKey, page: &Page, sums: &[VoxelSum]) {
     match levels.get_mut(at) {
         Some(level) if level.broken => {}
         Some(level) => {
-            if let Err(error) = level.compare(key, page, scratch) {
+            if let Err(error) = level.compare(key, page, sums, scratch) {
                 level.broken = true;
-                found.push(error);
+                scratch.found.push(error);
             }
         }
-        None if found.is_empty() => {
+        None if scratch.found.is_empty() => {
             let at = levels.last().map_or(0, |level| level.catalog.header().metadata_offset());
             let wrong = Violation::new("L5", format!("more than {} levels", levels.len()), levels.len());
-            found.push(wrong.at("levels", at));
+            scratch.found.push(wrong.at("levels", at));
         }
         None => {}
     }
-    Ok(())
 }
 
 impl Checked<'_> {
@@ -138,7 +155,7 @@ impl Checked<'_> {
         violation.at(format!("level {}", self.number), self.catalog.header().pages_offset())
     }
 
-    fn next_entry(&mut self) -> Result<Option<PageEntry>> {
+    fn next_entry(&mut self, scratch: &mut Scratch) -> Result<Option<PageEntry>> {
         loop {
             if let Some(entries) = &mut self.entries {
                 if let Some(entry) = entries.next() {
@@ -153,13 +170,19 @@ impl Checked<'_> {
             let mut stored = vec![0; (range.end - range.start) as usize];
             self.source.read_at(range.start, &mut stored)?;
             self.entries = Some(self.catalog.open_leaf(self.leaf, &stored)?);
+            if let Some(colours) = &mut self.colours
+                && let Err(error) = colours.open_leaf(self.leaf)
+            {
+                self.colours = None;
+                scratch.found.push(error);
+            }
             self.leaf += 1;
         }
     }
 
     /// The next page of the level is `key` and holds what `page` does.
-    fn compare(&mut self, key: PageKey, page: &Page, scratch: &mut Scratch) -> Result<()> {
-        let entry = self.next_entry()?;
+    fn compare(&mut self, key: PageKey, page: &Page, sums: &[VoxelSum], scratch: &mut Scratch) -> Result<()> {
+        let entry = self.next_entry(scratch)?;
         let Some(entry) = entry.filter(|entry| entry.key == key) else {
             let found = entry.map_or("none".into(), |entry| format!("page {}", entry.key));
             return Err(self.error(Violation::new("L5", format!("page {key}, with matter below"), found)));
@@ -169,11 +192,20 @@ impl Checked<'_> {
             let at = entry.extent().map_or(0, |extent| extent.offset);
             return Err(wrong.at(format!("page {key} of level {}", self.number), at));
         }
+        self.page_colours(key, page, Some(sums), scratch);
         Ok(())
     }
 
+    /// Checks the colours of the page `key`, whose content is `page`; they are those of `sums`, if these are known.
+    fn page_colours(&mut self, key: PageKey, page: &Page, sums: Option<&[VoxelSum]>, scratch: &mut Scratch) {
+        if let Some(Err(error)) = self.colours.as_mut().map(|check| check_colours(check, key, page, sums)) {
+            self.colours = None;
+            scratch.found.push(error);
+        }
+    }
+
     /// A sound page in the place and the one encoding that it must have.
-    fn page(&mut self, entry: &PageEntry, Scratch { decoder, encoder, bytes }: &mut Scratch) -> Result<Page> {
+    fn page(&mut self, entry: &PageEntry, Scratch { decoder, encoder, bytes, .. }: &mut Scratch) -> Result<Page> {
         bytes.clear();
         let name = format!("page {} of level {}", entry.key, self.number);
         if let Storage::Stored(extent) = entry.storage {
@@ -200,17 +232,49 @@ impl Checked<'_> {
 
     /// Goes through the entries that are left, of which there is none if all were `compared`, and to the end of the pages.
     fn rest(&mut self, compared: bool, scratch: &mut Scratch) -> Result<()> {
-        while let Some(entry) = self.next_entry()? {
+        while let Some(entry) = self.next_entry(scratch)? {
             if compared {
                 let found = format!("page {}", entry.key);
                 return Err(self.error(Violation::new("L5", "no more pages: none has matter below", found)));
             }
-            self.page(&entry, scratch)?;
+            let page = self.page(&entry, scratch)?;
+            self.page_colours(entry.key, &page, None, scratch);
         }
+        self.colours_end(compared, scratch);
         let end = self.catalog.header().colours_offset();
         match self.next == end {
             true => Ok(()),
             false => Err(self.error(Violation::new("D9", format!("pages up to byte {end}"), self.next))),
+        }
+    }
+
+    /// Blocks end where they must (rule K8), and are of as many voxels as the table says (rule K10), if all were `compared`.
+    fn colours_end(&mut self, compared: bool, scratch: &mut Scratch) {
+        let Some(check) = self.colours.take() else { return };
+        let counted = match check.stated_voxels() {
+            stated if compared && stated != check.voxels => Err(Violation::new("K10", check.voxels, stated)),
+            _ => Ok(()),
+        };
+        let part = || format!("colours of level {}", self.number);
+        let at = check.start.unwrap_or(0);
+        scratch.found.extend(check.at_end().and(counted).err().map(|violation| violation.at(part(), at)));
+    }
+}
+
+/// Rules K4 to K9, and that the colours are the means of those below (rule K12).
+fn check_colours(check: &mut ColourCheck, key: PageKey, page: &Page, sums: Option<&[VoxelSum]>) -> Result<()> {
+    let Some(place) = check.place(key)? else { return Ok(()) };
+    let block = check.block(&place, key, page)?;
+    let Some(sums) = sums else { return Ok(()) };
+    let right = match &block {
+        Some(block) => block.is_of(&exact(check.occupancy(), sums)),
+        None => sums.is_empty() || exact(&Occupancy::of(page), sums).iter().all(Option::is_none),
+    };
+    match right {
+        true => Ok(()),
+        false => {
+            let violation = Violation::new("K12", "the means of the colours of the archive's voxels", "others");
+            Err(check.broken(&place, key, violation))
         }
     }
 }

@@ -13,8 +13,8 @@ use crate::slice::{Page, PageBuilder, Span};
 pub const FACTOR: u32 = 4;
 const SLICE: u32 = SLICE_QUANTA as u32;
 /// Pixels along an edge, slices, and quanta that a page takes in the level above.
-const PIXELS: u32 = 64 / FACTOR;
-const SLICES: u32 = PAGE_SLICES as u32 / FACTOR;
+pub const PIXELS: u32 = 64 / FACTOR;
+pub const SLICES: u32 = PAGE_SLICES as u32 / FACTOR;
 const QUANTA: u32 = PAGE_QUANTA as u32 / FACTOR;
 const _: () = assert!(PIXELS * PIXELS == 256 && SLICES == 16);
 
@@ -36,10 +36,14 @@ pub fn above(key: PageKey) -> PageKey {
     PageKey { tx: key.tx >> 2, ty: key.ty >> 2, layer: key.layer >> 2 }
 }
 
+/// Which of the four pages along an axis that one of the level above covers.
+pub fn part(index: i32) -> u32 {
+    (index & 3) as u32
+}
+
 impl CoarseSpan {
     /// Pixel (`64·y + x`), bottom and top in the page of the level above, for a span that page `key` gives.
     pub fn place(&self, key: PageKey) -> (u32, u32, u32) {
-        let part = |tile: i32| (tile & 3) as u32;
         let (x, y) = (u32::from(self.pixel) % PIXELS, u32::from(self.pixel) / PIXELS);
         let pixel = (part(key.ty) * PIXELS + y) * 64 + part(key.tx) * PIXELS + x;
         let floor = part(key.layer) * QUANTA;

@@ -47,17 +47,22 @@
 //! }
 //! ```
 //!
-//! Levels follow from the pages alone, so whatever writes an archive makes them anew in the pass in which it writes: a
+//! Where the archive has colours, so have its levels: a voxel of a level has the mean colour of the archive's voxels in it.
+//! [`ColourReader`](super::ColourReader) reads those of a level as it reads those of an archive; they lie in the section of colours.
+//!
+//! Levels follow from the pages and their colours alone, so whatever writes an archive makes them anew in the pass in which it writes: a
 //! conversion, a merge of parts, an extract, a recovery. `verify` makes them once more and compares.
 
 mod build;
 mod check;
 mod coarse;
+mod colours;
 mod writer;
 
 pub(super) use build::MAX_LEVELS;
 pub(super) use check::LevelCheck;
 pub(super) use coarse::{CoarseSpan, coarse};
+pub(super) use colours::{CoarseColour, coarse_colours};
 pub(super) use writer::LevelWriter;
 
 use super::catalog::Catalog;
@@ -201,7 +206,7 @@ pub(super) fn decode_table(header: &Header, table: &[u8]) -> Result<Vec<Level>, 
         };
         let records = reader.take(leaf_count as usize * head::ROOT_RECORD)?;
         let leaves = head::decode_root(records, leaf_count as usize, &own)?;
-        found.push(Level { number, catalog: Catalog::new(own, leaves) });
+        found.push(Level { number, catalog: Catalog::of_level(own, leaves, header.level_colours()) });
         (at, below) = (end, pages.total());
     }
     if !reader.is_empty() {

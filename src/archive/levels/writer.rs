@@ -1,19 +1,23 @@
 //! Levels of an archive that is being written: their pages wait until those of the archive are complete.
 //!
-//! Memory: 256 KiB of pages and 1.5 MiB of entries a level; the rest waits in temporary files beside the archive.
+//! Memory: 256 KiB of pages, 1.5 MiB of entries and 512 KiB of colours a level; the rest waits in temporary files beside the archive.
 
+use super::super::colours::{ColourWriter, EncodedColours, LevelPart, encode_level_colours};
 use super::super::directory::{Extent, PageEntry, Storage};
 use super::super::head::{Pages, leaf_entries};
 use super::super::page::PageEncoder;
 use super::super::spill::{Entries, Spool, write_leaves};
 use super::build::LevelBuilder;
 use super::coarse::CoarseSpan;
+use super::colours::{CoarseColour, VoxelSum, exact};
 use super::{LEVEL_STEPS, LevelRecord, Levels, encode_table};
 use crate::Result;
 use crate::bytes::crc;
+use crate::codec::ColourEncoder;
+use crate::colour::ColourPlan;
 use crate::disk::Files;
 use crate::frame::{Frame, PageKey};
-use crate::slice::Page;
+use crate::slice::{Occupancy, Page};
 use std::path::{Path, PathBuf};
 
 /// Makes and holds the levels of an archive.
@@ -27,6 +31,10 @@ pub struct LevelWriter {
 #[derive(Debug)]
 struct Made {
     encoder: PageEncoder,
+    /// How colours are made, if there are to be some.
+    colours: Option<ColourPlan>,
+    colour_encoder: ColourEncoder,
+    occupancy: Occupancy,
     levels: Vec<LevelPages>,
     files: Files,
     beside: PathBuf,
@@ -38,6 +46,7 @@ struct LevelPages {
     bytes: Spool,
     entries: Entries,
     pages: Pages,
+    colours: Option<ColourWriter>,
 }
 
 impl LevelWriter {
@@ -45,6 +54,9 @@ impl LevelWriter {
     pub fn new(frame: &Frame, files: &Files, target: &Path) -> Self {
         let made = Made {
             encoder: PageEncoder::of_levels(LEVEL_STEPS),
+            colours: None,
+            colour_encoder: ColourEncoder::default().for_levels(false),
+            occupancy: Occupancy::default(),
             levels: Vec::new(),
             files: files.clone(),
             beside: target.to_path_buf(),
@@ -52,18 +64,50 @@ impl LevelWriter {
         Self { builder: LevelBuilder::new(frame, LEVEL_STEPS, files, Some(target)), made }
     }
 
-    /// Adds the page `key` of the archive by its coarse spans. Keys ascend.
-    pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan]) -> Result<()> {
+    /// Gives levels colours of `plan`: before the first page.
+    pub fn set_colours(&mut self, plan: ColourPlan) {
+        self.made.colours = Some(plan);
+    }
+
+    /// Adds the page `key` of the archive by its coarse spans and colours. Keys ascend.
+    pub fn add(&mut self, key: PageKey, spans: &[CoarseSpan], colours: &[CoarseColour]) -> Result<()> {
         let Self { builder, made } = self;
-        builder.add(key, spans, &mut |level, key, page| made.put(level, key, page))
+        builder.add(key, spans, colours, &mut |level, key, page, sums| made.put(level, key, page, sums))
+    }
+
+    /// Ends the pages.
+    pub fn end(&mut self) -> Result<()> {
+        let Self { builder, made } = self;
+        let count = builder.finish(&mut |level, key, page, sums| made.put(level, key, page, sums))?;
+        debug_assert_eq!(count, made.levels.len());
+        Ok(())
+    }
+
+    /// Gives all bytes of the colours of levels, in order; their length.
+    pub fn finish_colours(&mut self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<u64> {
+        let Made { levels, files, beside, .. } = &mut self.made;
+        let (mut parts, mut told) = (Spool::new(files, beside), Vec::new());
+        for level in levels.iter_mut().rev() {
+            if let Some(colours) = level.colours.take() {
+                let leaf_entries = leaf_entries(level.entries.len());
+                let (head, len) = colours.finish(leaf_entries, 0, &mut |bytes| parts.push(bytes))?;
+                told.push(LevelPart { head, len });
+            }
+        }
+        if told.is_empty() {
+            return Ok(0);
+        }
+        told.reverse();
+        let table = encode_level_colours(&told);
+        give(&table)?;
+        parts.read(give)?;
+        Ok(table.len() as u64 + parts.len())
     }
 
     /// Gives all bytes of the levels section, in order; what the head says of it, and its length (bytes).
-    pub fn finish(mut self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<(Levels, u64)> {
-        let Self { builder, made } = &mut self;
-        let count = builder.finish(&mut |level, key, page| made.put(level, key, page))?;
-        debug_assert_eq!(count, made.levels.len());
+    pub fn finish(self, give: &mut dyn FnMut(&[u8]) -> Result<()>) -> Result<(Levels, u64)> {
         let (mut records, mut len) = (Vec::new(), 0);
+        let made = self.made;
         for level in &made.levels {
             let pages_len = level.bytes.len();
             level.bytes.read(give)?;
@@ -73,27 +117,29 @@ impl LevelWriter {
             len += pages_len + record.directory_len();
             records.push(record);
         }
-        if count == 0 {
+        if records.is_empty() {
             return Ok((Levels::default(), 0));
         }
         let table = encode_table(&records);
         give(&table)?;
         let table_len = table.len() as u32;
-        Ok((Levels { count: count as u32, table_len, table_crc: crc::crc32c(&table) }, len + u64::from(table_len)))
+        let count = records.len() as u32;
+        Ok((Levels { count, table_len, table_crc: crc::crc32c(&table) }, len + u64::from(table_len)))
     }
 }
 
 impl Made {
-    fn put(&mut self, level: usize, key: PageKey, page: &Page) -> Result<()> {
-        let Self { encoder, levels, files, beside } = self;
+    fn put(&mut self, level: usize, key: PageKey, page: &Page, sums: &[VoxelSum]) -> Result<()> {
+        let Self { encoder, colours: plan, colour_encoder, occupancy, levels, files, beside } = self;
         while levels.len() <= level {
             levels.push(LevelPages {
                 bytes: Spool::new(files, beside),
                 entries: Entries::new(files, beside),
                 pages: Pages::default(),
+                colours: plan.map(|plan| ColourWriter::new(plan, files, beside)),
             });
         }
-        let LevelPages { bytes, entries, pages } = &mut levels[level];
+        let LevelPages { bytes, entries, pages, colours } = &mut levels[level];
         let encoded = encoder.encode(key, page);
         let storage = match encoded.uniform {
             Some(span) => {
@@ -107,6 +153,12 @@ impl Made {
                 Storage::Stored(Extent { offset, len, crc: encoded.crc() })
             }
         };
-        entries.push(PageEntry { key, slices: encoded.slices, size: encoded.size, storage })
+        entries.push(PageEntry { key, slices: encoded.slices, size: encoded.size, storage })?;
+        let Some(colours) = colours else { return Ok(()) };
+        if sums.is_empty() {
+            return colours.add(key, &EncodedColours::default());
+        }
+        occupancy.set(page);
+        colours.add(key, &EncodedColours::new(&colours.plan, occupancy, &exact(occupancy, sums), colour_encoder))
     }
 }

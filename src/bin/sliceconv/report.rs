@@ -100,7 +100,9 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
     }
     if let Some(colours) = header.colours {
         let (voxels, bytes) = (counted(colours.voxels, "voxel"), file_size(header.bytes.colours));
-        say(&format!("colours: {} of {voxels} in {bytes}", colour_words(&colours.plan)));
+        let levels = header.levels.filter(|levels| levels.count > 0);
+        let and_levels = levels.map_or("", |_| ", those of overview levels included");
+        say(&format!("colours: {} of {voxels} in {bytes}{and_levels}", colour_words(&colours.plan)));
     }
     if let Some(spacing) = &report.spacing {
         say(&format!("pixel size {} m: {}", number(frame.pixel_m()), from_spacing(spacing)));

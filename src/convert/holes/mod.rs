@@ -166,7 +166,7 @@ impl<'a> Worker<'a> {
             builder: PageBuilder::default(),
             encoder: PageEncoder::of_plan(plan).for_levels(levels),
             colours: None,
-            colour_encoder: ColourEncoder::default(),
+            colour_encoder: ColourEncoder::default().for_levels(levels),
         }
     }
 

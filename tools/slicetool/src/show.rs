@@ -47,7 +47,7 @@ pub struct Arguments {
     #[arg(long)]
     legend: bool,
     /// Draw voxels in their own colours (`sliceconv --colour`); those without one are grey
-    #[arg(long, conflicts_with_all = ["level", "legend"])]
+    #[arg(long, conflicts_with = "legend")]
     colour: bool,
 }
 

@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use serde_json::{Map, Value, json};
-use slicewalk::archive::Level;
+use slicewalk::archive::{Archive, ColourReader, Level};
 use slicewalk::stats::{Need, Stats};
 use slicewalk::text::{counted, grouped, memory_size};
 use std::fmt::Write;
@@ -20,8 +20,16 @@ const NEEDS: [&str; 6] = [
     "heights of its own",
 ];
 
+/// Bytes of the colours of each level, none where they have none.
+fn level_colours(archive: &Archive) -> slicewalk::Result<Vec<u64>> {
+    let levels = archive.levels()?.iter();
+    let readers = levels.map(|level| ColourReader::new(&archive.level(level.number())?));
+    let len = |reader: ColourReader| reader.bytes().end - reader.bytes().start;
+    readers.filter_map(|reader| reader.map(|reader| reader.map(len)).transpose()).collect()
+}
+
 /// An overview level: its grid, and what it takes.
-fn level_facts(level: &Level) -> Value {
+fn level_facts(level: &Level, colours: Option<&u64>) -> Value {
     let bytes = level.bytes();
     json!({
         "level": level.number(),
@@ -29,6 +37,7 @@ fn level_facts(level: &Level) -> Value {
         "slice_height": level.frame().slice_m(),
         "pages": level.catalog().header().pages.total(),
         "bytes": bytes.end - bytes.start,
+        "colours": colours,
     })
 }
 
@@ -38,6 +47,9 @@ pub fn run(path: &Path, json: bool) -> Outcome {
     let stats = Stats::of(&archive).map_err(|error| crate::broken(path, &error))?;
     let levels = archive.levels().map_err(|error| crate::broken(path, &error))?;
     let header = archive.header();
+    let of_levels = level_colours(&archive).map_err(|error| crate::broken(path, &error))?;
+    let level_bytes = of_levels.iter().sum::<u64>();
+    let own_colours = header.bytes.colours.saturating_sub(level_bytes);
     let per = |amount: u64, of: u64| if of == 0 { 0.0 } else { amount as f64 / of as f64 };
     let bytes_per_voxel = per(header.file_len, stats.voxels);
     let memory_per_voxel = per(stats.memory_bytes, stats.voxels);
@@ -76,10 +88,11 @@ pub fn run(path: &Path, json: bool) -> Outcome {
             },
             "colours": header.colours.map(|colours| json!({
                 "voxels": colours.voxels,
-                "bytes": header.bytes.colours,
-                "per_voxel": per(header.bytes.colours, colours.voxels),
+                "bytes": own_colours,
+                "per_voxel": per(own_colours, colours.voxels),
+                "levels": level_bytes,
             })),
-            "levels": levels.iter().map(level_facts).collect::<Vec<_>>(),
+            "levels": levels.iter().enumerate().map(|(at, level)| level_facts(level, of_levels.get(at))).collect::<Vec<_>>(),
             "resident_bytes": { "all": stats.memory_bytes, "per_voxel": memory_per_voxel },
         });
         return Ok(format!("{facts:#}\n"));
@@ -122,12 +135,16 @@ pub fn run(path: &Path, json: bool) -> Outcome {
         writeln!(text, "Holes are closed by {spans} of inferred floor ({voxels}), where nothing was scanned.")?;
     }
     if let Some(colours) = header.colours {
+        let levels = match level_bytes {
+            0 => String::new(),
+            bytes => format!("; colours of overview levels take {}", counted(bytes, "byte")),
+        };
         writeln!(
             text,
-            "{} have a colour, in {} ({:.2} a voxel).",
+            "{} have a colour, in {} ({:.2} a voxel){levels}.",
             counted(colours.voxels, "voxel"),
-            counted(header.bytes.colours, "byte"),
-            per(header.bytes.colours, colours.voxels)
+            counted(own_colours, "byte"),
+            per(own_colours, colours.voxels)
         )?;
     }
     writeln!(
@@ -141,12 +158,15 @@ pub fn run(path: &Path, json: bool) -> Outcome {
         memory_size(stats.memory_bytes)
     )?;
     if !levels.is_empty() {
-        writeln!(text, "\n{:10} {:>12} {:>12} {:>12}", "level", "pixel (m)", "pages", "bytes")?;
+        let colours = if of_levels.is_empty() { "" } else { "      colours" };
+        writeln!(text, "\n{:10} {:>12} {:>12} {:>12}{colours}", "level", "pixel (m)", "pages", "bytes")?;
     }
-    for level in levels {
+    for (at, level) in levels.iter().enumerate() {
         let (pages, bytes) = (level.catalog().header().pages.total(), level.bytes());
         let pixel_m = format!("{:.4}", level.frame().pixel_m());
-        writeln!(text, "{:<10} {pixel_m:>12} {pages:>12} {:>12}", level.number(), bytes.end - bytes.start)?;
+        let colours = of_levels.get(at).map_or(String::new(), |bytes| format!(" {bytes:>12}"));
+        let bytes = bytes.end - bytes.start;
+        writeln!(text, "{:<10} {pixel_m:>12} {pages:>12} {bytes:>12}{colours}", level.number())?;
     }
     Ok(text)
 }

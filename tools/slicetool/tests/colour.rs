@@ -101,6 +101,8 @@ fn tables_count_colours_and_comparisons_find_theirs() {
     assert_eq!(info["colour"]["voxels"], stats["colours"]["voxels"]);
     assert_eq!(json(at, &["info", "plain.slices"])["bytes"]["colours"], 0);
     assert!(done(at, &["info", "a.slices"]).contains("RGB (16-bit values)"));
+    assert_eq!(stats["colours"]["bytes"], stats["bytes"]["colours"], "without levels");
+    assert_eq!(stats["colours"]["levels"], 0);
     let voxels = info["voxels"]["occupied"].as_u64().unwrap();
     let same = json(at, &["diff", "a.slices", "a.slices"]);
     assert_eq!((&same["identical"], &same["colours"]["in_both"]), (&true.into(), &voxels.into()));

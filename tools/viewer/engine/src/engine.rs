@@ -8,7 +8,7 @@ use crate::map::{columns, map};
 use crate::outline::{self, Outline};
 use crate::paint::Paint;
 use crate::pawn::{Input, Pawn, Settings};
-use crate::scene::{HORIZON_S, Scenes};
+use crate::scene::{HORIZON_S, Part, Scenes};
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey};
 use slicewalk::nalgebra::Point3;
@@ -66,11 +66,13 @@ enum Colours {
     Wanted,
     On {
         loader: Box<ColourLoader>,
-        fetch: Option<u32>,
-        /// Something was drawn or painted since pages were named to the loader.
+        /// Those of the overview level, which come when no page wants any.
+        far: Option<Box<ColourLoader>>,
+        fetch: Option<(u32, Part)>,
+        /// Something was drawn or painted since pages were named to the loaders.
         stale: bool,
         /// Colours that came, and the scenes that were not painted with them yet.
-        came: Option<(PageKey, slicewalk::slice::Colours, Vec<u32>)>,
+        came: Option<(Part, PageKey, slicewalk::slice::Colours, Vec<u32>)>,
     },
     /// The archive has none.
     Never,
@@ -216,10 +218,7 @@ impl Engine {
                 .sound(outline.transpose())
                 .flatten()
                 .map_or(Distant::Never, |outline| Distant::Here(Box::new(outline)));
-        } else if let Colours::On { loader, fetch: asked, .. } = &mut self.colours
-            && *asked == Some(fetch)
-        {
-            *asked = None;
+        } else if let Some(loader) = self.colours_asked(fetch) {
             let given = loader.given(bytes, time(now_ms));
             self.sound(given);
         }
@@ -230,11 +229,18 @@ impl Engine {
         if let Some(id) = self.fetches.remove(fetch) {
             let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
             self.loader.failed(id, error, time(now_ms));
-        } else if let Colours::On { loader, fetch: asked, .. } = &mut self.colours
-            && *asked == Some(fetch)
-        {
-            *asked = None;
+        } else if let Some(loader) = self.colours_asked(fetch) {
             loader.failed(time(now_ms));
+        }
+    }
+
+    /// Who asked for this fetch of colours, which is over.
+    fn colours_asked(&mut self, name: u32) -> Option<&mut ColourLoader> {
+        let Colours::On { loader, far, fetch, .. } = &mut self.colours else { return None };
+        let (_, of) = fetch.take_if(|fetch| fetch.0 == name)?;
+        match of {
+            Part::Pages => Some(loader),
+            Part::Level => far.as_deref_mut(),
         }
     }
 
@@ -289,6 +295,7 @@ impl Engine {
         if matches!(self.colours, Colours::Wanted) && self.loader.views().is_some() {
             self.colours = self.loader.colours().map_or(Colours::Never, |loader| Colours::On {
                 loader: Box::new(loader),
+                far: None,
                 fetch: None,
                 stale: true,
                 came: None,
@@ -299,23 +306,36 @@ impl Engine {
             || !self.fetches.0.is_empty()
             || !self.decodes.is_empty()
             || matches!(self.outline, Distant::Asked(_));
-        let Colours::On { loader, fetch, stale, .. } = &mut self.colours else { return until };
-        if waits && let Some(name) = fetch.take() {
-            loader.cancel();
+        let Colours::On { loader, far, fetch, stale, .. } = &mut self.colours else { return until };
+        if waits && let Some((name, of)) = fetch.take() {
+            match (of, &mut *far) {
+                (Part::Level, Some(far)) => far.cancel(),
+                _ => loader.cancel(),
+            }
             todo.extend([CANCEL, f64::from(name)]);
         }
         if busy || fetch.is_some() {
             return until;
         }
-        if std::mem::take(stale) {
-            loader.want(self.scenes.things().flat_map(|scene| scene.thing.unpainted(PAINTED)));
+        if far.is_none()
+            && let Distant::Here(outline) = &self.outline
+        {
+            *far = outline.colours().map(Box::new);
+            *stale |= far.is_some();
         }
-        if let Some(range) = loader.poll(now) {
+        if std::mem::take(stale) {
+            let wanted = |of| self.scenes.things().flat_map(move |scene| scene.thing.unpainted(of, PAINTED));
+            loader.want(wanted(Part::Pages));
+            far.iter_mut().for_each(|far| far.want(wanted(Part::Level)));
+        }
+        let of_pages = loader.poll(now).map(|range| (Part::Pages, range));
+        let found = of_pages.or_else(|| Some((Part::Level, far.as_mut()?.poll(now)?)));
+        if let Some((of, range)) = found {
             self.names += 1;
-            *fetch = Some(self.names);
+            *fetch = Some((self.names, of));
             todo.extend([FETCH_COLOURS, f64::from(self.names), range.start as f64, range.end as f64]);
         }
-        [until, loader.retry_at()].into_iter().flatten().min()
+        [until, loader.retry_at(), far.as_ref().and_then(|far| far.retry_at())].into_iter().flatten().min()
     }
 
     /// Whether the archive is open: head and directory are there.
@@ -565,12 +585,11 @@ impl Engine {
         }
     }
 
-    /// Pages that wait for colours.
+    /// Pages that wait for colours, and those of an overview level that do.
     pub fn unpainted(&self) -> u32 {
-        if !matches!(self.colours, Colours::On { .. }) {
-            return 0;
-        }
-        self.scenes.things().map(|scene| scene.thing.unpainted(usize::MAX).len() as u32).sum()
+        let Colours::On { far, .. } = &self.colours else { return 0 };
+        let of = |of| self.scenes.things().map(move |scene| scene.thing.unpainted(of, usize::MAX).len() as u32);
+        of(Part::Pages).chain(of(Part::Level).filter(|_| far.is_some())).sum()
     }
 
     /// Paints the next page: scene, name of the page, cells along an edge (3 numbers), and then
@@ -581,10 +600,10 @@ impl Engine {
         }
         let view = self.view()?;
         loop {
-            let Colours::On { loader, came, stale, .. } = &mut self.colours else { return Ok(Vec::new()) };
-            if let Some((key, colours, scenes)) = came {
+            let Colours::On { loader, far, came, stale, .. } = &mut self.colours else { return Ok(Vec::new()) };
+            if let Some((of, key, colours, scenes)) = came {
                 while let Some(name) = scenes.pop() {
-                    let drawn = self.scenes.get_mut(name).and_then(|scene| scene.thing.paint(*key));
+                    let drawn = self.scenes.get_mut(name).and_then(|scene| scene.thing.paint(*of, *key));
                     if let Some((id, coarseness)) = drawn {
                         let paint = self.painted.insert(Paint::new(colours, coarseness));
                         return Ok(vec![f64::from(name), f64::from(id), f64::from(paint.edge)]);
@@ -592,15 +611,21 @@ impl Engine {
                 }
                 *came = None;
             }
-            match loader.decode(&view) {
-                Some((key, Ok(colours))) => {
-                    *came = Some((key, colours, self.scenes.0.iter().map(|(name, _)| *name).collect()))
+            let of_pages = loader.decode(&view).map(|(key, colours)| (Part::Pages, key, colours));
+            let found = of_pages.or_else(|| {
+                let Distant::Here(outline) = &self.outline else { return None };
+                let (key, colours) = far.as_mut()?.decode(&outline.view()?)?;
+                Some((Part::Level, key, colours))
+            });
+            match found {
+                Some((of, key, Ok(colours))) => {
+                    *came = Some((of, key, colours, self.scenes.0.iter().map(|(name, _)| *name).collect()))
                 }
-                Some((key, Err(error))) => {
+                Some((of, key, Err(error))) => {
                     self.reports.push_back(fault::text(&error));
                     // It is not asked for again.
                     for (_, scene) in &mut self.scenes.0 {
-                        let _ = scene.thing.paint(key);
+                        let _ = scene.thing.paint(of, key);
                     }
                 }
                 None => return Ok(Vec::new()),

@@ -5,7 +5,7 @@
 
 use slicewalk::archive::{Catalog, Level};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::store::{Loader, LoaderOptions, Next, PageSet, PageSlot, RequestId, Time, View};
+use slicewalk::store::{ColourLoader, Loader, LoaderOptions, Next, PageSet, PageSlot, RequestId, Time, View};
 use slicewalk::{Error, Result};
 use std::ops::Range;
 
@@ -60,6 +60,11 @@ impl Outline {
         Some((self.loading.as_ref()?.0, *self.view()?.frame()))
     }
 
+    /// Who brings the colours of the level, within its budget, once all its pages are there; `None` without colours.
+    pub fn colours(&self) -> Option<ColourLoader> {
+        self.loading.as_ref().filter(|_| self.is_ready)?.1.colours()
+    }
+
     /// Bytes in use, most in use, and budget; without the stretch.
     pub fn bytes(&self) -> [usize; 3] {
         let counters = self.loading.as_ref().map(|(_, loader, _)| loader.counters()).unwrap_or_default();
@@ -111,13 +116,20 @@ fn keys(view: &View) -> Vec<PageKey> {
 #[cfg(test)]
 mod tests {
     use crate::Engine;
-    use slicewalk::archive::{ArchiveWriter, PageEncoder, Totals};
+    use slicewalk::archive::{Archive, ArchiveWriter, EncodedColours, PageEncoder, Totals};
+    use slicewalk::codec::ColourEncoder;
+    use slicewalk::colour::{ColourPlan, ColourScale};
     use slicewalk::frame::{Frame, PageKey};
     use slicewalk::plan::Plan;
-    use slicewalk::slice::{PageBuilder, Span};
+    use slicewalk::slice::{Occupancy, PageBuilder, Span};
+    use std::collections::BTreeSet;
 
     /// Rough ground of 40 × 10 pages of 3.2 m.
     fn ground(has_levels: bool) -> Vec<u8> {
+        coloured_ground(has_levels, false)
+    }
+
+    fn coloured_ground(has_levels: bool, has_colours: bool) -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("ground.slices");
         let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
@@ -126,6 +138,11 @@ mod tests {
         if has_levels {
             writer.set_levels();
         }
+        let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 2000 };
+        if has_colours {
+            writer.set_colours(colours);
+        }
+        let mut of_colours = ColourEncoder::default();
         let mut keys: Vec<_> = (0..400).map(|n| PageKey { tx: n % 40, ty: n / 40, layer: 0 }).collect();
         keys.sort_unstable();
         for key in keys {
@@ -135,7 +152,12 @@ mod tests {
                 let top = 100 + (x * 31 + y * 17) % 5 * 60 + (key.ty * 40 + key.tx) as u32 / 2 + x % 2 * key.tx as u32;
                 assert!(page.set_column(x, y, &[Span::new(0, top, false).unwrap()]));
             }
-            writer.put(key, encoder.encode(key, &page.build())).unwrap();
+            let page = page.build();
+            let encoded = encoder.encode(key, &page);
+            let occupancy = Occupancy::of(&page);
+            let own = vec![Some([key.tx as u16 * 1500, key.ty as u16 * 6000, 30_000]); occupancy.len()];
+            let made = has_colours.then(|| EncodedColours::new(&colours, &occupancy, &own, &mut of_colours));
+            writer.put(key, encoded.with_colours(made.unwrap_or_default())).unwrap();
         }
         writer.finish(Totals { points_read: 1, points_kept: 1, ..Totals::default() }).unwrap();
         std::fs::read(&target).unwrap()
@@ -196,6 +218,67 @@ mod tests {
         assert!(last(&without) < last(&fetches), "{without:?}, {fetches:?}");
         let of_level = fetches.iter().filter(|range| Some(range[1]) == last(&fetches));
         assert_eq!(of_level.count(), 1, "{fetches:?}");
+    }
+
+    #[test]
+    fn colours_of_the_level_come_after_those_of_the_pages() {
+        let bytes = coloured_ground(true, true);
+        let archive = Archive::from_bytes(bytes.clone()).unwrap();
+        let table = archive.level(1).unwrap().catalog().level_colours_range().unwrap();
+        let mut engine = Engine::new(bytes.len() as f64, 64e6, 4);
+        let (mut scene, mut fetches, mut painted) = (None, Vec::new(), Vec::new());
+        let mut built = BTreeSet::new();
+        for round in 0.. {
+            assert!(round < 2000, "it ends");
+            let todo = engine.poll(0.0).unwrap();
+            let (mut at, mut busy) = (0, false);
+            while at < todo.len() {
+                let len = if [1.0, 4.0].contains(&todo[at]) { 4 } else { 2 };
+                if let [kind, name, start, end] = todo[at..at + len] {
+                    fetches.extend((kind == 4.0).then_some([start as u64, end as u64]));
+                    engine.given(name as u32, bytes[start as usize..end as usize].to_vec(), 0.0);
+                    busy = true;
+                }
+                at += len;
+            }
+            while engine.decode(0.0) {
+                busy = true;
+            }
+            let name = match scene {
+                Some(name) => name,
+                None if !engine.is_open() => continue,
+                None => {
+                    let name = engine.scene(20.0, 1e6, 0.02, true);
+                    engine.look(name, &[1.0, 1.0, 1.0]).unwrap();
+                    engine.bring_colours();
+                    *scene.insert(name)
+                }
+            };
+            while let [page, ..] = engine.build(name).unwrap()[..] {
+                built.insert(page as u32);
+                busy = true;
+            }
+            while let [of, page, edge] = engine.paint().unwrap()[..] {
+                assert!(of == f64::from(name) && edge >= 1.0);
+                assert_eq!(engine.take_cells().len(), (4.0 * edge * edge) as usize);
+                assert!(!engine.take_colours().is_empty());
+                painted.push(page as u32);
+                busy = true;
+            }
+            assert_eq!(engine.take_report(), "");
+            if !busy && !painted.is_empty() {
+                break;
+            }
+        }
+        assert_eq!(engine.unpainted(), 0);
+        assert_eq!(BTreeSet::from_iter(painted.iter().copied()), built, "all that was drawn");
+        let level = painted.iter().filter(|page| **page >= 1 << 31).count();
+        assert_eq!(level, 30);
+        let far = fetches.iter().position(|range| range[0] == table.start).expect("the table of levels");
+        let section = archive.catalog().colours_section().unwrap();
+        assert!(far > 1 && fetches[0][1] == section.end, "{fetches:?}");
+        let end = fetches[far + 1..].iter().map(|range| range[1]).max().unwrap();
+        assert!(fetches[..far].iter().all(|range| range[0] >= end), "{fetches:?}");
     }
 
     #[test]

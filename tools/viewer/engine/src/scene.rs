@@ -32,6 +32,13 @@ const FULL_LEAST_M: f64 = 10.0;
 /// Names of its pages begin here.
 const OVERVIEW_NAMES: u32 = 1 << 31;
 
+/// What is drawn: pages, or those of an overview level.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    Pages,
+    Level,
+}
+
 /// What a camera draws: pages around it, and beyond them an overview level if there is one.
 #[derive(Debug)]
 pub struct Scenes {
@@ -99,14 +106,21 @@ impl Scenes {
         self.near.queue.len() + self.far.queue.len()
     }
 
-    /// Pages drawn whose colours are missing or too coarse, the nearest first; no more than `most`.
-    pub fn unpainted(&self, most: usize) -> Vec<PageKey> {
-        self.near.unpainted(most)
+    /// Pages drawn whose colours are missing or too coarse, the nearest first, or those of the level; no more than `most`.
+    pub fn unpainted(&self, of: Part, most: usize) -> Vec<PageKey> {
+        match of {
+            Part::Pages => self.near.unpainted(most),
+            Part::Level => self.far.unpainted(most),
+        }
     }
 
     /// The name of a page and the coarseness of its colours, which are there now; `None` if it is not drawn any more.
-    pub fn paint(&mut self, key: PageKey) -> Option<(u32, u32)> {
-        let drawn = self.near.drawn.get_mut(&key)?;
+    pub fn paint(&mut self, of: Part, key: PageKey) -> Option<(u32, u32)> {
+        let scene = match of {
+            Part::Pages => &mut self.near,
+            Part::Level => &mut self.far,
+        };
+        let drawn = scene.drawn.get_mut(&key)?;
         let coarseness = drawn.coarseness.saturating_sub(1);
         drawn.painted = coarseness;
         Some((drawn.id, coarseness))

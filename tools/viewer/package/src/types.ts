@@ -343,7 +343,7 @@ export interface ViewOptions extends ViewSettings {
   onPage: (page: PageGeometry) => void;
   /**
    * Colours of a page came, after its geometry and again when more detail is wanted. They are read when nothing else is, and not
-   * without this; pages of overview levels have none.
+   * without this; those of an overview level when no page waits for any.
    */
   onColours?: (colours: PageColours) => void;
   /** A page is too far away: forget it. */

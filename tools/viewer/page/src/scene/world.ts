@@ -67,10 +67,12 @@ export class World {
     return [at.x + this.origin[0], at.y + this.origin[1], at.z + this.origin[2]];
   }
 
-  /** How many pages are drawn in full, and how many of an overview level. */
-  get counts(): { pages: number; overview: number; coloured: number } {
-    const overview = [...this.#drawn.values()].filter(({ page }) => page.key.level > 0).length;
-    return { pages: this.#drawn.size - overview, overview, coloured: this.#paints.size };
+  /** How many pages are drawn in full and how many of an overview level, and how many of both have colours. */
+  get counts(): { pages: number; overview: number; coloured: number; distant: number } {
+    const overview = [...this.#drawn.values()].filter(({ page }) => page.key.level > 0);
+    const distant = overview.filter(({ page }) => this.#paints.has(page.id)).length;
+    const pages = this.#drawn.size - overview.length;
+    return { pages, overview: overview.length, coloured: this.#paints.size - distant, distant };
   }
 
   /** Pages that came and are not drawn yet. */
@@ -181,8 +183,9 @@ export class World {
     geometry.boundingSphere = new Sphere(new Vector3(), Infinity);
     const mesh = new Mesh(geometry, this.shading.material(page.key.level, this.#opened));
     mesh.frustumCulled = false;
-    const edge = this.pixelSize * PAGE_PIXELS;
-    const share = new Vector3(page.scale[0] / edge, page.scale[1] / edge, page.scale[2] / this.sliceHeight);
+    const coarser = 4 ** page.key.level;
+    const edge = this.pixelSize * PAGE_PIXELS * coarser;
+    const share = new Vector3(page.scale[0] / edge, page.scale[1] / edge, page.scale[2] / (this.sliceHeight * coarser));
     const { id } = page;
     mesh.onBeforeRender = (_renderer, _scene, _camera, _geometry, material) =>
       this.shading.paint(material, this.#paints.get(id) ?? PLAIN, share);
