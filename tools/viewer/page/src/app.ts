@@ -197,7 +197,10 @@ export class App {
       requests: stats.requests,
       bytesLoaded: stats.bytesLoaded,
       colours: { ...stats.colours },
-      drawn: { ...(this.#session?.world.counts ?? { pages: 0, overview: 0, coloured: 0, distant: 0 }), splats: this.#overlays.count },
+      drawn: {
+        ...(this.#session?.world.counts ?? { pages: 0, overview: 0, coloured: 0, distant: 0 }),
+        splats: this.#overlays.count,
+      },
       frames: this.#frames,
       longestTaskMs: this.#longestTask,
     };
