@@ -29,6 +29,8 @@ __all__ = [
     "merge",
     "open",
     "write_plan",
+    "_check_output",
+    "_upload_archive",
 ]
 
 __version__: str
