@@ -25,12 +25,12 @@ __all__ = [
     "Walker",
     "Writer",
     "__version__",
+    "_check_output",
+    "_upload_archive",
     "convert",
     "merge",
     "open",
     "write_plan",
-    "_check_output",
-    "_upload_archive",
 ]
 
 __version__: str
