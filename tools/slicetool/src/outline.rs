@@ -1,78 +1,236 @@
-//! Outlines of areas of pixels.
+//! Outlines of areas of pixels. Areas are held by runs along x, so that what fills them costs nothing.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::BTreeMap;
+use std::ops::Range;
 
 /// Corners of pixels: pixel (i, j) lies between the corners (i, j) and (i + 1, j + 1).
 pub type Corner = (i64, i64);
 
-/// The outlines of an area: of each polygon the outer ring, anticlockwise, then its holes, clockwise; rings are closed.
-pub fn polygons(area: &BTreeSet<Corner>) -> Vec<Vec<Vec<Corner>>> {
-    // Edges with the area on their left, by where they begin.
-    let mut edges: BTreeMap<Corner, Vec<Corner>> = BTreeMap::new();
-    let mut edge = |from: Corner, to: Corner| edges.entry(from).or_default().push(to);
-    for &(i, j) in area {
-        let is_outside = |i: i64, j: i64| !area.contains(&(i, j));
-        if is_outside(i, j - 1) {
-            edge((i, j), (i + 1, j));
-        }
-        if is_outside(i + 1, j) {
-            edge((i + 1, j), (i + 1, j + 1));
-        }
-        if is_outside(i, j + 1) {
-            edge((i + 1, j + 1), (i, j + 1));
-        }
-        if is_outside(i - 1, j) {
-            edge((i, j + 1), (i, j));
-        }
-    }
-    let (mut outer, mut holes): (Vec<Vec<Vec<Corner>>>, Vec<Vec<Corner>>) = (Vec::new(), Vec::new());
-    while let Some((&start, _)) = edges.first_key_value() {
-        let ring = ring(&mut edges, start);
-        if twice_area(&ring) > 0 { outer.push(vec![ring]) } else { holes.push(ring) }
-    }
-    // A hole belongs to the outer ring around the pixel left of its first edge.
-    let mut ring_of: HashMap<Corner, usize> = HashMap::new();
-    for (number, rings) in outer.iter().enumerate() {
-        fill(area, &rings[0], number, &mut ring_of);
-    }
-    for hole in holes {
-        let ((i, j), (to_i, to_j)) = (hole[0], hole[1]);
-        let (di, dj) = ((to_i - i).signum(), (to_j - j).signum());
-        // The pixel on the left of a unit step from the corner.
-        let pixel = match (di, dj) {
-            (1, _) => (i, j),
-            (-1, _) => (i - 1, j - 1),
-            (_, 1) => (i - 1, j),
-            _ => (i, j - 1),
-        };
-        if let Some(own) = ring_of.get(&pixel) {
-            outer[*own].push(hole);
-        }
-    }
-    outer
+/// An area of pixels.
+#[derive(Default)]
+pub struct Area {
+    /// Of each row, ranges of pixels along x, in order and apart once [`Area::join`] was called.
+    rows: BTreeMap<i64, Vec<Range<i64>>>,
+    runs: usize,
+    /// As many runs as this are joined again.
+    join_at: usize,
 }
 
-/// Takes the edges of one ring, and leaves out corners on straight lines.
-fn ring(edges: &mut BTreeMap<Corner, Vec<Corner>>, start: Corner) -> Vec<Corner> {
-    let (mut ring, mut at, mut heading) = (vec![start], start, None::<Corner>);
-    while let Some(next) = edges.get_mut(&at) {
-        // Where two pixels touch at a corner: left, so that rings do not cross.
-        let left = heading.and_then(|(di, dj)| next.iter().position(|to| (to.0 - at.0, to.1 - at.1) == (-dj, di)));
-        let to = next.swap_remove(left.unwrap_or(0));
-        if next.is_empty() {
-            edges.remove(&at);
+impl Area {
+    pub fn insert(&mut self, (i, j): Corner) {
+        let row = self.rows.entry(j).or_default();
+        match row.last_mut() {
+            Some(last) if last.contains(&i) => return,
+            Some(last) if last.end == i => last.end += 1,
+            _ => {
+                row.push(i..i + 1);
+                self.runs += 1;
+            }
         }
-        let own = (to.0 - at.0, to.1 - at.1);
-        if heading == Some(own) {
-            ring.pop();
-        }
-        ring.push(to);
-        (at, heading) = (to, Some(own));
-        if at == start {
-            break;
+        if self.runs > self.join_at {
+            self.join();
         }
     }
-    ring
+
+    /// Runs of pixels along x, at most: some may hang together.
+    pub fn runs(&self) -> usize {
+        self.runs
+    }
+
+    /// Least and greatest corner; `None` of an empty area.
+    pub fn bounds(&self) -> Option<[Corner; 2]> {
+        let (bottom, top) = (*self.rows.first_key_value()?.0, self.rows.last_key_value()?.0 + 1);
+        let runs = || self.rows.values().flatten();
+        let (left, right) = (runs().map(|run| run.start).min()?, runs().map(|run| run.end).max()?);
+        Some([(left, bottom), (right, top)])
+    }
+
+    fn join(&mut self) {
+        for row in self.rows.values_mut() {
+            row.sort_unstable_by_key(|run| run.start);
+            row.dedup_by(|next, run| {
+                let joins = next.start <= run.end;
+                if joins {
+                    run.end = run.end.max(next.end);
+                }
+                joins
+            });
+        }
+        self.runs = self.rows.values().map(Vec::len).sum();
+        self.join_at = 2 * self.runs + (1 << 16);
+    }
+
+    /// The outlines: of each polygon the outer ring, anticlockwise, then its holes, clockwise; rings are closed.
+    pub fn polygons(mut self) -> Vec<Vec<Vec<Corner>>> {
+        self.join();
+        let rows: Vec<(i64, &[Range<i64>])> = self.rows.iter().map(|(j, runs)| (*j, &runs[..])).collect();
+        let mut edges = Edges::of(&rows);
+        let (mut outer, mut holes): (Vec<Vec<Vec<Corner>>>, Vec<Vec<Corner>>) = (Vec::new(), Vec::new());
+        while let Some(ring) = edges.next_ring() {
+            if twice_area(&ring) > 0 { outer.push(vec![ring]) } else { holes.push(ring) }
+        }
+        if holes.is_empty() {
+            return outer;
+        }
+        // A hole belongs to the outer ring around the pixel left of its first edge.
+        let parts = Parts::of(&rows);
+        let mut ring_of = vec![None; parts.part_of_run.len()];
+        for (number, rings) in outer.iter().enumerate() {
+            // A ring begins at its lowest corner on the left, so the pixel there is inside.
+            ring_of[parts.of_pixel(&rows, rings[0][0])] = Some(number);
+        }
+        for hole in holes {
+            let ((i, j), (to_i, to_j)) = (hole[0], hole[1]);
+            // The pixel on the left of a unit step from the corner.
+            let pixel = match ((to_i - i).signum(), (to_j - j).signum()) {
+                (1, _) => (i, j),
+                (-1, _) => (i - 1, j - 1),
+                (_, 1) => (i - 1, j),
+                _ => (i, j - 1),
+            };
+            if let Some(own) = ring_of[parts.of_pixel(&rows, pixel)] {
+                outer[own].push(hole);
+            }
+        }
+        outer
+    }
+}
+
+impl FromIterator<Corner> for Area {
+    fn from_iter<I: IntoIterator<Item = Corner>>(pixels: I) -> Self {
+        let mut area = Self::default();
+        pixels.into_iter().for_each(|pixel| area.insert(pixel));
+        area
+    }
+}
+
+/// Edges with the area on their left, by where they begin; those along x reach as far as the area lies on one side of them.
+struct Edges {
+    edges: Vec<(Corner, Corner)>,
+    taken: Vec<bool>,
+    /// All edges before it are taken.
+    first: usize,
+}
+
+impl Edges {
+    fn of(rows: &[(i64, &[Range<i64>])]) -> Self {
+        let mut edges = Vec::new();
+        let row = |at: Option<usize>, j: i64| match at.and_then(|at| rows.get(at)) {
+            Some((found, runs)) if *found == j => runs,
+            _ => &[][..],
+        };
+        for (at, &(j, runs)) in rows.iter().enumerate() {
+            for run in runs {
+                edges.push(((run.end, j), (run.end, j + 1)));
+                edges.push(((run.start, j + 1), (run.start, j)));
+            }
+            uncovered(runs, row(at.checked_sub(1), j - 1), |from, to| edges.push(((from, j), (to, j))));
+            uncovered(runs, row(Some(at + 1), j + 1), |from, to| edges.push(((to, j + 1), (from, j + 1))));
+        }
+        edges.sort_unstable();
+        Self { taken: vec![false; edges.len()], edges, first: 0 }
+    }
+
+    /// Takes the edges of one ring, the one with the least corner, and leaves out corners on straight lines.
+    fn next_ring(&mut self) -> Option<Vec<Corner>> {
+        self.first += self.taken[self.first..].iter().position(|taken| !taken)?;
+        let start = self.edges[self.first].0;
+        let (mut ring, mut at, mut heading) = (vec![start], start, None::<Corner>);
+        loop {
+            let from = self.edges.partition_point(|edge| edge.0 < at);
+            let mut free = (from..self.edges.len())
+                .take_while(|number| self.edges[*number].0 == at)
+                .filter(|number| !self.taken[*number]);
+            let heading_of = |number: usize| {
+                let to = self.edges[number].1;
+                ((to.0 - at.0).signum(), (to.1 - at.1).signum())
+            };
+            // Every corner has as many edges out of it as into it.
+            let one = free.next()?;
+            // Where two pixels touch at a corner: left, so that rings do not cross.
+            let left = heading.map(|(di, dj): Corner| (-dj, di));
+            let number = free.find(|number| Some(heading_of(*number)) == left).unwrap_or(one);
+            let own = heading_of(number);
+            self.taken[number] = true;
+            if heading == Some(own) {
+                ring.pop();
+            }
+            at = self.edges[number].1;
+            ring.push(at);
+            heading = Some(own);
+            if at == start {
+                return Some(ring);
+            }
+        }
+    }
+}
+
+/// The parts of `runs` that no run of `others` covers.
+fn uncovered(runs: &[Range<i64>], others: &[Range<i64>], mut part: impl FnMut(i64, i64)) {
+    for run in runs {
+        let mut from = run.start;
+        let first = others.partition_point(|other| other.end <= run.start);
+        for other in others[first..].iter().take_while(|other| other.start < run.end) {
+            if other.start > from {
+                part(from, other.start);
+            }
+            from = other.end;
+        }
+        if from < run.end {
+            part(from, run.end);
+        }
+    }
+}
+
+/// Which pixels hang together along edges.
+struct Parts {
+    /// Number of the first run of each row, in the order of rows.
+    first_run: Vec<usize>,
+    /// Of each run the number of one run of its part, the same for all of the part.
+    part_of_run: Vec<usize>,
+}
+
+impl Parts {
+    fn of(rows: &[(i64, &[Range<i64>])]) -> Self {
+        let mut first_run = Vec::with_capacity(rows.len());
+        let mut count = 0;
+        for (_, runs) in rows {
+            first_run.push(count);
+            count += runs.len();
+        }
+        let mut parent: Vec<usize> = (0..count).collect();
+        fn root(parent: &mut [usize], mut run: usize) -> usize {
+            while parent[run] != run {
+                parent[run] = parent[parent[run]];
+                run = parent[run];
+            }
+            run
+        }
+        for (at, pair) in rows.windows(2).enumerate() {
+            let [(j, below), (above_j, above)] = [pair[0], pair[1]];
+            if above_j != j + 1 {
+                continue;
+            }
+            for (number, run) in above.iter().enumerate() {
+                let first = below.partition_point(|other| other.end <= run.start);
+                let touching = below[first..].iter().take_while(|other| other.start < run.end).count();
+                for other in first..first + touching {
+                    let own = root(&mut parent, first_run[at + 1] + number);
+                    let other = root(&mut parent, first_run[at] + other);
+                    parent[own.max(other)] = own.min(other);
+                }
+            }
+        }
+        let part_of_run = (0..count).map(|run| root(&mut parent, run)).collect();
+        Self { first_run, part_of_run }
+    }
+
+    /// The part of a pixel of the area.
+    fn of_pixel(&self, rows: &[(i64, &[Range<i64>])], (i, j): Corner) -> usize {
+        let row = rows.partition_point(|(row, _)| *row < j);
+        let run = rows[row].1.partition_point(|run| run.end <= i);
+        self.part_of_run[self.first_run[row] + run]
+    }
 }
 
 fn twice_area(ring: &[Corner]) -> i64 {
@@ -83,27 +241,71 @@ fn twice_area(ring: &[Corner]) -> i64 {
         .sum()
 }
 
-/// Marks the pixels of `area` that hang together (along edges) with those inside of the first edge of `ring`.
-fn fill(area: &BTreeSet<Corner>, ring: &[Corner], number: usize, ring_of: &mut HashMap<Corner, usize>) {
-    // The ring begins at its lowest corner on the left, so the pixel there is inside.
-    let mut open = vec![ring[0]];
-    while let Some((i, j)) = open.pop() {
-        if area.contains(&(i, j)) && ring_of.insert((i, j), number).is_none() {
-            open.extend([(i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)]);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
 
-    fn area(rows: &[&str]) -> BTreeSet<Corner> {
+    fn pixels(rows: &[&str]) -> Vec<Corner> {
         let pixel = |(j, row): (usize, &&str)| {
             let found = row.bytes().enumerate().filter(|(_, byte)| *byte == b'#');
             found.map(|(i, _)| (i as i64, j as i64)).collect::<Vec<_>>()
         };
         rows.iter().enumerate().flat_map(|row| pixel((row.0, row.1))).collect()
+    }
+
+    fn polygons(pixels: &[Corner]) -> Vec<Vec<Vec<Corner>>> {
+        pixels.iter().copied().collect::<Area>().polygons()
+    }
+
+    /// Whether the rings of a polygon wind around the middle of a pixel.
+    fn holds(rings: &[Vec<Corner>], (i, j): Corner) -> bool {
+        let crosses = |pair: &&[Corner]| {
+            let [from, to] = [pair[0], pair[1]];
+            from.0 == to.0 && from.0 > i && from.1.min(to.1) <= j && j < from.1.max(to.1)
+        };
+        rings.iter().map(|ring| ring.windows(2).filter(crosses).count()).sum::<usize>() % 2 == 1
+    }
+
+    proptest! {
+        /// Pixels in any order, some twice.
+        #[test]
+        fn each_pixel_lies_in_one_polygon_of_the_pixels_that_hang_together_with_it(
+            pixels in proptest::collection::vec((-6i64..6, -6i64..6), 0..120),
+        ) {
+            let found = polygons(&pixels);
+            let area: BTreeSet<Corner> = pixels.iter().copied().collect();
+            for pixel in (-8..8).flat_map(|i| (-8..8).map(move |j| (i, j))) {
+                let around = found.iter().filter(|rings| holds(rings, pixel)).count();
+                prop_assert_eq!(around, usize::from(area.contains(&pixel)), "{:?}", pixel);
+            }
+            let mut parts = 0;
+            let mut open = area.clone();
+            while let Some(first) = open.pop_first() {
+                parts += 1;
+                let mut edge = vec![first];
+                while let Some((i, j)) = edge.pop() {
+                    edge.extend([(i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)].into_iter().filter(|next| open.remove(next)));
+                }
+            }
+            prop_assert_eq!(found.len(), parts);
+            for rings in &found {
+                prop_assert!(twice_area(&rings[0]) > 0 && rings[1..].iter().all(|hole| twice_area(hole) < 0));
+                // No corner lies on a straight line, and none is left out.
+                for ring in rings {
+                    prop_assert!(ring.first() == ring.last() && ring.len() >= 5);
+                    let straight = |three: &[Corner]| {
+                        (three[0].0 == three[1].0) == (three[1].0 == three[2].0)
+                    };
+                    prop_assert!(!ring.windows(3).any(straight), "{:?}", ring);
+                }
+            }
+            let bounds = pixels.iter().copied().collect::<Area>().bounds();
+            let along = |of: fn(&Corner) -> i64| Some((area.iter().map(of).min()?, area.iter().map(of).max()? + 1));
+            let expected = along(|pixel| pixel.0).zip(along(|pixel| pixel.1)).map(|(i, j)| [(i.0, j.0), (i.1, j.1)]);
+            prop_assert_eq!(bounds, expected);
+        }
     }
 
     #[test]
@@ -116,16 +318,16 @@ mod tests {
             &["######", "#....#", "#.##.#", "#.##.#", "#....#", "######"],
             &["####", "#..#", "##.#", "#..#", "####"],
         ] {
-            let area = area(rows);
-            let found = polygons(&area);
+            let pixels = pixels(rows);
+            let found = polygons(&pixels);
             let sum: i64 = found.iter().flatten().map(|ring| twice_area(ring)).sum();
-            assert_eq!(sum, 2 * area.len() as i64, "{rows:?}: {found:?}");
+            assert_eq!(sum, 2 * pixels.len() as i64, "{rows:?}: {found:?}");
             for rings in &found {
                 assert!(rings.iter().all(|ring| ring.first() == ring.last() && ring.len() >= 5), "{rings:?}");
                 assert!(twice_area(&rings[0]) > 0 && rings[1..].iter().all(|hole| twice_area(hole) < 0));
             }
         }
-        assert_eq!(polygons(&area(&["##", "##"])), [[[(0, 0), (2, 0), (2, 2), (0, 2), (0, 0)]]]);
-        assert_eq!(polygons(&area(&["###", "#.#", "###"]))[0].len(), 2);
+        assert_eq!(polygons(&pixels(&["##", "##"])), [[[(0, 0), (2, 0), (2, 2), (0, 2), (0, 0)]]]);
+        assert_eq!(polygons(&pixels(&["###", "#.#", "###"]))[0].len(), 2);
     }
 }

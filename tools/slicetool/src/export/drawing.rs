@@ -2,20 +2,20 @@
 
 use super::crs::Crs;
 use crate::figures::round_length;
-use crate::outline::{Corner, polygons};
+use crate::outline::{Area, Corner};
 use crate::{Failure, show};
 use slicewalk::archive::{Archive, PageReader};
 use slicewalk::frame::{Frame, PAGE_SLICES, TILE_PIXELS};
 use slicewalk::output::Output;
 use slicewalk::text::{number, one_line, rounded};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::io::{BufWriter, IntoInnerError, Write};
 use std::path::Path;
 
 /// How far above the floor plans are cut (m): through doors and most windows, over most furniture.
 const CUT_M: f64 = 1.2;
-/// Most pixels with matter that are outlined; an index of them is held.
-const MOST_PIXELS: usize = 1 << 23;
+/// Most runs of pixels with matter, along x, that are outlined; each takes up to 300 bytes.
+const MOST_RUNS: usize = 1 << 21;
 /// Scales of drawings, and the longest edge of the sheet (mm).
 const SCALES: [u32; 12] = [20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000];
 const SHEET_MM: f64 = 1100.0;
@@ -65,7 +65,7 @@ impl<'a> Plan<'a> {
     pub fn of(archive: &'a Archive, path: &Path, slice: i64) -> Result<Self, Failure> {
         let broken = |error| crate::broken(path, &error);
         let (layer, in_page) = (slice.div_euclid(PAGE_SLICES) as i32, slice.rem_euclid(PAGE_SLICES) as u32);
-        let mut areas: [BTreeSet<Corner>; 2] = Default::default();
+        let mut areas: [Area; 2] = Default::default();
         let mut pages = PageReader::new(archive);
         for entry in archive.entries() {
             let entry = entry.map_err(broken)?;
@@ -80,21 +80,18 @@ impl<'a> Plan<'a> {
                     areas[usize::from(is_floor)].insert((pixel(entry.key.tx, px), pixel(entry.key.ty, py)));
                 }
             }
-            if areas.iter().map(BTreeSet::len).sum::<usize>() > MOST_PIXELS {
-                let reason = format!("more than {MOST_PIXELS} pixels of matter in the slice");
+            if areas.iter().map(Area::runs).sum::<usize>() > MOST_RUNS {
+                let reason = format!("the matter in the slice has more than {MOST_RUNS} runs of pixels");
                 return Err(Failure::Text(format!("{}: {reason}; extract a region first", path.display())));
             }
         }
-        let mut bounds = [(i64::MAX, i64::MAX), (i64::MIN, i64::MIN)];
-        for &(i, j) in areas.iter().flatten() {
-            bounds[0] = (bounds[0].0.min(i), bounds[0].1.min(j));
-            bounds[1] = (bounds[1].0.max(i + 1), bounds[1].1.max(j + 1));
-        }
-        if areas.iter().all(BTreeSet::is_empty) {
-            bounds = [(0, 0), (0, 0)];
-        }
+        let bounds = areas
+            .iter()
+            .filter_map(Area::bounds)
+            .reduce(|[a, b], [c, d]| [(a.0.min(c.0), a.1.min(c.1)), (b.0.max(d.0), b.1.max(d.1))]);
+        let bounds = bounds.unwrap_or([(0, 0), (0, 0)]);
         let name = path.file_name().map(|name| one_line(&name.to_string_lossy()).into_owned()).unwrap_or_default();
-        Ok(Self { frame: archive.frame(), slice, name, layers: areas.map(|area| polygons(&area)), bounds })
+        Ok(Self { frame: archive.frame(), slice, name, layers: areas.map(Area::polygons), bounds })
     }
 
     fn heights(&self) -> String {

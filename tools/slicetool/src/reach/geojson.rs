@@ -4,24 +4,23 @@ use super::Reach;
 use super::files::Out;
 use crate::Failure;
 use crate::ground::Loader;
-use crate::outline::{Corner, polygons};
+use crate::outline::{Area, Corner};
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
 use std::io::Write;
 
 pub fn write(reach: &Reach, loader: &Loader, out: &mut Out) -> Result<(), Failure> {
     let frame = loader.archive().frame();
-    let mut areas: Vec<BTreeSet<Corner>> = vec![BTreeSet::new(); reach.storeys.all.len()];
+    let mut areas: Vec<Area> = reach.storeys.all.iter().map(|_| Area::default()).collect();
     for (place, storey) in reach.region.places().zip(&reach.storeys.of) {
         areas[usize::from(*storey)].insert((frame.pixel_of(place.feet.x), frame.pixel_of(place.feet.y)));
     }
     let mut features = Vec::new();
-    for (storey, area) in reach.storeys.all.iter().zip(&areas) {
+    for (storey, area) in reach.storeys.all.iter().zip(areas) {
         let edge = |v: i64| frame.edge_of_pixel(v);
         let ring =
             |ring: &Vec<Corner>| ring.iter().map(|(i, j)| json!([edge(*i), edge(*j), storey.z])).collect::<Vec<_>>();
         let polygons: Vec<Value> =
-            polygons(area).iter().map(|rings| json!(rings.iter().map(ring).collect::<Vec<_>>())).collect();
+            area.polygons().iter().map(|rings| json!(rings.iter().map(ring).collect::<Vec<_>>())).collect();
         let properties = json!({ "what": "storey", "z": storey.z, "area_m2": storey.area_m2 });
         features.push(feature(json!({ "type": "MultiPolygon", "coordinates": polygons }), properties));
     }
