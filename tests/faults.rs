@@ -82,7 +82,7 @@ fn killed_at_any_instant_the_old_archive_stays_and_the_next_run_cleans_up() {
     let place = Place::new(250_000);
     let began = Instant::now();
     assert!(place.overwrite().output().unwrap().status.success());
-    let whole = began.elapsed().as_secs_f64();
+    let mut whole = began.elapsed().as_secs_f64();
     let new = fs::read(place.archive()).unwrap();
     let setting = |name: &str| std::env::var(name).map_or(20, |text| text.parse().unwrap());
     let mut random = Random(setting("SLICEWALK_KILLS_SEED"));
@@ -93,7 +93,10 @@ fn killed_at_any_instant_the_old_archive_stays_and_the_next_run_cleans_up() {
         let mut child = place.overwrite().spawn().unwrap();
         std::thread::sleep(Duration::from_secs_f64(random.uniform() * whole));
         child.kill().unwrap();
-        killed += u32::from(child.wait().unwrap().code().is_none());
+        let is_killed = child.wait().unwrap().code().is_none();
+        killed += u32::from(is_killed);
+        // Machines are faster at times. So that the moments stay spread over a whole run, about one in twenty comes too late.
+        whole *= if is_killed { 1.0025 } else { 0.95 };
         let found = fs::read(place.archive()).unwrap();
         assert!(found == place.old || found == new, "neither the old archive nor the new one");
         verifies(&place.archive());
