@@ -7,7 +7,7 @@ use crate::voxel::colours::ValueSieve;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
 use crate::voxel::record::{ColumnKey, PATCH_AREA, Record};
 use crate::voxel::runs::{ColumnJob, Merge};
-use crate::voxel::views::{BATCH, Views};
+use crate::voxel::views::{CHUNK, Views};
 use crate::{Error, Monitor, Parameter, Result};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -138,10 +138,10 @@ fn remove_moving(
 ) {
     let places = views.places(key);
     let mut kept = 0;
-    for begin in (0..records.len()).step_by(BATCH) {
-        let batch = begin..(begin + BATCH).min(records.len());
-        let is_moving = views.are_moving(places, &records[batch.clone()]);
-        for (number, is_moving) in batch.zip(is_moving) {
+    for begin in (0..records.len()).step_by(CHUNK) {
+        let chunk = begin..(begin + CHUNK).min(records.len());
+        let is_moving = views.are_moving(places, &records[chunk.clone()]);
+        for (number, is_moving) in chunk.zip(is_moving) {
             let record = records[number];
             records[kept] = record;
             kept += usize::from(!is_moving);
@@ -156,8 +156,8 @@ fn remove_moving(
 /// Memory of a worker per record of a column.
 fn job_bytes_per_record(views: Option<&Views>, values: bool) -> u64 {
     let removed = size_of::<Record>() + size_of::<(ColumnKey, Record)>();
-    // Values of these follow the records of their points, and are copied without them.
-    let of_values = if values { 3 * size_of::<Record>() as u64 } else { 0 };
+    // Values of these follow the records of their points, and are copied without those of removed points, which are sorted for that.
+    let of_values = if values { 4 * size_of::<Record>() as u64 } else { 0 };
     let removed = if views.is_some() { removed as u64 + of_values } else { 0 };
     JOB_BYTES_PER_RECORD + removed + if values { VALUE_BYTES_PER_RECORD } else { 0 }
 }
@@ -233,11 +233,14 @@ impl<'a> Patches<'a> {
                 dropped += self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums);
                 dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
                 if self.wants_values {
-                    let sifted = self.views.map(|views| {
-                        let (places, mut sifted) = (views.places(key), Vec::new());
+                    let sifted = self.views.map(|_| {
+                        let (removed, mut sifted) = (self.removed_of(key), Vec::new());
                         // Of one run after the other, and each is whole.
-                        let removed = |record| views.is_moving(places.of(record));
-                        ValueSieve::default().sift(own_values, removed, &mut sifted);
+                        ValueSieve::default().sift(
+                            own_values,
+                            |point| removed.binary_search(&point).is_ok(),
+                            &mut sifted,
+                        );
                         sifted
                     });
                     take.values(&self.patch, Area::TILE, &mut |give| {
@@ -258,6 +261,14 @@ impl<'a> Patches<'a> {
         if let Some(views) = self.views {
             remove_moving(views, key, area, records, &mut self.removed);
         }
+    }
+
+    /// The points of a column that were removed so far, in order.
+    fn removed_of(&self, key: ColumnKey) -> Vec<Record> {
+        let own = self.removed.iter().rev().take_while(|removed| removed.0 == key);
+        let mut own: Vec<Record> = own.map(|removed| removed.1).collect();
+        own.sort_unstable();
+        own
     }
 
     /// Works on a column of more records than memory holds. Where they make few voxels, one pass folds them piece by
@@ -356,7 +367,7 @@ impl<'a> Patches<'a> {
         let chunk = (self.max_records / 4).max(1 << 12) as usize;
         // Rows of a patch begin with the halo.
         let rows = (area.y.0 + 1, area.y.1 + 1);
-        let key = job.columns[0].0;
+        let removed = self.removed_of(job.columns[0].0);
         take.values(&self.patch, area, &mut |give| {
             let (mut sieve, mut sifted) = (ValueSieve::default(), Vec::new());
             merge.stream_values(job, rows, chunk, |records| {
@@ -365,10 +376,9 @@ impl<'a> Patches<'a> {
                 }
                 match self.views {
                     None => give(records),
-                    Some(views) => {
-                        let places = views.places(key);
+                    Some(_) => {
                         sifted.clear();
-                        sieve.sift(records, |record| views.is_moving(places.of(record)), &mut sifted);
+                        sieve.sift(records, |point| removed.binary_search(&point).is_ok(), &mut sifted);
                         give(&sifted);
                     }
                 }

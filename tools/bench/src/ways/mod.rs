@@ -1,15 +1,18 @@
 //! Where pawns can walk, measured: standing places beside the truth and beside Recast, doors and stairs, routes, leaks, and what is
 //! left of walking people.
 //!
-//! Each part writes a page of its own: `standing.md`, `routes.md`, `leaks.md`, `moving.md`.
+//! Each part writes a page of its own: `standing.md`, `routes.md`, `city-routes.md`, `coarse-routes.md`, `leaks.md`, `moving.md`,
+//! `moving-speed.md`.
 
 mod city;
 mod claims;
 mod doors;
 mod holes;
+mod levels;
 mod moving;
 mod peer;
 mod routes;
+mod sight;
 mod standing;
 mod steps;
 mod truth;
@@ -32,10 +35,14 @@ pub enum Part {
     Routes,
     /// Routes across a city
     City,
+    /// Coarse routes on the overview levels of real scans
+    Levels,
     /// Holes in floors, and random steps with a guard rail
     Leaks,
     /// Walking people removed
     Moving,
+    /// Time and memory of that on 100 million points
+    Speed,
 }
 
 /// What to measure.
@@ -47,6 +54,9 @@ pub struct Options {
     /// Small samples: a check that everything runs
     #[arg(long)]
     quick: bool,
+    /// Share of the full samples: of pixels, pairs, steps and rooms
+    #[arg(long, default_value_t = 1.0)]
+    share: f64,
     /// Only scenes whose name contains this; writes no page
     #[arg(long)]
     only: Option<String>,
@@ -59,6 +69,7 @@ pub struct Options {
 #[derive(Debug, Clone)]
 pub struct Effort {
     quick: bool,
+    share: f64,
     only: Option<String>,
 }
 
@@ -67,9 +78,9 @@ impl Effort {
         self.only.as_ref().is_none_or(|only| name.contains(only.as_str()))
     }
 
-    /// `full`, or `quick`.
+    /// The share of `full`, but at least `quick`; that with `--quick`.
     fn of(&self, full: usize, quick: usize) -> usize {
-        if self.quick { quick } else { full }
+        if self.quick { quick } else { ((full as f64 * self.share) as usize).max(quick) }
     }
 }
 
@@ -77,16 +88,18 @@ impl Effort {
 pub fn run(options: &Options) -> Result<()> {
     let default = if options.quick { "target/bench-quick" } else { "tools/bench/results" };
     let out = options.out.clone().unwrap_or_else(|| default.into());
-    let all = [Part::Standing, Part::Routes, Part::City, Part::Leaks, Part::Moving];
+    let all = [Part::Standing, Part::Routes, Part::City, Part::Levels, Part::Leaks, Part::Moving, Part::Speed];
     let parts = if options.parts.is_empty() { &all[..] } else { &options.parts };
-    let effort = Effort { quick: options.quick, only: options.only.clone() };
+    let effort = Effort { quick: options.quick, share: options.share, only: options.only.clone() };
     for part in parts {
         let (name, page) = match part {
             Part::Standing => ("standing.md", standing::page(&effort)? + &doors::section(&effort)?),
             Part::Routes => ("routes.md", routes::page(&effort)?),
             Part::City => ("city-routes.md", city::page(&effort)?),
+            Part::Levels => ("coarse-routes.md", levels::page(&effort)?),
             Part::Leaks => ("leaks.md", holes::page(&effort)? + &steps::section(&effort)?),
             Part::Moving => ("moving.md", moving::page(&effort)?),
+            Part::Speed => ("moving-speed.md", moving::speed(&effort)?),
         };
         println!("{page}");
         if options.only.is_none() {

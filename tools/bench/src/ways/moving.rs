@@ -1,6 +1,7 @@
 //! Walking people removed: how many of their points go, how many of what stands, and what that takes.
 
 use super::Effort;
+use super::sight::{Sight, best};
 use crate::stability::Result;
 use crate::stability::table::{Share, Table, number, percent};
 use crate::thesis::models::read_scan;
@@ -13,7 +14,7 @@ use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::input::Units;
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::store::Store;
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -91,7 +92,7 @@ fn scans(scene: &Scene, rays: usize, people: usize, seed: u64, folder: &Path, ke
             write_samples(&path, samples.iter().copied(), &write)?;
             for sample in samples {
                 let position = write.rounded(sample.position).ok_or("a point does not fit a LAS file")?;
-                all.push(Sample { position, ..sample });
+                all.push(Sample { position, station: number as u16, ..sample });
             }
         } else {
             write_samples(&path, samples, &write)?;
@@ -139,6 +140,19 @@ pub fn page(effort: &Effort) -> Result<String> {
         "lost",
         "doors free before, after",
     ]);
+    let mut sights = Table::new([
+        "scene",
+        "people a station",
+        "clear: share",
+        "removed",
+        "grazed: share",
+        "removed",
+        "near background: share",
+        "removed",
+        "no background: share",
+        "hidden: share",
+        "removed of all that could be seen through",
+    ]);
     let hall_door = [7.9, 4.25, 0.2, 8.25, 4.75, 1.9];
     let house_door = [4.9, 4.75, 0.2, 5.3, 5.25, 1.9];
     for (name, params, door) in [
@@ -176,6 +190,7 @@ pub fn page(effort: &Effort) -> Result<String> {
             };
             let [people_points, surfaces] =
                 [Kind::Moving, Kind::Surface].map(|kind| share(kind, &|_, sample| is_gone(sample)));
+            sights.row([name.to_owned(), people.to_string()].into_iter().chain(by_sight(&scene, &samples, &is_gone)));
             let peer = dufomap(&scene, folder.path(), &samples)?;
             let peers = [Kind::Moving, Kind::Surface].map(|kind| {
                 peer.as_ref().map_or("–".into(), |dynamic| percent(share(kind, &|n, _| dynamic[n]).value()))
@@ -195,11 +210,41 @@ pub fn page(effort: &Effort) -> Result<String> {
             ]);
         }
     }
-    let mut page = format!("{}\n{}\n", include_str!("moving.head.md"), table.markdown());
-    if effort.takes("many") {
-        page += &many(effort)?;
+    Ok(format!(
+        "{}\n{}\n{}\n{}\n",
+        include_str!("moving.head.md"),
+        table.markdown(),
+        include_str!("sight.head.md"),
+        sights.markdown()
+    ))
+}
+
+/// The points on people by what other stations could tell of their places, in shares of all, and how many of each went.
+fn by_sight(scene: &Scene, samples: &[Sample], is_gone: &dyn Fn(&Sample) -> bool) -> [String; 9] {
+    let mut gone: BTreeMap<Sight, Share> = BTreeMap::new();
+    let mut all = 0u64;
+    for sample in samples.iter().filter(|sample| sample.kind == Kind::Moving) {
+        let others = scene.stations().iter().zip(0u16..).filter(|(_, number)| *number != sample.station);
+        let sight = best(scene, others.map(|(station, _)| *station), sample.position);
+        gone.entry(sight).or_default().add(is_gone(sample));
+        all += 1;
     }
-    Ok(page)
+    let of = |sight: Sight| gone.get(&sight).copied().unwrap_or_default();
+    let share = |sight: Sight| percent(of(sight).all as f64 / all.max(1) as f64);
+    let removed = |sight: Sight| percent(of(sight).value());
+    let mut could = of(Sight::Clear);
+    could.merge(of(Sight::Grazed));
+    [
+        share(Sight::Clear),
+        removed(Sight::Clear),
+        share(Sight::Grazed),
+        removed(Sight::Grazed),
+        share(Sight::Near),
+        removed(Sight::Near),
+        share(Sight::Open),
+        share(Sight::Hidden),
+        percent(could.value()),
+    ]
 }
 
 /// What `dufomap` takes for moving, point by point; `None`, and a line on standard error, where it is not at hand.
@@ -228,8 +273,8 @@ fn dufomap(scene: &Scene, folder: &Path, samples: &[Sample]) -> Result<Option<Ve
     Ok(Some(std::fs::read(&labels)?.iter().map(|label| *label != 0).collect()))
 }
 
-/// Time and memory of a large scan, with and without removing, in turn.
-fn many(effort: &Effort) -> Result<String> {
+/// Time and memory of a large scan, with and without removing, in turn, as a page.
+pub fn speed(effort: &Effort) -> Result<String> {
     let scene = Scene::named("hall", &Params::new())?;
     let folder = tempfile::tempdir()?;
     let rays = effort.of(MANY, MANY / 100) / scene.stations().len();
@@ -265,7 +310,7 @@ fn many(effort: &Effort) -> Result<String> {
         }
     }
     Ok(format!(
-        "\n## Time and memory\n\nThe hall scanned with {} M rays in all from {} stations, two people around each.\n\n{}\n",
+        "# Time and memory of removing walking people\n\n`cargo run --release -p bench -- ways speed`\n\nThe hall scanned with {} M rays in all from {} stations, two people around each.\n\n{}\n",
         number((rays * scene.stations().len()) as f64 / 1e6, 0),
         scene.stations().len(),
         table.markdown()

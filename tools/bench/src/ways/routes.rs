@@ -35,19 +35,23 @@ struct Building {
     body: Body,
 }
 
-/// The archive of a scan or mesh, in memory.
+/// The archive of a scan or mesh in metres, in memory.
 pub fn converted(input: &Path, up: Up) -> Result<Store> {
     let folder = tempfile::tempdir()?;
-    let output = folder.path().join("scene.slices");
     let mut options = ConvertOptions {
         pixel: PixelSize::Metres(PIXEL_M),
         units: Units::Factor(1.0),
-        temp_dir: folder.path().into(),
-        ..ConvertOptions::new(vec![input.to_path_buf()], output.clone())
+        ..ConvertOptions::new(vec![input.to_path_buf()], folder.path().join("scene.slices"))
     };
     options.plan.up = up;
+    Ok(Store::resident(&archive(options, folder.path())?, &NoMonitor)?)
+}
+
+/// The archive that a conversion makes in a folder.
+pub fn archive(options: ConvertOptions, folder: &Path) -> Result<Archive> {
+    let options = ConvertOptions { temp_dir: folder.into(), ..options };
     convert(&options, &NoMonitor)?;
-    Ok(Store::resident(&Archive::open(&output)?, &NoMonitor)?)
+    Ok(Archive::open(&options.output)?)
 }
 
 /// A generated scene, scanned evenly with noise of 2 mm.
@@ -94,7 +98,7 @@ fn arrives(store: &Store, body: Body, route: &Route) -> Result<bool> {
 }
 
 /// Plans a route alone, as `slicetool route` does; and the processor time that it took (s).
-fn alone(store: &Store, pawn: Pawn, ends: [Point3<f64>; 2]) -> Result<(Option<Route>, f64)> {
+pub fn alone(store: &Store, pawn: Pawn, ends: [Point3<f64>; 2]) -> Result<(Option<Route>, f64)> {
     let start = processor_s();
     let mut planner = Planner::new(store, pawn, ends[0], ends[1])?;
     loop {
@@ -107,7 +111,7 @@ fn alone(store: &Store, pawn: Pawn, ends: [Point3<f64>; 2]) -> Result<(Option<Ro
 }
 
 /// Sorted times in words: median, 99 %, and the greatest (ms).
-fn times(times: &mut [f64]) -> String {
+pub fn times(times: &mut [f64]) -> String {
     times.sort_by(f64::total_cmp);
     let at = |share: f64| times.get(((times.len().max(1) - 1) as f64 * share) as usize).copied().unwrap_or(0.0);
     format!("{}, {}, {}", number(at(0.5) * 1e3, 2), number(at(0.99) * 1e3, 2), number(at(1.0) * 1e3, 2))

@@ -1,0 +1,212 @@
+//! Folds the records of a tile column into voxels.
+//!
+//! The fold of a voxel keeps minima, maxima and sums of integers only. It is associative and commutative to the last
+//! bit, so the order of points, files and threads cannot show in what comes out (guarantee G4), and voxels of parts of
+//! a scan add up to the voxels of the whole.
+
+mod area;
+mod moments;
+mod pieces;
+mod sums;
+mod voxel;
+
+use super::record::{HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record};
+pub use area::Area;
+pub use moments::Moments;
+pub use pieces::{Folded, PieceFolder};
+use std::ops::Range;
+pub use sums::Sums;
+pub use voxel::{BINS, Voxel};
+
+/// Slices of one pixel that are told apart at once; more than that far apart in one pixel costs a search.
+const RECENT: usize = 1 << 10;
+
+/// Folds the records of one pixel after another into voxels; its scratch is reused.
+#[derive(Debug)]
+struct Folder {
+    /// Voxels of the pixel at hand and how many points each has.
+    voxels: Vec<(Voxel, u32)>,
+    /// Number in `voxels` of the last voxel whose slice has this remainder; may be left over from an earlier pixel.
+    recent: Box<[u32; RECENT]>,
+}
+
+impl Default for Folder {
+    fn default() -> Self {
+        Self { voxels: Vec::new(), recent: Box::new([0; RECENT]) }
+    }
+}
+
+impl Folder {
+    /// The voxels of one pixel's records, lowest slice first, with the numbers of their points.
+    fn fold(&mut self, points: &[Record]) -> &[(Voxel, u32)] {
+        let Self { voxels, recent } = self;
+        voxels.clear();
+        for &point in points {
+            let slice = point.slice();
+            let place = &mut recent[slice as usize % RECENT];
+            let found = match voxels.get(*place as usize) {
+                Some((voxel, _)) if voxel.slice == slice => Some(*place as usize),
+                // Another slice of this pixel has the same remainder, so this one may hide behind it.
+                Some((voxel, _)) if voxel.slice as usize % RECENT == slice as usize % RECENT => {
+                    voxels.iter().position(|(voxel, _)| voxel.slice == slice)
+                }
+                _ => None,
+            };
+            let number = found.unwrap_or_else(|| {
+                voxels.push((Voxel::empty(slice), 0));
+                voxels.len() - 1
+            });
+            *place = number as u32;
+            voxels[number].0.add(point);
+            voxels[number].1 = voxels[number].1.saturating_add(1);
+        }
+        voxels.sort_unstable_by_key(|(voxel, _)| voxel.slice);
+        voxels
+    }
+}
+
+/// The voxels of a tile column with its halo, pixel after pixel, lowest slice first.
+#[derive(Debug, Default)]
+pub struct Patch {
+    starts: Vec<u32>,
+    occupied: Vec<u16>,
+    voxels: Vec<Voxel>,
+    folder: Folder,
+}
+
+impl Patch {
+    /// All voxels.
+    pub fn voxels(&self) -> &[Voxel] {
+        &self.voxels
+    }
+
+    /// Patch pixels with voxels, in order.
+    pub fn occupied(&self) -> impl Iterator<Item = usize> + '_ {
+        self.occupied.iter().map(|&pixel| usize::from(pixel))
+    }
+
+    /// Numbers of the voxels of a patch pixel.
+    #[inline]
+    pub fn range(&self, patch_pixel: usize) -> Range<usize> {
+        self.starts[patch_pixel] as usize..self.starts[patch_pixel + 1] as usize
+    }
+
+    /// Replaces the content by the fold of `records`, over which `sums` will sum. Voxels of fewer than `min_points` points
+    /// and no surface, and those of which a record says so, are dropped; returns how many were, without those in the halo
+    /// around `area`.
+    pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area, sums: &mut Sums) -> u64 {
+        let mut folder = std::mem::take(&mut self.folder);
+        self.clear();
+        sums.records.set(records);
+        let (mut dropped, mut folded) = (0, 0);
+        for (pixel, own) in sums.records.pixels() {
+            let kept = |(voxel, points): &(Voxel, u32)| voxel.is_kept(i64::from(*points), min_points);
+            if let [record] = own {
+                let voxel = Voxel::of(*record);
+                folded += 1;
+                dropped += self.push(pixel, std::iter::once((voxel, kept(&(voxel, 1)))), area);
+                continue;
+            }
+            let voxels = folder.fold(own);
+            folded += voxels.len();
+            dropped += self.push(pixel, voxels.iter().map(|voxel| (voxel.0, kept(voxel))), area);
+        }
+        self.end();
+        self.folder = folder;
+        sums.begin(self.voxels.len(), folded == self.voxels.len());
+        dropped
+    }
+
+    /// Replaces the content by voxels that were folded piecemeal (see [`fold_into`]), and `sums` by theirs.
+    pub fn set_folded(&mut self, folded: &Folded, min_points: u32, area: Area, sums: &mut Sums) -> u64 {
+        self.clear();
+        let kept = |(_, voxel, sums): &(usize, Voxel, Moments)| voxel.is_kept(sums.n, min_points);
+        let mut dropped = 0;
+        for voxels in folded.chunk_by(|a, b| a.0 == b.0) {
+            dropped += self.push(voxels[0].0, voxels.iter().map(|voxel| (voxel.1, kept(voxel))), area);
+        }
+        self.end();
+        sums.set_all(folded.iter().filter(|voxel| kept(voxel)).map(|voxel| voxel.2));
+        dropped
+    }
+
+    /// Numbers of the voxels of a patch pixel in these slices.
+    #[inline]
+    pub fn between(&self, patch_pixel: usize, slices: Range<u32>) -> Range<usize> {
+        let range = self.range(patch_pixel);
+        let voxels = &self.voxels[range.clone()];
+        let first = if voxels.len() < 16 {
+            voxels.iter().take_while(|voxel| voxel.slice < slices.start).count()
+        } else {
+            voxels.partition_point(|voxel| voxel.slice < slices.start)
+        };
+        let count = voxels[first..].iter().take_while(|voxel| voxel.slice < slices.end).count();
+        range.start + first..range.start + first + count
+    }
+
+    /// Drops the voxels of `area` that have no other voxel in the 3 × 3 × 3 around them, and returns how many. A lone
+    /// voxel is in nobody's neighbourhood, so it makes no difference that those of the halo stay.
+    pub fn drop_isolated(&mut self, area: Area, sums: &mut Sums) -> u64 {
+        let mut kept = vec![true; self.voxels.len()];
+        for pixel in self.occupied().filter(|&pixel| area.holds(pixel)) {
+            for number in self.range(pixel) {
+                let slice = self.voxels[number].slice;
+                let slices = slice.saturating_sub(1)..slice + 2;
+                let around: usize =
+                    neighbourhood(pixel).map(|(other, ..)| self.between(other, slices.clone()).len()).sum();
+                kept[number] = around > 1;
+            }
+        }
+        let before = std::mem::take(self);
+        for pixel in before.occupied() {
+            let own = before.range(pixel).map(|number| (before.voxels[number], kept[number]));
+            self.push(pixel, own, area);
+        }
+        self.end();
+        self.folder = before.folder;
+        sums.retain(&kept);
+        (kept.len() - self.voxels.len()) as u64
+    }
+
+    fn clear(&mut self) {
+        self.starts.clear();
+        self.occupied.clear();
+        self.voxels.clear();
+    }
+
+    /// Adds those voxels of the next pixel that are kept; returns how many of the area's are not.
+    fn push(&mut self, pixel: usize, voxels: impl Iterator<Item = (Voxel, bool)>, area: Area) -> u64 {
+        let first = self.voxels.len();
+        let mut dropped = 0;
+        self.voxels.extend(voxels.filter_map(|(voxel, kept)| {
+            dropped += u64::from(!kept && area.holds(pixel));
+            kept.then_some(voxel)
+        }));
+        if self.voxels.len() > first {
+            self.starts.resize(pixel + 1, first as u32);
+            self.occupied.push(pixel as u16);
+        }
+        dropped
+    }
+
+    fn end(&mut self) {
+        self.starts.resize(PATCH_AREA + 1, self.voxels.len() as u32);
+    }
+}
+
+/// The 3 × 3 pixels around a patch pixel that is not in the halo, with their places 0..3 in x and y.
+pub fn neighbourhood(patch_pixel: usize) -> impl Iterator<Item = (usize, i64, i64)> {
+    (0..9).map(move |place| neighbour(patch_pixel, place))
+}
+
+/// The pixel of number `place` in the [`neighbourhood`].
+#[inline]
+pub fn neighbour(patch_pixel: usize, place: usize) -> (usize, i64, i64) {
+    let (dx, dy) = (place % 3, place / 3);
+    (patch_pixel + dy * PATCH_PIXELS + dx - PATCH_PIXELS - 1, dx as i64, dy as i64)
+}
+
+const _: () = assert!(HALO_PIXELS == 1, "neighbourhoods are 3 × 3 pixels");
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,57 @@
+//! Folding piece by piece.
+
+use super::sums::ByPixel;
+use super::{Folder, Moments, Voxel};
+use crate::voxel::bands::Bands;
+use crate::voxel::record::Record;
+
+/// Voxels with their patch pixel and sums, in order of pixel and slice.
+pub type Folded = Vec<(usize, Voxel, Moments)>;
+
+/// Folds records into voxels piece by piece, where they are too many to be kept.
+#[derive(Debug, Default)]
+pub struct PieceFolder {
+    bands: Bands,
+    records: ByPixel,
+    folder: Folder,
+}
+
+impl PieceFolder {
+    /// A folder for sums of heights above the floors of `bands`.
+    pub fn new(bands: Bands) -> Self {
+        Self { bands, ..Self::default() }
+    }
+
+    /// Folds `records` into voxels folded before.
+    pub fn fold_into(&mut self, folded: &mut Folded, records: &[Record]) {
+        let before = std::mem::take(folded);
+        folded.reserve(before.len());
+        let mut before = before.into_iter().peekable();
+        self.records.set(records);
+        let mut own_sums = Vec::new();
+        for (pixel, own) in self.records.pixels() {
+            let voxels = self.folder.fold(own);
+            own_sums.clear();
+            own_sums.resize(voxels.len(), Moments::default());
+            let mut number = 0;
+            for &record in own {
+                if voxels[number].0.slice != record.slice() {
+                    number = voxels.partition_point(|(voxel, _)| voxel.slice < record.slice());
+                }
+                own_sums[number].add_record(record, self.bands);
+            }
+            for (&(mut voxel, _), mut sums) in voxels.iter().zip(own_sums.iter().copied()) {
+                let key = (pixel, voxel.slice);
+                while let Some(earlier) = before.next_if(|(pixel, earlier, _)| (*pixel, earlier.slice) < key) {
+                    folded.push(earlier);
+                }
+                if let Some((_, same, more)) = before.next_if(|(pixel, earlier, _)| (*pixel, earlier.slice) == key) {
+                    voxel.merge(&same);
+                    sums.add_shifted(&more, 0, 0, 0);
+                }
+                folded.push((pixel, voxel, sums));
+            }
+        }
+        folded.extend(before);
+    }
+}

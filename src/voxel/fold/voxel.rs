@@ -1,0 +1,107 @@
+//! The matter of one voxel.
+
+use crate::frame::SLICE_QUANTA;
+use crate::voxel::record::{Content, Record, SLICE_STEPS, SurfacePart, bottom_quantum, top_quantum};
+
+/// Parts of a slice in [`Voxel::bins`].
+pub const BINS: i64 = 16;
+const BIN_STEPS: u32 = (SLICE_STEPS / BINS) as u32;
+
+/// The matter of one voxel, folded: what points and surfaces have in common. Sums over the points are kept apart, since
+/// few voxels need them (see [`Sums`](super::Sums)).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Voxel {
+    /// Slice above the first of the column's block.
+    pub slice: u32,
+    /// Sixteenths of the slice that hold matter: what lies between bottom and top, matter or void.
+    pub bins: u16,
+    /// Greatest quantum at or below the lowest matter, above the slice's floor (0..=254).
+    pub bottom: u8,
+    /// Least quantum at or above the highest matter, above the slice's floor (0..=255).
+    pub top: u8,
+    /// What the matter is: [`POINTS`](Self::POINTS), [`FLAT`](Self::FLAT), [`STEEP`](Self::STEEP).
+    pub kinds: u8,
+}
+
+impl Voxel {
+    /// A surface that is not steeper than the limit.
+    pub const FLAT: u8 = 1;
+    /// A surface that is.
+    pub const STEEP: u8 = 2;
+    /// Points.
+    pub const POINTS: u8 = 4;
+    /// All that is in it is to be dropped.
+    const DROPPED: u8 = 8;
+
+    /// Without matter.
+    #[inline]
+    pub(super) fn empty(slice: u32) -> Self {
+        Self { slice, bins: 0, bottom: u8::MAX, top: 0, kinds: 0 }
+    }
+
+    /// Of one record.
+    #[inline]
+    pub(super) fn of(record: Record) -> Self {
+        let mut voxel = Self::empty(record.slice());
+        voxel.add(record);
+        voxel
+    }
+
+    #[inline]
+    pub(super) fn add(&mut self, record: Record) {
+        match record.content() {
+            Content::Point => {}
+            Content::Surface(part) => return self.add_surface(part),
+            Content::Dropped => {
+                self.kinds |= Self::DROPPED;
+                return;
+            }
+        }
+        let height = record.height();
+        self.bottom = self.bottom.min(bottom_quantum(height) as u8);
+        self.top = self.top.max(top_quantum(height) as u8);
+        self.bins |= 1 << (height / BIN_STEPS);
+        self.kinds |= Self::POINTS;
+    }
+
+    fn add_surface(&mut self, part: SurfacePart) {
+        self.bottom = self.bottom.min(part.bottom);
+        self.top = self.top.max(part.top);
+        let bin = |quantum: u8| (i64::from(quantum) * BINS / SLICE_QUANTA).min(BINS - 1);
+        // What ends on the lower border of a bin does not reach into it.
+        let (first, last) = (bin(part.bottom), bin(part.top.saturating_sub(1).max(part.bottom)));
+        self.bins |= (u16::MAX >> (BINS - 1 - (last - first))) << first;
+        self.kinds |= if part.steep { Self::STEEP } else { Self::FLAT };
+    }
+
+    /// Lowest and highest matter (quanta above the floor of slice `floor`).
+    #[inline]
+    pub fn quanta_above(&self, floor: i64) -> (i64, i64) {
+        let below = (i64::from(self.slice) - floor) * SLICE_QUANTA;
+        (below + i64::from(self.bottom), below + i64::from(self.top))
+    }
+
+    /// Whether a surface steeper than the limit is among its matter.
+    pub fn is_steep(&self) -> bool {
+        self.kinds & Self::STEEP != 0
+    }
+
+    /// Whether it holds points, as opposed to surfaces alone.
+    pub fn has_points(&self) -> bool {
+        self.kinds & Self::POINTS != 0
+    }
+
+    /// Whether a voxel of so many points is kept where `min_points` are asked for.
+    #[inline]
+    pub(super) fn is_kept(&self, points: i64, min_points: u32) -> bool {
+        let has_surface = self.kinds & (Self::FLAT | Self::STEEP) != 0;
+        self.kinds & Self::DROPPED == 0 && (has_surface || points >= i64::from(min_points))
+    }
+
+    pub(super) fn merge(&mut self, other: &Self) {
+        self.bottom = self.bottom.min(other.bottom);
+        self.top = self.top.max(other.top);
+        self.bins |= other.bins;
+        self.kinds |= other.kinds;
+    }
+}
