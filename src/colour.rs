@@ -139,10 +139,24 @@ pub struct ColourSum {
 
 impl ColourSum {
     /// Mean of values up to `high` as 16-bit sRGB, rounded to the nearest; `None` without points.
+    #[inline]
     pub fn mean(&self, high: u16) -> Option<[u16; 3]> {
-        let whole = u128::from(self.n) * u128::from(high);
-        let mean = |sum: u64| (((u128::from(sum) * 0xFFFF + whole / 2) / whole) as u64).min(0xFFFF) as u16;
-        (whole > 0).then(|| self.sum.map(mean))
+        let [r, g, b] = self.sum;
+        let greatest = r.max(g).max(b);
+        match (self.n, high) {
+            (0, _) | (_, 0) => None,
+            // 8 or 16 bits of one point, as in most voxels of sparse scans: nothing is rounded.
+            (1, 0xFF | 0xFFFF) if greatest <= u64::from(high) => Some(self.sum.map(|sum| sum as u16 * (0xFFFF / high))),
+            (n, _) if n < 1 << 30 && greatest < 1 << 46 => {
+                let whole = n * u64::from(high);
+                Some(self.sum.map(|sum| ((sum * 0xFFFF + whole / 2) / whole).min(0xFFFF) as u16))
+            }
+            (n, _) => {
+                let whole = u128::from(n) * u128::from(high);
+                let mean = |sum: u64| ((u128::from(sum) * 0xFFFF + whole / 2) / whole).min(0xFFFF) as u16;
+                Some(self.sum.map(mean))
+            }
+        }
     }
 }
 
@@ -322,6 +336,10 @@ mod tests {
                 (0..3).for_each(|channel| sum.sum[channel] += u64::from(value[channel]));
             }
             let mean = sum.mean(255).unwrap();
+            // The same by numbers of any width.
+            let far = 1 << 40;
+            let wide = ColourSum { n: sum.n * far, sum: sum.sum.map(|sum| sum * far) };
+            prop_assert_eq!(wide.mean(255).unwrap(), mean);
             for channel in 0..3 {
                 let exact = values.iter().map(|value| f64::from(value[channel])).sum::<f64>() / values.len() as f64;
                 prop_assert!((f64::from(mean[channel]) - exact * 257.0).abs() <= 0.5 + 1e-9);

@@ -19,6 +19,7 @@ use slicewalk::store::{Loader, LoaderOptions, Next, Prefetch, Store, Stream, Str
 use slicewalk::{Error, NoMonitor};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::path::{Path, PathBuf};
 
 /// Floors and walls in pages near and far; most are alike.
 fn city() -> Pages {
@@ -213,31 +214,45 @@ fn pages_that_were_not_prepared_for_levels_are_refused() {
     assert!(writer.put(key, encoded).unwrap_err().to_string().contains("without overview levels"));
 }
 
+/// Two parts, cut within a column of level 1.
+fn halves() -> [Shard; 2] {
+    let middle = key(1, 0, 0).column();
+    [(1, 0, middle - 1), (2, middle, u64::MAX)].map(|(index, first, last)| Shard {
+        index,
+        count: 2,
+        first,
+        last,
+        plan_file: 7,
+    })
+}
+
+fn totals_of_part(index: u32) -> Totals {
+    if index == 1 { totals() } else { Totals { crs: "here".into(), ..Totals::default() } }
+}
+
+/// The city in two parts, each an archive without findings.
+fn written_parts(folder: &Path, archive: impl Fn(&(Pages, Totals), Shard) -> Vec<u8>) -> Vec<PathBuf> {
+    let write = |shard: Shard| {
+        let own = city().into_iter().filter(|(key, _)| shard.columns().contains(&key.column())).collect();
+        let bytes = archive(&(own, totals_of_part(shard.index)), shard);
+        assert_eq!(rules(bytes.clone()), [""; 0]);
+        let target = folder.join(format!("{}.slices", shard.index));
+        fs::write(&target, bytes).unwrap();
+        target
+    };
+    halves().map(write).into()
+}
+
 #[test]
 fn parts_extracts_and_recovered_archives_have_the_levels_of_a_single_run() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let single = with_levels(city());
-    // Cut within a column of level 1.
-    let middle = key(1, 0, 0).column();
-    let parts: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
-        .map(|(index, first, last)| {
-            let shard = Shard { index, count: 2, first, last, plan_file: 7 };
-            let own = city().into_iter().filter(|(key, _)| shard.columns().contains(&key.column())).collect();
-            let totals = if index == 1 { totals() } else { Totals { crs: "here".into(), ..Totals::default() } };
-            let target = path(&format!("{index}.slices"));
-            fs::write(&target, archive_with_levels(&plan(), &(own, totals), Some(shard))).unwrap();
-            target
-        })
-        .into();
+    let parts = written_parts(folder.path(), |part, shard| archive_with_levels(&plan(), part, Some(shard)));
     merge(&parts, &path("whole.slices"), false, &NoMonitor).unwrap();
     assert!(fs::read(path("whole.slices")).unwrap() == single);
-    let without = Shard { index: 2, count: 2, first: middle, last: u64::MAX, plan_file: 7 };
-    fs::write(
-        &parts[1],
-        archive_of(&plan(), &(Pages::new(), Totals { crs: "here".into(), ..Totals::default() }), Some(without)),
-    )
-    .unwrap();
+    let (empty, without) = ((Pages::new(), totals_of_part(2)), halves()[1]);
+    fs::write(&parts[1], archive_of(&plan(), &empty, Some(without))).unwrap();
     let refused = merge(&parts, &path("no.slices"), false, &NoMonitor).unwrap_err().to_string();
     assert!(refused.contains("2.slices") && refused.contains("--levels"), "{refused}");
 
@@ -367,18 +382,7 @@ fn parts_extracts_and_recovered_archives_have_the_coloured_levels_of_a_single_ru
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let single = archive_coloured_by_place(&(city(), totals()), 2000, true, None);
-    let middle = key(1, 0, 0).column();
-    let parts: Vec<_> = [(1, 0, middle - 1), (2, middle, u64::MAX)]
-        .map(|(index, first, last)| {
-            let shard = Shard { index, count: 2, first, last, plan_file: 7 };
-            let own = city().into_iter().filter(|(key, _)| shard.columns().contains(&key.column())).collect();
-            let totals = if index == 1 { totals() } else { Totals { crs: "here".into(), ..Totals::default() } };
-            let bytes = archive_coloured_by_place(&(own, totals), 2000, true, Some(shard));
-            assert_eq!(rules(bytes.clone()), [""; 0]);
-            fs::write(path(&format!("{index}.slices")), bytes).unwrap();
-            path(&format!("{index}.slices"))
-        })
-        .into();
+    let parts = written_parts(folder.path(), |part, shard| archive_coloured_by_place(part, 2000, true, Some(shard)));
     merge(&parts, &path("whole.slices"), false, &NoMonitor).unwrap();
     assert!(fs::read(path("whole.slices")).unwrap() == single);
 

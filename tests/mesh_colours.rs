@@ -86,6 +86,12 @@ fn convert(at: &Path, inputs: &[&str], output: &str, options: &[&str]) -> Archiv
     Archive::open(at.join(output)).unwrap()
 }
 
+/// Of a conversion of one file that says what it has to say.
+fn arguments<'a>(input: &'a str, options: &[&'a str]) -> Vec<&'a str> {
+    let own = [input, "-o", "a.slices", "--pixel", "0.1", "--units", "m", "--force", "--colour-error", "0"];
+    [&own, options].concat()
+}
+
 /// Every voxel has a colour, near that of the truth.
 fn assert_is_the_texture(archive: &Archive, mean_limit: f64, what: &str) {
     let truth = truth(archive.frame());
@@ -107,10 +113,15 @@ fn assert_is_the_texture(archive: &Archive, mean_limit: f64, what: &str) {
 }
 
 fn write_obj(path: &Path, triangles: &[[[f64; 2]; 3]], materials: &str) {
+    write_obj_with(path, triangles, materials, |place| place);
+}
+
+/// Corners name the places that `named` makes of those in the texture, from its lower left.
+fn write_obj_with(path: &Path, triangles: &[[[f64; 2]; 3]], materials: &str, named: impl Fn([f64; 2]) -> [f64; 2]) {
     let mut out = format!("mtllib {materials}\nusemtl first\n");
     for corner in triangles.iter().flatten() {
-        let ([x, y, z], [u, v]) = (place(*corner), *corner);
-        writeln!(out, "v {x} {y} {z}\nvt {u} {}", 1.0 - v).unwrap();
+        let ([x, y, z], [u, v]) = (place(*corner), named([corner[0], 1.0 - corner[1]]));
+        writeln!(out, "v {x} {y} {z}\nvt {u} {v}").unwrap();
     }
     out.push_str("usemtl wood\n");
     (0..triangles.len())
@@ -137,6 +148,16 @@ fn write_ply(path: &Path, triangles: &[[[f64; 2]; 3]], colour: &str) {
 
 /// A structure and a buffer of the quad: positions, places in the texture and the texture itself.
 fn gltf(triangles: &[[[f64; 2]; 3]], image: &[u8], uri: Option<&str>) -> (String, Vec<u8>) {
+    gltf_with(triangles, image, uri, |place| place)
+}
+
+/// Corners name the places that `named` makes of those in the texture.
+fn gltf_with(
+    triangles: &[[[f64; 2]; 3]],
+    image: &[u8],
+    uri: Option<&str>,
+    named: impl Fn([f64; 2]) -> [f64; 2],
+) -> (String, Vec<u8>) {
     let corners: Vec<[f64; 2]> = triangles.iter().flatten().copied().collect();
     let float = |value: f64| (value as f32).to_le_bytes();
     // z up becomes y up.
@@ -147,7 +168,7 @@ fn gltf(triangles: &[[[f64; 2]; 3]], image: &[u8], uri: Option<&str>) -> (String
             [x, z, -y].map(float).concat()
         })
         .collect();
-    buffer.extend(corners.iter().flat_map(|corner| corner.map(float).concat()));
+    buffer.extend(corners.iter().flat_map(|corner| named(*corner).map(float).concat()));
     let (count, at) = (corners.len(), buffer.len());
     buffer.extend(image);
     let image = match uri {
@@ -208,6 +229,41 @@ fn voxels_have_the_colours_of_the_texture_and_of_corners_in_every_format() {
             assert!(pages(&archive) == pages(&plain), "{name}");
         }
     }
+}
+
+#[test]
+fn textures_lie_where_materials_move_scale_and_turn_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    write_texture(&at.join("a.png"));
+    let image = fs::read(at.join("a.png")).unwrap();
+    let write_mtl = |options: &str| fs::write(at.join("a.mtl"), format!("newmtl wood\nmap_Kd {options} a.png\n"));
+    write_mtl("-s 2 -4 1 -o 0.25 0.5").unwrap();
+    write_obj_with(&at.join("a.obj"), &quad(5), "a.mtl", |[u, v]| [(u - 0.25) / 2.0, (v - 0.5) / -4.0]);
+    // Back from what the extension makes of a place: moved, turned, scaled.
+    let ((sin, cos), offset, scale) = (0.7f64.sin_cos(), [0.3, -0.2], [2.0, 0.5]);
+    let named = |[u, v]: [f64; 2]| {
+        let (u, v) = (u - offset[0], v - offset[1]);
+        [(cos * u - sin * v) / scale[0], (sin * u + cos * v) / scale[1]]
+    };
+    let (structure, buffer) = gltf_with(&quad(5), &image, None, named);
+    let transform = r#""KHR_texture_transform":{"offset":[0.3,-0.2],"rotation":0.7,"scale":[2,0.5],"texCoord":1}"#;
+    let structure = structure
+        .replace(r#"{"index":0}"#, &format!(r#"{{"index":0,"extensions":{{{transform}}}}}"#))
+        .replace(r#""TEXCOORD_0":1"#, r#""TEXCOORD_1":1"#)
+        .replace(r#"{"asset""#, r#"{"extensionsRequired":["KHR_texture_transform"],"asset""#);
+    write_glb(&at.join("b.glb"), &structure, &buffer);
+    for name in ["a.obj", "b.glb"] {
+        let archive = convert(at, &[name], "a.slices", &["--colour", "rgb"]);
+        assert_is_the_texture(&archive, 2.5, name);
+    }
+    write_mtl("-t 0.5 -mm 0 1").unwrap();
+    let said = converts(at, &arguments("a.obj", &["--colour", "rgb"]));
+    assert_eq!(said.matches("map_Kd -t 0.5 is not supported and is left out").count(), 1, "{said}");
+    let other = structure.replace("KHR_texture_transform", "KHR_other");
+    write_glb(&at.join("b.glb"), &other, &buffer);
+    let said = refuses(at, &arguments("b.glb", &["--colour", "rgb"]), 1);
+    assert!(said.contains("requires the extension \"KHR_other\""), "{said}");
 }
 
 #[test]
@@ -335,16 +391,11 @@ fn materials_factors_and_faces_colour_whole_triangles() {
     assert_eq!(only_colour(&convert(at, &["a.ply"], "a.slices", &["--colour", "rgb"])), Some([7, 8, 9]));
     // Without any there is no section, or a refusal.
     fs::write(at.join("a.obj"), "v 0 0 0\nv 4 0 0\nv 0 4 0\nf 1 2 3\n").unwrap();
-    let said =
-        converts(at, &["a.obj", "-o", "a.slices", "--pixel", "0.1", "--units", "m", "--force", "--colour", "auto"]);
+    let said = converts(at, &arguments("a.obj", &["--colour", "auto"]));
     assert!(said.contains("the archive has no colours"), "{said}");
     assert!(Archive::open(at.join("a.slices")).unwrap().header().colours.is_none());
     for (colour, word) in [("rgb", "no triangle has a colour"), ("intensity", "meshes have RGB alone")] {
-        let said = refuses(
-            at,
-            &["a.obj", "-o", "a.slices", "--pixel", "0.1", "--units", "m", "--force", "--colour", colour],
-            2,
-        );
+        let said = refuses(at, &arguments("a.obj", &["--colour", colour]), 2);
         assert!(said.contains(word), "{said}");
     }
 }
@@ -387,45 +438,27 @@ fn textures_that_cannot_be_used_are_warnings_and_the_material_colours_in_their_p
     ] {
         fs::write(at.join("a.mtl"), format!("newmtl wood\nKd 0 1 0\nmap_Kd {name}\n")).unwrap();
         write_obj(&at.join("a.obj"), &quad(2), "a.mtl");
-        let arguments = [
-            "a.obj",
-            "-o",
-            "a.slices",
-            "--pixel",
-            "0.1",
-            "--units",
-            "m",
-            "--force",
-            "--colour",
-            "rgb",
-            "--colour-error",
-            "0",
-        ];
-        let said = converts(at, &arguments);
+        let said = converts(at, &arguments("a.obj", &["--colour", "rgb"]));
         assert_eq!(said.matches("texture ").count(), 1, "{name}: {said}");
         assert!(said.contains(word), "{name}: {said}");
         assert_eq!(only_colour(&Archive::open(at.join("a.slices")).unwrap()), Some([0, 255, 0]), "{name}");
         let name = name.replace('\\', "/");
         let (structure, buffer) = gltf(&quad(2), &[], Some(&name));
         write_glb(&at.join("a.glb"), &structure, &buffer);
-        converts(
-            at,
-            &["a.glb", "-o", "a.slices", "--pixel", "0.1", "--force", "--colour", "rgb", "--colour-error", "0"],
-        );
+        converts(at, &arguments("a.glb", &["--colour", "rgb"]));
         assert_eq!(only_colour(&Archive::open(at.join("a.slices")).unwrap()), Some([255; 3]), "{name}");
     }
     // Materials that are not there, or have other names.
     for (text, word) in [("", "there is none called"), ("newmtl other\nKd 1 1 1\n", "there is none called")] {
         fs::write(at.join("a.mtl"), text).unwrap();
         write_obj(&at.join("a.obj"), &quad(2), "../a.mtl a.mtl");
-        let said =
-            converts(at, &["a.obj", "-o", "a.slices", "--pixel", "0.1", "--units", "m", "--force", "--colour", "auto"]);
+        let said = converts(at, &arguments("a.obj", &["--colour", "auto"]));
         assert!(said.contains(word) && said.contains("the archive has no colours"), "{said}");
     }
     // A material that a part names and that is not there.
     let (structure, buffer) = gltf(&quad(2), &sound, None);
     write_glb(&at.join("a.glb"), &structure.replace(r#""material":0"#, r#""material":7"#), &buffer);
-    let said = converts(at, &["a.glb", "-o", "a.slices", "--pixel", "0.1", "--force", "--colour", "auto"]);
+    let said = converts(at, &arguments("a.glb", &["--colour", "auto"]));
     assert!(said.contains("the archive has no colours"), "{said}");
 }
 
@@ -436,25 +469,11 @@ fn a_texture_that_does_not_fit_the_memory_is_an_error_that_says_so() {
     fs::write(at.join("a.png"), png(3000, 2200, &vec![200; 3 * 3000 * 2200])).unwrap();
     fs::write(at.join("a.mtl"), "newmtl wood\nmap_Kd a.png\n").unwrap();
     write_obj(&at.join("a.obj"), &quad(2), "a.mtl");
-    let arguments = [
-        "a.obj",
-        "-o",
-        "a.slices",
-        "--pixel",
-        "0.1",
-        "--units",
-        "m",
-        "--force",
-        "--colour-error",
-        "0",
-        "--colour",
-        "rgb",
-        "--memory",
-    ];
-    let said = refuses(at, &[&arguments[..], &["64MiB"]].concat(), 1);
+    let with_memory = |memory| arguments("a.obj", &["--colour", "rgb", "--memory", memory]);
+    let said = refuses(at, &with_memory("64MiB"), 1);
     assert!(said.contains("--memory") && said.contains("a.png"), "{said}");
     assert!(!at.join("a.slices").exists());
-    converts(at, &[&arguments[..], &["256MiB"]].concat());
+    converts(at, &with_memory("256MiB"));
     assert_eq!(only_colour(&Archive::open(at.join("a.slices")).unwrap()), Some([200; 3]));
 }
 

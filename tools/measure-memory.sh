@@ -4,7 +4,7 @@
 #
 #   tools/measure-memory.sh [WORK_FOLDER] [PERCENT]
 #
-# The folder (default: a new one) takes about 8 GB; PERCENT (default 100) shrinks the scans. Needs GNU time. Takes a
+# The folder (default: a new one) takes about 12 GB; PERCENT (default 100) shrinks the scans. Needs GNU time. Takes a
 # quarter of an hour on two cores, mostly to generate the scans; one that is there already is used again.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -44,6 +44,7 @@ measure() { # TITLE BUDGET_MIB SLICECONV_ARGUMENTS...
 }
 
 scan uniform.las 100000000 uniform
+scan colours.las 100000000 uniform --format 7 --colour 4
 scan far-x.las 1000 plane --origin 10000000,0,0
 scan far-z.las 1000 plane --origin 0,0,10000000
 scan coincident.las 20000000 plane --param size=0.01 --scale 1
@@ -56,6 +57,7 @@ measure "100 M shuffled points, 2 GB" 256 uniform.las --pixel 0.1
 measure "the same and an outlier at x = 1e7 m" 256 uniform.las far-x.las --pixel 0.1
 measure "the same and an outlier at z = 1e7 m" 256 uniform.las far-z.las --pixel 0.1
 measure "100 M shuffled points at the least budget" 64 uniform.las --pixel 0.1
+measure "100 M shuffled points, 16-bit RGB, levels, 3.6 GB" 256 colours.las --pixel 0.1 --colour rgb --levels on
 measure "20 M coincident points" 64 coincident.las --pixel 0.05
 measure "20 M points in one LAZ chunk" 64 one-chunk.laz --pixel 0.1
 measure "10 M points on a wall 1 km high" 64 wall.las --pixel 0.1

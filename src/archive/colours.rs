@@ -62,7 +62,7 @@ impl EncodedColours {
         colours: &[Option<[u16; 3]>],
         encoder: &mut ColourEncoder,
     ) -> Self {
-        match ColourBlock::quantise(colours, plan.error_milli) {
+        match ColourBlock::quantise(colours, plan.error_milli, encoder) {
             Some(block) => Self::of_block(block, occupancy, encoder),
             None => Self::default(),
         }

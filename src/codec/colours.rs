@@ -7,7 +7,7 @@
 
 use super::rans::{Bit, Coder, Nibble, RansDecoder, RansEncoder};
 use super::{MAX_PAGE_SPANS, Violation, unzigzag, zigzag};
-use crate::colour::{LabTable, difference, to_8_bits};
+use crate::colour::{Lab, LabTable, difference, to_8_bits};
 use crate::slice::{Colours, Occupancy};
 
 /// First byte of a block: its model.
@@ -83,22 +83,22 @@ fn steps_for(luma: u8) -> [u8; 3] {
     [luma, ((n * 9 + 4) / 8).max(1) as u8, ((n * 5 + 4) / 8).max(1) as u8]
 }
 
-/// Division by a number that is known early: a multiplication. Exact for quotients of numbers below 2¹⁷ by ones below 2¹⁵.
+/// Division by a number above 1 that is known early: a multiplication. Exact for quotients of numbers below 2¹⁷ by ones below 2¹⁵.
 #[derive(Debug, Clone, Copy, Default)]
 struct Divisor {
     half: u32,
-    reciprocal: u64,
+    reciprocal: u32,
 }
 
 impl Divisor {
     const fn new(divisor: u32) -> Self {
-        Self { half: divisor / 2, reciprocal: (1 << 32) / divisor as u64 + 1 }
+        Self { half: divisor / 2, reciprocal: ((1 << 32) / divisor as u64 + 1) as u32 }
     }
 
     /// `value / divisor`, rounded down.
     #[inline]
     fn floor(self, value: u32) -> i32 {
-        ((u64::from(value) * self.reciprocal) >> 32) as i32
+        ((u64::from(value) * u64::from(self.reciprocal)) >> 32) as i32
     }
 
     /// `value / divisor`, rounded to the nearest, halves away from zero.
@@ -151,6 +151,13 @@ fn ycocg([r, g, b]: [u8; 3]) -> [i32; 3] {
     [t + (cg >> 1), co, cg]
 }
 
+/// Luma and differences of a 16-bit colour, in 257ths of those of 8 bits: no halves are lost.
+#[inline]
+fn in_257ths(colour: [u16; 3]) -> [i32; 3] {
+    let [r, g, b] = colour.map(i32::from);
+    [(r + 2 * g + b + 2) / 4, r - b, g - (r + b) / 2]
+}
+
 /// Quantises 16-bit colours.
 #[derive(Debug, Clone, Copy)]
 struct Quantiser {
@@ -168,9 +175,12 @@ impl Quantiser {
         if self.steps == [1; 3] {
             return ycocg(colour.map(to_8_bits)).map(|value| value as i16);
         }
-        // The same in 257ths, of which no halves are lost.
-        let [r, g, b] = colour.map(i32::from);
-        let all = [(r + 2 * g + b + 2) / 4, r - b, g - (r + b) / 2];
+        self.of_257ths(in_257ths(colour))
+    }
+
+    /// Of luma and differences in 257ths, unless all steps are 1.
+    #[inline]
+    fn of_257ths(&self, all: [i32; 3]) -> [i16; 3] {
         [0, 1, 2].map(|at| self.divisors[at].nearest(all[at]))
     }
 }
@@ -180,8 +190,7 @@ fn numbers(colour: [u16; 3], steps: [u8; 3]) -> [i16; 3] {
     if steps == [1; 3] {
         return ycocg(colour.map(to_8_bits)).map(|value| value as i16);
     }
-    let [r, g, b] = colour.map(i32::from);
-    let all = [(r + 2 * g + b + 2) / 4, r - b, g - (r + b) / 2];
+    let all = in_257ths(colour);
     [0, 1, 2].map(|at: usize| {
         let step = 257 * i32::from(steps[at]);
         ((all[at].abs() + step / 2) / step * all[at].signum()) as i16
@@ -194,39 +203,117 @@ fn restored(value: [i16; 3], steps: [u8; 3]) -> [u8; 3] {
     rgb_of(std::array::from_fn(|at| i32::from(value[at]) * i32::from(steps[at])))
 }
 
-impl ColourBlock {
-    /// Of exact colours (16 bits a channel) of voxels in order, with steps whose mean difference from them is at most
-    /// `error_milli` thousandths of ΔE*ab, or those of 8 bits where none wider are. `None` if there is no colour.
-    ///
-    /// Cost: about seven times a look at each voxel.
-    pub fn quantise(colours: &[Option<[u16; 3]>], error_milli: u16) -> Option<Self> {
-        let table = LabTable::get();
-        let exact: Vec<_> = colours.iter().flatten().map(|&colour| (colour, table.of_16_bits(colour))).collect();
-        if exact.is_empty() {
-            return None;
+/// CIELAB of the 8-bit colours that were asked for last: those of a page are few, and asked for again for each width of steps.
+#[derive(Debug, Clone)]
+struct RecentLabs(Box<[(u32, Lab); 1 << RecentLabs::BITS]>);
+
+impl Default for RecentLabs {
+    fn default() -> Self {
+        // No colour has this number.
+        Self(Box::new([(u32::MAX, [0.0; 3]); 1 << Self::BITS]))
+    }
+}
+
+impl RecentLabs {
+    const BITS: u32 = 10;
+
+    #[inline]
+    fn of(&mut self, table: &LabTable, rgb: [u8; 3]) -> Lab {
+        let number = u32::from_le_bytes([rgb[0], rgb[1], rgb[2], 0]);
+        let place = &mut self.0[(number.wrapping_mul(0x9E37_79B1) >> (32 - Self::BITS)) as usize];
+        if place.0 != number {
+            *place = (number, table.of_8_bits(rgb));
         }
-        let most = f64::from(error_milli) / 1000.0 * exact.len() as f64;
-        let fits = |luma: u8| {
-            let steps = steps_for(luma);
-            let quantiser = Quantiser::new(steps);
-            let mut sum = 0.0;
-            for &(colour, lab) in &exact {
-                let found = table.of_8_bits(restored(quantiser.of(colour), steps));
-                sum += f64::from(difference(found, lab));
-                // It only grows.
-                if sum > most {
-                    return false;
-                }
-            }
-            true
-        };
-        let (mut low, mut high) = (1, if error_milli == 0 { 1 } else { MOST_STEP });
+        place.1
+    }
+}
+
+/// Finds the widest steps that keep within an error; its scratch is reused. Memory: 24 bytes a voxel of a page.
+#[derive(Debug, Clone, Default)]
+struct Stepper {
+    /// Of each colour: luma and differences in 257ths, and CIELAB.
+    exact: [Vec<i32>; 3],
+    labs: [Vec<f32>; 3],
+    recent: RecentLabs,
+}
+
+impl Stepper {
+    /// Colours that are looked at in one go, so that the arithmetic compiles to vector instructions.
+    const BATCH: usize = 64;
+    /// Colours for which room is kept from page to page.
+    const KEPT: usize = 1 << 14;
+
+    /// The step of luma for these colours; `None` if there is none.
+    ///
+    /// Cost: about five times a look at each voxel.
+    fn luma(&mut self, colours: &[Option<[u16; 3]>], error_milli: u16) -> Option<u8> {
+        if error_milli == 0 {
+            return colours.iter().any(Option::is_some).then_some(1);
+        }
+        self.set(colours);
+        let count = self.exact[0].len();
+        let most = f64::from(error_milli) / 1000.0 * count as f64;
+        let (mut low, mut high) = (1, if count > 0 { MOST_STEP } else { 1 });
         // The widest that fits, where wider ones err more; one that fits in any case.
         while low < high {
             let middle = (low + high).div_ceil(2);
-            if fits(middle) { low = middle } else { high = middle - 1 }
+            if self.fits(middle, most) { low = middle } else { high = middle - 1 }
         }
-        let steps = steps_for(low);
+        (count > 0).then_some(low)
+    }
+
+    fn set(&mut self, colours: &[Option<[u16; 3]>]) {
+        let table = LabTable::get();
+        for all in &mut self.exact {
+            all.clear();
+            all.shrink_to(Self::KEPT);
+        }
+        for all in &mut self.labs {
+            all.clear();
+            all.shrink_to(Self::KEPT);
+        }
+        for &colour in colours.iter().flatten() {
+            self.exact.iter_mut().zip(in_257ths(colour)).for_each(|(all, number)| all.push(number));
+            self.labs.iter_mut().zip(table.of_16_bits(colour)).for_each(|(all, number)| all.push(number));
+        }
+    }
+
+    /// Whether the differences add up to no more than `most` with this step of luma, which is more than 1.
+    fn fits(&mut self, luma: u8, most: f64) -> bool {
+        const BATCH: usize = Stepper::BATCH;
+        let (table, Self { exact: [y, co, cg], labs: [l, a, b], recent }) = (LabTable::get(), self);
+        let (steps, quantiser) = (steps_for(luma), Quantiser::new(steps_for(luma)));
+        let mut sum = 0.0;
+        for start in (0..y.len()).step_by(BATCH) {
+            let all = start..(start + BATCH).min(y.len());
+            let (mut rgb, mut found, mut apart) = ([[0; 3]; BATCH], [[0.0; BATCH]; 3], [0.0; BATCH]);
+            let exact = y[all.clone()].iter().zip(&co[all.clone()]).zip(&cg[all.clone()]);
+            for (rgb, ((&y, &co), &cg)) in rgb.iter_mut().zip(exact) {
+                *rgb = restored(quantiser.of_257ths([y, co, cg]), steps);
+            }
+            for (number, &rgb) in rgb[..all.len()].iter().enumerate() {
+                let lab = recent.of(table, rgb);
+                (0..3).for_each(|axis| found[axis][number] = lab[axis]);
+            }
+            let exact = l[all.clone()].iter().zip(&a[all.clone()]).zip(&b[all.clone()]);
+            for (number, ((&l, &a), &b)) in exact.enumerate() {
+                apart[number] = difference([found[0][number], found[1][number], found[2][number]], [l, a, b]);
+            }
+            // In order: sums of floats depend on it. It only grows.
+            sum = apart[..all.len()].iter().fold(sum, |sum, &apart| sum + f64::from(apart));
+            if sum > most {
+                return false;
+            }
+        }
+        true
+    }
+}
+
+impl ColourBlock {
+    /// Of exact colours (16 bits a channel) of voxels in order, with steps whose mean difference from them is at most
+    /// `error_milli` thousandths of ΔE*ab, or those of 8 bits where none wider are. `None` if there is no colour.
+    pub fn quantise(colours: &[Option<[u16; 3]>], error_milli: u16, encoder: &mut ColourEncoder) -> Option<Self> {
+        let steps = steps_for(encoder.stepper.luma(colours, error_milli)?);
         let quantiser = Quantiser::new(steps);
         let value = |colour: &Option<[u16; 3]>| colour.map_or([ABSENT, 0, 0], |colour| quantiser.of(colour));
         Some(Self { steps, values: colours.iter().map(value).collect() })
@@ -306,6 +393,7 @@ impl ColourBlock {
 #[derive(Debug, Default)]
 pub struct ColourEncoder {
     rans: RansEncoder,
+    stepper: Stepper,
     without_levels: bool,
 }
 
@@ -322,26 +410,29 @@ impl ColourEncoder {
     }
 }
 
-/// What is known around a voxel.
-#[derive(Default)]
+/// What is known around a voxel: of each number its weighted sum, its least and its greatest value. Four lanes of 16 bits, of which the
+/// last is idle, compile to vector instructions; no sum has more bits.
 struct Near {
     weight: i32,
-    sum: [i32; 3],
-    least: [i32; 3],
-    most: [i32; 3],
+    sum: [i16; 4],
+    least: [i16; 4],
+    most: [i16; 4],
     count: usize,
 }
 
+const _: () = assert!(MOST_WEIGHT as i32 * GREATEST < i16::MAX as i32);
+
 impl Near {
+    const NOTHING: Self = Self { weight: 0, sum: [0; 4], least: [i16::MAX; 4], most: [i16::MIN; 4], count: 0 };
+
     #[inline]
-    fn add(&mut self, value: [i16; 3], weight: i32) {
-        for (at, value) in value.into_iter().enumerate() {
-            let value = i32::from(value);
+    fn add(&mut self, [a, b, c]: [i16; 3], weight: i16) {
+        for (at, value) in [a, b, c, 0].into_iter().enumerate() {
             self.sum[at] += weight * value;
-            self.least[at] = if self.count == 0 { value } else { self.least[at].min(value) };
-            self.most[at] = if self.count == 0 { value } else { self.most[at].max(value) };
+            self.least[at] = self.least[at].min(value);
+            self.most[at] = self.most[at].max(value);
         }
-        self.weight += weight;
+        self.weight += i32::from(weight);
         self.count += 1;
     }
 }
@@ -351,6 +442,14 @@ impl Near {
 fn class(spread: i32) -> usize {
     const CLASSES: [u8; 12] = [0, 1, 2, 3, 3, 4, 4, 5, 5, 5, 6, 6];
     CLASSES.get(spread as usize).map_or(7, |&class| usize::from(class))
+}
+
+/// Voxels of a pixel below a slice.
+#[inline]
+fn rank(mask: u64, slice: u32) -> usize {
+    let below = mask & ((1u64 << slice) - 1);
+    // Mostly none; not every processor counts bits in one instruction.
+    if below == 0 { 0 } else { below.count_ones() as usize }
 }
 
 /// Goes through the voxels with a coder, which reads or writes `values`; whether all numbers are within their range.
@@ -389,7 +488,7 @@ fn walk<C: Coder>(occupancy: &Occupancy, steps: [u8; 3], values: &mut [[i16; 3]]
                 values[number] = [ABSENT, 0, 0];
                 continue;
             }
-            let mut near = Near::default();
+            let mut near = Near::NOTHING;
             if let Some((_, value)) = below.filter(|below| below.0 + 1 == k) {
                 near.add(value, 3);
             }
@@ -397,8 +496,7 @@ fn walk<C: Coder>(occupancy: &Occupancy, steps: [u8; 3], values: &mut [[i16; 3]]
                 // The voxel beside this one, else the one below that, else the one above.
                 for slice in [k, k.wrapping_sub(1), k + 1] {
                     if slice < 64 && their_mask >> slice & 1 == 1 {
-                        let rank = (their_mask & ((1u64 << slice) - 1)).count_ones() as usize;
-                        let value = values[their_first + rank];
+                        let value = values[their_first + rank(their_mask, slice)];
                         if value[0] != ABSENT {
                             near.add(value, weight);
                             break;
@@ -413,11 +511,11 @@ fn walk<C: Coder>(occupancy: &Occupancy, steps: [u8; 3], values: &mut [[i16; 3]]
             let mut coded = value;
             let mut before = 0;
             for channel in 0..3 {
-                let expected = mean(near.sum[channel], near.weight);
+                let expected = mean(i32::from(near.sum[channel]), near.weight);
                 let spread = match near.count {
                     0 => 7,
                     1 => 5,
-                    _ => class(near.most[channel] - near.least[channel]),
+                    _ => class(i32::from(near.most[channel]) - i32::from(near.least[channel])),
                 };
                 let context = spread + 8 * if channel == 0 { near.count.saturating_sub(1).min(2) } else { before };
                 let residual = i32::from(coded[channel]) - expected;
@@ -532,7 +630,7 @@ mod tests {
                 });
                 (random() % 9 > 0).then_some(colour)
             }).collect();
-            let Some(mut block) = ColourBlock::quantise(&colours, error_milli) else {
+            let Some(mut block) = ColourBlock::quantise(&colours, error_milli, &mut ColourEncoder::default()) else {
                 prop_assert!(colours.iter().all(Option::is_none));
                 return Ok(());
             };
@@ -581,7 +679,7 @@ mod tests {
         let part = occupancy((10..20).map(|at| ((at, 3), (at * 100, 300))));
         let colours: Vec<_> =
             whole.voxels().map(|(pixel, k)| Some([(pixel * 900) as u16, (k * 1000) as u16, 5])).collect();
-        let block = ColourBlock::quantise(&colours, 2000).unwrap();
+        let block = ColourBlock::quantise(&colours, 2000, &mut ColourEncoder::default()).unwrap();
         let cut = block.part(&whole, &part).unwrap();
         let (all, some) = (block.colours(whole).unwrap(), cut.colours(part.clone()).unwrap());
         for (pixel, k) in part.voxels() {

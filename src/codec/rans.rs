@@ -7,6 +7,7 @@
 //! a symbol takes a multiplication, a word at most, and no division when decoding.
 
 use super::Violation;
+use std::sync::OnceLock;
 
 /// Bits of a probability.
 const SCALE_BITS: u32 = 15;
@@ -169,27 +170,22 @@ pub struct RansEncoder {
     /// First slot and number of slots of each symbol. What is decoded first is encoded last, so they wait here.
     slots: Vec<(u16, u16)>,
     words: Vec<u16>,
-    inverses: Inverses,
 }
 
-/// ⌊2⁶³ / n⌋ + 1 for each number of slots: with it, a division is a multiplication. Made when it is first wanted.
-#[derive(Debug, Default)]
-struct Inverses(Vec<u64>);
+/// ⌊2⁶⁴ / n⌋ + 1 for each number of slots but 1, for which it is 2⁶⁴ − 1: with it, a division is a multiplication. Made when it is
+/// first wanted, and shared by all encoders: it takes 256 KiB.
+static INVERSES: OnceLock<Vec<u64>> = OnceLock::new();
 
-impl Inverses {
-    fn of_all(&mut self) -> &[u64] {
-        if self.0.is_empty() {
-            self.0 = (0..=u64::from(SCALE)).map(|count| (1 << 63) / count.max(1) + 1).collect();
-        }
-        &self.0
-    }
+fn inverses() -> &'static [u64] {
+    let inverse = |count: u64| if count < 2 { u64::MAX } else { ((1 << 64) / u128::from(count) + 1) as u64 };
+    INVERSES.get_or_init(|| (0..=u64::from(SCALE)).map(inverse).collect())
+}
 
-    /// `state / count` by the inverse of `count` [1..=`SCALE`]: it errs by less than `state / 2⁶³`, and no quotient lies closer
-    /// below the next whole number than `1 / SCALE`.
-    #[inline]
-    fn quotient(state: u32, inverse: u64) -> u32 {
-        ((u128::from(state) * u128::from(inverse)) >> 63) as u32
-    }
+/// `state / count` by the inverse of `count` [1..=`SCALE`]: it errs by less than `state / 2⁶⁴`, and no quotient lies closer
+/// below the next whole number than `1 / SCALE`. Of a `count` of 1 it is one less.
+#[inline]
+fn quotient(state: u32, inverse: u64) -> u32 {
+    ((u128::from(state) * u128::from(inverse)) >> 64) as u32
 }
 
 impl RansEncoder {
@@ -200,19 +196,21 @@ impl RansEncoder {
 
     /// Appends the bytes of all symbols since [`clear`](Self::clear): the state (u32), then its words (u16).
     pub fn finish(&mut self, out: &mut Vec<u8>) {
-        let Self { slots, words, inverses } = self;
-        let inverses = inverses.of_all();
+        let Self { slots, words } = self;
+        let inverses = inverses();
         words.resize(slots.len() + 1, 0);
         let (mut state, mut length) = (LOW, 0);
         for &(start, count) in slots.iter().rev() {
             let inverse = inverses[usize::from(count)];
             let (start, count) = (u32::from(start), u32::from(count));
+            // Makes up for the quotient by 1.
+            let start = start + if count == 1 { SCALE - 1 } else { 0 };
             // Whether a word goes out is hard to foresee, so each is written, and stays if it is to.
             words[length] = state as u16;
             let goes_out = u64::from(state) >= u64::from(count) << 17;
             length += usize::from(goes_out);
             state = if goes_out { state >> 16 } else { state };
-            state += start + Inverses::quotient(state, inverse) * (SCALE - count);
+            state += start + quotient(state, inverse) * (SCALE - count);
         }
         out.extend(state.to_le_bytes());
         out.extend(words[..length].iter().rev().flat_map(|word| word.to_le_bytes()));
@@ -345,13 +343,13 @@ mod tests {
 
     #[test]
     fn multiplying_by_an_inverse_is_dividing() {
-        let mut inverses = Inverses::default();
-        let of_all = inverses.of_all();
+        let of_all = inverses();
         for count in 1..=SCALE {
             let multiples = [1, 2, 3, u32::MAX / count / 2, u32::MAX / count].map(|times| times * count);
-            for state in multiples.into_iter().flat_map(|at| [at - 1, at, at.saturating_add(1)]).chain([LOW, u32::MAX])
-            {
-                assert_eq!(Inverses::quotient(state, of_all[count as usize]), state / count, "{state} / {count}");
+            let around = multiples.into_iter().flat_map(|at| [at - 1, at, at.saturating_add(1)]);
+            for state in around.chain([LOW, u32::MAX]).filter(|&state| state > 0) {
+                let found = quotient(state, of_all[count as usize]) + u32::from(count == 1);
+                assert_eq!(found, state / count, "{state} / {count}");
             }
         }
     }

@@ -37,7 +37,9 @@ impl Occupancy {
         self.count = 0;
         for (first, mask) in self.first.iter_mut().zip(&self.masks) {
             *first = self.count as u32;
-            self.count += mask.count_ones() as usize;
+            // Mostly none or one; not every processor counts bits in one instruction.
+            let is_few = mask & mask.wrapping_sub(1) == 0;
+            self.count += if is_few { usize::from(*mask != 0) } else { mask.count_ones() as usize };
         }
     }
 

@@ -188,9 +188,10 @@ impl ColumnColours {
 
     /// Adds the records that lie in `area`; those of voxels that `patch` does not have were dropped with them.
     pub fn add(&mut self, patch: &Patch, area: Area, records: &[Record]) {
-        for record in records.iter().filter(|record| area.holds(record.pixel())) {
-            let (pixel, slice) = (record.pixel(), record.slice());
-            for number in patch.between(pixel, slice..slice + 1) {
+        // Values have no copies in halos.
+        let is_whole = area == Area::TILE;
+        for record in records.iter().filter(|record| is_whole || area.holds(record.pixel())) {
+            if let Some(number) = patch.find(record.pixel(), record.slice()) {
                 add(&mut self.sums[number], &self.scale, record.value());
             }
         }

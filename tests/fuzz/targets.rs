@@ -220,7 +220,8 @@ pub fn colours(bytes: &[u8]) -> Read {
     let colour = |[a, r, g, b]: [u8; 4]| (a != 0).then(|| [r, g, b].map(|channel| u16::from(channel) * 257));
     let exact: Vec<_> = pattern.iter().cycle().take(occupancy.len()).map(|&bytes| colour(bytes)).collect();
     let is_whole = exact.len() == occupancy.len();
-    let block = is_whole.then(|| ColourBlock::quantise(&exact, error_milli)).flatten()?;
+    let block =
+        is_whole.then(|| ColourBlock::quantise(&exact, error_milli, &mut ColourEncoder::default())).flatten()?;
     Some(digest(again(block)))
 }
 

@@ -3,6 +3,7 @@
 //! What is wrong with them is a warning: the triangles have their places without. Source: "MTL material format (Lightwave, OBJ)",
 //! Alias/Wavefront, 1995.
 
+use super::placing::Placing;
 use super::texture::{Fault, Textures, path_beside, read_beside};
 use super::watch::Watch;
 use crate::Result;
@@ -23,8 +24,17 @@ const MOST_FILES: usize = 64;
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Stated {
     colour: Option<[u8; 3]>,
-    /// Name of its texture, and what is beyond it.
-    map: Option<(String, Wrap)>,
+    map: Option<Map>,
+}
+
+/// A texture as a material names it.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct Map {
+    file: String,
+    wrap: Wrap,
+    placing: Placing,
+    /// An option that would show and is passed over.
+    ignored: Option<String>,
 }
 
 /// What colours the triangles of one material.
@@ -32,6 +42,8 @@ struct Stated {
 pub(super) struct Material {
     pub colour: Option<[u8; 3]>,
     pub texture: Option<Arc<Texture>>,
+    /// Where the texture lies.
+    pub placing: Placing,
 }
 
 /// The materials of one OBJ file.
@@ -88,10 +100,16 @@ impl Materials {
             self.textures.warn(watch, &format!("materials: there is none called {}", shown(name)));
             return Ok(Material::default());
         };
-        let Some((file, wrap)) = map else { return Ok(Material { colour, texture: None }) };
+        let Some(Map { file, wrap, placing, ignored }) = map else {
+            return Ok(Material { colour, ..Material::default() });
+        };
+        if let Some(option) = ignored {
+            let name = shown(name);
+            self.textures.warn(watch, &format!("materials: {name}: map_Kd {option} is not supported and is left out"));
+        }
         let read = |most: u64| read_beside(of, &file, most);
         let texture = self.textures.get((file.clone(), wrap), (&shown(file.as_bytes()), [wrap; 2]), watch, read)?;
-        Ok(Material { colour, texture })
+        Ok(Material { colour, texture, placing })
     }
 
     fn parse(&mut self, text: &[u8]) -> Result<(), String> {
@@ -136,38 +154,56 @@ fn colour_of(text: &[u8]) -> Option<[u8; 3]> {
     Some([red, green, channel()?])
 }
 
-/// The file of a texture behind its options, whose name may hold blanks.
-fn map_of(text: &[u8]) -> Option<(String, Wrap)> {
+/// The texture behind its options, whose name may hold blanks.
+fn map_of(text: &[u8]) -> Option<Map> {
     let text = String::from_utf8_lossy(text);
-    let (mut rest, mut wrap) = (text.trim(), Wrap::Repeat);
+    let (mut rest, mut map) = (text.trim().to_owned(), Map::default());
+    let (mut scale, mut offset) = ([1.0; 2], [0.0; 2]);
     let next = |rest: &str| {
         let (word, behind) = rest.split_once(char::is_whitespace).unwrap_or((rest, ""));
         (word.to_owned(), behind.trim_start().to_owned())
     };
-    let mut held;
     while rest.starts_with('-') {
-        let (option, behind) = next(rest);
+        let (option, mut behind) = next(&rest);
         // How many words follow at least, and how many numbers may.
-        let (words, numbers) = match &option[..] {
+        let (least, more) = match &option[..] {
             "-blendu" | "-blendv" | "-cc" | "-clamp" | "-imfchan" | "-texres" | "-bm" | "-boost" | "-type" => (1, 0),
             "-mm" => (2, 0),
             "-o" | "-s" | "-t" => (1, 2),
             _ => break,
         };
-        held = behind;
-        for number in 0..words + numbers {
-            let (word, behind) = next(&held);
-            if number >= words && word.parse::<f64>().is_err() {
+        let mut words = Vec::new();
+        while words.len() < least + more {
+            let (word, after) = next(&behind);
+            if words.len() >= least && word.parse::<f64>().is_err() {
                 break;
             }
-            if option == "-clamp" && word == "on" {
-                wrap = Wrap::Clamp;
-            }
-            held = behind;
+            words.push(word);
+            behind = after;
         }
-        rest = &held;
+        rest = behind;
+        let number = |at: usize, absent: f64| match words.get(at) {
+            Some(word) => word.parse().ok().filter(|value: &f64| value.is_finite()),
+            None => Some(absent),
+        };
+        let pair = |absent: f64| Some([number(0, absent)?, number(1, absent)?]);
+        let is_followed = match &option[..] {
+            "-clamp" => {
+                map.wrap = if words[0] == "on" { Wrap::Clamp } else { Wrap::Repeat };
+                true
+            }
+            "-s" => pair(1.0).inspect(|found| scale = *found).is_some(),
+            "-o" => pair(0.0).inspect(|found| offset = *found).is_some(),
+            // These would show, unless they say what holds without them.
+            "-t" => (0..3).all(|at| number(at, 0.0) == Some(0.0)),
+            "-mm" => (number(0, 0.0), number(1, 1.0)) == (Some(0.0), Some(1.0)),
+            _ => true,
+        };
+        if !is_followed {
+            map.ignored = Some(format!("{option} {}", words.join(" ")));
+        }
     }
-    (!rest.is_empty()).then(|| (rest.to_owned(), wrap))
+    (!rest.is_empty()).then(|| Map { file: rest, placing: Placing::of_mtl(scale, offset), ..map })
 }
 
 #[cfg(test)]
@@ -181,7 +217,7 @@ mod tests {
         assert_eq!(colour_of(b"2 -1 nan"), Some([255, 0, 0]));
         assert_eq!(colour_of(b"spectral a.rfl"), None);
         assert_eq!(colour_of(b""), None);
-        let map = |text: &str| map_of(text.as_bytes()).map(|(name, wrap)| (name, wrap == Wrap::Clamp));
+        let map = |text: &str| map_of(text.as_bytes()).map(|map| (map.file, map.wrap == Wrap::Clamp));
         assert_eq!(map("a.png"), Some(("a.png".into(), false)));
         assert_eq!(map("  two words.jpg "), Some(("two words.jpg".into(), false)));
         assert_eq!(map("-s 2 2 1 -clamp on -o 0.5 a b.png"), Some(("a b.png".into(), true)));
@@ -189,5 +225,19 @@ mod tests {
         assert_eq!(map("-strange.png"), Some(("-strange.png".into(), false)));
         assert_eq!(map("-s"), None);
         assert_eq!(map(""), None);
+    }
+
+    #[test]
+    fn options_say_where_a_texture_lies_and_those_that_would_show_are_told() {
+        let map = |text: &str| map_of(text.as_bytes()).map(|map| (map.placing, map.ignored));
+        let placed = |scale, offset| Some((Placing::of_mtl(scale, offset), None));
+        assert_eq!(map("-s 2 3 1 -o 0.5 a b.png"), placed([2.0, 3.0], [0.5, 0.0]));
+        assert_eq!(map("-o -1 2 -s 4 a.png"), placed([4.0, 1.0], [-1.0, 2.0]));
+        assert_eq!(map("-t 0 0 0 -mm 0 1 -cc on a.png"), placed([1.0; 2], [0.0; 2]));
+        let ignored = |text: &str| map(text).and_then(|map| map.1);
+        assert_eq!(ignored("-t 0.1 a.png").as_deref(), Some("-t 0.1"));
+        assert_eq!(ignored("-mm 0.2 0.5 a.png").as_deref(), Some("-mm 0.2 0.5"));
+        assert_eq!(ignored("-s wide a.png").as_deref(), Some("-s wide"));
+        assert_eq!(ignored("-o inf 1 a.png").as_deref(), Some("-o inf 1"));
     }
 }

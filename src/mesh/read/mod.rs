@@ -5,6 +5,7 @@ mod feed;
 mod gltf;
 mod material;
 mod obj;
+mod placing;
 mod ply;
 mod polygon;
 mod stl;

@@ -68,10 +68,11 @@ impl ObjColours {
             _ => None,
         };
         let material = self.material.as_ref();
-        if let Some(texture) = material.and_then(|material| material.texture.as_ref())
+        if let Some(Material { texture: Some(texture), placing, .. }) = material
             && let (Some(a), Some(b), Some(c)) = (a.1, b.1, c.1)
         {
-            return Paint::Texture { texture: texture.clone(), places: [a, b, c], tints: [WHITE; 3] };
+            let places = [a, b, c].map(|place| placing.of(place));
+            return Paint::Texture { texture: texture.clone(), places, tints: [WHITE; 3] };
         }
         match (at_corners, material.and_then(Material::flat)) {
             (Some(colours), _) => Paint::Corners(colours),

@@ -130,6 +130,19 @@ impl Patch {
         dropped
     }
 
+    /// Number of the voxel of a patch pixel in this slice.
+    #[inline]
+    pub fn find(&self, patch_pixel: usize, slice: u32) -> Option<usize> {
+        let range = self.range(patch_pixel);
+        let voxels = &self.voxels[range.clone()];
+        let at = if voxels.len() < 16 {
+            voxels.iter().position(|voxel| voxel.slice == slice)
+        } else {
+            voxels.binary_search_by_key(&slice, |voxel| voxel.slice).ok()
+        };
+        at.map(|at| range.start + at)
+    }
+
     /// Numbers of the voxels of a patch pixel in these slices.
     #[inline]
     pub fn between(&self, patch_pixel: usize, slices: Range<u32>) -> Range<usize> {

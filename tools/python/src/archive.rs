@@ -32,7 +32,16 @@ pub struct Opened {
 impl Opened {
     fn new(source: Arc<dyn ByteSource>, name: Option<String>) -> slicewalk::Result<Self> {
         let archive = Inner::from_source(Box::new(source.clone()))?;
-        Ok(Self { archive, source, name, store: OnceLock::new(), loading: Mutex::default() })
+        Ok(Self::of(archive, source, name))
+    }
+
+    fn of(archive: Inner, source: Arc<dyn ByteSource>, name: Option<String>) -> Self {
+        Self { archive, source, name, store: OnceLock::new(), loading: Mutex::default() }
+    }
+
+    /// An overview level.
+    fn level(&self, number: u32) -> slicewalk::Result<Self> {
+        Ok(Self::of(self.archive.level(number)?, self.source.clone(), self.name.clone()))
     }
 
     /// The archive once more, on the same source.
@@ -278,23 +287,51 @@ impl Archive {
         Ok(store.weight_bytes() + store.table_bytes())
     }
 
+    /// An overview level: the same scan on pixels and slices four times as large for each number, as pages of their own. Questions and
+    /// keys are those of the level.
+    ///
+    /// Args:
+    ///     number: 1 is the finest
+    ///
+    /// Returns:
+    ///     :class:`Pages`, loaded when they are first asked for
+    ///
+    /// Raises:
+    ///     ParameterError: the archive has no such level
+    fn level(&self, py: Python<'_>, number: u32) -> PyResult<Pages> {
+        let of_level = py.detach(|| self.opened.level(number)).map_err(|error| self.failed(py, error))?;
+        Ok(Pages { set: Set::All(Arc::new(of_level)) })
+    }
+
     /// Colours of the voxels of a page, as `sliceconv --colour` made them.
     ///
     /// Args:
     ///     key: ``tx, ty, layer`` of the page
+    ///     level: 0 for a page of the archive itself, else of this overview level (see :meth:`level`)
     ///
     /// Returns:
     ///     uint8 of shape (n, 4): red, green and blue (sRGB), and 255 for voxels that have a colour, 0 for others. Voxels come pixel by
     ///     pixel in row order, in each from the lowest slice up: the bits of :attr:`Page.occupancy`. None where the archive has no
     ///     colours, or no such page
     ///
+    /// Raises:
+    ///     ParameterError: the archive has no such level
+    ///
     /// >>> slicewalk.open("room.slices").colours((0, 0, 0)) is None
     /// True
-    fn colours<'py>(&self, py: Python<'py>, key: (i32, i32, i32)) -> PyResult<Option<Bound<'py, PyArray2<u8>>>> {
+    #[pyo3(signature = (key, *, level=0))]
+    fn colours<'py>(
+        &self,
+        py: Python<'py>,
+        key: (i32, i32, i32),
+        level: u32,
+    ) -> PyResult<Option<Bound<'py, PyArray2<u8>>>> {
         let key = PageKey { tx: key.0, ty: key.1, layer: key.2 };
         let colours = py.detach(|| {
-            let Some(mut reader) = ColourReader::new(&self.opened.archive)? else { return Ok(None) };
-            let entry = self.opened.archive.find(key)?;
+            let whole = &self.opened.archive;
+            let archive = if level == 0 { whole } else { &whole.level(level)? };
+            let Some(mut reader) = ColourReader::new(archive)? else { return Ok(None) };
+            let entry = archive.find(key)?;
             entry.map(|entry| reader.colours(&entry)).transpose()
         });
         let colours = colours.map_err(|error| self.failed(py, error))?;

@@ -289,3 +289,40 @@ def test_colours_are_the_means_of_the_points(tmp_path):
     assert archive.colours((9, 9, 9)) is None
     with pytest.raises(slicewalk.ParameterError):
         slicewalk.convert(tmp_path / "a.las", tmp_path / "b.slices", colour="blue")
+
+
+def test_levels_have_the_means_of_their_voxels(tmp_path):
+    points = scan.millimetres(np.random.default_rng(5).uniform(0, (9, 2, 0.2), (60_000, 3)))
+    rgb = np.stack([points[:, 0] * 7000, points[:, 1] * 30000, 65535 - points[:, 0] * 7000], axis=1).astype("u2")
+    (tmp_path / "a.las").write_bytes(scan.las(points, rgb))
+    options = {"pixel": 0.1, "units": "m", "colour": "rgb", "colour_error": 0}
+    slicewalk.convert(tmp_path / "a.las", tmp_path / "a.slices", levels=True, **options)
+    archive = slicewalk.open(tmp_path / "a.slices")
+
+    def voxels(pages, level):
+        """Colours of voxels by pixel along x and y; there is one slice."""
+        found = {}
+        for key in map(tuple, pages.keys()):
+            colours = archive.colours(key, level=level)
+            pixels = np.flatnonzero(pages.page(key).occupancy.ravel())
+            assert colours.shape == (len(pixels), 4)
+            assert (colours[:, 3] == 255).all()
+            for pixel, colour in zip(pixels, colours[:, :3], strict=True):
+                found[key[0] * 64 + pixel % 64, key[1] * 64 + pixel // 64] = colour
+        return found
+
+    fine, coarse = voxels(archive, 0), voxels(archive.level(1), 1)
+    assert archive.level(1).pixel_size == pytest.approx(0.4)
+    inside = {}
+    for (x, y), colour in fine.items():
+        inside.setdefault((x // 4, y // 4), []).append(colour)
+    assert inside.keys() == coarse.keys()
+    for place, colours in inside.items():
+        assert np.abs(np.mean(colours, axis=0) - coarse[place]).max() <= 0.51
+    assert archive.colours((9, 9, 9), level=1) is None
+    for ask in (archive.level, lambda level: archive.colours((0, 0, 0), level=level)):
+        with pytest.raises(slicewalk.ParameterError, match="the archive has levels 1 to"):
+            ask(9)
+    slicewalk.convert(tmp_path / "a.las", tmp_path / "b.slices", **options)
+    with pytest.raises(slicewalk.ParameterError, match="no overview levels"):
+        slicewalk.open(tmp_path / "b.slices").colours((0, 0, 0), level=1)

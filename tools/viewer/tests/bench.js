@@ -1,5 +1,5 @@
 // The viewer's benchmark: what it may take, and what it took. By hand, on a quiet machine: `.ci/long viewer`, or
-// `node bench.js [PART...]` with the parts native, street, house and city.
+// `node bench.js [PART...]` with the parts native, street, house, city and colours.
 //
 // SLICEWALK_ENGINE_CHECK names the folder that `record` wrote, built with optimisation: its times are the native ones.
 // SLICEWALK_BIN names programs built with optimisation, which make the city in some minutes.
@@ -8,9 +8,9 @@ import { readFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { launch, until, walkIn } from "./browser.js";
-import { city, DIST, house, program, street, WAY } from "./scans.js";
+import { city, colouredHouse, DIST, house, levelledHouse, program, scanned, street, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
-import { address, LINK, runAlong, walkTowards, watch, watched } from "./steer.js";
+import { address, firstStep, LINK, runAlong, settled, walkTowards, watch, watched } from "./steer.js";
 
 /**
  * At most so many times the native time. A frame is a message to a worker and back, which the browser and the machine decide; it may
@@ -27,6 +27,8 @@ const STREET_M = 100;
 /** Along a street of the city, and so far. */
 const CITY_START = [300, 240, 0.1];
 const CITY_M = 60;
+/** Runs with and without colours, in turn. */
+const TURNS = 3;
 
 /** Prints a figure beside its limit. */
 function report(part, what, figure, most, unit) {
@@ -130,6 +132,52 @@ const parts = {
     await within(DIST, { "/city.slices": archive }, async (page, server) => {
       reportWalk("city", await runAlong(page, server, "city.slices", CITY_M, CITY_START));
     });
+  },
+
+  /** The same house with and without colours: the first step, and frames up its stairs; then what the colours of scans take. */
+  async colours() {
+    const median = (values) => values.toSorted((a, b) => a - b)[values.length >> 1];
+    const files = { "/coloured.slices": colouredHouse(), "/levelled.slices": levelledHouse() };
+    const figures = {};
+    for (let turn = 0; turn < TURNS; turn++) {
+      for (const name of ["levelled", "coloured"]) {
+        const own = (figures[name] ??= { steps: [], frames: [], tasks: [] });
+        await within(DIST, files, async (page, server) => {
+          own.steps.push(await firstStep(page, server, `${name}.slices`));
+        });
+        await within(DIST, files, async (page, server) => {
+          await walkIn(page, address(server, { archive: `${name}.slices`, at: WAY.start, look: [0, 0] }));
+          await watch(page);
+          const begin = performance.now();
+          for (const place of WAY.places) await walkTowards(page, place);
+          const { frames, tasks } = await watched(page);
+          own.frames.push((1000 * frames) / (performance.now() - begin));
+          own.tasks.push(tasks.length);
+        });
+      }
+    }
+    for (const [name, { steps, frames, tasks }] of Object.entries(figures)) {
+      const { bytes, ranges } = steps[0];
+      console.log(`      ${name}: first step after ${ranges.length} requests, ${bytes} bytes`);
+      console.log(`      ${name}: ${median(frames).toFixed(1)} frames a second up the stairs, ${median(tasks)} long tasks`);
+    }
+    const places = { "coloured.slices": { at: WAY.start, look: [0, 0] } };
+    if (process.env.SLICEWALK_DATA !== undefined) {
+      files["/pump_room.slices"] = scanned("pump_room", "--pixel", "0.02");
+      files["/autzen_stadium.slices"] = scanned("autzen_stadium", "--levels", "on");
+      Object.assign(places, { "pump_room.slices": { view: "orbit" }, "autzen_stadium.slices": { view: "orbit" } });
+    }
+    for (const [archive, place] of Object.entries(places)) {
+      await within(DIST, files, async (page, server) => {
+        await walkIn(page, address(server, { archive, ...place }));
+        const whole = ({ drawn, colours }) => drawn.coloured > 0 && colours.missing === 0;
+        await settled(page);
+        const { requests, bytesLoaded, colours, drawn } = await until(page, "coloured", whole, { timeout: 120_000 });
+        const all = `${requests - colours.requests} requests and ${bytesLoaded - colours.bytes} bytes of shapes`;
+        const own = `${colours.requests} requests and ${colours.bytes} bytes of colours`;
+        console.log(`      ${archive}: ${all}, ${own}; ${drawn.coloured} pages and ${drawn.distant} distant ones in colour`);
+      });
+    }
   },
 };
 

@@ -5,13 +5,10 @@ import { join } from "node:path";
 import { launch, until, walkIn } from "./browser.js";
 import { DIST, scanned, twoStoreys } from "./scans.js";
 import { StaticServer } from "./static-server.js";
-import { address } from "./steer.js";
+import { address, settled } from "./steer.js";
 
 const SIZE = { width: 1160, height: 720 };
 const JPEG = { type: "jpeg", quality: 80 };
-/** Software graphics draw few frames a second: a picture is whole when nothing came for so many of them. */
-const QUIET_FRAMES = 12;
-
 /** On the way to the stairs, looking along them. */
 const STAIRS = { at: [-10.2, -4.35, -1.2], look: [275, -8] };
 
@@ -35,17 +32,6 @@ const PICTURES = [
   { name: "viewer-pump-room.jpg", place: { archive: "pump_room.slices", view: "orbit" }, prepare: coloured(-2) },
   { name: "viewer-autzen.jpg", place: { archive: "autzen_stadium.slices", view: "orbit" }, prepare: coloured(7) },
 ];
-
-const settled = (page) =>
-  page.evaluate(async (quiet) => {
-    let [last, since] = ["", 0];
-    while (since < quiet) {
-      await new Promise(requestAnimationFrame);
-      const { drawn, pages, bytesLoaded, colours } = window.slicewalk.state();
-      const now = JSON.stringify([drawn, pages, bytesLoaded, colours]);
-      [last, since] = [now, now === last ? since + 1 : 0];
-    }
-  }, QUIET_FRAMES);
 
 const [folder, ...names] = process.argv.slice(2);
 if (folder === undefined) {

@@ -3,7 +3,7 @@
 // SLICEWALK_BIN names the folder of sliceconv, slicetool, scangen and replay; by default the newer build of the repository.
 
 import { execFileSync } from "node:child_process";
-import { existsSync, mkdirSync, renameSync, rmSync, statSync } from "node:fs";
+import { existsSync, mkdirSync, readFileSync, renameSync, rmSync, statSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 
@@ -55,6 +55,10 @@ export const colouredHouse = () =>
     ["--pixel", "0.05", "--exclude-class", "7", "--colour", "rgb", "--levels", "on"],
   );
 
+/** That house with overview levels and without colours: what its colours cost shows beside it. */
+export const levelledHouse = () =>
+  made("levelled", ["demo", "--format", "7"], ["--pixel", "0.05", "--exclude-class", "7", "--levels", "on"]);
+
 export const MOVED = [500_000, 5_000_000, 0];
 
 /** The same house far from the origin: 1e6 is a multiple of neither pixels nor pages, so only the answers are the same. */
@@ -81,6 +85,14 @@ export const avenue = () =>
     ["--pixel", "0.1", "--levels", "on"],
   );
 
+/** The same with colours by a formula: most of it lies beyond the pages that a view draws. */
+export const colouredAvenue = () =>
+  made(
+    "coloured-avenue",
+    ["street", "--param", "length=300", "--density", "60", "--noise", "0.015", "--format", "7", "--colour", "60"],
+    ["--pixel", "0.1", "--levels", "on", "--colour", "rgb"],
+  );
+
 /**
  * A city of 896 × 427 × 789 m at pixels of 5 cm, with overview levels: 160 points on a square metre, 144 M in all. For `bench.js`
  * only: it takes minutes, and 3 GB of disk while it is made.
@@ -92,6 +104,13 @@ export const city = () =>
     ["--pixel", "0.05", "--levels", "on", "--memory", "1GiB"],
     "las",
   );
+
+/** The bytes of an archive's colours: the first, and the first behind them (specification, chapter 3). */
+export function colourBytes(archive) {
+  const { bytes } = JSON.parse(program("slicetool", "info", archive, "--json"));
+  const head = readFileSync(archive).readUInt32LE(12);
+  return [head + bytes.tiles, head + bytes.tiles + bytes.colours];
+}
 
 /** The real scan of two storeys at 5 cm, from the folder SLICEWALK_DATA. */
 export function twoStoreys() {

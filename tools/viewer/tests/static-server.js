@@ -1,5 +1,5 @@
 // A plain static host on loopback: files of folders, single ranges, an ETag, and nothing else. It notes each request, and can
-// vanish and come back on the same port. Between it and the browser lies a link with a delay and a rate, which all answers of
+// vanish and come back on the same port. Answers can be held back for good. Between it and the browser lies a link with a delay and a rate, which all answers of
 // archives share.
 
 import { createServer } from "node:http";
@@ -25,6 +25,8 @@ export class StaticServer {
   /** Folder and names that stand for other files: `{ "/house.slices": "/tmp/a.slices" }`. */
   constructor(folder, files = {}) {
     Object.assign(this, { folder, files, requests: [], delayMs: 0, bytesPerSecond: Infinity, free: 0, port: 0 });
+    /** Whether the answer to a range never comes, by its first and its last byte. */
+    this.holds = () => false;
   }
 
   async start() {
@@ -85,6 +87,11 @@ export class StaticServer {
       }
       note.status = range ? 206 : 200;
       if (range) headers["Content-Range"] = `bytes ${first}-${last}/${size}`;
+      if (range && this.holds(first, last)) {
+        await new Promise((resolve) => response.once("close", resolve));
+        note.status = 0;
+        return;
+      }
       const bytes = Buffer.alloc(last - first + 1);
       await file.read(bytes, 0, bytes.length, first);
       note.bytes = bytes.length;

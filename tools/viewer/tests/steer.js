@@ -1,6 +1,7 @@
 // Walks by keys: looks towards a place and holds W until it is reached.
 
 import { hold, state, walkIn } from "./browser.js";
+import { WAY } from "./scans.js";
 
 export const NEAR = 0.35;
 
@@ -68,3 +69,40 @@ export async function runAlong(page, server, archive, metres, from = [2, 0, 0.1]
   });
   return { bytesLoaded, ...(await watched(page)) };
 }
+
+/** What was asked of a house's archive before the pawn's first step there: ranges, their bytes, and the page's count of colours. */
+export async function firstStep(page, server, archive) {
+  // The key is down from the beginning, and the page itself notes when it saw the first step.
+  await page.addInitScript((y) => {
+    const look = () => {
+      const now = window.slicewalk?.state();
+      if (now?.at[1] > y) window.firstStep = { at: Date.now(), colours: now.colours };
+      else requestAnimationFrame(look);
+    };
+    requestAnimationFrame(look);
+  }, WAY.start[1]);
+  await page.goto(address(server, { archive, at: WAY.start, look: [0, 0] }));
+  await page.waitForFunction(() => window.slicewalk !== undefined);
+  await page.keyboard.down("w");
+  await page.waitForFunction(() => window.firstStep !== undefined);
+  await page.keyboard.up("w");
+  const { at: step, colours } = await page.evaluate(() => window.firstStep);
+  const asked = server.of(archive).filter(({ at }) => at <= step);
+  const bytes = asked.reduce((sum, request) => sum + request.bytes, 0);
+  return { bytes, ranges: asked.map(({ range }) => range), colours };
+}
+
+/** Software graphics draw few frames a second: a picture is whole when nothing came for so many of them. */
+const QUIET_FRAMES = 12;
+
+/** Waits until nothing comes any more. */
+export const settled = (page) =>
+  page.evaluate(async (quiet) => {
+    let [last, since] = ["", 0];
+    while (since < quiet) {
+      await new Promise(requestAnimationFrame);
+      const { drawn, pages, bytesLoaded, colours } = window.slicewalk.state();
+      const now = JSON.stringify([drawn, pages, bytesLoaded, colours]);
+      [last, since] = [now, now === last ? since + 1 : 0];
+    }
+  }, QUIET_FRAMES);

@@ -4,8 +4,8 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before, beforeEach, describe } from "node:test";
-import { drop, it, pages, pixels, state, until, walkIn } from "./browser.js";
-import { avenue, colouredHouse, DIST, house, WAY } from "./scans.js";
+import { drop, hold, it, pages, pixels, state, until, walkIn } from "./browser.js";
+import { avenue, colourBytes, colouredAvenue, colouredHouse, DIST, house, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
 import { address } from "./steer.js";
 
@@ -17,7 +17,12 @@ let server, page;
 const tests = pages();
 
 before(async () => {
-  const files = { "/house.slices": house(), "/coloured.slices": colouredHouse(), "/avenue.slices": avenue() };
+  const files = {
+    "/house.slices": house(),
+    "/coloured.slices": colouredHouse(),
+    "/avenue.slices": avenue(),
+    "/coloured-avenue.slices": colouredAvenue(),
+  };
   server = await new StaticServer(DIST, files).start();
 });
 after(async () => {
@@ -44,9 +49,12 @@ async function drawn() {
   }
 }
 
-/** Share of pixels in the middle of the screen that are plainly blue or green: the formula's colours, and none of the page's own. */
+/**
+ * Share of what is seen in the middle of the screen, without the background, that is plainly blue or green: the formula's colours, and
+ * none of the page's own.
+ */
 async function vivid(page) {
-  const seen = await pixels(page);
+  const seen = (await pixels(page)).filter((rgb) => Math.max(...rgb) > 40);
   return seen.filter(([r, g, b]) => Math.max(g, b) - Math.min(r, g, b) > 60 && Math.max(g, b) > r).length / seen.length;
 }
 
@@ -71,6 +79,47 @@ describe("colours", () => {
     await page.getByLabel("Scan", { exact: true }).check();
     await page.waitForTimeout(500);
     assert.ok((await vivid(page)) > own / 2, "and back");
+  });
+
+  it("draws what is far away in the scan's colours too", async () => {
+    const there = { archive: "coloured-avenue.slices", at: [150, 0, 0.1], look: [0, -60] };
+    await walkIn(page, address(server, { ...there, view: "orbit" }));
+    await page.mouse.move(middle.x, middle.y);
+    // So far out that nothing is drawn but the overview level.
+    const far = ({ drawn, colours }) => drawn.pages === 0 && drawn.overview > 0 && colours.missing === 0;
+    for (let n = 0; n < 6; n++) await page.mouse.wheel(0, 200);
+    const { drawn } = await until(page, "the level alone, coloured", far, { timeout: 120_000 });
+    assert.deepEqual([drawn.distant, drawn.coloured], [drawn.overview, 0], JSON.stringify(drawn));
+    await page.waitForTimeout(500);
+    const own = await vivid(page);
+    assert.ok(own > 0.05, `${own} of the picture has the colours of the scan`);
+    await tool("Colours").click();
+    await page.getByLabel("Floor and obstacle").check();
+    await page.waitForTimeout(500);
+    assert.ok((await vivid(page)) < own / 4, "colours by kind are others");
+  });
+
+  it("walks on while an answer of colours does not come, and gives it up for what the pawn waits for", async () => {
+    const [begin, end] = colourBytes(colouredAvenue());
+    // The first look at an archive reads some of its end, whatever that holds.
+    const isOfColours = (first, last) => first >= begin && last < end;
+    Object.assign(server, { holds: isOfColours, requests: [] });
+    const held = () =>
+      server.of("coloured-avenue.slices").filter(({ range }) => isOfColours(...(range?.match(/\d+/g) ?? []).map(Number)));
+    try {
+      await walkIn(page, address(server, { archive: "coloured-avenue.slices", at: [2, 0, 0.1], look: [90, 0] }));
+      await until(page, "colours asked for", ({ colours }) => colours.requests > 0);
+      assert.ok(held().length === 1 && held()[0].status === 206, JSON.stringify(held()));
+      const { at } = await hold(page, ["Shift", "w"], "8 m on", (now) => now.at[0] > 10);
+      assert.ok(Math.abs(at[2]) < 0.3, `z = ${at[2]}`);
+      // Far beyond the pages in memory.
+      await page.evaluate(() => window.slicewalk.goto({ at: [290, 0, 0.1] }));
+      const { missing, drawn } = await until(page, "there", (now) => now.at[0] > 280 && now.missing === 0);
+      assert.deepEqual([missing, drawn.coloured], [0, 0]);
+      await until(page, "the first request closed", () => held()[0].status === 0);
+    } finally {
+      server.holds = () => false;
+    }
   });
 
   it("offers no colours of a scan without", async () => {

@@ -7,9 +7,9 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, beforeEach, describe } from "node:test";
 import { hold, it, pages, state, until, walkIn } from "./browser.js";
-import { BIN, DIST, house, movedHouse, MOVED, street, tower, WAY } from "./scans.js";
+import { BIN, colouredHouse, DIST, house, movedHouse, MOVED, street, tower, WAY } from "./scans.js";
 import { StaticServer } from "./static-server.js";
-import { address, runAlong, walkTowards } from "./steer.js";
+import { address, firstStep, runAlong, walkTowards } from "./steer.js";
 
 let server, page;
 const tests = pages();
@@ -17,6 +17,7 @@ const tests = pages();
 before(async () => {
   server = await new StaticServer(DIST, {
     "/house.slices": house(),
+    "/coloured.slices": colouredHouse(),
     "/moved.slices": movedHouse(),
     "/tower.slices": tower(),
     "/street.slices": street(),
@@ -56,28 +57,15 @@ function replay(archive, recording) {
 }
 
 describe("walking", () => {
-  it("takes the first step after at most 5 range requests and 300 kB", async () => {
-    // The key is down from the beginning, and the page itself notes when it saw the first step.
-    server.delayMs = 200;
-    await page.addInitScript((y) => {
-      const look = () => {
-        if (window.slicewalk?.state().at[1] > y) window.firstStep = Date.now();
-        else requestAnimationFrame(look);
-      };
-      requestAnimationFrame(look);
-    }, WAY.start[1]);
-    await page.goto(address(server, { at: WAY.start, look: [0, 0] }));
-    await page.waitForFunction(() => window.slicewalk !== undefined);
-    await page.keyboard.down("w");
-    await page.waitForFunction(() => window.firstStep !== undefined);
-    await page.keyboard.up("w");
-    const step = await page.evaluate(() => window.firstStep);
-    const asked = server.of("house.slices").filter(({ at }) => at <= step);
-    const bytes = asked.reduce((sum, request) => sum + request.bytes, 0);
-    const ranges = asked.map(({ range }) => range).join(" ");
-    assert.ok(asked.every(({ status }) => status === 206));
-    assert.ok(asked.length <= 5 && bytes <= 300_000, `${asked.length} requests, ${bytes} bytes: ${ranges}`);
-  });
+  for (const archive of ["house.slices", "coloured.slices"]) {
+    it(`takes the first step in ${archive} after at most 5 range requests and 300 kB, none of colours`, async (t) => {
+      server.delayMs = 200;
+      const { bytes, ranges, colours } = await firstStep(page, server, archive);
+      t.diagnostic(`${ranges.length} requests, ${bytes} bytes`);
+      assert.ok(ranges.length <= 5 && bytes <= 300_000, `${ranges.length} requests, ${bytes} bytes: ${ranges.join(" ")}`);
+      assert.equal(colours.requests, 0);
+    });
+  }
 
   it("runs along a street on a link of 20 Mbit/s and 40 ms", async (t) => {
     // How often it waits depends on the machine as well: `bench.js` asks for none, the engine's own tests do so on a clock of

@@ -8,6 +8,7 @@ use super::structure::{BufferView, Material, Structure};
 use crate::Result;
 use crate::colour::from_linear;
 use crate::mesh::paint::{Texture, Wrap};
+use crate::mesh::read::placing::Placing;
 use crate::mesh::read::texture::{Fault, Textures, read_beside};
 use crate::mesh::read::watch::Watch;
 use std::path::{Path, PathBuf};
@@ -35,8 +36,16 @@ pub struct Coat {
     /// Colour (sRGB), by which that of the texture is multiplied.
     pub factor: [u8; 3],
     pub texture: Option<Arc<Texture>>,
-    /// Set of places in the texture.
+    /// Set of places in the texture, and where these are.
     pub set: u32,
+    pub placing: Placing,
+}
+
+impl Coat {
+    /// One colour.
+    pub fn of_factor(factor: [u8; 3]) -> Self {
+        Self { factor, texture: None, set: 0, placing: Placing::default() }
+    }
 }
 
 impl Materials {
@@ -68,13 +77,13 @@ impl Materials {
         };
         let [r, g, b, _] = base.base_color_factor;
         let factor = [r, g, b].map(from_linear);
-        let Some(name) = base.base_color_texture else { return Ok(Some(Coat { factor, texture: None, set: 0 })) };
+        let Some(name) = base.base_color_texture else { return Ok(Some(Coat::of_factor(factor))) };
         let texture = structure.textures.get(name.index as usize);
         let Some(image) = texture.and_then(|texture| texture.source) else {
             let text =
                 format!("texture {} has no image in PNG or JPEG; its triangles get the factor alone", name.index);
             self.textures.warn(watch, &text);
-            return Ok(Some(Coat { factor, texture: None, set: 0 }));
+            return Ok(Some(Coat::of_factor(factor)));
         };
         let sampler = texture.and_then(|texture| structure.samplers.get(texture.sampler? as usize));
         let wrap = |number: Option<u32>| match number {
@@ -93,7 +102,7 @@ impl Materials {
             Some(Source::View(view)) => of_view(*view, buffers, most),
         };
         let texture = self.textures.get((image, wraps), (&format!("image {image}"), wraps), watch, read)?;
-        Ok(Some(Coat { factor, texture, set: name.tex_coord }))
+        Ok(Some(Coat { factor, texture, set: name.set(), placing: name.placing() }))
     }
 }
 

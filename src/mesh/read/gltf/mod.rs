@@ -344,7 +344,7 @@ impl Checked {
     }
 
     fn paint(&mut self, part: &PartColours, numbers: [u64; 3]) -> Result<Paint> {
-        let Coat { factor, texture, .. } = &part.coat;
+        let Coat { factor, texture, placing, .. } = &part.coat;
         let mut tints = [*factor; 3];
         if let Some(values) = &part.colours {
             for (tint, number) in tints.iter_mut().zip(numbers) {
@@ -356,7 +356,7 @@ impl Checked {
         if let (Some(texture), Some(values)) = (texture, &part.places) {
             let mut places = [[0.0; 2]; 3];
             for (place, number) in places.iter_mut().zip(numbers) {
-                *place = self.shares::<2>(values, number)?.unwrap_or_default().map(f64::from);
+                *place = placing.of(self.shares::<2>(values, number)?.unwrap_or_default().map(f64::from));
             }
             return Ok(Paint::Texture { texture: texture.clone(), places, tints });
         }
@@ -373,7 +373,7 @@ impl Checked {
         if coat.is_none() && primitive.colours().is_none() {
             return Ok(None);
         }
-        let coat = coat.unwrap_or(Coat { factor: WHITE, texture: None, set: 0 });
+        let coat = coat.unwrap_or(Coat::of_factor(WHITE));
         let kinds = [F32, U8, U16];
         let places = primitive.places(coat.set).map(|of| self.values(of, AccessorShape::Vec2, &kinds)).transpose()?;
         let of_corners = |of: usize| match self.structure.accessors.get(of).map(|accessor| accessor.shape) {

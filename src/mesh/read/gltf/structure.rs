@@ -1,12 +1,15 @@
 //! The structure of a glTF file: of its JSON what triangles need, in a few bytes a thing, because files may hold millions of
 //! empty ones. What it refers to is checked where it is used.
 
+use crate::mesh::read::placing::Placing;
 use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use std::borrow::Cow;
 use std::cell::Cell;
 use std::marker::PhantomData;
 
+/// The one extension that may be required.
+const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
 /// No number.
 const NONE: u32 = u32::MAX;
 /// What names of extensions for Gaussian splats hold.
@@ -169,7 +172,7 @@ struct Asset<'a> {
 #[derive(Debug, Default)]
 pub struct Structure<'a> {
     pub version: Cow<'a, str>,
-    /// One of splats, else the first.
+    /// One that is not supported: of splats, else the first.
     pub extension_required: Option<Cow<'a, str>>,
     pub scene: Option<u32>,
     /// Root nodes by scene.
@@ -219,7 +222,47 @@ impl Default for Base {
 pub struct TextureName {
     pub index: u32,
     #[serde(default)]
-    pub tex_coord: u32,
+    tex_coord: u32,
+    #[serde(default)]
+    extensions: TextureExtensions,
+}
+
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+#[serde(default)]
+struct TextureExtensions {
+    #[serde(rename = "KHR_texture_transform")]
+    transform: Option<TextureTransform>,
+}
+
+/// How places in a texture are moved, and maybe another set of them.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+struct TextureTransform {
+    offset: [f64; 2],
+    rotation: f64,
+    scale: [f64; 2],
+    tex_coord: Option<u32>,
+}
+
+impl Default for TextureTransform {
+    fn default() -> Self {
+        Self { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2], tex_coord: None }
+    }
+}
+
+impl TextureName {
+    /// The set of places in the texture.
+    pub fn set(&self) -> u32 {
+        self.extensions.transform.and_then(|transform| transform.tex_coord).unwrap_or(self.tex_coord)
+    }
+
+    /// Where the texture lies.
+    pub fn placing(&self) -> Placing {
+        let transform = self.extensions.transform;
+        transform.map_or_else(Placing::default, |TextureTransform { offset, rotation, scale, .. }| {
+            Placing::of_gltf(offset, rotation, scale)
+        })
+    }
 }
 
 /// An image, and what is beyond it.
@@ -486,7 +529,8 @@ impl<'de> Visitor<'de> for Root<'_> {
             match key {
                 Key::Asset => version = Some(map.next_value::<Asset>()?.version),
                 Key::ExtensionsRequired => {
-                    let required = map.next_value::<Bounded<Cow<str>>>()?.0;
+                    let mut required = map.next_value::<Bounded<Cow<str>>>()?.0;
+                    required.retain(|name| name != TEXTURE_TRANSFORM);
                     let splats = required.iter().position(|name| name.contains(SPLATS));
                     all.extension_required = required.into_iter().nth(splats.unwrap_or(0));
                 }

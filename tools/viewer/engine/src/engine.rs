@@ -1,21 +1,20 @@
 //! What the worker talks to: one archive, its loader, pawns and scenes, by numbers.
 
 use crate::batch::{self, Lacks};
+use crate::colours::Colours;
 use crate::facts;
 use crate::fault::{self, invalid};
 use crate::geometry::Geometry;
 use crate::map::{columns, map};
+use crate::named::{Moving, Named};
 use crate::outline::{self, Outline};
 use crate::paint::Paint;
 use crate::pawn::{Input, Pawn, Settings};
-use crate::scene::{HORIZON_S, Part, Scenes};
+use crate::scene::{HORIZON_S, Scenes};
 use slicewalk::archive::Catalog;
 use slicewalk::frame::{PAGE_SLICES, PageKey};
 use slicewalk::nalgebra::Point3;
-use slicewalk::store::{
-    BodyId, ColourLoader, Decode, FetchId, Loader, LoaderOptions, Next, Outlook, PageSet, PageSlot, RequestId, Time,
-    View,
-};
+use slicewalk::store::{Decode, FetchId, Loader, LoaderOptions, Next, PageSet, PageSlot, RequestId, Time, View};
 use std::collections::VecDeque;
 use std::time::Duration;
 use wasm_bindgen::prelude::wasm_bindgen;
@@ -29,14 +28,11 @@ const OUTLINE_LEAST: f64 = 4e6;
 /// An overview level is fetched before pages that are needed later than this.
 const OUTLINE_BEFORE: Duration = Duration::from_secs(1);
 
-/// Most pages whose colours are asked for at once: after those comes what the camera sees then.
-const PAINTED: usize = 64;
-
 /// What [`Engine::poll`] says, each followed by its numbers.
-const FETCH: f64 = 1.0;
-const CANCEL: f64 = 2.0;
-const WAIT: f64 = 3.0;
-const FETCH_COLOURS: f64 = 4.0;
+pub(crate) const FETCH: f64 = 1.0;
+pub(crate) const CANCEL: f64 = 2.0;
+pub(crate) const WAIT: f64 = 3.0;
+pub(crate) const FETCH_COLOURS: f64 = 4.0;
 
 /// One open archive.
 #[wasm_bindgen]
@@ -58,26 +54,6 @@ pub struct Engine {
     painted: Option<Paint>,
 }
 
-/// Colours of pages: who brings them, their fetch by name, and whose are to be found out.
-enum Colours {
-    /// Nobody has asked for any.
-    Off,
-    /// Asked for, and the directory is not there yet.
-    Wanted,
-    On {
-        loader: Box<ColourLoader>,
-        /// Those of the overview level, which come when no page wants any.
-        far: Option<Box<ColourLoader>>,
-        fetch: Option<(u32, Part)>,
-        /// Something was drawn or painted since pages were named to the loaders.
-        stale: bool,
-        /// Colours that came, and the scenes that were not painted with them yet.
-        came: Option<(Part, PageKey, slicewalk::slice::Colours, Vec<u32>)>,
-    },
-    /// The archive has none.
-    Never,
-}
-
 /// The overview level: its fetch by name, or what came of it.
 enum Distant {
     /// Until a camera looks.
@@ -87,37 +63,6 @@ enum Distant {
     Here(Box<Outline>),
     /// There is none.
     Never,
-}
-
-/// A few things by the names that JavaScript has for them, in the order in which they were made.
-struct Named<T>(Vec<(u32, T)>);
-
-impl<T> Named<T> {
-    const NONE: Self = Self(Vec::new());
-
-    fn insert(&mut self, name: u32, thing: T) {
-        self.0.push((name, thing));
-    }
-
-    fn get_mut(&mut self, name: u32) -> Option<&mut T> {
-        self.0.iter_mut().find(|(other, _)| *other == name).map(|(_, thing)| thing)
-    }
-
-    fn remove(&mut self, name: u32) -> Option<T> {
-        let at = self.0.iter().position(|(other, _)| *other == name)?;
-        Some(self.0.remove(at).1)
-    }
-
-    fn things(&self) -> impl Iterator<Item = &T> {
-        self.0.iter().map(|(_, thing)| thing)
-    }
-}
-
-/// Something that wants pages.
-struct Moving<T> {
-    thing: T,
-    body: BodyId,
-    hinted: Option<Outlook>,
 }
 
 #[wasm_bindgen]
@@ -150,7 +95,7 @@ impl Engine {
             names: 0,
             loaded: 0,
             drawn: None,
-            colours: Colours::Off,
+            colours: Colours::default(),
             painted: None,
         }
     }
@@ -218,8 +163,7 @@ impl Engine {
                 .sound(outline.transpose())
                 .flatten()
                 .map_or(Distant::Never, |outline| Distant::Here(Box::new(outline)));
-        } else if let Some(loader) = self.colours_asked(fetch) {
-            let given = loader.given(bytes, time(now_ms));
+        } else if let Some(given) = self.colours.given(fetch, bytes, time(now_ms)) {
             self.sound(given);
         }
     }
@@ -229,18 +173,8 @@ impl Engine {
         if let Some(id) = self.fetches.remove(fetch) {
             let error = slicewalk::Error::io("archive", "fetch", std::io::Error::other(message));
             self.loader.failed(id, error, time(now_ms));
-        } else if let Some(loader) = self.colours_asked(fetch) {
-            loader.failed(time(now_ms));
-        }
-    }
-
-    /// Who asked for this fetch of colours, which is over.
-    fn colours_asked(&mut self, name: u32) -> Option<&mut ColourLoader> {
-        let Colours::On { loader, far, fetch, .. } = &mut self.colours else { return None };
-        let (_, of) = fetch.take_if(|fetch| fetch.0 == name)?;
-        match of {
-            Part::Pages => Some(loader),
-            Part::Level => far.as_deref_mut(),
+        } else {
+            self.colours.failed(fetch, time(now_ms));
         }
     }
 
@@ -292,50 +226,25 @@ impl Engine {
 
     /// Colours are asked for when nothing else is, and given up when a pawn waits; when to come again.
     fn ask_colours(&mut self, now: Time, until: Option<Time>, todo: &mut Vec<f64>) -> Option<Time> {
-        if matches!(self.colours, Colours::Wanted) && self.loader.views().is_some() {
-            self.colours = self.loader.colours().map_or(Colours::Never, |loader| Colours::On {
-                loader: Box::new(loader),
-                far: None,
-                fetch: None,
-                stale: true,
-                came: None,
-            });
-        }
+        self.colours.begin(&self.loader);
         let waits = self.pawns.things().any(|pawn| pawn.thing.missing().is_some());
-        let busy = waits
+        if waits && let Some(name) = self.colours.give_up() {
+            todo.extend([CANCEL, f64::from(name)]);
+        }
+        let is_busy = waits
             || !self.fetches.0.is_empty()
             || !self.decodes.is_empty()
             || matches!(self.outline, Distant::Asked(_));
-        let Colours::On { loader, far, fetch, stale, .. } = &mut self.colours else { return until };
-        if waits && let Some((name, of)) = fetch.take() {
-            match (of, &mut *far) {
-                (Part::Level, Some(far)) => far.cancel(),
-                _ => loader.cancel(),
-            }
-            todo.extend([CANCEL, f64::from(name)]);
-        }
-        if busy || fetch.is_some() {
+        if is_busy {
             return until;
         }
-        if far.is_none()
-            && let Distant::Here(outline) = &self.outline
-        {
-            *far = outline.colours().map(Box::new);
-            *stale |= far.is_some();
+        let (outline, next) = (of_distant(&self.outline), self.names + 1);
+        let (range, retry_at) = self.colours.ask(next, &self.scenes, outline, now);
+        if let Some(range) = range {
+            self.names = next;
+            todo.extend([FETCH_COLOURS, f64::from(next), range.start as f64, range.end as f64]);
         }
-        if std::mem::take(stale) {
-            let wanted = |of| self.scenes.things().flat_map(move |scene| scene.thing.unpainted(of, PAINTED));
-            loader.want(wanted(Part::Pages));
-            far.iter_mut().for_each(|far| far.want(wanted(Part::Level)));
-        }
-        let of_pages = loader.poll(now).map(|range| (Part::Pages, range));
-        let found = of_pages.or_else(|| Some((Part::Level, far.as_mut()?.poll(now)?)));
-        if let Some((of, range)) = found {
-            self.names += 1;
-            *fetch = Some((self.names, of));
-            todo.extend([FETCH_COLOURS, f64::from(self.names), range.start as f64, range.end as f64]);
-        }
-        [until, loader.retry_at(), far.as_ref().and_then(|far| far.retry_at())].into_iter().flatten().min()
+        [until, retry_at].into_iter().flatten().min()
     }
 
     /// Whether the archive is open: head and directory are there.
@@ -569,8 +478,8 @@ impl Engine {
         let Some(scene) = self.scenes.get_mut(scene) else { return Ok(Vec::new()) };
         let (level, drawn) = scene.thing.build(&view, outline.as_ref());
         self.drawn = drawn;
-        if let (Some(_), Colours::On { stale, .. }) = (&self.drawn, &mut self.colours) {
-            *stale = true;
+        if self.drawn.is_some() {
+            self.colours.drawn();
         }
         let Some((id, key, _, geometry)) = &self.drawn else { return Ok(Vec::new()) };
         let place = [*id as f64, f64::from(key.tx), f64::from(key.ty), f64::from(key.layer)];
@@ -580,58 +489,27 @@ impl Engine {
 
     /// Brings colours of what scenes draw, from now on.
     pub fn bring_colours(&mut self) {
-        if matches!(self.colours, Colours::Off) {
-            self.colours = Colours::Wanted;
-        }
+        self.colours.bring();
     }
 
     /// Pages that wait for colours, and those of an overview level that do.
     pub fn unpainted(&self) -> u32 {
-        let Colours::On { far, .. } = &self.colours else { return 0 };
-        let of = |of| self.scenes.things().map(move |scene| scene.thing.unpainted(of, usize::MAX).len() as u32);
-        of(Part::Pages).chain(of(Part::Level).filter(|_| far.is_some())).sum()
+        self.colours.unpainted(&self.scenes)
     }
 
     /// Paints the next page: scene, name of the page, cells along an edge (3 numbers), and then
     /// [`take_cells`](Self::take_cells) and [`take_colours`](Self::take_colours) have the rest; else nothing.
     pub fn paint(&mut self) -> Result<Vec<f64>, String> {
-        if !matches!(self.colours, Colours::On { .. }) {
+        if !self.colours.are_on() {
             return Ok(Vec::new());
         }
-        let view = self.view()?;
-        loop {
-            let Colours::On { loader, far, came, stale, .. } = &mut self.colours else { return Ok(Vec::new()) };
-            if let Some((of, key, colours, scenes)) = came {
-                while let Some(name) = scenes.pop() {
-                    let drawn = self.scenes.get_mut(name).and_then(|scene| scene.thing.paint(*of, *key));
-                    if let Some((id, coarseness)) = drawn {
-                        let paint = self.painted.insert(Paint::new(colours, coarseness));
-                        return Ok(vec![f64::from(name), f64::from(id), f64::from(paint.edge)]);
-                    }
-                }
-                *came = None;
-            }
-            let of_pages = loader.decode(&view).map(|(key, colours)| (Part::Pages, key, colours));
-            let found = of_pages.or_else(|| {
-                let Distant::Here(outline) = &self.outline else { return None };
-                let (key, colours) = far.as_mut()?.decode(&outline.view()?)?;
-                Some((Part::Level, key, colours))
-            });
-            match found {
-                Some((of, key, Ok(colours))) => {
-                    *came = Some((of, key, colours, self.scenes.0.iter().map(|(name, _)| *name).collect()))
-                }
-                Some((of, key, Err(error))) => {
-                    self.reports.push_back(fault::text(&error));
-                    // It is not asked for again.
-                    for (_, scene) in &mut self.scenes.0 {
-                        let _ = scene.thing.paint(of, key);
-                    }
-                }
-                None => return Ok(Vec::new()),
-            }
-            *stale = true;
-        }
+        let (view, level) = (self.view()?, self.outline().and_then(Outline::view));
+        let report = |error| self.reports.push_back(fault::text(&error));
+        let Some((scene, page, paint)) = self.colours.paint(&mut self.scenes, &view, level.as_ref(), report) else {
+            return Ok(Vec::new());
+        };
+        let paint = self.painted.insert(paint);
+        Ok(vec![f64::from(scene), f64::from(page), f64::from(paint.edge)])
     }
 
     /// Cells of the page painted last, once.
@@ -680,10 +558,7 @@ impl Engine {
     }
 
     fn outline(&self) -> Option<&Outline> {
-        match &self.outline {
-            Distant::Here(outline) => Some(outline),
-            _ => None,
-        }
+        of_distant(&self.outline)
     }
 
     fn moving(&mut self, pawn: u32) -> Result<&mut Moving<Pawn>, String> {
@@ -714,6 +589,13 @@ impl Engine {
     }
 }
 
+fn of_distant(distant: &Distant) -> Option<&Outline> {
+    match distant {
+        Distant::Here(outline) => Some(outline),
+        _ => None,
+    }
+}
+
 fn time(ms: f64) -> Time {
     Duration::try_from_secs_f64(ms / 1000.0).unwrap_or_default()
 }
@@ -730,15 +612,11 @@ fn not_open() -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    const COLOURED: &[u8] = include_bytes!("../../../../tests/golden/colours.slices");
-    const SETTINGS: [f64; 10] = [0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.5, 1.0, f64::NAN];
-    const STILL: [f64; 5] = [0.0, 0.0, 1.0, 0.0, 0.0];
-
     /// What a poll says: each kind with its numbers.
-    fn polled(engine: &mut Engine) -> Vec<Vec<f64>> {
+    pub fn polled(engine: &mut Engine) -> Vec<Vec<f64>> {
         let todo = engine.poll(0.0).unwrap();
         let (mut at, mut found) = (0, Vec::new());
         while at < todo.len() {
@@ -747,47 +625,5 @@ mod tests {
             at += len;
         }
         found
-    }
-
-    fn give(engine: &mut Engine, fetch: &[f64]) {
-        engine.given(fetch[1] as u32, COLOURED[fetch[2] as usize..fetch[3] as usize].to_vec(), 0.0);
-        while engine.decode(0.0) {}
-    }
-
-    /// Gives everything but colours, and draws; the first request for colours.
-    fn until_colours(engine: &mut Engine, scene: Option<u32>) -> Option<u32> {
-        loop {
-            let todo = polled(engine);
-            todo.iter().filter(|what| what[0] == FETCH).for_each(|fetch| give(engine, fetch));
-            let drawn = scene.is_some_and(|scene| !engine.build(scene).unwrap().is_empty());
-            let colours = todo.iter().find(|what| what[0] == FETCH_COLOURS).map(|what| what[1] as u32);
-            if colours.is_some() || !drawn && todo.iter().all(|what| what[0] == WAIT) {
-                return colours;
-            }
-        }
-    }
-
-    #[test]
-    fn a_request_for_colours_is_given_up_while_a_pawn_waits() {
-        let mut engine = Engine::new(COLOURED.len() as f64, 64e6, 4);
-        assert_eq!(until_colours(&mut engine, None), None);
-        let scene = engine.scene(2.0, 1e5, 0.01, false);
-        engine.bring_colours();
-        engine.look(scene, &[3.2, 3.2, 20.0]).unwrap();
-        let first = until_colours(&mut engine, Some(scene)).expect("colours of what is drawn");
-        // In a page far from the camera, which nobody asked for before.
-        let pawn = engine.pawn(&SETTINGS, &[16.0, -16.0, 97.0]).unwrap();
-        assert!(engine.step(pawn, 0.05, &STILL).unwrap()[9] > 0.0, "it waits");
-        let todo = polled(&mut engine);
-        assert!(todo.contains(&vec![CANCEL, f64::from(first)]), "{todo:?}");
-        let of_pages = todo.iter().find(|what| what[0] == FETCH).expect("what it waits for").clone();
-        assert!(polled(&mut engine).iter().all(|what| what[0] != FETCH_COLOURS), "none while it waits");
-        // An answer that comes all the same is none.
-        engine.given(first, vec![0; 12], 0.0);
-        assert!(engine.take_report().is_empty());
-        give(&mut engine, &of_pages);
-        assert_eq!(engine.step(pawn, 0.05, &STILL).unwrap()[9], 0.0);
-        let again = until_colours(&mut engine, Some(scene)).expect("colours again");
-        assert!(again > first);
     }
 }

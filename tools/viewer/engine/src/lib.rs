@@ -7,11 +7,13 @@
 //! Errors are texts `kind|message` with the kinds of the package's `SlicewalkError`.
 
 mod batch;
+mod colours;
 mod engine;
 mod facts;
 mod fault;
 mod geometry;
 mod map;
+mod named;
 mod outline;
 mod paint;
 mod pawn;

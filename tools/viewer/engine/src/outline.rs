@@ -114,12 +114,13 @@ fn keys(view: &View) -> Vec<PageKey> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
+    use super::*;
     use crate::Engine;
+    use crate::engine::{FETCH_COLOURS, tests::polled};
     use slicewalk::archive::{Archive, ArchiveWriter, EncodedColours, PageEncoder, Totals};
     use slicewalk::codec::ColourEncoder;
     use slicewalk::colour::{ColourPlan, ColourScale};
-    use slicewalk::frame::{Frame, PageKey};
     use slicewalk::plan::Plan;
     use slicewalk::slice::{Occupancy, PageBuilder, Span};
     use std::collections::BTreeSet;
@@ -129,7 +130,7 @@ mod tests {
         coloured_ground(has_levels, false)
     }
 
-    fn coloured_ground(has_levels: bool, has_colours: bool) -> Vec<u8> {
+    pub fn coloured_ground(has_levels: bool, has_colours: bool) -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("ground.slices");
         let plan = Plan::new(Frame::new(0.05, 0.15).unwrap());
@@ -163,19 +164,30 @@ mod tests {
         std::fs::read(&target).unwrap()
     }
 
-    /// What a camera at one end of the ground gets: fetches once it looks, and names, places and levels of pages drawn.
-    fn seen(bytes: &[u8], overview: bool, budget: f64) -> (Vec<[u64; 2]>, Vec<[f64; 2]>) {
+    /// What a camera at one end of the ground gets.
+    #[derive(Default)]
+    struct Seen {
+        /// Bytes fetched once it looks, and those of colours.
+        fetches: Vec<[u64; 2]>,
+        of_colours: Vec<[u64; 2]>,
+        /// Names, places and levels of pages drawn, and names of those painted.
+        built: Vec<(u32, [f64; 2])>,
+        painted: Vec<u32>,
+    }
+
+    fn seen(bytes: &[u8], overview: bool, budget: f64, has_colours: bool) -> Seen {
         let mut engine = Engine::new(bytes.len() as f64, budget, 4);
-        let (mut scene, mut fetches, mut built) = (None, Vec::new(), Vec::new());
-        loop {
-            let todo = engine.poll(0.0).unwrap();
-            let asked: Vec<_> = todo.chunks(4).filter(|what| what.len() == 4 && what[0] == 1.0).collect();
-            for what in &asked {
-                let [start, end] = [what[2] as usize, what[3] as usize];
-                fetches.extend(scene.map(|_| [start as u64, end as u64]));
-                engine.given(what[1] as u32, bytes[start..end].to_vec(), 0.0);
+        let (mut scene, mut seen) = (None, Seen::default());
+        for _ in 0..5000 {
+            let mut busy = false;
+            for what in polled(&mut engine) {
+                let [kind, name, start, end] = what[..] else { continue };
+                let range = [start as u64, end as u64];
+                let fetches = if kind == FETCH_COLOURS { &mut seen.of_colours } else { &mut seen.fetches };
+                fetches.extend(scene.map(|_| range));
+                engine.given(name as u32, bytes[start as usize..end as usize].to_vec(), 0.0);
+                busy = true;
             }
-            let mut busy = !asked.is_empty();
             while engine.decode(0.0) {
                 busy = true;
             }
@@ -185,34 +197,45 @@ mod tests {
                 None => {
                     let name = engine.scene(20.0, 1e6, 0.02, overview);
                     engine.look(name, &[1.0, 1.0, 1.0]).unwrap();
+                    if has_colours {
+                        engine.bring_colours();
+                    }
                     *scene.insert(name)
                 }
             };
             loop {
                 let numbers = engine.build(name).unwrap();
-                let [_, .., level] = numbers[..] else { break };
-                built.push([numbers[4], level]);
+                let [page, _, .., level] = numbers[..] else { break };
+                seen.built.push((page as u32, [numbers[4], level]));
                 busy = true;
             }
-            assert!(engine.take_report().is_empty());
-            if !busy && !fetches.is_empty() {
-                return (fetches, built);
+            while let [of, page, edge] = engine.paint().unwrap()[..] {
+                assert!(of == f64::from(name) && edge >= 1.0);
+                assert_eq!(engine.take_cells().len(), (4.0 * edge * edge) as usize);
+                assert!(!engine.take_colours().is_empty());
+                seen.painted.push(page as u32);
+                busy = true;
+            }
+            assert_eq!(engine.take_report(), "");
+            if !busy && !seen.fetches.is_empty() {
+                assert_eq!(engine.unpainted(), 0);
+                return seen;
             }
         }
+        panic!("it never ends");
     }
 
     #[test]
     fn beyond_the_pages_all_of_a_level_is_drawn_after_one_fetch() {
         let bytes = ground(true);
-        let (fetches, built) = seen(&bytes, true, 64e6);
-        let level: Vec<_> = built.iter().filter(|page| page[1] > 0.0).collect();
-        let pages: Vec<_> = built.iter().filter(|page| page[1] == 0.0).collect();
+        let Seen { fetches, built, .. } = seen(&bytes, true, 64e6, false);
+        let (level, pages): (Vec<_>, Vec<_>) = built.iter().map(|page| page.1).partition(|page| page[1] > 0.0);
         // Level 1 has pixels of 0.2 m: as fine as wanted from 10 m on.
         assert_eq!(level.len(), 30, "40 × 10 pages, four by four");
         assert!(level.iter().all(|page| page[1] == 1.0) && level.iter().any(|page| page[0] > 100.0));
         assert!(!pages.is_empty() && pages.iter().all(|page| page[0] <= 1.0 + 10.0 * 1.25));
-        let (without, alone) = seen(&bytes, false, 64e6);
-        assert!(alone.iter().all(|page| page[1] == 0.0) && alone.iter().any(|page| page[0] > 15.0));
+        let Seen { fetches: without, built: alone, .. } = seen(&bytes, false, 64e6, false);
+        assert!(alone.iter().all(|page| page.1[1] == 0.0) && alone.iter().any(|page| page.1[0] > 15.0));
         // One more, at the end of the pages: where the levels lie.
         let last = |fetches: &[[u64; 2]]| fetches.iter().map(|range| range[1]).max();
         assert!(last(&without) < last(&fetches), "{without:?}, {fetches:?}");
@@ -225,52 +248,8 @@ mod tests {
         let bytes = coloured_ground(true, true);
         let archive = Archive::from_bytes(bytes.clone()).unwrap();
         let table = archive.level(1).unwrap().catalog().level_colours_range().unwrap();
-        let mut engine = Engine::new(bytes.len() as f64, 64e6, 4);
-        let (mut scene, mut fetches, mut painted) = (None, Vec::new(), Vec::new());
-        let mut built = BTreeSet::new();
-        for round in 0.. {
-            assert!(round < 2000, "it ends");
-            let todo = engine.poll(0.0).unwrap();
-            let (mut at, mut busy) = (0, false);
-            while at < todo.len() {
-                let len = if [1.0, 4.0].contains(&todo[at]) { 4 } else { 2 };
-                if let [kind, name, start, end] = todo[at..at + len] {
-                    fetches.extend((kind == 4.0).then_some([start as u64, end as u64]));
-                    engine.given(name as u32, bytes[start as usize..end as usize].to_vec(), 0.0);
-                    busy = true;
-                }
-                at += len;
-            }
-            while engine.decode(0.0) {
-                busy = true;
-            }
-            let name = match scene {
-                Some(name) => name,
-                None if !engine.is_open() => continue,
-                None => {
-                    let name = engine.scene(20.0, 1e6, 0.02, true);
-                    engine.look(name, &[1.0, 1.0, 1.0]).unwrap();
-                    engine.bring_colours();
-                    *scene.insert(name)
-                }
-            };
-            while let [page, ..] = engine.build(name).unwrap()[..] {
-                built.insert(page as u32);
-                busy = true;
-            }
-            while let [of, page, edge] = engine.paint().unwrap()[..] {
-                assert!(of == f64::from(name) && edge >= 1.0);
-                assert_eq!(engine.take_cells().len(), (4.0 * edge * edge) as usize);
-                assert!(!engine.take_colours().is_empty());
-                painted.push(page as u32);
-                busy = true;
-            }
-            assert_eq!(engine.take_report(), "");
-            if !busy && !painted.is_empty() {
-                break;
-            }
-        }
-        assert_eq!(engine.unpainted(), 0);
+        let Seen { of_colours: fetches, built, painted, .. } = seen(&bytes, true, 64e6, true);
+        let built = BTreeSet::from_iter(built.iter().map(|page| page.0));
         assert_eq!(BTreeSet::from_iter(painted.iter().copied()), built, "all that was drawn");
         let level = painted.iter().filter(|page| **page >= 1 << 31).count();
         assert_eq!(level, 30);
@@ -284,8 +263,8 @@ mod tests {
     #[test]
     fn archives_without_levels_and_small_budgets_show_pages_alone() {
         for (has_levels, budget) in [(false, 64e6), (true, 12e6)] {
-            let (_, built) = seen(&ground(has_levels), true, budget);
-            assert!(built.iter().all(|page| page[1] == 0.0) && built.iter().any(|page| page[0] > 15.0));
+            let built = seen(&ground(has_levels), true, budget, false).built;
+            assert!(built.iter().all(|page| page.1[1] == 0.0) && built.iter().any(|page| page.1[0] > 15.0));
         }
     }
 }

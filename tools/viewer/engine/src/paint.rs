@@ -1,6 +1,6 @@
 //! Colours of the pages that scenes draw, on the grid of a drawing: for a texture that a shader looks voxels up in.
 //!
-//! In: which pages are drawn and how finely; bytes, when nothing else is on its way. Out: masks of the slices with a colour, and colours.
+//! In: colours of a page, and how finely it is drawn. Out: masks of the slices with a colour, and colours.
 
 use slicewalk::frame::TILE_PIXELS;
 use slicewalk::slice::Colours;

@@ -96,15 +96,11 @@ uint ones(uint word) {
   return (((word + (word >> 4)) & 0x0F0F0F0Fu) * 0x01010101u) >> 24;
 }
 
-// The scan's colour of the voxel behind the face, or of the nearest one above or below: heights are drawn rounded. Alpha 0: none.
-vec4 scanned() {
-  int edge = textureSize(paintCells, 0).x;
-  vec3 place = vCell * paintShare;
-  place -= vNormal * vec3(0.3 / float(edge), 0.3 / float(edge), 0.02);
-  uvec4 cell = texelFetch(paintCells, clamp(ivec2(floor(place.xy * float(edge))), ivec2(0), ivec2(edge - 1)), 0);
+// The scan's colour of the voxel of a cell of colours in this slice, or of the nearest one above or below. Alpha 0: none.
+vec4 scannedAt(ivec2 at, int slice, int reach) {
+  uvec4 cell = texelFetch(paintCells, at, 0);
   if ((cell.x | cell.y) == 0u) return vec4(0.0);
-  int slice = int(floor(place.z));
-  for (int n = 0; n < 7; n++) {
+  for (int n = 0; n <= 2 * reach; n++) {
     int k = slice + ((n & 1) == 1 ? -(n + 1) / 2 : n / 2);
     if (k < 0 || k > 63) continue;
     uint word = k < 32 ? cell.x : cell.y;
@@ -114,6 +110,29 @@ vec4 scanned() {
     return vec4(texelFetch(paintColours, ivec2(rank & 255u, rank >> 8), 0).rgb, 1.0);
   }
   return vec4(0.0);
+}
+
+// The scan's colour of the matter behind the face. Heights are drawn rounded, the more so the larger the cells of the drawing are.
+vec4 scanned() {
+  int edge = textureSize(paintCells, 0).x;
+  vec3 place = vCell * paintShare;
+  place -= vNormal * vec3(0.3 / float(edge), 0.3 / float(edge), 0.02);
+  ivec2 at = clamp(ivec2(floor(place.xy * float(edge))), ivec2(0), ivec2(edge - 1));
+  int slice = int(floor(place.z));
+  int reach = 3 * max(1, int(64.0 * paintShare.x + 0.5));
+  vec4 found = scannedAt(at, slice, reach);
+  // Colours may lie in finer cells than the drawing has: the matter of one of its cells need not fill all of them.
+  int wide = int(float(edge) * paintShare.x + 0.5);
+  if (found.a > 0.5 || wide < 2) return found;
+  ivec2 first = at / wide * wide;
+  int step = max(1, wide / 4);
+  for (int n = 0; n < 16; n++) {
+    ivec2 other = ivec2(n & 3, n >> 2) * step;
+    if (max(other.x, other.y) >= wide) continue;
+    found = scannedAt(first + other, slice, reach);
+    if (found.a > 0.5) return found;
+  }
+  return found;
 }
 
 #ifdef OVERVIEW

@@ -1,0 +1,259 @@
+//! Colours of what scenes draw: of pages first, then of the overview level.
+//!
+//! In: what is drawn, and bytes, when nothing else is on its way. Out: one range to fetch at a time, and paint. Whoever asks gives
+//! a fetch up when a pawn waits for a page.
+
+use crate::named::{Moving, Named};
+use crate::outline::Outline;
+use crate::paint::Paint;
+use crate::scene::{Part, Scenes};
+use slicewalk::Error;
+use slicewalk::frame::PageKey;
+use slicewalk::store::{ColourLoader, Loader, Time, View};
+use std::ops::Range;
+
+/// Most pages whose colours are asked for at once: after those comes what the camera sees then.
+const PAINTED: usize = 64;
+
+/// Who brings the colours.
+#[derive(Default)]
+pub(crate) enum Colours {
+    /// Nobody has asked for any.
+    #[default]
+    Off,
+    /// Asked for, and the directory is not there yet.
+    Wanted,
+    On(Box<Bringing>),
+    /// The archive has none.
+    Never,
+}
+
+pub(crate) struct Bringing {
+    near: ColourLoader,
+    /// Those of the overview level, which come when no page wants any.
+    far: Option<ColourLoader>,
+    /// The fetch on its way, by name.
+    fetch: Option<(u32, Part)>,
+    /// Something was drawn or painted since pages were named to the loaders.
+    is_stale: bool,
+    /// Colours that came, and the scenes that were not painted with them yet.
+    came: Option<(Part, PageKey, slicewalk::slice::Colours, Vec<u32>)>,
+}
+
+impl Bringing {
+    /// Who asked for this fetch, which is over.
+    fn over(&mut self, name: u32) -> Option<&mut ColourLoader> {
+        let (_, of) = self.fetch.take_if(|fetch| fetch.0 == name)?;
+        match of {
+            Part::Pages => Some(&mut self.near),
+            Part::Level => self.far.as_mut(),
+        }
+    }
+}
+
+impl Colours {
+    /// Brings them from now on.
+    pub fn bring(&mut self) {
+        if matches!(self, Self::Off) {
+            *self = Self::Wanted;
+        }
+    }
+
+    pub fn are_on(&self) -> bool {
+        matches!(self, Self::On(_))
+    }
+
+    /// Begins, if they are wanted and the directory is there.
+    pub fn begin(&mut self, loader: &Loader) {
+        if matches!(self, Self::Wanted) && loader.views().is_some() {
+            *self = loader.colours().map_or(Self::Never, |near| {
+                Self::On(Box::new(Bringing { near, far: None, fetch: None, is_stale: true, came: None }))
+            });
+        }
+    }
+
+    /// A scene drew something.
+    pub fn drawn(&mut self) {
+        if let Self::On(on) = self {
+            on.is_stale = true;
+        }
+    }
+
+    /// Gives the fetch on its way up; its name.
+    pub fn give_up(&mut self) -> Option<u32> {
+        let Self::On(on) = self else { return None };
+        let (name, _) = on.fetch?;
+        on.over(name).into_iter().for_each(ColourLoader::cancel);
+        Some(name)
+    }
+
+    /// What to fetch next, under this name, unless a fetch is on its way; and when to come again.
+    pub fn ask(
+        &mut self,
+        name: u32,
+        scenes: &Named<Moving<Scenes>>,
+        outline: Option<&Outline>,
+        now: Time,
+    ) -> (Option<Range<u64>>, Option<Time>) {
+        let Self::On(on) = self else { return (None, None) };
+        let Bringing { near, far, fetch, is_stale, .. } = &mut **on;
+        if fetch.is_some() {
+            return (None, None);
+        }
+        if far.is_none() {
+            *far = outline.and_then(Outline::colours);
+            *is_stale |= far.is_some();
+        }
+        if std::mem::take(is_stale) {
+            let wanted = |of| scenes.things().flat_map(move |scene| scene.thing.unpainted(of, PAINTED));
+            near.want(wanted(Part::Pages));
+            far.iter_mut().for_each(|far| far.want(wanted(Part::Level)));
+        }
+        let of_pages = near.poll(now).map(|range| (Part::Pages, range));
+        let found = of_pages.or_else(|| Some((Part::Level, far.as_mut()?.poll(now)?)));
+        let range = found.map(|(of, range)| {
+            *fetch = Some((name, of));
+            range
+        });
+        (range, [near.retry_at(), far.as_ref().and_then(ColourLoader::retry_at)].into_iter().flatten().min())
+    }
+
+    /// The bytes of a fetch came; `None` if it was none of colours.
+    pub fn given(&mut self, name: u32, bytes: Vec<u8>, now: Time) -> Option<slicewalk::Result<()>> {
+        let Self::On(on) = self else { return None };
+        Some(on.over(name)?.given(bytes, now))
+    }
+
+    /// A fetch failed; it is asked for again later.
+    pub fn failed(&mut self, name: u32, now: Time) {
+        if let Self::On(on) = self {
+            on.over(name).into_iter().for_each(|loader| loader.failed(now));
+        }
+    }
+
+    /// Pages that wait for colours, and those of an overview level that do.
+    pub fn unpainted(&self, scenes: &Named<Moving<Scenes>>) -> u32 {
+        let Self::On(on) = self else { return 0 };
+        let of = |of| scenes.things().map(move |scene| scene.thing.unpainted(of, usize::MAX).len() as u32);
+        of(Part::Pages).chain(of(Part::Level).filter(|_| on.far.is_some())).sum()
+    }
+
+    /// Paints the next page: the scene that draws it, its name, and its paint. Damaged colours are reported once.
+    pub fn paint(
+        &mut self,
+        scenes: &mut Named<Moving<Scenes>>,
+        view: &View,
+        level: Option<&View>,
+        mut report: impl FnMut(Error),
+    ) -> Option<(u32, u32, Paint)> {
+        let Self::On(on) = self else { return None };
+        let Bringing { near, far, is_stale, came, .. } = &mut **on;
+        loop {
+            if let Some((of, key, colours, waiting)) = came {
+                while let Some(name) = waiting.pop() {
+                    let drawn = scenes.get_mut(name).and_then(|scene| scene.thing.paint(*of, *key));
+                    if let Some((page, coarseness)) = drawn {
+                        return Some((name, page, Paint::new(colours, coarseness)));
+                    }
+                }
+                *came = None;
+            }
+            let of_pages = near.decode(view).map(|(key, colours)| (Part::Pages, key, colours));
+            let found = of_pages.or_else(|| {
+                let (key, colours) = far.as_mut()?.decode(level?)?;
+                Some((Part::Level, key, colours))
+            });
+            let (of, key, colours) = found?;
+            match colours {
+                Ok(colours) => *came = Some((of, key, colours, scenes.0.iter().map(|(name, _)| *name).collect())),
+                Err(error) => {
+                    report(error);
+                    // It is not asked for again.
+                    for (_, scene) in &mut scenes.0 {
+                        let _ = scene.thing.paint(of, key);
+                    }
+                }
+            }
+            *is_stale = true;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::Engine;
+    use crate::engine::{CANCEL, FETCH, FETCH_COLOURS, WAIT, tests::polled};
+    use crate::outline::tests::coloured_ground;
+    use slicewalk::archive::Archive;
+    use std::ops::Range;
+
+    const SETTINGS: [f64; 10] = [0.0, 0.5, 0.5, 1.8, 0.35, 1.4, 9.81, 0.5, 1.0, f64::NAN];
+    const STILL: [f64; 5] = [0.0, 0.0, 1.0, 0.0, 0.0];
+
+    fn give(engine: &mut Engine, bytes: &[u8], fetch: &[f64]) {
+        engine.given(fetch[1] as u32, bytes[fetch[2] as usize..fetch[3] as usize].to_vec(), 0.0);
+        while engine.decode(0.0) {}
+    }
+
+    /// Gives all else, draws and paints; the first request for colours that begin in these bytes.
+    fn until_colours(engine: &mut Engine, bytes: &[u8], scene: Option<u32>, wanted: &Range<u64>) -> Option<u32> {
+        loop {
+            let (todo, mut busy) = (polled(engine), false);
+            for what in &todo {
+                match what[..] {
+                    [FETCH_COLOURS, name, start, _] if wanted.contains(&(start as u64)) => return Some(name as u32),
+                    [FETCH | FETCH_COLOURS, ..] => give(engine, bytes, what),
+                    _ => continue,
+                }
+                busy = true;
+            }
+            busy |= scene.is_some_and(|scene| !engine.build(scene).unwrap().is_empty());
+            while !engine.paint().unwrap().is_empty() {
+                busy = true;
+            }
+            if !busy && todo.iter().all(|what| what[0] == WAIT) {
+                return None;
+            }
+        }
+    }
+
+    /// A request for colours that begin in `wanted` bytes is given up while a pawn at `far`, in a page that nobody asked for before, waits.
+    fn assert_gives_up(bytes: &[u8], eye: [f64; 3], far: [f64; 3], overview: bool, wanted: &Range<u64>) {
+        let mut engine = Engine::new(bytes.len() as f64, 64e6, 4);
+        assert_eq!(until_colours(&mut engine, bytes, None, wanted), None);
+        let scene = engine.scene(2.0, 1e5, 0.01, overview);
+        engine.bring_colours();
+        engine.look(scene, &eye).unwrap();
+        let first = until_colours(&mut engine, bytes, Some(scene), wanted).expect("colours of what is drawn");
+        let pawn = engine.pawn(&SETTINGS, &far).unwrap();
+        assert!(engine.step(pawn, 0.05, &STILL).unwrap()[9] > 0.0, "it waits");
+        let todo = polled(&mut engine);
+        assert!(todo.contains(&vec![CANCEL, f64::from(first)]), "{todo:?}");
+        let of_pages = todo.iter().find(|what| what[0] == FETCH).expect("what it waits for").clone();
+        assert!(polled(&mut engine).iter().all(|what| what[0] != FETCH_COLOURS), "none while it waits");
+        // An answer that comes all the same is none.
+        engine.given(first, vec![0; 12], 0.0);
+        assert!(engine.take_report().is_empty());
+        give(&mut engine, bytes, &of_pages);
+        assert_eq!(engine.step(pawn, 0.05, &STILL).unwrap()[9], 0.0);
+        let again = until_colours(&mut engine, bytes, Some(scene), wanted).expect("colours again");
+        assert!(again > first);
+    }
+
+    #[test]
+    fn a_request_for_colours_is_given_up_while_a_pawn_waits() {
+        let bytes = include_bytes!("../../../../tests/golden/colours.slices");
+        assert_gives_up(bytes, [3.2, 3.2, 20.0], [16.0, -16.0, 97.0], false, &(0..u64::MAX));
+    }
+
+    #[test]
+    fn one_for_colours_of_a_level_is_too() {
+        let bytes = coloured_ground(true, true);
+        let archive = Archive::from_bytes(bytes.clone()).unwrap();
+        let level = archive.level(1).unwrap();
+        // The table of levels, which comes first and is asked for when no page wants colours any more.
+        let table = level.catalog().level_colours_range().unwrap();
+        // Near enough to the ground that the directory alone does not say that it is free.
+        assert_gives_up(&bytes, [1.0, 1.0, 1.0], [120.0, 20.0, 0.4], true, &table);
+    }
+}
