@@ -9,8 +9,8 @@
 use super::Violation;
 
 /// Bits of a probability.
-const SCALE_BITS: u32 = 15;
-const SCALE: u32 = 1 << SCALE_BITS;
+pub(super) const SCALE_BITS: u32 = 15;
+pub(super) const SCALE: u32 = 1 << SCALE_BITS;
 /// Least state between two symbols, and the state that coding starts from.
 const LOW: u32 = 1 << 16;
 /// Most bits that [`Coder::raw`] takes.
@@ -174,10 +174,10 @@ pub struct RansEncoder {
 
 /// ⌊2⁶³ / n⌋ + 1 for each number of slots: with it, a division is a multiplication. Made when it is first wanted.
 #[derive(Debug, Default)]
-struct Inverses(Vec<u64>);
+pub(super) struct Inverses(Vec<u64>);
 
 impl Inverses {
-    fn of_all(&mut self) -> &[u64] {
+    pub fn of_all(&mut self) -> &[u64] {
         if self.0.is_empty() {
             self.0 = (0..=u64::from(SCALE)).map(|count| (1 << 63) / count.max(1) + 1).collect();
         }
@@ -187,7 +187,7 @@ impl Inverses {
     /// `state / count` by the inverse of `count` [1..=`SCALE`]: it errs by less than `state / 2⁶³`, and no quotient lies closer
     /// below the next whole number than `1 / SCALE`.
     #[inline]
-    fn quotient(state: u32, inverse: u64) -> u32 {
+    pub fn quotient(state: u32, inverse: u64) -> u32 {
         ((u128::from(state) * u128::from(inverse)) >> 63) as u32
     }
 }
