@@ -39,14 +39,14 @@ impl Classifier {
     }
 }
 
-/// How pages of an archive are coded. No option: the newest but for archives made of older ones.
+/// How pages of an archive are coded. What is made of other archives keeps their coding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 #[non_exhaustive]
 pub enum Coding {
-    /// As before version 1.5: one state, symbols in the order of the spans.
-    Adaptive,
-    /// Two states and bits as they are: decodes in a third of the time.
+    /// One state, symbols in the order of the spans; every version reads it.
     #[default]
+    Adaptive,
+    /// Two states and bits as they are: decodes in about half the time. From version 1.5 on.
     Braided,
 }
 

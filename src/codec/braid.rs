@@ -234,7 +234,8 @@ impl<'a> BraidDecoder<'a> {
     pub fn finish(self, rule: &'static str) -> Result<(), Violation> {
         let len = self.bytes.len();
         let used = self.at + self.bits.div_ceil(8);
-        let unused = if used == len && self.bits % 8 > 0 { self.bytes[self.at] >> (self.bits % 8) } else { 0 };
+        let unused =
+            if used == len && !self.bits.is_multiple_of(8) { self.bytes[self.at] >> (self.bits % 8) } else { 0 };
         if used != len || unused != 0 || self.states != [LOW; 2] {
             let found = if used == len { "others".into() } else { format!("{used} needed of {len}") };
             return Err(Violation::new(rule, "the bytes that the page's symbols need", found));

@@ -133,7 +133,7 @@ fn fresh(steps: usize) -> Models {
         }
         if at < 16 {
             let most = if at / 4 > at % 4 { at / 4 } else { at % 4 };
-            models.count[at] = Nibble::new(COUNTS[if most > 1 { most - 1 } else { 0 }]);
+            models.count[at] = Nibble::new(COUNTS[most.saturating_sub(1)]);
             models.bottom[at] = around(BOTTOM_PEAKS[steps][at]);
         }
         if at < 50 {
@@ -172,12 +172,6 @@ pub struct Scratch {
     /// Per step, of bottoms and tops: 0, or 1 and how the height lay off the usual one when the step came last (1 above, 2 below).
     last_off: Box<[[u8; 1 << 14]; 2]>,
     encoder: BraidEncoder,
-}
-
-impl Scratch {
-    /// Bytes that decoding takes.
-    pub const DECODING_BYTES: usize =
-        3 * size_of::<Models>() + size_of::<[Seen; 1 + 2 * ROW]>() + size_of::<[[u8; 1 << 14]; 2]>();
 }
 
 impl Default for Scratch {
@@ -409,11 +403,11 @@ impl Given {
 }
 
 /// Walks over `page`, or the one that the coder reads, and hands each pixel's spans to `taker`.
-fn walk<'a, C: Strands>(
+fn walk<C: Strands>(
     mut coder: C,
     lattice: Lattice,
     scratch: &mut Scratch,
-    page: Option<&'a Page>,
+    page: Option<&Page>,
     mut taker: impl Taker,
 ) -> Result<C, Violation> {
     let Scratch { models, fresh, seen, last_off, .. } = scratch;
@@ -459,7 +453,7 @@ fn walk<'a, C: Strands>(
             own[px + 1] = next as u32 | count.min(3) << 16;
             let mut places = around.map(|place| place as usize & 0xFFFF);
             let mut top_below = -1;
-            for index in 0..count as usize {
+            for (index, found) in column.iter_mut().enumerate().take(count as usize) {
                 if index > 0 {
                     // Past the neighbours' spans that the one below rules out; mostly one in each.
                     for place in &mut places {
@@ -547,7 +541,7 @@ fn walk<'a, C: Strands>(
                 );
                 let span = Span::new(bottom as u32, top as u32, obstacle)
                     .ok_or_else(|| Violation::new("P8", "a span inside the page", format!("{bottom}..={top}")))?;
-                column[index] = span;
+                *found = span;
                 let thick = top_step - bottom_step;
                 seen[next] = [bottom_step as i16, thick as i16, bottom as i16, 256 + i16::from(obstacle)];
                 next += 1;

@@ -3,7 +3,7 @@
 //! In: a [`Page`]. Out: at most [`MAX_BODY`] bytes, and from them the same page again. Memory:
 //! one scratch of at most a few MiB per codec object. The bytes are described in `spec/slice-archive.md`, chapter 6.
 //!
-//! The first byte of an encoded page names its model: `adaptive`, as archives before version 1.5 have it, or `braided`, each also behind
+//! The first byte of an encoded page names its model: `adaptive`, or from version 1.5 on `braided`, each also behind
 //! marks that say which spans are inferred. Decoders take hostile bytes: every number
 //! is checked before it sizes, indexes or bounds a loop, and a broken rule comes back as a [`Violation`], which the archive
 //! turns into an error with its place in the file.
@@ -81,7 +81,8 @@ pub struct Encoder {
     tolerance: u32,
     steps: Vec<u64>,
     adaptive: adaptive::Scratch,
-    braided: braided::Scratch,
+    /// Made with the first page that is braided.
+    braided: Option<Box<braided::Scratch>>,
     heights: Vec<(u32, End)>,
     loose: loose::Loose,
     builder: PageBuilder,
@@ -99,7 +100,7 @@ impl Encoder {
         Self::with(HeightsOf::Level(steps))
     }
 
-    /// As this one, of pages of an archive that is coded so; without this, as before version 1.5.
+    /// As this one, of pages of an archive that is coded so; `Adaptive` without this.
     pub fn with_coding(self, coding: Coding) -> Self {
         Self { coding, ..self }
     }
@@ -111,7 +112,7 @@ impl Encoder {
             tolerance: 0,
             steps: Vec::new(),
             adaptive: Default::default(),
-            braided: Default::default(),
+            braided: None,
             heights: Vec::new(),
             loose: Default::default(),
             builder: PageBuilder::default(),
@@ -136,7 +137,7 @@ impl Encoder {
             Coding::Braided => {
                 adaptive::telling_heights(page, &mut self.heights);
                 let lattice = Lattice::find_short(&self.of, &self.steps, &self.heights).unwrap_or(Lattice::QUANTA);
-                braided::encode(lattice, page, &mut self.braided, out);
+                braided::encode(lattice, page, self.braided.get_or_insert_default(), out);
             }
         }
     }
@@ -187,8 +188,9 @@ fn put_model(coding: Coding, page: &Page, inferred: &Inferred, out: &mut Vec<u8>
 #[derive(Debug, Default)]
 pub struct Decoder {
     adaptive: adaptive::Scratch,
-    braided: braided::Scratch,
-    rows: RowBuilder,
+    /// Made with the first braided page. About 120 KiB and 4 bytes a span that [`scratch_bytes`](Self::scratch_bytes) does not count yet:
+    /// before archives have such pages by default, caches must.
+    braided: Option<Box<(braided::Scratch, RowBuilder)>>,
     builder: PageBuilder,
     inferred: Inferred,
 }
@@ -199,16 +201,12 @@ impl Decoder {
         let mut decoder = Self::default();
         decoder.adaptive.reserve(spans);
         decoder.builder.reserve(spans);
-        decoder.rows.reserve(spans);
         decoder
     }
 
     /// Bytes of scratch memory of a decoder made [`for_spans`](Self::for_spans).
     pub fn scratch_bytes(spans: usize) -> usize {
-        adaptive::Scratch::decoding_bytes(spans)
-            + braided::Scratch::DECODING_BYTES
-            + RowBuilder::scratch_bytes(spans)
-            + PageBuilder::scratch_bytes(spans)
+        adaptive::Scratch::decoding_bytes(spans) + PageBuilder::scratch_bytes(spans)
     }
 
     /// The page that `body` encodes. Linear in `body` and the page's spans; breaks of rules P5 to P8 and P12 are errors.
@@ -225,8 +223,9 @@ impl Decoder {
 
     fn decode_spans(&mut self, model: u8, coded: &[u8]) -> Result<Page, Violation> {
         if model == BRAIDED {
-            braided::decode(coded, &mut self.braided, &mut self.rows)?;
-            return Ok(self.rows.build());
+            let (scratch, rows) = &mut **self.braided.get_or_insert_default();
+            braided::decode(coded, scratch, rows)?;
+            return Ok(rows.build());
         }
         self.builder.clear();
         adaptive::decode(coded, &mut self.adaptive, &mut self.builder)?;

@@ -404,16 +404,6 @@ impl Default for RowBuilder {
 }
 
 impl RowBuilder {
-    /// Bytes of scratch memory that it takes besides the page, if `spans` spans were [reserved](Self::reserve).
-    pub fn scratch_bytes(spans: usize) -> usize {
-        size_of::<[u32; 8 * 64]>() + size_of::<Span>() * spans
-    }
-
-    /// Makes room for `spans` spans.
-    pub fn reserve(&mut self, spans: usize) {
-        self.spans.reserve_exact(spans);
-    }
-
     /// Begins a page with matter in these pixels.
     pub fn begin(&mut self, rows: [u64; 64]) {
         self.rows = rows;

@@ -25,12 +25,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Pages of an archive by key.
 pub type Pages = BTreeMap<PageKey, Page>;
 
-/// `plan` with pages coded as today.
+/// `plan` with braided pages.
 pub fn braided(plan: &Plan) -> Plan {
     Plan { options: PlanOptions { coding: Coding::Braided, ..plan.options.clone() }, ..*plan }
 }
 
-/// Pixels of 0.1 m, slices of 0.3 m; pages coded as before version 1.5, so that samples and golden archives keep their bytes.
+/// Pixels of 0.1 m, slices of 0.3 m; adaptive pages, whatever the default, so that samples and golden archives keep their bytes.
 pub fn plan() -> Plan {
     let options = PlanOptions { classifier: Classifier::Span, coding: Coding::Adaptive, ..PlanOptions::default() };
     Plan { frame: Frame::new(0.1, 0.3).unwrap(), options }
