@@ -18,13 +18,13 @@ def read_head(head):
     head.has_colours = head.minor >= 3 and head.features_optional & 2 == 2
     fields = head.reserved[27:]
     if not head.has_colours:
-        need(head.minor > 4 or not any(fields), "H10", "reserved bytes are not zero")
+        need(head.minor > 5 or not any(fields), "H10", "reserved bytes are not zero")
         return
     fields = struct.unpack("<QQIHHHB5s", fields)
     head.colours_len, head.voxels_coloured, head.colours_crc, head.colour_low, head.colour_high = fields[:5]
     head.colour_error, head.colour_source, zero = fields[5:]
     right = 1 <= head.colour_source <= 3 and head.colour_low < head.colour_high
-    need(right and (head.minor > 4 or not any(zero)), "K1", f"colours {fields}")
+    need(right and (head.minor > 5 or not any(zero)), "K1", f"colours {fields}")
     head.levels_have_colours = head.minor >= 4 and head.features_optional & 8 == 8 and head.level_count > 0
     tables = 12 * head.leaf_count + (20 * head.level_count + 4 if head.levels_have_colours else 0)
     need(tables <= head.colours_len, "K1", f"colours of {head.colours_len} bytes")

@@ -45,7 +45,7 @@ class Head:
         need(crc32c(head[:-4]) == self.crc, "H3", "the checksum of the head is wrong")
         self.__dict__.update(zip(NAMES, FIXED.unpack(head[:FIXED_LEN])))
         need(self.major == 1, "H4", f"version {self.major} is not supported")
-        need(self.features_required <= 1, "H5", f"features {self.features_required:#x} are not supported")
+        need(self.features_required <= 3, "H5", f"features {self.features_required:#x} are not supported")
         need(self.file_len == len(data), "H6", f"{len(data)} bytes, should have {self.file_len}")
         self.check_plan()
         self.read_inferred()
@@ -65,7 +65,7 @@ class Head:
         """Where the levels of chapter 15 are told of; `pages_len` is then that of the pages alone."""
         self.has_levels = self.minor >= 1 and self.features_optional & 1 == 1
         zero = self.has_levels or not any(self.reserved[: LEVELS.size])
-        need(self.minor > 4 or zero, "H10", "reserved bytes are not zero")
+        need(self.minor > 5 or zero, "H10", "reserved bytes are not zero")
         self.level_step = THIRD if self.minor >= 4 and self.features_optional & 4 else FIFTH
         self.level_count = self.levels_len = self.table_len = self.table_crc = 0
         if self.has_levels:
@@ -79,11 +79,12 @@ class Head:
     def read_inferred(self):
         """What the head says of inferred matter, chapter 16."""
         self.fill_holes = self.up >> 2
-        fills = self.features_required == 1
-        right = fills == (self.fill_holes > 0) and (self.minor >= 2 or not fills)
+        fills = self.features_required & 1 == 1
+        self.braided = self.features_required & 2 == 2
+        right = fills == (self.fill_holes > 0) and self.minor >= (5 if self.braided else 2 if fills else 0)
         need(right, "H7", f"holes of {self.fill_holes} pixels, features {self.features_required}, minor {self.minor}")
         zero = fills or not any(self.reserved[INFERRED])
-        need(self.minor > 3 or zero, "H10", "reserved bytes are not zero")
+        need(self.minor > 5 or zero, "H10", "reserved bytes are not zero")
         self.voxels_inferred = int.from_bytes(self.reserved[INFERRED], "little") if fills else 0
 
     def check_plan(self):

@@ -130,7 +130,7 @@ def read_page(entry, data, slice_height, fills=False, moved=0, level_step=None):
     else:
         need(key is not None and key < entry.key(), "P3", f"page {(tx, ty, layer)} is shared by an earlier one")
     page = Page(data[LEADER_LEN:])
-    need(page.model == 1 or fills, "P13", "inferred matter in an archive without closed holes")
+    need(page.model % 2 == 1 or fills, "P13", "inferred matter in an archive without closed holes")
     mask = 0
     for column in page.columns:
         for span in column:
@@ -346,6 +346,7 @@ def read_archive(data):
             # Shared pages are compared with their entry by rule D10; their leader and key are checked here.
             if entry.kind == "stored" or entry.offset not in decoded:
                 page = read_page(entry, stored, head.slice_height, head.fill_holes > 0, moved_by(head))
+                need(page.is_braided == head.braided, "P10", f"model {page.model} in an archive that says otherwise")
                 kind = lambda span: 2 if span.inferred else span.obstacle
                 kinds = [[(span.bottom, span.top, kind(span)) for span in column] for column in page.columns]
                 pixels = [[at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(kinds) if spans]

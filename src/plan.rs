@@ -39,6 +39,17 @@ impl Classifier {
     }
 }
 
+/// How pages of an archive are coded. What is made of other archives keeps their coding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+#[non_exhaustive]
+pub enum Coding {
+    /// One state, symbols in the order of the spans; every version reads it.
+    #[default]
+    Adaptive,
+    /// Two states and bits as they are: decodes in about half the time. From version 1.5 on.
+    Braided,
+}
+
 /// Which axis of the input points up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Up {
@@ -177,6 +188,8 @@ pub struct PlanOptions {
     pub up: Up,
     /// Points of these LAS classes are left out.
     pub exclude_classes: ClassSet,
+    /// How pages are coded; not part of the plan's identity.
+    pub coding: Coding,
 }
 
 impl Default for PlanOptions {
@@ -192,6 +205,7 @@ impl Default for PlanOptions {
             fill_holes: 0,
             up: Up::Z,
             exclude_classes: ClassSet::default(),
+            coding: Coding::default(),
         }
     }
 }

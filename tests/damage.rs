@@ -173,7 +173,7 @@ fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
     let unknown_but_optional = parts.build(|head| head[24] = 1);
     assert_eq!(rules(&unknown_but_optional), [""; 0]);
     let newer = parts.build(|head| {
-        head[10] = 5;
+        head[10] = 6;
         head[383] = 1;
     });
     assert_eq!(rules(&newer), [""; 0], "a newer minor version may use reserved bytes");
@@ -275,7 +275,7 @@ fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
     };
     let cases = [
         ("D6", vec![]),
-        ("P5", changed(0, 3)),
+        ("P5", changed(0, 5)),
         ("P12", changed(0, 2)),
         ("P6", body[..4].to_vec()),
         ("P6", body[..body.len() - 1].to_vec()),
@@ -284,6 +284,7 @@ fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
         ("P6", [&body[..], &[0, 0]].concat()),
         // A state below its least.
         ("P6", vec![1, 0, 0, 0, 0]),
+        ("P6", vec![3, 0, 0, 1, 0, 0, 0, 0, 0]),
     ];
     for (number, (rule, body)) in cases.into_iter().enumerate() {
         assert_eq!(rules(&build(&body)), [rule], "case {number}");

@@ -204,13 +204,13 @@ fn pages_that_were_not_prepared_for_levels_are_refused() {
     let mut writer = ArchiveWriter::create(&folder.path().join("a.slices"), &plan(), false).unwrap();
     writer.set_levels();
     let (key, page) = city().pop_first().unwrap();
-    let encoded = PageEncoder::new(plan().frame).for_levels(false).encode(key, &page);
+    let encoded = PageEncoder::of_plan(&plan()).for_levels(false).encode(key, &page);
     assert!(writer.put(key, encoded).unwrap_err().to_string().contains("without overview levels"));
     let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
     writer.set_colours(colours);
     let (occupancy, mut encoder) = (Occupancy::of(&page), ColourEncoder::default().for_levels(false));
     let made = EncodedColours::new(&colours, &occupancy, &vec![Some([7; 3]); occupancy.len()], &mut encoder);
-    let encoded = PageEncoder::new(plan().frame).encode(key, &page).with_colours(made);
+    let encoded = PageEncoder::of_plan(&plan()).encode(key, &page).with_colours(made);
     assert!(writer.put(key, encoded).unwrap_err().to_string().contains("without overview levels"));
 }
 

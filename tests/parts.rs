@@ -55,7 +55,7 @@ fn totals(points: u64) -> Totals {
 
 fn write(target: &Path, pages: &Pages, totals: Totals, shard: Option<Shard>) {
     let mut writer = ArchiveWriter::create(target, &plan(), true).unwrap();
-    let mut encoder = PageEncoder::new(plan().frame);
+    let mut encoder = PageEncoder::of_plan(&plan());
     for (&key, page) in pages {
         if shard.is_none_or(|shard| shard.columns().contains(&key.column())) {
             writer.put(key, encoder.encode(key, page)).unwrap();

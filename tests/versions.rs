@@ -5,19 +5,23 @@
 
 mod common;
 
-use common::{archive, archive_with_colours, render, scene, two_pixels};
+use common::{archive, archive_with_colours, archive_with_levels, braided, plan, render, scene, two_pixels};
 use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, Totals};
 use slicewalk::colour::ColourScale;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Archives of version 1.0, and with colours and levels one of 1.4, one of 1.4 whose levels have no colours, and one of 1.3. Nobody
+/// Archives of version 1.0, with colours and levels one of 1.4, one of 1.5, one of 1.4 whose levels have no colours, and one of 1.3. Nobody
 /// writes the last two any more.
-const GOLDEN: [&str; 6] = ["empty", "scene", "two-pixels", "level-colours", "levels", "colours"];
+const GOLDEN: [&str; 7] = ["empty", "scene", "two-pixels", "level-colours", "braided", "levels", "colours"];
 
 fn with_colours() -> Vec<u8> {
     archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)
+}
+
+fn with_braids() -> Vec<u8> {
+    archive_with_levels(&braided(&plan()), &scene(), None)
 }
 
 fn golden(name: &str) -> PathBuf {
@@ -29,7 +33,7 @@ fn write_missing() {
         return;
     }
     let made = [(Default::default(), Totals::default()), scene(), two_pixels()];
-    for (name, bytes) in GOLDEN.iter().zip(made.iter().map(archive).chain([with_colours()])) {
+    for (name, bytes) in GOLDEN.iter().zip(made.iter().map(archive).chain([with_colours(), with_braids()])) {
         let path = golden(&format!("{name}.slices"));
         if !path.exists() {
             std::fs::write(path, &bytes).unwrap();
@@ -64,9 +68,12 @@ fn no_golden_archive_is_unlisted() {
 
 #[test]
 fn what_is_written_today_holds_what_was_written_then() {
-    for (name, bytes) in
-        [("scene", archive(&scene())), ("two-pixels", archive(&two_pixels())), ("level-colours", with_colours())]
-    {
+    for (name, bytes) in [
+        ("scene", archive(&scene())),
+        ("two-pixels", archive(&two_pixels())),
+        ("level-colours", with_colours()),
+        ("braided", with_braids()),
+    ] {
         let expected = std::fs::read_to_string(golden(&format!("{name}.txt"))).unwrap();
         assert_eq!(render(&Archive::from_bytes(bytes).unwrap()), expected, "{name}");
     }

@@ -10,7 +10,7 @@ use crate::codec::{ByteReader, LevelSteps, Violation};
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
-use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
+use crate::plan::{ClassSet, Classifier, Coding, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -18,15 +18,17 @@ use xxhash_rust::xxh3::xxh3_128;
 pub(super) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
 /// Minor version and required features of an archive of `plan`.
 pub(super) fn needs(plan: &Plan, levels: bool, colours: bool) -> (u16, u64) {
-    let fills = plan.options.fill_holes > 0;
+    let (fills, braids) = (plan.options.fill_holes > 0, plan.options.coding == Coding::Braided);
     let needed = [
         (levels, LEVEL_THIRDS_MINOR),
         (fills, INFERRED_MINOR),
         (plan.tolerance_quanta() > 0, STEPS_MINOR),
         (colours, COLOURS_MINOR),
+        (braids, BRAIDED_MINOR),
     ];
     let minor = needed.into_iter().filter(|(needs, _)| *needs).map(|(_, minor)| minor).max();
-    (minor.unwrap_or(0), if fills { INFERRED } else { 0 })
+    let features = [(fills, INFERRED), (braids, BRAIDED)];
+    (minor.unwrap_or(0), features.into_iter().filter(|(needs, _)| *needs).map(|(_, bit)| bit).sum())
 }
 
 /// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
@@ -64,6 +66,10 @@ const LEVEL_COLOURS_MINOR: u16 = 4;
 pub(super) const INFERRED: u64 = 1;
 /// Minor version from which there is inferred matter.
 const INFERRED_MINOR: u16 = 2;
+/// Bit of `features_required`: pages are braided.
+pub(super) const BRAIDED: u64 = 2;
+/// Minor version from which they may be.
+const BRAIDED_MINOR: u16 = 5;
 /// Minor version from which coarsened heights may lie on steps of the tolerance.
 const STEPS_MINOR: u16 = 3;
 /// Bit of `features_optional`: the archive has colours.
@@ -434,7 +440,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     if version.0 != FORMAT_VERSION.0 {
         return Err(unsupported(format!("slice archive format {}.{} (rule H4)", version.0, version.1)));
     }
-    let unknown = features_required & !INFERRED;
+    let unknown = features_required & !(INFERRED | BRAIDED);
     if unknown != 0 {
         let bits: Vec<_> = (0..64).filter(|bit| unknown >> bit & 1 == 1).map(|bit| bit.to_string()).collect();
         return Err(unsupported(format!("required archive feature {} (rule H5)", bits.join(", "))));
@@ -442,9 +448,14 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     if stated_len != file_len {
         return Err(at(Violation::new("H6", format!("{stated_len} bytes in the file"), file_len)));
     }
+    let coding = if features_required & BRAIDED != 0 { Coding::Braided } else { Coding::Adaptive };
     let mut rest = || -> Result<_, Violation> {
+        if coding == Coding::Braided && version.1 < BRAIDED_MINOR {
+            let expected = "braided pages in archives of version 1.5 or newer alone";
+            return Err(Violation::new("H7", expected, format!("version 1.{}", version.1)));
+        }
         let plan_hash = u128::from_le_bytes(reader.array()?);
-        let plan = decode_plan(&reader.array()?, plan_hash)?;
+        let plan = decode_plan(&reader.array()?, plan_hash, coding)?;
         let mut words = [0u64; 23];
         for word in &mut words {
             *word = reader.u64()?;
@@ -566,7 +577,7 @@ fn decode_colours(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<
     }
 }
 
-fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
+fn decode_plan(bytes: &[u8; 72], stated_hash: u128, coding: Coding) -> Result<Plan, Violation> {
     let mut reader = ByteReader::new(bytes, "H7");
     let sizes = [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
     let [classifier, flags] = reader.array()?;
@@ -590,6 +601,7 @@ fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
         fill_holes: flags >> 2,
         up,
         exclude_classes,
+        coding,
     };
     let plan = Plan { frame, options };
     plan.options.check().map_err(wrong)?;

@@ -15,7 +15,7 @@ use super::shard::{InputRead, Shard};
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::open_named;
 use crate::output::Existing;
-use crate::plan::Noise;
+use crate::plan::{Coding, Noise};
 use crate::text::ranges;
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result};
@@ -81,8 +81,9 @@ impl<'a> OpenShard<'a> {
     }
 
     /// What parts must have in common to belong together.
-    fn family(&self) -> (u128, u128, u32) {
-        (self.header.plan_hash, self.shard.plan_file, self.shard.count)
+    fn family(&self) -> (u128, u128, u32, Coding) {
+        let Header { plan_hash, plan, .. } = &self.header;
+        (*plan_hash, self.shard.plan_file, self.shard.count, plan.options.coding)
     }
 
     fn refuse<T>(&self, reason: String) -> Result<T> {
@@ -217,11 +218,12 @@ fn in_order(parts: Vec<OpenShard<'_>>, whole: bool) -> Result<(Vec<OpenShard<'_>
     let mut copies = Vec::new();
     for part in parts {
         if part.family() != common {
-            let (plan, plan_file, count) = part.family();
+            let (plan, plan_file, count, _) = part.family();
             let what = match (plan == common.0, plan_file == common.1, count == common.2) {
                 (false, ..) => format!("its plan {plan:032x} is not that of the other parts, {:032x}", common.0),
                 (_, false, _) => "it was converted from other inputs than the other parts".to_owned(),
-                _ => format!("the other parts are of {}", common.2),
+                (_, _, false) => format!("the other parts are of {}", common.2),
+                _ => "its pages are coded as another version of the format codes them".to_owned(),
             };
             return part.refuse(format!("{what}; leave it out, or convert it again with their plan"));
         }

@@ -8,7 +8,7 @@ use crate::Result;
 use crate::bytes::crc;
 use crate::codec::{Decoder, Encoder, LevelSteps, MAX_BODY, Violation};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
-use crate::plan::Plan;
+use crate::plan::{Coding, Plan};
 use crate::slice::{Inferred, Page, PageBounds, PageBuilder, PageSize, Span};
 use std::sync::Arc;
 use xxhash_rust::xxh3::xxh3_64;
@@ -148,12 +148,18 @@ pub struct PageEncoder {
 impl PageEncoder {
     /// An encoder for pages of an archive with this grid and no tolerance, with its own scratch memory (about 2 MiB once used).
     pub fn new(frame: Frame) -> Self {
-        Self { encoder: Encoder::new(frame, 0), magic: MAGIC, levels: true, body: Vec::new() }
+        Self {
+            encoder: Encoder::new(frame, 0).with_coding(Coding::default()),
+            magic: MAGIC,
+            levels: true,
+            body: Vec::new(),
+        }
     }
 
     /// An encoder for pages of an archive of this plan.
     pub fn of_plan(plan: &Plan) -> Self {
-        Self { encoder: Encoder::new(plan.frame, plan.tolerance_quanta()), ..Self::new(plan.frame) }
+        let encoder = Encoder::new(plan.frame, plan.tolerance_quanta()).with_coding(plan.options.coding);
+        Self { encoder, magic: MAGIC, levels: true, body: Vec::new() }
     }
 
     /// Whether pages are prepared for overview levels, as they are unless this says otherwise. An archive without levels costs
@@ -168,8 +174,13 @@ impl PageEncoder {
     }
 
     /// An encoder for pages of overview levels.
-    pub(super) fn of_levels(steps: LevelSteps) -> Self {
-        Self { encoder: Encoder::of_levels(steps), magic: LEVEL_MAGIC, levels: false, body: Vec::new() }
+    pub(super) fn of_levels(coding: Coding, steps: LevelSteps) -> Self {
+        Self {
+            encoder: Encoder::of_levels(steps).with_coding(coding),
+            magic: LEVEL_MAGIC,
+            levels: false,
+            body: Vec::new(),
+        }
     }
 
     /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds (rule P10).

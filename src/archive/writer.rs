@@ -164,7 +164,7 @@ impl ArchiveWriter {
     /// Gives the archive overview levels: before its first page.
     pub fn set_levels(&mut self) {
         debug_assert!(self.last.is_none(), "levels are of all pages");
-        self.levels = Some(LevelWriter::new(&self.plan.frame, self.output.files(), self.output.beside()));
+        self.levels = Some(LevelWriter::new(&self.plan, self.output.files(), self.output.beside()));
         self.counts.version.1 = head::needs(&self.plan, true, self.colours.is_some()).0;
         self.counts.features_optional |= head::LEVELS | head::LEVEL_THIRDS;
         self.colour_levels();

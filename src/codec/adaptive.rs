@@ -15,7 +15,7 @@ use crate::slice::{BLOCK_PIXELS, Page, PageBuilder, Span};
 
 pub(super) const PIXELS: usize = 64 * 64;
 /// Most spans in one pixel.
-const MAX_COLUMN: u32 = 64;
+pub(super) const MAX_COLUMN: u32 = 64;
 pub(super) const SLICE: u32 = SLICE_QUANTA as u32;
 /// Bits of a lattice's step and phase: 8 before the point, 32 behind it.
 const LATTICE_BITS: u32 = 40;
@@ -348,14 +348,14 @@ impl<C: Coder> Traversal<'_, C> {
 
 /// Folds the sign of `difference`, taken modulo 2¹⁴, into the lowest bit: 0..2¹⁴.
 #[inline]
-fn fold(difference: i32) -> u32 {
+pub(super) fn fold(difference: i32) -> u32 {
     let difference = difference << 18 >> 18;
     (difference << 1 ^ difference >> 31) as u32
 }
 
 /// Inverse of [`fold`].
 #[inline]
-fn unfold(folded: u32) -> i32 {
+pub(super) fn unfold(folded: u32) -> i32 {
     (folded >> 1) as i32 ^ -((folded & 1) as i32)
 }
 
@@ -389,11 +389,33 @@ pub(super) struct Rows<'a> {
     page: &'a Page,
     /// Spans of the block's row in work that are still to come.
     rest: &'a [Span],
+    /// Which row that is.
+    row: (u32, u32),
 }
 
 impl<'a> Rows<'a> {
     pub fn of(page: &'a Page) -> Self {
-        Self { page, rest: &[] }
+        Self { page, rest: &[], row: (u32::MAX, 0) }
+    }
+
+    /// The spans of a pixel with matter; all such pixels are asked for in row order.
+    #[inline]
+    pub fn at(&mut self, px: u32, py: u32) -> &'a [Span] {
+        let row = (px / BLOCK_PIXELS, py);
+        if row != self.row {
+            self.row = row;
+            self.rest = self.page.block(row.0, py / BLOCK_PIXELS).rows(py % BLOCK_PIXELS, py % BLOCK_PIXELS);
+        }
+        self.next(px % BLOCK_PIXELS)
+    }
+
+    /// The spans of the next pixel, of this lane.
+    #[inline]
+    fn next(&mut self, lane: u32) -> &'a [Span] {
+        let count = self.rest.iter().take_while(|span| span.lane() == lane).count();
+        let (own, rest) = self.rest.split_at(count);
+        self.rest = rest;
+        own
     }
 }
 
@@ -412,11 +434,7 @@ impl<'a> Given<'a> for Rows<'a> {
             self.rest =
                 self.page.block(px / BLOCK_PIXELS, py / BLOCK_PIXELS).rows(py % BLOCK_PIXELS, py % BLOCK_PIXELS);
         }
-        let lane = px % BLOCK_PIXELS;
-        let count = self.rest.iter().take_while(|span| span.lane() == lane).count();
-        let (own, rest) = self.rest.split_at(count);
-        self.rest = rest;
-        own
+        self.next(px % BLOCK_PIXELS)
     }
 }
 
@@ -555,13 +573,18 @@ pub(super) fn walk<'a, C: Coder>(
     Ok(traversal.coder)
 }
 
-pub(super) fn lattice_of(of: &HeightsOf, steps: &[u64], page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
+/// The heights of `page` that say which steps it has.
+pub(super) fn telling_heights(page: &Page, heights: &mut Vec<(u32, End)>) {
     heights.clear();
     for spans in page.spans_of_blocks() {
         heights.extend(spans.iter().flat_map(|span| [(span.bottom(), End::Bottom), (span.top(), End::Top)]));
     }
     // Heights on slice boundaries may be those of cuts, and say nothing.
     heights.retain(|(height, _)| height % SLICE != 0);
+}
+
+fn lattice_of(of: &HeightsOf, steps: &[u64], page: &Page, heights: &mut Vec<(u32, End)>) -> Lattice {
+    telling_heights(page, heights);
     Lattice::find(of, steps, heights).unwrap_or(Lattice::QUANTA)
 }
 

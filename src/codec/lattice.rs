@@ -142,6 +142,27 @@ impl Lattice {
     /// The lattice of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page lie, else the coarsest of those
     /// that scans have; of a page of an overview level, that of the level.
     pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
+        Self::find_with(of, steps, heights, |_, low, high| low + (high - low) / 2)
+    }
+
+    /// As [`find`](Self::find), with the phase that most zeros end, of all at which the heights lie on steps.
+    pub fn find_short(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
+        Self::find_with(of, steps, heights, |step, low, high| {
+            let whole = low.div_euclid(step) * step;
+            let (low, high) = (low - whole, high - whole);
+            // The highest bit in which the end differs from what lies before the start.
+            let bit = ((low - 1) ^ high).checked_ilog2().unwrap_or(0);
+            if low <= 0 || high >= step { 0 } else { high >> bit << bit }
+        })
+    }
+
+    /// `phase` chooses from the first to the last of the phases of a step at which the heights lie on steps.
+    fn find_with(
+        of: &HeightsOf,
+        steps: &[u64],
+        heights: &[(u32, End)],
+        phase: impl Fn(i64, i64, i64) -> i64,
+    ) -> Option<Self> {
         if let HeightsOf::Level(LevelSteps::Thirds) = of {
             let step = if heights.is_empty() { SLICE_QUANTA as u32 } else { LevelSteps::Thirds.quanta() };
             return Self::new(u64::from(step) << FRACTION_BITS, 0);
@@ -151,7 +172,9 @@ impl Lattice {
         }
         let with_step = |step: u64| {
             let lattice = Self::new(step, 0)?;
-            Some(Self { phase: lattice.phase_of(heights)?, ..lattice })
+            let (low, high) = lattice.phases_of(heights)?;
+            let step = lattice.step as i64;
+            Some(Self { phase: phase(step, low, high).rem_euclid(step) as u64, ..lattice })
         };
         if let Some(found) = steps.iter().find_map(|&step| with_step(step)) {
             return Some(found);
@@ -168,8 +191,8 @@ impl Lattice {
         STEPS_M.iter().map(move |step_m| (step_m * SLICE_QUANTA as f64 / slice_m * ONE as f64 + 0.5).floor() as u64)
     }
 
-    /// The middle of all phases at which the heights lie on steps.
-    fn phase_of(&self, heights: &[(u32, End)]) -> Option<u64> {
+    /// The first and the last phase at which the heights lie on steps.
+    fn phases_of(&self, heights: &[(u32, End)]) -> Option<(i64, i64)> {
         // Where the point of a height can be: within the quantum that was rounded away. Not below the floor of the page,
         // where there is no step: a top of one quantum would have none.
         let point = |(height, end): (u32, End)| {
@@ -186,7 +209,7 @@ impl Lattice {
                 return None;
             }
         }
-        Some((low + (high - low) / 2).rem_euclid(step) as u64)
+        Some((low, high))
     }
 }
 

@@ -3,12 +3,14 @@
 //! In: a [`Page`]. Out: at most [`MAX_BODY`] bytes, and from them the same page again. Memory:
 //! one scratch of at most a few MiB per codec object. The bytes are described in `spec/slice-archive.md`, chapter 6.
 //!
-//! The first byte of an encoded page names its model: `adaptive`, or the same behind marks that say which spans are
-//! inferred. Decoders take hostile bytes: every number
+//! The first byte of an encoded page names its model: `adaptive`, or from version 1.5 on `braided`, each also behind
+//! marks that say which spans are inferred. Decoders take hostile bytes: every number
 //! is checked before it sizes, indexes or bounds a loop, and a broken rule comes back as a [`Violation`], which the archive
 //! turns into an error with its place in the file.
 
 mod adaptive;
+mod braid;
+mod braided;
 mod bytes;
 mod colours;
 mod compress;
@@ -26,8 +28,9 @@ pub use lattice::LevelSteps;
 
 use crate::Error;
 use crate::frame::Frame;
-use crate::slice::{Inferred, Page, PageBuilder, Span};
-use lattice::HeightsOf;
+use crate::plan::Coding;
+use crate::slice::{Inferred, Page, PageBuilder, RowBuilder, Span};
+use lattice::{End, HeightsOf, Lattice};
 
 /// Most spans that a page can hold: 64 in each of its 4,096 pixels.
 pub const MAX_PAGE_SPANS: usize = 64 * 64 * 64;
@@ -36,7 +39,7 @@ const MAX_MARKS: usize = 3 + MAX_PAGE_SPANS + MAX_PAGE_SPANS / 127 + 1;
 /// Greatest length of an encoded page (bytes). Marks fit in, too: no symbol takes more than 15 of the 16 bits that are
 /// reckoned for it.
 pub const MAX_BODY: usize = 1 + adaptive::MAX_LEN;
-const _: () = assert!(MAX_MARKS < adaptive::MAX_LEN / 16 - 8);
+const _: () = assert!(MAX_MARKS < adaptive::MAX_LEN / 16 - 8 && MAX_MARKS + braided::MAX_LEN < MAX_BODY);
 
 /// A rule of the specification that bytes break; [`Violation::at`] adds where they lie.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -61,19 +64,26 @@ impl Violation {
     }
 }
 
-/// First byte of an encoded page: its model. Version 1.0 has one, and readers refuse all others.
+/// First byte of an encoded page: its model. Version 1.0 has one, and readers refuse those that they do not know.
 const ADAPTIVE: u8 = 1;
 /// Model of pages with inferred spans, of version 1.2: which floor spans are inferred, then as [`ADAPTIVE`].
 const MARKED: u8 = 2;
+/// Models of version 1.5: as the two above, with spans in the braided coding.
+const BRAIDED: u8 = 3;
+const MARKED_BRAIDED: u8 = 4;
 
 /// Encodes pages; keeps its scratch, so that a page costs no allocation.
 #[derive(Debug)]
 pub struct Encoder {
+    coding: Coding,
     of: HeightsOf,
     /// How far heights may be moved (quanta), and the steps that they may have been put on then.
     tolerance: u32,
     steps: Vec<u64>,
     adaptive: adaptive::Scratch,
+    /// Made with the first page that is braided.
+    braided: Option<Box<braided::Scratch>>,
+    heights: Vec<(u32, End)>,
     loose: loose::Loose,
     builder: PageBuilder,
 }
@@ -90,12 +100,20 @@ impl Encoder {
         Self::with(HeightsOf::Level(steps))
     }
 
+    /// As this one, of pages of an archive that is coded so; `Adaptive` without this.
+    pub fn with_coding(self, coding: Coding) -> Self {
+        Self { coding, ..self }
+    }
+
     fn with(of: HeightsOf) -> Self {
         Self {
+            coding: Coding::Adaptive,
             of,
             tolerance: 0,
             steps: Vec::new(),
             adaptive: Default::default(),
+            braided: None,
+            heights: Vec::new(),
             loose: Default::default(),
             builder: PageBuilder::default(),
         }
@@ -104,46 +122,63 @@ impl Encoder {
     /// Appends the encoding of `page`, which must hold matter: at most [`MAX_BODY`] bytes. Equal pages have equal
     /// encodings, whatever was encoded before.
     pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
-        out.push(ADAPTIVE);
-        adaptive::encode(&self.of, &self.steps, page, &mut self.adaptive, out);
+        self.encode_inferred(page, &Inferred::NONE, out);
     }
 
     /// As [`encode`](Self::encode), of a page some of whose spans are inferred.
     pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
-        put_model(page, inferred, out);
-        adaptive::encode(&self.of, &self.steps, page, &mut self.adaptive, out);
+        put_model(self.coding, page, inferred, out);
+        self.encode_spans(page, out);
+    }
+
+    fn encode_spans(&mut self, page: &Page, out: &mut Vec<u8>) {
+        match self.coding {
+            Coding::Adaptive => adaptive::encode(&self.of, &self.steps, page, &mut self.adaptive, out),
+            Coding::Braided => {
+                adaptive::telling_heights(page, &mut self.heights);
+                let lattice = Lattice::find_short(&self.of, &self.steps, &self.heights).unwrap_or(Lattice::QUANTA);
+                braided::encode(lattice, page, self.braided.get_or_insert_default(), out);
+            }
+        }
     }
 
     /// As [`encode_inferred`](Self::encode_inferred), as archives before version 1.3 have it: heights on none but the steps of scans.
     pub fn encode_as_before(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
-        put_model(page, inferred, out);
+        put_model(Coding::Adaptive, page, inferred, out);
         adaptive::encode(&self.of, &[], page, &mut self.adaptive, out);
     }
 
     /// Whether [`encode_as_before`](Self::encode_as_before) may differ.
     pub fn has_changed(&self) -> bool {
-        !self.steps.is_empty()
+        self.coding == Coding::Adaptive && !self.steps.is_empty()
     }
 
     /// As [`encode_inferred`](Self::encode_inferred), of a page that takes fewer bytes and holds all matter of `page`, which is
     /// returned: bottoms are up to the tolerance lower, tops as much higher. Spans of one kind between which that leaves no gap
     /// become one, but in pages with inferred ones.
     pub fn encode_loose(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) -> Page {
-        let Self { of, tolerance, steps, adaptive, loose, builder } = self;
+        let Self { coding, of, tolerance, steps, adaptive, loose, builder, .. } = self;
         let wanted = (page, *tolerance, inferred.is_empty());
         let (page, tried) = loose.simplify(of, wanted, adaptive, builder);
-        put_model(&page, inferred, out);
-        adaptive::encode_chosen(of, steps, &page, tried, adaptive, out);
+        put_model(*coding, &page, inferred, out);
+        match coding {
+            Coding::Adaptive => adaptive::encode_chosen(of, steps, &page, tried, adaptive, out),
+            Coding::Braided => self.encode_spans(&page, out),
+        }
         page
     }
 }
 
 /// Appends the model of a page, and which of its spans are inferred.
-fn put_model(page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
+fn put_model(coding: Coding, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
+    let (plain, marked) = match coding {
+        Coding::Adaptive => (ADAPTIVE, MARKED),
+        Coding::Braided => (BRAIDED, MARKED_BRAIDED),
+    };
     if inferred.is_empty() {
-        return out.push(ADAPTIVE);
+        return out.push(plain);
     }
-    out.push(MARKED);
+    out.push(marked);
     let runs = inferred.runs(page);
     put_varint(out, runs.len() as u64);
     runs.iter().for_each(|&run| put_varint(out, run.into()));
@@ -153,6 +188,9 @@ fn put_model(page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
 #[derive(Debug, Default)]
 pub struct Decoder {
     adaptive: adaptive::Scratch,
+    /// Made with the first braided page. About 120 KiB and 4 bytes a span that [`scratch_bytes`](Self::scratch_bytes) does not count yet:
+    /// before archives have such pages by default, caches must.
+    braided: Option<Box<(braided::Scratch, RowBuilder)>>,
     builder: PageBuilder,
     inferred: Inferred,
 }
@@ -173,18 +211,28 @@ impl Decoder {
 
     /// The page that `body` encodes. Linear in `body` and the page's spans; breaks of rules P5 to P8 and P12 are errors.
     pub fn decode(&mut self, body: &[u8]) -> Result<Page, Violation> {
-        self.builder.clear();
         self.inferred.clear();
         match body.split_first() {
-            Some((&ADAPTIVE, coded)) => adaptive::decode(coded, &mut self.adaptive, &mut self.builder)?,
-            Some((&MARKED, marked)) => return self.decode_marked(marked),
-            Some((model, _)) => return Err(Violation::new("P5", format!("model {ADAPTIVE} or {MARKED}"), model)),
-            None => return Err(Violation::new("P5", "a model", "no byte")),
+            Some((&model @ (ADAPTIVE | BRAIDED), coded)) => self.decode_spans(model, coded),
+            Some((&MARKED, marked)) => self.decode_marked(ADAPTIVE, marked),
+            Some((&MARKED_BRAIDED, marked)) => self.decode_marked(BRAIDED, marked),
+            Some((model, _)) => Err(Violation::new("P5", format!("model {ADAPTIVE} to {MARKED_BRAIDED}"), model)),
+            None => Err(Violation::new("P5", "a model", "no byte")),
         }
+    }
+
+    fn decode_spans(&mut self, model: u8, coded: &[u8]) -> Result<Page, Violation> {
+        if model == BRAIDED {
+            let (scratch, rows) = &mut **self.braided.get_or_insert_default();
+            braided::decode(coded, scratch, rows)?;
+            return Ok(rows.build());
+        }
+        self.builder.clear();
+        adaptive::decode(coded, &mut self.adaptive, &mut self.builder)?;
         Ok(self.builder.build())
     }
 
-    fn decode_marked(&mut self, marked: &[u8]) -> Result<Page, Violation> {
+    fn decode_marked(&mut self, model: u8, marked: &[u8]) -> Result<Page, Violation> {
         let mut reader = ByteReader::new(marked, "P12");
         let count = reader.varint()?;
         // Each takes a byte or more, and the state follows.
@@ -199,8 +247,7 @@ impl Decoder {
             }
             runs.push(run as u32);
         }
-        adaptive::decode(reader.take(reader.len())?, &mut self.adaptive, &mut self.builder)?;
-        let page = self.builder.build();
+        let page = self.decode_spans(model, reader.take(reader.len())?)?;
         if !self.inferred.set_runs(&page, &runs) {
             self.inferred.clear();
             return Err(Violation::new("P12", "runs of no more floor spans than the page has", "more"));

@@ -10,8 +10,8 @@ use super::Violation;
 use std::sync::OnceLock;
 
 /// Bits of a probability.
-const SCALE_BITS: u32 = 15;
-const SCALE: u32 = 1 << SCALE_BITS;
+pub(super) const SCALE_BITS: u32 = 15;
+pub(super) const SCALE: u32 = 1 << SCALE_BITS;
 /// Least state between two symbols, and the state that coding starts from.
 const LOW: u32 = 1 << 16;
 /// Most bits that [`Coder::raw`] takes.
@@ -176,7 +176,7 @@ pub struct RansEncoder {
 /// first wanted, and shared by all encoders: it takes 256 KiB.
 static INVERSES: OnceLock<Vec<u64>> = OnceLock::new();
 
-fn inverses() -> &'static [u64] {
+pub(super) fn inverses() -> &'static [u64] {
     let inverse = |count: u64| if count < 2 { u64::MAX } else { ((1 << 64) / u128::from(count) + 1) as u64 };
     INVERSES.get_or_init(|| (0..=u64::from(SCALE)).map(inverse).collect())
 }
@@ -186,6 +186,14 @@ fn inverses() -> &'static [u64] {
 #[inline]
 fn quotient(state: u32, inverse: u64) -> u32 {
     ((u128::from(state) * u128::from(inverse)) >> 64) as u32
+}
+
+/// The state after a symbol of these slots (the first, how many), all words that had to go out before it gone.
+#[inline]
+pub(super) fn pushed(state: u32, (start, count): (u32, u32), inverses: &[u64]) -> u32 {
+    // Makes up for the quotient by 1.
+    let start = start + if count == 1 { SCALE - 1 } else { 0 };
+    state + start + quotient(state, inverses[count as usize]) * (SCALE - count)
 }
 
 impl RansEncoder {
@@ -201,16 +209,13 @@ impl RansEncoder {
         words.resize(slots.len() + 1, 0);
         let (mut state, mut length) = (LOW, 0);
         for &(start, count) in slots.iter().rev() {
-            let inverse = inverses[usize::from(count)];
-            let (start, count) = (u32::from(start), u32::from(count));
-            // Makes up for the quotient by 1.
-            let start = start + if count == 1 { SCALE - 1 } else { 0 };
+            let slots = (u32::from(start), u32::from(count));
             // Whether a word goes out is hard to foresee, so each is written, and stays if it is to.
             words[length] = state as u16;
             let goes_out = u64::from(state) >= u64::from(count) << 17;
             length += usize::from(goes_out);
             state = if goes_out { state >> 16 } else { state };
-            state += start + quotient(state, inverse) * (SCALE - count);
+            state = pushed(state, slots, inverses);
         }
         out.extend(state.to_le_bytes());
         out.extend(words[..length].iter().rev().flat_map(|word| word.to_le_bytes()));

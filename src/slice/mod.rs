@@ -14,5 +14,6 @@ mod span;
 
 pub use colours::{Colours, Occupancy};
 pub use inferred::Inferred;
+pub(crate) use page::RowBuilder;
 pub use page::{BLOCK_PIXELS, BlockView, Page, PageBounds, PageBuilder, PageSize};
 pub use span::Span;

@@ -323,6 +323,7 @@ impl PageBuilder {
         let lists = spans + 3 * spans.min(64 * 64) + 2 * spans;
         size_of::<(u32, u32)>() * (TILE_PIXELS * TILE_PIXELS) as usize
             + size_of::<Block>() * (BLOCKS + 1)
+            + size_of::<UnionFinder>()
             + size_of::<Span>() * lists
     }
 
@@ -347,15 +348,8 @@ impl PageBuilder {
     /// `false`, and takes nothing, if that does not hold or the pixel is set already.
     #[must_use]
     pub fn set_column(&mut self, px: u32, py: u32, spans: &[Span]) -> bool {
-        let apart = |pair: &[Span]| {
-            let (low, high) = (pair[0], pair[1]);
-            low.top() < high.bottom()
-                || low.top() == high.bottom()
-                    && low.top() % SLICE_QUANTA as u32 == 0
-                    && low.is_obstacle() != high.is_obstacle()
-        };
         let pixel = Self::place(px, py);
-        if self.ranges[pixel].1 != 0 || !spans.windows(2).all(apart) || spans.len() > 64 {
+        if self.ranges[pixel].1 != 0 || !spans.windows(2).all(are_apart) || spans.len() > 64 {
             return false;
         }
         let first = self.spans.len() as u32;
@@ -374,75 +368,281 @@ impl PageBuilder {
     pub fn build(&self) -> Page {
         let occupied = |ranges: &[(u32, u32)]| ranges.iter().any(|range| range.1 > 0);
         let count = self.ranges.chunks_exact(64).filter(|ranges| occupied(ranges)).count();
-        let mut page_slices = 0;
-        let mut slice_blocks = [0u64; 64];
-        let mut places = [count as u8; BLOCKS];
-        let mut blocks: Vec<Block> = Vec::with_capacity(count + 1);
-        let mut spans: Vec<Span> = Vec::with_capacity(self.spans.len() + 2 * count);
         let in_block = |ranges: &[(u32, u32)]| ranges.iter().map(|range| range.1 as usize).sum();
         let most: usize = self.ranges.chunks_exact(64).map(in_block).max().unwrap_or(0);
-        let [mut own, mut unions, mut scratch] = [0; 3].map(|_| Vec::with_capacity(most));
+        let mut blocks = Blocks::with_capacity(count, self.spans.len(), most);
         for (number, ranges) in self.ranges.chunks_exact(64).enumerate().filter(|(_, ranges)| occupied(ranges)) {
-            places[number] = blocks.len() as u8;
-            own.clear();
-            let mut block = Block::without_matter(spans.len());
+            let (own, mut pixels, mut rows) = (blocks.begin(), 0, [0; 8]);
             for (bit, &(first, count)) in ranges.iter().enumerate() {
                 if bit % 8 == 0 {
-                    block.rows[bit / 8] = own.len() as u16;
+                    rows[bit / 8] = own.len() as u16;
                 }
-                block.pixels |= u64::from(count > 0) << bit;
+                pixels |= u64::from(count > 0) << bit;
                 let column = &self.spans[first as usize..(first + count) as usize];
                 own.extend(column.iter().map(|span| span.in_lane(bit as u32 % 8)));
             }
-            push_unions(&own, &mut scratch, &mut unions);
-            let (lowest, further) = unions.split_at(unions.len().min(4));
-            block.unions[..lowest.len()].copy_from_slice(lowest);
-            spans.extend_from_slice(further);
-            let filled = further.len().next_multiple_of(4);
-            spans.resize(block.first as usize + filled, Span::NEVER);
-            block.rows.iter_mut().for_each(|start| *start += filled as u16);
-            let slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
-            page_slices |= slices;
-            let mut rest = slices;
-            while rest != 0 {
-                slice_blocks[rest.trailing_zeros() as usize] |= 1 << number;
-                rest &= rest - 1;
-            }
-            blocks.push(block);
-            spans.extend_from_slice(&own);
+            blocks.end(number, pixels, rows);
         }
-        blocks.push(Block::without_matter(spans.len()));
-        let lowest = if page_slices == 0 { 0 } else { page_slices.trailing_zeros() as usize };
+        blocks.finish()
+    }
+}
+
+/// Collects the spans of a page whose pixels come in row order, which costs less than in any order; reusable.
+#[derive(Debug)]
+pub(crate) struct RowBuilder {
+    /// Pixels with matter.
+    rows: [u64; 64],
+    /// Where in `spans` the eight pixels of a row that lie in one block end; valid where some have matter.
+    ends: Box<[u32; 8 * 64]>,
+    spans: Vec<Span>,
+}
+
+impl Default for RowBuilder {
+    fn default() -> Self {
+        Self { rows: [0; 64], ends: Box::new([0; 8 * 64]), spans: Vec::new() }
+    }
+}
+
+impl RowBuilder {
+    /// Begins a page with matter in these pixels.
+    pub fn begin(&mut self, rows: [u64; 64]) {
+        self.rows = rows;
+        self.spans.clear();
+    }
+
+    /// Adds the spans of the next pixel with matter: one or more, lowest first. Returns `false` if they are not apart (see
+    /// [`PageBuilder::set_column`]).
+    #[must_use]
+    #[inline]
+    pub fn push_column(&mut self, px: u32, py: u32, spans: &[Span]) -> bool {
+        self.spans.extend(spans.iter().map(|span| span.in_lane(px % BLOCK_PIXELS)));
+        self.ends[(py << 3 | px >> 3) as usize & 0x1FF] = self.spans.len() as u32;
+        spans.windows(2).all(are_apart)
+    }
+
+    /// The page of all spans.
+    pub fn build(&self) -> Page {
+        let mut parts = [(0, 0); 8 * 64];
+        let (mut start, mut sizes) = (0, [0; BLOCKS]);
+        for (at, part) in parts.iter_mut().enumerate() {
+            let end = if self.pixels(at) == 0 { start } else { self.ends[at] };
+            *part = (start, end);
+            sizes[at / 64 * 8 + at % 8] += (end - start) as usize;
+            start = end;
+        }
+        let count = sizes.iter().filter(|&&size| size > 0).count();
+        let mut blocks = Blocks::with_capacity(count, self.spans.len(), sizes.into_iter().max().unwrap_or(0));
+        for number in (0..BLOCKS).filter(|&number| sizes[number] > 0) {
+            let (own, mut pixels, mut rows) = (blocks.begin(), 0, [0; 8]);
+            for (y, row) in rows.iter_mut().enumerate() {
+                let at = number / 8 * 64 + y * 8 + number % 8;
+                *row = own.len() as u16;
+                own.extend_from_slice(&self.spans[parts[at].0 as usize..parts[at].1 as usize]);
+                pixels |= self.pixels(at) << (8 * y);
+            }
+            blocks.end(number, pixels, rows);
+        }
+        blocks.finish()
+    }
+
+    /// Pixels with matter of a row of a block.
+    fn pixels(&self, at: usize) -> u64 {
+        self.rows[at / 8] >> (8 * (at % 8)) & 0xFF
+    }
+}
+
+/// Whether the second of two spans begins above the first, or on it at a slice boundary if they differ in kind.
+#[inline]
+fn are_apart(pair: &[Span]) -> bool {
+    let (low, high) = (pair[0], pair[1]);
+    low.top() < high.bottom()
+        || low.top() == high.bottom() && low.top() % SLICE_QUANTA as u32 == 0 && low.is_obstacle() != high.is_obstacle()
+}
+
+/// The blocks of a page, one after the other.
+struct Blocks {
+    slices: u64,
+    slice_blocks: [u64; 64],
+    places: [u8; BLOCKS],
+    blocks: Vec<Block>,
+    spans: Vec<Span>,
+    /// Spans of the block in work.
+    own: Vec<Span>,
+    unions: UnionFinder,
+}
+
+impl Blocks {
+    /// For so many blocks and spans, at most `most` in a block.
+    fn with_capacity(count: usize, spans: usize, most: usize) -> Self {
+        Self {
+            slices: 0,
+            slice_blocks: [0; 64],
+            places: [count as u8; BLOCKS],
+            blocks: Vec::with_capacity(count + 1),
+            spans: Vec::with_capacity(spans + 2 * count),
+            own: Vec::with_capacity(most),
+            unions: UnionFinder::with_capacity(most),
+        }
+    }
+
+    /// Begins a block: its spans are to be filled in row by row.
+    fn begin(&mut self) -> &mut Vec<Span> {
+        self.own.clear();
+        &mut self.own
+    }
+
+    /// Ends block `number`, with matter in `pixels`, whose rows begin at `rows` in its spans.
+    fn end(&mut self, number: usize, pixels: u64, rows: [u16; 8]) {
+        let Self { own, spans, .. } = self;
+        self.places[number] = self.blocks.len() as u8;
+        let mut block = Block { pixels, rows, ..Block::without_matter(spans.len()) };
+        let unions = self.unions.find(own);
+        let (lowest, further) = unions.split_at(unions.len().min(4));
+        block.unions[..lowest.len()].copy_from_slice(lowest);
+        spans.extend_from_slice(further);
+        let filled = further.len().next_multiple_of(4);
+        spans.resize(block.first as usize + filled, Span::NEVER);
+        block.rows.iter_mut().for_each(|start| *start += filled as u16);
+        let slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
+        self.slices |= slices;
+        let mut rest = slices;
+        while rest != 0 {
+            self.slice_blocks[rest.trailing_zeros() as usize] |= 1 << number;
+            rest &= rest - 1;
+        }
+        self.blocks.push(block);
+        spans.extend_from_slice(own);
+    }
+
+    fn finish(mut self) -> Page {
+        self.blocks.push(Block::without_matter(self.spans.len()));
+        let slices = self.slices;
+        let lowest = if slices == 0 { 0 } else { slices.trailing_zeros() as usize };
         Page {
-            slices: page_slices,
-            places,
-            slice_blocks: slice_blocks[lowest..64 - page_slices.leading_zeros() as usize].into(),
-            blocks: blocks.into(),
-            spans: spans.into(),
+            slices,
+            places: self.places,
+            slice_blocks: self.slice_blocks[lowest..64 - slices.leading_zeros() as usize].into(),
+            blocks: self.blocks.into(),
+            spans: self.spans.into(),
         }
     }
 }
 
-/// Sets `unions` to the unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
-fn push_unions(spans: &[Span], scratch: &mut Vec<Span>, unions: &mut Vec<Span>) {
-    unions.clear();
-    for obstacle in [false, true] {
-        scratch.clear();
-        scratch.extend(spans.iter().filter(|span| span.is_obstacle() == obstacle));
-        scratch.sort_unstable_by_key(|span| span.bottom());
-        let mut run: Option<(u32, u32)> = None;
-        for span in scratch.iter() {
-            run = match run {
-                Some((bottom, top)) if span.bottom() <= top => Some((bottom, top.max(span.top()))),
-                ended => {
-                    unions.extend(ended.and_then(|(bottom, top)| Span::new(bottom, top, obstacle)));
-                    Some((span.bottom(), span.top()))
-                }
-            };
-        }
-        unions.extend(run.and_then(|(bottom, top)| Span::new(bottom, top, obstacle)));
+/// Finds the unions of a block's spans; reusable.
+#[derive(Debug)]
+struct UnionFinder {
+    /// Of floors and of obstacles, two bits for each height above the lowest of the block, the second for what lies between it and the
+    /// next: spans that do not share a height are not joined.
+    covered: [[u64; Self::WORDS]; 2],
+    sorted: Vec<Span>,
+    unions: Vec<Span>,
+}
+
+impl UnionFinder {
+    /// Words that stand for the heights of a block, one more than the longest needs. Higher blocks are sorted.
+    const WORDS: usize = 2 * 2048 / 64 + 1;
+    /// Longest span that is marked bit by bit (quanta).
+    const LONGEST: u32 = 512;
+
+    fn with_capacity(spans: usize) -> Self {
+        let lists = [(); 2].map(|()| Vec::with_capacity(spans));
+        let [sorted, unions] = lists;
+        Self { covered: [[0; Self::WORDS]; 2], sorted, unions }
     }
-    unions.sort_unstable_by_key(|span| (span.bottom(), span.is_obstacle()));
+
+    /// Unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
+    fn find(&mut self, spans: &[Span]) -> &[Span] {
+        let mut longest = 0;
+        let (mut low, mut high) = (u32::MAX, 0);
+        for span in spans {
+            (low, high) = (low.min(span.bottom()), high.max(span.top()));
+            longest = longest.max(span.top() - span.bottom());
+        }
+        self.unions.clear();
+        if longest <= Self::LONGEST && high - low < 32 * (Self::WORDS as u32 - 1) {
+            self.by_bits(spans, low, high);
+        } else {
+            self.by_order(spans);
+        }
+        &self.unions
+    }
+
+    fn by_bits(&mut self, spans: &[Span], low: u32, high: u32) {
+        for span in spans {
+            let covered = &mut self.covered[usize::from(span.is_obstacle())];
+            let (first, last) = (2 * (span.bottom() - low), 2 * (span.top() - low));
+            let (mut word, end) = (first as usize / 64, last as usize / 64);
+            let mut run = u64::MAX << (first % 64);
+            while word < end {
+                covered[word] |= run;
+                run = u64::MAX;
+                word += 1;
+            }
+            covered[end] |= run & u64::MAX >> (63 - last % 64);
+        }
+        let words = 2 * (high - low) as usize / 64 + 2;
+        for (kind, covered) in self.covered.iter_mut().enumerate() {
+            let mut begun = None;
+            for (number, word) in covered[..words.min(Self::WORDS)].iter_mut().enumerate() {
+                let height = |bit: u32| low + (64 * number as u32 + bit) / 2;
+                let mut bits = std::mem::take(word);
+                if bits == u64::MAX && begun.is_some() {
+                    continue;
+                }
+                let mut passed = 0;
+                loop {
+                    // A run from its first bit to the first that is not in it, as far as this word goes.
+                    if begun.is_none() {
+                        if bits == 0 {
+                            break;
+                        }
+                        passed = bits.trailing_zeros();
+                        begun = Some(height(passed));
+                    }
+                    let end = passed + (!(bits >> passed)).trailing_zeros();
+                    if end >= 64 {
+                        break;
+                    }
+                    let bottom = begun.take();
+                    // Where the word begins with the end of a run, that is the last bit of the one before.
+                    let top = low + (64 * number as u32 + end - 1) / 2;
+                    self.unions.extend(bottom.and_then(|bottom| Span::new(bottom, top, kind == 1)));
+                    bits &= u64::MAX << end;
+                    passed = 0;
+                }
+            }
+        }
+        self.merge_kinds();
+    }
+
+    fn by_order(&mut self, spans: &[Span]) {
+        let Self { sorted, unions, .. } = self;
+        for obstacle in [false, true] {
+            sorted.clear();
+            sorted.extend(spans.iter().filter(|span| span.is_obstacle() == obstacle));
+            sorted.sort_unstable_by_key(|span| span.bottom());
+            let mut run: Option<(u32, u32)> = None;
+            for span in sorted.iter() {
+                run = match run {
+                    Some((bottom, top)) if span.bottom() <= top => Some((bottom, top.max(span.top()))),
+                    ended => {
+                        unions.extend(ended.and_then(|(bottom, top)| Span::new(bottom, top, obstacle)));
+                        Some((span.bottom(), span.top()))
+                    }
+                };
+            }
+            unions.extend(run.and_then(|(bottom, top)| Span::new(bottom, top, obstacle)));
+        }
+        self.merge_kinds();
+    }
+
+    /// Unions of floors lie before those of obstacles, each kind in order.
+    fn merge_kinds(&mut self) {
+        let is_one_kind = |ends: (&Span, &Span)| ends.0.is_obstacle() == ends.1.is_obstacle();
+        if !self.unions.first().zip(self.unions.last()).is_none_or(is_one_kind) {
+            self.unions.sort_unstable_by_key(|span| (span.bottom(), span.is_obstacle()));
+        }
+    }
 }
 
 const _: () = assert!(PAGE_QUANTA < 1 << 14 && BLOCKS * 64 == (TILE_PIXELS * TILE_PIXELS) as usize);

@@ -14,7 +14,7 @@ use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::codec::ColourEncoder;
 use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::plan::{Classifier, Plan, PlanOptions};
+use slicewalk::plan::{Classifier, Coding, Plan, PlanOptions};
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
 use slicewalk::{Error, Result};
 use std::collections::BTreeMap;
@@ -25,9 +25,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Pages of an archive by key.
 pub type Pages = BTreeMap<PageKey, Page>;
 
-/// Pixels of 0.1 m, slices of 0.3 m.
+/// `plan` with braided pages.
+pub fn braided(plan: &Plan) -> Plan {
+    Plan { options: PlanOptions { coding: Coding::Braided, ..plan.options.clone() }, ..*plan }
+}
+
+/// Pixels of 0.1 m, slices of 0.3 m; adaptive pages, whatever the default, so that samples and golden archives keep their bytes.
 pub fn plan() -> Plan {
-    let options = PlanOptions { classifier: Classifier::Span, ..PlanOptions::default() };
+    let options = PlanOptions { classifier: Classifier::Span, coding: Coding::Adaptive, ..PlanOptions::default() };
     Plan { frame: Frame::new(0.1, 0.3).unwrap(), options }
 }
 
@@ -148,7 +153,7 @@ pub fn archive_in_colour(
     }
     writer.set_colours(colours);
     shard.into_iter().for_each(|shard| writer.set_shard(shard));
-    let (mut encoder, mut colour_encoder) = (PageEncoder::new(plan().frame), ColourEncoder::default());
+    let (mut encoder, mut colour_encoder) = (PageEncoder::of_plan(&plan()), ColourEncoder::default());
     for (number, (&key, page)) in pages.iter().enumerate() {
         let occupancy = Occupancy::of(page);
         let values = colours_of(number, key, &occupancy);

@@ -7,6 +7,7 @@ use super::script::Script;
 use super::{Read, encoded, page_of, read_archive, repair};
 use forge::{Parts, word};
 use slicewalk::codec::{Packer, Unpacker};
+use slicewalk::plan::Coding;
 
 /// Sound archives of one leaf.
 const SOUND: [&[u8]; 7] = [
@@ -89,6 +90,6 @@ fn replace_page(parts: &mut Parts, script: &mut Script) {
     let is_single = matches!(&pages(parts)[..], [only] if only.end == parts.pages.len()) && parts.leaf.len() > 14;
     let page = page_of(script);
     if is_single && page.span_count() > 0 {
-        *parts = parts.with_page(&encoded(&page));
+        *parts = parts.with_page(&encoded(&page, Coding::Adaptive));
     }
 }

@@ -16,6 +16,7 @@ use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
 use slicewalk::input::{InputOptions, InputSet, PointDecoder, quiet_decoder_panics};
 use slicewalk::mesh::{MeshOptions, MeshSet};
+use slicewalk::plan::Coding;
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
@@ -173,9 +174,11 @@ fn page_of(script: &mut Script) -> Page {
     builder.build()
 }
 
-fn encoded(page: &Page) -> Vec<u8> {
+const CODINGS: [Coding; 2] = [Coding::Adaptive, Coding::Braided];
+
+fn encoded(page: &Page, coding: Coding) -> Vec<u8> {
     let mut bytes = Vec::new();
-    Encoder::new(Frame::new(0.05, 0.15).expect("sizes of a grid"), 0).encode(page, &mut bytes);
+    Encoder::new(Frame::new(0.05, 0.15).expect("sizes of a grid"), 0).with_coding(coding).encode(page, &mut bytes);
     bytes
 }
 
@@ -184,13 +187,20 @@ fn encoded(page: &Page) -> Vec<u8> {
 pub fn page(bytes: &[u8]) -> Read {
     let mut decoder = Decoder::default();
     if let Ok(page) = decoder.decode(bytes) {
-        assert_eq!(decoder.decode(&encoded(&page)).as_ref(), Ok(&page));
+        for coding in CODINGS {
+            assert_eq!(decoder.decode(&encoded(&page, coding)).as_ref(), Ok(&page));
+        }
     }
     let page = page_of(&mut Script(bytes));
-    let coded = (page.span_count() > 0).then(|| encoded(&page))?;
-    let decoded = decoder.decode(&coded);
-    assert_eq!(decoded.as_ref(), Ok(&page));
-    Some(digest(coded))
+    if page.span_count() == 0 {
+        return None;
+    }
+    let coded = CODINGS.map(|coding| encoded(&page, coding));
+    for coded in &coded {
+        let decoded = decoder.decode(coded);
+        assert_eq!(decoded.as_ref(), Ok(&page));
+    }
+    Some(digest(coded.concat()))
 }
 
 /// Decodes any bytes as the colours of a page of walls and floor; what decodes must encode to bytes that decode to the same. So must

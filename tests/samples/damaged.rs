@@ -1,7 +1,9 @@
 //! Damaged and forged samples. Forged ones have right checksums and break the one rule that says so.
 
 use crate::common::forge::{Parts, put, word};
-use crate::common::{archive, archive_in_colour, archive_of, archive_with_colours, key, page, plan, scene, two_pixels};
+use crate::common::{
+    archive, archive_in_colour, archive_of, archive_with_colours, braided, key, page, plan, scene, two_pixels,
+};
 use slicewalk::archive::{Archive, Totals};
 use slicewalk::codec::{Encoder, Packer};
 use slicewalk::colour::{ColourPlan, ColourScale};
@@ -20,6 +22,7 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         bytes[at] ^= 0x10;
         bytes
     };
+    let braid = Parts::of(&archive_of(&braided(&plan()), &two_pixels(), None));
     let many = Parts::of(&archive(&scene()));
     let total = |at: usize, value: u64| many.build(|head| put(head, at, value, 8));
     let bound = |at: usize, value: f64| parts.build(|head| put(head, at, value.to_bits(), 8));
@@ -78,7 +81,10 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("no-slices", "D7", with_leaf(&parts, 4, 0)),
         ("wrong-slices-of-page", "P9", with_leaf(&parts, 4, 2)),
         ("wrong-words-of-page", "P11", with_leaf(&parts, 18, 2)),
-        ("unknown-model", "P5", with_body(&parts, |body| body[0] = 3)),
+        ("unknown-model", "P5", with_body(&parts, |body| body[0] = 5)),
+        ("braid-without-its-feature", "P10", parts.with_page(&braid.pages[24..]).build(|_| ())),
+        ("bits-left-in-braid", "P6", with_body(&braid, |body| body.push(0))),
+        ("braid-of-an-older-version", "H7", braid.build(|head| put(head, 10, 4, 2))),
         ("holes-of-no-width", "H7", parts.build(|head| put(head, 16, 1, 8))),
         ("runs-of-too-many-spans", "P12", with_body(&parts, |body| drop(body.splice(..1, [2, 2, 1, 2])))),
         ("runs-that-end-scanned", "P12", with_body(&parts, |body| drop(body.splice(..1, [2, 3, 0, 1, 1])))),

@@ -2,13 +2,13 @@
 
 use crate::common::forge::{Parts, put};
 use crate::common::{
-    Congruential, Pages, archive, archive_of, archive_with_colours, archive_with_levels, key, page, plan, scene,
-    two_pixels,
+    Congruential, Pages, archive, archive_of, archive_with_colours, archive_with_levels, braided, key, page, plan,
+    scene, two_pixels,
 };
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::colour::ColourScale;
 use slicewalk::frame::Frame;
-use slicewalk::plan::{Classifier, Noise, Plan, PlanOptions, Up};
+use slicewalk::plan::{Classifier, Coding, Noise, Plan, PlanOptions, Up};
 use slicewalk::slice::{Inferred, Span};
 use slicewalk::unit::{LengthUnit, US_SURVEY_FOOT_M};
 use std::collections::BTreeMap;
@@ -17,6 +17,7 @@ use std::collections::BTreeMap;
 pub fn all() -> Vec<(&'static str, Vec<u8>)> {
     let (in_centimetres, slope) = centimetres();
     let (in_feet, pillars) = centimetres_cut();
+    let today = braided(&plan());
     vec![
         ("empty", archive(&Default::default())),
         ("two-pixels", archive(&two_pixels())),
@@ -25,7 +26,14 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("stairs", archive(&(stairs(), totals()))),
         ("crowded", archive(&(crowded(), totals()))),
         ("shared-and-uniform", archive(&scene())),
-        ("centimetres", archive_of(&in_centimetres, &(slope, totals()), None)),
+        ("centimetres", archive_of(&in_centimetres, &(slope.clone(), totals()), None)),
+        ("braided-centimetres", archive_of(&braided(&in_centimetres), &(slope, totals()), None)),
+        ("braided-centimetres-cut", archive_of(&braided(&in_feet), &(pillars.clone(), totals()), None)),
+        ("braided-crowded", archive_of(&today, &(crowded(), totals()), None)),
+        ("braided-holes", holes(&today)),
+        ("braided-levels", archive_with_levels(&today, &(city(), totals()), None)),
+        ("braided-stairs", archive_of(&today, &(stairs(), totals()), None)),
+        ("braided-two-pixels", archive_of(&today, &two_pixels(), None)),
         ("centimetres-cut", archive_of(&in_feet, &(pillars, totals()), None)),
         ("tolerance", tolerance()),
         ("tolerance-1.0", include_bytes!("tolerance-1.0.bin").to_vec()),
@@ -37,7 +45,7 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("leaves", archive(&(leaves(), totals()))),
         ("unknown-metadata", unknown_metadata()),
         ("newer-minor-version", newer()),
-        ("holes", holes()),
+        ("holes", holes(&plan())),
         ("levels", archive_with_levels(&plan(), &(city(), totals()), None)),
         ("levels-1.1", include_bytes!("levels-1.1.bin").to_vec()),
         ("colours", archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)),
@@ -212,17 +220,18 @@ fn options() -> Plan {
         fill_holes: 0,
         up: Up::Y,
         exclude_classes: [7, 18, 255].into_iter().collect(),
+        coding: Coding::Adaptive,
     };
     Plan { frame: Frame::new(0.3048 / 7.0, 0.17).unwrap(), options }
 }
 
 /// A floor and a wall with closed holes: rows of inferred spans, one above a scanned floor, one in all of a page.
-fn holes() -> Vec<u8> {
-    let plan = Plan { options: PlanOptions { fill_holes: 7, ..plan().options }, ..plan() };
+fn holes(plan: &Plan) -> Vec<u8> {
+    let plan = Plan { options: PlanOptions { fill_holes: 7, ..plan.options.clone() }, ..plan.clone() };
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("holes.slices");
     let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();
-    let mut encoder = PageEncoder::new(plan.frame);
+    let mut encoder = PageEncoder::of_plan(&plan);
     let in_hole = |x: u32, y: u32| (20..27).contains(&x) && (30..33).contains(&y) || (x, y) == (63, 63);
     let column = |x: u32, y: u32| match (x, y) {
         (x, _) if x < 2 => vec![span(90, 3000, true)],

@@ -73,7 +73,7 @@ impl<'a> LevelCheck<'a> {
                 Err(error) => found.push(error),
             }
         }
-        let (decoder, encoder) = (PageDecoder::new(), PageEncoder::of_levels(steps));
+        let (decoder, encoder) = (PageDecoder::new(), PageEncoder::of_levels(archive.plan().options.coding, steps));
         Ok(Self {
             builder: LevelBuilder::new(archive.frame(), steps, &Files::current(), None),
             comparing: true,

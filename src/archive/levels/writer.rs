@@ -16,7 +16,8 @@ use crate::bytes::crc;
 use crate::codec::ColourEncoder;
 use crate::colour::ColourPlan;
 use crate::disk::Files;
-use crate::frame::{Frame, PageKey};
+use crate::frame::PageKey;
+use crate::plan::Plan;
 use crate::slice::{Occupancy, Page};
 use std::path::{Path, PathBuf};
 
@@ -50,10 +51,10 @@ struct LevelPages {
 }
 
 impl LevelWriter {
-    /// Of an archive on the grid `frame`; temporary files lie beside `target`.
-    pub fn new(frame: &Frame, files: &Files, target: &Path) -> Self {
+    /// Of an archive of `plan`; temporary files lie beside `target`.
+    pub fn new(plan: &Plan, files: &Files, target: &Path) -> Self {
         let made = Made {
-            encoder: PageEncoder::of_levels(LEVEL_STEPS),
+            encoder: PageEncoder::of_levels(plan.options.coding, LEVEL_STEPS),
             colours: None,
             colour_encoder: ColourEncoder::default().for_levels(false),
             occupancy: Occupancy::default(),
@@ -61,7 +62,7 @@ impl LevelWriter {
             files: files.clone(),
             beside: target.to_path_buf(),
         };
-        Self { builder: LevelBuilder::new(frame, LEVEL_STEPS, files, Some(target)), made }
+        Self { builder: LevelBuilder::new(&plan.frame, LEVEL_STEPS, files, Some(target)), made }
     }
 
     /// Gives levels colours of `plan`: before the first page.
