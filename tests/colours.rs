@@ -231,11 +231,11 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
     let at = folder.path();
     let points = points(30_000);
     write_textured(&at.join("a.laz"), &points, 7, true);
-    let grey = convert(at, &["a.laz"], "a.slices", &["--colour", "intensity", "--colour-error", "0"]);
+    let grey = convert(at, &["a.laz"], "grey.slices", &["--colour", "intensity", "--colour-error", "0"]);
     let found = colours(&grey);
     assert!(found.values().flatten().all(|[r, g, b]| r == g && g == b));
     assert!(found.values().flatten().any(|c| c[0] < 110) && found.values().flatten().any(|c| c[0] > 145), "stretched");
-    let class = convert(at, &["a.laz"], "a.slices", &["--colour", "class", "--colour-error", "0"]);
+    let class = convert(at, &["a.laz"], "class.slices", &["--colour", "class", "--colour-error", "0"]);
     let palette = [2u8, 6].map(slicewalk::colour::class_colour);
     let pure = colours(&class).values().flatten().filter(|colour| palette.contains(colour)).count();
     assert!(pure > 100, "{pure} voxels have points of one class alone");
@@ -342,6 +342,8 @@ fn recovery_and_extracts_keep_the_colours_that_are_sound() {
     let some = colours(&part);
     assert!(some.len() > 100 && some.len() < all.len());
     assert!(some.iter().all(|(place, colour)| *colour == all[place]));
+    // Not every system replaces a file that is open.
+    drop(part);
     extract(&good, &(min, max), &path, true, &NoMonitor).unwrap();
     assert_eq!(colours(&Archive::open(&path).unwrap()), all);
 }

@@ -112,6 +112,8 @@ impl Disk for RealDisk {
 
     #[cfg(feature = "convert")]
     fn free_bytes(&self, folder: &Path) -> io::Result<u64> {
+        // Some systems answer for the volume of a folder that does not exist.
+        fs::metadata(folder)?;
         fs4::available_space(folder)
     }
 }

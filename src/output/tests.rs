@@ -102,11 +102,11 @@ fn whichever_call_fails_the_old_file_stays_or_the_new_one_is_complete() {
             let names = names(&folder);
             let kept: Vec<_> = names.iter().filter(|name| *name != "target.x").collect();
             let is_complete = synced && done.as_ref().is_err_and(|error| !matches!(error, Error::NotDurable { .. }));
-            assert_eq!(
-                kept.len(),
-                usize::from(is_complete && kind != OutputKind::Result),
-                "{kind:?}, {call:?}: {names:?}"
-            );
+            let is_kept = is_complete && kind != OutputKind::Result;
+            // Where no rename refuses to replace, a link gives the name, and the temporary name that cannot be removed then waits for
+            // the next output.
+            let is_twice = cfg!(windows) && done.is_ok() && call == Some(Call::Remove);
+            assert_eq!(kept.len(), usize::from(is_kept || is_twice), "{kind:?}, {call:?}: {names:?}");
             if let ([kept], Err(error)) = (&kept[..], &done) {
                 assert!(kept.starts_with("target.slicewalk-") && error.to_string().contains(*kept), "{kept}: {error}");
                 assert_eq!(fs::read(folder.path().join(kept)).unwrap(), new);

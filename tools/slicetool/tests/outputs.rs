@@ -2,9 +2,11 @@
 
 #[path = "../../../tests/common/forge.rs"]
 mod forge;
+#[cfg(unix)]
 #[path = "../../../tests/common/full.rs"]
 mod full;
 
+#[cfg(unix)]
 use full::{SmallDisk, with_little_space};
 use scangen::{WriteSpec, write_las};
 use slicewalk::NoMonitor;
@@ -81,12 +83,11 @@ fn what_a_command_reads_is_not_replaced_under_any_name() {
     let at = folder.path();
     fs::hard_link(at.join("a.slices"), at.join("hard.ply")).unwrap();
     fs::hard_link(at.join("w.csv"), at.join("hard.csv")).unwrap();
-    let mut outputs = vec!["a.slices", "./a.slices", "hard.ply"];
+    let outputs = ["a.slices", "./a.slices", "hard.ply", "soft.las"];
     #[cfg(unix)]
-    {
-        std::os::unix::fs::symlink("a.slices", at.join("soft.las")).unwrap();
-        outputs.push("soft.las");
-    }
+    std::os::unix::fs::symlink("a.slices", at.join("soft.las")).unwrap();
+    #[cfg(not(unix))]
+    fs::hard_link(at.join("a.slices"), at.join("soft.las")).unwrap();
     let before = contents(at);
     for output in outputs {
         for command in writers("a.slices", output) {
@@ -168,6 +169,7 @@ fn a_failure_leaves_the_older_output_as_it_was_and_nothing_else() {
     }
 }
 
+#[cfg(unix)]
 #[test]
 fn on_a_full_disk_the_older_output_stays() {
     let folder = folder();
