@@ -60,8 +60,9 @@ fn scans_plans_parts_and_archives_in_a_store_have_the_bytes_of_local_ones() {
     let mixed = [&[&web[0][..], &web[1], "-o", "web.slices", "--quiet"], &OPTIONS[..]].concat();
     server.done(at, &mixed).unwrap();
     assert!(fs::read(at.join("web.slices")).unwrap() == whole);
-    let local = format!("file://{}", at.join("west.laz").display());
-    let output = format!("file://{}", at.join("by%20name.slices").display());
+    let here = at.display().to_string().replace('\\', "/");
+    let here = format!("file:///{}", here.trim_start_matches('/'));
+    let (local, output) = (format!("{here}/west.laz"), format!("{here}/by%20name.slices"));
     server.done(at, &[&[&local[..], INPUTS[1], "-o", &output, "--quiet"], &OPTIONS[..]].concat()).unwrap();
     assert!(fs::read(at.join("by name.slices")).unwrap() == whole);
     // A plan and its parts; what is there stays without --force, and a stranger stays with it.

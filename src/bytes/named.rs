@@ -25,7 +25,10 @@ pub(crate) fn local(path: &Path) -> Option<std::path::PathBuf> {
         let rest = percent_encoding::percent_decode_str(&rest[at..]).decode_utf8_lossy().into_owned();
         #[cfg(not(feature = "remote"))]
         let rest = rest[at..].to_owned();
-        rest.into()
+        // The slash before a drive is no part of its path: `file:///C:/scans/a.laz`.
+        let is_drive =
+            cfg!(windows) && rest.as_bytes().get(1..3).is_some_and(|at| at[0].is_ascii_alphabetic() && at[1] == b':');
+        if is_drive { rest[1..].into() } else { rest.into() }
     })
 }
 
@@ -180,6 +183,16 @@ impl ByteSource for Ahead {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn addresses_of_files_name_paths() {
+        let path = |text: &str| local(Path::new(text)).map(|path| path.to_str().unwrap().to_owned());
+        assert_eq!(path("file:///scans/a.laz").as_deref(), Some("/scans/a.laz"));
+        assert_eq!(path("file://localhost/scans/a.laz").as_deref(), Some("/scans/a.laz"));
+        let drive = if cfg!(windows) { "C:/scans/a.laz" } else { "/C:/scans/a.laz" };
+        assert_eq!(path("file:///C:/scans/a.laz").as_deref(), Some(drive));
+        assert_eq!((path("file://host/a.laz"), path("s3://bucket/a.laz"), path("a.laz")), (None, None, None));
+    }
 
     #[test]
     fn addresses_are_told_from_paths() {
