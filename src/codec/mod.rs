@@ -41,6 +41,10 @@ const MAX_MARKS: usize = 3 + MAX_PAGE_SPANS + MAX_PAGE_SPANS / 127 + 1;
 pub const MAX_BODY: usize = 1 + adaptive::MAX_LEN;
 const _: () = assert!(MAX_MARKS < adaptive::MAX_LEN / 16 - 8 && MAX_MARKS + braided::MAX_LEN < MAX_BODY);
 
+/// Whether this build decodes braided pages. Those for browsers do not: a viewer loads all code before its first picture, and this is
+/// a thirtieth of it.
+pub(crate) const READS_BRAIDED: bool = cfg!(not(target_family = "wasm"));
+
 /// A rule of the specification that bytes break; [`Violation::at`] adds where they lie.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Violation {
@@ -213,6 +217,9 @@ impl Decoder {
     pub fn decode(&mut self, body: &[u8]) -> Result<Page, Violation> {
         self.inferred.clear();
         match body.split_first() {
+            Some((&model @ (BRAIDED | MARKED_BRAIDED), _)) if !READS_BRAIDED => {
+                Err(Violation::new("P5", "a model that this build reads", model))
+            }
             Some((&model @ (ADAPTIVE | BRAIDED), coded)) => self.decode_spans(model, coded),
             Some((&MARKED, marked)) => self.decode_marked(ADAPTIVE, marked),
             Some((&MARKED_BRAIDED, marked)) => self.decode_marked(BRAIDED, marked),
@@ -222,7 +229,7 @@ impl Decoder {
     }
 
     fn decode_spans(&mut self, model: u8, coded: &[u8]) -> Result<Page, Violation> {
-        if model == BRAIDED {
+        if READS_BRAIDED && model == BRAIDED {
             let (scratch, rows) = &mut **self.braided.get_or_insert_default();
             braided::decode(coded, scratch, rows)?;
             return Ok(rows.build());

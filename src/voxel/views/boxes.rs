@@ -53,7 +53,7 @@ impl Boxes {
             (0..3).fold(0, |key: u64, axis| {
                 let from = if min[axis].is_finite() { min[axis] } else { 0.0 };
                 let place = ((point[axis] - from) / EDGE_M).floor() as i64 as u64;
-                key << PLACE_BITS | place % (1 << PLACE_BITS)
+                (key << PLACE_BITS) | (place % (1 << PLACE_BITS))
             })
         };
         let mut keys: Vec<u64> = records
