@@ -1,6 +1,8 @@
 //! libFuzzer on any of the targets, the one that `SLICEWALK_FUZZ_TARGET` names. Without a name it says all names and ends.
 #![no_main]
 
+// With a path, its own modules lie beside it, as in `tests/seeds.rs`.
+#[path = "targets.rs"]
 mod targets;
 
 use std::sync::LazyLock;
