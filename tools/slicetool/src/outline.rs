@@ -32,8 +32,14 @@ impl Area {
         }
     }
 
-    /// Runs of pixels along x, at most: some may hang together.
+    /// Runs of pixels along x, or more: some may hang together.
     pub fn runs(&self) -> usize {
+        self.runs
+    }
+
+    /// Runs of pixels along x.
+    pub fn joined_runs(&mut self) -> usize {
+        self.join();
         self.runs
     }
 
@@ -306,6 +312,12 @@ mod tests {
             let expected = along(|pixel| pixel.0).zip(along(|pixel| pixel.1)).map(|(i, j)| [(i.0, j.0), (i.1, j.1)]);
             prop_assert_eq!(bounds, expected);
         }
+    }
+
+    #[test]
+    fn runs_that_hang_together_count_as_one() {
+        let mut area: Area = (0..200).rev().map(|i| (i, 0)).collect();
+        assert_eq!((area.runs(), area.joined_runs()), (200, 1));
     }
 
     #[test]

@@ -14,7 +14,7 @@ use std::path::Path;
 
 /// How far above the floor plans are cut (m): through doors and most windows, over most furniture.
 const CUT_M: f64 = 1.2;
-/// Most runs of pixels with matter, along x, that are outlined; each takes up to 300 bytes.
+/// Most runs of pixels with matter, along x, that are outlined; each takes up to 350 bytes.
 const MOST_RUNS: usize = 1 << 21;
 /// Scales of drawings, and the longest edge of the sheet (mm).
 const SCALES: [u32; 12] = [20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000];
@@ -80,7 +80,8 @@ impl<'a> Plan<'a> {
                     areas[usize::from(is_floor)].insert((pixel(entry.key.tx, px), pixel(entry.key.ty, py)));
                 }
             }
-            if areas.iter().map(Area::runs).sum::<usize>() > MOST_RUNS {
+            let runs: usize = areas.iter().map(Area::runs).sum();
+            if runs > MOST_RUNS && areas.iter_mut().map(Area::joined_runs).sum::<usize>() > MOST_RUNS {
                 let reason = format!("the matter in the slice has more than {MOST_RUNS} runs of pixels");
                 return Err(Failure::Text(format!("{}: {reason}; extract a region first", path.display())));
             }
