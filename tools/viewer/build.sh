@@ -29,6 +29,15 @@ variables=$("$viewer/toolchain.sh" "${SLICEWALK_WASM_TOOLCHAIN:-$target/wasm-too
 rm -rf "$viewer/package/src/wasm"
 "$target/viewer-bindgen/debug/viewer-bindgen" \
     "$target/wasm/wasm32-unknown-unknown/wasm/slicewalk_engine.wasm" "$viewer/package/src/wasm"
+# What the compiler leaves: equal functions, parameters and stores that nobody reads. Passes that make the module smaller by names
+# and places of locals (-Os, -Oz) make its compressed form larger.
+(
+    cd "$viewer/bindgen"
+    npm ci --no-audit --no-fund --loglevel=error
+    node_modules/.bin/wasm-opt -O1 --rse --vacuum --dae-optimizing --simplify-locals-nonesting --code-folding \
+        --duplicate-function-elimination --generate-global-effects --vacuum --simplify-globals --remove-unused-module-elements \
+        "$viewer/package/src/wasm/engine_bg.wasm" -o "$viewer/package/src/wasm/engine_bg.wasm"
+)
 size=$(gzip -9 -c "$viewer/package/src/wasm/engine_bg.wasm" | wc -c)
 echo "engine: $size bytes compressed"
 if [ "$size" -gt 200000 ]; then
