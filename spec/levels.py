@@ -107,7 +107,7 @@ def check_levels(head, levels, pages, coloured, read_entries, read_columns):
     need(len(made) == len(levels), "L5", f"{len(levels)} levels, should be {len(made)}")
     shown = []
     for level, wanted in zip(levels, made):
-        like = SimpleNamespace(root=level.root, pages_len=level.pages_len)
+        like = SimpleNamespace(root=level.root, pages_len=level.pages_len, braided=head.braided)
         entries = read_entries(like, level.directory)
         need(all(entry.kind != "shared" for entry in entries), "D10", "a shared page in a level")
         kinds = [sum(entry.kind == kind for entry in entries) for kind in ("stored", "shared", "uniform")]
@@ -115,7 +115,7 @@ def check_levels(head, levels, pages, coloured, read_entries, read_columns):
         keys = [(entry.tx, entry.ty, entry.layer) for entry in entries]
         need(keys == list(wanted), "L5", f"pages of level {level.number}")
         for entry, key in zip(entries, keys):
-            columns = read_columns(entry, level.pages, head.level_step)
+            columns = read_columns(entry, level.pages, head)
             need(columns == wanted[key], "L5", f"page {key} of level {level.number} is not what the pages below make")
         shown.append({"pages": len(entries), "pixel_size": head.pixel_size * FACTOR**level.number})
         if parts:

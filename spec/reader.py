@@ -27,6 +27,8 @@ END_MAGIC = b"\x89CILS\r\n\x1a"
 PAGE_MAGIC = b"\x89PAG"
 LEVEL_MAGIC = b"\x89LVL"
 LEADER_LEN = 24
+# Most bytes of a page of models 1 and 2, and of 3 and 4.
+LONGEST_PAGE = 6299951, 3983681
 TILE = 1 << 30
 WINDOW = 65536
 
@@ -49,8 +51,8 @@ class Entry:
         return self.offset, self.length, self.crc, self.mask, self.blocks, self.words
 
 
-def read_leaf(data, record, end_key, pages_len):
-    """Entries of a leaf, whose keys end below `end_key`."""
+def read_leaf(data, record, end_key, pages_len, longest):
+    """Entries of a leaf, whose keys end below `end_key`; no page has more than `longest` bytes."""
     column, layer, count, stored_len, raw_len, crc = record
     need(crc32c(data) == crc, "D1", "the checksum of a leaf is wrong")
     need(raw_len <= 10 + 47 * count, "D2", f"{raw_len} bytes for {count} entries")
@@ -92,7 +94,7 @@ def read_leaf(data, record, end_key, pages_len):
         need(entry.mask, "D7", f"page {key} has no slices")
         sizes = 1 <= entry.blocks <= 64 and entry.words <= 524480
         need(sizes, "D11", f"page {key} of {entry.blocks} blocks and {entry.words} words")
-        need(25 <= entry.length <= 6299951, "D6", f"page {key} of {entry.length} bytes")
+        need(25 <= entry.length <= longest, "D6", f"page {key} of {entry.length} bytes")
         entry.offset = place
         if entry.kind == "stored":
             place += entry.length
@@ -117,8 +119,8 @@ def read_span(entry, word):
 # Chapter 5: pages.
 
 
-def read_page(entry, data, slice_height, fills=False, moved=0, level_step=None):
-    """The page of an entry; with the step of its heights, of a level."""
+def read_page(entry, data, slice_height, braided, fills=False, moved=0, level_step=None):
+    """The page of an entry of an archive with `braided` pages or without; with the step of its heights, of a level."""
     magic, tx, ty, layer, body_len, crc = struct.unpack("<4siiiII", data[:LEADER_LEN])
     need(magic == (LEVEL_MAGIC if level_step else PAGE_MAGIC), "P1", "a page does not begin as one")
     need(body_len == len(data) - LEADER_LEN, "P1", f"a body of {body_len} bytes, not {len(data) - LEADER_LEN}")
@@ -129,6 +131,8 @@ def read_page(entry, data, slice_height, fills=False, moved=0, level_step=None):
         need((tx, ty, layer) == (entry.tx, entry.ty, entry.layer), "P3", f"page {(tx, ty, layer)} is elsewhere")
     else:
         need(key is not None and key < entry.key(), "P3", f"page {(tx, ty, layer)} is shared by an earlier one")
+    models = (3, 4) if braided else (1, 2)
+    need(data[LEADER_LEN] in models, "P5", f"model {data[LEADER_LEN]}, not one of {models}")
     page = Page(data[LEADER_LEN:])
     need(page.model % 2 == 1 or fills, "P13", "inferred matter in an archive without closed holes")
     mask = 0
@@ -231,7 +235,7 @@ def read_entries(head, directory):
     entries, place, at, window = [], 0, 0, deque(maxlen=WINDOW)
     ends = [record[:2] for record in head.root[1:]] + [None]
     for record, end_key in zip(head.root, ends):
-        leaf = read_leaf(directory[at : at + record[3]], record, end_key, head.pages_len)
+        leaf = read_leaf(directory[at : at + record[3]], record, end_key, head.pages_len, LONGEST_PAGE[head.braided])
         at += record[3]
         for entry in leaf:
             if entry.kind == "stored":
@@ -345,8 +349,7 @@ def read_archive(data):
             stored = pages[entry.offset : entry.offset + entry.length]
             # Shared pages are compared with their entry by rule D10; their leader and key are checked here.
             if entry.kind == "stored" or entry.offset not in decoded:
-                page = read_page(entry, stored, head.slice_height, head.fill_holes > 0, moved_by(head))
-                need(page.is_braided == head.braided, "P10", f"model {page.model} in an archive that says otherwise")
+                page = read_page(entry, stored, head.slice_height, head.braided, head.fill_holes > 0, moved_by(head))
                 kind = lambda span: 2 if span.inferred else span.obstacle
                 kinds = [[(span.bottom, span.top, kind(span)) for span in column] for column in page.columns]
                 pixels = [[at % SIDE, at // SIDE, *map(list, spans)] for at, spans in enumerate(kinds) if spans]
@@ -376,11 +379,12 @@ def read_archive(data):
     return content
 
 
-def level_columns(entry, pages, step):
+def level_columns(entry, pages, head):
     """What a page of a level holds, checked."""
     if entry.span:
         return [[entry.span]] * (SIDE * SIDE)
-    page = read_page(entry, pages[entry.offset : entry.offset + entry.length], None, level_step=step)
+    stored = pages[entry.offset : entry.offset + entry.length]
+    page = read_page(entry, stored, None, head.braided, level_step=head.level_step)
     return [[(span.bottom, span.top, span.obstacle) for span in column] for column in page.columns]
 
 

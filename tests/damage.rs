@@ -6,11 +6,12 @@ mod common;
 
 use common::content::rule_of;
 use common::forge::{Parts, put, word};
-use common::{archive, plan, read_all, scene, two_pixels};
+use common::{archive, archive_of, braided, plan, read_all, scene, two_pixels};
 use proptest::prelude::*;
 use slicewalk::archive::{Archive, Finding, LISTED, Shard, Totals};
 use slicewalk::codec::Encoder;
 use slicewalk::frame::Frame;
+use slicewalk::plan::Coding;
 use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::{Error, NoMonitor};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -68,8 +69,13 @@ fn family(parts: &Parts, at: usize) -> &'static str {
 
 #[test]
 fn every_flipped_bit_is_reported_by_the_rules_of_its_section() {
-    for (made, every_bit) in [(two_pixels(), true), (scene(), false)] {
-        let good = archive(&made);
+    for (plan, made, every_bit) in [
+        (plan(), two_pixels(), true),
+        (plan(), scene(), false),
+        (braided(&plan()), two_pixels(), true),
+        (braided(&plan()), scene(), false),
+    ] {
+        let good = archive_of(&plan, &made, None);
         let parts = Parts::of(&good);
         for at in 0..good.len() {
             for bit in (0..8).filter(|bit| every_bit || at % 8 == *bit) {
@@ -284,17 +290,27 @@ fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
         ("P6", [&body[..], &[0, 0]].concat()),
         // A state below its least.
         ("P6", vec![1, 0, 0, 0, 0]),
-        ("P6", vec![3, 0, 0, 1, 0, 0, 0, 0, 0]),
+        // The other coding.
+        ("P5", changed(0, 3)),
     ];
     for (number, (rule, body)) in cases.into_iter().enumerate() {
         assert_eq!(rules(&build(&body)), [rule], "case {number}");
+    }
+    let braid = Parts::of(&archive_of(&braided(&plan()), &two_pixels(), None));
+    for (rule, body) in [
+        ("P5", body.clone()),
+        ("P6", braid.pages[24..31].to_vec()),
+        // The second state is below its least.
+        ("P6", vec![3, 0, 0, 1, 0, 0, 0, 0, 0]),
+    ] {
+        assert_eq!(rules(&braid.with_page(&body).build(|_| ())), [rule]);
     }
     // Another page of as many blocks and words, in other slices; then one of more spans.
     let encoded = |columns: &[(u32, &[Span])]| {
         let mut builder = PageBuilder::default();
         assert!(columns.iter().all(|(px, spans)| builder.set_column(*px, 0, spans)));
         let mut body = Vec::new();
-        Encoder::new(plan().frame, 0).encode(&builder.build(), &mut body);
+        Encoder::new(plan().frame, 0).with_coding(Coding::Adaptive).encode(&builder.build(), &mut body);
         body
     };
     let span = |bottom: u32, top: u32| Span::new(bottom, top, false).unwrap();
@@ -307,7 +323,8 @@ fn pages_with_right_checksums_and_wrong_content_break_the_rule_for_them() {
     assert!(columns.iter().all(|(px, span)| builder.set_column(*px, 0, &[*span])));
     let page = builder.build();
     let mut body = Vec::new();
-    Encoder::new(Frame::new(1e5, 3e5).unwrap(), 0).encode(&page, &mut body);
+    let encoder = Encoder::new(Frame::new(1e5, 3e5).unwrap(), 0);
+    encoder.with_coding(Coding::Adaptive).encode(&page, &mut body);
     let steps = Parts::of(&archive(&([(common::key(0, 0, 0), page)].into(), Totals::default())));
     assert_eq!(rules(&steps.build(|_| ())), [""; 0]);
     assert_eq!(rules(&steps.with_page(&body).build(|_| ())), ["P10"]);
@@ -390,7 +407,7 @@ fn findings_beyond_the_first_are_counted() {
     let content = common::page([((1, 2), vec![Span::new(3, 4, false).unwrap()])]);
     let pages = (0..1500).map(|layer| (common::key(0, 0, layer), content.clone())).collect();
     let shard = Shard { index: 1, count: 2, first: 0, last: 3 << 62, plan_file: 0 };
-    let mut part = common::archive_of(&plan(), &(pages, Totals::default()), Some(shard));
+    let mut part = archive_of(&plan(), &(pages, Totals::default()), Some(shard));
     let at = part.windows(4).position(|bytes| bytes == b"SHRD").unwrap();
     put(&mut part, at + 8 + 16, (3 << 62) - 1, 8);
     let metadata = part.len() - 24 - 48..part.len() - 24;
@@ -456,9 +473,11 @@ proptest! {
 
     #[test]
     fn forged_bytes_never_panic_and_never_allocate_beyond_the_limits(
-        part in 0usize..4, changes in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..6), of_scene: bool
+        part in 0usize..4, changes in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..6), of_scene: bool,
+        braids: bool
     ) {
-        let mut parts = Parts::of(&archive(&if of_scene { scene() } else { two_pixels() }));
+        let plan = if braids { braided(&plan()) } else { plan() };
+        let mut parts = Parts::of(&archive_of(&plan, &if of_scene { scene() } else { two_pixels() }, None));
         let raw = (!of_scene && part == 1).then(|| parts.pages[24..].to_vec());
         let mut bytes = [parts.head.clone(), raw.unwrap_or(parts.pages.clone()), parts.leaf.clone(), parts.metadata.clone()];
         for (at, value) in changes {

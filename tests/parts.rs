@@ -4,13 +4,14 @@ mod common;
 
 use common::forge::{Parts, put};
 use common::random::Random;
-use common::{Pages, key, page, plan, read_all, render, scene};
+use common::{Pages, archive_of, braided, key, page, read_all, render, scene};
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
     Archive, ArchiveWriter, Bounds, PageEncoder, Recovered, Shard, Storage, Totals, extract, merge, recover,
 };
 use slicewalk::frame::Frame;
+use slicewalk::plan::Plan;
 use slicewalk::query::{Aabb, Answer, Cylinder, Ray, Sphere, cast, overlaps, probe};
 use slicewalk::slice::{Page, Span};
 use slicewalk::stats::Stats;
@@ -18,6 +19,15 @@ use slicewalk::store::Store;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
+
+/// In the coding in which archives are written.
+fn plan() -> Plan {
+    braided(&common::plan())
+}
+
+fn archive(made: &(Pages, Totals)) -> Vec<u8> {
+    archive_of(&plan(), made, None)
+}
 
 /// Few different contents, so that many pages are equal, and a uniform one.
 fn content(number: u32) -> Page {
@@ -54,8 +64,12 @@ fn totals(points: u64) -> Totals {
 }
 
 fn write(target: &Path, pages: &Pages, totals: Totals, shard: Option<Shard>) {
-    let mut writer = ArchiveWriter::create(target, &plan(), true).unwrap();
-    let mut encoder = PageEncoder::of_plan(&plan());
+    write_coded(&plan(), target, pages, totals, shard);
+}
+
+fn write_coded(plan: &Plan, target: &Path, pages: &Pages, totals: Totals, shard: Option<Shard>) {
+    let mut writer = ArchiveWriter::create(target, plan, true).unwrap();
+    let mut encoder = PageEncoder::of_plan(plan);
     for (&key, page) in pages {
         if shard.is_none_or(|shard| shard.columns().contains(&key.column())) {
             writer.put(key, encoder.encode(key, page)).unwrap();
@@ -80,7 +94,7 @@ proptest! {
 
     #[test]
     fn any_split_merges_to_the_whole(
-        pages in pages(), cuts in proptest::collection::btree_set(-40i64..40, 0..6), at in 0usize..7
+        pages in pages(), cuts in proptest::collection::btree_set(-40i64..40, 0..6), at in 0usize..7, old in 0usize..8
     ) {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
@@ -92,7 +106,9 @@ proptest! {
             let last = firsts.get(index + 1).map_or(u64::MAX, |next| next - 1);
             let shard = Shard { index: index as u32 + 1, count: count as u32, first: firsts[index], last, plan_file: 7 };
             let name = path(&format!("{index}.slices"));
-            write(&name, &pages, totals(index as u64), Some(shard));
+            // Some parts may be in the coding of older versions.
+            let plan = if index == old { common::plan() } else { plan() };
+            write_coded(&plan, &name, &pages, totals(index as u64), Some(shard));
             name
         }).collect();
         for part in &parts {
@@ -175,7 +191,7 @@ fn recovers(folder: &Path, good: &[u8], bad: &[u8]) -> Option<Recovered> {
 #[test]
 fn an_archive_cut_anywhere_gives_every_page_before_the_cut() {
     let folder = tempfile::tempdir().unwrap();
-    let good = common::archive(&scene());
+    let good = archive(&scene());
     let whole = Archive::from_bytes(good.clone()).unwrap();
     let header = whole.header();
     let end = (header.metadata_offset() + header.bytes.metadata) as usize;
@@ -196,7 +212,7 @@ fn an_archive_cut_anywhere_gives_every_page_before_the_cut() {
 fn without_a_head_the_plan_must_be_given_and_bounds_come_from_the_pages() {
     let folder = tempfile::tempdir().unwrap();
     let (from, to) = (folder.path().join("a.slices"), folder.path().join("b.slices"));
-    let good = common::archive(&scene());
+    let good = archive(&scene());
     let mut bad = good.clone();
     bad[130] ^= 1;
     fs::write(&from, &bad).unwrap();
@@ -236,7 +252,7 @@ fn recovered(folder: &Path, bytes: &[u8]) -> (Recovered, Pages) {
 
 /// The scene with a page changed and its checksum put right.
 fn with_page(at: usize, change: impl FnOnce(&mut [u8])) -> Vec<u8> {
-    let mut bytes = common::archive(&scene());
+    let mut bytes = archive(&scene());
     let whole = Archive::from_bytes(bytes.clone()).unwrap();
     let stored = whole.leaf(0).unwrap().into_iter().filter(|entry| matches!(entry.storage, Storage::Stored(_)));
     let extent = stored.map(|entry| entry.extent().unwrap()).nth(at).unwrap();
@@ -250,7 +266,7 @@ fn with_page(at: usize, change: impl FnOnce(&mut [u8])) -> Vec<u8> {
 #[test]
 fn a_page_with_a_wrong_key_costs_no_other() {
     let folder = tempfile::tempdir().unwrap();
-    let whole = Archive::from_bytes(common::archive(&scene())).unwrap();
+    let whole = Archive::from_bytes(archive(&scene())).unwrap();
     let entries = whole.leaf(0).unwrap();
     let stored: Vec<_> = entries.iter().filter(|entry| matches!(entry.storage, Storage::Stored(_))).collect();
     let keys: Vec<_> = stored.iter().map(|entry| entry.key).collect();
@@ -276,8 +292,8 @@ fn a_page_with_a_wrong_key_costs_no_other() {
 #[test]
 fn pages_in_metadata_are_no_matter() {
     let folder = tempfile::tempdir().unwrap();
-    let mut parts = Parts::of(&common::archive(&scene()));
-    let other = Parts::of(&common::archive(&(Pages::from([(key(900, 900, 0), content(3))]), totals(1))));
+    let mut parts = Parts::of(&archive(&scene()));
+    let other = Parts::of(&archive(&(Pages::from([(key(900, 900, 0), content(3))]), totals(1))));
     let record = [b"zzzz", &(other.pages.len() as u32).to_le_bytes()[..], &other.pages].concat();
     parts.metadata.extend(record);
     let good = parts.build(|_| ());
@@ -299,7 +315,7 @@ fn pages_in_metadata_are_no_matter() {
 #[test]
 fn pages_that_are_not_where_their_leaf_has_them_are_found() {
     let folder = tempfile::tempdir().unwrap();
-    let mut parts = Parts::of(&common::archive(&scene()));
+    let mut parts = Parts::of(&archive(&scene()));
     parts.pages.insert(0, 0x89);
     let (found, pages) = recovered(folder.path(), &parts.build(|_| ()));
     assert_eq!((found.leaves, found.lost.unwrap().stored), (Some((1, 1)), 0));
@@ -310,7 +326,7 @@ fn pages_that_are_not_where_their_leaf_has_them_are_found() {
 #[test]
 fn what_breaks_a_rule_is_mended_or_dropped_by_name() {
     let folder = tempfile::tempdir().unwrap();
-    let parts = Parts::of(&common::archive(&scene()));
+    let parts = Parts::of(&archive(&scene()));
     let shard = |index: u32, first: u64, last: u64| {
         let numbers = [&index.to_le_bytes()[..], &3u32.to_le_bytes(), &first.to_le_bytes(), &last.to_le_bytes()];
         let metadata = [b"SHRD\x28\0\0\0", &numbers.concat()[..], &[7; 16]].concat();
@@ -333,7 +349,7 @@ fn what_breaks_a_rule_is_mended_or_dropped_by_name() {
     // Heights in centimetres, coded in quanta: the content is sound, its encoding is not the one.
     let columns = (0..64).map(|px| ((px, 0), vec![Span::new(51 * px, 51 * px + 1, false).unwrap()]));
     let steps = page(columns);
-    let parts = Parts::of(&common::archive(&(Pages::from([(key(0, 0, 0), steps.clone())]), Totals::default())));
+    let parts = Parts::of(&archive(&(Pages::from([(key(0, 0, 0), steps.clone())]), Totals::default())));
     let mut body = Vec::new();
     slicewalk::codec::Encoder::new(Frame::new(1e5, 3e5).unwrap(), 0).encode(&steps, &mut body);
     let (found, pages) = recovered(folder.path(), &parts.with_page(&body).build(|_| ()));
@@ -342,10 +358,37 @@ fn what_breaks_a_rule_is_mended_or_dropped_by_name() {
 }
 
 #[test]
+fn what_is_made_of_an_older_coding_has_the_bytes_of_the_new_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let (old, new) = (archive_of(&common::plan(), &scene(), None), archive(&scene()));
+    fs::write(path("old.slices"), &old).unwrap();
+    let found = recover(&path("old.slices"), None, &path("recovered.slices"), false, &NoMonitor).unwrap();
+    assert!(found.is_complete() && found.mended.is_empty() && !found.identical, "{found:?}");
+    assert!(fs::read(path("recovered.slices")).unwrap() == new);
+    // Without a head each page says itself how it is coded.
+    let mut headless = old.clone();
+    headless[100] ^= 1;
+    fs::write(path("headless.slices"), &headless).unwrap();
+    let plan = common::plan();
+    let found = recover(&path("headless.slices"), Some(&plan), &path("found.slices"), false, &NoMonitor).unwrap();
+    assert!(found.found.stored > 3 && found.mended.is_empty() && found.header.plan == self::plan(), "{found:?}");
+    verified(&path("found.slices"));
+    let whole = Archive::from_bytes(old).unwrap();
+    let everything = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
+    extract(&whole, &everything, &path("extracted.slices"), false, &NoMonitor).unwrap();
+    assert!(fs::read(path("extracted.slices")).unwrap() == new);
+    let part = archive_of(&plan, &scene(), Some(ONLY));
+    fs::write(path("part.slices"), part).unwrap();
+    merge(&[path("part.slices")], &path("merged.slices"), false, &NoMonitor).unwrap();
+    assert!(fs::read(path("merged.slices")).unwrap() == new);
+}
+
+#[test]
 fn unknown_metadata_is_copied_or_told_of() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
-    let mut parts = Parts::of(&common::archive(&scene()));
+    let mut parts = Parts::of(&archive(&scene()));
     parts.metadata = [b"AAAA\x03\0\0\0abc", &parts.metadata[..], b"zzzz\0\0\0\0"].concat();
     let good = parts.build(|_| ());
     assert!(recovered(folder.path(), &good).0.identical);
@@ -386,7 +429,7 @@ proptest! {
         part in 0usize..4, changes in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..6), of_scene: bool
     ) {
         let folder = tempfile::tempdir().unwrap();
-        let good = if of_scene { common::archive(&scene()) } else { only_part(&scene()) };
+        let good = if of_scene { archive(&scene()) } else { only_part(&scene()) };
         let mut parts = Parts::of(&good);
         let mut head = parts.head.clone();
         let bytes = [&mut head, &mut parts.pages, &mut parts.leaf, &mut parts.metadata];
@@ -406,9 +449,12 @@ proptest! {
     }
 }
 
+/// All columns.
+const ONLY: Shard = Shard { index: 1, count: 1, first: 0, last: u64::MAX, plan_file: 9 };
+
 /// The scene as the only part of a conversion.
 fn only_part(made: &(Pages, Totals)) -> Vec<u8> {
-    common::archive_of(&plan(), made, Some(Shard { index: 1, count: 1, first: 0, last: u64::MAX, plan_file: 9 }))
+    archive_of(&plan(), made, Some(ONLY))
 }
 
 #[test]
@@ -420,7 +466,7 @@ fn answers_inside_an_extracted_region_are_those_of_the_whole() {
     let steps = (0..4096u32).filter(|at| at % 3 > 0);
     let steps = steps.map(|at| ((at % 64, at / 64), span(255 * (at % 7), 255 * (at % 7 + at % 3), at % 3 == 2)));
     made.0.insert(key(0, -1, 0), page(steps));
-    let good = common::archive(&made);
+    let good = archive(&made);
     let whole = Archive::from_bytes(good.clone()).unwrap();
     let store = Store::resident(&whole, &NoMonitor).unwrap();
     let mut random = Random(3);

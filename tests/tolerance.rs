@@ -92,7 +92,7 @@ fn heights_move_outwards_within_the_tolerance_and_every_point_is_a_hit() {
         let bytes = facts["bytes"]["file"].as_u64().unwrap();
         assert!(bytes < least, "{bytes} and {least} bytes at {tolerance}");
         least = bytes;
-        assert_eq!(facts["format_version"], "1.3");
+        assert_eq!(facts["format_version"], "1.5");
         assert!(facts.get("tolerance_auto").is_none());
         verifies(&at.join("loose.slices"));
         let loose = Archive::open(at.join("loose.slices")).unwrap();
@@ -194,7 +194,7 @@ fn where_nothing_is_flat_heights_stay_and_what_makes_no_sense_is_refused() {
     let said = converts(at, &[&["cloud.las", "-o", "a.slices"], &OPTIONS[..], &AUTO].concat());
     assert!(said.contains("warning: --tolerance auto: too little of the input is flat"), "{said}");
     let archive = Archive::open(at.join("a.slices")).unwrap();
-    assert_eq!((archive.plan().options.tolerance_m, archive.header().version), (0.0, (1, 0)));
+    assert_eq!((archive.plan().options.tolerance_m, archive.header().version), (0.0, (1, 5)));
     assert_eq!(archive.noise().unwrap().map(|noise| noise.regions), Some(0));
     let said = refuses(at, &[&["cloud.las", "-o", "b.slices", "--tolerance", "some"], &OPTIONS[..]].concat(), 2);
     assert!(said.contains("expected auto, or a length in metres"), "{said}");

@@ -122,7 +122,8 @@ pub fn extract(
     let Metadata { crs, shard, units, noise, unknown, .. } = archive.metadata()?;
     let mut protected = Protected::default();
     protected.add_source(archive.source());
-    let mut writer = ArchiveWriter::begin(output, archive.plan(), Existing::replaced_if(overwrite), protected)?;
+    let plan = archive.plan().in_default_coding();
+    let mut writer = ArchiveWriter::begin(output, &plan, Existing::replaced_if(overwrite), protected)?;
     let levels = header.levels.is_some();
     if levels {
         writer.set_levels();
@@ -133,7 +134,7 @@ pub fn extract(
     }
     let (mut decoder, mut builder) = (PageDecoder::new(), PageBuilder::default());
     let mut colour_encoder = ColourEncoder::default();
-    let mut encoder = PageEncoder::of_plan(archive.plan()).for_levels(levels);
+    let mut encoder = PageEncoder::of_plan(&plan).for_levels(levels);
     let mut copier = Copier::new();
     for entry in archive.entries() {
         if monitor.cancelled() {

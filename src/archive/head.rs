@@ -6,7 +6,7 @@ use super::FORMAT_VERSION;
 use super::colours::{ColourHead, LEAF_RECORD, LevelColours};
 use super::levels::{Levels, MAX_LEVELS, MAX_STORED_TABLE};
 use crate::bytes::crc;
-use crate::codec::{ByteReader, LevelSteps, READS_BRAIDED, Violation};
+use crate::codec::{ByteReader, LevelSteps, Violation};
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::{Frame, MAX_INDEX, PageKey};
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
@@ -440,7 +440,7 @@ fn decode_fixed(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     if version.0 != FORMAT_VERSION.0 {
         return Err(unsupported(format!("slice archive format {}.{} (rule H4)", version.0, version.1)));
     }
-    let unknown = features_required & !(INFERRED | if READS_BRAIDED { BRAIDED } else { 0 });
+    let unknown = features_required & !(INFERRED | BRAIDED);
     if unknown != 0 {
         let bits: Vec<_> = (0..64).filter(|bit| unknown >> bit & 1 == 1).map(|bit| bit.to_string()).collect();
         return Err(unsupported(format!("required archive feature {} (rule H5)", bits.join(", "))));

@@ -9,13 +9,13 @@ use super::copy::{Copier, beyond_this_version};
 use super::head::{Bounds, Header, Voxels};
 use super::matter::Matter;
 use super::metadata::{Metadata, Tag, Unknown, tag_name};
-use super::page::{EncodedPage, PageDecoder};
+use super::page::{PageDecoder, PageEncoder};
 use super::reader::Archive;
 use super::shard::{InputRead, Shard};
 use super::writer::{ArchiveWriter, Totals};
 use crate::bytes::open_named;
 use crate::output::Existing;
-use crate::plan::{Coding, Noise};
+use crate::plan::{Noise, Plan};
 use crate::text::ranges;
 use crate::unit::LengthUnit;
 use crate::{Error, Monitor, Parameter, Result};
@@ -81,9 +81,8 @@ impl<'a> OpenShard<'a> {
     }
 
     /// What parts must have in common to belong together.
-    fn family(&self) -> (u128, u128, u32, Coding) {
-        let Header { plan_hash, plan, .. } = &self.header;
-        (*plan_hash, self.shard.plan_file, self.shard.count, plan.options.coding)
+    fn family(&self) -> (u128, u128, u32) {
+        (self.header.plan_hash, self.shard.plan_file, self.shard.count)
     }
 
     fn refuse<T>(&self, reason: String) -> Result<T> {
@@ -142,7 +141,8 @@ fn join(
     let coarser = of.map(|of| coarser(of, first, last)).transpose()?;
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
-    let mut writer = ArchiveWriter::begin(output, &first.header.plan, existing, shards.iter().collect())?;
+    let plan = first.header.plan.in_default_coding();
+    let mut writer = ArchiveWriter::begin(output, &plan, existing, shards.iter().collect())?;
     if first.header.levels.is_some() {
         writer.set_levels();
     }
@@ -153,7 +153,7 @@ fn join(
     let noise = first.noise.filter(|_| parts.iter().all(|part| part.noise == first.noise));
     let mut totals = Totals { crs: first.crs.clone(), units: first.units.clone(), noise, ..Totals::default() };
     for part in &parts {
-        copy(part, &mut writer, monitor)?;
+        copy(part, &plan, &mut writer, monitor)?;
         add(&mut totals, part)?;
     }
     let (unknown, dropped) = common_records(&parts);
@@ -218,12 +218,11 @@ fn in_order(parts: Vec<OpenShard<'_>>, whole: bool) -> Result<(Vec<OpenShard<'_>
     let mut copies = Vec::new();
     for part in parts {
         if part.family() != common {
-            let (plan, plan_file, count, _) = part.family();
-            let what = match (plan == common.0, plan_file == common.1, count == common.2) {
-                (false, ..) => format!("its plan {plan:032x} is not that of the other parts, {:032x}", common.0),
-                (_, false, _) => "it was converted from other inputs than the other parts".to_owned(),
-                (_, _, false) => format!("the other parts are of {}", common.2),
-                _ => "its pages are coded as another version of the format codes them".to_owned(),
+            let (plan, plan_file, _) = part.family();
+            let what = match (plan == common.0, plan_file == common.1) {
+                (false, _) => format!("its plan {plan:032x} is not that of the other parts, {:032x}", common.0),
+                (_, false) => "it was converted from other inputs than the other parts".to_owned(),
+                _ => format!("the other parts are of {}", common.2),
             };
             return part.refuse(format!("{what}; leave it out, or convert it again with their plan"));
         }
@@ -321,10 +320,10 @@ fn same_bytes(a: &OpenShard<'_>, b: &OpenShard<'_>) -> Result<bool> {
     Ok(true)
 }
 
-/// Puts all pages of `part` into `writer`.
-fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
+/// Puts all pages of `part` into `writer`, which is of `plan`.
+fn copy(part: &OpenShard<'_>, plan: &Plan, writer: &mut ArchiveWriter, monitor: &dyn Monitor) -> Result<()> {
     let archive = part.reopen()?;
-    let levels = writer.has_levels();
+    let mut encoder = PageEncoder::of_plan(plan).for_levels(writer.has_levels());
     let (mut decoder, mut copier) = (PageDecoder::new(), Copier::new());
     let mut colours = ColourReader::new(&archive).map_err(|error| named(part.path, error))?;
     let (mut coloured, mut pixels) = (0, PageDecoder::new());
@@ -347,7 +346,7 @@ fn copy(part: &OpenShard<'_>, writer: &mut ArchiveWriter, monitor: &dyn Monitor)
         coloured += own.voxels;
         let placed = copier.put(writer, entry.key, entry.content(), own, || {
             let page = archive.page_with(&entry, &mut decoder).map_err(|error| named(part.path, error))?;
-            Ok(Some(EncodedPage::copied(entry.key, &decoder.bytes, &page, decoder.inferred(), levels)))
+            Ok(Some(encoder.copied(entry.key, &decoder.bytes, &page, decoder.inferred())))
         })?;
         if let Some(placed) = placed {
             tiles += u64::from(placed.slices.count_ones());

@@ -6,7 +6,7 @@ use super::head::hex;
 use super::levels::{CoarseSpan, LEVEL_STEPS, coarse};
 use crate::Result;
 use crate::bytes::crc;
-use crate::codec::{Decoder, Encoder, LevelSteps, MAX_BODY, Violation};
+use crate::codec::{Decoder, Encoder, LevelSteps, MAX_BODY, MAX_BRAIDED_BODY, Violation, coding_of};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
 use crate::plan::{Coding, Plan};
 use crate::slice::{Inferred, Page, PageBounds, PageBuilder, PageSize, Span};
@@ -21,6 +21,15 @@ pub(super) const LEVEL_MAGIC: [u8; 4] = *b"\x89LVL";
 pub(super) const LEADER: usize = 24;
 /// Greatest length of a page with its leader (bytes).
 pub(super) const MAX_STORED_PAGE: usize = LEADER + MAX_BODY;
+
+/// The same in an archive whose pages have this coding.
+pub(super) fn max_stored_page(coding: Coding) -> usize {
+    LEADER
+        + match coding {
+            Coding::Adaptive => MAX_BODY,
+            Coding::Braided => MAX_BRAIDED_BODY,
+        }
+}
 
 /// A page ready to be put into an archive.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -96,6 +105,11 @@ impl EncodedPage {
         Self { hash: xxh3_64(&bytes[LEADER..]), bytes, ..self }
     }
 
+    /// How it is coded; `None` for a page that one span tells.
+    pub(super) fn coding(&self) -> Option<Coding> {
+        self.bytes.get(LEADER..).and_then(coding_of)
+    }
+
     /// The bytes that decide whether two pages are equal.
     pub(super) fn body(&self) -> &[u8] {
         &self.bytes[LEADER..]
@@ -168,9 +182,12 @@ impl PageEncoder {
         Self { levels, ..self }
     }
 
-    /// See [`EncodedPage::copied`].
-    pub(super) fn copied(&self, key: PageKey, bytes: &[u8], page: &Page, inferred: &Inferred) -> EncodedPage {
-        EncodedPage::copied(key, bytes, page, inferred, self.levels)
+    /// The page of another archive under `key`; see [`EncodedPage::copied`]. Encoded again where that archive has another coding.
+    pub(super) fn copied(&mut self, key: PageKey, bytes: &[u8], page: &Page, inferred: &Inferred) -> EncodedPage {
+        match bytes.get(LEADER..).and_then(coding_of) {
+            Some(coding) if coding != self.encoder.coding() => self.encode_inferred(key, page, inferred),
+            _ => EncodedPage::copied(key, bytes, page, inferred, self.levels),
+        }
     }
 
     /// An encoder for pages of overview levels.
@@ -183,11 +200,12 @@ impl PageEncoder {
         }
     }
 
-    /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds (rule P10).
+    /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds, in its coding (rule P10).
     pub(super) fn gives(&mut self, page: &Page, inferred: &Inferred, bytes: &[u8]) -> bool {
+        let Some(coding) = bytes.get(LEADER..).and_then(coding_of) else { return false };
         self.body.clear();
-        self.encoder.encode_inferred(page, inferred, &mut self.body);
-        if self.body != bytes[LEADER..] && self.encoder.has_changed() {
+        self.encoder.encode_as(coding, page, inferred, &mut self.body);
+        if self.body != bytes[LEADER..] && self.encoder.has_changed(coding) {
             self.body.clear();
             self.encoder.encode_as_before(page, inferred, &mut self.body);
         }
@@ -240,6 +258,8 @@ fn uniform_span(page: &Page) -> Option<Span> {
 #[derive(Debug, Default)]
 pub struct PageDecoder {
     decoder: Decoder,
+    /// Coding of the archive's pages; any, if none is named.
+    coding: Option<Coding>,
     builder: PageBuilder,
     /// Whether inferred spans are left out.
     ignore_inferred: bool,
@@ -250,19 +270,25 @@ pub struct PageDecoder {
 }
 
 impl PageDecoder {
-    /// A decoder with its own scratch memory (about 200 KiB, more for pages of many spans).
+    /// A decoder of pages in whatever coding, with its own scratch memory (about 200 KiB, more for pages of many spans).
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// A decoder of pages of up to this size, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
-    pub fn for_size(size: PageSize) -> Self {
-        Self { decoder: Decoder::for_spans(size.words() as usize), ..Self::default() }
+    /// A decoder of pages of up to this size in `coding`, and in no other, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
+    pub fn for_size(coding: Coding, size: PageSize) -> Self {
+        let decoder = Decoder::for_spans(coding, size.words() as usize);
+        Self { decoder, coding: Some(coding), ..Self::default() }
     }
 
     /// Bytes of scratch memory of a decoder made [`for_size`](Self::for_size).
-    pub fn scratch_bytes(size: PageSize) -> usize {
-        Decoder::scratch_bytes(size.words() as usize) + PageBuilder::scratch_bytes(0)
+    pub fn scratch_bytes(coding: Coding, size: PageSize) -> usize {
+        Decoder::scratch_bytes(coding, size.words() as usize) + PageBuilder::scratch_bytes(0)
+    }
+
+    /// Which coding the pages from now on must have, as the head of their archive says (rule P5).
+    pub fn set_coding(&mut self, coding: Coding) {
+        self.coding = Some(coding);
     }
 
     /// Whether pages come without their inferred spans from now on; they then differ from what their entries say of slices and
@@ -292,7 +318,7 @@ impl PageDecoder {
             }
             Storage::Stored(extent) | Storage::Shared(extent) => {
                 check_key(entry, check_leader(extent, bytes)?)?;
-                self.decode_body(bytes)?
+                self.decode_body(self.coding, bytes)?
             }
         };
         check_entry(entry, page.slices(), page.size())?;
@@ -302,17 +328,17 @@ impl PageDecoder {
         Ok(page)
     }
 
-    /// The page whose leader and body are `bytes`, whatever its leader says.
-    pub(super) fn decode_body(&mut self, bytes: &[u8]) -> Result<Page, Violation> {
+    /// The page whose leader and body are `bytes`, whatever its leader says; in this coding, or in any.
+    pub(super) fn decode_body(&mut self, coding: Option<Coding>, bytes: &[u8]) -> Result<Page, Violation> {
         self.is_marked = true;
-        self.decoder.decode(&bytes[LEADER..])
+        self.decoder.decode_as(coding, &bytes[LEADER..])
     }
 
     /// The page that `bytes` are by their own word, without a directory entry that tells of it: its key and what it
     /// holds; `None` if they are no sound page.
     pub(super) fn salvage(&mut self, bytes: &[u8]) -> Option<(PageKey, Page)> {
         let key = own_key(bytes).filter(|&key| key_in_grid(key))?;
-        Some((key, self.decode_body(bytes).ok()?))
+        Some((key, self.decode_body(None, bytes).ok()?))
     }
 
     fn uniform(&mut self, span: Span) -> Page {

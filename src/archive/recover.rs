@@ -77,12 +77,11 @@ pub fn recover(
     });
     let old = old.transpose()?;
     let plan = match (old.as_ref().map(Archive::plan), plan) {
-        // How its pages are coded nobody is asked.
         (Some(told), Some(given)) if told.hash() != given.hash() => {
             let reason = format!("is not the plan of {}, whose head is sound; leave it out", path.display());
             return Err(Error::parameter(Parameter::Plan, reason));
         }
-        (Some(plan), _) | (None, Some(plan)) => plan.clone(),
+        (Some(plan), _) | (None, Some(plan)) => plan.in_default_coding(),
         (None, None) => {
             let reason = "it is damaged, so grid and options are unknown";
             return Err(Error::input(path, "head", reason).with_way_out(Parameter::Plan));
@@ -367,7 +366,7 @@ fn own_page(archive: &Archive, extent: Extent, decoder: &mut PageDecoder) -> Opt
     page
 }
 
-/// The page for the new archive, of which the old one has `bytes`; counts pages that have to be encoded again.
+/// The page for the new archive, of which the old one has `bytes`; counts pages that were not in the one encoding of their coding.
 fn in_the_one_encoding(
     encoder: &mut PageEncoder,
     anew: &mut u64,

@@ -437,7 +437,7 @@ impl Pass<'_> {
         let mut spans = Vec::new();
         let mut check = || {
             check_key(entry, check_leader(extent, bytes)?)?;
-            let page = decoder.decode_body(bytes)?;
+            let page = decoder.decode_body(Some(header.plan.options.coding), bytes)?;
             check_entry(entry, page.slices(), page.size())?;
             if !fills && !decoder.inferred().is_empty() {
                 return Err(Violation::new("P13", "inferred matter only where holes are filled", "some"));

@@ -238,6 +238,9 @@ impl ArchiveWriter {
         if self.levels.is_some() && page.coarse.is_none() {
             return Err(Error::parameter(format!("page {key}"), "is encoded for an archive without overview levels"));
         }
+        if page.coding().is_some_and(|coding| coding != self.plan.options.coding) {
+            return Err(Error::parameter(format!("page {key}"), "is coded otherwise than the plan says"));
+        }
         let placed = Placed {
             storage: match page.uniform {
                 Some(span) => Storage::Uniform(span),

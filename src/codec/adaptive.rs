@@ -669,6 +669,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::codec::{Decoder, Encoder, MAX_BODY};
     use crate::frame::Frame;
+    use crate::plan::Coding;
     use proptest::prelude::*;
     use std::collections::BTreeMap;
 
@@ -704,9 +705,13 @@ pub(crate) mod tests {
         parts.iter().map(|(k, &(b, h, kind))| Span::new(k * 255 + b, k * 255 + b + h, kind).unwrap()).collect()
     }
 
+    fn encoder(frame: &Frame) -> Encoder {
+        Encoder::new(*frame, 0).with_coding(Coding::Adaptive)
+    }
+
     fn encoded(frame: &Frame, page: &Page) -> Vec<u8> {
         let mut body = Vec::new();
-        Encoder::new(*frame, 0).encode(page, &mut body);
+        encoder(frame).encode(page, &mut body);
         body
     }
 
@@ -801,7 +806,7 @@ pub(crate) mod tests {
     proptest! {
         #[test]
         fn pages_round_trip(pages in proptest::collection::vec(pages(), 1..4), centimetres: bool) {
-            let (mut encoder, mut decoder) = (Encoder::new(frame(), 0), Decoder::default());
+            let (mut encoder, mut decoder) = (encoder(&frame()), Decoder::default());
             for page in pages {
                 let page = if centimetres { in_centimetres(&page) } else { page };
                 prop_assume!(page.span_count() > 0);

@@ -272,7 +272,9 @@ impl<'a> BraidDecoder<'a> {
 impl Strands for BraidDecoder<'_> {
     const WRITES: bool = false;
 
-    #[inline(always)]
+    // A browser loads all code before the first picture; a copy for each place costs it more than the calls.
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn nibble<const S: usize>(&mut self, model: &mut Nibble, _: u32) -> u32 {
         let symbol = model.symbol_at(self.slot::<S>());
         self.take::<S>(model.slots(symbol));
@@ -280,7 +282,8 @@ impl Strands for BraidDecoder<'_> {
         symbol
     }
 
-    #[inline(always)]
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn bit<const S: usize>(&mut self, model: &mut Bit, _: bool) -> bool {
         let bit = self.slot::<S>() >= SCALE - u32::from(model.ones);
         self.take::<S>(model.slots(bit));

@@ -10,9 +10,9 @@ use super::lattice::{End, Lattice};
 use super::{MAX_PAGE_SPANS, Violation};
 use crate::slice::{Page, RowBuilder, Span};
 
-/// Greatest length of an encoding (bytes): states; of a span five symbols of at most a word, and 28 bits; of a pixel, of each block
-/// and of the lattice, which has two numbers of 46 bits, the rest.
-pub const MAX_LEN: usize = 8 + MAX_PAGE_SPANS * (10 + 4) + 2 * (64 * 64 + 2 * 64) + 12;
+/// Greatest length of an encoding (bytes): states; of a span five symbols of at most a word, and 28 bits; of a pixel whether it has
+/// matter, and its spans in five symbols or fewer; of a block two symbols; of the lattice two numbers of 46 bits.
+pub const MAX_LEN: usize = 8 + MAX_PAGE_SPANS * (10 + 4) + 2 * (64 * 64 * (1 + 5) + 2 * 64) + 12;
 
 /// Residuals that a symbol stands for: the least, and how many bits say which.
 struct Alphabet {
@@ -172,6 +172,13 @@ pub struct Scratch {
     /// Per step, of bottoms and tops: 0, or 1 and how the height lay off the usual one when the step came last (1 above, 2 below).
     last_off: Box<[[u8; 1 << 14]; 2]>,
     encoder: BraidEncoder,
+}
+
+impl Scratch {
+    /// Bytes that decoding takes, whatever the page.
+    pub fn decoding_bytes() -> usize {
+        size_of::<Self>() + 3 * size_of::<Models>() + size_of::<[Seen; 1 + 2 * ROW]>() + 2 * (1 << 14)
+    }
 }
 
 impl Default for Scratch {

@@ -342,6 +342,7 @@ mod tests {
     use super::*;
     use crate::codec::adaptive::tests::pages;
     use crate::codec::{Decoder, Encoder, MAX_BODY};
+    use crate::plan::Coding;
     use crate::slice::Inferred;
     use proptest::prelude::*;
 
@@ -349,14 +350,19 @@ mod tests {
         Frame::new(0.05, 0.15).unwrap()
     }
 
-    /// Encodes `page` loosely, and requires that the result holds its matter and no more than the tolerance allows.
+    /// Encodes `page` loosely, and requires that the result holds its matter and no more than the tolerance allows, in either coding.
     fn check(page: &Page, tolerance: u32, inferred: &Inferred) -> (Page, usize) {
-        let mut encoder = Encoder::new(frame(), tolerance);
-        let (mut body, mut again) = (Vec::new(), Vec::new());
-        let loose = encoder.encode_loose(page, inferred, &mut body);
-        encoder.encode_inferred(&loose, inferred, &mut again);
-        assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
-        assert_eq!(Decoder::default().decode(&body).unwrap(), loose);
+        let coded = [Coding::Adaptive, Coding::Braided].map(|coding| {
+            let mut encoder = Encoder::new(frame(), tolerance).with_coding(coding);
+            let (mut body, mut again) = (Vec::new(), Vec::new());
+            let loose = encoder.encode_loose(page, inferred, &mut body);
+            encoder.encode_inferred(&loose, inferred, &mut again);
+            assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
+            assert_eq!(Decoder::default().decode_as(Some(coding), &body).unwrap(), loose);
+            (loose, body.len())
+        });
+        let [(loose, len), (same, _)] = coded;
+        assert_eq!(loose, same);
         for pixel in 0..PIXELS as u32 {
             let (px, py) = (pixel % 64, pixel / 64);
             let mut exact = page.column(px, py).iter().peekable();
@@ -378,7 +384,7 @@ mod tests {
             }
             assert!(exact.next().is_none());
         }
-        (loose, body.len())
+        (loose, len)
     }
 
     /// `page` with heights in steps of so many quanta, as far as its spans are apart then.
@@ -425,7 +431,7 @@ mod tests {
 
     fn exact_len(page: &Page) -> usize {
         let mut body = Vec::new();
-        Encoder::new(frame(), 0).encode(page, &mut body);
+        Encoder::new(frame(), 0).with_coding(Coding::Adaptive).encode(page, &mut body);
         body.len()
     }
 

@@ -39,11 +39,9 @@ const MAX_MARKS: usize = 3 + MAX_PAGE_SPANS + MAX_PAGE_SPANS / 127 + 1;
 /// Greatest length of an encoded page (bytes). Marks fit in, too: no symbol takes more than 15 of the 16 bits that are
 /// reckoned for it.
 pub const MAX_BODY: usize = 1 + adaptive::MAX_LEN;
-const _: () = assert!(MAX_MARKS < adaptive::MAX_LEN / 16 - 8 && MAX_MARKS + braided::MAX_LEN < MAX_BODY);
-
-/// Whether this build decodes braided pages. Those for browsers do not: a viewer loads all code before its first picture, and this is
-/// a thirtieth of it.
-pub(crate) const READS_BRAIDED: bool = cfg!(not(target_family = "wasm"));
+/// The same of a braided page.
+pub(crate) const MAX_BRAIDED_BODY: usize = 1 + MAX_MARKS + braided::MAX_LEN;
+const _: () = assert!(MAX_MARKS < adaptive::MAX_LEN / 16 - 8 && MAX_BRAIDED_BODY < MAX_BODY);
 
 /// A rule of the specification that bytes break; [`Violation::at`] adds where they lie.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -84,7 +82,8 @@ pub struct Encoder {
     /// How far heights may be moved (quanta), and the steps that they may have been put on then.
     tolerance: u32,
     steps: Vec<u64>,
-    adaptive: adaptive::Scratch,
+    /// Made with the first page that is not braided, or may be coarsened.
+    adaptive: Option<Box<adaptive::Scratch>>,
     /// Made with the first page that is braided.
     braided: Option<Box<braided::Scratch>>,
     heights: Vec<(u32, End)>,
@@ -104,18 +103,18 @@ impl Encoder {
         Self::with(HeightsOf::Level(steps))
     }
 
-    /// As this one, of pages of an archive that is coded so; `Adaptive` without this.
+    /// As this one, of pages of an archive that is coded so; in the default coding without this.
     pub fn with_coding(self, coding: Coding) -> Self {
         Self { coding, ..self }
     }
 
     fn with(of: HeightsOf) -> Self {
         Self {
-            coding: Coding::Adaptive,
+            coding: Coding::default(),
             of,
             tolerance: 0,
             steps: Vec::new(),
-            adaptive: Default::default(),
+            adaptive: None,
             braided: None,
             heights: Vec::new(),
             loose: Default::default(),
@@ -131,13 +130,25 @@ impl Encoder {
 
     /// As [`encode`](Self::encode), of a page some of whose spans are inferred.
     pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
-        put_model(self.coding, page, inferred, out);
-        self.encode_spans(page, out);
+        self.encode_as(self.coding, page, inferred, out);
     }
 
-    fn encode_spans(&mut self, page: &Page, out: &mut Vec<u8>) {
-        match self.coding {
-            Coding::Adaptive => adaptive::encode(&self.of, &self.steps, page, &mut self.adaptive, out),
+    /// How this encodes pages.
+    pub(crate) fn coding(&self) -> Coding {
+        self.coding
+    }
+
+    /// As [`encode_inferred`](Self::encode_inferred), in this coding.
+    pub(crate) fn encode_as(&mut self, coding: Coding, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
+        put_model(coding, page, inferred, out);
+        self.encode_spans(coding, page, out);
+    }
+
+    fn encode_spans(&mut self, coding: Coding, page: &Page, out: &mut Vec<u8>) {
+        match coding {
+            Coding::Adaptive => {
+                adaptive::encode(&self.of, &self.steps, page, self.adaptive.get_or_insert_default(), out);
+            }
             Coding::Braided => {
                 adaptive::telling_heights(page, &mut self.heights);
                 let lattice = Lattice::find_short(&self.of, &self.steps, &self.heights).unwrap_or(Lattice::QUANTA);
@@ -149,12 +160,12 @@ impl Encoder {
     /// As [`encode_inferred`](Self::encode_inferred), as archives before version 1.3 have it: heights on none but the steps of scans.
     pub fn encode_as_before(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
         put_model(Coding::Adaptive, page, inferred, out);
-        adaptive::encode(&self.of, &[], page, &mut self.adaptive, out);
+        adaptive::encode(&self.of, &[], page, self.adaptive.get_or_insert_default(), out);
     }
 
     /// Whether [`encode_as_before`](Self::encode_as_before) may differ.
-    pub fn has_changed(&self) -> bool {
-        self.coding == Coding::Adaptive && !self.steps.is_empty()
+    pub fn has_changed(&self, coding: Coding) -> bool {
+        coding == Coding::Adaptive && !self.steps.is_empty()
     }
 
     /// As [`encode_inferred`](Self::encode_inferred), of a page that takes fewer bytes and holds all matter of `page`, which is
@@ -162,12 +173,13 @@ impl Encoder {
     /// become one, but in pages with inferred ones.
     pub fn encode_loose(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) -> Page {
         let Self { coding, of, tolerance, steps, adaptive, loose, builder, .. } = self;
+        let adaptive = adaptive.get_or_insert_default();
         let wanted = (page, *tolerance, inferred.is_empty());
         let (page, tried) = loose.simplify(of, wanted, adaptive, builder);
         put_model(*coding, &page, inferred, out);
         match coding {
             Coding::Adaptive => adaptive::encode_chosen(of, steps, &page, tried, adaptive, out),
-            Coding::Braided => self.encode_spans(&page, out),
+            Coding::Braided => self.encode_spans(Coding::Braided, &page, out),
         }
         page
     }
@@ -188,58 +200,89 @@ fn put_model(coding: Coding, page: &Page, inferred: &Inferred, out: &mut Vec<u8>
     runs.iter().for_each(|&run| put_varint(out, run.into()));
 }
 
+/// The coding of the page that `body` encodes, by its own word; of a model that nobody knows none.
+pub(crate) fn coding_of(body: &[u8]) -> Option<Coding> {
+    match *body.first()? {
+        ADAPTIVE | MARKED => Some(Coding::Adaptive),
+        BRAIDED | MARKED_BRAIDED => Some(Coding::Braided),
+        _ => None,
+    }
+}
+
 /// Decodes pages; keeps its scratch, so that a page costs no more than its own allocations.
 #[derive(Debug, Default)]
 pub struct Decoder {
-    adaptive: adaptive::Scratch,
-    /// Made with the first braided page. About 120 KiB and 4 bytes a span that [`scratch_bytes`](Self::scratch_bytes) does not count yet:
-    /// before archives have such pages by default, caches must.
+    /// Made with the first page of each coding: one archive has pages of one.
+    adaptive: Option<Box<adaptive::Scratch>>,
     braided: Option<Box<(braided::Scratch, RowBuilder)>>,
     builder: PageBuilder,
     inferred: Inferred,
 }
 
 impl Decoder {
-    /// A decoder of pages of up to `spans` spans, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
-    pub fn for_spans(spans: usize) -> Self {
+    /// A decoder of pages in `coding` of up to `spans` spans, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
+    pub fn for_spans(coding: Coding, spans: usize) -> Self {
         let mut decoder = Self::default();
-        decoder.adaptive.reserve(spans);
+        match coding {
+            Coding::Adaptive => decoder.adaptive.get_or_insert_default().reserve(spans),
+            Coding::Braided => decoder.braided.get_or_insert_default().1.reserve(spans),
+        }
         decoder.builder.reserve(spans);
         decoder
     }
 
-    /// Bytes of scratch memory of a decoder made [`for_spans`](Self::for_spans).
-    pub fn scratch_bytes(spans: usize) -> usize {
-        adaptive::Scratch::decoding_bytes(spans) + PageBuilder::scratch_bytes(spans)
+    /// Bytes of scratch memory of a decoder made [`for_spans`](Self::for_spans), as long as it decodes no page of another coding.
+    pub fn scratch_bytes(coding: Coding, spans: usize) -> usize {
+        let coded = match coding {
+            Coding::Adaptive => adaptive::Scratch::decoding_bytes(spans),
+            Coding::Braided => braided::Scratch::decoding_bytes() + RowBuilder::own_bytes(spans),
+        };
+        coded + PageBuilder::scratch_bytes(spans)
     }
 
-    /// The page that `body` encodes. Linear in `body` and the page's spans; breaks of rules P5 to P8 and P12 are errors.
+    /// The page that `body` encodes, in whatever coding. Linear in `body` and the page's spans; breaks of rules P5 to P8 and P12 are
+    /// errors.
     pub fn decode(&mut self, body: &[u8]) -> Result<Page, Violation> {
+        self.decode_as(None, body)
+    }
+
+    /// As [`decode`](Self::decode), of a page of an archive whose pages have this coding (rule P5).
+    pub fn decode_as(&mut self, coding: Option<Coding>, body: &[u8]) -> Result<Page, Violation> {
         self.inferred.clear();
-        match body.split_first() {
-            Some((&model @ (BRAIDED | MARKED_BRAIDED), _)) if !READS_BRAIDED => {
-                Err(Violation::new("P5", "a model that this build reads", model))
+        let found = coding_of(body);
+        match (found, body.split_first()) {
+            (Some(found), Some((&model, coded))) if coding.is_none_or(|coding| coding == found) => match model {
+                MARKED | MARKED_BRAIDED => self.decode_marked(found, coded),
+                _ => self.decode_spans(found, coded),
+            },
+            (_, Some((&model, _))) => {
+                let expected = match coding {
+                    None => format!("model {ADAPTIVE} to {MARKED_BRAIDED}"),
+                    Some(Coding::Adaptive) => format!("model {ADAPTIVE} or {MARKED}"),
+                    Some(Coding::Braided) => format!("model {BRAIDED} or {MARKED_BRAIDED}"),
+                };
+                Err(Violation::new("P5", expected, model))
             }
-            Some((&model @ (ADAPTIVE | BRAIDED), coded)) => self.decode_spans(model, coded),
-            Some((&MARKED, marked)) => self.decode_marked(ADAPTIVE, marked),
-            Some((&MARKED_BRAIDED, marked)) => self.decode_marked(BRAIDED, marked),
-            Some((model, _)) => Err(Violation::new("P5", format!("model {ADAPTIVE} to {MARKED_BRAIDED}"), model)),
-            None => Err(Violation::new("P5", "a model", "no byte")),
+            (_, None) => Err(Violation::new("P5", "a model", "no byte")),
         }
     }
 
-    fn decode_spans(&mut self, model: u8, coded: &[u8]) -> Result<Page, Violation> {
-        if READS_BRAIDED && model == BRAIDED {
-            let (scratch, rows) = &mut **self.braided.get_or_insert_default();
-            braided::decode(coded, scratch, rows)?;
-            return Ok(rows.build());
+    fn decode_spans(&mut self, coding: Coding, coded: &[u8]) -> Result<Page, Violation> {
+        match coding {
+            Coding::Adaptive => {
+                self.builder.clear();
+                adaptive::decode(coded, self.adaptive.get_or_insert_default(), &mut self.builder)?;
+                Ok(self.builder.build())
+            }
+            Coding::Braided => {
+                let (scratch, rows) = &mut **self.braided.get_or_insert_default();
+                braided::decode(coded, scratch, rows)?;
+                Ok(rows.build())
+            }
         }
-        self.builder.clear();
-        adaptive::decode(coded, &mut self.adaptive, &mut self.builder)?;
-        Ok(self.builder.build())
     }
 
-    fn decode_marked(&mut self, model: u8, marked: &[u8]) -> Result<Page, Violation> {
+    fn decode_marked(&mut self, coding: Coding, marked: &[u8]) -> Result<Page, Violation> {
         let mut reader = ByteReader::new(marked, "P12");
         let count = reader.varint()?;
         // Each takes a byte or more, and the state follows.
@@ -254,7 +297,7 @@ impl Decoder {
             }
             runs.push(run as u32);
         }
-        let page = self.decode_spans(model, reader.take(reader.len())?)?;
+        let page = self.decode_spans(coding, reader.take(reader.len())?)?;
         if !self.inferred.set_runs(&page, &runs) {
             self.inferred.clear();
             return Err(Violation::new("P12", "runs of no more floor spans than the page has", "more"));

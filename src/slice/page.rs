@@ -404,6 +404,17 @@ impl Default for RowBuilder {
 }
 
 impl RowBuilder {
+    /// Bytes that it takes itself, with room [reserved](Self::reserve) for `spans` spans. What building takes besides is as of a
+    /// [`PageBuilder`].
+    pub fn own_bytes(spans: usize) -> usize {
+        size_of::<Self>() + size_of::<[u32; 8 * 64]>() + size_of::<Span>() * spans
+    }
+
+    /// Makes room for `spans` spans.
+    pub fn reserve(&mut self, spans: usize) {
+        self.spans.reserve_exact(spans);
+    }
+
     /// Begins a page with matter in these pixels.
     pub fn begin(&mut self, rows: [u64; 64]) {
         self.rows = rows;

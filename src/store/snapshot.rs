@@ -14,6 +14,7 @@ use super::table::{KeyBounds, SlotTable, TileTable};
 use super::{PageSet, PageSlot};
 use crate::archive::{PageEntry, Storage};
 use crate::frame::{Frame, PageKey};
+use crate::plan::{Coding, Plan};
 use crate::slice::Page;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -63,6 +64,7 @@ pub(super) struct Index {
     shift: u32,
     /// Number of each group's first page, and the number of all pages.
     groups: Box<[u32]>,
+    coding: Coding,
     /// Whether pages are decoded without inferred matter.
     ignores_inferred: bool,
 }
@@ -72,7 +74,7 @@ impl Index {
     pub const LEAST_PAGE_BYTES: usize =
         size_of::<PageEntry>() + size_of::<PageKey>() + size_of::<u32>() + size_of::<ViewSlot>();
 
-    pub fn new(frame: Frame, entries: Vec<PageEntry>, ignores_inferred: bool) -> Self {
+    pub fn new(Plan { frame, options }: &Plan, entries: Vec<PageEntry>, ignores_inferred: bool) -> Self {
         let contents = contents(&entries);
         let keys: Box<[PageKey]> = entries.iter().map(|entry| entry.key).collect();
         let entries = SlotTable::new(entries.into_iter().map(|entry| (entry.key, entry)).collect());
@@ -94,11 +96,17 @@ impl Index {
         }
         groups.push(first as u32);
         let (tiles, shift) = (TileTable::new(cells), size.trailing_zeros());
-        Self { frame, entries, keys, contents, tiles, shift, groups: groups.into(), ignores_inferred }
+        let (frame, coding) = (*frame, options.coding);
+        Self { frame, entries, keys, contents, tiles, shift, groups: groups.into(), coding, ignores_inferred }
     }
 
     pub fn frame(&self) -> &Frame {
         &self.frame
+    }
+
+    /// How the pages are coded.
+    pub fn coding(&self) -> Coding {
+        self.coding
     }
 
     pub fn ignores_inferred(&self) -> bool {

@@ -105,7 +105,7 @@ pub fn scene() -> (Pages, Totals) {
 
 /// The bytes of an archive with colours by a formula; every seventh voxel has none, nor has every fifth page.
 pub fn archive_with_colours(made: &(Pages, Totals), scale: ColourScale, error_milli: u16, levels: bool) -> Vec<u8> {
-    archive_in_colour(made, ColourPlan { scale, error_milli }, levels, None, |number, _, occupancy| {
+    archive_in_colour(&plan(), made, ColourPlan { scale, error_milli }, levels, None, |number, _, occupancy| {
         let mut random = Congruential(number as u64);
         let value = |(pixel, k): (usize, u32)| {
             let base = (pixel as u32 % 64 * 700 + k * 900) % 60_000;
@@ -117,7 +117,7 @@ pub fn archive_with_colours(made: &(Pages, Totals), scale: ColourScale, error_mi
     })
 }
 
-/// The same by the place of voxels alone, so that parts have the colours of the whole.
+/// The same, with braided pages, by the place of voxels alone, so that parts have the colours of the whole.
 pub fn archive_coloured_by_place(
     made: &(Pages, Totals),
     error_milli: u16,
@@ -125,7 +125,7 @@ pub fn archive_coloured_by_place(
     shard: Option<Shard>,
 ) -> Vec<u8> {
     let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli };
-    archive_in_colour(made, colours, levels, shard, |_, key, occupancy| {
+    archive_in_colour(&braided(&plan()), made, colours, levels, shard, |_, key, occupancy| {
         let mut random = Congruential(key.column() ^ key.layer as u64);
         let value = |(pixel, k): (usize, u32)| {
             let [x, y] = [(key.tx, pixel & 63), (key.ty, pixel >> 6)].map(|(t, p)| (64 * t + p as i32).rem_euclid(400));
@@ -139,6 +139,7 @@ pub fn archive_coloured_by_place(
 
 /// The bytes of an archive in which `colours_of` gives each page, by its number and key, the exact colours of its voxels.
 pub fn archive_in_colour(
+    plan: &Plan,
     (pages, totals): &(Pages, Totals),
     colours: ColourPlan,
     levels: bool,
@@ -147,13 +148,13 @@ pub fn archive_in_colour(
 ) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("a.slices");
-    let mut writer = ArchiveWriter::create(&target, &plan(), false).unwrap();
+    let mut writer = ArchiveWriter::create(&target, plan, false).unwrap();
     if levels {
         writer.set_levels();
     }
     writer.set_colours(colours);
     shard.into_iter().for_each(|shard| writer.set_shard(shard));
-    let (mut encoder, mut colour_encoder) = (PageEncoder::of_plan(&plan()), ColourEncoder::default());
+    let (mut encoder, mut colour_encoder) = (PageEncoder::of_plan(plan), ColourEncoder::default());
     for (number, (&key, page)) in pages.iter().enumerate() {
         let occupancy = Occupancy::of(page);
         let values = colours_of(number, key, &occupancy);
@@ -164,11 +165,12 @@ pub fn archive_in_colour(
     std::fs::read(&target).unwrap()
 }
 
-/// One page with bytes, and many that share them: the bytes of the archive.
+/// One braided page with bytes, and many that share them: the bytes of the archive.
 pub fn sharing() -> Vec<u8> {
     let span = |at| Span::new(at, at + 40, at % 2 == 0).unwrap();
     let content = page((0..300).map(|at| ((at % 64, at / 64), vec![span(at)])));
-    archive(&((0..5000).map(|layer| (key(0, 0, layer), content.clone())).collect(), Totals::default()))
+    let pages = (0..5000).map(|layer| (key(0, 0, layer), content.clone())).collect();
+    archive_of(&braided(&plan()), &(pages, Totals::default()), None)
 }
 
 /// A key.

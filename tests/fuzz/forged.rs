@@ -10,7 +10,7 @@ use slicewalk::codec::{Packer, Unpacker};
 use slicewalk::plan::Coding;
 
 /// Sound archives of one leaf.
-const SOUND: [&[u8]; 7] = [
+const SOUND: [&[u8]; 9] = [
     include_bytes!("../../spec/samples/two-pixels.slices"),
     include_bytes!("../../spec/samples/shared-and-uniform.slices"),
     include_bytes!("../../spec/samples/holes.slices"),
@@ -18,6 +18,8 @@ const SOUND: [&[u8]; 7] = [
     include_bytes!("../../spec/samples/colours.slices"),
     include_bytes!("../../spec/samples/units.slices"),
     include_bytes!("../../spec/samples/part.slices"),
+    include_bytes!("../../spec/samples/braided-two-pixels.slices"),
+    include_bytes!("../../spec/samples/braided-levels.slices"),
 ];
 /// Bytes before the body of a page.
 const LEADER: usize = 24;
@@ -90,6 +92,9 @@ fn replace_page(parts: &mut Parts, script: &mut Script) {
     let is_single = matches!(&pages(parts)[..], [only] if only.end == parts.pages.len()) && parts.leaf.len() > 14;
     let page = page_of(script);
     if is_single && page.span_count() > 0 {
-        *parts = parts.with_page(&encoded(&page, Coding::Adaptive));
+        // Bit 1 of the required features says how pages are coded.
+        let is_braided = parts.head.get(16).is_some_and(|features| features & 2 != 0);
+        let coding = if is_braided { Coding::Braided } else { Coding::Adaptive };
+        *parts = parts.with_page(&encoded(&page, coding));
     }
 }

@@ -8,7 +8,7 @@ use slicewalk::archive::{Archive, Totals};
 use slicewalk::codec::{Encoder, Packer};
 use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::frame::Frame;
-use slicewalk::plan::{Plan, PlanOptions};
+use slicewalk::plan::{Coding, Plan, PlanOptions};
 use slicewalk::slice::Span;
 
 /// Names, broken rules and bytes.
@@ -82,7 +82,8 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("wrong-slices-of-page", "P9", with_leaf(&parts, 4, 2)),
         ("wrong-words-of-page", "P11", with_leaf(&parts, 18, 2)),
         ("unknown-model", "P5", with_body(&parts, |body| body[0] = 5)),
-        ("braid-without-its-feature", "P10", parts.with_page(&braid.pages[24..]).build(|_| ())),
+        ("braid-without-its-feature", "P5", parts.with_page(&braid.pages[24..]).build(|_| ())),
+        ("feature-without-its-braid", "P5", braid.with_page(&parts.pages[24..]).build(|_| ())),
         ("bits-left-in-braid", "P6", with_body(&braid, |body| body.push(0))),
         ("braid-of-an-older-version", "H7", braid.build(|head| put(head, 10, 4, 2))),
         ("holes-of-no-width", "H7", parts.build(|head| put(head, 16, 1, 8))),
@@ -149,7 +150,7 @@ fn colours_of_levels(change: impl FnOnce(&mut [u8], &[u8])) -> Vec<u8> {
     let made = ([key(0, 0, 0), key(1, 0, 0)].map(|key| (key, one.clone())).into(), Totals::default());
     let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli: 0 };
     let [mut own, other] = [9000, 9257]
-        .map(|red| archive_in_colour(&made, colours, true, None, |_, _, _| vec![Some([red, 20_000, 40_000])]));
+        .map(|red| archive_in_colour(&plan(), &made, colours, true, None, |_, _, _| vec![Some([red, 20_000, 40_000])]));
     let archive = Archive::from_bytes(own.clone()).unwrap();
     let (header, first) = (archive.header(), archive.catalog().colour_table_range().unwrap().start);
     let (start, end) = (header.colours_offset() as usize, first as usize);
@@ -180,7 +181,8 @@ fn other_encoding() -> Vec<u8> {
     let parts = Parts::of(&archive(&([(key(0, 0, 0), page.clone())].into(), Totals::default())));
     let mut body = Vec::new();
     // An encoder of another grid finds no steps.
-    Encoder::new(Frame::new(1e5, 3e5).unwrap(), 0).encode(&page, &mut body);
+    let encoder = Encoder::new(Frame::new(1e5, 3e5).unwrap(), 0);
+    encoder.with_coding(Coding::Adaptive).encode(&page, &mut body);
     assert_ne!(body, parts.pages[24..], "steps in {:?}", plan().frame);
     parts.with_page(&body).build(|_| ())
 }

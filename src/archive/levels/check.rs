@@ -73,7 +73,9 @@ impl<'a> LevelCheck<'a> {
                 Err(error) => found.push(error),
             }
         }
-        let (decoder, encoder) = (PageDecoder::new(), PageEncoder::of_levels(archive.plan().options.coding, steps));
+        let coding = archive.plan().options.coding;
+        let (mut decoder, encoder) = (PageDecoder::new(), PageEncoder::of_levels(coding, steps));
+        decoder.set_coding(coding);
         Ok(Self {
             builder: LevelBuilder::new(archive.frame(), steps, &Files::current(), None),
             comparing: true,

@@ -1,6 +1,7 @@
 // The package as a page uses it, on an archive that comes by ranges.
 
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { CLEAR, HIT, NOT_LOADED, openArchive, SlicewalkError } from "../dist/index.js";
 import { FileHost, numbers, read } from "./local.js";
@@ -190,6 +191,48 @@ test("what is no archive, is damaged or needs more memory is said so", async () 
   const answers = await archive.overlaps(Float64Array.of(-9, -9, -9, 9, 9, 9));
   assert.ok(answers[0] === NOT_LOADED || answers[0] === HIT);
   archive.close();
+});
+
+/** CRC32C of bytes. */
+function crc32c(bytes) {
+  let crc = -1;
+  for (const byte of bytes) {
+    crc ^= byte;
+    for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 ? 0x82f63b78 : 0);
+  }
+  return ~crc >>> 0;
+}
+
+test("an archive with a coding or another feature that the engine does not know is refused, not misread", async () => {
+  for (const feature of [2, 40]) {
+    const bytes = scene.slice();
+    const head = new DataView(bytes.buffer, bytes.byteOffset);
+    head.setBigUint64(16, head.getBigUint64(16, true) | (1n << BigInt(feature)), true);
+    const end = head.getUint32(12, true) - 4;
+    head.setUint32(end, crc32c(bytes.subarray(0, end)), true);
+    const said = new RegExp(`required archive feature ${feature} \\(rule H5\\).*newer version`);
+    await assert.rejects(open(new FileHost(bytes)), refuses("not-an-archive", said));
+  }
+});
+
+test("archives of older versions, in the coding of before, answer as those of today", async () => {
+  const golden = (name) => new Uint8Array(readFileSync(new URL(`../../../../tests/golden/${name}`, import.meta.url)));
+  let number = 1;
+  const random = () => (number = (number * 48271) % 2147483647) / 2147483647;
+  const boxes = new Float64Array(6 * 2000);
+  for (let at = 0; at < boxes.length; at += 6) {
+    const low = [-7 + 27 * random(), -20 + 27 * random(), -1 + 6 * random()];
+    boxes.set([...low, ...low.map((corner) => corner + 0.6 * random())], at);
+  }
+  const answers = [];
+  for (const name of ["scene.slices", "braided.slices"]) {
+    const archive = await open(new FileHost(golden(name)));
+    assert.equal(archive.info.formatVersion, name === "scene.slices" ? "1.0" : "1.5");
+    answers.push(await archive.overlaps(boxes, { load: true }));
+    archive.close();
+  }
+  assert.ok(answers[0].includes(CLEAR) && answers[0].includes(HIT));
+  assert.deepEqual(answers[1], answers[0]);
 });
 
 test("a host that goes away and comes back is waited for, and the trouble is told", async () => {
