@@ -4,6 +4,7 @@
 //! (Danielsson's vector distance transform, over links instead of a plane: a region may lie above itself).
 
 use super::region::{NO_PLACE, WAYS};
+use nalgebra::Point2;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -28,6 +29,15 @@ pub fn nearest_ends(links: &[[u32; 4]]) -> Vec<[i16; 2]> {
         }
     }
     offsets
+}
+
+/// Distance of a place from the line between two others (m).
+pub fn to_line(at: Point2<f64>, [from, to]: [Point2<f64>; 2]) -> f64 {
+    let along = to - from;
+    let share = ((at - from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
+    // A line of one place has no direction.
+    let share = if share.is_finite() { share } else { 0.0 };
+    (at - (from + along * share)).norm()
 }
 
 fn square([x, y]: [i16; 2]) -> u32 {

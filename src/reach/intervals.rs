@@ -121,14 +121,14 @@ impl Lists {
 }
 
 /// The tile columns under a rectangle of pixels.
-struct Columns<'a, T> {
+pub struct Columns<'a, T> {
     first: [i32; 2],
     width: i32,
     slots: Vec<&'a [T]>,
 }
 
 impl<'a, T: PageSlot> Columns<'a, T> {
-    fn under<S: PageSet<Slot = T>>(set: &'a S, grid: &Grid, first: [i32; 2], last: [i32; 2]) -> Needs<Self> {
+    pub fn under<S: PageSet<Slot = T>>(set: &'a S, grid: &Grid, first: [i32; 2], last: [i32; 2]) -> Needs<Self> {
         let (first, last) = (first.map(|pixel| pixel >> 6), last.map(|pixel| pixel >> 6));
         let mut missing: Option<Missing> = None;
         let mut slots = Vec::new();
@@ -155,7 +155,7 @@ impl<'a, T: PageSlot> Columns<'a, T> {
     }
 
     /// Spans in all pages, at most one page's more than the limit.
-    fn spans(&self) -> usize {
+    pub fn spans(&self) -> usize {
         let mut sum = 0;
         for page in self.slots.iter().copied().flatten().filter_map(PageSlot::page) {
             sum += page.span_count();
@@ -166,7 +166,7 @@ impl<'a, T: PageSlot> Columns<'a, T> {
         sum
     }
 
-    fn at(&self, i: i32, j: i32) -> &'a [T] {
+    pub fn at(&self, i: i32, j: i32) -> &'a [T] {
         self.slots[(((j >> 6) - self.first[1]) * self.width + (i >> 6) - self.first[0]) as usize]
     }
 }

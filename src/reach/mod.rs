@@ -10,8 +10,8 @@
 //! ```
 //!
 //! [`Planner`] is a route as a task: it goes on a bounded number of steps at a time, names the pages that it needs, and never reads. For
-//! long distances, plan on a coarse [level](crate::archive::Level) of the archive with the pawn [as it is there](Pawn::on_level), and let
-//! [`Along`] find the exact way along that one, piece by piece.
+//! long distances, plan on a coarse [level](crate::archive::Level) of the archive with [`Coarse`], and let [`Along`] find the exact way along
+//! that one, piece by piece.
 //!
 //! # What counts as standing
 //!
@@ -37,6 +37,7 @@
 //! computed.
 
 mod along;
+mod coarse;
 mod distance;
 mod intervals;
 mod leaks;
@@ -49,6 +50,7 @@ mod standing;
 mod storeys;
 
 pub use along::Along;
+pub use coarse::Coarse;
 pub use leaks::{Leak, LeakKind};
 pub use passages::Passage;
 pub use pawn::Pawn;

@@ -32,15 +32,6 @@ impl Pawn {
         Self { body, climb: 0.35, max_drop: 0.35 }
     }
 
-    /// The same pawn on the grid of an overview [level](crate::archive::Level): heights there are rounded outwards to thirds of a slice, and
-    /// pixels are larger, so it climbs as much more as a level slope of 45° and such rounding take, but never its own height.
-    pub fn on_level(&self, level: &Frame) -> Self {
-        let more = level.slice_m() * 2.0 / 3.0 + level.pixel_m();
-        let most = 0.95 * self.body.height();
-        let [climb, max_drop] = [self.climb, self.max_drop].map(|height| (height + more).min(most).max(height));
-        Self { climb, max_drop, ..*self }
-    }
-
     fn check(&self) -> Result<()> {
         self.body.check()?;
         if !(0.0..self.body.height()).contains(&self.climb) {

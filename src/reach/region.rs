@@ -1,6 +1,6 @@
 //! What can be reached on foot from one place.
 
-use super::distance::nearest_ends;
+use super::distance::{nearest_ends, to_line};
 use super::pawn::{Grid, Pawn};
 use super::route::LANDMARKS;
 use super::standing::{Kind, Spot, StandingPlaces, Step};
@@ -184,13 +184,7 @@ impl Flood {
     fn is_near(&self, grid: &Grid, pixel: [i32; 2]) -> bool {
         if let Some((line, distance)) = &self.corridor {
             let at = Point2::new(grid.middle(pixel[0], 0), grid.middle(pixel[1], 1));
-            let is_beside = |ends: &[Point2<f64>]| {
-                let along = ends[1] - ends[0];
-                let share = ((at - ends[0]).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
-                // A line of one place has no direction.
-                let share = if share.is_finite() { share } else { 0.0 };
-                (at - (ends[0] + along * share)).norm_squared() <= distance * distance
-            };
+            let is_beside = |ends: &[Point2<f64>]| to_line(at, [ends[0], ends[1]]) <= *distance;
             if !line.windows(2).any(is_beside) {
                 return false;
             }
@@ -217,10 +211,18 @@ impl Flood {
         if bits.is_empty() {
             bits.resize(own.blocks.len().div_ceil(64), 0);
         }
-        let at = own.starts[(((pixel[1] & 63) << 6) | (pixel[0] & 63)) as usize] as usize + place;
+        let at = own.number(pixel, place);
         let is_new = bits[at >> 6] >> (at & 63) & 1 == 0;
         bits[at >> 6] |= 1 << (at & 63);
         is_new
+    }
+
+    /// Whether the flood has reached a place of the same standing places, without making a [`Region`].
+    pub fn holds(&self, standing: &StandingPlaces, spot: &Spot) -> bool {
+        let Some(tile) = standing.known(spot.pixel) else { return false };
+        let bits = self.reached.get(tile).map_or(&[][..], |bits| bits);
+        let at = standing.tiles[tile].number(spot.pixel, spot.place);
+        bits.get(at >> 6).is_some_and(|word| word >> (at & 63) & 1 == 1)
     }
 
     /// Bytes of memory that the flood takes now.

@@ -51,6 +51,11 @@ impl Tile {
         let cell = (((j & 63) << 6) | (i & 63)) as usize;
         &self.blocks[self.starts[cell] as usize..self.starts[cell + 1] as usize]
     }
+
+    /// Number of a block of the tile by its number in its pixel's column.
+    pub fn number(&self, [i, j]: [i32; 2], place: usize) -> usize {
+        self.starts[(((j & 63) << 6) | (i & 63)) as usize] as usize + place
+    }
 }
 
 /// Where a step to a neighbouring pixel ends.
@@ -120,6 +125,11 @@ impl StandingPlaces {
             column[*place].kind == Kind::Standing && column.get(place + 1).is_none_or(|next| next.bottom >= level)
         };
         ControlFlow::Continue(place.filter(fits).map(|place| Spot { pixel, place, top: column[place].top }))
+    }
+
+    /// Number of the tile with `pixel`, if it is computed.
+    pub(super) fn known(&self, pixel: [i32; 2]) -> Option<usize> {
+        self.numbers.get(&pixel.map(|pixel| pixel >> 6)).copied()
     }
 
     /// Number of the tile with `pixel`, which lies in the set; computes it if need be.

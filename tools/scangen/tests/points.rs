@@ -161,6 +161,29 @@ fn people_leave_streaks_and_edges_leave_mixed_pixels() {
 }
 
 #[test]
+fn a_crowd_is_where_its_scan_met_it() {
+    let scene = scene("hall");
+    let station = scene.stations()[0];
+    let scanner = ScannerSpec { stations: vec![station], people: 3, mixed_rate: 0.0, ..ScannerSpec::default() };
+    let spec = SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(50_000) };
+    let crowd = scene.crowd(7, &spec).unwrap().unwrap();
+    let mut met = 0;
+    for sample in scene.samples(7, &spec).unwrap().filter(|sample| sample.kind != Kind::Outlier) {
+        let way = [0, 1, 2].map(|axis| sample.position[axis] - station[axis]);
+        let range = way.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let nearest = crowd.nearest(way.map(|v| v / range));
+        if sample.kind == Kind::Moving {
+            met += 1;
+            assert!(nearest.is_some_and(|nearest| (nearest - range).abs() < 1e-6), "{sample:?}: {nearest:?}");
+        } else {
+            assert!(nearest.is_none_or(|nearest| nearest > range - 1e-6), "{sample:?}: {nearest:?}");
+        }
+    }
+    assert!(met > 100, "{met}");
+    assert!(scene.crowd(7, &SampleSpec::direct_count(10)).unwrap().is_none());
+}
+
+#[test]
 fn shuffling_keeps_the_points_and_loses_their_order() {
     let scene = scene("stairs");
     let spec = SampleSpec { mode: Mode::Direct(Order::Surfaces), ..SampleSpec::direct_count(20_000) };

@@ -5,7 +5,7 @@ use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Along, Planned, Planner, Refusal, Route};
+use slicewalk::reach::{Along, Coarse, Planned, Planner, Refusal, Route};
 use slicewalk::store::View;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -17,6 +17,8 @@ const FAR_M: f64 = 150.0;
 const COARSEST_M: f64 = 4.0;
 /// From a coarse way to the edge of the corridor about it (pixels of its level).
 const BESIDE: f64 = 3.0;
+/// A coarse way in doubt is looked for on a finer level too, over so many spans.
+const MOST_SPANS: usize = 1 << 20;
 
 /// From where to where, and who.
 #[derive(clap::Args)]
@@ -49,8 +51,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let loader = Loader::open(&arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
     let mut bytes = 0;
-    let (found, level) = if arguments.coarse {
-        on_levels(arguments, &loader, &mut bytes)?
+    let (found, guess) = if arguments.coarse {
+        match on_levels(arguments, &loader, &mut bytes)? {
+            Ok(guess) => (Ok(guess.route), Some((guess.level, guess.doubt_m))),
+            Err(refusal) => (Err(refusal), None),
+        }
     } else {
         (find(arguments, &loader, &mut bytes)?, None)
     };
@@ -68,7 +73,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "found": found.is_ok(),
             "length_m": found.as_ref().ok().map(|route| route.length_m),
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
-            "level": level,
+            "level": guess.map(|guess| guess.0),
+            "doubt_m": guess.map(|guess| guess.1),
             "memory_bytes": bytes.max(loader.memory_bytes()),
             "seconds": seconds,
         });
@@ -76,7 +82,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
     match &found {
         Ok(route) => {
-            let about = level.map_or(String::new(), |level| format!("about, on overview level {level}: "));
+            let about = guess.map_or(String::new(), |(level, doubt_m)| match doubt_m {
+                0.0 => format!("about, on overview level {level}: "),
+                doubt_m => format!("about, on overview level {level}, with {doubt_m:.1} m in doubt: "),
+            });
             crate::say(&format!("{about}{:.2} m over {} places", route.length_m, route.points.len()));
         }
         Err(refusal) => {
@@ -105,8 +114,8 @@ type Found = Result<Route, Refusal>;
 fn find(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Found, Failure> {
     let (pawn, ends) = (arguments.walks.pawn(), [arguments.from, arguments.to]);
     if (ends[1] - ends[0]).xy().norm() > FAR_M
-        && let Some((number, guide)) = coarse(arguments, loader, bytes)?
-        && let Some(route) = refined(arguments, loader, number, guide, bytes)?
+        && let Ok(guess) = coarse(arguments, loader, bytes)?
+        && let Some(route) = refined(arguments, loader, guess, bytes)?
     {
         return Ok(Ok(route));
     }
@@ -126,58 +135,78 @@ fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found
     }
 }
 
-/// The way on levels alone, with the level that it was found on.
-fn on_levels(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<(Found, Option<u32>), Failure> {
+/// A way on an overview level.
+struct Guess {
+    level: u32,
+    route: Route,
+    doubt_m: f64,
+}
+
+/// The way on levels alone.
+fn on_levels(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
     if loader.archive().levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
         let archive = arguments.archive.display();
         let text = format!("{archive}: it has no overview levels; convert with --levels on, or leave out --coarse");
         return Err(Failure::Text(text));
     }
-    Ok(match coarse(arguments, loader, bytes)? {
-        Some((number, route)) => (Ok(route), Some(number)),
-        None => (Err(Refusal::NotConnected), None),
-    })
+    coarse(arguments, loader, bytes)
 }
 
-/// The way on the coarsest level that has one, and the level's number; `None` where there are no levels, or no way on them.
-fn coarse(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Option<(u32, Route)>, Failure> {
+/// The way on the coarsest level that leaves no doubt, else that on the finest one that has a way; a fine level also decides that there is none.
+fn coarse(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
     let broken = |error| crate::broken(&arguments.archive, &error);
+    let mut best = Err(Refusal::NotConnected);
     for level in loader.archive().levels().map_err(broken)?.iter().rev() {
         // A body is a few pixels wide at least where doors matter; a whole level of one page says nothing of ways.
         if level.frame().pixel_m() > COARSEST_M {
             continue;
         }
         let on_level = loader.level(level.number(), &arguments.walks)?;
-        let pawn = arguments.walks.pawn().on_level(level.frame());
-        let mut planner = Planner::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
-        let found = on_level.known(|view| planned(&mut planner, view))?;
-        *bytes = (*bytes).max(on_level.memory_bytes() + planner.peak_bytes());
-        if let Ok(route) = found {
-            return Ok(Some((level.number(), route)));
+        let mut planner = Coarse::new(&on_level.view(), arguments.walks.pawn(), arguments.from, arguments.to)?;
+        let most = if best.is_ok() { MOST_SPANS } else { usize::MAX };
+        let found = on_level.known(|view| guessed(&mut planner, view, most))?;
+        *bytes = (*bytes).max(on_level.memory_bytes() + planner.memory_bytes());
+        match found {
+            Some(Ok(route)) => {
+                let doubt_m = planner.doubt_m();
+                best = Ok(Guess { level: level.number(), route, doubt_m });
+                if doubt_m == 0.0 {
+                    break;
+                }
+            }
+            Some(Err(refusal)) if planner.is_fine() => {
+                best = Err(refusal);
+                break;
+            }
+            Some(Err(refusal)) if best.is_err() => best = Err(refusal),
+            _ => {}
         }
     }
-    Ok(None)
+    Ok(best)
 }
 
-/// The exact way along a coarse one on level `number`, level by level; `None` where no corridor connects.
-fn refined(
-    arguments: &Arguments,
-    loader: &Loader,
-    number: u32,
-    guide: Route,
-    bytes: &mut usize,
-) -> Result<Option<Route>, Failure> {
+/// What a planner finds on a level; `None` if it looks at more than `most` spans.
+fn guessed(planner: &mut Coarse, view: &View, most: usize) -> slicewalk::Result<Answer<Option<Found>>> {
+    Ok(match planner.go_on(view, most.saturating_sub(planner.looked_at()), &NoMonitor)? {
+        Planned::Done(found) => Answer::Known(Some(found)),
+        Planned::NotLoaded(missing) => Answer::NotLoaded(missing),
+        _ => Answer::Known(None),
+    })
+}
+
+/// The exact way along a coarse one, level by level; `None` where no corridor connects.
+fn refined(arguments: &Arguments, loader: &Loader, guess: Guess, bytes: &mut usize) -> Result<Option<Route>, Failure> {
     let pawn = arguments.walks.pawn();
     let fine = *loader.archive().frame();
     let pixel = |number: u32| fine.pixel_m() * f64::from(4u32.pow(number));
-    let (mut guide, mut of) = (guide, number);
-    for number in (1..number).rev() {
+    let (mut guide, mut of) = (guess.route, guess.level);
+    for number in (1..guess.level).rev() {
         let on_level = loader.level(number, &arguments.walks)?;
-        let pawn = pawn.on_level(on_level.archive().frame());
-        let mut along = Along::new(pawn, arguments.from, arguments.to, &guide, BESIDE * pixel(of));
-        let found = on_level.known(|view| along.go_on(view, &NoMonitor))?;
-        *bytes = (*bytes).max(on_level.memory_bytes() + along.peak_bytes());
-        if let Ok(route) = found {
+        let planner = Coarse::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
+        let mut planner = planner.near(&guide, BESIDE * pixel(of));
+        let found = on_level.known(|view| guessed(&mut planner, view, usize::MAX))?;
+        *bytes = (*bytes).max(on_level.memory_bytes() + planner.memory_bytes());
+        if let Some(Ok(route)) = found {
             (guide, of) = (route, number);
         }
     }

@@ -125,7 +125,13 @@ pub struct Judged {
     /// Heights beyond 1 cm and three times the noise outside the true ones, and how far the farthest lies outside (m).
     pub off_truth: Share,
     pub worst_m: f64,
+    /// Why heights lie outside, and the farthest of each (m).
+    pub off: [(u64, f64); 4],
 }
+
+/// Why heights lie outside the true ones, in the order of [`Judged::off`].
+pub const WHY_OFF: [&str; 4] =
+    ["on points in the air at edges", "on what a mirror shows", "below them", "on other points above them"];
 
 impl Judged {
     /// Adds another.
@@ -141,6 +147,9 @@ impl Judged {
         self.off_points.merge(other.off_points);
         self.off_truth.merge(other.off_truth);
         self.worst_m = self.worst_m.max(other.worst_m);
+        for (own, other) in self.off.iter_mut().zip(&other.off) {
+            *own = (own.0 + other.0, own.1.max(other.1));
+        }
     }
 
     /// Share of places missed beyond the border.
@@ -249,7 +258,18 @@ impl Question<'_> {
                     continue;
                 };
                 judged.worst_m = judged.worst_m.max(off(&claim));
-                judged.off_truth.add(off(&claim) > 0.01 + 3.0 * self.noise);
+                let is_off = off(&claim) > 0.01 + 3.0 * self.noise;
+                judged.off_truth.add(is_off);
+                if is_off {
+                    let why = match self.ghost((pixel, claim), true) {
+                        _ if claim < low => 2,
+                        Some(Ghost::Edge) => 0,
+                        Some(Ghost::Image) => 1,
+                        None => 3,
+                    };
+                    let own = &mut judged.off[why];
+                    *own = (own.0 + 1, own.1.max(off(&claim)));
+                }
                 let points = under().flatten().map(|point| point.0).filter(|at| *at <= claim + 1e-9);
                 let highest = points.fold(f64::NEG_INFINITY, f64::max);
                 judged.off_points.add(claim - highest > self.frame.quantum_m() + 1e-9);

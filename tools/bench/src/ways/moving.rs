@@ -1,7 +1,7 @@
 //! Walking people removed: how many of their points go, how many of what stands, and what that takes.
 
 use super::Effort;
-use super::sight::{Sight, best};
+use super::sight::{Eye, Sight, best};
 use crate::stability::Result;
 use crate::stability::table::{Share, Table, number, percent};
 use crate::thesis::models::read_scan;
@@ -21,6 +21,7 @@ use std::process::Command;
 
 const PIXEL_M: f64 = 0.05;
 const NOISE_M: f64 = 0.003;
+const SEED: u64 = 1;
 /// Rays of each station in the tables of accuracy.
 const RAYS: usize = 300_000;
 /// All points of the large scan.
@@ -78,12 +79,17 @@ impl Moving {
     }
 }
 
+/// What a station measures in a file of its own.
+fn station_spec(station: [f64; 3], rays: usize, people: usize) -> SampleSpec {
+    let scanner = ScannerSpec { stations: vec![station], people, clearance_m: 0.15, ..ScannerSpec::default() };
+    SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(rays as u64) }.with_noise(NOISE_M)
+}
+
 /// A scene with people, a file for each station, and the truth of each point as it lies in its file.
 fn scans(scene: &Scene, rays: usize, people: usize, seed: u64, folder: &Path, keep: bool) -> Result<Vec<Sample>> {
     let (mut table, mut all) = (String::from("file,x,y,z\n"), Vec::new());
     for (number, station) in scene.stations().iter().enumerate() {
-        let scanner = ScannerSpec { stations: vec![*station], people, clearance_m: 0.15, ..ScannerSpec::default() };
-        let spec = SampleSpec { mode: Mode::Scanner(scanner), ..SampleSpec::scanner(rays as u64) }.with_noise(NOISE_M);
+        let spec = station_spec(*station, rays, people);
         let path = folder.join(format!("{number}.las"));
         let write = WriteSpec::for_path(&path);
         let samples = scene.samples(seed + number as u64, &spec)?;
@@ -147,9 +153,11 @@ pub fn page(effort: &Effort) -> Result<String> {
         "removed",
         "grazed: share",
         "removed",
-        "near background: share",
+        "outvoted: share",
         "removed",
+        "near background: share",
         "no background: share",
+        "people: share",
         "hidden: share",
         "removed of all that could be seen through",
     ]);
@@ -167,7 +175,9 @@ pub fn page(effort: &Effort) -> Result<String> {
             let params = params.iter().fold(Params::new(), |params, (name, value)| params.with(name, *value));
             let scene = Scene::named(name, &params)?;
             let folder = tempfile::tempdir()?;
-            let samples = scans(&scene, effort.of(RAYS, RAYS / 10), people, 1, folder.path(), true)?;
+            let rays = effort.of(RAYS, RAYS / 10);
+            let samples = scans(&scene, rays, people, SEED, folder.path(), true)?;
+            let eyes = eyes(&scene, rays, people, SEED)?;
             let moving = Moving { folder: folder.path().into(), remove: false, memory: 512 << 20 };
             let archive = folder.path().join("out.slices");
             convert(&moving.options()?, &NoMonitor)?;
@@ -190,7 +200,9 @@ pub fn page(effort: &Effort) -> Result<String> {
             };
             let [people_points, surfaces] =
                 [Kind::Moving, Kind::Surface].map(|kind| share(kind, &|_, sample| is_gone(sample)));
-            sights.row([name.to_owned(), people.to_string()].into_iter().chain(by_sight(&scene, &samples, &is_gone)));
+            sights.row(
+                [name.to_owned(), people.to_string()].into_iter().chain(by_sight(&scene, &eyes, &samples, &is_gone)),
+            );
             let peer = dufomap(&scene, folder.path(), &samples)?;
             let peers = [Kind::Moving, Kind::Surface].map(|kind| {
                 peer.as_ref().map_or("–".into(), |dynamic| percent(share(kind, &|n, _| dynamic[n]).value()))
@@ -219,31 +231,44 @@ pub fn page(effort: &Effort) -> Result<String> {
     ))
 }
 
+/// The stations, and the people that their scans met.
+fn eyes(scene: &Scene, rays: usize, people: usize, seed: u64) -> Result<Vec<Eye>> {
+    let eye = |(number, station): (u64, &[f64; 3])| {
+        let crowd = scene.crowd(seed + number, &station_spec(*station, rays, people))?;
+        Ok(Eye { station: *station, crowd })
+    };
+    (0..).zip(scene.stations()).map(eye).collect()
+}
+
 /// The points on people by what other stations could tell of their places, in shares of all, and how many of each went.
-fn by_sight(scene: &Scene, samples: &[Sample], is_gone: &dyn Fn(&Sample) -> bool) -> [String; 9] {
+fn by_sight(scene: &Scene, eyes: &[Eye], samples: &[Sample], is_gone: &dyn Fn(&Sample) -> bool) -> [String; 11] {
     let mut gone: BTreeMap<Sight, Share> = BTreeMap::new();
     let mut all = 0u64;
     for sample in samples.iter().filter(|sample| sample.kind == Kind::Moving) {
-        let others = scene.stations().iter().zip(0u16..).filter(|(_, number)| *number != sample.station);
-        let sight = best(scene, others.map(|(station, _)| *station), sample.position);
+        let others = eyes.iter().zip(0u16..).filter(|(_, number)| *number != sample.station);
+        let sight = best(scene, others.map(|(eye, _)| eye), sample.position);
         gone.entry(sight).or_default().add(is_gone(sample));
         all += 1;
     }
-    let of = |sight: Sight| gone.get(&sight).copied().unwrap_or_default();
-    let share = |sight: Sight| percent(of(sight).all as f64 / all.max(1) as f64);
-    let removed = |sight: Sight| percent(of(sight).value());
-    let mut could = of(Sight::Clear);
-    could.merge(of(Sight::Grazed));
+    let of = |sights: &[Sight]| {
+        let mut sum = Share::default();
+        sights.iter().filter_map(|sight| gone.get(sight)).for_each(|share| sum.merge(*share));
+        sum
+    };
+    let share = |sights: &[Sight]| percent(of(sights).all as f64 / all.max(1) as f64);
+    let removed = |sights: &[Sight]| percent(of(sights).value());
     [
-        share(Sight::Clear),
-        removed(Sight::Clear),
-        share(Sight::Grazed),
-        removed(Sight::Grazed),
-        share(Sight::Near),
-        removed(Sight::Near),
-        share(Sight::Open),
-        share(Sight::Hidden),
-        percent(could.value()),
+        share(&[Sight::Clear]),
+        removed(&[Sight::Clear]),
+        share(&[Sight::Grazed]),
+        removed(&[Sight::Grazed]),
+        share(&[Sight::Outvoted]),
+        removed(&[Sight::Outvoted]),
+        share(&[Sight::Near]),
+        share(&[Sight::Open]),
+        share(&[Sight::Occupied, Sight::Crowded]),
+        share(&[Sight::Hidden]),
+        removed(&[Sight::Clear, Sight::Grazed]),
     ]
 }
 
@@ -278,7 +303,7 @@ pub fn speed(effort: &Effort) -> Result<String> {
     let scene = Scene::named("hall", &Params::new())?;
     let folder = tempfile::tempdir()?;
     let rays = effort.of(MANY, MANY / 100) / scene.stations().len();
-    scans(&scene, rays, 2, 1, folder.path(), false)?;
+    scans(&scene, rays, 2, SEED, folder.path(), false)?;
     let mut table = Table::new([
         "memory",
         "round",

@@ -1,6 +1,6 @@
 //! Routes between random places: found just where exhaustive search finds one, how long they take, and whether the walker arrives.
 
-use super::{Effort, everywhere, processor_s, reached};
+use super::{Effort, everywhere, known, processor_s};
 use crate::stability::Result;
 use crate::stability::lab::{Scan, Setting};
 use crate::stability::table::{Table, number, percent};
@@ -14,7 +14,7 @@ use slicewalk::convert::{ConvertOptions, PixelSize, convert};
 use slicewalk::input::Units;
 use slicewalk::plan::{Classifier, Up};
 use slicewalk::query::Answer;
-use slicewalk::reach::{Pawn, Planned, Planner, Route, Search};
+use slicewalk::reach::{Flood, Pawn, Planned, Planner, Route, Search};
 use slicewalk::store::Store;
 use slicewalk::walk::{Body, Config, State, Walker, Waypoints};
 use std::path::Path;
@@ -147,13 +147,14 @@ pub fn page(effort: &Effort) -> Result<String> {
             let Answer::Known(Some(start)) = standing.spot(&store, from)? else {
                 return Err(format!("{name}: {from} is no place").into());
             };
-            let own = reached(&store, &mut standing, start)?;
+            let mut own = Flood::from(start);
+            known(own.grow(&mut standing, &store, &NoMonitor)?)?;
             for _ in 0..side {
                 let to = place();
                 let Answer::Known(Some(goal)) = standing.spot(&store, to)? else {
                     return Err(format!("{name}: {to} is no place").into());
                 };
-                let is_connected = own.holds(&goal);
+                let is_connected = own.holds(&standing, &goal);
                 pairs.push((start, goal, from, to, is_connected));
                 connected += usize::from(is_connected);
                 all += 1;

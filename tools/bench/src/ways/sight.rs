@@ -1,6 +1,7 @@
 //! What other stations could have seen through, by the true surfaces: a bound for whoever removes people.
 
 use scangen::geometry::{Vec3, add, cross, length, scale, sub, unit};
+use scangen::sample::Crowd;
 use scangen::{Scene, Truth};
 
 /// Range of the scanner (m).
@@ -16,27 +17,43 @@ const AROUND_DEG: f64 = 1.0;
 /// What those stations that did not measure a point could tell of its place, the best last.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Sight {
-    /// Something is in front of it.
+    /// A wall or furniture is in front of it.
     Hidden,
+    /// Somebody was in front of it while the station looked there.
+    Crowded,
     /// Nothing is behind it within the range of a scanner.
     Open,
     /// What is behind it is too near to tell from it.
     Near,
+    /// Somebody stood there while the station looked there.
+    Occupied,
+    /// It could be seen through, but more stations hit something there.
+    Outvoted,
     /// It could be seen through, but not in all directions around it.
     Grazed,
     /// It could be seen through, in all directions around it, too.
     Clear,
 }
 
-/// The best that one of these stations could tell of a place (m).
-pub fn best(scene: &Scene, stations: impl Iterator<Item = Vec3>, point: Vec3) -> Sight {
-    stations.map(|station| of(scene, station, point)).max().unwrap_or(Sight::Hidden)
+/// A station, and the people around it.
+pub struct Eye {
+    pub station: Vec3,
+    pub crowd: Option<Crowd>,
 }
 
-fn of(scene: &Scene, station: Vec3, point: Vec3) -> Sight {
-    let way = sub(point, station);
+/// The best that one of these stations could tell of a place (m) which one more measured.
+pub fn best<'a>(scene: &Scene, eyes: impl Iterator<Item = &'a Eye>, point: Vec3) -> Sight {
+    let sights: Vec<Sight> = eyes.map(|eye| of(scene, eye, point)).collect();
+    let best = sights.iter().copied().max().unwrap_or(Sight::Hidden);
+    let through = sights.iter().filter(|sight| **sight >= Sight::Grazed).count();
+    let hits = 1 + sights.iter().filter(|sight| matches!(sight, Sight::Near | Sight::Occupied)).count();
+    if best >= Sight::Grazed && hits > through { Sight::Outvoted } else { best }
+}
+
+fn of(scene: &Scene, eye: &Eye, point: Vec3) -> Sight {
+    let way = sub(point, eye.station);
     let distance = length(way);
-    let own = toward(scene, station, way, distance);
+    let own = toward(scene, eye, way, distance);
     if own != Sight::Clear {
         return own;
     }
@@ -47,7 +64,7 @@ fn of(scene: &Scene, station: Vec3, point: Vec3) -> Sight {
     let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (f64::from(a) * far, f64::from(b) * far)));
     let mut ways = around.map(|(a, b)| add(way, add(scale(side, a), scale(up, b))));
     // Where nothing is behind, nothing is measured, and that hinders nobody.
-    if ways.all(|way| matches!(toward(scene, station, way, distance), Sight::Clear | Sight::Open)) {
+    if ways.all(|way| matches!(toward(scene, eye, way, distance), Sight::Clear | Sight::Open)) {
         Sight::Clear
     } else {
         Sight::Grazed
@@ -55,14 +72,33 @@ fn of(scene: &Scene, station: Vec3, point: Vec3) -> Sight {
 }
 
 /// What a ray in the direction of `way` tells of a place at `distance` (m).
-fn toward(scene: &Scene, station: Vec3, way: Vec3, distance: f64) -> Sight {
+fn toward(scene: &Scene, eye: &Eye, way: Vec3, distance: f64) -> Sight {
     let direction = unit(way);
+    let (sight, margin) = (beyond(scene, eye.station, direction, distance), margin(distance));
+    if sight == Sight::Hidden {
+        return sight;
+    }
+    match eye.crowd.as_ref().and_then(|crowd| crowd.nearest(direction)) {
+        Some(met) if met < distance - margin => Sight::Crowded,
+        Some(met) if met <= distance + margin => Sight::Occupied,
+        Some(_) if sight == Sight::Open => Sight::Clear,
+        _ => sight,
+    }
+}
+
+/// How far behind a place something must be (m).
+fn margin(distance: f64) -> f64 {
+    BEHIND_M[0] + BEHIND_M[1] * distance
+}
+
+/// What a ray tells of a place at `distance` (m) where nobody is.
+fn beyond(scene: &Scene, station: Vec3, direction: Vec3, distance: f64) -> Sight {
     let (mut from, mut passed) = (station, 0.0);
     for _ in 0..MOST_PANES {
         let Some((t, surface)) = scene.raycast(from, direction, RANGE_M - passed) else { return Sight::Open };
         if scene.surfaces()[surface].label != "glass" {
             let seen = passed + t;
-            let margin = BEHIND_M[0] + BEHIND_M[1] * distance;
+            let margin = margin(distance);
             return match seen - distance {
                 behind if behind > margin => Sight::Clear,
                 behind if behind > -margin => Sight::Near,

@@ -1,6 +1,6 @@
 //! Standing places beside the truth: what is missed, what is wrongly claimed, and why.
 
-use super::claims::{Ghost, Judged, Pixel, Points, Question};
+use super::claims::{Ghost, Judged, Pixel, Points, Question, WHY_OFF};
 use super::peer::{Meshes, claims};
 use super::truth::{Floors, HEIGHT, SLOPE_DEG};
 use super::{Effort, everywhere, reached, spot};
@@ -363,6 +363,9 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
             }
             all_causes.add(causes);
             all.merge(&judged);
+            if judged.off_truth.yes > 0 {
+                eprintln!("{title} {radius}: heights {:?}", judged.off);
+            }
             eprintln!("{title} {radius}: missed {:?} wrong {:?}", sample(&judged.missed), sample(&judged.wrong));
             for (pixel, _) in sample(&judged.wrong) {
                 let [x, y] = pixel.map(|v| (v as f64 + 0.5) * pixel_m);
@@ -370,11 +373,14 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
             }
         }
     }
+    let off = WHY_OFF.iter().zip(&all.off).filter(|(_, own)| own.0 > 0);
+    let off: Vec<String> =
+        off.map(|(why, own)| format!("{} {why}, up to {} cm", own.0, number(own.1 * 100.0, 1))).collect();
     let words = format!(
         "All together: of {} places {} are missed ({} more next to the border); of {} claims {} are wrong ({} more next to the border, {} where \
          what is in the way was not scanned). Missed: {}; wrong: {}. Worst: {} missed ({}), {} wrong ({}). {} places have a pixel without a point \
          of floor under the footprint. Heights: {} of {} more than a quantum above the highest point under the feet, {} more than 1 cm and three \
-         times the noise outside the true ones (the farthest {} cm).",
+         times the noise outside the true ones{}{} (the farthest of all {} cm).",
         all.places,
         percent(all.missed_share()),
         percent(all.border_missed as f64 / all.places.max(1) as f64),
@@ -392,6 +398,8 @@ fn section(pixel_m: f64, effort: &Effort) -> Result<String> {
         all.off_points.yes,
         all.off_points.all,
         all.off_truth.yes,
+        if off.is_empty() { "" } else { ": " },
+        off.join("; "),
         number(all.worst_m * 100.0, 1),
     );
     Ok(format!(

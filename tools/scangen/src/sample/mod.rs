@@ -9,6 +9,7 @@ mod rng;
 mod scanner;
 mod shuffle;
 
+pub use scanner::Crowd;
 pub use shuffle::{SHUFFLE_BUCKETS, Shuffled, shuffle};
 
 pub(crate) use rng::Stream;
@@ -175,6 +176,18 @@ impl Scene {
             Mode::Scanner(scanner) => Box::new(scanner::Scan::new(self, seed, scanner, spec)?),
         };
         Ok(Spoiled { raw, rng: Stream::new(seed, 2), spec: spec.clone(), waiting: Vec::new() })
+    }
+}
+
+impl Scene {
+    /// The people around the first station of a scan, where [`Scene::samples`] of the same seed and spec meets them; `None` without a
+    /// scanner and without stations.
+    pub fn crowd(&self, seed: u64, spec: &SampleSpec) -> Result<Option<Crowd>> {
+        spec.check()?;
+        match &spec.mode {
+            Mode::Direct(_) => Ok(None),
+            Mode::Scanner(scanner) => Ok(scanner::Scan::new(self, seed, scanner, spec)?.into_crowd()),
+        }
     }
 }
 

@@ -43,6 +43,27 @@ impl Person {
     }
 }
 
+/// The people around a scanner, as its rays met them.
+pub struct Crowd {
+    station: Vec3,
+    people: Vec<Person>,
+    columns: u64,
+}
+
+impl Crowd {
+    /// How far from the station a ray in this direction meets somebody (m).
+    pub fn nearest(&self, direction: Vec3) -> Option<f64> {
+        let turn = (direction[1].atan2(direction[0]) / std::f64::consts::TAU).rem_euclid(1.0);
+        let column = (turn * self.columns as f64).round() as u64 % self.columns.max(1);
+        let time_s = TURN_S * column as f64 / self.columns.max(1) as f64;
+        let met = self
+            .people
+            .iter()
+            .filter_map(|person| person.at(time_s).raycast(self.station, direction, 0.0, f64::INFINITY));
+        met.min_by(f64::total_cmp)
+    }
+}
+
 /// The scan, ray after ray: station, column (azimuth), then elevation from the nadir up.
 pub(super) struct Scan<'a> {
     scene: &'a Scene,
@@ -99,6 +120,12 @@ impl<'a> Scan<'a> {
         };
         scan.set_up();
         Ok(scan)
+    }
+
+    /// The people around its first station.
+    pub fn into_crowd(self) -> Option<Crowd> {
+        let station = *self.stations.first()?;
+        Some(Crowd { station, people: self.people, columns: self.columns })
     }
 
     /// Moves people to the station at hand and begins its first column.

@@ -1,0 +1,216 @@
+//! Ways on overview levels, beside exact ones.
+
+use super::{everywhere, known, reached, spot, way};
+use crate::common::part::Part;
+use crate::common::random::Random;
+use crate::common::{Pages, archive_with_levels, key, page, plan};
+use nalgebra::Point3;
+use slicewalk::NoMonitor;
+use slicewalk::archive::{Archive, Totals};
+use slicewalk::frame::Frame;
+use slicewalk::plan::Plan;
+use slicewalk::reach::{Coarse, Flood, Pawn, Planned, Refusal, Route, Search};
+use slicewalk::slice::Span;
+use slicewalk::store::{PageSet, PageSlot, Store};
+use slicewalk::walk::Body;
+
+/// Pixel size, height of the lowest floor and of the ceiling (m).
+const T: f64 = 0.05;
+const FLOOR: f64 = 1.0;
+const CEILING: f64 = 3.7;
+/// Pixels to a side of the rooms, and of one room.
+const SIDE: usize = 256;
+const ROOM: usize = 64;
+
+/// Matter of a pixel from one height to another (m), and whether it is an obstacle.
+type Matter = (f64, f64, bool);
+
+/// An archive with levels of what `draw` says of each pixel, in one layer.
+fn archive(draw: impl Fn(usize, usize) -> Vec<Matter>) -> Archive {
+    let frame = Frame::new(T, 3.0 * T).unwrap();
+    let quanta = |height: f64| (height / frame.quantum_m()).round() as u32;
+    let mut pages = Pages::new();
+    for (tx, ty) in (0..SIDE / 64).flat_map(|tx| (0..SIDE / 64).map(move |ty| (tx, ty))) {
+        let pixels = (0..64 * 64).map(|cell| (cell % 64, cell / 64));
+        let columns = pixels.map(|(x, y)| {
+            let spans = draw(64 * tx + x, 64 * ty + y).into_iter();
+            let spans = spans.map(|(low, high, obstacle)| Span::new(quanta(low), quanta(high), obstacle).unwrap());
+            ((x as u32, y as u32), spans.collect())
+        });
+        pages.insert(key(tx as i32, ty as i32, 0), page(columns));
+    }
+    let plan = Plan { frame, ..plan() };
+    Archive::from_bytes(archive_with_levels(&plan, &(pages, Totals::default()), None)).unwrap()
+}
+
+/// Rooms with floors at different heights, doors of different widths under lintels, and tables.
+fn rooms(seed: u64) -> Archive {
+    let mut random = Random(seed);
+    let count = SIDE / ROOM;
+    let floors: Vec<f64> = (0..count * count).map(|_| FLOOR + 0.17 * random.below(3usize) as f64).collect();
+    // Of each room the doors to the right and upwards: where they begin and end (pixels), and how high they are (m).
+    let mut door = || (random.below(40usize), 12 + random.below(14usize), 2.1 + 0.1 * random.below(3usize) as f64);
+    let doors: Vec<_> = (0..count * count).map(|_| [door(), door()]).collect();
+    let tables: Vec<_> = (0..count * count).map(|_| [12 + random.below(20usize), 12 + random.below(20usize)]).collect();
+    archive(move |i, j| {
+        let room = j / ROOM * count + i / ROOM;
+        let (x, y, floor) = (i % ROOM, j % ROOM, floors[room]);
+        let wall = (i == 0 || j == 0 || x + 2 >= ROOM || y + 2 >= ROOM).then(|| {
+            let [right, up] = doors[room];
+            let is_outer = i == 0 || j == 0 || i + 2 >= SIDE || j + 2 >= SIDE;
+            let through = |at: usize, (from, width, height): (usize, usize, f64)| {
+                (from..from + width).contains(&at).then_some(height)
+            };
+            if is_outer {
+                None
+            } else if x + 2 >= ROOM {
+                through(y, right)
+            } else {
+                through(x, up)
+            }
+        });
+        match wall {
+            Some(None) => vec![(floor - 0.2, CEILING, true)],
+            Some(Some(height)) => vec![(floor - 0.02, floor, false), (floor + height, CEILING, true)],
+            None => {
+                let is_table =
+                    (tables[room][0]..).take(16).any(|at| at == x) && (tables[room][1]..).take(24).any(|at| at == y);
+                let mut all = vec![(floor - 0.02, floor, false)];
+                if is_table {
+                    all.push((floor + 0.72, floor + 0.75, false));
+                }
+                all.push((CEILING - 0.02, CEILING, true));
+                all
+            }
+        }
+    })
+}
+
+fn pawn() -> Pawn {
+    Pawn::new(Body::Box { x: 0.5, y: 0.5, height: 1.7 })
+}
+
+fn finish<S: PageSet>(planner: &mut Coarse, set: &S, steps: usize) -> Result<Route, Refusal> {
+    loop {
+        match planner.go_on(set, steps, &NoMonitor).unwrap() {
+            Planned::Done(found) => return found,
+            Planned::NotLoaded(missing) => panic!("{missing:?}"),
+            _ => {}
+        }
+    }
+}
+
+fn level(archive: &Archive, number: u32) -> Store {
+    Store::resident(&archive.level(number).unwrap(), &NoMonitor).unwrap()
+}
+
+#[test]
+fn a_fine_level_has_a_way_wherever_an_exact_one_leads_and_mostly_along_it() {
+    let (mut connected, mut held, mut refused, mut lengths) = (0, 0, 0, [0.0; 2]);
+    for seed in 0..6 {
+        let archive = rooms(seed);
+        let (store, level) = (Store::resident(&archive, &NoMonitor).unwrap(), level(&archive, 1));
+        let (mut standing, region) = everywhere(&store, pawn());
+        // On floors, not on tables or walls.
+        let feet = region.places().map(|place| place.feet);
+        let places: Vec<Point3<f64>> = feet.filter(|feet| feet.z < FLOOR + 0.5).collect();
+        let mut random = Random(seed + 100);
+        for _ in 0..6 {
+            let from = places[random.below(places.len())];
+            let (_, own) = reached(&store, pawn(), from.into());
+            for _ in 0..6 {
+                let to = places[random.below(places.len())];
+                let ends = [from, to].map(|at| spot(&mut standing, &store, at).unwrap());
+                let exact = way(&mut Search::new(), &own, &ends[0], &ends[1]);
+                let mut planner = Coarse::new(&level, pawn(), from, to).unwrap();
+                assert!(planner.is_fine());
+                let found = finish(&mut planner, &level, usize::MAX);
+                let Some(exact) = exact else {
+                    refused += usize::from(found.is_err());
+                    continue;
+                };
+                let found = found.unwrap_or_else(|refusal| panic!("{seed}: {from} to {to}: {refusal:?}"));
+                connected += 1;
+                assert!((found.points[0] - from).xy().norm() < 1e-9);
+                assert!((found.points[found.points.len() - 1] - to).xy().norm() < 1e-9);
+                // A detour may avoid doubt.
+                lengths = [lengths[0] + found.length_m, lengths[1] + exact.length_m];
+                let line: Vec<_> = found.points.iter().map(|point| point.xy()).collect();
+                let mut flood = Flood::from(ends[0]);
+                flood.along(&line, 3.0 * level.frame().pixel_m());
+                known(flood.grow(&mut standing, &store, &NoMonitor).unwrap());
+                held += usize::from(flood.region(&standing).holds(&ends[1]));
+            }
+        }
+    }
+    eprintln!("{held} of {connected} coarse ways have an exact one beside them; {refused} refused; {lengths:?} m");
+    assert!(connected > 60 && 100 * held >= 80 * connected, "{held} of {connected}");
+    assert!(lengths[0] < 1.3 * lengths[1], "{lengths:?} m");
+}
+
+#[test]
+fn a_way_without_doubt_and_none_through_a_wall() {
+    let hall = |wall: Option<usize>| {
+        archive(move |i, _| match wall {
+            Some(at) if (at..at + 2).contains(&i) => vec![(FLOOR, CEILING, true)],
+            _ => vec![(FLOOR - 0.02, FLOOR, false), (CEILING - 0.02, CEILING, true)],
+        })
+    };
+    let [from, to] = [[1.0, 1.0, FLOOR], [11.0, 9.0, FLOOR]].map(Point3::from);
+    let open = level(&hall(None), 1);
+    let mut planner = Coarse::new(&open, pawn(), from, to).unwrap();
+    let found = finish(&mut planner, &open, 10).unwrap();
+    assert!((found.length_m - (to - from).norm()).abs() < 0.05, "{found:?}");
+    assert_eq!((planner.doubt_m(), found.points.len()), (0.0, 2));
+    assert!(planner.memory_bytes() > 0 && planner.looked_at() > 0);
+    // A corridor about another way.
+    let guide = Route::clone(&found);
+    let mut near = Coarse::new(&open, pawn(), from, to).unwrap().near(&guide, 0.5);
+    assert_eq!(finish(&mut near, &open, usize::MAX).map(|route| route.length_m), Ok(found.length_m));
+    assert!(near.memory_bytes() > 0);
+    let closed = level(&hall(Some(100)), 1);
+    let mut planner = Coarse::new(&closed, pawn(), from, to).unwrap();
+    assert_eq!(finish(&mut planner, &closed, usize::MAX), Err(Refusal::NotConnected));
+    let outside = Point3::new(-50.0, 1.0, FLOOR);
+    for (ends, refusal) in [([outside, to], Refusal::NotStandingFrom), ([from, outside], Refusal::NotStandingTo)] {
+        let mut planner = Coarse::new(&open, pawn(), ends[0], ends[1]).unwrap();
+        assert_eq!(finish(&mut planner, &open, usize::MAX), Err(refusal));
+    }
+    // Where pixels are wider than the pawn, a way may lead beside any wall: it is found, and says so.
+    let thin = Pawn::new(Body::Box { x: 0.2, y: 0.2, height: 1.7 });
+    let mut planner = Coarse::new(&closed, thin, from, to).unwrap();
+    let found = finish(&mut planner, &closed, usize::MAX);
+    assert!(!planner.is_fine() && found.is_ok() && planner.doubt_m() > 1.0, "{found:?}, {}", planner.doubt_m());
+}
+
+#[test]
+fn a_coarse_way_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
+    struct Stops;
+    impl slicewalk::Monitor for Stops {
+        fn cancelled(&self) -> bool {
+            true
+        }
+    }
+    // The archive itself, as if it were a level: more pages.
+    let store = Store::resident(&rooms(3), &NoMonitor).unwrap();
+    let pages = (0..store.column_count()).map(|number| store.column_at(number)).flat_map(|(tx, ty, slots)| {
+        slots.iter().map(move |slot| (key(tx, ty, slot.layer()), slot.page().unwrap().clone()))
+    });
+    let mut partly = Part::new(*store.frame(), pages.collect::<Vec<_>>());
+    let [from, to] = [[1.0, 1.0, FLOOR], [1.2, 3.0, FLOOR]].map(Point3::from);
+    let mut planner = Coarse::new(&partly, pawn(), from, to).unwrap();
+    let mut loaded = 0;
+    let found = loop {
+        match planner.go_on(&partly, usize::MAX, &NoMonitor).unwrap() {
+            Planned::Done(found) => break found,
+            Planned::NotLoaded(missing) => loaded += partly.load(missing.keys()),
+            _ => {}
+        }
+    };
+    assert!((1..=16).contains(&loaded), "{loaded}");
+    let mut whole = Coarse::new(&store, pawn(), from, to).unwrap();
+    assert_eq!(found, finish(&mut whole, &store, 100));
+    let far = Point3::new(12.0, 12.0, FLOOR);
+    let mut planner = Coarse::new(&store, pawn(), from, far).unwrap();
+    assert!(matches!(planner.go_on(&store, usize::MAX, &Stops), Err(slicewalk::Error::Interrupted)));
+}
