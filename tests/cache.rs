@@ -9,7 +9,7 @@ mod tower;
 use common::random;
 use counting::allocations;
 use slicewalk::archive::Archive;
-use slicewalk::bytes::{FileSource, MemorySource};
+use slicewalk::bytes::MemorySource;
 use slicewalk::query::{Overlap, Ray, cast, ceiling_above, floor_under, overlaps};
 use slicewalk::store::{PageSet, PageSlot, Prefetch, Step, Stream, StreamOptions};
 use std::hint::black_box;
@@ -198,6 +198,7 @@ fn directories_tell_the_exact_weight_of_every_page() {
 #[cfg(unix)]
 #[test]
 fn a_file_that_is_cut_or_replaced_is_an_error_or_the_old_archive() {
+    use slicewalk::bytes::FileSource;
     let folder = tempfile::tempdir().unwrap();
     let (path, other) = (folder.path().join("a.slices"), folder.path().join("b.slices"));
     let new = tower::tower(4.0, 90.0, 8);

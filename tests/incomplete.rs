@@ -13,9 +13,7 @@ use slicewalk::convert::{ConvertOptions, PixelSize, PlanFile, ShardOptions, conv
 use slicewalk::{Monitor, NoMonitor, Warning};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
 use std::sync::Mutex;
-use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 const OPTIONS: [&str; 6] = ["--pixel", "0.1", "--units", "m", "-o", "a.slices"];
@@ -171,7 +169,10 @@ fn names_of_any_bytes_count_in_patterns_too() {
 }
 
 /// Ends within a minute, or it waits for something that never comes.
+#[cfg(unix)]
 fn ends(folder: &Path, arguments: &[&str]) -> String {
+    use std::process::Stdio;
+    use std::time::{Duration, Instant};
     let mut child = command(folder).args(arguments).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
     let began = Instant::now();
     while child.try_wait().unwrap().is_none() {

@@ -58,6 +58,18 @@ async function vivid(page) {
   return seen.filter(([r, g, b]) => Math.max(g, b) - Math.min(r, g, b) > 60 && Math.max(g, b) > r).length / seen.length;
 }
 
+/** The share of the picture in the scan's colours, which go when colours by kind are chosen. */
+async function ownColours(page) {
+  await page.waitForTimeout(500);
+  const own = await vivid(page);
+  assert.ok(own > 0.05, `${own} of the picture has the colours of the scan`);
+  await tool("Colours").click();
+  await page.getByLabel("Floor and obstacle").check();
+  await page.waitForTimeout(500);
+  assert.ok((await vivid(page)) < own / 4, "colours by kind are others");
+  return own;
+}
+
 describe("colours", () => {
   const coloured = ({ drawn, colours }) => drawn.coloured > 10 && colours.missing === 0;
 
@@ -69,13 +81,7 @@ describe("colours", () => {
     assert.ok(colours.requests > 2 && colours.requests < requests, JSON.stringify({ colours, requests }));
     assert.ok(colours.bytes > 0 && colours.bytes < bytesLoaded);
     assert.ok(drawn.coloured <= drawn.pages);
-    await page.waitForTimeout(500);
-    const own = await vivid(page);
-    assert.ok(own > 0.05, `${own} of the picture has the colours of the scan`);
-    await tool("Colours").click();
-    await page.getByLabel("Floor and obstacle").check();
-    await page.waitForTimeout(500);
-    assert.ok((await vivid(page)) < own / 4, "colours by kind are others");
+    const own = await ownColours(page);
     await page.getByLabel("Scan", { exact: true }).check();
     await page.waitForTimeout(500);
     assert.ok((await vivid(page)) > own / 2, "and back");
@@ -90,13 +96,7 @@ describe("colours", () => {
     for (let n = 0; n < 6; n++) await page.mouse.wheel(0, 200);
     const { drawn } = await until(page, "the level alone, coloured", far, { timeout: 120_000 });
     assert.deepEqual([drawn.distant, drawn.coloured], [drawn.overview, 0], JSON.stringify(drawn));
-    await page.waitForTimeout(500);
-    const own = await vivid(page);
-    assert.ok(own > 0.05, `${own} of the picture has the colours of the scan`);
-    await tool("Colours").click();
-    await page.getByLabel("Floor and obstacle").check();
-    await page.waitForTimeout(500);
-    assert.ok((await vivid(page)) < own / 4, "colours by kind are others");
+    await ownColours(page);
   });
 
   it("walks on while an answer of colours does not come, and gives it up for what the pawn waits for", async () => {
