@@ -399,8 +399,8 @@ impl Progress {
             }
             let is_empty = piece.0 == piece.1;
             if self.is_done(chunk) {
-                // A run that read it for its values said again what was found in it.
-                if is_empty && self.wants_values {
+                // Whoever reads missing points or values of a chunk says again what was found in it.
+                if is_empty {
                     continue;
                 }
                 return Ok(None);
@@ -523,4 +523,50 @@ fn counts_of(reader: &mut ByteReader<'_>) -> Option<PointCounts> {
 fn bounds_of(reader: &mut ByteReader<'_>) -> Option<([f64; 3], [f64; 3])> {
     let mut corner = || Some([reader.f64().ok()?, reader.f64().ok()?, reader.f64().ok()?]);
     Some((corner()?, corner()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoMonitor;
+    use crate::codec::put_varint;
+    use crate::input::InputOptions;
+    use scangen::{WriteSpec, write_las};
+
+    /// A piece of the only chunk of a file, of which nothing was read.
+    fn piece(from: u64, end: u64, result: Option<&[u8]>) -> Vec<u8> {
+        let mut out = Vec::new();
+        [0, from, end - from, 24].into_iter().for_each(|number| put_varint(&mut out, number));
+        out.extend([0; 24]);
+        put_varint(&mut out, result.map_or(0, |result| 1 + result.len() as u64));
+        out.extend(result.unwrap_or_default());
+        out
+    }
+
+    /// A run that stayed in memory is lost with its process, while the next one, which holds the end of its chunk and what was found
+    /// there, was on disk. Whoever reads the lost points says that again, behind a chunk that is whole by then.
+    #[test]
+    fn the_end_of_a_chunk_may_stand_before_its_beginning() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scan.las");
+        write_las(&path, (0..100).map(|n| [f64::from(n), 0.0, 0.0]), &WriteSpec::for_path(&path)).unwrap();
+        let set = InputSet::open(&[path], InputOptions { hash: true, ..InputOptions::default() }, &NoMonitor).unwrap();
+        let found = PointCounts { read: 100, ..Read::NOTHING.counts };
+        let result = result_bytes(&Read { counts: found, ..Read::NOTHING }, 7);
+        let (end, again) =
+            (piece(60, 100, Some(&result)), [piece(0, 60, None), piece(100, 100, Some(&result))].concat());
+        for wants_values in [false, true] {
+            let (mut progress, mut begun) = (Progress::nothing(1), BTreeMap::new());
+            progress.wants_values = wants_values;
+            let mut add = |values, cover: &[u8]| progress.add(values, cover, &set, &mut begun).unwrap();
+            assert_eq!([add(false, &end), add(false, &again)], [Some(()); 2]);
+            if wants_values {
+                assert_eq!([add(true, &piece(60, 100, None)), add(true, &piece(0, 60, None))], [Some(()); 2]);
+            }
+            // Points that are there already are a contradiction.
+            assert_eq!(add(false, &piece(10, 20, None)), None);
+            assert!(progress.is_done(0) && begun.is_empty());
+            assert_eq!((progress.points, progress.read.counts), (100, found));
+        }
+    }
 }
