@@ -101,7 +101,7 @@ impl Place {
         Some((temp.join(name), len))
     }
 
-    /// Ends `child` by SIGKILL once its journal is `bytes` long, or it writes pages; returns how many points it had read and
+    /// Ends `child` by SIGKILL once its journal is `bytes` long, or it writes pages; returns how many bytes it had read and
     /// how long its temporary data were.
     fn kill(&self, mut child: Child, bytes: u64) -> Option<(u64, u64)> {
         loop {
@@ -123,7 +123,7 @@ impl Place {
         let spilled = self.temporary(".spill").map_or(0, |(_, len)| len);
         child.kill().unwrap();
         child.wait().unwrap();
-        Some((read / self.point_bytes, spilled))
+        Some((read, spilled))
     }
 
     fn is_new(&self) {
@@ -168,13 +168,13 @@ fn kills(place: &Place, kills: u64) {
     let (mut killed, mut most_points, mut most_bytes) = (0, 0, 0);
     for number in 0..kills {
         // Every other time, the run that resumes is killed, too.
-        let mut read = 0;
+        // What each killed run read, and what the one before had left on disk (bytes).
+        let (mut killed_runs, mut left) = (Vec::new(), 0);
         for run in 0..=number % 2 {
             let more = if run == 0 { &[][..] } else { &["--resume"] };
             let moment = (random.uniform() * longest as f64) as u64;
-            if let Some((points, spilled)) = place.kill(place.starts(more), moment) {
-                killed += 1;
-                read += points;
+            if let Some((bytes, spilled)) = place.kill(place.starts(more), moment) {
+                killed_runs.push((bytes, std::mem::replace(&mut left, spilled)));
                 most_bytes = most_bytes.max(spilled);
             }
         }
@@ -183,8 +183,13 @@ fn kills(place: &Place, kills: u64) {
         place.is_new();
         let number = |key: &str| done[key].as_u64().unwrap();
         let (points, bytes) = (number("points_resumed"), number("temp_bytes_resumed"));
+        // To check what another run left, one reads that, and the points that it stands for.
+        let points_in = |left: u64| left * points / bytes.max(1);
+        let of_points = |(read, left)| u64::saturating_sub(read, left + points_in(left) * place.point_bytes);
+        let read = killed_runs.iter().copied().map(of_points).sum::<u64>() / place.point_bytes;
         // What was read in the second pass, of the temporary data, is no point.
         let repeated = read.min(place.points).saturating_sub(points);
+        killed += killed_runs.len();
         most_points = most_points.max(repeated);
         let bound = (place.points / 20).max((256 << 20) / RECORD_BYTES);
         assert!(repeated <= bound && spilled - bytes <= 256 << 20, "{repeated} points, {spilled} - {bytes} bytes");
