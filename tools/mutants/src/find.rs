@@ -1,6 +1,6 @@
 //! The mutants of a source file: what a person may get wrong there, each behind a switch.
 //!
-//! The kinds are those of `cargo-mutants`: a function that returns a plain value at once, another operator, an operator left out, a
+//! Most kinds of `cargo-mutants` are here: a function that returns a plain value at once, another operator, an operator left out, a
 //! guard that always or never holds, an arm of a `match` left out. All mutants of a file stand in one text: each change is an
 //! insertion, so changes within changes need no care. Macros, constants and `const fn` are left as they are: what is known
 //! before the program runs cannot be switched.
