@@ -40,6 +40,11 @@ impl Stamp {
         Self { len: about.len(), modified: about.modified().ok(), id: FileId::of(file) }
     }
 
+    /// The state of bytes in memory.
+    pub(super) fn of_held(len: u64) -> Self {
+        Self { len, modified: None, id: None }
+    }
+
     /// The state of an object.
     #[cfg(feature = "remote")]
     pub(super) fn of_object(len: u64, modified: Option<SystemTime>, id: FileId) -> Self {
