@@ -211,6 +211,31 @@ mod tests {
     }
 
     #[test]
+    fn inputs_in_memory_are_read_as_files_are() {
+        let bytes: Vec<u8> = (0..100).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.xyz");
+        std::fs::write(&file, &bytes).unwrap();
+        testing::hold("held.xyz", &bytes[..]);
+        let held = Path::new("held.xyz");
+        let [there, here] = [&*file, held].map(|path| Input::open(path).unwrap());
+        assert_eq!(here.1.len(), there.1.len());
+        for (offset, len) in [(0, 100), (0, 7), (93, 7), (93, 8), (99, 100), (100, 1), (1 << 40, 5), (40, 0)] {
+            let [a, b] = [&there.0, &here.0].map(|input| {
+                let mut buf = vec![0xEE; len];
+                let read = input.read_up_to(offset, &mut buf).unwrap();
+                (read, buf)
+            });
+            assert_eq!(a, b, "{len} bytes at {offset}");
+        }
+        let mut buf = [0; 5];
+        open_named(held).unwrap().read_at(95, &mut buf).unwrap();
+        assert_eq!(buf, [95, 96, 97, 98, 99]);
+        // Other threads see the files.
+        std::thread::spawn(|| assert!(Input::open(Path::new("held.xyz")).is_err())).join().unwrap();
+    }
+
+    #[test]
     fn addresses_are_told_from_paths() {
         for text in ["s3://bucket/key", "https://host/a.laz", "file:///a"] {
             assert_eq!(address(Path::new(text)), Some(text));

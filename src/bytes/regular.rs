@@ -1,9 +1,10 @@
 //! Regular files and nothing else: to open a pipe may wait for ever, and to read a device may never end.
 
-use super::FileId;
+use super::{FileId, testing};
 use std::fs::{File, Metadata};
-use std::io;
+use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
+use std::sync::Arc;
 use std::time::SystemTime;
 
 /// Opens the file at `path` to be read; pipes, devices and folders are refused.
@@ -21,6 +22,46 @@ fn check(about: &Metadata) -> io::Result<()> {
         about if about.is_file() => Ok(()),
         about if about.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
         _ => Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a pipe or a device; copy its content to a file")),
+    }
+}
+
+/// A regular file that is read from front to back.
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only meshes are read so"))]
+pub(crate) enum Regular {
+    File(File),
+    /// What a test holds in its place.
+    Held(Cursor<Arc<[u8]>>),
+}
+
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only meshes are read so"))]
+impl Regular {
+    /// Opens the file at `path`, and its state.
+    pub fn open(path: &Path) -> io::Result<(Self, Stamp)> {
+        if let Some(bytes) = testing::held(path) {
+            let stamp = Stamp::of_held(bytes.len() as u64);
+            return Ok((Self::Held(Cursor::new(bytes)), stamp));
+        }
+        let (file, about) = open_regular(path)?;
+        let stamp = Stamp::of(&file, &about);
+        Ok((Self::File(file), stamp))
+    }
+}
+
+impl Read for Regular {
+    fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => file.read(buf),
+            Self::Held(bytes) => bytes.read(buf),
+        }
+    }
+}
+
+impl Seek for Regular {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match self {
+            Self::File(file) => file.seek(to),
+            Self::Held(bytes) => bytes.seek(to),
+        }
     }
 }
 
@@ -67,6 +108,9 @@ impl Stamp {
 
     /// Whether the file at `path` is in this state.
     pub fn is_of(&self, path: &Path) -> bool {
+        if let Some(bytes) = testing::held(path) {
+            return *self == Self::of_held(bytes.len() as u64);
+        }
         if super::address(path).is_some() {
             return super::Input::open(path).is_ok_and(|(_, now)| now == *self);
         }

@@ -18,7 +18,7 @@ thread_local! {
     static HELD: RefCell<HashMap<PathBuf, Arc<[u8]>>> = RefCell::default();
 }
 
-/// From now on, this thread reads `bytes` where a scan or a plan file called `path` is asked for, whatever files there are: tests of
+/// From now on, this thread reads `bytes` where a scan, a mesh or a plan file called `path` is asked for, whatever files there are: tests of
 /// millions of inputs would spend their time with the system's files.
 pub fn hold(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) {
     HOLDS.store(true, Relaxed);

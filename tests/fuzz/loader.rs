@@ -14,7 +14,7 @@ use std::io::ErrorKind;
 use std::sync::LazyLock;
 use std::time::Duration;
 
-/// Eighteen small pages, with levels: what a page holds is for other targets.
+/// Twelve small pages, with levels: what a page holds is for other targets.
 const BYTES: &[u8] = include_bytes!("loader-archive");
 /// Steps after which a script ends, and polls after which a loader that never waits has hung.
 const STEPS: usize = 400;

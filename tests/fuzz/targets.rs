@@ -20,9 +20,7 @@ use slicewalk::mesh::{MeshOptions, MeshSet};
 use slicewalk::plan::Coding;
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
 use std::cell::RefCell;
-use std::collections::HashMap;
 use std::hash::{Hash, Hasher};
-use std::io::{Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
@@ -324,7 +322,7 @@ pub fn read_scan(ending: &'static str, bytes: &[u8]) -> Read {
     // Of formats that have some.
     let source = ColourSource::ALL[bytes.len() % 3];
     let options = InputOptions { colour: Some(source), ..InputOptions::default() };
-    let path = PathBuf::from(format!("fuzz.{ending}"));
+    let path = PathBuf::from(format!("/no folder/fuzz.{ending}"));
     hold(&path, bytes);
     let set = InputSet::open(&[path], options, &NoMonitor).ok()?;
     let mut decoder = PointDecoder::new();
@@ -347,7 +345,9 @@ pub fn read_scan(ending: &'static str, bytes: &[u8]) -> Read {
 pub fn mesh(ending: &'static str, bytes: &[u8]) -> Read {
     let options =
         MeshOptions { memory_bytes: 1 << 16, colours: true, texture_bytes: 1 << 22, ..MeshOptions::default() };
-    let set = MeshSet::open(&[in_file(ending, bytes)], options, &NoMonitor).ok()?;
+    let path = PathBuf::from(format!("/no folder/fuzz.{ending}"));
+    hold(&path, bytes);
+    let set = MeshSet::open(&[path], options, &NoMonitor).ok()?;
     let (mut feed, mut batch, mut triangles, mut hasher) = (set.feed(), Vec::new(), 0, Sum::default());
     while triangles < ENOUGH && feed.next(&mut batch, &NoMonitor).unwrap_or(false) {
         let coordinates = batch.as_flattened().as_flattened();
@@ -362,7 +362,7 @@ pub fn mesh(ending: &'static str, bytes: &[u8]) -> Read {
 #[cfg(feature = "cli")]
 pub fn plan(bytes: &[u8]) -> Read {
     use slicewalk::convert::PlanFile;
-    let path = Path::new("fuzz.json");
+    let path = Path::new("/no folder/fuzz.json");
     hold(path, bytes);
     let plan = PlanFile::read(path).ok()?;
     let mut text = Vec::new();
@@ -371,44 +371,4 @@ pub fn plan(bytes: &[u8]) -> Read {
     hold(path, text.as_bytes());
     assert_eq!(PlanFile::read(path).expect("it was written"), plan);
     Some(digest(text))
-}
-
-thread_local! {
-    /// A file for each ending and thread, written in place: to make one for each input costs more than to read it.
-    static FILES: RefCell<HashMap<&'static str, File>> = RefCell::default();
-}
-
-/// A file with this ending that holds `bytes` until the thread asks for the next one with that ending.
-fn in_file(ending: &'static str, bytes: &[u8]) -> PathBuf {
-    FILES.with_borrow_mut(|files| {
-        let File { path, open } = files.entry(ending).or_insert_with(|| File::new(ending));
-        let written =
-            open.rewind().and_then(|()| open.write_all(bytes)).and_then(|()| open.set_len(bytes.len() as u64));
-        written.expect("a file that can be written");
-        path.clone()
-    })
-}
-
-/// A file that goes with this.
-struct File {
-    path: PathBuf,
-    open: std::fs::File,
-}
-
-impl File {
-    fn new(ending: &str) -> Self {
-        // In memory, where the system has a folder for that.
-        let memory = Path::new("/dev/shm");
-        let folder = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
-        let name = format!("slicewalk-fuzz-{}-{:?}.{ending}", std::process::id(), std::thread::current().id());
-        let path = folder.join(name);
-        let open = std::fs::File::create(&path).expect("a folder to write to");
-        Self { path, open }
-    }
-}
-
-impl Drop for File {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.path);
-    }
 }
