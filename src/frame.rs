@@ -247,7 +247,68 @@ mod tests {
         assert_eq!(floor_index(-1e300), -1 << 50);
     }
 
+    #[test]
+    fn limits_are_sizes_still_and_coarser_grids_end_there() {
+        assert!(Frame::new(1e-6, 1e6).is_ok() && Frame::new(1e6, 1e-6).is_ok());
+        let frame = Frame::new(0.1, 0.3).unwrap();
+        assert_eq!(frame.coarser(0), Some(frame));
+        // 0.3 m times 4 to the power of 10 is 314,573 m, once more is too much.
+        assert!(frame.coarser(10).is_some() && frame.coarser(11).is_none());
+        assert_eq!([31, 32, 1 << 30].map(|number| frame.coarser(number)), [None; 3]);
+        let fine = Frame::new(1e-6, 1e-6).unwrap();
+        assert!(fine.coarser(19).is_some() && fine.coarser(20).is_none());
+    }
+
+    #[test]
+    fn keys_say_their_indices() {
+        assert_eq!(PageKey { tx: -3, ty: 40, layer: 7 }.to_string(), "(-3, 40, 7)");
+    }
+
+    /// Bit by bit: where the column lies on the curve.
+    fn interleaved(tx: i32, ty: i32) -> u64 {
+        let bit = |v: i32, bit: u32| u64::from((v as u32 ^ 1 << 31) >> bit & 1);
+        (0..32).fold(0, |sum, at| sum | bit(tx, at) << (2 * at) | bit(ty, at) << (2 * at + 1))
+    }
+
     proptest! {
+        #[test]
+        fn keys_are_ordered_along_the_curve_and_then_by_layer(a: [i32; 3], b: [i32; 3], near: bool) {
+            let [a, mut b] = [a, b].map(|[tx, ty, layer]| PageKey { tx, ty, layer });
+            if near {
+                (b.tx, b.ty) = (a.tx, a.ty);
+            }
+            prop_assert_eq!(a.column(), interleaved(a.tx, a.ty));
+            let order = |key: PageKey| (interleaved(key.tx, key.ty), key.layer);
+            prop_assert_eq!(a.cmp(&b), order(a).cmp(&order(b)));
+            prop_assert_eq!(a.partial_cmp(&b), Some(a.cmp(&b)));
+        }
+
+        /// With sizes that are powers of two no edge is rounded: edges are the least places of what they bound.
+        #[test]
+        fn edges_are_where_pixels_and_slices_begin(index in -MAX_INDEX / 8..MAX_INDEX / 8, power in -8i32..4) {
+            let size = 2f64.powi(power);
+            let frame = Frame::new(size, 255.0 * size).unwrap();
+            let (edge, bottom) = (frame.edge_of_pixel(index), frame.bottom_of_slice(index));
+            prop_assert_eq!([frame.pixel_of(edge), frame.pixel_of(edge.next_down())], [index, index - 1]);
+            prop_assert_eq!([frame.slice_of(bottom), frame.slice_of(bottom.next_down())], [index, index - 1]);
+            prop_assert_eq!(frame.quantum_floor(bottom), 255 * index);
+            prop_assert_eq!(frame.quantum_ceil(bottom), 255 * index);
+            prop_assert_eq!(frame.quantum_m(), size);
+        }
+
+        #[test]
+        fn indices_of_coarser_grids_are_those_of_this_one_divided(
+            x in -1e7f64..1e7, t in 0.001f64..1.0, s in 0.003f64..3.0, number in 0u32..8
+        ) {
+            let frame = Frame::new(t, s).unwrap();
+            let coarse = frame.coarser(number).unwrap();
+            let factor = 4i64.pow(number);
+            prop_assert_eq!([coarse.pixel_m(), coarse.slice_m()], [t, s].map(|size| size * factor as f64));
+            prop_assert_eq!(coarse.pixel_of(x), frame.pixel_of(x).div_euclid(factor));
+            prop_assert_eq!(coarse.quantum_floor(x), frame.quantum_floor(x).div_euclid(factor));
+            prop_assert_eq!(coarse.slice_of(x), frame.slice_of(x).div_euclid(factor));
+        }
+
         #[test]
         fn morton_round_trips_and_orders_within_a_row_of_two(tx: i32, ty: i32, layer: i32) {
             let key = PageKey { tx, ty, layer };

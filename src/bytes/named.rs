@@ -2,11 +2,12 @@
 
 #[cfg(feature = "remote")]
 use super::remote::RemoteSource;
-use super::{ByteSource, FileSource, Stamp, open_regular, read_up_to};
+use super::{ByteSource, FileSource, MemorySource, Stamp, open_regular, read_up_to, testing};
 use crate::{Error, Result};
 use std::fs::File;
 use std::io;
 use std::path::Path;
+use std::sync::Arc;
 
 /// The address that `path` is, if it is one: `s3://bucket/key`, `https://host/path`.
 pub(crate) fn address(path: &Path) -> Option<&str> {
@@ -36,6 +37,9 @@ pub(crate) fn local(path: &Path) -> Option<std::path::PathBuf> {
 pub(crate) fn open_named(path: &Path) -> Result<Box<dyn ByteSource>> {
     let file = local(path);
     let path = file.as_deref().unwrap_or(path);
+    if let Some(bytes) = testing::held(path) {
+        return Ok(Box::new(MemorySource::new(bytes)));
+    }
     match address(path) {
         None => Ok(Box::new(FileSource::open(path)?)),
         #[cfg(feature = "remote")]
@@ -66,6 +70,8 @@ pub(super) fn patient() -> super::RemoteOptions {
 pub(crate) enum Input {
     /// A regular file.
     File(File),
+    /// What a test holds.
+    Held(Arc<[u8]>),
     /// An object; every answer is of the version that was opened.
     #[cfg(feature = "remote")]
     Object(Box<Ahead>),
@@ -77,6 +83,10 @@ impl Input {
     pub fn open(path: &Path) -> Result<(Self, Stamp)> {
         let file = local(path);
         let path = file.as_deref().unwrap_or(path);
+        if let Some(bytes) = testing::held(path) {
+            let stamp = Stamp::of_held(bytes.len() as u64);
+            return Ok((Self::Held(bytes), stamp));
+        }
         match address(path) {
             None => {
                 let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
@@ -98,6 +108,12 @@ impl Input {
     pub fn read_up_to(&self, offset: u64, buf: &mut [u8]) -> io::Result<usize> {
         match self {
             Self::File(file) => read_up_to(file, offset, buf),
+            Self::Held(bytes) => {
+                let rest = usize::try_from(offset).ok().and_then(|offset| bytes.get(offset..)).unwrap_or_default();
+                let len = rest.len().min(buf.len());
+                buf[..len].copy_from_slice(&rest[..len]);
+                Ok(len)
+            }
             #[cfg(feature = "remote")]
             Self::Object(source) => {
                 let len = source.len().saturating_sub(offset).min(buf.len() as u64) as usize;
@@ -192,6 +208,31 @@ mod tests {
         let drive = if cfg!(windows) { "C:/scans/a.laz" } else { "/C:/scans/a.laz" };
         assert_eq!(path("file:///C:/scans/a.laz").as_deref(), Some(drive));
         assert_eq!((path("file://host/a.laz"), path("s3://bucket/a.laz"), path("a.laz")), (None, None, None));
+    }
+
+    #[test]
+    fn inputs_in_memory_are_read_as_files_are() {
+        let bytes: Vec<u8> = (0..100).collect();
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.xyz");
+        std::fs::write(&file, &bytes).unwrap();
+        testing::hold("held.xyz", &bytes[..]);
+        let held = Path::new("held.xyz");
+        let [there, here] = [&*file, held].map(|path| Input::open(path).unwrap());
+        assert_eq!(here.1.len(), there.1.len());
+        for (offset, len) in [(0, 100), (0, 7), (93, 7), (93, 8), (99, 100), (100, 1), (1 << 40, 5), (40, 0)] {
+            let [a, b] = [&there.0, &here.0].map(|input| {
+                let mut buf = vec![0xEE; len];
+                let read = input.read_up_to(offset, &mut buf).unwrap();
+                (read, buf)
+            });
+            assert_eq!(a, b, "{len} bytes at {offset}");
+        }
+        let mut buf = [0; 5];
+        open_named(held).unwrap().read_at(95, &mut buf).unwrap();
+        assert_eq!(buf, [95, 96, 97, 98, 99]);
+        // Other threads see the files.
+        std::thread::spawn(|| assert!(Input::open(Path::new("held.xyz")).is_err())).join().unwrap();
     }
 
     #[test]

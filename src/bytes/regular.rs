@@ -1,9 +1,10 @@
 //! Regular files and nothing else: to open a pipe may wait for ever, and to read a device may never end.
 
-use super::FileId;
+use super::{FileId, testing};
 use std::fs::{File, Metadata};
-use std::io;
+use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
+use std::sync::Arc;
 use std::time::SystemTime;
 
 /// Opens the file at `path` to be read; pipes, devices and folders are refused.
@@ -24,6 +25,46 @@ fn check(about: &Metadata) -> io::Result<()> {
     }
 }
 
+/// A regular file that is read from front to back.
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only meshes are read so"))]
+pub(crate) enum Regular {
+    File(File),
+    /// What a test holds in its place.
+    Held(Cursor<Arc<[u8]>>),
+}
+
+#[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only meshes are read so"))]
+impl Regular {
+    /// Opens the file at `path`, and its state.
+    pub fn open(path: &Path) -> io::Result<(Self, Stamp)> {
+        if let Some(bytes) = testing::held(path) {
+            let stamp = Stamp::of_held(bytes.len() as u64);
+            return Ok((Self::Held(Cursor::new(bytes)), stamp));
+        }
+        let (file, about) = open_regular(path)?;
+        let stamp = Stamp::of(&file, &about);
+        Ok((Self::File(file), stamp))
+    }
+}
+
+impl Read for Regular {
+    fn read(&mut self, buf: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => file.read(buf),
+            Self::Held(bytes) => bytes.read(buf),
+        }
+    }
+}
+
+impl Seek for Regular {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match self {
+            Self::File(file) => file.seek(to),
+            Self::Held(bytes) => bytes.seek(to),
+        }
+    }
+}
+
 /// The state of a file: another one means that it was written to, cut or replaced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(not(feature = "convert"), allow(dead_code, reason = "only conversion reads what others may write"))]
@@ -38,6 +79,11 @@ impl Stamp {
     /// The state of the open `file`, which `about` describes.
     pub fn of(file: &File, about: &Metadata) -> Self {
         Self { len: about.len(), modified: about.modified().ok(), id: FileId::of(file) }
+    }
+
+    /// The state of bytes in memory.
+    pub(super) fn of_held(len: u64) -> Self {
+        Self { len, modified: None, id: None }
     }
 
     /// The state of an object.
@@ -62,6 +108,9 @@ impl Stamp {
 
     /// Whether the file at `path` is in this state.
     pub fn is_of(&self, path: &Path) -> bool {
+        if let Some(bytes) = testing::held(path) {
+            return *self == Self::of_held(bytes.len() as u64);
+        }
         if super::address(path).is_some() {
             return super::Input::open(path).is_ok_and(|(_, now)| now == *self);
         }

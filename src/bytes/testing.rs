@@ -1,11 +1,34 @@
-//! Byte sources for tests: they count, take their time, fail, or wait at a gate.
+//! Byte sources for tests: they count, take their time, fail, or wait at a gate; and inputs in memory.
 
 use super::ByteSource;
 use crate::{Error, Result};
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
+
+/// Whether some thread has inputs in memory.
+static HOLDS: AtomicBool = AtomicBool::new(false);
+
+thread_local! {
+    static HELD: RefCell<HashMap<PathBuf, Arc<[u8]>>> = RefCell::default();
+}
+
+/// From now on, this thread reads `bytes` where a scan, a mesh or a plan file called `path` is asked for, whatever files there are: tests of
+/// millions of inputs would spend their time with the system's files.
+pub fn hold(path: impl Into<PathBuf>, bytes: impl Into<Arc<[u8]>>) {
+    HOLDS.store(true, Relaxed);
+    HELD.with_borrow_mut(|held| held.insert(path.into(), bytes.into()));
+}
+
+/// The bytes that this thread holds under this name.
+pub(crate) fn held(path: &Path) -> Option<Arc<[u8]>> {
+    if HOLDS.load(Relaxed) { HELD.with_borrow(|held| held.get(path).cloned()) } else { None }
+}
 
 /// Counts reads and bytes, and sleeps before each read.
 #[derive(Debug)]

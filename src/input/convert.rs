@@ -120,7 +120,8 @@ pub(super) struct Filter {
 
 impl Filter {
     pub(super) fn new(layout: Layout, exclude: &ClassSet) -> Self {
-        let excluded = |class: usize| if exclude.contains(class as u8) { EXCLUDED } else { 0 };
+        let none = exclude.is_empty();
+        let excluded = |class: usize| if !none && exclude.contains(class as u8) { EXCLUDED } else { 0 };
         let withheld = |byte: usize, bit: u32| if byte >> bit & 1 == 1 { WITHHELD } else { 0 };
         let (byte_15, byte_16) = match layout {
             Layout::Old => (std::array::from_fn(|b| withheld(b, 7) | excluded(b & 31)), [0; 256]),

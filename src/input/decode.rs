@@ -159,8 +159,9 @@ impl PointDecoder {
             Content::Packed { packing, .. } => packing.decoded_bytes(rgb),
             Content::Cloud(_) => return Err(of_another_set()),
         };
-        // A slab is at least one record (64 KiB at most) and never more than a batch.
-        let slab_points = (SLAB_BYTES / record_bytes).clamp(1, BATCH_POINTS);
+        // A slab is at least one record (64 KiB at most) and never more than a batch or than the piece needs.
+        let most_points = piece.points.clamp(1, BATCH_POINTS as u64) as usize;
+        let slab_points = (SLAB_BYTES / record_bytes).clamp(1, most_points);
         self.slab.resize(slab_points * record_bytes, 0);
         let (batch, mut counts, mut refused) = (&mut self.batch, PointCounts::default(), false);
         let filter = set.filter(file.layout());

@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use slicewalk::codec::{Packer, Unpacker};
+use std::cell::RefCell;
 
 /// An archive of one leaf in parts, to be put together again with right lengths and checksums.
 #[derive(Clone)]
@@ -20,6 +21,14 @@ pub fn word(bytes: &[u8], at: usize) -> usize {
 /// Writes the lowest `len` bytes of `value` at `at`.
 pub fn put(bytes: &mut [u8], at: usize, value: u64, len: usize) {
     bytes[at..at + len].copy_from_slice(&value.to_le_bytes()[..len]);
+}
+
+/// Appends the compressed `raw` to `out`.
+pub fn pack(raw: &[u8], out: &mut Vec<u8>) {
+    thread_local! {
+        static PACKER: RefCell<Packer> = RefCell::default();
+    }
+    PACKER.with_borrow_mut(|packer| packer.pack(raw, out));
 }
 
 impl Parts {
@@ -41,7 +50,7 @@ impl Parts {
     /// The leaf as it lies in the file.
     pub fn stored_leaf(&self) -> Vec<u8> {
         let mut stored = Vec::new();
-        Packer::new().pack(&self.leaf, &mut stored);
+        pack(&self.leaf, &mut stored);
         stored
     }
 

@@ -6,20 +6,21 @@ mod forge;
 use super::script::Script;
 use super::{Read, encoded, page_of, read_archive, repair};
 use forge::{Parts, word};
-use slicewalk::codec::{Packer, Unpacker};
+use slicewalk::codec::Unpacker;
 use slicewalk::plan::Coding;
+use std::sync::LazyLock;
 
 /// Sound archives of one leaf.
 const SOUND: [&[u8]; 9] = [
     include_bytes!("../../spec/samples/two-pixels.slices"),
-    include_bytes!("../../spec/samples/shared-and-uniform.slices"),
+    include_bytes!("seeds/archive/few"),
     include_bytes!("../../spec/samples/holes.slices"),
-    include_bytes!("../../spec/samples/levels.slices"),
-    include_bytes!("../../spec/samples/colours.slices"),
+    include_bytes!("seeds/archive/levels"),
+    include_bytes!("seeds/archive/colours"),
     include_bytes!("../../spec/samples/units.slices"),
     include_bytes!("../../spec/samples/part.slices"),
     include_bytes!("../../spec/samples/braided-two-pixels.slices"),
-    include_bytes!("../../spec/samples/braided-levels.slices"),
+    include_bytes!("seeds/archive/levels-braided"),
 ];
 /// Bytes before the body of a page.
 const LEADER: usize = 24;
@@ -28,8 +29,9 @@ const METADATA: usize = 1 << 16;
 
 /// Takes a sound archive apart, changes its parts as the bytes say, puts lengths and checksums right, and reads it.
 pub fn forged(bytes: &[u8]) -> Read {
+    static PARTS: LazyLock<[Parts; SOUND.len()]> = LazyLock::new(|| SOUND.map(Parts::of));
     let mut script = Script(bytes);
-    let mut parts = Parts::of(SOUND[script.below(SOUND.len())]);
+    let mut parts = PARTS[script.below(SOUND.len())].clone();
     let mut head_changes = Vec::new();
     for _ in 0..8 {
         if script.is_over() {
@@ -56,7 +58,7 @@ fn change_metadata(parts: &mut Parts, script: &mut Script) {
     let mut raw = Unpacker::new().unpack(&parts.metadata, METADATA, "").map(<[u8]>::to_vec).unwrap_or_default();
     script.change(&mut raw);
     parts.metadata.clear();
-    Packer::new().pack(&raw, &mut parts.metadata);
+    forge::pack(&raw, &mut parts.metadata);
 }
 
 /// Where the pages of the section lie.

@@ -10,7 +10,8 @@ pub use loader::loader;
 
 use script::Script;
 use slicewalk::NoMonitor;
-use slicewalk::archive::{Archive, ColourReader};
+use slicewalk::archive::{Archive, ColourReader, PageDecoder};
+use slicewalk::bytes::testing::hold;
 use slicewalk::codec::{ColourBlock, ColourEncoder, Decoder, Encoder};
 use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
@@ -18,8 +19,10 @@ use slicewalk::input::{InputOptions, InputSet, PointDecoder, quiet_decoder_panic
 use slicewalk::mesh::{MeshOptions, MeshSet};
 use slicewalk::plan::Coding;
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
-use std::hash::{DefaultHasher, Hash, Hasher};
-use std::path::PathBuf;
+use std::cell::RefCell;
+use std::hash::{Hash, Hasher};
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 /// Points and triangles after which reading ends: a few bytes may stand for billions.
 const ENOUGH: usize = 1 << 20;
@@ -31,9 +34,44 @@ pub type Read = Option<u64>;
 pub type Target = (&'static str, fn(&[u8]) -> Read);
 
 fn digest(content: impl Hash) -> u64 {
-    let mut hasher = DefaultHasher::new();
+    let mut hasher = Sum::default();
     content.hash(&mut hasher);
     hasher.finish()
+}
+
+/// Tells contents apart that nobody chose to be alike; `DefaultHasher` takes as long as reading.
+#[derive(Default)]
+struct Sum(u64);
+
+impl Hasher for Sum {
+    fn write(&mut self, bytes: &[u8]) {
+        for piece in bytes.chunks(8) {
+            let mut number = [0; 8];
+            number[..piece.len()].copy_from_slice(piece);
+            self.write_u64(u64::from_le_bytes(number));
+        }
+        self.write_u64(bytes.len() as u64);
+    }
+
+    fn write_u8(&mut self, number: u8) {
+        self.write_u64(number.into());
+    }
+
+    fn write_u32(&mut self, number: u32) {
+        self.write_u64(number.into());
+    }
+
+    fn write_usize(&mut self, number: usize) {
+        self.write_u64(number as u64);
+    }
+
+    fn write_u64(&mut self, number: u64) {
+        self.0 = (self.0.rotate_left(23) ^ number).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    }
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
 }
 
 /// All targets.
@@ -63,18 +101,19 @@ pub const TARGETS: &[Target] = &[
 /// the table of levels and of the footer put right.
 pub fn archive(bytes: &[u8]) -> Read {
     let read = read_archive(bytes.to_vec());
-    repair(bytes).map_or(read, read_archive)
+    repair(bytes).filter(|repaired| repaired != bytes).map_or(read, read_archive)
 }
 
 fn read_archive(bytes: Vec<u8>) -> Read {
     let archive = Archive::from_bytes(bytes.clone()).ok()?;
     let mut said = (archive.crs().ok(), archive.units().ok(), archive.noise().ok().map(|noise| format!("{noise:?}")));
     let summary = archive.verify(&NoMonitor, &mut |_| ()).expect("nobody asks to stop");
-    let sound = |archive: &Archive| {
-        let mut hasher = DefaultHasher::new();
+    let mut decoder = PageDecoder::new();
+    let mut sound = |archive: &Archive| {
+        let mut hasher = Sum::default();
         let read = |entry: slicewalk::Result<_>| -> slicewalk::Result<()> {
             let entry = entry?;
-            let page = archive.page(&entry)?;
+            let page = archive.page_with(&entry, &mut decoder)?;
             page.columns().for_each(|column| column.hash(&mut hasher));
             Ok(())
         };
@@ -176,16 +215,29 @@ fn page_of(script: &mut Script) -> Page {
 
 const CODINGS: [Coding; 2] = [Coding::Adaptive, Coding::Braided];
 
+thread_local! {
+    /// Scratch memory is made once, as in a conversion.
+    static ENCODERS: RefCell<[Encoder; 2]> = RefCell::new(CODINGS.map(|coding| {
+        Encoder::new(Frame::new(0.05, 0.15).expect("sizes of a grid"), 0).with_coding(coding)
+    }));
+    static DECODER: RefCell<Decoder> = RefCell::default();
+    static COLOURS: RefCell<ColourEncoder> = RefCell::default();
+}
+
 fn encoded(page: &Page, coding: Coding) -> Vec<u8> {
     let mut bytes = Vec::new();
-    Encoder::new(Frame::new(0.05, 0.15).expect("sizes of a grid"), 0).with_coding(coding).encode(page, &mut bytes);
+    let which = CODINGS.iter().position(|&other| other == coding).expect("one of both");
+    ENCODERS.with_borrow_mut(|encoders| encoders[which].encode(page, &mut bytes));
     bytes
 }
 
 /// Decodes any bytes as an encoded page; what decodes must encode to bytes that decode to the same page. So must the page that the
 /// bytes describe as a script.
 pub fn page(bytes: &[u8]) -> Read {
-    let mut decoder = Decoder::default();
+    DECODER.with_borrow_mut(|decoder| page_with(bytes, decoder))
+}
+
+fn page_with(bytes: &[u8], decoder: &mut Decoder) -> Read {
     if let Ok(page) = decoder.decode(bytes) {
         for coding in CODINGS {
             assert_eq!(decoder.decode(&encoded(&page, coding)).as_ref(), Ok(&page));
@@ -203,24 +255,31 @@ pub fn page(bytes: &[u8]) -> Read {
     Some(digest(coded.concat()))
 }
 
+/// The voxels of a page of walls and floor.
+static WALLS: LazyLock<Occupancy> = LazyLock::new(|| {
+    let mut builder = PageBuilder::default();
+    // Up to the last column and row, where neighbours end; a column is left out, and the slices of others lie apart.
+    for at in (0..5 * 3).filter(|at| *at != 7) {
+        let (px, py) = (59 + at % 5, 61 + at / 5);
+        let top = if px % 5 == 0 { 3000 } else { 1000 + 24 * (px - 50) };
+        let span = Span::new(900, top, px % 5 == 0).expect("a span");
+        let shelf = Span::new(6000, 6100, false).filter(|_| px % 4 == 1);
+        assert!(builder.set_column(px, py, &[Some(span), shelf].into_iter().flatten().collect::<Vec<_>>()));
+    }
+    Occupancy::of(&builder.build())
+});
+
 /// Decodes any bytes as the colours of a page of walls and floor; what decodes must encode to bytes that decode to the same. So must
 /// colours that the bytes are.
 pub fn colours(bytes: &[u8]) -> Read {
-    let mut builder = PageBuilder::default();
-    for at in 0..40 * 40 {
-        let (px, py) = (at % 40, at / 40);
-        let top = if px % 9 == 0 { 4000 } else { 1000 + 8 * px };
-        let span = Span::new(900, top, px % 9 == 0).expect("a span");
-        assert!(builder.set_column(px, py, &[span]));
-    }
-    let occupancy = Occupancy::of(&builder.build());
+    let occupancy: &Occupancy = &WALLS;
     let again = |mut block: ColourBlock| {
         let (mut again, before) = (Vec::new(), block.clone());
-        block.encode(&occupancy, &mut ColourEncoder::default(), &mut again);
-        assert_eq!(ColourBlock::decode(&again, &occupancy), Ok(before));
+        COLOURS.with_borrow_mut(|encoder| block.encode(occupancy, encoder, &mut again));
+        assert_eq!(ColourBlock::decode(&again, occupancy), Ok(before));
         again
     };
-    if let Ok(block) = ColourBlock::decode(bytes, &occupancy) {
+    if let Ok(block) = ColourBlock::decode(bytes, occupancy) {
         again(block);
     }
     let mut script = Script(bytes);
@@ -230,8 +289,8 @@ pub fn colours(bytes: &[u8]) -> Read {
     let colour = |[a, r, g, b]: [u8; 4]| (a != 0).then(|| [r, g, b].map(|channel| u16::from(channel) * 257));
     let exact: Vec<_> = pattern.iter().cycle().take(occupancy.len()).map(|&bytes| colour(bytes)).collect();
     let is_whole = exact.len() == occupancy.len();
-    let block =
-        is_whole.then(|| ColourBlock::quantise(&exact, error_milli, &mut ColourEncoder::default())).flatten()?;
+    let block = COLOURS
+        .with_borrow_mut(|encoder| is_whole.then(|| ColourBlock::quantise(&exact, error_milli, encoder)).flatten())?;
     Some(digest(again(block)))
 }
 
@@ -243,31 +302,31 @@ pub fn scan(bytes: &[u8]) -> Read {
     if signed.len() > 24 {
         signed[..4].copy_from_slice(b"LASF");
         signed[24] = 1;
-        return read_scan("laz", &signed);
     }
-    read
+    if signed == bytes { read } else { read_scan("laz", &signed) }
 }
 
 /// Opens any bytes as an E57, as they are and with the checksums of its pages put right.
 pub fn e57(bytes: &[u8]) -> Read {
-    read_scan("e57", bytes);
+    let read = read_scan("e57", bytes);
     let mut checked = bytes.to_vec();
     for page in checked.as_chunks_mut::<1024>().0 {
         let (content, stated) = page.split_at_mut(1020);
         stated.copy_from_slice(&crc32c::crc32c(content).to_be_bytes());
     }
-    read_scan("e57", &checked)
+    if checked == bytes { read } else { read_scan("e57", &checked) }
 }
 
 /// Opens any bytes as a scan with this ending, and decodes what they seem to hold.
-pub fn read_scan(ending: &str, bytes: &[u8]) -> Read {
-    let file = File::new(ending, bytes);
+pub fn read_scan(ending: &'static str, bytes: &[u8]) -> Read {
     // Of formats that have some.
     let source = ColourSource::ALL[bytes.len() % 3];
     let options = InputOptions { colour: Some(source), ..InputOptions::default() };
-    let set = InputSet::open(std::slice::from_ref(&file.0), options, &NoMonitor).ok()?;
+    let path = PathBuf::from(format!("/no folder/fuzz.{ending}"));
+    hold(&path, bytes);
+    let set = InputSet::open(&[path], options, &NoMonitor).ok()?;
     let mut decoder = PointDecoder::new();
-    let (mut points, mut hasher) = (0, DefaultHasher::new());
+    let (mut points, mut hasher) = (0, Sum::default());
     for chunk in set.chunks().take(64) {
         let decoded = decoder.decode(&set, &chunk, &mut |batch| {
             points += batch.len();
@@ -283,12 +342,13 @@ pub fn read_scan(ending: &str, bytes: &[u8]) -> Read {
 }
 
 /// Reads any bytes as a mesh of the format that `ending` names, with its colours.
-pub fn mesh(ending: &str, bytes: &[u8]) -> Read {
-    let file = File::new(ending, bytes);
+pub fn mesh(ending: &'static str, bytes: &[u8]) -> Read {
     let options =
         MeshOptions { memory_bytes: 1 << 16, colours: true, texture_bytes: 1 << 22, ..MeshOptions::default() };
-    let set = MeshSet::open(std::slice::from_ref(&file.0), options, &NoMonitor).ok()?;
-    let (mut feed, mut batch, mut triangles, mut hasher) = (set.feed(), Vec::new(), 0, DefaultHasher::new());
+    let path = PathBuf::from(format!("/no folder/fuzz.{ending}"));
+    hold(&path, bytes);
+    let set = MeshSet::open(&[path], options, &NoMonitor).ok()?;
+    let (mut feed, mut batch, mut triangles, mut hasher) = (set.feed(), Vec::new(), 0, Sum::default());
     while triangles < ENOUGH && feed.next(&mut batch, &NoMonitor).unwrap_or(false) {
         let coordinates = batch.as_flattened().as_flattened();
         assert!(coordinates.iter().all(|v| v.abs() <= 1e12));
@@ -302,30 +362,13 @@ pub fn mesh(ending: &str, bytes: &[u8]) -> Read {
 #[cfg(feature = "cli")]
 pub fn plan(bytes: &[u8]) -> Read {
     use slicewalk::convert::PlanFile;
-    let file = File::new("json", bytes);
-    let plan = PlanFile::read(&file.0).ok()?;
+    let path = Path::new("/no folder/fuzz.json");
+    hold(path, bytes);
+    let plan = PlanFile::read(path).ok()?;
     let mut text = Vec::new();
     plan.write_text(&mut text).expect("memory takes all");
     let text = String::from_utf8(text).expect("JSON");
-    let again = File::new("json", text.as_bytes());
-    assert_eq!(PlanFile::read(&again.0).expect("it was written"), plan);
+    hold(path, text.as_bytes());
+    assert_eq!(PlanFile::read(path).expect("it was written"), plan);
     Some(digest(text))
-}
-
-/// A file of its own for each thread, which goes with this.
-struct File(PathBuf);
-
-impl File {
-    fn new(ending: &str, bytes: &[u8]) -> Self {
-        let name = format!("slicewalk-fuzz-{}-{:?}.{ending}", std::process::id(), std::thread::current().id());
-        let path = std::env::temp_dir().join(name);
-        std::fs::write(&path, bytes).expect("a folder to write to");
-        Self(path)
-    }
-}
-
-impl Drop for File {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
 }

@@ -112,7 +112,8 @@ impl PlanFile {
         let start = &mut start[..source.len().min(3) as usize];
         source.read_at(0, start)?;
         let at = if start == "\u{feff}".as_bytes() { 3 } else { 0 };
-        let text = BufReader::with_capacity(READ_BYTES, Text { source: &*source, at });
+        let text =
+            BufReader::with_capacity(source.len().clamp(1, READ_BYTES as u64) as usize, Text { source: &*source, at });
         let read: Read = serde_json::from_reader(text).map_err(|error| match error.classify() {
             serde_json::error::Category::Io => Error::io(path, "read", error.into()),
             _ => {

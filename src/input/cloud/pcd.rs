@@ -346,12 +346,12 @@ impl Cloud for Packed {
             columns.push((self.column(*field, source)?, *field));
         }
         columns.append(&mut self.unpack(&wanted.map(|(_, fields)| fields), source)?);
-        const AT_ONCE: u64 = 1 << 13;
-        scratch.resize(AT_ONCE as usize * 8 * 7, 0);
+        let at_once = piece.end.clamp(1, 1 << 13) as usize;
+        scratch.resize(at_once * 8 * 7, 0);
         let mut next = 0;
         while next < piece.end {
-            let count = (piece.end - next).min(AT_ONCE) as usize;
-            let mut values = scratch.chunks_exact_mut(AT_ONCE as usize * 8);
+            let count = (piece.end - next).min(at_once as u64) as usize;
+            let mut values = scratch.chunks_exact_mut(at_once * 8);
             let mut filled = Vec::with_capacity(columns.len());
             for (lzf, field) in &mut columns {
                 let Some(bytes) = values.next() else { break };

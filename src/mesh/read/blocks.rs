@@ -1,6 +1,5 @@
 //! Random access to files in small pieces, through a cache of fixed size.
 
-use std::fs::File;
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 
 pub(super) const BLOCK_BYTES: usize = 4096;
@@ -65,7 +64,7 @@ impl Blocks {
 }
 
 /// Reads block `number` of `file`, as much of it as there is.
-pub(super) fn fill_block(file: &mut File, number: u64, bytes: &mut Vec<u8>) -> io::Result<()> {
+pub(super) fn fill_block(file: &mut (impl Read + Seek), number: u64, bytes: &mut Vec<u8>) -> io::Result<()> {
     bytes.resize(BLOCK_BYTES, 0);
     file.seek(SeekFrom::Start(number.saturating_mul(BLOCK_BYTES as u64)))?;
     let mut filled = 0;

@@ -17,7 +17,7 @@ mod watch;
 use self::watch::{Digest, Watch};
 use super::Triangle;
 use super::paint::Paint;
-use crate::bytes::{Stamp, open_regular};
+use crate::bytes::{Regular, Stamp};
 use crate::input::{Units, is_of_input};
 use crate::plan::Up;
 use crate::unit::LengthUnit;
@@ -293,11 +293,11 @@ impl MeshSet {
 
 impl MeshFile {
     fn open(path: &Path) -> Result<Self> {
-        let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
+        let (_, stamp) = Regular::open(path).map_err(|e| Error::io(path, "open", e))?;
         let kind = kind_of(path).ok_or_else(|| {
             Error::input(path, "name", "no mesh of a known format; expected .obj, .ply, .stl, .gltf or .glb")
         })?;
-        Ok(Self { path: path.to_path_buf(), kind, stamp: Stamp::of(&file, &about) })
+        Ok(Self { path: path.to_path_buf(), kind, stamp })
     }
 }
 

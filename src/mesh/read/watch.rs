@@ -1,8 +1,7 @@
 //! What a reader of a mesh minds on its way: the wish to stop, faces that are broken, and the bytes it reads.
 
-use crate::bytes::open_regular;
+use crate::bytes::Regular;
 use crate::{Error, Monitor, Parameter, Result};
-use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -86,16 +85,16 @@ impl Digest {
 
 /// A mesh file that is read from front to back.
 pub(super) struct MeshSource {
-    file: File,
+    file: Regular,
     bytes: u64,
     digest: Digest,
 }
 
 impl MeshSource {
     pub fn open(path: &Path, digest: &Digest) -> Result<Self> {
-        let (file, about) = open_regular(path).map_err(|e| Error::io(path, "open", e))?;
+        let (file, stamp) = Regular::open(path).map_err(|e| Error::io(path, "open", e))?;
         digest.reset();
-        Ok(Self { file, bytes: about.len(), digest: digest.clone() })
+        Ok(Self { file, bytes: stamp.len(), digest: digest.clone() })
     }
 
     /// Length of the file (bytes).

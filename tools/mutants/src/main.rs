@@ -14,11 +14,12 @@ use serde_json::Value;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 /// What the copy of the library gets: the number of the mutant that is on.
@@ -54,7 +55,7 @@ struct Options {
     /// Folder for the copy, its build and the results
     #[arg(long, default_value = "target/mutants")]
     out: PathBuf,
-    /// Only this many mutants, drawn evenly
+    /// Only this many mutants of each module, drawn evenly
     #[arg(long)]
     sample: Option<usize>,
     /// Mutants that run at the same time
@@ -66,22 +67,21 @@ fn main() -> Result<()> {
     let options = Options::parse();
     let root = std::env::current_dir()?;
     ensure!(root.join("src/lib.rs").is_file(), "expected to run in the root of the repository");
-    let copy = copy(&root, &root.join(&options.out))?;
-    let files = sources(&copy, &options.sources)?;
-    let mut tree = Tree::read(&copy, files)?;
-    tree.settle()?;
+    let out = root.join(&options.out);
+    let files = sources(&root, &options.sources)?;
+    let copy = copy(&root, &out, &files)?;
+    let mut tree = Tree::read(&root, &copy, files)?;
+    tree.settle(&out.join("refused.tsv"))?;
     let (modules, results) = (tree.build(&options)?, options.out.join("results.tsv"));
     tree.run(&options, &results, &modules)?;
     print!("{}", summary(&fs::read_to_string(&results)?));
     Ok(())
 }
 
-/// A copy of all that git does not ignore, with the switch.
-fn copy(root: &Path, out: &Path) -> Result<PathBuf> {
+/// A copy of all that git does not ignore but for `changed`, with the switch. What is as it was in the last run stays untouched, and
+/// is not built again.
+fn copy(root: &Path, out: &Path, changed: &[PathBuf]) -> Result<PathBuf> {
     let copy = out.join("copy");
-    if copy.exists() {
-        fs::remove_dir_all(&copy)?;
-    }
     let listed = Command::new("git")
         .args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"])
         .current_dir(root)
@@ -89,19 +89,29 @@ fn copy(root: &Path, out: &Path) -> Result<PathBuf> {
     let listed = String::from_utf8(listed.stdout)?;
     for name in listed.split('\0').filter(|name| !name.is_empty()).chain(["Cargo.lock"]) {
         let (from, to) = (root.join(name), copy.join(name));
-        if from.is_file() {
-            fs::create_dir_all(to.parent().context("a file lies in a folder")?)?;
-            fs::copy(&from, &to).with_context(|| name.to_string())?;
+        if !from.is_file() || changed.iter().any(|path| path == Path::new(name)) {
+            continue;
         }
+        let mut bytes = fs::read(&from).with_context(|| name.to_string())?;
+        if name == "src/lib.rs" {
+            bytes.extend(SWITCH.as_bytes());
+        }
+        write(&to, &bytes)?;
     }
-    let lib = copy.join("src/lib.rs");
-    let text = fs::read_to_string(&lib)?;
-    fs::write(&lib, text + SWITCH)?;
     Ok(copy)
 }
 
-/// The Rust files below `wanted`, without those of tests alone; relative to the copy.
-fn sources(copy: &Path, wanted: &[PathBuf]) -> Result<Vec<PathBuf>> {
+/// Writes a file unless it has these bytes.
+fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    if fs::read(path).is_ok_and(|there| there == bytes) {
+        return Ok(());
+    }
+    fs::create_dir_all(path.parent().context("a file lies in a folder")?)?;
+    fs::write(path, bytes).with_context(|| path.display().to_string())
+}
+
+/// The Rust files below `wanted`, without those of tests alone; relative to the root.
+fn sources(root: &Path, wanted: &[PathBuf]) -> Result<Vec<PathBuf>> {
     fn below(path: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
         if path.is_dir() {
             for entry in fs::read_dir(path)? {
@@ -114,13 +124,13 @@ fn sources(copy: &Path, wanted: &[PathBuf]) -> Result<Vec<PathBuf>> {
     }
     let mut found = Vec::new();
     for path in wanted {
-        below(&copy.join("src").join(path), &mut found).with_context(|| path.display().to_string())?;
+        below(&root.join("src").join(path), &mut found).with_context(|| path.display().to_string())?;
     }
     let is_test =
         |path: &Path| path.components().any(|part| ["tests", "tests.rs"].iter().any(|name| part.as_os_str() == *name));
     let mut found: Vec<_> = found
         .iter()
-        .filter_map(|path| path.strip_prefix(copy).ok())
+        .filter_map(|path| path.strip_prefix(root).ok())
         .filter(|path| !is_test(path))
         .map(Path::to_path_buf)
         .collect();
@@ -160,10 +170,10 @@ struct Tree {
 }
 
 impl Tree {
-    fn read(copy: &Path, paths: Vec<PathBuf>) -> Result<Self> {
+    fn read(root: &Path, copy: &Path, paths: Vec<PathBuf>) -> Result<Self> {
         let (mut sources, mut first) = (Vec::new(), 1);
         for path in paths {
-            let text = fs::read_to_string(copy.join(&path))?;
+            let text = fs::read_to_string(root.join(&path))?;
             let mutants = find::mutants(&text).with_context(|| path.display().to_string())?;
             let count = u32::try_from(mutants.len())?;
             sources.push(Source { path, text, mutants, first, ranges: Vec::new() });
@@ -189,7 +199,7 @@ impl Tree {
                 (!self.refused.contains(&number)).then_some(number)
             };
             let (text, ranges) = find::switched(&source.text, &source.mutants, number);
-            fs::write(self.copy.join(&source.path), text)?;
+            write(&self.copy.join(&source.path), text.as_bytes())?;
             source.ranges = ranges;
         }
         Ok(())
@@ -210,12 +220,26 @@ impl Tree {
         Ok((output.status.success(), messages))
     }
 
-    /// Leaves mutants out until the compiler takes the rest.
-    fn settle(&mut self) -> Result<()> {
+    /// Leaves mutants out until the compiler takes the rest. `known` is a file of those that it refused before.
+    fn settle(&mut self, known: &Path) -> Result<()> {
+        let place = |source: &Source, mutant: &Mutant| format!("{}\t{}\n", source.name(mutant), mutant.place.start);
+        let before = fs::read_to_string(known).unwrap_or_default();
+        let before: BTreeSet<_> = before.split_inclusive('\n').collect();
+        let again = self.mutants().filter(|(_, source, mutant)| before.contains(place(source, mutant).as_str()));
+        self.refused = again.map(|(number, ..)| number).collect();
         for round in 1.. {
             self.write()?;
             let (is_sound, messages) = self.cargo(&["check", "-p", "slicewalk", "--all-features", "--lib"])?;
             if is_sound {
+                let all = self
+                    .sources
+                    .iter()
+                    .flat_map(|source| (source.first..).zip(&source.mutants).map(move |m| (source, m)));
+                let refused = all.filter(|(_, (number, _))| self.refused.contains(number));
+                write(
+                    known,
+                    refused.map(|(source, (_, mutant))| place(source, mutant)).collect::<String>().as_bytes(),
+                )?;
                 eprintln!("{} mutants, {} refused by the compiler", self.mutants().count(), self.refused.len());
                 return Ok(());
             }
@@ -257,7 +281,7 @@ impl Tree {
         }
     }
 
-    /// What runs for mutants of each module: its unit tests, then the test files.
+    /// What runs for mutants of each module: its unit tests, then the test files, the quickest first.
     fn build(&self, options: &Options) -> Result<BTreeMap<String, Vec<Tests>>> {
         let mut arguments = vec!["test", "-p", "slicewalk", "--all-features", "--no-run", "--lib"];
         for test in &options.test {
@@ -271,7 +295,9 @@ impl Tree {
             path.map(PathBuf::from).with_context(|| format!("the tests '{name}' are not built"))
         };
         let file = |name: &String| Tests::new(program(name)?, None, &self.copy);
-        let files = options.test.iter().map(file).collect::<Result<Vec<_>>>()?;
+        let mut files = options.test.iter().map(file).collect::<Result<Vec<_>>>()?;
+        // The quick ones first: most mutants never come to the others.
+        files.sort_by_key(|tests| tests.limit);
         let mut modules = BTreeMap::new();
         for source in &self.sources {
             if let Entry::Vacant(entry) = modules.entry(source.module()) {
@@ -286,11 +312,14 @@ impl Tree {
     fn run(&self, options: &Options, results: &Path, modules: &BTreeMap<String, Vec<Tests>>) -> Result<()> {
         let known = fs::read_to_string(results).unwrap_or_default();
         let known: BTreeSet<_> = known.lines().filter_map(|line| line.split_once('\t')).map(|(_, name)| name).collect();
-        let all: Vec<_> = self.mutants().collect();
-        let count = options.sample.unwrap_or(all.len()).clamp(1, all.len().max(1));
-        // Evenly from all files, in an order that has some of each early on.
-        let stride = (count * 5 / 8..).find(|&stride| is_coprime(stride, count)).unwrap_or(1);
-        let drawn = (0..count).map(|turn| turn * stride % count).filter_map(|index| all.get(index * all.len() / count));
+        let mut by_module: BTreeMap<_, Vec<_>> = BTreeMap::new();
+        for mutant in self.mutants() {
+            by_module.entry(mutant.1.module()).or_default().push(mutant);
+        }
+        let mut drawn: Vec<_> = by_module.values().flat_map(|all| draw(all, options.sample)).collect();
+        // Some of each module early on.
+        drawn.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+        let drawn = drawn.into_iter().map(|(_, mutant)| mutant);
         let todo: Vec<_> = drawn.filter(|(_, source, mutant)| !known.contains(source.name(mutant).as_str())).collect();
         let (file, next) = (fs::OpenOptions::new().create(true).append(true).open(results)?, AtomicUsize::new(0));
         let work = || -> Result<()> {
@@ -331,7 +360,7 @@ impl Tests {
         let start = Instant::now();
         let outcome = tests.run(0, Duration::from_secs(3600), folder)?;
         ensure!(outcome == Outcome::Missed, "{tests:?} fail without a mutant");
-        tests.limit = start.elapsed() * 8 + Duration::from_secs(20);
+        tests.limit = start.elapsed() * 4 + Duration::from_secs(10);
         Ok(tests)
     }
 
@@ -344,19 +373,27 @@ impl Tests {
             .env("SLICEWALK_MUTANT", number.to_string())
             .env("PROPTEST_RNG_SEED", "1")
             .env("RUST_BACKTRACE", "0")
-            .stdout(Stdio::null())
+            .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()?;
-        let start = Instant::now();
-        while start.elapsed() < limit {
-            if let Some(status) = child.try_wait()? {
-                return Ok(if status.success() { Outcome::Missed } else { Outcome::Caught });
+        // Ends with the first test that fails, or with the program.
+        let (failed, news) = mpsc::channel();
+        let mut lines = BufReader::new(child.stdout.take().context("its output comes here")?).lines();
+        std::thread::spawn(move || {
+            if lines.any(|line| line.is_ok_and(|line| line.ends_with("... FAILED"))) {
+                let _ = failed.send(());
             }
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        });
+        let outcome = match news.recv_timeout(limit) {
+            Err(mpsc::RecvTimeoutError::Disconnected) => {
+                return Ok(if child.wait()?.success() { Outcome::Missed } else { Outcome::Caught });
+            }
+            Ok(()) => Outcome::Caught,
+            Err(mpsc::RecvTimeoutError::Timeout) => Outcome::Hung,
+        };
         child.kill()?;
         child.wait()?;
-        Ok(Outcome::Hung)
+        Ok(outcome)
     }
 }
 
@@ -366,6 +403,14 @@ enum Outcome {
     Caught,
     Hung,
     Missed,
+}
+
+/// So many of `all`, evenly, in an order that has some from everywhere early on; with each the part of them that comes before it.
+fn draw<T>(all: &[T], sample: Option<usize>) -> impl Iterator<Item = (f64, &T)> {
+    let count = sample.unwrap_or(all.len()).clamp(1, all.len().max(1));
+    let stride = (count * 5 / 8..).find(|&stride| is_coprime(stride, count)).unwrap_or(1);
+    let place = move |turn: usize| turn * stride % count * all.len() / count;
+    (0..count).filter_map(move |turn| Some((turn as f64 / count as f64, all.get(place(turn))?)))
 }
 
 fn is_coprime(a: usize, b: usize) -> bool {

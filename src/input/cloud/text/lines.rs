@@ -96,8 +96,13 @@ impl<'a> Lines<'a> {
         self.at += self.next as u64;
         self.next = 0;
         let held = self.block.len();
-        self.block.resize(held + BLOCK_BYTES, 0);
         let at = self.at + held as u64;
+        let room = match self.input {
+            // A short file needs no long block.
+            Input::Plain => self.source.stamp().len().saturating_sub(at).min(BLOCK_BYTES as u64) as usize,
+            Input::Packed(_) => BLOCK_BYTES,
+        };
+        self.block.resize(held + room, 0);
         let out = &mut self.block[held..];
         let got = match &mut self.input {
             Input::Plain => self.source.read_at(out, at)?,

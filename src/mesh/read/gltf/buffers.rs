@@ -1,12 +1,11 @@
 //! The buffers of a glTF file, read piece by piece through one cache and few open files, however many buffers there are.
 
 use super::structure::Buffer;
-use crate::bytes::{Stamp, open_regular};
+use crate::bytes::{Regular, Stamp};
 use crate::mesh::read::blocks::{Blocks, fill_block};
 use crate::mesh::read::watch::Digest;
 use crate::{Error, Result};
 use base64::Engine;
-use std::fs::File;
 use std::path::{Component, Path, PathBuf};
 
 /// What is wrong with an address.
@@ -36,7 +35,7 @@ pub struct Buffers {
     /// The glTF file itself first.
     files: Vec<(PathBuf, Stamp)>,
     /// Open ones, the one used last at the end.
-    open: Vec<(u32, File)>,
+    open: Vec<(u32, Regular)>,
     all: Vec<Data>,
     cache: Blocks,
     digest: Digest,
@@ -49,8 +48,8 @@ impl Buffers {
     /// The buffers that the file at `path` names; each has the bytes that it states.
     pub fn open(path: &Path, buffers: &[Buffer], binary: Option<BinaryPart>, digest: &Digest) -> Result<Self> {
         let own = |e| Error::io(path, "open", e);
-        let (file, about) = open_regular(path).map_err(own)?;
-        let files = vec![(path.to_path_buf(), Stamp::of(&file, &about))];
+        let (file, stamp) = Regular::open(path).map_err(own)?;
+        let files = vec![(path.to_path_buf(), stamp)];
         let (open, all) = (vec![(0, file)], Vec::with_capacity(buffers.len()));
         let mut found = Self { files, open, all, cache: Blocks::new(), digest: digest.clone() };
         for (number, buffer) in buffers.iter().enumerate() {
@@ -82,14 +81,14 @@ impl Buffers {
         }
         let path = self.files[0].0.with_file_name(name);
         let refused = |e| format!("cannot open {}: {e}", path.display());
-        let (file, about) = open_regular(&path).map_err(refused)?;
+        let (file, stamp) = Regular::open(&path).map_err(refused)?;
         let number = self.files.len() as u32;
-        self.files.push((path, Stamp::of(&file, &about)));
+        self.files.push((path, stamp));
         self.keep_open(number, file);
-        Ok(Data::File { file: number, start: 0, len: about.len() })
+        Ok(Data::File { file: number, start: 0, len: stamp.len() })
     }
 
-    fn keep_open(&mut self, number: u32, file: File) {
+    fn keep_open(&mut self, number: u32, file: Regular) {
         if self.open.len() == OPEN_FILES {
             self.open.remove(0);
         }
@@ -140,15 +139,15 @@ impl Buffers {
     /// The file `number`, opened again if it is not open.
     fn open_again<'o>(
         files: &[(PathBuf, Stamp)],
-        open: &'o mut Vec<(u32, File)>,
+        open: &'o mut Vec<(u32, Regular)>,
         number: u32,
-    ) -> std::io::Result<&'o mut File> {
+    ) -> std::io::Result<&'o mut Regular> {
         let at = match open.iter().position(|file| file.0 == number) {
             Some(at) => at,
             None => {
                 let (path, stamp) = &files[number as usize];
-                let (file, about) = open_regular(path)?;
-                if Stamp::of(&file, &about) != *stamp {
+                let (file, now) = Regular::open(path)?;
+                if now != *stamp {
                     return Err(std::io::Error::other(format!("{} changed while it was read", path.display())));
                 }
                 if open.len() == OPEN_FILES {
