@@ -29,7 +29,7 @@ enum Command {
     Ways(bench::ways::Options),
     /// Speed beside accuracy: every method in every scene at six pixel sizes
     Chart(bench::chart::Options),
-    /// The same questions to ours and to its peers, about a real scan, with the wrong answers; and the same cubes in more libraries
+    /// The same questions to Slicewalk and its peers: about a real scan, with the wrong answers, and about the same cubes
     Peers(Peers),
     /// Answers of a small cache, asked from four threads, beside those of all pages in memory, for a long time
     Soak(Soak),

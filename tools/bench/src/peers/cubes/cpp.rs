@@ -48,9 +48,10 @@ struct Functions {
 #[derive(Clone)]
 pub struct Native {
     /// What it is called.
-    pub name: &'static str,
+    name: &'static str,
     functions: Arc<Functions>,
     files: [Option<&'static str>; 2],
+    has_mesh: bool,
 }
 
 impl Native {
@@ -65,7 +66,7 @@ impl Native {
             options: &[],
             libraries: &["-lembree3".into()],
         };
-        Self::load("Embree", &recipe, [None; 2])
+        Ok(Self { has_mesh: true, ..Self::load("Embree", &recipe, [None; 2])? })
     }
 
     /// NanoVDB, for places, boxes and rays.
@@ -135,7 +136,7 @@ impl Native {
             options: &options,
             libraries: &[library.display().to_string(), "-pthread".into()],
         };
-        Self::load("Jolt", &recipe, [None; 2])
+        Ok(Self { has_mesh: true, ..Self::load("Jolt", &recipe, [None; 2])? })
     }
 
     fn load(name: &'static str, recipe: &Recipe, files: [Option<&'static str>; 2]) -> Result<Self> {
@@ -153,7 +154,12 @@ impl Native {
                 _library: library,
             }
         };
-        Ok(Self { name, functions: Arc::new(functions), files })
+        Ok(Self { name, functions: Arc::new(functions), files, has_mesh: false })
+    }
+
+    /// Whether it holds triangles.
+    pub fn has_mesh(&self) -> bool {
+        self.has_mesh
     }
 
     /// A world of these triangles and cubes; either may be none, where the peer needs only the other.

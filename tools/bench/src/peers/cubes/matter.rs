@@ -7,7 +7,7 @@ use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA, T
 use slicewalk::plan::Plan;
 use slicewalk::slice::{Page, PageBuilder, Span};
 use slicewalk::store::Store;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 /// Quanta of a cube: slices are three pixels high.
@@ -176,37 +176,95 @@ impl Matter {
         first * way.norm()
     }
 
-    /// The faces between occupied cubes and free ones, two triangles each.
-    pub fn mesh(&self) -> Mesh {
-        let (mut numbers, mut mesh) = (HashMap::new(), Mesh { vertices: Vec::new(), triangles: Vec::new() });
+    /// Calls `face` with every face between an occupied cube and a free one: axis, side (0 or 1), cube.
+    fn faces(&self, mut face: impl FnMut(usize, i32, [i32; 3])) {
         for &cube in &self.cubes {
             for axis in 0..3 {
                 for side in [0, 1] {
                     let mut beside = cube;
                     beside[axis] += 2 * side - 1;
-                    if self.holds(beside) {
-                        continue;
+                    if !self.holds(beside) {
+                        face(axis, side, cube);
                     }
-                    // The other two axes, so that their cross product points along the first.
-                    let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
-                    let mut corners = [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(u, v)| {
-                        let mut corner = cube;
-                        corner[axis] += side;
-                        (corner[a], corner[b]) = (corner[a] + u, corner[b] + v);
-                        *numbers.entry(corner).or_insert_with(|| {
-                            mesh.vertices.push(corner.map(|n| (f64::from(n) * self.edge) as f32));
-                            mesh.vertices.len() as u32 - 1
-                        })
-                    });
-                    if side == 0 {
-                        corners.reverse();
-                    }
-                    let [p, q, r, s] = corners;
-                    mesh.triangles.extend([[p, q, r], [p, r, s]]);
                 }
             }
         }
-        mesh
+    }
+
+    /// The faces between occupied cubes and free ones, two triangles each.
+    pub fn mesh(&self) -> Mesh {
+        let mut builder = Builder::new(self.edge);
+        self.faces(|axis, side, cube| builder.rectangle(axis, side, cube, [1, 1]));
+        builder.mesh
+    }
+
+    /// The same, but faces of a plane that make a rectangle are two triangles together: rows first, then equal rows.
+    pub fn merged(&self) -> Mesh {
+        let mut planes: BTreeMap<(usize, i32, i32), Vec<[i32; 2]>> = BTreeMap::new();
+        self.faces(|axis, side, cube| {
+            planes.entry((axis, side, cube[axis])).or_default().push([cube[(axis + 2) % 3], cube[(axis + 1) % 3]]);
+        });
+        let mut builder = Builder::new(self.edge);
+        for ((axis, side, plane), mut cells) in planes {
+            cells.sort_unstable();
+            let mut rectangle = |first: i32, end: i32, from: i32, to: i32| {
+                let mut cube = [plane; 3];
+                (cube[(axis + 1) % 3], cube[(axis + 2) % 3]) = (first, from);
+                builder.rectangle(axis, side, cube, [end - first, to - from]);
+            };
+            // Rows that go on: by their ends, the row in which they began.
+            let (mut open, mut last) = (BTreeMap::<[i32; 2], i32>::new(), i32::MIN);
+            for row in cells.chunk_by(|a, b| a[0] == b[0]) {
+                let at = row[0][0];
+                if at != last.saturating_add(1) {
+                    std::mem::take(&mut open)
+                        .into_iter()
+                        .for_each(|([i, end], from)| rectangle(i, end, from, last + 1));
+                }
+                let runs: BTreeMap<[i32; 2], i32> = row
+                    .chunk_by(|a, b| a[1] + 1 == b[1])
+                    .map(|run| [run[0][1], run[run.len() - 1][1] + 1])
+                    .map(|ends| (ends, open.remove(&ends).unwrap_or(at)))
+                    .collect();
+                std::mem::replace(&mut open, runs).into_iter().for_each(|([i, end], from)| rectangle(i, end, from, at));
+                last = at;
+            }
+            open.into_iter().for_each(|([i, end], from)| rectangle(i, end, from, last + 1));
+        }
+        builder.mesh
+    }
+}
+
+/// Makes rectangles of triangles that share their vertices.
+struct Builder {
+    edge: f64,
+    numbers: HashMap<[i32; 3], u32>,
+    mesh: Mesh,
+}
+
+impl Builder {
+    fn new(edge: f64) -> Self {
+        Self { edge, numbers: HashMap::new(), mesh: Mesh { vertices: Vec::new(), triangles: Vec::new() } }
+    }
+
+    /// The side of a cube, grown to so many cubes along the two axes that follow.
+    fn rectangle(&mut self, axis: usize, side: i32, cube: [i32; 3], [along, beyond]: [i32; 2]) {
+        // The other two axes, so that their cross product points along the first.
+        let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
+        let mut corners = [(0, 0), (along, 0), (along, beyond), (0, beyond)].map(|(u, v)| {
+            let mut corner = cube;
+            corner[axis] += side;
+            (corner[a], corner[b]) = (corner[a] + u, corner[b] + v);
+            *self.numbers.entry(corner).or_insert_with(|| {
+                self.mesh.vertices.push(corner.map(|n| (f64::from(n) * self.edge) as f32));
+                self.mesh.vertices.len() as u32 - 1
+            })
+        });
+        if side == 0 {
+            corners.reverse();
+        }
+        let [p, q, r, s] = corners;
+        self.mesh.triangles.extend([[p, q, r], [p, r, s]]);
     }
 }
 
@@ -340,12 +398,20 @@ pub(super) mod tests {
     #[test]
     fn triangles_are_the_closed_boundary() -> Result<()> {
         let matter = matter()?;
+        for mesh in [matter.mesh(), matter.merged()] {
+            let corner = |n: u32| Vector3::from(mesh.vertices[n as usize].map(f64::from));
+            let corners = |t: &[u32; 3]| t.map(corner);
+            // The volume inside of a closed surface, by the divergence theorem.
+            let parts = mesh.triangles.iter().map(corners).map(|[a, b, c]| a.dot(&b.cross(&c)) / 6.0);
+            let volume: f64 = parts.sum();
+            assert!((volume / EDGE.powi(3) / matter.cubes.len() as f64 - 1.0).abs() < 1e-3, "{volume}");
+            let areas = mesh.triangles.iter().map(corners).map(|[a, b, c]| (b - a).cross(&(c - a)).norm() / 2.0);
+            let (mut faces, area) = (0, areas.sum::<f64>());
+            matter.faces(|_, _, _| faces += 1);
+            assert!((area / EDGE.powi(2) / f64::from(faces) - 1.0).abs() < 1e-3, "{area}");
+        }
         let mesh = matter.mesh();
-        let corner = |n: u32| Vector3::from(mesh.vertices[n as usize].map(f64::from));
-        // The volume inside of a closed surface, by the divergence theorem.
-        let parts = mesh.triangles.iter().map(|t| corner(t[0]).dot(&corner(t[1]).cross(&corner(t[2]))) / 6.0);
-        let volume: f64 = parts.sum();
-        assert!((volume / EDGE.powi(3) / matter.cubes.len() as f64 - 1.0).abs() < 1e-3, "{volume}");
+        assert!(matter.merged().triangles.len() * 2 < mesh.triangles.len());
         let mut distinct = mesh.vertices.iter().map(|v| v.map(f32::to_bits)).collect::<Vec<_>>();
         distinct.sort_unstable();
         distinct.dedup();

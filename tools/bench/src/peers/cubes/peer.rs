@@ -171,35 +171,39 @@ pub struct Obvhs {
     rays: CwBvh,
     /// In the order of the tree, so that a leaf's lie side by side.
     triangles: Vec<RtTriangle>,
-    boxes: Bvh2,
-    runs: Vec<Bounds>,
+    /// With the runs in its order.
+    boxes: Option<(Bvh2, Vec<Bounds>)>,
     questions: Rc<Questions>,
 }
 
 impl Obvhs {
-    pub fn new(matter: &Matter, mesh: &Mesh, questions: Rc<Questions>) -> Self {
+    /// Of a mesh, and of the cubes where boxes are to be asked, too.
+    pub fn new(matter: Option<&Matter>, mesh: &Mesh, questions: Rc<Questions>) -> Self {
         let corner = |n: u32| glam::Vec3A::from(mesh.vertices[n as usize]);
         let of = |t: &[u32; 3]| Triangle { v0: corner(t[0]), v1: corner(t[1]), v2: corner(t[2]) };
         let triangles: Vec<Triangle> = mesh.triangles.iter().map(of).collect();
         let mut took = Duration::ZERO;
         let rays = build_cwbvh_from_tris(&triangles, BvhBuildParams::slow_build(), &mut took);
         let triangles = rays.primitive_indices.iter().map(|&n| RtTriangle::from(&triangles[n as usize])).collect();
-        let all: Vec<Bounds> = matter.runs().map(|[low, high]| Bounds::new(single(&low), single(&high))).collect();
-        let boxes = build_bvh2(&all, BvhBuildParams::slow_build(), &mut took);
-        let runs = boxes.primitive_indices.iter().map(|&n| all[n as usize]).collect();
-        Self { rays, triangles, boxes, runs, questions }
+        let boxes = matter.map(|matter| {
+            let all: Vec<Bounds> = matter.runs().map(|[low, high]| Bounds::new(single(&low), single(&high))).collect();
+            let boxes = build_bvh2(&all, BvhBuildParams::slow_build(), &mut took);
+            let runs = boxes.primitive_indices.iter().map(|&n| all[n as usize]).collect();
+            (boxes, runs)
+        });
+        Self { rays, triangles, boxes, questions }
     }
 
-    fn hits(&self, asked: &Aabb) -> bool {
+    fn hits((boxes, runs): &(Bvh2, Vec<Bounds>), asked: &Aabb) -> f64 {
         let asked = Bounds::new(single(&asked.min()), single(&asked.max()));
         let mut hit = false;
-        self.boxes.aabb_traverse(asked, |tree, node| {
+        boxes.aabb_traverse(asked, |tree, node| {
             let node = &tree.nodes[node as usize];
-            let own = &self.runs[node.first_index as usize..][..node.prim_count as usize];
+            let own = &runs[node.first_index as usize..][..node.prim_count as usize];
             hit = own.iter().any(|run| run.intersect_aabb(&asked));
             !hit
         });
-        hit
+        yes(hit)
     }
 
     fn cast(&self, ray: &Ray) -> f64 {
@@ -221,11 +225,13 @@ fn single(p: &Point3<f64>) -> glam::Vec3A {
 impl Peer for Obvhs {
     fn ask(&mut self, kind: Kind, count: usize, answers: &mut Vec<f64>) -> Result<Option<f64>> {
         let q = &self.questions;
-        Ok(match kind {
-            Kind::RandomBoxes => Some(timed(&q.random[..count], answers, |asked| yes(self.hits(asked)))),
-            Kind::WalkBoxes => Some(timed(&q.walk[..count], answers, |asked| yes(self.hits(asked)))),
-            Kind::Rays => Some(timed(&q.rays[..count], answers, |ray| self.cast(ray))),
-            Kind::Points | Kind::Sweeps => None,
+        Ok(match (kind, &self.boxes) {
+            (Kind::RandomBoxes, Some(boxes)) => {
+                Some(timed(&q.random[..count], answers, |asked| Self::hits(boxes, asked)))
+            }
+            (Kind::WalkBoxes, Some(boxes)) => Some(timed(&q.walk[..count], answers, |asked| Self::hits(boxes, asked))),
+            (Kind::Rays, _) => Some(timed(&q.rays[..count], answers, |ray| self.cast(ray))),
+            _ => None,
         })
     }
 }

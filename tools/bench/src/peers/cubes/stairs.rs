@@ -134,11 +134,13 @@ pub fn table(native: Option<&Native>, quick: bool) -> Result<String> {
             std::fs::write(&file, &converted.bytes)?;
             let matter = Matter::new(&file, case.start.coords)?;
             add(format!("slicewalk, the cubes, {cm}"), case, &walker(&matter.store, case, matter.origin, frames)?);
-            let mesh = matter.mesh();
-            if let Some(native) = native
-                && let Some(climb) = jolt(native, &mesh, case, matter.origin, frames)?
-            {
-                add(format!("Jolt, faces of the cubes, {cm}"), case, &climb);
+            let (mesh, merged) = (matter.mesh(), matter.merged());
+            for (what, mesh) in [("faces of the cubes", &mesh), ("merged faces", &merged)] {
+                if let Some(native) = native
+                    && let Some(climb) = jolt(native, mesh, case, matter.origin, frames)?
+                {
+                    add(format!("Jolt, {what}, {cm}"), case, &climb);
+                }
             }
             for ((_, tread), climb) in STEPS.iter().zip(rapier(&mesh, case, matter.origin, frames)?) {
                 add(format!("rapier3d, faces of the cubes, {cm}, treads of {tread} m"), case, &climb);
