@@ -245,7 +245,7 @@ impl Peer for World {
     fn ask(&mut self, kind: Kind, count: usize, answers: &mut Vec<f64>) -> Result<Option<f64>> {
         let (code, numbers) = match kind {
             Kind::Points => (0, 3),
-            Kind::RandomBoxes | Kind::WalkBoxes => (1, 6),
+            Kind::RandomBoxes | Kind::WalkBoxes | Kind::RaisedBoxes => (1, 6),
             Kind::Rays => (2, 7),
             Kind::Sweeps => (3, 9),
         };

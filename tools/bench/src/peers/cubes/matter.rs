@@ -347,7 +347,7 @@ pub(super) mod tests {
         assert!((volume / EDGE.powi(3) - matter.cubes.len() as f64).abs() < 1e-6);
         let mut random = Random(9);
         let (mut hits, mut finer) = (0, 0);
-        for _ in 0..4000 {
+        for _ in 0..1500 {
             let place = Point3::from([0, 1, 2].map(|_| random.between(-4.0, 4.0)))
                 + Vector3::new(1000.0, -2000.0, 300.0)
                 - matter.origin;
@@ -365,7 +365,7 @@ pub(super) mod tests {
             assert!(all || !as_converted, "{shape:?}");
             finer += usize::from(all && !as_converted);
         }
-        assert!((100..3000).contains(&hits) && finer > 20, "{hits} {finer}");
+        assert!((30..1000).contains(&hits) && finer > 8, "{hits} {finer}");
         assert!(matter.archive_bytes.iter().all(|&bytes| bytes > 1000));
         Ok(())
     }

@@ -81,6 +81,7 @@ impl Peer for Ours<'_> {
             }
             Kind::RandomBoxes => timed(&q.random[..count], answers, hits),
             Kind::WalkBoxes => timed(&q.walk[..count], answers, hits),
+            Kind::RaisedBoxes => timed(&q.raised[..count], answers, hits),
             Kind::Rays => timed(&q.rays[..count], answers, |ray| match cast(store, ray) {
                 Answer::Known(hit) => hit.map_or(f64::INFINITY, |hit| hit.distance),
                 Answer::NotLoaded(_) => f64::NAN,
@@ -127,6 +128,7 @@ impl Peer for Parry {
             Kind::Points => return Ok(None),
             Kind::RandomBoxes => timed(&q.random[..count], answers, hits),
             Kind::WalkBoxes => timed(&q.walk[..count], answers, hits),
+            Kind::RaisedBoxes => timed(&q.raised[..count], answers, hits),
             Kind::Rays => timed(&q.rays[..count], answers, |ray: &Ray| parry::ray(shape, ray).unwrap_or(f64::INFINITY)),
             Kind::Sweeps => timed(&q.sweeps[..count], answers, |(asked, way)| parry::sweep(shape, asked, *way)),
         }))
@@ -153,6 +155,7 @@ impl Peer for Octree {
         Ok(match kind {
             Kind::RandomBoxes => Some(timed(&self.questions.random[..count], answers, hits)),
             Kind::WalkBoxes => Some(timed(&self.questions.walk[..count], answers, hits)),
+            Kind::RaisedBoxes => Some(timed(&self.questions.raised[..count], answers, hits)),
             _ => None,
         })
     }
@@ -230,6 +233,9 @@ impl Peer for Obvhs {
                 Some(timed(&q.random[..count], answers, |asked| Self::hits(boxes, asked)))
             }
             (Kind::WalkBoxes, Some(boxes)) => Some(timed(&q.walk[..count], answers, |asked| Self::hits(boxes, asked))),
+            (Kind::RaisedBoxes, Some(boxes)) => {
+                Some(timed(&q.raised[..count], answers, |asked| Self::hits(boxes, asked)))
+            }
             (Kind::Rays, _) => Some(timed(&q.rays[..count], answers, |ray| self.cast(ray))),
             _ => None,
         })

@@ -18,6 +18,8 @@ pub const ROUNDING_M: f64 = 1e-4;
 const TOLERANCE_M: f64 = 2e-3;
 /// How high above the feet rays begin (m).
 const EYES_M: f64 = 1.5;
+/// Height of a step that a pawn climbs (m).
+const STEP_M: f64 = 0.35;
 
 /// A kind of question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,18 +27,21 @@ pub enum Kind {
     Points,
     RandomBoxes,
     WalkBoxes,
+    RaisedBoxes,
     Rays,
     Sweeps,
 }
 
 impl Kind {
-    pub const ALL: [Self; 5] = [Self::Points, Self::RandomBoxes, Self::WalkBoxes, Self::Rays, Self::Sweeps];
+    pub const ALL: [Self; 6] =
+        [Self::Points, Self::RandomBoxes, Self::WalkBoxes, Self::RaisedBoxes, Self::Rays, Self::Sweeps];
 
     pub fn title(self) -> &'static str {
         match self {
             Self::Points => "Is a place occupied?",
             Self::RandomBoxes => "Box of the pawn, random places",
             Self::WalkBoxes => "Box of the pawn, along a walk",
+            Self::RaisedBoxes => "Box of the pawn from 0.35 m above its feet up, along a walk",
             Self::Rays => "Ray of 20 m",
             Self::Sweeps => "Sweep of 0.1 m",
         }
@@ -48,6 +53,8 @@ pub struct Questions {
     pub points: Vec<Point3<f64>>,
     pub random: Vec<Aabb>,
     pub walk: Vec<Aabb>,
+    /// The same from the height of a step up: floors of coarse cubes are not in their way.
+    pub raised: Vec<Aabb>,
     pub rays: Vec<Ray>,
     /// From places that are free.
     pub sweeps: Vec<(Aabb, Vector3<f64>)>,
@@ -79,7 +86,9 @@ impl Questions {
         let mut sweeps = sweeps?;
         let skin = Vector3::repeat(ROUNDING_M);
         sweeps.retain(|(shape, _)| !matter.hits(&(shape.min() - skin), &(shape.max() + skin)));
-        Ok(Self { points, random: anywhere, walk, rays, sweeps })
+        let raised = walk.iter().map(|shape| Aabb::new(shape.min() + Vector3::z() * STEP_M, shape.max()));
+        let raised = raised.collect::<slicewalk::Result<Vec<_>>>()?;
+        Ok(Self { points, random: anywhere, walk, raised, rays, sweeps })
     }
 
     /// How many of a kind there are.
@@ -88,6 +97,7 @@ impl Questions {
             Kind::Points => self.points.len(),
             Kind::RandomBoxes => self.random.len(),
             Kind::WalkBoxes => self.walk.len(),
+            Kind::RaisedBoxes => self.raised.len(),
             Kind::Rays => self.rays.len(),
             Kind::Sweeps => self.sweeps.len(),
         }
@@ -100,6 +110,7 @@ impl Questions {
             Kind::Points => self.points.iter().flat_map(|p| <[f64; 3]>::from(*p)).collect(),
             Kind::RandomBoxes => self.random.iter().flat_map(corners).collect(),
             Kind::WalkBoxes => self.walk.iter().flat_map(corners).collect(),
+            Kind::RaisedBoxes => self.raised.iter().flat_map(corners).collect(),
             Kind::Rays => {
                 let numbers = |ray: &Ray| {
                     let [from, way]: [[f64; 3]; 2] = [ray.origin().into(), ray.direction().into()];
@@ -141,6 +152,7 @@ impl Questions {
             Kind::Points => of_box(&self.points[n], &self.points[n]),
             Kind::RandomBoxes => of_box(&self.random[n].min(), &self.random[n].max()),
             Kind::WalkBoxes => of_box(&self.walk[n].min(), &self.walk[n].max()),
+            Kind::RaisedBoxes => of_box(&self.raised[n].min(), &self.raised[n].max()),
             Kind::Rays => {
                 let ray = &self.rays[n];
                 let answer = answer.min(RAY_M);
