@@ -29,8 +29,8 @@ enum Command {
     Ways(bench::ways::Options),
     /// Speed beside accuracy: every method in every scene at six pixel sizes
     Chart(bench::chart::Options),
-    /// The same questions to ours and to its peers, about a real scan, with the wrong answers
-    Peers(Common),
+    /// The same questions to Slicewalk and its peers: about a real scan, with the wrong answers, and about the same cubes
+    Peers(Peers),
     /// Answers of a small cache, asked from four threads, beside those of all pages in memory, for a long time
     Soak(Soak),
     /// The thesis' tables again, with ours beside them; and objects against triangles
@@ -47,6 +47,24 @@ enum Command {
     /// One conversion without what moved, in a process of its own
     #[command(hide = true)]
     Moving(bench::ways::Moving),
+}
+
+#[derive(Debug, clap::Args)]
+struct Peers {
+    #[command(flatten)]
+    common: Common,
+    /// Only one of the pages
+    #[arg(long)]
+    only: Option<PeersPage>,
+}
+
+/// Pages of `bench peers`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum PeersPage {
+    /// `peers.md`: a real scan, with the wrong answers
+    Scan,
+    /// `cubes.md`: the same cubes in every library
+    Cubes,
 }
 
 #[derive(Debug, clap::Args)]
@@ -120,7 +138,15 @@ fn run(command: Command) -> bench::stability::Result<()> {
         Command::Size(common) => bench::size::run(&common.out(), common.quick),
         Command::Lossy(common) => bench::lossy::run(&common.out(), common.quick),
         Command::Chart(options) => bench::chart::run(&options),
-        Command::Peers(common) => bench::peers::run(&common.out(), common.quick),
+        Command::Peers(Peers { common, only }) => {
+            if only != Some(PeersPage::Cubes) {
+                bench::peers::run(&common.out(), common.quick)?;
+            }
+            if only != Some(PeersPage::Scan) {
+                bench::peers::cubes::run(&common.out(), common.quick)?;
+            }
+            Ok(())
+        }
         Command::Soak(soak) => bench::soak::run(&soak.out, soak.minutes),
         Command::Walks(common) => bench::walks::run(&common.out(), common.quick),
         Command::Ways(options) => bench::ways::run(&options),

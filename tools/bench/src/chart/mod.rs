@@ -17,9 +17,9 @@ mod plan;
 mod recast;
 mod record;
 mod solid;
-mod subject;
+pub(crate) mod subject;
 pub mod walkable;
-mod workload;
+pub(crate) mod workload;
 
 use crate::stability::Result;
 use doors::Doors;

@@ -4,7 +4,9 @@
 //! `bench peers` writes `peers.md`. Needs a real scan.
 
 pub(crate) mod character;
+pub mod cubes;
 pub(crate) mod measure;
+mod native;
 pub mod octomap;
 pub(crate) mod oracle;
 pub(crate) mod parry;

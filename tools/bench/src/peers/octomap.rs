@@ -1,11 +1,10 @@
 //! OctoMap: an octree of occupied cubes, behind a few C++ functions of ours that are built when its library is installed.
 
+use super::native::Recipe;
 use crate::stability::Result;
 use nalgebra::{Point3, Vector3};
 use slicewalk::query::Aabb;
 use std::ffi::{c_int, c_void};
-use std::path::Path;
-use std::process::{Command, Output};
 use std::sync::Arc;
 
 /// What its documentation advises, and how boxes are asked.
@@ -34,14 +33,18 @@ pub struct Octomap(Arc<Functions>);
 impl Octomap {
     /// Builds and loads it; an error says in one line why there is none.
     pub fn load() -> Result<Self> {
-        let folder = tempfile::tempdir()?;
-        let library = folder.path().join("liboctree.so");
-        compile(folder.path(), &library)?;
-        // SAFETY: the library was made from our source a moment ago. It runs nothing when it is loaded but what the
-        // constructors of the C++ and OctoMap libraries do, and its functions have these types.
+        let recipe = Recipe {
+            name: "octomap.cc",
+            source: SOURCE,
+            beside: &[],
+            probe: "#include <octomap/OcTree.h>\n",
+            missing: "liboctomap-dev is not installed",
+            options: &[],
+            libraries: &["-loctomap".into(), "-loctomath".into()],
+        };
+        let library = recipe.load()?;
+        // SAFETY: these are the types of the functions of our source.
         let functions = unsafe {
-            let library =
-                libloading::Library::new(&library).map_err(|e| format!("octomap.cc cannot be loaded: {e}"))?;
             Functions {
                 build: *library.get(c"octree_build")?,
                 free: *library.get(c"octree_free")?,
@@ -66,28 +69,6 @@ impl Octomap {
         }
         Ok(Tree { functions: self.0.clone(), handle, from })
     }
-}
-
-fn compile(folder: &Path, library: &Path) -> Result<()> {
-    let compiler = std::env::var_os("CXX").unwrap_or_else(|| "c++".into());
-    let (source, header) = (folder.join("octomap.cc"), folder.join("header.cc"));
-    std::fs::write(&source, SOURCE)?;
-    std::fs::write(&header, "#include <octomap/OcTree.h>\n")?;
-    let start = |command: &mut Command| -> Result<Output> {
-        command.output().map_err(|e| format!("{} cannot be started: {e}", compiler.to_string_lossy()).into())
-    };
-    if !start(Command::new(&compiler).arg("-E").arg(&header))?.status.success() {
-        return Err("liboctomap-dev is not installed".into());
-    }
-    let mut build = Command::new(&compiler);
-    build.args(["-std=c++17", "-O3", "-DNDEBUG", "-shared", "-fPIC", "-o"]).args([library, &source]);
-    let output = start(build.args(["-loctomap", "-loctomath"]))?;
-    if output.status.success() {
-        return Ok(());
-    }
-    let said = String::from_utf8_lossy(&output.stderr);
-    let line = said.lines().find(|line| line.contains("error")).or(said.lines().next());
-    Err(format!("octomap.cc does not compile ({}): {}", output.status, line.unwrap_or("no word why")).into())
 }
 
 /// Why its trees cannot hold something of this size (m), if they cannot.
