@@ -76,7 +76,7 @@ impl Native {
             source: include_str!("../../../native/nanovdb.cc"),
             beside: &[("peer.h", HEADER)],
             probe: "#include <nanovdb/util/OpenToNanoVDB.h>\n",
-            missing: "libnanovdb-dev and libopenvdb-dev are not installed",
+            missing: "libnanovdb-dev, libopenvdb-dev, libboost-dev and libtbb-dev are not all installed",
             options: &["-DNANOVDB_USE_INTRINSICS".into()],
             libraries: &["-lopenvdb".into(), "-ltbb".into()],
         };
