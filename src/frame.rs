@@ -326,6 +326,13 @@ mod tests {
         }
 
         #[test]
+        fn tops_are_the_greatest_heights_of_their_quantum(quantum in -1i64 << 40..1 << 40, slice in 0.003f64..3.0) {
+            let frame = Frame::new(0.1, slice).unwrap();
+            let top = frame.top_height(quantum);
+            prop_assert!(frame.quanta(top) <= quantum as f64 && frame.quanta(top.next_up()) > quantum as f64);
+        }
+
+        #[test]
         fn world_to_grid_is_monotone(a in -1e7f64..1e7, step in 0.0f64..1e-6, t in 0.001f64..1.0) {
             let frame = Frame::new(t, 3.0 * t).unwrap();
             prop_assert!(frame.pixel_of(a) <= frame.pixel_of(a + step));

@@ -321,3 +321,17 @@ impl Content {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn protected_addresses_are_known_by_any_spelling_and_others_are_free() {
+        let protected: Protected = ["s3://bucket/a b.laz"].into_iter().collect();
+        assert!(protected.holds_address("s3://bucket/a b.laz"));
+        assert_eq!(protected.holds_address("s3://bucket/a%20b.laz"), cfg!(feature = "remote"));
+        assert!(!protected.holds_address("s3://bucket/ab.laz") && !protected.holds_address("s3://other/a b.laz"));
+        assert!(!Protected::default().holds_address("s3://bucket/a b.laz"));
+    }
+}

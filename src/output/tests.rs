@@ -249,6 +249,100 @@ fn bytes_go_where_writes_and_seeks_say() {
 }
 
 #[test]
+fn what_was_written_is_read_back() {
+    let (_folder, target) = place(None);
+    let mut output = Output::create(&target, OutputKind::Result, Protected::default()).unwrap();
+    output.write_all(b"hello world").unwrap();
+    let mut bytes = [0; 5];
+    output.read_at(6, &mut bytes).unwrap();
+    assert_eq!(&bytes, b"world");
+    assert!(output.read_at(7, &mut bytes).is_err());
+    output.seek(SeekFrom::Start(2)).unwrap();
+    let mut rest = String::new();
+    output.read_to_string(&mut rest).unwrap();
+    assert_eq!(rest, "llo world");
+}
+
+#[test]
+fn the_same_bytes_are_kept_and_one_other_byte_is_refused() {
+    // More than is compared at once.
+    let bytes = archive(&"x".repeat(CHUNK + CHUNK / 2));
+    let (_folder, target) = place(Some(&bytes));
+    assert!(!publish(&target, MERGED, &bytes).unwrap());
+    for at in [8, CHUNK - 1, CHUNK, bytes.len() - 1] {
+        let mut other = bytes.clone();
+        other[at] ^= 1;
+        assert!(publish(&target, MERGED, &other).is_err(), "byte {at}");
+    }
+    assert!(publish(&target, MERGED, &bytes[..bytes.len() - 1]).is_err());
+    assert_eq!(fs::read(&target).unwrap(), bytes);
+}
+
+#[test]
+fn two_failed_writes_are_no_good_one() {
+    let (_folder, target) = place(None);
+    let mut left = 2;
+    let hook = move |call| {
+        let fails = call == Call::Write && left > 0;
+        left -= u32::from(fails);
+        if fails { Err(io::Error::other("disk is full")) } else { Ok(()) }
+    };
+    let create = || Output::create(&target, OutputKind::Result, Protected::default()).unwrap();
+    let mut output = with_faults(hook, create);
+    assert!(output.write_at(0, b"new").is_err() && output.write_at(0, b"new").is_err());
+    output.write_at(0, b"new").unwrap();
+    assert!(output.publish().is_err());
+    assert!(!target.exists());
+}
+
+#[test]
+fn a_plan_is_an_object_with_its_key_and_nothing_else() {
+    let key = format!("\"{PLAN_KEY}\": 1");
+    for other in ["{\"a\": 1}".to_owned(), key.clone(), format!("[{{{key}}}]")] {
+        let (_folder, target) = place(Some(other.as_bytes()));
+        assert!(publish(&target, PLAN_OVER, &plan("new")).is_err(), "{other}");
+        assert_eq!(fs::read(&target).unwrap(), other.as_bytes());
+    }
+    let (_folder, target) = place(Some(format!("\u{feff} \n{{{key}}}").as_bytes()));
+    assert!(publish(&target, PLAN_OVER, &plan("new")).unwrap());
+}
+
+#[test]
+fn refusals_name_what_is_there_and_what_should_be() {
+    let said = |kind, content: &[u8]| {
+        let (_folder, target) = place(Some(content));
+        publish(&target, kind, &sort(kind, "new")).unwrap_err().to_string()
+    };
+    assert!(said(PLAN_OVER, &archive("a")).contains("exists and is not a plan, so"));
+    assert!(said(ARCHIVE_OVER, &plan("a")).contains("exists and is not a slice archive, so"));
+    let never = "which a picture, table or export never replaces";
+    assert!(said(OutputKind::Result, &archive("a")).contains(&format!("is a slice archive, {never}")));
+    assert!(said(OutputKind::Result, &plan("a")).contains(&format!("is a plan, {never}")));
+}
+
+#[test]
+fn what_a_source_reads_is_not_replaced_and_its_neighbours_are() {
+    let (folder, target) = place(Some(b"read"));
+    let mut protected = Protected::default();
+    protected.add_source(&FileSource::open(&target).unwrap());
+    let said = publish_beside(&target, OutputKind::Result, b"new", protected.clone()).unwrap_err().to_string();
+    assert!(said.contains("a file that this command reads"), "{said}");
+    assert_eq!(fs::read(&target).unwrap(), b"read");
+    let other = folder.path().join("other.x");
+    fs::write(&other, "old").unwrap();
+    assert!(publish_beside(&other, OutputKind::Result, b"new", protected).unwrap());
+    assert_eq!(fs::read(&other).unwrap(), b"new");
+}
+
+#[test]
+fn archives_and_plans_are_not_written_to_standard_output() {
+    for (kind, name) in [(ARCHIVE, "a slice archive"), (PLAN_OVER, "a plan")] {
+        let said = check(Path::new("-"), kind, Protected::default()).unwrap_err().to_string();
+        assert!(said.contains(&format!("{name} is not written to standard output")), "{said}");
+    }
+}
+
+#[test]
 fn what_is_no_file_or_has_no_folder_is_refused() {
     let (folder, target) = place(None);
     fs::write(&target, "").unwrap();
@@ -338,6 +432,34 @@ mod on_unix {
             assert_eq!(fs::read(&target).unwrap(), sort(kind, "read"));
             assert_eq!(fs::read(&late).unwrap(), sort(kind, "read"));
         }
+    }
+
+    #[test]
+    fn a_descriptor_of_a_file_that_is_read_is_refused() {
+        use std::os::fd::AsRawFd;
+        let (folder, target) = place(Some(b"read"));
+        let open = fs::OpenOptions::new().append(true).open(&target).unwrap();
+        let name = PathBuf::from(format!("/dev/fd/{}", open.as_raw_fd()));
+        let said = publish_beside(&name, OutputKind::Result, b"new", [&target].into_iter().collect());
+        assert!(said.unwrap_err().to_string().contains("a file that this command reads"));
+        fs::write(folder.path().join("other"), "").unwrap();
+        let other = [folder.path().join("other")].into_iter().collect();
+        assert!(publish_beside(&name, OutputKind::Result, b" and more", other).unwrap());
+        assert_eq!(fs::read(&target).unwrap(), b"read and more");
+        // More than is copied at once, under another name of the descriptor.
+        let more: Vec<u8> = (0..CHUNK + CHUNK / 2).map(|at| (at / 1000) as u8).collect();
+        let name = PathBuf::from(format!("/proc/self/fd/{}", open.as_raw_fd()));
+        if name.exists() {
+            assert!(publish(&name, OutputKind::Result, &more).unwrap());
+            assert_eq!(fs::read(&target).unwrap(), [b"read and more", &more[..]].concat());
+        }
+    }
+
+    #[test]
+    fn the_owner_is_who_makes_files() {
+        let (_folder, target) = place(Some(b"mine"));
+        let output = Output::create(&target, OutputKind::Result, Protected::default()).unwrap();
+        assert_eq!(output.owner(), Some(fs::metadata(&target).unwrap().uid()));
     }
 
     #[test]

@@ -21,7 +21,7 @@ use slicewalk::plan::Coding;
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
 use std::cell::RefCell;
 use std::hash::{Hash, Hasher};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::LazyLock;
 
 /// Points and triangles after which reading ends: a few bytes may stand for billions.
@@ -362,7 +362,7 @@ pub fn mesh(ending: &'static str, bytes: &[u8]) -> Read {
 #[cfg(feature = "cli")]
 pub fn plan(bytes: &[u8]) -> Read {
     use slicewalk::convert::PlanFile;
-    let path = Path::new("/no folder/fuzz.json");
+    let path = std::path::Path::new("/no folder/fuzz.json");
     hold(path, bytes);
     let plan = PlanFile::read(path).ok()?;
     let mut text = Vec::new();

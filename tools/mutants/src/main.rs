@@ -384,12 +384,18 @@ impl Tests {
                 let _ = failed.send(());
             }
         });
-        let outcome = match news.recv_timeout(limit) {
-            Err(mpsc::RecvTimeoutError::Disconnected) => {
-                return Ok(if child.wait()?.success() { Outcome::Missed } else { Outcome::Caught });
+        // Counted, so that time counts only while this program runs: somebody may stop it for a while.
+        const TICK: Duration = Duration::from_millis(100);
+        let mut ticks = limit.div_duration_f64(TICK) as u64;
+        let outcome = loop {
+            match news.recv_timeout(TICK) {
+                Err(mpsc::RecvTimeoutError::Disconnected) => {
+                    return Ok(if child.wait()?.success() { Outcome::Missed } else { Outcome::Caught });
+                }
+                Ok(()) => break Outcome::Caught,
+                Err(mpsc::RecvTimeoutError::Timeout) if ticks == 0 => break Outcome::Hung,
+                Err(mpsc::RecvTimeoutError::Timeout) => ticks -= 1,
             }
-            Ok(()) => Outcome::Caught,
-            Err(mpsc::RecvTimeoutError::Timeout) => Outcome::Hung,
         };
         child.kill()?;
         child.wait()?;
