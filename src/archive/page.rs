@@ -203,6 +203,9 @@ impl PageEncoder {
     /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds, in its coding (rule P10).
     pub(super) fn gives(&mut self, page: &Page, inferred: &Inferred, bytes: &[u8]) -> bool {
         let Some(coding) = bytes.get(LEADER..).and_then(coding_of) else { return false };
+        if !self.encoder.admits(page) {
+            return false;
+        }
         self.body.clear();
         self.encoder.encode_as(coding, page, inferred, &mut self.body);
         if self.body != bytes[LEADER..] && self.encoder.has_changed(coding) {

@@ -5,6 +5,7 @@
 //! file's header matters: same content, same bytes.
 
 use crate::frame::{Frame, SLICE_QUANTA};
+use crate::slice::{Page, Span};
 
 /// Fractional bits of [`Lattice`]'s numbers.
 pub const FRACTION_BITS: u32 = 32;
@@ -57,6 +58,19 @@ pub enum HeightsOf {
     Scan(Frame),
     /// Of an overview level.
     Level(LevelSteps),
+}
+
+impl HeightsOf {
+    /// Whether `page` has an encoding. Those of a scan and of older levels have, at worst with every quantum a step; levels on thirds
+    /// are coded with no other steps.
+    pub fn admits(&self, page: &Page) -> bool {
+        let steps = match self {
+            Self::Level(steps @ LevelSteps::Thirds) => steps.quanta(),
+            Self::Level(LevelSteps::Fifths) | Self::Scan(_) => return true,
+        };
+        let on_step = |span: &Span| span.bottom().is_multiple_of(steps) && span.top().is_multiple_of(steps);
+        page.spans_of_blocks().all(|spans| spans.iter().all(on_step))
+    }
 }
 
 /// Equally spaced heights above a page's floor: step `index` lies at `phase + index · step`.
@@ -140,7 +154,7 @@ impl Lattice {
     }
 
     /// The lattice of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page lie, else the coarsest of those
-    /// that scans have; of a page of an overview level, that of the level.
+    /// that scans have; of a page of an overview level, that of the level, on which they lie if the level [admits](HeightsOf::admits) them.
     pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
         Self::find_with(of, steps, heights, |_, low, high| low + (high - low) / 2)
     }

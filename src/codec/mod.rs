@@ -122,8 +122,8 @@ impl Encoder {
         }
     }
 
-    /// Appends the encoding of `page`, which must hold matter: at most [`MAX_BODY`] bytes. Equal pages have equal
-    /// encodings, whatever was encoded before.
+    /// Appends the encoding of `page`, at most [`MAX_BODY`] bytes. The page must hold matter, and one of a level lie on its steps. Equal
+    /// pages have equal encodings, whatever was encoded before.
     pub fn encode(&mut self, page: &Page, out: &mut Vec<u8>) {
         self.encode_inferred(page, &Inferred::NONE, out);
     }
@@ -131,6 +131,11 @@ impl Encoder {
     /// As [`encode`](Self::encode), of a page some of whose spans are inferred.
     pub fn encode_inferred(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) {
         self.encode_as(self.coding, page, inferred, out);
+    }
+
+    /// Whether `page` has an encoding: heights of a level's page must lie on the steps of the level.
+    pub(crate) fn admits(&self, page: &Page) -> bool {
+        self.of.admits(page)
     }
 
     /// How this encodes pages.

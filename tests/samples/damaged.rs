@@ -92,6 +92,7 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
         ("inferred-without-holes", "P13", with_body(&parts, |body| drop(body.splice(..1, [2, 2, 1, 1])))),
         ("words-left", "P6", with_body(&parts, |body| body.extend([0, 0]))),
         ("not-the-one-encoding", "P10", other_encoding()),
+        ("levels-on-other-steps", "P10", levels_on_other_steps()),
         ("colours-of-no-source", "K1", coloured.build(|head| put(head, 378, 4, 1))),
         ("colours-without-a-table", "K1", coloured.build(|head| put(head, 352, 11, 8))),
         ("flipped-in-table-of-colours", "K2", in_colours(1)),
@@ -160,6 +161,21 @@ fn colours_of_levels(change: impl FnOnce(&mut [u8], &[u8])) -> Vec<u8> {
     assert!(start + len < end && own[start..start + len] != other[start..start + len]);
     change(&mut own[start..start + len], &other[start..start + len]);
     own
+}
+
+/// The head says that levels lie on thirds of slices, and their pages lie on fifths.
+fn levels_on_other_steps() -> Vec<u8> {
+    let mut bytes = include_bytes!("levels-1.1.bin").to_vec();
+    let head_len = word(&bytes, 12);
+    put(&mut bytes, 10, 4, 2);
+    bytes[24] |= 4;
+    let crc = crc32c::crc32c(&bytes[..head_len - 4]);
+    put(&mut bytes, head_len - 4, crc.into(), 4);
+    let footer = bytes.len() - 24;
+    put(&mut bytes, footer + 8, crc.into(), 4);
+    let crc = crc32c::crc32c(&bytes[footer..footer + 12]);
+    put(&mut bytes, footer + 12, crc.into(), 4);
+    bytes
 }
 
 /// The only shared page begins one byte beside the page that it shares.
