@@ -162,6 +162,112 @@ fn whatever_the_driver_does_the_same_pages_are_there_in_the_end() {
     }
 }
 
+/// A budget in which these pages have room at once.
+fn needed_bytes(keys: &[PageKey]) -> usize {
+    let (mut loader, _) = opened(&TOWER, LoaderOptions::new(16 * BUDGET));
+    let mut link = Link::new(&TOWER, Manners::GOOD, 1);
+    let request = loader.request(keys, keys[0]);
+    link.run(&mut loader, seconds(10.0)).unwrap();
+    let report = loader.outcome(request).unwrap().unwrap();
+    assert_eq!((report.loaded, report.left_out), (keys.len(), 0));
+    report.needed_bytes
+}
+
+fn keys_around(body: &Body) -> Vec<PageKey> {
+    let (mut loader, _) = opened(&TOWER, LoaderOptions::new(BUDGET));
+    Link::new(&TOWER, Manners::GOOD, 1).run(&mut loader, seconds(0.1)).unwrap();
+    loader.views().unwrap().keys_around(&body.motion())
+}
+
+#[test]
+fn a_request_waits_for_room_that_others_give_back() {
+    let wanted = keys_around(&Body::at(0.9, 0.0, 31.0));
+    let (mut loader, pawn) = opened(&TOWER, LoaderOptions::new(needed_bytes(&wanted)));
+    let mut link = Link::new(&TOWER, Manners::GOOD, 1);
+    link.run(&mut loader, seconds(0.1)).unwrap();
+    loader.hint(pawn, &Body::at(-3.0, -3.0, 5.0).motion());
+    let mut decoding = Vec::new();
+    while let Next::Fetch(fetch) = loader.poll(link.now).unwrap() {
+        let bytes = TOWER[fetch.range.start as usize..fetch.range.end as usize].to_vec();
+        decoding.push(loader.given(fetch.id, bytes, link.now).unwrap());
+    }
+    assert!(!decoding.is_empty());
+    loader.forget(pawn);
+    let request = loader.request(&wanted, wanted[0]);
+    link.run(&mut loader, seconds(0.2)).unwrap();
+    assert!(loader.outcome(request).is_none(), "what is being decoded holds room still");
+    for job in decoding {
+        loader.loaded(job.run(), link.now);
+    }
+    link.run(&mut loader, seconds(1.0)).unwrap();
+    let report = loader.outcome(request).unwrap().unwrap();
+    assert_eq!((report.loaded, report.left_out), (wanted.len(), 0), "{report:?}");
+}
+
+/// Two requests and a body that rests, in the budget that the larger of the requests needs beside the body.
+#[test]
+fn requests_get_all_pages_one_after_the_other_in_the_budget_that_each_needs() {
+    let places = [Body::at(0.9, 0.0, 31.0), Body::at(3.0, -3.0, 50.0), Body::at(-3.0, 3.0, 8.0)];
+    let [here, first, second] = places.each_ref().map(keys_around);
+    let beside = |keys: &[PageKey]| needed_bytes(&[keys, &here].concat());
+    let budget = beside(&first).max(beside(&second));
+    for seed in 0..48 {
+        let mut random = Random(seed);
+        let options = LoaderOptions {
+            fetches: 1 + random.below(6) as usize,
+            run_bytes: [0, 10_000, 256 << 10][random.below(3) as usize],
+            ..LoaderOptions::new(budget)
+        };
+        let (mut loader, pawn) = opened(&TOWER, options);
+        let mut link = Link::new(&TOWER, Manners::GOOD, seed);
+        link.run(&mut loader, seconds(0.1)).unwrap();
+        link.manners = Manners {
+            latency: Duration::from_millis(random.below(50)),
+            rate: [1e5, 1e6, 1e9][random.below(3) as usize],
+            lost: 0,
+            shuffled: random.below(2) == 0,
+        };
+        let mut requests = Vec::new();
+        for _ in 0..4 {
+            loader.hint(pawn, &places[0].motion());
+            let later = link.now + seconds(random.between(0.0, 0.2));
+            link.run(&mut loader, later).unwrap();
+            let wanted = if random.below(2) == 0 { &first } else { &second };
+            requests.push(loader.request(wanted, wanted[0]));
+        }
+        link.run(&mut loader, seconds(1000.0)).unwrap();
+        for request in requests {
+            let report = loader.outcome(request).unwrap().unwrap();
+            assert_eq!(report.left_out, 0, "seed {seed}: {report:?}");
+        }
+        let counters = loader.counters();
+        assert!(counters.peak_bytes <= budget, "seed {seed}: {counters:?}");
+    }
+}
+
+/// A page comes slowly into what room there is; for the next one others must go, which a view still holds for a moment.
+#[test]
+fn patience_with_views_begins_when_nothing_else_holds_room() {
+    let wanted = keys_around(&Body::at(0.9, 0.0, 31.0));
+    let other = [Body::at(3.0, -3.0, 50.0), Body::at(-3.0, 3.0, 8.0)].map(|body| keys_around(&body)).concat();
+    let budget = needed_bytes(&[&other[..], &wanted[..1]].concat());
+    assert!(wanted.len() > 1 && budget >= needed_bytes(&wanted));
+    let options = LoaderOptions { run_bytes: 0, fetches: 1, ..LoaderOptions::new(budget) };
+    let (mut loader, _) = opened(&TOWER, options);
+    let mut link = Link::new(&TOWER, Manners::GOOD, 1);
+    loader.request(&other, other[0]);
+    link.run(&mut loader, seconds(1.0)).unwrap();
+    let old = loader.view().unwrap();
+    link.manners.latency = Duration::from_millis(300);
+    let request = loader.request(&wanted, wanted[0]);
+    link.run(&mut loader, link.now + seconds(0.35)).unwrap();
+    assert!(loader.view().unwrap().is_loaded(wanted[0]) == Some(true) && loader.outcome(request).is_none());
+    drop(old);
+    link.run(&mut loader, link.now + seconds(10.0)).unwrap();
+    let report = loader.outcome(request).unwrap().unwrap();
+    assert_eq!((report.loaded, report.left_out), (wanted.len(), 0), "{report:?}");
+}
+
 #[test]
 fn polling_again_without_news_changes_nothing() {
     let (mut loader, pawn) = opened(&TOWER, LoaderOptions::new(BUDGET));

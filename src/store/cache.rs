@@ -102,6 +102,9 @@ pub(super) enum Claim {
     NoRoom(bool),
 }
 
+/// An order, and which pages it leaves in memory for others.
+type Wants<'a> = (&'a Order, &'a dyn Fn(u32) -> bool);
+
 /// The newest snapshot, for any number of readers on any threads: they never wait.
 #[derive(Clone)]
 pub struct Views {
@@ -198,8 +201,15 @@ impl Cache {
         self.victims = None;
     }
 
-    /// Claims the most urgent pages of `order` that are not in memory.
-    pub fn claim(&mut self, order: &mut Order, now: Time, counters: &mut Counters) -> Claim {
+    /// Claims the most urgent pages of `order` that are not in memory. Pages that `stays` names make no room, nor do those that are
+    /// needed now.
+    pub fn claim(
+        &mut self,
+        order: &mut Order,
+        stays: &dyn Fn(u32) -> bool,
+        now: Time,
+        counters: &mut Counters,
+    ) -> Claim {
         let (mut attached, mut busy, mut cursor) = (Vec::new(), false, order.done);
         let mut claim = Claim::Done;
         while let Some(&(time, page)) = order.pages.get(cursor) {
@@ -213,7 +223,7 @@ impl Cache {
             } else if self.in_flight.contains(&content) {
                 busy = true;
             } else if order.explicit || self.may_try(content, now) {
-                match self.claim_run(order, time, page, now, counters) {
+                match self.claim_run((order, stays), time, page, now, counters) {
                     // A uniform page: it is there already.
                     Claim::Done => continue,
                     other => claim = other,
@@ -236,15 +246,16 @@ impl Cache {
     }
 
     /// Claims `page`, and what lies around it; [`Claim::Done`] if it needed no bytes.
-    fn claim_run(&mut self, order: &Order, time: f32, page: u32, now: Time, counters: &mut Counters) -> Claim {
+    fn claim_run(&mut self, wants: Wants, time: f32, page: u32, now: Time, counters: &mut Counters) -> Claim {
+        let order = wants.0;
         let content = self.views.index.content(page);
         let (mut bytes, mut contents) = self.run_around(order, content, now);
         contents[0].1 = page;
-        let mut room = self.make_room(order, time, self.need(&bytes, &contents), counters);
+        let mut room = self.make_room(wants, time, self.need(&bytes, &contents), counters);
         if room.is_none() && contents.len() > 1 {
             contents.truncate(1);
             bytes = self.extent(content);
-            room = self.make_room(order, time, self.need(&bytes, &contents), counters);
+            room = self.make_room(wants, time, self.need(&bytes, &contents), counters);
         }
         let Some(room) = room else {
             counters.no_room += 1;
@@ -321,7 +332,7 @@ impl Cache {
 
     /// Takes room for `bytes`, evicting pages that no body wants, farthest first, and then pages that are needed later
     /// than `time`, latest first.
-    fn make_room(&mut self, order: &Order, time: f32, bytes: usize, counters: &mut Counters) -> Option<Room> {
+    fn make_room(&mut self, wants: Wants, time: f32, bytes: usize, counters: &mut Counters) -> Option<Room> {
         self.retired.reclaim();
         if let Some(room) = self.account.take(bytes) {
             return Some(room);
@@ -331,8 +342,8 @@ impl Cache {
         let held_by_views = used.saturating_sub(self.weight + self.reserved);
         let need = (used - held_by_views).saturating_add(bytes).saturating_sub(budget);
         let mut victims = match self.victims.take() {
-            Some(victims) if !order.explicit => victims,
-            _ => self.victims(order),
+            Some(victims) if !wants.0.explicit => victims,
+            _ => self.victims(wants),
         };
         let (mut gain, mut count) = (0, 0);
         for &(needed, content) in victims.iter().rev() {
@@ -349,18 +360,21 @@ impl Cache {
             self.evict(gone.into_iter().map(|(_, content)| content), counters);
             self.account.take(bytes)
         });
-        if !order.explicit {
+        if !wants.0.explicit {
             self.victims = Some(victims);
         }
         room.flatten()
     }
 
     /// All pages in memory that are not needed now, first to go last.
-    fn victims(&self, order: &Order) -> Vec<(f32, u32)> {
+    fn victims(&self, (order, stays): Wants) -> Vec<(f32, u32)> {
         let mut focus = self.focus.clone();
         focus.extend(order.focus.iter().filter(|_| order.explicit));
         let rank = |(&content, resident): (&u32, &Resident)| {
             let time = |page: &u32| {
+                if stays(*page) {
+                    return 0.0;
+                }
                 let hinted = self.times.get(page).copied().unwrap_or(f32::INFINITY);
                 hinted.min(order.times.get(page).copied().unwrap_or(f32::INFINITY))
             };

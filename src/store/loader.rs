@@ -68,7 +68,6 @@ struct Tracked {
 pub(super) struct Flight {
     run: PageRun,
     since: Time,
-    pub request: Option<RequestId>,
     decoding: bool,
 }
 
@@ -154,9 +153,9 @@ pub struct Loader {
     start: Option<Box<Start>>,
     pub(super) cache: Option<Box<Cache>>,
     bodies: ById<BodyId, Tracked>,
-    /// What the bodies want, and whether they said something else since.
+    /// What the bodies want, and whether it, or what may go for it, is another since.
     hinted: Order,
-    stale: bool,
+    pub(super) stale: bool,
     again: Option<Time>,
     pub(super) requests: ById<RequestId, Request>,
     /// Asked for before the directory was there.
@@ -369,11 +368,15 @@ impl Loader {
         if self.stale || self.again.is_some_and(|again| again <= now) {
             self.replan();
         }
+        if self.gives_way(None) {
+            return Turn::Busy;
+        }
         let Some(cache) = &mut self.cache else { return Turn::Busy };
-        let claim = cache.claim(&mut self.hinted, now, &mut self.counters);
+        let stays = |page| self.requests.values().any(|request| request.order.wants(page));
+        let claim = cache.claim(&mut self.hinted, &stays, now, &mut self.counters);
         self.again = self.hinted.again;
         match claim {
-            Claim::Run(run) => Turn::Fetch(self.launch(run, None)),
+            Claim::Run(run) => Turn::Fetch(self.launch(run)),
             Claim::Done => Turn::Idle,
             Claim::Busy => Turn::Busy,
             Claim::NoRoom(views) => Turn::NoRoom(views),
@@ -402,13 +405,13 @@ impl Loader {
         (self.stale, self.again) = (false, None);
     }
 
-    pub(super) fn launch(&mut self, run: PageRun, request: Option<RequestId>) -> Fetch {
+    pub(super) fn launch(&mut self, run: PageRun) -> Fetch {
         let id = FetchId(self.name());
         let range = run.bytes.clone();
         self.counters.reads += 1;
         self.counters.read_bytes += range.end - range.start;
         let needed_in = Duration::from_secs_f32(run.needed_in.max(0.0));
-        self.flights.insert(id, Flight { run, since: self.now, request, decoding: false });
+        self.flights.insert(id, Flight { run, since: self.now, decoding: false });
         Fetch { id, range, needed_in }
     }
 
@@ -502,6 +505,7 @@ impl Loader {
     /// A page could not be loaded: the request that waits for it ends, or a report is due.
     fn fail(&mut self, content: u32, error: PageError) {
         self.counters.failed += 1;
+        self.stale = true;
         let Some(cache) = &mut self.cache else { return };
         cache.note_failure(content, &error.error, self.now);
         let page = cache.index().find(error.key);

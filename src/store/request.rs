@@ -33,15 +33,19 @@ pub struct LoadReport {
 #[derive(Debug)]
 pub(super) struct Request {
     pub order: Order,
-    since: Time,
     absent: usize,
     evicted: u64,
+    /// Whether it lacks room that others give back; meanwhile nobody behind it fetches.
+    lacks_room: bool,
+    /// Since when it waits for views alone.
+    waits_since: Option<Time>,
 }
 
 impl Loader {
     /// Asks for these pages before all others, nearest to `around` first, and for an [`outcome`](Self::outcome): when all
-    /// are there, one failed, or the rest finds no room. Unknown keys hold no matter and need no page. Pages that no hint
-    /// needs now make room, farthest first.
+    /// are there, one failed, or the rest finds no room. Unknown keys hold no matter and need no page. Pages that neither a hint
+    /// needs now nor an earlier request asks for make room, farthest first. Before it does without a page it waits for all that is on
+    /// its way, and for views to be dropped, these for 0.1 s; hints and later requests fetch nothing meanwhile.
     pub fn request(&mut self, keys: &[PageKey], around: PageKey) -> RequestId {
         let id = RequestId(self.name());
         match &self.cache {
@@ -61,7 +65,13 @@ impl Loader {
         let Some(cache) = &self.cache else { return };
         let order = Order::explicit(cache.index(), keys, around);
         let (absent, evicted) = (cache.absent(&order), self.counters.evicted);
-        self.requests.insert(id, Request { order, since: self.now, absent, evicted });
+        self.requests.insert(id, Request { order, absent, evicted, lacks_room: false, waits_since: None });
+        self.stale = true;
+    }
+
+    /// Whether a request before this one, or before the hints, lacks room.
+    pub(super) fn gives_way(&self, id: Option<RequestId>) -> bool {
+        self.requests.iter().any(|(other, request)| request.lacks_room && id.is_none_or(|id| *other < id))
     }
 
     /// The next step of a request.
@@ -70,24 +80,42 @@ impl Loader {
         if let Some(outcome) = self.ended.remove(&id) {
             return Turn::Ended(outcome);
         }
-        let (Some(cache), Some(request)) = (&mut self.cache, self.requests.get_mut(&id)) else { return Turn::Busy };
-        match cache.claim(&mut request.order, now, &mut self.counters) {
-            Claim::Run(run) => return Turn::Fetch(self.launch(run, Some(id))),
-            Claim::Busy => return Turn::Busy,
-            // What is on its way takes room that it gives back.
-            Claim::NoRoom(_) if self.flights.values().any(|flight| flight.request == Some(id)) => return Turn::Busy,
-            Claim::NoRoom(true) if now < request.since + PATIENCE => return Turn::NoRoom(true),
-            Claim::Done | Claim::NoRoom(_) => {}
+        if self.gives_way(Some(id)) {
+            return Turn::NoRoom(false);
         }
-        let left_out = cache.absent(&request.order);
-        let report = LoadReport {
-            loaded: request.absent.saturating_sub(left_out),
-            already: request.order.pages.len() - request.absent,
-            evicted: (self.counters.evicted - request.evicted) as usize,
-            left_out,
-            needed_bytes: cache.needed_bytes(&request.order),
+        let (Some(cache), Some(mut request)) = (&mut self.cache, self.requests.remove(&id)) else { return Turn::Busy };
+        let stays = |page| self.requests.iter().any(|(other, earlier)| *other < id && earlier.order.wants(page));
+        let mut claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
+        if matches!(claim, Claim::Done) && cache.absent(&request.order) > 0 {
+            // An earlier request took the room of what was there.
+            request.order.restart();
+            claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
+        }
+        request.lacks_room = matches!(claim, Claim::NoRoom(_));
+        // What is on its way takes room that it gives back.
+        let comes = !self.flights.is_empty();
+        let turn = match claim {
+            Claim::Run(run) => Turn::Fetch(self.launch(run)),
+            Claim::Busy => Turn::Busy,
+            Claim::NoRoom(_) if comes => Turn::NoRoom(false),
+            Claim::NoRoom(true) if now < *request.waits_since.get_or_insert(now) + PATIENCE => {
+                self.requests.insert(id, request);
+                return Turn::NoRoom(true);
+            }
+            Claim::Done | Claim::NoRoom(_) => {
+                let left_out = cache.absent(&request.order);
+                self.stale = true;
+                return Turn::Ended(Ok(LoadReport {
+                    loaded: request.absent.saturating_sub(left_out),
+                    already: request.order.pages.len() - request.absent,
+                    evicted: (self.counters.evicted - request.evicted) as usize,
+                    left_out,
+                    needed_bytes: cache.needed_bytes(&request.order),
+                }));
+            }
         };
-        self.requests.remove(&id);
-        Turn::Ended(Ok(report))
+        request.waits_since = None;
+        self.requests.insert(id, request);
+        turn
     }
 }
