@@ -62,7 +62,7 @@ use slicewalk::plan::Plan;
 use slicewalk::query::{Aabb, Overlap, overlaps};
 use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, LazyLock, OnceLock};
 use std::time::Duration;
 
 /// Pages in a row along x, 3.2 m each.
@@ -151,6 +151,36 @@ fn bodies_on_their_threads_get_their_pages_or_not_loaded_and_never_free() {
         bodies.into_iter().for_each(|body| body.join().unwrap());
         assert!(stream.settle(FOREVER));
         assert!(stream.take_errors().is_empty());
+    });
+}
+
+/// Two requests at once, and a body that comes and goes, in the room that one page needs beside that of the body.
+#[test]
+fn requests_at_once_get_their_pages_in_the_room_that_each_needs() {
+    static BUDGET: OnceLock<usize> = OnceLock::new();
+    schedules(move || {
+        let budget = *BUDGET.get_or_init(|| {
+            let all = stream(1 << 20);
+            all.load_around(&body(3).1).unwrap();
+            let beside = all.counters().resident_bytes;
+            beside + (0..2).map(|page| all.load_around(&body(page).1).unwrap().needed_bytes).max().unwrap()
+        });
+        let stream = Arc::new(stream(budget));
+        let mut pawn = stream.pawn();
+        pawn.hint(&body(3).1);
+        let loads: Vec<_> = (0..2)
+            .map(|page| {
+                let stream = stream.clone();
+                thread::spawn(move || stream.load_around(&body(page).1).unwrap())
+            })
+            .collect();
+        drop(pawn);
+        for load in loads {
+            let report = load.join().unwrap();
+            assert_eq!(report.left_out, 0, "{report:?}, {:?}", stream.counters());
+        }
+        assert!(stream.settle(FOREVER));
+        assert!(stream.counters().peak_bytes <= budget);
     });
 }
 

@@ -92,8 +92,8 @@ impl Loader {
             claim = cache.claim(&mut request.order, &stays, now, &mut self.counters);
         }
         request.lacks_room = matches!(claim, Claim::NoRoom(_));
-        // What is on its way takes room that it gives back.
-        let comes = !self.flights.is_empty();
+        // What is on its way takes room that it gives back, and so does what an earlier request waits for.
+        let comes = !self.flights.is_empty() || self.requests.iter().any(|(other, _)| *other < id);
         let turn = match claim {
             Claim::Run(run) => Turn::Fetch(self.launch(run)),
             Claim::Busy => Turn::Busy,
