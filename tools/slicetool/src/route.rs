@@ -12,7 +12,11 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 /// Ways between places farther apart are planned on overview levels first (m).
+const NEAR_M: f64 = 40.0;
+/// Between places farther apart the way along a coarse one is the answer, whatever its length (m).
 const FAR_M: f64 = 150.0;
+/// No way found is longer than this multiple of the shortest, up to there.
+const WITHIN: f64 = 1.05;
 /// Largest pixels of a level on which ways are planned (m).
 const COARSEST_M: f64 = 4.0;
 /// From a coarse way to the edge of the corridor about it (pixels of its level).
@@ -110,19 +114,33 @@ pub fn run(arguments: &Arguments) -> Outcome {
 /// A route, or why there is none.
 type Found = Result<Route, Refusal>;
 
-/// The way in the archive itself: near the straight line first, and farther if it leads farther; long ways along a coarse one.
+/// The way in the archive itself: along a coarse one where that is known to be good enough, else near the straight line first, and
+/// farther if it leads farther.
 fn find(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Found, Failure> {
     let (pawn, ends) = (arguments.walks.pawn(), [arguments.from, arguments.to]);
-    if (ends[1] - ends[0]).xy().norm() > FAR_M
+    let straight = (ends[1] - ends[0]).xy().norm();
+    let mut known = None;
+    if straight > NEAR_M
         && let Ok(guess) = coarse(arguments, loader, bytes)?
-        && let Some(route) = refined(arguments, loader, guess, bytes)?
     {
-        return Ok(Ok(route));
+        known = refined(arguments, loader, guess, bytes)?;
     }
     let mut planner = Planner::new(&loader.view(), pawn, ends[0], ends[1])?;
+    if let Some(route) = &known {
+        // Only a way so short would be better by more than that.
+        let shorter = route.length_m / WITHIN;
+        if straight > FAR_M || shorter <= straight {
+            return Ok(known.ok_or(Refusal::NotConnected));
+        }
+        planner = planner.within(shorter);
+    }
     let found = loader.known(|view| planned(&mut planner, view))?;
     *bytes = (*bytes).max(loader.memory_bytes() + planner.peak_bytes());
-    Ok(found)
+    Ok(match (found, known) {
+        (Ok(found), Some(known)) if known.length_m < found.length_m => Ok(known),
+        (Err(_), Some(known)) => Ok(known),
+        (found, _) => found,
+    })
 }
 
 fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found>> {
@@ -198,19 +216,32 @@ fn guessed(planner: &mut Coarse, view: &View, most: usize) -> slicewalk::Result<
 fn refined(arguments: &Arguments, loader: &Loader, guess: Guess, bytes: &mut usize) -> Result<Option<Route>, Failure> {
     let pawn = arguments.walks.pawn();
     let fine = *loader.archive().frame();
-    let pixel = |number: u32| fine.pixel_m() * f64::from(4u32.pow(number));
-    let (mut guide, mut of) = (guess.route, guess.level);
-    for number in (1..guess.level).rev() {
-        let on_level = loader.level(number, &arguments.walks)?;
-        let planner = Coarse::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
-        let mut planner = planner.near(&guide, BESIDE * pixel(of));
-        let found = on_level.known(|view| guessed(&mut planner, view, usize::MAX))?;
-        *bytes = (*bytes).max(on_level.memory_bytes() + planner.memory_bytes());
-        if let Some(Ok(route)) = found {
-            (guide, of) = (route, number);
+    let beside = |level: u32| BESIDE * fine.pixel_m() * f64::from(4u32.pow(level));
+    let mut guide = guess;
+    for level in (1..guide.level).rev() {
+        let on_level = loader.level(level, &arguments.walks)?;
+        let mut best: Option<Guess> = None;
+        // A coarser level hides what is in the way: where the finest shows it, the way may lead around it, anywhere.
+        for is_near in [true, false].into_iter().take(if level == 1 { 2 } else { 1 }) {
+            let mut planner = Coarse::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
+            if is_near {
+                planner = planner.near(&guide.route, beside(guide.level));
+            }
+            let found = on_level.known(|view| guessed(&mut planner, view, MOST_SPANS))?;
+            *bytes = (*bytes).max(on_level.memory_bytes() + planner.memory_bytes());
+            let doubt_m = planner.doubt_m();
+            if let Some(Ok(route)) = found
+                && best.as_ref().is_none_or(|best| doubt_m < best.doubt_m)
+            {
+                best = Some(Guess { level, route, doubt_m });
+            }
+            if best.as_ref().is_some_and(|best| best.doubt_m == 0.0) {
+                break;
+            }
         }
+        guide = best.unwrap_or(guide);
     }
-    let mut along = Along::new(pawn, arguments.from, arguments.to, &guide, BESIDE * pixel(of));
+    let mut along = Along::new(pawn, arguments.from, arguments.to, &guide.route, beside(guide.level));
     let found = loader.known(|view| along.go_on(view, &NoMonitor))?;
     *bytes = (*bytes).max(loader.memory_bytes() + along.peak_bytes());
     Ok(found.ok())
