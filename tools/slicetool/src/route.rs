@@ -4,6 +4,7 @@ use crate::ground::{Loader, Walks};
 use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Along, Coarse, Planned, Planner, Refusal, Route};
 use slicewalk::store::View;
@@ -52,16 +53,16 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
-    let loader = Loader::open(&arguments.archive, &arguments.walks)?;
-    let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
+    let archive = arguments.walks.open(&arguments.archive)?;
+    let output = arguments.output.as_deref().map(|output| crate::output(output, &archive, &[])).transpose()?;
     let mut bytes = 0;
     let (found, guess) = if arguments.coarse {
-        match on_levels(arguments, &loader, &mut bytes)? {
+        match on_levels(arguments, &archive, &mut bytes)? {
             Ok(guess) => (Ok(guess.route), Some((guess.level, guess.doubt_m))),
             Err(refusal) => (Err(refusal), None),
         }
     } else {
-        (find(arguments, &loader, &mut bytes)?, None)
+        (find(arguments, archive, &mut bytes)?, None)
     };
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
@@ -79,7 +80,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
             "level": guess.map(|guess| guess.0),
             "doubt_m": guess.map(|guess| guess.1),
-            "memory_bytes": bytes.max(loader.memory_bytes()),
+            "memory_bytes": bytes,
             "seconds": seconds,
         });
         return Ok(format!("{summary:#}\n"));
@@ -116,24 +117,27 @@ type Found = Result<Route, Refusal>;
 
 /// The way in the archive itself: along a coarse one where that is known to be good enough, else near the straight line first, and
 /// farther if it leads farther.
-fn find(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Found, Failure> {
+fn find(arguments: &Arguments, archive: Archive, bytes: &mut usize) -> Result<Found, Failure> {
+    let loader = Loader::new(archive, &arguments.archive, &arguments.walks)?;
     let (pawn, ends) = (arguments.walks.pawn(), [arguments.from, arguments.to]);
     let straight = (ends[1] - ends[0]).xy().norm();
-    let mut known = None;
-    if straight > NEAR_M
-        && let Ok(guess) = coarse(arguments, loader, bytes)?
-    {
-        known = refined(arguments, loader, guess, bytes)?;
-    }
+    let known = match straight > NEAR_M {
+        true => match coarse(arguments, loader.archive(), bytes)? {
+            Ok(guess) => refined(arguments, &loader, guess, bytes)?,
+            Err(_) => None,
+        },
+        false => None,
+    };
     let mut planner = Planner::new(&loader.view(), pawn, ends[0], ends[1])?;
-    if let Some(route) = &known {
-        // Only a way so short would be better by more than that.
-        let shorter = route.length_m / WITHIN;
-        if straight > FAR_M || shorter <= straight {
-            return Ok(known.ok_or(Refusal::NotConnected));
+    let known = match known {
+        Some(route) if straight > FAR_M || route.length_m <= WITHIN * straight => return Ok(Ok(route)),
+        Some(route) => {
+            // Only a way so short would be better by more than that.
+            planner = planner.within(route.length_m / WITHIN);
+            Some(route)
         }
-        planner = planner.within(shorter);
-    }
+        None => None,
+    };
     let found = loader.known(|view| planned(&mut planner, view))?;
     *bytes = (*bytes).max(loader.memory_bytes() + planner.peak_bytes());
     Ok(match (found, known) {
@@ -160,26 +164,32 @@ struct Guess {
     doubt_m: f64,
 }
 
+/// The pages of a level.
+fn on_level(arguments: &Arguments, archive: &Archive, number: u32) -> Result<Loader, Failure> {
+    let level = archive.level(number).map_err(|error| crate::broken(&arguments.archive, &error))?;
+    Loader::new(level, &arguments.archive, &arguments.walks)
+}
+
 /// The way on levels alone.
-fn on_levels(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
-    if loader.archive().levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
-        let archive = arguments.archive.display();
-        let text = format!("{archive}: it has no overview levels; convert with --levels on, or leave out --coarse");
+fn on_levels(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
+    if archive.levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
+        let path = arguments.archive.display();
+        let text = format!("{path}: it has no overview levels; convert with --levels on, or leave out --coarse");
         return Err(Failure::Text(text));
     }
-    coarse(arguments, loader, bytes)
+    coarse(arguments, archive, bytes)
 }
 
 /// The way on the coarsest level that leaves no doubt, else that on the finest one that has a way; a fine level also decides that there is none.
-fn coarse(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
+fn coarse(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
     let broken = |error| crate::broken(&arguments.archive, &error);
     let mut best = Err(Refusal::NotConnected);
-    for level in loader.archive().levels().map_err(broken)?.iter().rev() {
+    for level in archive.levels().map_err(broken)?.iter().rev() {
         // A body is a few pixels wide at least where doors matter; a whole level of one page says nothing of ways.
         if level.frame().pixel_m() > COARSEST_M {
             continue;
         }
-        let on_level = loader.level(level.number(), &arguments.walks)?;
+        let on_level = on_level(arguments, archive, level.number())?;
         let mut planner = Coarse::new(&on_level.view(), arguments.walks.pawn(), arguments.from, arguments.to)?;
         let most = if best.is_ok() { MOST_SPANS } else { usize::MAX };
         let found = on_level.known(|view| guessed(&mut planner, view, most))?;
@@ -219,7 +229,7 @@ fn refined(arguments: &Arguments, loader: &Loader, guess: Guess, bytes: &mut usi
     let beside = |level: u32| BESIDE * fine.pixel_m() * f64::from(4u32.pow(level));
     let mut guide = guess;
     for level in (1..guide.level).rev() {
-        let on_level = loader.level(level, &arguments.walks)?;
+        let on_level = on_level(arguments, loader.archive(), level)?;
         let mut best: Option<Guess> = None;
         // A coarser level hides what is in the way: where the finest shows it, the way may lead around it, anywhere.
         for is_near in [true, false].into_iter().take(if level == 1 { 2 } else { 1 }) {
