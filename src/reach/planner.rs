@@ -6,6 +6,12 @@ use crate::store::{Missing, PageSet};
 use crate::{Monitor, Result};
 use nalgebra::Point3;
 
+/// Ways are looked for up to this multiple of the straight line, and some metres for the way around what stands there (m).
+const STRETCH: f64 = 1.05;
+const ROUND_M: f64 = 4.0;
+/// By how much longer ones are looked for where none is found.
+const WIDER: f64 = 1.5;
+
 /// Where a [`Planner`] is.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
@@ -29,6 +35,8 @@ pub struct Planner {
     spots: [Option<Spot>; 2],
     flood: Option<Flood>,
     length: f64,
+    /// Whether longer ways are of no use.
+    is_bounded: bool,
     peak_bytes: usize,
 }
 
@@ -36,9 +44,16 @@ impl Planner {
     /// Plans the way of `pawn` between two places (m); in the air, the floor below counts. Fails for a pawn that is none and for a set of pages
     /// that is too large, as [`StandingPlaces::new`] does.
     pub fn new<S: PageSet>(set: &S, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
-        let length = 1.2 * (to - from).xy().norm() + 4.0;
+        let length = STRETCH * (to - from).xy().norm() + ROUND_M;
         let standing = StandingPlaces::new(set, pawn)?;
-        Ok(Self { ends: [from, to], standing, spots: [None; 2], flood: None, length, peak_bytes: 0 })
+        Ok(Self { ends: [from, to], standing, spots: [None; 2], flood: None, length, is_bounded: false, peak_bytes: 0 })
+    }
+
+    /// Looks only where ways of up to this length lead (m), and no farther. [`Refusal::NotConnected`] then says that no way is so short; one
+    /// that is found may be a little longer.
+    #[must_use]
+    pub fn within(self, length: f64) -> Self {
+        Self { length, is_bounded: true, ..self }
     }
 
     /// Most bytes of memory that it took so far.
@@ -72,11 +87,12 @@ impl Planner {
         let bytes = self.standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes() + search.memory_bytes();
         self.peak_bytes = self.peak_bytes.max(bytes);
         // What a way of this length can touch has been looked at; a shorter way lies in it whole.
+        let is_last = self.is_bounded || flood.is_whole();
         match route {
-            Some(route) if route.length_m <= self.length || flood.is_whole() => return Ok(Planned::Done(Ok(route))),
+            Some(route) if is_last || route.length_m <= self.length => return Ok(Planned::Done(Ok(route))),
             Some(route) => self.length = route.length_m,
-            None if flood.is_whole() => return Ok(Planned::Done(Err(Refusal::NotConnected))),
-            None => self.length *= 2.0,
+            None if is_last => return Ok(Planned::Done(Err(Refusal::NotConnected))),
+            None => self.length *= WIDER,
         }
         Ok(Planned::Unfinished)
     }

@@ -65,6 +65,26 @@ fn a_task_goes_on_step_by_step_to_the_same_route() {
 }
 
 #[test]
+fn a_task_that_is_bounded_looks_no_farther_than_ways_so_long_lead() {
+    // The only gap lies 100 pixels to the side of the straight line.
+    let store = room(60, 200, |i, j| (i == 30 && j < 180).then_some(b'#'));
+    let plan = |most: Option<f64>| {
+        let mut planner = Planner::new(&store, thin(), at(5, 80), at(55, 80)).unwrap();
+        if let Some(most) = most {
+            planner = planner.within(most);
+        }
+        (finish(&mut planner, &store, usize::MAX).0, planner.peak_bytes())
+    };
+    let (whole, bytes) = plan(None);
+    let length = whole.clone().unwrap().length_m;
+    assert!(length > 3.0 * 50.0 * T, "{length}");
+    assert_eq!(plan(Some(length)).0, whole);
+    let (short, few) = plan(Some(1.1 * 50.0 * T));
+    assert_eq!(short, Err(Refusal::NotConnected));
+    assert!(few < bytes, "{few} of {bytes} bytes");
+}
+
+#[test]
 fn a_task_names_the_pages_that_it_needs_and_stops_when_it_is_asked_to() {
     struct Stops;
     impl slicewalk::Monitor for Stops {

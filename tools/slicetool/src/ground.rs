@@ -2,6 +2,7 @@
 
 use crate::Failure;
 use crate::nearest::nearest;
+use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
 use slicewalk::reach::Pawn;
@@ -31,6 +32,11 @@ pub struct Walks {
 }
 
 impl Walks {
+    /// Opens the archive that is walked in.
+    pub fn open(&self, archive: &Path) -> Result<Archive, Failure> {
+        self.inferred.open(archive)
+    }
+
     /// The pawn as the library knows it.
     pub fn pawn(&self) -> Pawn {
         Pawn { climb: self.climb, max_drop: self.max_drop.unwrap_or(self.climb), ..Pawn::new(self.pawn) }
@@ -65,23 +71,12 @@ pub struct Loader {
 }
 
 impl Loader {
-    /// Opens the archive.
-    pub fn open(archive: &Path, walks: &Walks) -> Result<Self, Failure> {
+    /// Of an archive at `path`.
+    pub fn new(archive: Archive, path: &Path, walks: &Walks) -> Result<Self, Failure> {
         let budget = usize::try_from(walks.cache).unwrap_or(usize::MAX);
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
-        let stream =
-            Stream::open(walks.inferred.open(archive)?, options).map_err(|error| crate::broken(archive, &error))?;
-        Ok(Self { stream, archive: archive.to_path_buf() })
-    }
-
-    /// Of an overview level of the same archive.
-    pub fn level(&self, number: u32, walks: &Walks) -> Result<Self, Failure> {
-        let broken = |error| crate::broken(&self.archive, &error);
-        let budget = usize::try_from(walks.cache).unwrap_or(usize::MAX);
-        let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
-        let level = self.archive().level(number).map_err(broken)?;
-        let stream = Stream::open(level, options).map_err(broken)?;
-        Ok(Self { stream, archive: self.archive.clone() })
+        let stream = Stream::open(archive, options).map_err(|error| crate::broken(path, &error))?;
+        Ok(Self { stream, archive: path.to_path_buf() })
     }
 
     /// The pages in memory now.
@@ -90,7 +85,7 @@ impl Loader {
     }
 
     /// The archive.
-    pub fn archive(&self) -> &slicewalk::archive::Archive {
+    pub fn archive(&self) -> &Archive {
         self.stream.archive()
     }
 

@@ -4,6 +4,7 @@ use crate::ground::{Loader, Walks};
 use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
+use slicewalk::archive::Archive;
 use slicewalk::query::Answer;
 use slicewalk::reach::{Along, Coarse, Planned, Planner, Refusal, Route};
 use slicewalk::store::View;
@@ -12,7 +13,11 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 /// Ways between places farther apart are planned on overview levels first (m).
+const NEAR_M: f64 = 40.0;
+/// Between places farther apart the way along a coarse one is the answer, whatever its length (m).
 const FAR_M: f64 = 150.0;
+/// No way found is longer than this multiple of the shortest, up to there.
+const WITHIN: f64 = 1.05;
 /// Largest pixels of a level on which ways are planned (m).
 const COARSEST_M: f64 = 4.0;
 /// From a coarse way to the edge of the corridor about it (pixels of its level).
@@ -48,16 +53,16 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
-    let loader = Loader::open(&arguments.archive, &arguments.walks)?;
-    let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
+    let archive = arguments.walks.open(&arguments.archive)?;
+    let output = arguments.output.as_deref().map(|output| crate::output(output, &archive, &[])).transpose()?;
     let mut bytes = 0;
     let (found, guess) = if arguments.coarse {
-        match on_levels(arguments, &loader, &mut bytes)? {
+        match on_levels(arguments, &archive, &mut bytes)? {
             Ok(guess) => (Ok(guess.route), Some((guess.level, guess.doubt_m))),
             Err(refusal) => (Err(refusal), None),
         }
     } else {
-        (find(arguments, &loader, &mut bytes)?, None)
+        (find(arguments, archive, &mut bytes)?, None)
     };
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
@@ -75,7 +80,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
             "level": guess.map(|guess| guess.0),
             "doubt_m": guess.map(|guess| guess.1),
-            "memory_bytes": bytes.max(loader.memory_bytes()),
+            "memory_bytes": bytes,
             "seconds": seconds,
         });
         return Ok(format!("{summary:#}\n"));
@@ -110,19 +115,36 @@ pub fn run(arguments: &Arguments) -> Outcome {
 /// A route, or why there is none.
 type Found = Result<Route, Refusal>;
 
-/// The way in the archive itself: near the straight line first, and farther if it leads farther; long ways along a coarse one.
-fn find(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Found, Failure> {
+/// The way in the archive itself: along a coarse one where that is known to be good enough, else near the straight line first, and
+/// farther if it leads farther.
+fn find(arguments: &Arguments, archive: Archive, bytes: &mut usize) -> Result<Found, Failure> {
+    let loader = Loader::new(archive, &arguments.archive, &arguments.walks)?;
     let (pawn, ends) = (arguments.walks.pawn(), [arguments.from, arguments.to]);
-    if (ends[1] - ends[0]).xy().norm() > FAR_M
-        && let Ok(guess) = coarse(arguments, loader, bytes)?
-        && let Some(route) = refined(arguments, loader, guess, bytes)?
-    {
-        return Ok(Ok(route));
-    }
+    let straight = (ends[1] - ends[0]).xy().norm();
+    let known = match straight > NEAR_M {
+        true => match coarse(arguments, loader.archive(), bytes)? {
+            Ok(guess) => refined(arguments, &loader, guess, bytes)?,
+            Err(_) => None,
+        },
+        false => None,
+    };
     let mut planner = Planner::new(&loader.view(), pawn, ends[0], ends[1])?;
+    let known = match known {
+        Some(route) if straight > FAR_M || route.length_m <= WITHIN * straight => return Ok(Ok(route)),
+        Some(route) => {
+            // Only a way so short would be better by more than that.
+            planner = planner.within(route.length_m / WITHIN);
+            Some(route)
+        }
+        None => None,
+    };
     let found = loader.known(|view| planned(&mut planner, view))?;
     *bytes = (*bytes).max(loader.memory_bytes() + planner.peak_bytes());
-    Ok(found)
+    Ok(match (found, known) {
+        (Ok(found), Some(known)) if known.length_m < found.length_m => Ok(known),
+        (Err(_), Some(known)) => Ok(known),
+        (found, _) => found,
+    })
 }
 
 fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found>> {
@@ -142,26 +164,32 @@ struct Guess {
     doubt_m: f64,
 }
 
+/// The pages of a level.
+fn on_level(arguments: &Arguments, archive: &Archive, number: u32) -> Result<Loader, Failure> {
+    let level = archive.level(number).map_err(|error| crate::broken(&arguments.archive, &error))?;
+    Loader::new(level, &arguments.archive, &arguments.walks)
+}
+
 /// The way on levels alone.
-fn on_levels(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
-    if loader.archive().levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
-        let archive = arguments.archive.display();
-        let text = format!("{archive}: it has no overview levels; convert with --levels on, or leave out --coarse");
+fn on_levels(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
+    if archive.levels().map_err(|error| crate::broken(&arguments.archive, &error))?.is_empty() {
+        let path = arguments.archive.display();
+        let text = format!("{path}: it has no overview levels; convert with --levels on, or leave out --coarse");
         return Err(Failure::Text(text));
     }
-    coarse(arguments, loader, bytes)
+    coarse(arguments, archive, bytes)
 }
 
 /// The way on the coarsest level that leaves no doubt, else that on the finest one that has a way; a fine level also decides that there is none.
-fn coarse(arguments: &Arguments, loader: &Loader, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
+fn coarse(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
     let broken = |error| crate::broken(&arguments.archive, &error);
     let mut best = Err(Refusal::NotConnected);
-    for level in loader.archive().levels().map_err(broken)?.iter().rev() {
+    for level in archive.levels().map_err(broken)?.iter().rev() {
         // A body is a few pixels wide at least where doors matter; a whole level of one page says nothing of ways.
         if level.frame().pixel_m() > COARSEST_M {
             continue;
         }
-        let on_level = loader.level(level.number(), &arguments.walks)?;
+        let on_level = on_level(arguments, archive, level.number())?;
         let mut planner = Coarse::new(&on_level.view(), arguments.walks.pawn(), arguments.from, arguments.to)?;
         let most = if best.is_ok() { MOST_SPANS } else { usize::MAX };
         let found = on_level.known(|view| guessed(&mut planner, view, most))?;
@@ -198,19 +226,32 @@ fn guessed(planner: &mut Coarse, view: &View, most: usize) -> slicewalk::Result<
 fn refined(arguments: &Arguments, loader: &Loader, guess: Guess, bytes: &mut usize) -> Result<Option<Route>, Failure> {
     let pawn = arguments.walks.pawn();
     let fine = *loader.archive().frame();
-    let pixel = |number: u32| fine.pixel_m() * f64::from(4u32.pow(number));
-    let (mut guide, mut of) = (guess.route, guess.level);
-    for number in (1..guess.level).rev() {
-        let on_level = loader.level(number, &arguments.walks)?;
-        let planner = Coarse::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
-        let mut planner = planner.near(&guide, BESIDE * pixel(of));
-        let found = on_level.known(|view| guessed(&mut planner, view, usize::MAX))?;
-        *bytes = (*bytes).max(on_level.memory_bytes() + planner.memory_bytes());
-        if let Some(Ok(route)) = found {
-            (guide, of) = (route, number);
+    let beside = |level: u32| BESIDE * fine.pixel_m() * f64::from(4u32.pow(level));
+    let mut guide = guess;
+    for level in (1..guide.level).rev() {
+        let on_level = on_level(arguments, loader.archive(), level)?;
+        let mut best: Option<Guess> = None;
+        // A coarser level hides what is in the way: where the finest shows it, the way may lead around it, anywhere.
+        for is_near in [true, false].into_iter().take(if level == 1 { 2 } else { 1 }) {
+            let mut planner = Coarse::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
+            if is_near {
+                planner = planner.near(&guide.route, beside(guide.level));
+            }
+            let found = on_level.known(|view| guessed(&mut planner, view, MOST_SPANS))?;
+            *bytes = (*bytes).max(on_level.memory_bytes() + planner.memory_bytes());
+            let doubt_m = planner.doubt_m();
+            if let Some(Ok(route)) = found
+                && best.as_ref().is_none_or(|best| doubt_m < best.doubt_m)
+            {
+                best = Some(Guess { level, route, doubt_m });
+            }
+            if best.as_ref().is_some_and(|best| best.doubt_m == 0.0) {
+                break;
+            }
         }
+        guide = best.unwrap_or(guide);
     }
-    let mut along = Along::new(pawn, arguments.from, arguments.to, &guide, BESIDE * pixel(of));
+    let mut along = Along::new(pawn, arguments.from, arguments.to, &guide.route, beside(guide.level));
     let found = loader.known(|view| along.go_on(view, &NoMonitor))?;
     *bytes = (*bytes).max(loader.memory_bytes() + along.peak_bytes());
     Ok(found.ok())

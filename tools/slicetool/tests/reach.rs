@@ -209,6 +209,42 @@ fn a_long_route_is_planned_on_levels_first_and_a_coarse_one_says_that_it_is() {
     assert!(out.status.code() == Some(1) && said.contains("--levels on") && said.lines().count() == 1, "{said}");
 }
 
+/// A house of 8 m on a floor, which the coarsest levels take for ground: the straight line leads through it.
+#[test]
+fn a_route_planned_on_levels_leads_around_a_house_and_is_as_short_as_one_without_levels() {
+    const PIXEL: f64 = 0.05;
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let middle = |n: i32| PIXEL * (f64::from(n) + 0.5);
+    let is_house = |i: i32, j: i32| (340..580).contains(&i) && (80..840).contains(&j);
+    let is_wall = |i: i32, j: i32| {
+        is_house(i, j) && [(-1, 0), (1, 0), (0, -1), (0, 1)].iter().any(|way| !is_house(i + way.0, j + way.1))
+    };
+    let columns = (0..920).flat_map(|i| (0..920).map(move |j| (i, j)));
+    let points = columns.flat_map(|(i, j)| {
+        let heights = match (is_wall(i, j), is_house(i, j)) {
+            (true, _) => 0..160,
+            (_, true) => 159..160,
+            _ => 0..1,
+        };
+        heights.map(move |k| [middle(i), middle(j), PIXEL * f64::from(k)])
+    });
+    let scan = at.join("scan.las");
+    write_las(&scan, points, &WriteSpec::for_path(&scan)).unwrap();
+    let routes = [true, false].map(|levels| {
+        let mut options = ConvertOptions::new(vec![scan.clone()], at.join(format!("{levels}.slices")));
+        (options.pixel, options.threads, options.levels) = (PixelSize::Metres(PIXEL), 1, levels);
+        convert(&options, &NoMonitor).unwrap();
+        let archive = format!("{levels}.slices");
+        json(&done(at, &["route", &archive, "--from", "2,21,0.1", "--to", "44,25,0.1", "--json"]))
+    });
+    let number = |found: &serde_json::Value, key: &str| found[key].as_f64().unwrap_or_else(|| panic!("{found}"));
+    let [length, shortest] = routes.each_ref().map(|found| number(found, "length_m"));
+    assert!(shortest > 1.3 * 42.0 && (0.99..1.05).contains(&(length / shortest)), "{routes:?}");
+    let [bytes, most] = routes.each_ref().map(|found| number(found, "memory_bytes"));
+    assert!(bytes < most, "{routes:?}");
+}
+
 #[test]
 fn answers_that_rest_on_inferred_floor_say_so() {
     let folder = tempfile::tempdir().unwrap();

@@ -50,7 +50,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     crate::standard::refuse_two(arguments.output.as_deref(), arguments.json)?;
     let started = Instant::now();
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
-    let loader = Loader::open(&arguments.archive, &arguments.walks)?;
+    let archive = arguments.walks.open(&arguments.archive)?;
+    let loader = Loader::new(archive, &arguments.archive, &arguments.walks)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
     let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
     let Some(start) = loader.known(|view| standing.spot(view, arguments.from))? else {
