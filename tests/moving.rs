@@ -184,6 +184,7 @@ fn walkers_go_and_what_stands_stays_beside_glass_mirrors_plants_and_clutter() {
         report["points_moving"].as_u64().unwrap() + report["points_kept"].as_u64().unwrap(),
         samples.len() as u64
     );
+    assert_eq!(report["points_read"], samples.len(), "those that were removed were read");
     assert_eq!(report["remove_moving"], true);
 
     // Another order, other threads, a small memory.

@@ -568,6 +568,7 @@ impl Conversion<'_> {
         let left_out = write_archive(plan, store, writing, &mut writer, removed, monitor)?;
         let (voxels_dropped, points_moving) = (left_out.voxels, left_out.moving);
         read.own.kept -= points_moving;
+        read.own.left_out.read += points_moving;
         let crs = set.crs().unwrap_or_default().to_owned();
         let header = writer.finish(Totals { noise, ..read.own.totals(&crs, &units) })?;
         if whole && header.points_read > 0 && header.voxels.occupied == 0 {

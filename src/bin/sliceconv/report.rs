@@ -94,7 +94,7 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
         say(&format!("dropped: {dropped} with too few points or without neighbours, and their points"));
     }
     if header.plan.options.fill_holes > 0 {
-        let widest = number(f64::from(header.plan.options.fill_holes) * frame.pixel_m());
+        let widest = rounded(f64::from(header.plan.options.fill_holes) * frame.pixel_m(), frame.quantum_m());
         let inferred = counted(header.voxels.inferred, "voxel");
         say(&format!("holes of up to {widest} m: closed by {inferred} of inferred floor"));
     }

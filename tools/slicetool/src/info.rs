@@ -137,7 +137,8 @@ fn points(header: &Header) -> String {
     }
     let unusable =
         points_read.saturating_sub(points_kept).saturating_sub(points_excluded).saturating_sub(points_withheld);
-    let reasons = [(points_excluded, "excluded by class"), (points_withheld, "withheld"), (unusable, "unusable")];
+    let others = if header.plan.options.remove_moving { "moving or unusable" } else { "unusable" };
+    let reasons = [(points_excluded, "excluded by class"), (points_withheld, "withheld"), (unusable, others)];
     let reasons = reasons.iter().filter(|reason| reason.0 > 0).map(|(n, why)| format!("{} {why}", grouped(*n)));
     let reasons = reasons.collect::<Vec<_>>().join(", ");
     format!("{} read, {} kept ({reasons})", grouped(points_read), grouped(points_kept))
@@ -158,7 +159,8 @@ fn options(header: &Header) -> String {
         text += ", without moving points";
     }
     if options.fill_holes > 0 {
-        let widest = number(f64::from(options.fill_holes) * header.plan.frame.pixel_m());
+        let frame = &header.plan.frame;
+        let widest = rounded(f64::from(options.fill_holes) * frame.pixel_m(), frame.quantum_m());
         text += &format!(", holes of up to {widest} m closed");
     }
     match options.drop_floaters {

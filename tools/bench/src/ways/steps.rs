@@ -106,7 +106,7 @@ pub fn section(effort: &Effort) -> Result<String> {
     }
     Ok(format!(
         "\n## Random steps with `max_drop`\n\nTicks of 1/60 s at 3 m/s in random directions from random standing places, `max_drop` {MAX_DROP_M} m. \
-         *Fallen* counts steps that end deeper than that below the last ground.\n\n{}\n",
+         *Fallen* counts steps that end deeper than that below the last ground, and 5 mm for heights rounded outwards.\n\n{}\n",
         table.markdown()
     ))
 }
