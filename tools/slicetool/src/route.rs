@@ -14,9 +14,11 @@ use std::time::Instant;
 
 /// Ways between places farther apart are planned on overview levels first (m).
 const NEAR_M: f64 = 40.0;
-/// Between places farther apart the way along a coarse one is the answer, whatever its length (m).
+/// Between places farther apart the way along a coarse one is the answer, whatever its length (m), unless all pixels with a shorter
+/// way are few.
 const FAR_M: f64 = 150.0;
-/// No way found is longer than this multiple of the shortest, up to there.
+const FEW_PIXELS: f64 = 5e5;
+/// No way found is longer than this multiple of the shortest otherwise.
 const WITHIN: f64 = 1.05;
 /// Largest pixels of a level on which ways are planned (m).
 const COARSEST_M: f64 = 4.0;
@@ -130,10 +132,14 @@ fn find(arguments: &Arguments, archive: Archive, bytes: &mut usize) -> Result<Fo
     };
     let mut planner = Planner::new(&loader.view(), pawn, ends[0], ends[1])?;
     let known = match known {
-        Some(route) if straight > FAR_M || route.length_m <= WITHIN * straight => return Ok(Ok(route)),
         Some(route) => {
             // Only a way so short would be better by more than that.
-            planner = planner.within(route.length_m / WITHIN);
+            let shorter = route.length_m / WITHIN;
+            let pixels = ellipse_m2(straight, shorter) / loader.archive().frame().pixel_m().powi(2);
+            if pixels == 0.0 || straight > FAR_M && pixels > FEW_PIXELS {
+                return Ok(Ok(route));
+            }
+            planner = planner.within(shorter);
             Some(route)
         }
         None => None,
@@ -145,6 +151,11 @@ fn find(arguments: &Arguments, archive: Archive, bytes: &mut usize) -> Result<Fo
         (Err(_), Some(known)) => Ok(known),
         (found, _) => found,
     })
+}
+
+/// Area where ways of this `length` between two places lead that are `straight` apart.
+fn ellipse_m2(straight: f64, length: f64) -> f64 {
+    std::f64::consts::PI / 4.0 * length * (length.powi(2) - straight.powi(2)).max(0.0).sqrt()
 }
 
 fn planned(planner: &mut Planner, view: &View) -> slicewalk::Result<Answer<Found>> {
