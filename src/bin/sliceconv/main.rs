@@ -41,8 +41,9 @@ use values::{classes, epsg, length, part};
 )]
 struct Arguments {
     /// Scans and meshes: files, folders of scans, or glob patterns in quotes. Folders and patterns do not find .txt and .csv
-    /// files; text may be compressed (.gz, .zst). Scans may also be at https:// addresses, or in object stores: s3://bucket/key (gs://,
-    /// az://), s3://bucket/folder/, "s3://bucket/tiles/*.laz", with credentials from AWS_* (GOOGLE_*, AZURE_*) in the environment
+    /// files, folders no .ply either; text may be compressed (.gz, .zst). Scans may also be at https:// addresses, or in object
+    /// stores: s3://bucket/key (gs://, az://), s3://bucket/folder/, "s3://bucket/tiles/*.laz", with credentials from AWS_*
+    /// (GOOGLE_*, AZURE_*) in the environment
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
     /// Archive to write: a file, or an address in an object store

@@ -91,15 +91,9 @@ fn as_text(path: &Path) -> Result<String, Failure> {
     let [occupied, stored, unique] = [header.tiles.occupied, header.tiles.stored, header.tiles.unique].map(grouped);
     rows.push(("tiles", format!("{occupied} occupied, {stored} stored, {unique} unique")));
     let directory = header.bytes.head + header.bytes.directory;
-    rows.push((
-        "bytes",
-        format!(
-            "{}: pages {}, directory {}",
-            grouped(header.file_len),
-            grouped(header.bytes.pages),
-            grouped(directory)
-        ),
-    ));
+    let [pages, directory, levels] = [header.bytes.pages, directory, header.bytes.levels].map(grouped);
+    let levels = if header.bytes.levels > 0 { format!(", levels {levels}") } else { String::new() };
+    rows.push(("bytes", format!("{}: pages {pages}, directory {directory}{levels}", grouped(header.file_len))));
     if let Some(colours) = header.colours {
         rows.push((
             "colours",
