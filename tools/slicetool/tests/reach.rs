@@ -209,7 +209,7 @@ fn a_long_route_is_planned_on_levels_first_and_a_coarse_one_says_that_it_is() {
     assert!(out.status.code() == Some(1) && said.contains("--levels on") && said.lines().count() == 1, "{said}");
 }
 
-/// A house of 8 m on a floor, which the coarsest levels take for ground: the straight line leads through it.
+/// A house on a floor, which the straight line leads through: levels show the way around, and no shorter one is searched for farther off.
 #[test]
 fn a_route_planned_on_levels_leads_around_a_house_and_is_as_short_as_one_without_levels() {
     const PIXEL: f64 = 0.05;
