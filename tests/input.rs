@@ -717,6 +717,21 @@ fn hostile_headers_are_refused_in_one_line_and_size_nothing() {
     }
 }
 
+/// An item that a layered record cannot have has no layer, so nothing may be read at its number.
+#[test]
+fn items_of_other_point_formats_are_refused_in_one_line() {
+    let folder = Folder::new();
+    for (format, from, to, names) in [(7, 11u16, 8u16, "Point14 and RGB12"), (3, 8, 11, "Point10 and RGB14")] {
+        let mut bytes = Scan::new(4, format, 100).laz(50);
+        // Each item of the record: type, bytes, version.
+        let item = |kind: u16| [kind.to_le_bytes(), 6u16.to_le_bytes()].concat();
+        let at = bytes.windows(4).position(|window| window == item(from)).unwrap();
+        bytes[at..at + 4].copy_from_slice(&item(to));
+        let text = refusal(&folder.file("mixed.laz", &bytes));
+        assert!(text.contains("LASzip record") && text.contains(names), "{text}");
+    }
+}
+
 #[test]
 fn coordinates_out_of_range_are_counted_and_told_once() {
     let folder = Folder::new();

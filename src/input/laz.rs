@@ -80,17 +80,21 @@ impl Packing {
         let (mut record_bytes, mut layers, mut extra) = (0, 0, 0u64);
         let (mut rgb_at, mut rgb_layer) = (None, 0);
         for item in vlr.items() {
-            let (bytes, sizes) = match item.item_type() {
-                LazItemType::Point10 => (20, 0),
-                LazItemType::GpsTime => (8, 0),
-                LazItemType::RGB12 => (6, 0),
-                LazItemType::WavePacket13 => (29, 0),
-                LazItemType::Byte(n) => (usize::from(n), 0),
-                LazItemType::Point14 => (30, 9),
-                LazItemType::RGB14 => (6, 1),
-                LazItemType::RGBNIR14 => (8, 2),
-                LazItemType::WavePacket14 => (29, 1),
-                LazItemType::Byte14(n) => (usize::from(n), usize::from(n)),
+            let (bytes, sizes) = match (layered, item.item_type()) {
+                (false, LazItemType::Point10) => (20, 0),
+                (false, LazItemType::GpsTime) => (8, 0),
+                (false, LazItemType::RGB12) => (6, 0),
+                (false, LazItemType::WavePacket13) => (29, 0),
+                (false, LazItemType::Byte(n)) => (usize::from(n), 0),
+                (true, LazItemType::Point14) => (30, 9),
+                (true, LazItemType::RGB14) => (6, 1),
+                (true, LazItemType::RGBNIR14) => (8, 2),
+                (true, LazItemType::WavePacket14) => (29, 1),
+                (true, LazItemType::Byte14(n)) => (usize::from(n), usize::from(n)),
+                (_, other) => {
+                    let first = vlr.items()[0].item_type();
+                    return Err(bad(format!("its items belong to different point formats: {first:?} and {other:?}")));
+                }
             };
             if matches!(item.item_type(), LazItemType::RGB12 | LazItemType::RGB14 | LazItemType::RGBNIR14) {
                 (rgb_at, rgb_layer) = (Some(record_bytes), layers);

@@ -1,0 +1,201 @@
+//! Head and footer: fixed header fields, root directory, and the end that proves completeness (chapters 3 and 8).
+//!
+//! The head is read and checked as a whole: magic, length, checksum, then version and features, then every field.
+
+mod fields;
+mod footer;
+mod header;
+mod root;
+
+pub(super) use footer::{check_footer, encode_footer};
+pub use header::{Bounds, Header, Pages, Sections, Tiles, Voxels};
+pub(super) use root::{Leaf, decode_root, leaf_entries};
+
+use super::colours::ColourHead;
+use crate::Result;
+use crate::bytes::crc;
+use crate::codec::Violation;
+use crate::colour::{ColourScale, ColourSource};
+pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
+use crate::plan::{Coding, Plan};
+
+/// Minor version and required features of an archive of `plan`.
+pub(super) fn needs(plan: &Plan, levels: bool, colours: bool) -> (u16, u64) {
+    let (fills, braids) = (plan.options.fill_holes > 0, plan.options.coding == Coding::Braided);
+    let needed = [
+        (levels, LEVEL_THIRDS_MINOR),
+        (fills, INFERRED_MINOR),
+        (plan.tolerance_quanta() > 0, STEPS_MINOR),
+        (colours, COLOURS_MINOR),
+        (braids, BRAIDED_MINOR),
+    ];
+    let minor = needed.into_iter().filter(|(needs, _)| *needs).map(|(_, minor)| minor).max();
+    let features = [(fills, INFERRED), (braids, BRAIDED)];
+    (minor.unwrap_or(0), features.into_iter().filter(|(needs, _)| *needs).map(|(_, bit)| bit).sum())
+}
+
+/// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
+pub(super) const MAX_HEAD: usize = 16_384;
+/// Length of the fixed fields (bytes).
+pub(super) const FIXED: usize = 384;
+/// Length of a root record (bytes).
+pub(super) const ROOT_RECORD: usize = 28;
+const CRC: usize = 4;
+/// Length of the footer (bytes).
+pub(super) const FOOTER: usize = 24;
+/// Most leaves that a root directory holds.
+pub(super) const MAX_LEAVES: usize = 512;
+/// Entries of a leaf in an archive that needs no more than [`MAX_LEAVES`] such leaves.
+pub(super) const MIN_LEAF_ENTRIES: u32 = 4096;
+/// Most entries of a leaf.
+pub(super) const MAX_LEAF_ENTRIES: u32 = 1 << 20;
+/// Greatest length of the metadata block (bytes).
+pub(super) const MAX_METADATA: u64 = 1 << 20;
+/// Where the length of the archive lies in the head.
+const FILE_LEN: std::ops::Range<usize> = 32..40;
+/// Bit of `features_optional`: the archive was written with overview levels.
+pub(super) const LEVELS: u64 = 1;
+/// Minor version from which the head tells of levels.
+const LEVELS_MINOR: u16 = 1;
+/// Bit of `features_optional`: heights of levels lie on coarser steps.
+pub(super) const LEVEL_THIRDS: u64 = 4;
+/// Minor version from which they may.
+const LEVEL_THIRDS_MINOR: u16 = 4;
+/// Bit of `features_optional`: with levels and colours, levels have colours.
+pub(super) const LEVEL_COLOURS: u64 = 8;
+/// Minor version from which they may.
+const LEVEL_COLOURS_MINOR: u16 = 4;
+/// Bit of `features_required`: holes were filled, so pages may hold inferred matter.
+pub(super) const INFERRED: u64 = 1;
+/// Minor version from which there is inferred matter.
+const INFERRED_MINOR: u16 = 2;
+/// Bit of `features_required`: pages are braided.
+pub(super) const BRAIDED: u64 = 2;
+/// Minor version from which they may be.
+const BRAIDED_MINOR: u16 = 5;
+/// Minor version from which coarsened heights may lie on steps of the tolerance.
+const STEPS_MINOR: u16 = 3;
+/// Bit of `features_optional`: the archive has colours.
+pub(super) const COLOURS: u64 = 2;
+/// Minor version from which the head tells of colours.
+const COLOURS_MINOR: u16 = 3;
+/// Where the fields of levels end among those that were reserved first, and those of inferred matter.
+const LEVELS_END: usize = 19;
+const INFERRED_END: usize = LEVELS_END + 8;
+/// Bytes of what the head says of colours.
+const COLOURS_LEN: usize = 32;
+const _: () = assert!(325 + INFERRED_END + COLOURS_LEN == FIXED);
+/// Where the canonical bytes of the plan lie in the head.
+const PLAN: std::ops::Range<usize> = 56..128;
+
+/// Length of a head for `leaves` leaves without padding (bytes).
+pub(super) fn exact_len(leaves: usize) -> usize {
+    FIXED + leaves * ROOT_RECORD + CRC
+}
+
+/// The head of an archive, as long as `header` says: at least [`exact_len`] and at most [`MAX_HEAD`].
+pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(header.bytes.head as usize);
+    out.extend(MAGIC);
+    out.extend(header.version.0.to_le_bytes());
+    out.extend(header.version.1.to_le_bytes());
+    out.extend((header.bytes.head as u32).to_le_bytes());
+    let word = |out: &mut Vec<u8>, value: u64| out.extend(value.to_le_bytes());
+    word(&mut out, header.features_required);
+    word(&mut out, header.features_optional);
+    debug_assert_eq!(out.len(), FILE_LEN.start);
+    word(&mut out, header.file_len);
+    out.extend(header.plan_hash.to_le_bytes());
+    debug_assert_eq!(out.len(), PLAN.start);
+    out.extend(header.plan.to_bytes());
+    for points in [header.points_read, header.points_kept, header.points_withheld, header.points_excluded] {
+        word(&mut out, points);
+    }
+    let (min, max) = header.bounds.unwrap_or_default();
+    for value in min.into_iter().chain(max) {
+        word(&mut out, (value + 0.0).to_bits());
+    }
+    let (first, last) = header.slices.unwrap_or((0, -1));
+    word(&mut out, first as u64);
+    word(&mut out, last as u64);
+    for count in [
+        header.tiles.occupied,
+        header.tiles.stored,
+        header.tiles.unique,
+        header.voxels.occupied,
+        header.voxels.obstacle,
+        header.pages.stored,
+        header.pages.shared,
+        header.pages.uniform,
+        header.bytes.pages + header.bytes.colours + header.bytes.levels,
+        header.bytes.directory,
+        header.bytes.metadata,
+    ] {
+        word(&mut out, count);
+    }
+    out.extend(header.metadata_crc.to_le_bytes());
+    out.extend(header.leaf_entries.to_le_bytes());
+    out.extend((leaves.len() as u32).to_le_bytes());
+    out.push(header.bounds.is_some() as u8);
+    let levels = header.levels.unwrap_or_default();
+    out.extend([levels.count as u8, 0, 0]);
+    word(&mut out, header.bytes.levels);
+    out.extend(levels.table_len.to_le_bytes());
+    out.extend(levels.table_crc.to_le_bytes());
+    word(&mut out, header.voxels.inferred);
+    if let Some(ColourHead { plan, voxels, table_crc }) = header.colours {
+        word(&mut out, header.bytes.colours);
+        word(&mut out, voxels);
+        out.extend(table_crc.to_le_bytes());
+        let ColourScale { source, low, high } = plan.scale;
+        [low, high, plan.error_milli].iter().for_each(|value| out.extend(value.to_le_bytes()));
+        out.extend(ColourSource::ALL.iter().zip(1u8..).filter(|(one, _)| **one == source).map(|(_, code)| code));
+    }
+    out.resize(FIXED, 0);
+    leaves.iter().for_each(|leaf| leaf.encode(&mut out));
+    out.resize(header.bytes.head as usize - CRC, 0);
+    let crc = crc::crc32c(&out);
+    out.extend(crc.to_le_bytes());
+    out
+}
+
+/// Rule H1, of the first bytes of a file.
+pub(super) fn check_magic(bytes: &[u8]) -> Result<()> {
+    let magic = &bytes[..bytes.len().min(MAGIC.len())];
+    if magic != MAGIC {
+        return Err(Violation::new("H1", format!("a slice archive, {}", hex(&MAGIC)), hex(magic)).at("head", 0));
+    }
+    Ok(())
+}
+
+/// Length of the archive (bytes) that the first bytes of a head state, unchecked; `None` if they are too few.
+pub(super) fn stated_len(bytes: &[u8]) -> Option<u64> {
+    bytes.get(FILE_LEN)?.try_into().ok().map(u64::from_le_bytes)
+}
+
+/// Header and leaves from the first bytes of a file of `file_len` bytes, and how many of the bytes are the head's.
+/// `bytes` must reach to the end of the file or [`MAX_HEAD`] bytes far.
+pub(super) fn decode(bytes: &[u8], file_len: u64) -> Result<(Header, Vec<Leaf>)> {
+    let at = |violation: Violation| violation.at("head", 0);
+    check_magic(bytes)?;
+    let least = exact_len(0) + FOOTER;
+    if bytes.len() < least {
+        return Err(at(Violation::new("H2", format!("at least {least} bytes in the file"), file_len)));
+    }
+    let head_len = u32::from_le_bytes([bytes[12], bytes[13], bytes[14], bytes[15]]) as usize;
+    if head_len < exact_len(0) || head_len > bytes.len().min(MAX_HEAD) {
+        let expected = format!("a head of {} to {} bytes", exact_len(0), bytes.len().min(MAX_HEAD));
+        return Err(at(Violation::new("H2", expected, head_len)));
+    }
+    let (covered, crc) = bytes[..head_len].split_at(head_len - CRC);
+    if crc::crc32c(covered).to_le_bytes() != crc {
+        return Err(at(Violation::new("H3", "the head's checksum", hex(crc))));
+    }
+    let (header, leaf_count) = fields::decode(covered, file_len)?;
+    let leaves = decode_root(&covered[FIXED..], leaf_count, &header).map_err(at)?;
+    Ok((header, leaves))
+}
+
+pub(super) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().take(32).map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(" ")
+}
