@@ -90,6 +90,13 @@ impl Span {
         self.bottom() <= high && self.top() >= low
     }
 
+    /// Whether the span ends below where `above` begins, or there at a slice boundary if they differ in kind: spans of a pixel do.
+    #[inline]
+    pub(crate) fn lies_below(self, above: Self) -> bool {
+        let (top, bottom) = (self.top(), above.bottom());
+        top < bottom || top == bottom && top.is_multiple_of(SLICE_QUANTA as u32) && self.is_obstacle() != above.is_obstacle()
+    }
+
     /// First and last slice of the page (0..=63) that hold matter of the span. A top on a slice boundary belongs to
     /// the slice below it, unless the span is that boundary alone.
     #[inline]
