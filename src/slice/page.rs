@@ -502,7 +502,8 @@ impl Blocks {
         // A span that is a slice boundary alone belongs to the slice above, as none of a union does that ends there.
         for union in unions.iter().filter(|union| union.top().is_multiple_of(SLICE_QUANTA as u32)) {
             let is_alone = |span: &Span| span.bottom() == union.top() && span.top() == union.top();
-            slices |= spans[start..].iter().filter(|span| is_alone(span)).fold(0, |mask, span| mask | span.slice_mask());
+            slices |=
+                spans[start..].iter().filter(|span| is_alone(span)).fold(0, |mask, span| mask | span.slice_mask());
         }
         let (lowest, further) = unions.split_at(unions.len().min(4));
         let mut block = Block::without_matter(start);

@@ -94,7 +94,8 @@ impl Span {
     #[inline]
     pub(crate) fn lies_below(self, above: Self) -> bool {
         let (top, bottom) = (self.top(), above.bottom());
-        top < bottom || top == bottom && top.is_multiple_of(SLICE_QUANTA as u32) && self.is_obstacle() != above.is_obstacle()
+        top < bottom
+            || top == bottom && top.is_multiple_of(SLICE_QUANTA as u32) && self.is_obstacle() != above.is_obstacle()
     }
 
     /// First and last slice of the page (0..=63) that hold matter of the span. A top on a slice boundary belongs to

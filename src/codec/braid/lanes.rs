@@ -69,10 +69,10 @@ pub use x86::Avx2;
 mod x86 {
     use super::{Base, Ends, Lanes};
     use std::arch::x86_64::{
-        __m128i, _mm_add_epi16, _mm_cmpgt_epi16, _mm_cvtsi32_si128, _mm_loadu_si128, _mm_movemask_epi8, _mm_packs_epi16,
-        _mm_set1_epi16, _mm_sra_epi16, _mm_storeu_si128, _mm_sub_epi16, _mm256_add_epi16, _mm256_cmpgt_epi16,
-        _mm256_loadu_si256, _mm256_movemask_epi8, _mm256_set1_epi16, _mm256_sra_epi16, _mm256_storeu_si256,
-        _mm256_sub_epi16,
+        __m128i, _mm_add_epi16, _mm_cmpgt_epi16, _mm_cvtsi32_si128, _mm_loadu_si128, _mm_movemask_epi8,
+        _mm_packs_epi16, _mm_set1_epi16, _mm_sra_epi16, _mm_storeu_si128, _mm_sub_epi16, _mm256_add_epi16,
+        _mm256_cmpgt_epi16, _mm256_loadu_si256, _mm256_movemask_epi8, _mm256_set1_epi16, _mm256_sra_epi16,
+        _mm256_storeu_si256, _mm256_sub_epi16,
     };
 
     #[inline(always)]

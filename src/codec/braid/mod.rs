@@ -9,9 +9,9 @@ mod lanes;
 
 use super::Violation;
 use super::rans::{SCALE, SCALE_BITS, inverses, pushed};
-use lanes::TARGETS;
 #[cfg(target_arch = "x86_64")]
 pub use lanes::Avx2;
+use lanes::TARGETS;
 pub use lanes::{Base, Lanes};
 use std::hint::select_unpredictable;
 

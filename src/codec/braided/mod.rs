@@ -381,7 +381,12 @@ fn decode_avx2(lanes: Avx2, body: &[u8], scratch: &mut Scratch, builder: &mut Ro
 }
 
 #[inline(always)]
-fn decode_with(lanes: impl Lanes, body: &[u8], scratch: &mut Scratch, builder: &mut RowBuilder) -> Result<(), Violation> {
+fn decode_with(
+    lanes: impl Lanes,
+    body: &[u8],
+    scratch: &mut Scratch,
+    builder: &mut RowBuilder,
+) -> Result<(), Violation> {
     let mut decoder = BraidDecoder::new(body, lanes, "P6")?;
     let lattice = code_lattice(&mut decoder, Lattice::QUANTA)
         .ok_or_else(|| Violation::new("P7", "steps of 2 to 255 quanta, above their phase", "others"))?;

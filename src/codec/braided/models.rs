@@ -105,4 +105,3 @@ pub fn fresh(steps: usize) -> Models {
     }
     models
 }
-

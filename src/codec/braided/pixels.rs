@@ -41,7 +41,11 @@ pub fn occupancy<C: Strands>(coder: &mut C, models: &mut Models, given: Option<&
             }
             let pixels = (pixels_given(block) >> (8 * (py % 8))) as u32;
             // From the pixel to the west of the block on, as far as the page has pixels.
-            let from_west = |row: u64| row.rotate_right((8 * bx + 63) & 63) as u32 & if bx == 0 { !1 } else { !0 } & if bx == 7 { 0x1FF } else { !0 };
+            let from_west = |row: u64| {
+                row.rotate_right((8 * bx + 63) & 63) as u32
+                    & if bx == 0 { !1 } else { !0 }
+                    & if bx == 7 { 0x1FF } else { !0 }
+            };
             let (north, north_2) = (from_west(north), (north_2 >> (8 * bx)) as u32);
             let (mut west, mut found) = (row.rotate_right((8 * bx + 62) & 63) as u32 & 3, 0u32);
             let mut pixel = |coder: &mut C, x: u32, code: fn(&mut C, &mut Bit, bool) -> bool| {
@@ -63,4 +67,3 @@ pub fn occupancy<C: Strands>(coder: &mut C, models: &mut Models, given: Option<&
     }
     Ok(rows)
 }
-
