@@ -35,9 +35,6 @@ impl Span {
     /// Bit of [`kinds`](Self::kinds) that says obstacle.
     pub(crate) const OBSTACLE_KIND: u32 = OBSTACLE;
 
-    /// The span at the floor of the page.
-    pub(crate) const LEAST: Self = Self(0);
-
     /// Fills up groups of spans: meets no interval.
     pub(super) const NEVER: Self = Self(FIELD);
 

@@ -22,9 +22,6 @@ const STATES: usize = 8;
 /// Most bits that [`Strands::raw`] takes.
 pub const MAX_RAW_BITS: u32 = 28;
 
-/// Most nibbles and bits between two [refills](Strands::refill): each takes one word at most.
-pub const MOST_SYMBOLS: usize = 4;
-
 /// How fast models learn: bounds move by 1/2ⁿ of the way, `n` by the symbols seen so far.
 const RATES: [u8; 16] = [3, 3, 3, 3, 4, 4, 4, 4, 4, 5, 5, 5, 5, 5, 5, 6];
 const BIT_RATES: [u8; 16] = [1, 2, 3, 3, 3, 4, 4, 4, 4, 4, 4, 4, 4, 5, 5, 5];
@@ -129,7 +126,7 @@ pub trait Strands {
     fn bit<const S: usize>(&mut self, model: &mut Bit, bit: bool) -> bool;
     /// `bits` bits [0..=`MAX_RAW_BITS`] of equal probability.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
-    /// Comes before every [`MOST_SYMBOLS`] nibbles and bits.
+    /// Comes before every four nibbles and bits, each of which takes one word at most.
     fn refill(&mut self) {}
 }
 
@@ -357,7 +354,7 @@ mod tests {
         let mut nibbles = [const { Nibble::new([1; 16]) }; 3];
         let mut bits = [const { Bit::new(1 << 14) }; 3];
         for (number, symbol) in symbols.iter().enumerate() {
-            if number % MOST_SYMBOLS == 0 {
+            if number % 4 == 0 {
                 coder.refill();
             }
             let value = match *symbol {

@@ -110,13 +110,13 @@ impl Coded {
         let span = Span::new(self.bottom as u32, self.top as u32, self.obstacle);
         match span.filter(|&span| below.is_none_or(|below| below.lies_below(span))) {
             Some(span) => Ok(span),
-            None => Err(self.violation(below)),
+            None => Err(Self::violation(self.bottom, self.top, below)),
         }
     }
 
     #[cold]
-    fn violation(&self, below: Option<Span>) -> Violation {
-        let found = format!("{}..={} above {below:?}", self.bottom, self.top);
+    fn violation(bottom: i32, top: i32, below: Option<Span>) -> Violation {
+        let found = format!("{bottom}..={top} above {below:?}");
         Violation::new("P8", "spans inside the page and apart, lowest first", found)
     }
 
@@ -131,6 +131,7 @@ impl Coded {
 struct Walk<'a, C> {
     coder: C,
     lattice: Lattice,
+    is_quanta: bool,
     alphabet: &'static Alphabet,
     models: &'a mut Models,
     last_off: &'a mut [[u8; STEPS]; 2],
@@ -156,10 +157,10 @@ impl<C: Strands> Walk<'_, C> {
 
     /// The next span of a pixel, the last one or not; `kinds` is what its candidates, `near`, add to contexts of the kind. Takes three
     /// symbols, or refills.
-    #[inline(always)]
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn span(&mut self, near: [Seen; 4], kinds: u8, is_last: bool, given: Option<&Span>) -> Coded {
         let Self { coder, lattice, alphabet, models, last_off, .. } = self;
-        let is_quanta = lattice.is_quanta();
         let expected = expected(near, self.last);
         // What is to be written, if something is.
         let [mut bottom_given, mut top_given] = [Given::default(); 2];
@@ -182,7 +183,7 @@ impl<C: Strands> Walk<'_, C> {
         let top_of = |bottom_step| (bottom_step + expected.thick + unfold(top_residual)) & 0x3FFF;
         let mut top_step = top_of(bottom_step);
         let (mut bottom, mut top) = (bottom_step, top_step);
-        if !is_quanta || of_bottom == BOUNDARY || of_top == BOUNDARY {
+        if !self.is_quanta || of_bottom == BOUNDARY || of_top == BOUNDARY {
             // A boundary has no step to remember.
             let (mut bottom_place, mut top_place) = (bottom_step as usize & 0x3FFF, NO_STEP);
             bottom = lattice.usual(bottom_step as u32, End::Bottom);
@@ -199,7 +200,7 @@ impl<C: Strands> Walk<'_, C> {
                 top = lattice.usual(top_step as u32, End::Top);
                 top_place = top_step as usize & 0x3FFF;
             }
-            if !is_quanta {
+            if !self.is_quanta {
                 let [off_bottoms, off_tops] = &mut **last_off;
                 let (last_bottom, last_top) = (off_bottoms[bottom_place], off_tops[top_place]);
                 let mut off = (off_of(last_bottom), off_of(last_top));
@@ -245,7 +246,8 @@ fn walk<C: Strands>(
     let rows = pixels::occupancy(&mut coder, models, page)?;
     taker.begin(&rows);
     let mut given = page.map(Rows::of);
-    let mut walk = Walk { coder, lattice, alphabet: &ALPHABETS[steps], models, last_off, last: 0 };
+    let mut walk =
+        Walk { coder, lattice, is_quanta: steps == 0, alphabet: &ALPHABETS[steps], models, last_off, last: 0 };
     **row_pair = [Row::EMPTY; 2];
     for (py, &row) in rows.iter().enumerate() {
         let [even, odd] = &mut **row_pair;
