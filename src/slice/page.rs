@@ -319,8 +319,8 @@ impl PageBuilder {
     /// Bytes of scratch memory that building a page of `spans` spans takes besides the page, if as many were
     /// [reserved](Self::reserve).
     pub fn scratch_bytes(spans: usize) -> usize {
-        // All spans, three lists of a block's, and the page's own list where it outgrows what was expected.
-        let lists = spans + 3 * spans.min(64 * 64) + 2 * spans;
+        // All spans, two lists of a block's, and the page's own list where it outgrows what was expected.
+        let lists = spans + 2 * spans.min(64 * 64) + 2 * spans;
         size_of::<(u32, u32)>() * (TILE_PIXELS * TILE_PIXELS) as usize
             + size_of::<Block>() * (BLOCKS + 1)
             + size_of::<UnionFinder>()
@@ -349,7 +349,7 @@ impl PageBuilder {
     #[must_use]
     pub fn set_column(&mut self, px: u32, py: u32, spans: &[Span]) -> bool {
         let pixel = Self::place(px, py);
-        if self.ranges[pixel].1 != 0 || !spans.windows(2).all(are_apart) || spans.len() > 64 {
+        if self.ranges[pixel].1 != 0 || !spans.windows(2).all(|pair| pair[0].lies_below(pair[1])) || spans.len() > 64 {
             return false;
         }
         let first = self.spans.len() as u32;
@@ -372,16 +372,17 @@ impl PageBuilder {
         let most: usize = self.ranges.chunks_exact(64).map(in_block).max().unwrap_or(0);
         let mut blocks = Blocks::with_capacity(count, self.spans.len(), most);
         for (number, ranges) in self.ranges.chunks_exact(64).enumerate().filter(|(_, ranges)| occupied(ranges)) {
-            let (own, mut pixels, mut rows) = (blocks.begin(), 0, [0; 8]);
+            let (spans, mut pixels, mut rows) = (&mut blocks.spans, 0, [0; 8]);
+            let start = spans.len();
             for (bit, &(first, count)) in ranges.iter().enumerate() {
                 if bit % 8 == 0 {
-                    rows[bit / 8] = own.len() as u16;
+                    rows[bit / 8] = (spans.len() - start) as u16;
                 }
                 pixels |= u64::from(count > 0) << bit;
                 let column = &self.spans[first as usize..(first + count) as usize];
-                own.extend(column.iter().map(|span| span.in_lane(bit as u32 % 8)));
+                spans.extend(column.iter().map(|span| span.in_lane(bit as u32 % 8)));
             }
-            blocks.end(number, pixels, rows);
+            blocks.add(number, pixels, rows, start);
         }
         blocks.finish()
     }
@@ -421,37 +422,45 @@ impl RowBuilder {
         self.spans.clear();
     }
 
-    /// Adds the spans of the next pixel with matter: one or more, lowest first. Returns `false` if they are not apart (see
-    /// [`PageBuilder::set_column`]).
-    #[must_use]
-    #[inline]
-    pub fn push_column(&mut self, px: u32, py: u32, spans: &[Span]) -> bool {
-        self.spans.extend(spans.iter().map(|span| span.in_lane(px % BLOCK_PIXELS)));
+    /// Adds the next span of the pixel in work; spans of a pixel come lowest first and [apart](Span::lies_below).
+    #[inline(always)]
+    pub fn push(&mut self, px: u32, span: Span) {
+        self.spans.push(span.in_lane(px % BLOCK_PIXELS));
+    }
+
+    /// The next span is one of a pixel behind this.
+    #[inline(always)]
+    pub fn end_pixel(&mut self, px: u32, py: u32) {
         self.ends[(py << 3 | px >> 3) as usize & 0x1FF] = self.spans.len() as u32;
-        spans.windows(2).all(are_apart)
     }
 
     /// The page of all spans.
     pub fn build(&self) -> Page {
         let mut parts = [(0, 0); 8 * 64];
         let (mut start, mut sizes) = (0, [0; BLOCKS]);
-        for (at, part) in parts.iter_mut().enumerate() {
-            let end = if self.pixels(at) == 0 { start } else { self.ends[at] };
-            *part = (start, end);
-            sizes[at / 64 * 8 + at % 8] += (end - start) as usize;
-            start = end;
+        for (y, &row) in self.rows.iter().enumerate() {
+            let mut rest = row;
+            while rest != 0 {
+                let bx = rest.trailing_zeros() as usize / 8 & 7;
+                rest &= !(0xFF << (8 * bx));
+                let end = self.ends[y << 3 | bx];
+                parts[y << 3 | bx] = (start, end);
+                sizes[y / 8 * 8 + bx] += (end - start) as usize;
+                start = end;
+            }
         }
         let count = sizes.iter().filter(|&&size| size > 0).count();
         let mut blocks = Blocks::with_capacity(count, self.spans.len(), sizes.into_iter().max().unwrap_or(0));
         for number in (0..BLOCKS).filter(|&number| sizes[number] > 0) {
-            let (own, mut pixels, mut rows) = (blocks.begin(), 0, [0; 8]);
+            let (spans, mut pixels, mut rows) = (&mut blocks.spans, 0, [0; 8]);
+            let start = spans.len();
             for (y, row) in rows.iter_mut().enumerate() {
                 let at = number / 8 * 64 + y * 8 + number % 8;
-                *row = own.len() as u16;
-                own.extend_from_slice(&self.spans[parts[at].0 as usize..parts[at].1 as usize]);
+                *row = (spans.len() - start) as u16;
+                spans.extend_from_slice(&self.spans[parts[at].0 as usize..parts[at].1 as usize]);
                 pixels |= self.pixels(at) << (8 * y);
             }
-            blocks.end(number, pixels, rows);
+            blocks.add(number, pixels, rows, start);
         }
         blocks.finish()
     }
@@ -462,14 +471,6 @@ impl RowBuilder {
     }
 }
 
-/// Whether the second of two spans begins above the first, or on it at a slice boundary if they differ in kind.
-#[inline]
-fn are_apart(pair: &[Span]) -> bool {
-    let (low, high) = (pair[0], pair[1]);
-    low.top() < high.bottom()
-        || low.top() == high.bottom() && low.top() % SLICE_QUANTA as u32 == 0 && low.is_obstacle() != high.is_obstacle()
-}
-
 /// The blocks of a page, one after the other.
 struct Blocks {
     slices: u64,
@@ -477,8 +478,6 @@ struct Blocks {
     places: [u8; BLOCKS],
     blocks: Vec<Block>,
     spans: Vec<Span>,
-    /// Spans of the block in work.
-    own: Vec<Span>,
     unions: UnionFinder,
 }
 
@@ -491,38 +490,40 @@ impl Blocks {
             places: [count as u8; BLOCKS],
             blocks: Vec::with_capacity(count + 1),
             spans: Vec::with_capacity(spans + 2 * count),
-            own: Vec::with_capacity(most),
             unions: UnionFinder::with_capacity(most),
         }
     }
 
-    /// Begins a block: its spans are to be filled in row by row.
-    fn begin(&mut self) -> &mut Vec<Span> {
-        self.own.clear();
-        &mut self.own
-    }
-
-    /// Ends block `number`, with matter in `pixels`, whose rows begin at `rows` in its spans.
-    fn end(&mut self, number: usize, pixels: u64, rows: [u16; 8]) {
-        let Self { own, spans, .. } = self;
-        self.places[number] = self.blocks.len() as u8;
-        let mut block = Block { pixels, rows, ..Block::without_matter(spans.len()) };
-        let unions = self.unions.find(own);
+    /// Adds block `number` with matter in `pixels`: its spans are those from `start` on, in which its rows begin at `rows`.
+    fn add(&mut self, number: usize, pixels: u64, mut rows: [u16; 8], start: usize) {
+        let spans = &mut self.spans;
+        let unions = self.unions.find(&spans[start..]);
+        let mut slices = unions.iter().fold(0, |mask, span| mask | span.slice_mask());
+        // A span that is a slice boundary alone belongs to the slice above, as none of a union does that ends there.
+        for union in unions.iter().filter(|union| union.top().is_multiple_of(SLICE_QUANTA as u32)) {
+            let is_alone = |span: &Span| span.bottom() == union.top() && span.top() == union.top();
+            slices |=
+                spans[start..].iter().filter(|span| is_alone(span)).fold(0, |mask, span| mask | span.slice_mask());
+        }
         let (lowest, further) = unions.split_at(unions.len().min(4));
+        let mut block = Block::without_matter(start);
         block.unions[..lowest.len()].copy_from_slice(lowest);
-        spans.extend_from_slice(further);
-        let filled = further.len().next_multiple_of(4);
-        spans.resize(block.first as usize + filled, Span::NEVER);
-        block.rows.iter_mut().for_each(|start| *start += filled as u16);
-        let slices = own.iter().fold(0, |mask, span| mask | span.slice_mask());
+        if !further.is_empty() {
+            let (end, filled) = (spans.len(), further.len().next_multiple_of(4));
+            spans.resize(end + filled, Span::NEVER);
+            spans.copy_within(start..end, start + filled);
+            spans[start..start + filled].fill(Span::NEVER);
+            spans[start..start + further.len()].copy_from_slice(further);
+            rows.iter_mut().for_each(|row| *row += filled as u16);
+        }
         self.slices |= slices;
         let mut rest = slices;
         while rest != 0 {
             self.slice_blocks[rest.trailing_zeros() as usize] |= 1 << number;
             rest &= rest - 1;
         }
-        self.blocks.push(block);
-        spans.extend_from_slice(own);
+        self.places[number] = self.blocks.len() as u8;
+        self.blocks.push(Block { pixels, rows, ..block });
     }
 
     fn finish(mut self) -> Page {
@@ -563,12 +564,13 @@ impl UnionFinder {
 
     /// Unions of the floor spans and of the obstacle spans in `spans`, lowest bottom first.
     fn find(&mut self, spans: &[Span]) -> &[Span] {
-        let mut longest = 0;
-        let (mut low, mut high) = (u32::MAX, 0);
+        // Signed, so that every processor compares several at once.
+        let (mut low, mut high, mut longest) = (i32::MAX, 0, 0);
         for span in spans {
-            (low, high) = (low.min(span.bottom()), high.max(span.top()));
-            longest = longest.max(span.top() - span.bottom());
+            let (bottom, top) = (span.bottom() as i32, span.top() as i32);
+            (low, high, longest) = (low.min(bottom), high.max(top), longest.max(top - bottom));
         }
+        let (low, high, longest) = (low as u32, high as u32, longest as u32);
         self.unions.clear();
         if longest <= Self::LONGEST && high - low < 32 * (Self::WORDS as u32 - 1) {
             self.by_bits(spans, low, high);

@@ -35,9 +35,6 @@ impl Span {
     /// Bit of [`kinds`](Self::kinds) that says obstacle.
     pub(crate) const OBSTACLE_KIND: u32 = OBSTACLE;
 
-    /// The span at the floor of the page.
-    pub(crate) const LEAST: Self = Self(0);
-
     /// Fills up groups of spans: meets no interval.
     pub(super) const NEVER: Self = Self(FIELD);
 
@@ -88,6 +85,14 @@ impl Span {
     #[inline]
     pub fn meets(self, low: u32, high: u32) -> bool {
         self.bottom() <= high && self.top() >= low
+    }
+
+    /// Whether the span ends below where `above` begins, or there at a slice boundary if they differ in kind: spans of a pixel do.
+    #[inline]
+    pub(crate) fn lies_below(self, above: Self) -> bool {
+        let (top, bottom) = (self.top(), above.bottom());
+        top < bottom
+            || top == bottom && top.is_multiple_of(SLICE_QUANTA as u32) && self.is_obstacle() != above.is_obstacle()
     }
 
     /// First and last slice of the page (0..=63) that hold matter of the span. A top on a slice boundary belongs to

@@ -1,0 +1,107 @@
+//! Heights as symbols: a residual and how many bits say the rest of it.
+
+use super::BOUNDARY;
+use crate::codec::adaptive::{SLICE, fold};
+use crate::codec::braid::Strands;
+use crate::codec::lattice::{End, Lattice};
+
+/// Residuals that a symbol stands for: the least, and how many bits say which.
+pub struct Alphabet {
+    pub least: [u16; 16],
+    pub bits: [u8; 16],
+}
+
+/// Where every quantum is a step, and where not: few steps have small residuals.
+pub static ALPHABETS: [Alphabet; 2] = [
+    Alphabet {
+        least: [0, 1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 0],
+        bits: [0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 7],
+    },
+    Alphabet {
+        least: [0, 1, 2, 3, 4, 6, 8, 16, 32, 64, 128, 256, 512, 1024, 4096, 0],
+        bits: [0, 0, 0, 0, 1, 1, 3, 4, 5, 6, 7, 8, 9, 12, 14, 7],
+    },
+];
+
+impl Alphabet {
+    /// Symbol of a folded residual.
+    #[inline]
+    pub fn symbol(&self, residual: u32) -> u32 {
+        let bits = u32::BITS - residual.leading_zeros();
+        // No symbol stands for more than one length below 1024, nor for less than half of one.
+        let mut symbol = bits.min(14);
+        while symbol > 0 && u32::from(self.least[symbol as usize]) > residual {
+            symbol -= 1;
+        }
+        while symbol < 14 && u32::from(self.least[symbol as usize + 1]) <= residual {
+            symbol += 1;
+        }
+        symbol
+    }
+}
+
+/// A height as it is coded.
+#[derive(Clone, Copy, Default)]
+pub struct Given {
+    height: u32,
+    /// `None` for a slice boundary that lies on no step.
+    pub step: Option<(u32, i32)>,
+}
+
+impl Given {
+    #[inline(always)]
+    pub fn of(lattice: &Lattice, height: u32, end: End) -> Self {
+        Self { height, step: lattice.index(height, end) }
+    }
+
+    /// The symbol, and its bits, near step `expected`.
+    #[inline(always)]
+    pub fn symbol(&self, alphabet: &Alphabet, expected: i32) -> (u32, u32) {
+        let Some((step, _)) = self.step else {
+            // Other heights all have steps, or the lattice would not be theirs.
+            debug_assert!(self.height.is_multiple_of(SLICE), "no step for {}", self.height);
+            return (BOUNDARY, self.height / SLICE);
+        };
+        let residual = fold(step as i32 - expected);
+        let symbol = alphabet.symbol(residual);
+        (symbol, residual - u32::from(alphabet.least[symbol as usize & 15]))
+    }
+
+    #[inline(always)]
+    pub fn off(&self) -> i32 {
+        self.step.map_or(0, |(_, off)| off)
+    }
+}
+
+/// A bit that says whether there is a lattice, then its step and phase: how many zeros end it, and the rest of its 40 bits.
+pub fn code_lattice(coder: &mut impl Strands, given: Lattice) -> Option<Lattice> {
+    if coder.raw(1, u32::from(!given.is_quanta())) == 0 {
+        return Some(Lattice::QUANTA);
+    }
+    let mut number = |given: u64| {
+        let zeros = coder.raw(6, given.trailing_zeros().min(40));
+        let bits = 40u32.checked_sub(zeros)?;
+        let given = given.checked_shr(zeros).unwrap_or(0);
+        let (low, high) = (bits.min(20), bits - bits.min(20));
+        let low_part = coder.raw(low, (given & ((1 << low) - 1)) as u32);
+        let high_part = coder.raw(high, (given >> low) as u32);
+        Some((u64::from(high_part) << low | u64::from(low_part)).checked_shl(zeros).unwrap_or(0))
+    };
+    Lattice::new(number(given.step)?, number(given.phase)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_residual_has_one_symbol() {
+        for alphabet in &ALPHABETS {
+            for residual in 0..1 << 14 {
+                let symbol = alphabet.symbol(residual);
+                let rest = residual - u32::from(alphabet.least[symbol as usize]);
+                assert!(symbol < BOUNDARY && rest >> alphabet.bits[symbol as usize] == 0, "{residual}");
+            }
+        }
+    }
+}

@@ -1,0 +1,488 @@
+//! Model 3, `braided`: the spans of a page as [`super::adaptive`] foretells them, in an order and in symbols that take a processor a third of
+//! the time (specification, section 6.7).
+//!
+//! First which pixels have matter, then pixel by pixel their spans. What four neighbours say is weighed for bottoms and thicknesses
+//! at once, and a height is one symbol and some bits as they are. One walk serves encoder and decoder, on each processor with what
+//! that has.
+
+mod heights;
+mod models;
+mod near;
+mod pixels;
+
+use super::adaptive::{MAX_COLUMN, Rows, SLICE, unfold};
+#[cfg(target_arch = "x86_64")]
+use super::braid::Avx2;
+use super::braid::{Base, BraidDecoder, BraidEncoder, Lanes, Strands};
+use super::lattice::{End, Lattice};
+use super::{MAX_PAGE_SPANS, Violation};
+use crate::slice::{Page, RowBuilder, Span};
+use heights::{ALPHABETS, Alphabet, Given, code_lattice};
+use models::{Models, fresh};
+use near::{Seen, expected, pack};
+
+/// Greatest length of an encoding (bytes): states; of a span five symbols of at most a word, and 28 bits; of a pixel whether it has
+/// matter, and its spans in five symbols or fewer; of a block two symbols; of the lattice two numbers of 46 bits.
+pub const MAX_LEN: usize = 8 + MAX_PAGE_SPANS * (10 + 4) + 2 * (64 * 64 * (1 + 5) + 2 * 64) + 12;
+
+/// Symbol of a slice boundary; its bits are the number of the slice.
+const BOUNDARY: u32 = 15;
+/// Most spans of a row, each pixel's with an end.
+const ROW: usize = 64 * (MAX_COLUMN as usize + 1);
+/// Steps, and a place for heights that have none.
+const STEPS: usize = (1 << 14) + 1;
+const NO_STEP: usize = 1 << 14;
+
+/// What a span adds to its neighbours' contexts of the kind, and what an obstacle adds besides; the sum of four is below 50.
+const CANDIDATE: u8 = 2;
+const OBSTACLE: u8 = 10;
+
+/// A row of pixels as those after it see it, with one pixel more on each side.
+#[derive(Debug)]
+struct Row {
+    /// The lowest span of each pixel, and what it adds to contexts of the kind.
+    lowest: [Seen; 66],
+    kinds: [u8; 66],
+    /// Where the pixel's spans are in [`Scratch::seen`], and from bit 16 on their number up to 3.
+    places: [u32; 66],
+}
+
+impl Row {
+    const EMPTY: Self = Self { lowest: [Seen::NONE; 66], kinds: [0; 66], places: [0; 66] };
+}
+
+/// What the walk remembers; reused from page to page.
+#[derive(Debug)]
+pub struct Scratch {
+    models: Box<Models>,
+    /// New models by alphabet; a table of them would be a tenth of what a browser loads for a decoder.
+    fresh: Box<[Models; 2]>,
+    /// `NONE`, then the spans of two rows of pixels, the one in work and the one before; and what each adds to contexts of the kind.
+    seen: Box<[Seen; 1 + 2 * ROW]>,
+    kinds: Box<[u8; 1 + 2 * ROW]>,
+    rows: Box<[Row; 2]>,
+    /// Per step, of bottoms and tops: 0, or 1 and how the height lay off the usual one when the step came last (1 above, 2 below).
+    last_off: Box<[[u8; STEPS]; 2]>,
+    encoder: BraidEncoder,
+}
+
+impl Scratch {
+    /// Bytes that decoding takes, whatever the page.
+    pub fn decoding_bytes() -> usize {
+        let spans = size_of::<[Seen; 1 + 2 * ROW]>() + size_of::<[u8; 1 + 2 * ROW]>() + size_of::<[Row; 2]>();
+        size_of::<Self>() + 3 * size_of::<Models>() + spans + 2 * STEPS
+    }
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        Self {
+            models: Box::new(fresh(0)),
+            fresh: Box::new([fresh(0), fresh(1)]),
+            seen: Box::new([Seen::NONE; 1 + 2 * ROW]),
+            kinds: Box::new([0; 1 + 2 * ROW]),
+            rows: Box::new([Row::EMPTY; 2]),
+            last_off: Box::new([[0; STEPS]; 2]),
+            encoder: BraidEncoder::default(),
+        }
+    }
+}
+
+/// How a height lies off the usual one, as [`Scratch::last_off`] keeps it.
+#[inline]
+fn off_of(last: u8) -> i32 {
+    [0, 0, 1, -1][usize::from(last) & 3]
+}
+
+/// A span as it is coded.
+struct Coded {
+    seen: Seen,
+    /// Heights (quanta), as far as they make a span.
+    bottom: i32,
+    top: i32,
+    obstacle: bool,
+}
+
+impl Coded {
+    /// The span, which comes after the one `below` in its pixel.
+    #[inline(always)]
+    fn span(&self, below: Option<Span>) -> Result<Span, Violation> {
+        let span = Span::new(self.bottom as u32, self.top as u32, self.obstacle);
+        match span.filter(|&span| below.is_none_or(|below| below.lies_below(span))) {
+            Some(span) => Ok(span),
+            None => Err(Self::violation(self.bottom, self.top, below)),
+        }
+    }
+
+    #[cold]
+    fn violation(bottom: i32, top: i32, below: Option<Span>) -> Violation {
+        let found = format!("{bottom}..={top} above {below:?}");
+        Violation::new("P8", "spans inside the page and apart, lowest first", found)
+    }
+
+    /// What it adds to contexts of the kind.
+    #[inline(always)]
+    fn kind(&self) -> u8 {
+        CANDIDATE + if self.obstacle { OBSTACLE } else { 0 }
+    }
+}
+
+/// What a walk codes spans with.
+struct Walk<'a, C> {
+    coder: C,
+    lattice: Lattice,
+    is_quanta: bool,
+    alphabet: &'static Alphabet,
+    models: &'a mut Models,
+    last_off: &'a mut [[u8; STEPS]; 2],
+    /// [Step and thickness](pack) where no candidate says them.
+    last: u32,
+}
+
+impl<C: Strands> Walk<'_, C> {
+    /// The number of spans of a pixel whose neighbours have as many as `context` says; more than 64 if the bytes are wrong.
+    #[inline(always)]
+    fn count(&mut self, context: u32, given: usize) -> u32 {
+        let model = &mut self.models.count[context as usize & 15];
+        let mut count = 1;
+        loop {
+            self.coder.refill();
+            let more = self.coder.nibble::<1>(model, (given as u32).wrapping_sub(count).min(15));
+            count += more;
+            if more < 15 || count > MAX_COLUMN {
+                return count;
+            }
+        }
+    }
+
+    /// The next span of a pixel, the last one or not; `kinds` is what its candidates, `near`, add to contexts of the kind. Takes three
+    /// symbols, or refills.
+    #[cfg_attr(target_family = "wasm", inline(never))]
+    #[cfg_attr(not(target_family = "wasm"), inline(always))]
+    fn span(&mut self, near: [Seen; 4], kinds: u8, is_last: bool, given: Option<&Span>) -> Coded {
+        let Self { coder, lattice, alphabet, models, last_off, .. } = self;
+        let expected = expected(near, self.last);
+        // What is to be written, if something is.
+        let [mut bottom_given, mut top_given] = [Given::default(); 2];
+        let (mut bottom_symbol, mut top_symbol) = ((0, 0), (0, 0));
+        if let Some(span) = given {
+            bottom_given = Given::of(lattice, span.bottom(), End::Bottom);
+            top_given = Given::of(lattice, span.top(), End::Top);
+            bottom_symbol = bottom_given.symbol(alphabet, expected.low);
+            let step = bottom_given.step.map_or_else(|| lattice.at_or_above(span.bottom()), |step| step.0);
+            top_symbol = top_given.symbol(alphabet, step as i32 + expected.thick);
+        }
+        let of_bottom = coder.nibble::<0>(&mut models.bottom[expected.low_context & 15], bottom_symbol.0);
+        let of_top = coder.nibble::<1>(&mut models.thickness[expected.thick_context], top_symbol.0);
+        let [bottom_bits, top_bits] = [of_bottom, of_top].map(|symbol| u32::from(alphabet.bits[symbol as usize & 15]));
+        let both = coder.raw(bottom_bits + top_bits, bottom_symbol.1 | top_symbol.1 << bottom_bits);
+        let least = |symbol: u32| u32::from(alphabet.least[symbol as usize & 15]);
+        let bottom_residual = least(of_bottom) + (both & ((1 << bottom_bits) - 1));
+        let top_residual = least(of_top) + (both >> bottom_bits);
+        let mut bottom_step = (expected.low + unfold(bottom_residual)) & 0x3FFF;
+        let top_of = |bottom_step| (bottom_step + expected.thick + unfold(top_residual)) & 0x3FFF;
+        let mut top_step = top_of(bottom_step);
+        let (mut bottom, mut top) = (bottom_step, top_step);
+        if !self.is_quanta || of_bottom == BOUNDARY || of_top == BOUNDARY {
+            // A boundary has no step to remember.
+            let (mut bottom_place, mut top_place) = (bottom_step as usize & 0x3FFF, NO_STEP);
+            bottom = lattice.usual(bottom_step as u32, End::Bottom);
+            if of_bottom == BOUNDARY {
+                bottom = (bottom_residual * SLICE) as i32;
+                bottom_step = lattice.at_or_above(bottom as u32) as i32;
+                bottom_place = NO_STEP;
+                top_step = top_of(bottom_step);
+            }
+            if of_top == BOUNDARY {
+                top = (top_residual * SLICE) as i32;
+                top_step = lattice.at_or_above(top as u32) as i32;
+            } else {
+                top = lattice.usual(top_step as u32, End::Top);
+                top_place = top_step as usize & 0x3FFF;
+            }
+            if !self.is_quanta {
+                let [off_bottoms, off_tops] = &mut **last_off;
+                let (last_bottom, last_top) = (off_bottoms[bottom_place], off_tops[top_place]);
+                let mut off = (off_of(last_bottom), off_of(last_top));
+                let given = (bottom_given.off(), top_given.off());
+                let context = usize::from(last_bottom << 2 | last_top) & 15;
+                let is_surprise = coder.bit::<1>(&mut models.surprise[context], given != off);
+                coder.refill();
+                if is_surprise {
+                    let both = coder.nibble::<1>(&mut models.off, (given.0 * 3 + given.1 + 4) as u32).min(8) as i32;
+                    off = (both / 3 - 1, both % 3 - 1);
+                }
+                let known = |off: i32| [3, 1, 2][(off + 1) as usize & 3];
+                (off_bottoms[bottom_place], off_tops[top_place]) = (known(off.0), known(off.1));
+                (off_bottoms[NO_STEP], off_tops[NO_STEP]) = (0, 0);
+                (bottom, top) = (bottom + off.0, top + off.1);
+            }
+        }
+        let thick = top_step - bottom_step;
+        // Of the pixel's next span the bottom lies above this one's top; the next pixel's may lie where this one's does.
+        self.last = pack(if is_last { bottom_step } else { top_step }, thick);
+        let is_thick = top - bottom > SLICE as i32 / 4;
+        let model = &mut models.kind[usize::from(kinds + u8::from(is_thick)) & 63];
+        let obstacle = coder.bit::<0>(model, given.is_some_and(|span| span.is_obstacle()));
+        Coded { seen: Seen::new(bottom_step, thick, bottom), bottom, top, obstacle }
+    }
+}
+
+/// Walks over `page`, or the one that the coder reads, and hands each span to `taker`.
+#[inline(always)]
+fn walk<C: Strands>(
+    mut coder: C,
+    lattice: Lattice,
+    scratch: &mut Scratch,
+    page: Option<&Page>,
+    mut taker: impl Taker,
+) -> Result<C, Violation> {
+    let Scratch { models, fresh, seen, kinds, rows: row_pair, last_off, .. } = scratch;
+    let steps = usize::from(!lattice.is_quanta());
+    (**models).clone_from(&fresh[steps]);
+    if steps > 0 {
+        last_off.iter_mut().for_each(|end| end.fill(0));
+    }
+    let rows = pixels::occupancy(&mut coder, models, page)?;
+    taker.begin(&rows);
+    let mut given = page.map(Rows::of);
+    let mut walk =
+        Walk { coder, lattice, is_quanta: steps == 0, alphabet: &ALPHABETS[steps], models, last_off, last: 0 };
+    **row_pair = [Row::EMPTY; 2];
+    for (py, &row) in rows.iter().enumerate() {
+        let [even, odd] = &mut **row_pair;
+        let (own, north) = if py % 2 == 0 { (even, &*odd) } else { (odd, &*even) };
+        *own = Row::EMPTY;
+        let mut next = 1 + py % 2 * ROW;
+        let mut pixels = row;
+        while pixels != 0 {
+            let px = pixels.trailing_zeros() as usize & 63;
+            pixels &= pixels - 1;
+            let spans: &[Span] =
+                if C::WRITES { given.as_mut().map_or(&[], |rows| rows.at(px as u32, py as u32)) } else { &[] };
+            let count = walk.count(own.places[px] >> 16 << 2 | north.places[px + 1] >> 16, spans.len());
+            if count > MAX_COLUMN {
+                return Err(Violation::new("P7", "1 to 64 spans in an occupied pixel", count));
+            }
+            own.places[px + 1] = next as u32 | count.min(3) << 16;
+            let near = [own.lowest[px], north.lowest[px], north.lowest[px + 1], north.lowest[px + 2]];
+            let candidates = own.kinds[px] + north.kinds[px] + north.kinds[px + 1] + north.kinds[px + 2];
+            let coded = walk.span(near, candidates, count == 1, spans.first());
+            (seen[next], kinds[next]) = (coded.seen, coded.kind());
+            (own.lowest[px + 1], own.kinds[px + 1]) = (coded.seen, coded.kind());
+            next += 1;
+            let mut below = coded.span(None)?;
+            taker.take(px as u32, below);
+            if count > 1 {
+                let places = [own.places[px], north.places[px], north.places[px + 1], north.places[px + 2]];
+                let mut places = places.map(|place| place as usize & 0xFFFF);
+                for index in 1..count {
+                    // Past the neighbours' spans that the one below rules out; mostly one in each.
+                    for place in &mut places {
+                        *place += usize::from(seen[*place].bottom() <= below.top() as i32);
+                        while seen[*place].bottom() <= below.top() as i32 {
+                            *place += 1;
+                        }
+                    }
+                    let candidates = places.iter().map(|&place| kinds[place]).sum();
+                    walk.coder.refill();
+                    let near = places.map(|place| seen[place]);
+                    let coded = walk.span(near, candidates, index + 1 == count, spans.get(index as usize));
+                    (seen[next], kinds[next]) = (coded.seen, coded.kind());
+                    next += 1;
+                    below = coded.span(Some(below))?;
+                    taker.take(px as u32, below);
+                }
+            }
+            (seen[next], kinds[next]) = (Seen::NONE, 0);
+            next += 1;
+            taker.end_pixel(px as u32, py as u32);
+        }
+    }
+    Ok(walk.coder)
+}
+
+/// Takes what a walk finds.
+trait Taker {
+    /// Begins a page with matter in these pixels.
+    fn begin(&mut self, rows: &[u64; 64]);
+    /// The next span, of a pixel with this x.
+    fn take(&mut self, px: u32, span: Span);
+    /// There are no more spans in this pixel.
+    fn end_pixel(&mut self, px: u32, py: u32);
+}
+
+/// Where the spans are known.
+impl Taker for () {
+    fn begin(&mut self, _: &[u64; 64]) {}
+
+    #[inline(always)]
+    fn take(&mut self, _: u32, _: Span) {}
+
+    #[inline(always)]
+    fn end_pixel(&mut self, _: u32, _: u32) {}
+}
+
+impl Taker for &mut RowBuilder {
+    fn begin(&mut self, rows: &[u64; 64]) {
+        RowBuilder::begin(self, *rows);
+    }
+
+    #[inline(always)]
+    fn take(&mut self, px: u32, span: Span) {
+        self.push(px, span);
+    }
+
+    #[inline(always)]
+    fn end_pixel(&mut self, px: u32, py: u32) {
+        RowBuilder::end_pixel(self, px, py);
+    }
+}
+
+/// Appends the encoding of `page` with heights on `lattice`, at most [`MAX_LEN`] bytes.
+pub fn encode(lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(lanes) = Avx2::detect() {
+        // SAFETY: the processor has what the function asks for.
+        return unsafe { encode_avx2(lanes, lattice, page, scratch, out) };
+    }
+    encode_with(Base, lattice, page, scratch, out);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
+fn encode_avx2(lanes: Avx2, lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+    encode_with(lanes, lattice, page, scratch, out);
+}
+
+#[inline(always)]
+fn encode_with(lanes: impl Lanes, lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+    let mut encoder = std::mem::take(&mut scratch.encoder).with_lanes(lanes);
+    encoder.clear();
+    code_lattice(&mut encoder, lattice);
+    if let Ok(mut encoder) = walk(encoder, lattice, scratch, Some(page), ()) {
+        encoder.finish(out);
+        scratch.encoder = encoder.with_lanes(Base);
+    }
+}
+
+/// Fills `builder` from the encoding `body`.
+pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut RowBuilder) -> Result<(), Violation> {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(lanes) = Avx2::detect() {
+        // SAFETY: the processor has what the function asks for.
+        return unsafe { decode_avx2(lanes, body, scratch, builder) };
+    }
+    decode_with(Base, body, scratch, builder)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
+fn decode_avx2(lanes: Avx2, body: &[u8], scratch: &mut Scratch, builder: &mut RowBuilder) -> Result<(), Violation> {
+    decode_with(lanes, body, scratch, builder)
+}
+
+#[inline(always)]
+fn decode_with(
+    lanes: impl Lanes,
+    body: &[u8],
+    scratch: &mut Scratch,
+    builder: &mut RowBuilder,
+) -> Result<(), Violation> {
+    let mut decoder = BraidDecoder::new(body, lanes, "P6")?;
+    let lattice = code_lattice(&mut decoder, Lattice::QUANTA)
+        .ok_or_else(|| Violation::new("P7", "steps of 2 to 255 quanta, above their phase", "others"))?;
+    walk(decoder, lattice, scratch, None, builder)?.finish("P6")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::codec::adaptive::tests::pages;
+    use crate::codec::{Decoder, Encoder, MAX_BODY};
+    use crate::frame::Frame;
+    use crate::plan::Coding;
+    use crate::slice::PageBuilder;
+    use proptest::prelude::*;
+
+    fn encoder() -> Encoder {
+        Encoder::new(Frame::new(0.05, 0.15).unwrap(), 0).with_coding(Coding::Braided)
+    }
+
+    fn encoded(page: &Page) -> Vec<u8> {
+        let mut body = Vec::new();
+        encoder().encode(page, &mut body);
+        body
+    }
+
+    /// `page` with heights on centimetres, as far as its spans are apart then.
+    fn in_centimetres(page: &Page) -> Page {
+        let mut builder = PageBuilder::default();
+        for (px, py, spans) in page.columns() {
+            let whole = |height: u32| height / 17 * 17;
+            let moved =
+                |s: &Span| Span::new(whole(s.bottom()), (whole(s.top()) + 1).min(16320), s.is_obstacle()).unwrap();
+            let spans: Vec<_> = spans.iter().map(moved).collect();
+            assert!(builder.set_column(px, py, &spans) || spans.len() > 1);
+        }
+        builder.build()
+    }
+
+    #[test]
+    fn the_largest_page_has_less_than_the_stated_length() {
+        let mut builder = PageBuilder::default();
+        for pixel in 0..64 * 64u32 {
+            let height = |k: u32| 255 * k + (pixel.wrapping_mul(2654435761).wrapping_mul(k + 1) >> 7) % 200;
+            let span = |k: u32| Span::new(height(k), height(k) + (pixel ^ k) % 50, (pixel ^ k).is_multiple_of(3));
+            let spans: Vec<_> = (0..64).map(|k| span(k).unwrap()).collect();
+            assert!(builder.set_column(pixel % 64, pixel / 64, &spans));
+        }
+        let page = builder.build();
+        let body = encoded(&page);
+        assert!(body.len() <= MAX_LEN, "{} bytes", body.len());
+        assert_eq!(Decoder::default().decode(&body).unwrap(), page);
+    }
+
+    proptest! {
+        #[test]
+        fn pages_round_trip(pages in proptest::collection::vec(pages(), 1..4), centimetres: bool) {
+            let (mut encoder, mut decoder) = (encoder(), Decoder::default());
+            for page in pages {
+                let page = if centimetres { in_centimetres(&page) } else { page };
+                prop_assume!(page.span_count() > 0);
+                let mut body = Vec::new();
+                encoder.encode(&page, &mut body);
+                prop_assert!(body.len() <= MAX_BODY && body == encoded(&page));
+                prop_assert_eq!(decoder.decode(&body).unwrap(), page);
+            }
+        }
+
+        #[test]
+        fn what_decodes_encodes_again(
+            page in pages(), centimetres: bool, flips in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..4)
+        ) {
+            let page = if centimetres { in_centimetres(&page) } else { page };
+            prop_assume!(page.span_count() > 0);
+            let mut body = encoded(&page);
+            for (at, value) in flips {
+                let place = at.index(body.len() - 1) + 1;
+                body[place] = value;
+            }
+            match Decoder::default().decode(&body) {
+                Ok(page) => {
+                    let again = encoded(&page);
+                    prop_assert_eq!(Decoder::default().decode(&again).unwrap(), page);
+                }
+                Err(violation) => prop_assert!(["P6", "P7", "P8"].contains(&violation.rule)),
+            }
+        }
+
+        #[test]
+        fn random_bytes_never_panic(mut body in proptest::collection::vec(any::<u8>(), 0..2000)) {
+            if let Some(first) = body.first_mut() {
+                *first = 3;
+            }
+            let _ = Decoder::default().decode(&body);
+        }
+    }
+}
