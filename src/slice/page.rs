@@ -105,6 +105,13 @@ impl<'a> BlockView<'a> {
         &self.page.spans[first..end]
     }
 
+    /// Spans of the row of pixel `bit` from the first of that pixel on whose top is not below `low`, or from where it would be.
+    #[inline]
+    pub(crate) fn row_from(self, bit: u32, low: u32) -> &'a [Span] {
+        let row = self.rows(bit >> 3, bit >> 3);
+        &row[row.partition_point(|span| span.is_before(bit & 7, low))..]
+    }
+
     /// Spans of the pixel with bit number `bit` in [`pixels`](Self::pixels), lowest first; empty without matter.
     #[inline]
     pub fn column(self, bit: u32) -> &'a [Span] {
