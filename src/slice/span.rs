@@ -48,12 +48,6 @@ impl Span {
             .then_some(Self(bottom | top << 14 | if obstacle { OBSTACLE } else { 0 }))
     }
 
-    /// Bottom in the lowest 14 bits, top in the next 14, and more above: for several spans at once.
-    #[inline]
-    pub(crate) fn word(self) -> u32 {
-        self.0
-    }
-
     /// Lowest quantum [quanta above the page's floor].
     #[inline]
     pub fn bottom(self) -> u32 {

@@ -402,3 +402,48 @@ impl<'a, S: PageSet> Walk<'a, S> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Frame;
+    use crate::query::Ray;
+    use crate::store::Store;
+    use nalgebra::{Point3, Vector3};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn every_cell_that_a_ray_is_in_is_in_the_mask(
+            from in prop::array::uniform2(-4i32..72),
+            way in prop::array::uniform2(prop::sample::select(vec![-1.0, -0.3, -1e-5, -1e-40, 0.0, 1e-9, 1e-3, 0.7, 1.0])),
+            off in prop::sample::select(vec![0.0, 1e-6, 0.3, 0.5]),
+            length in 0.0..80.0f64,
+        ) {
+            let store = Store::from_pages(Frame::new(1.0, 1.0).unwrap(), []);
+            let origin = Point3::new(f64::from(from[0]) + off, f64::from(from[1]) + off, 0.0);
+            let ray = Ray::new(origin, Vector3::new(way[0], way[1], 1e-2), length).unwrap();
+            let line = Line::new(store.frame(), &ray);
+            let walk = Walk::new(&store, &line);
+            let mut met = 0;
+            let mut check = |size: f64, mask: &dyn Fn(f64, f64) -> u64| {
+                let (t0, t1) = walk.within([0.0; 2], 8.0 * size, SLACK, 0.0, length);
+                let mask = if t0 <= t1 { mask(t0, t1) } else { 0 };
+                for n in 0..64u32 {
+                    let first = [f64::from(n & 7) * size, f64::from(n >> 3) * size];
+                    let (enter, leave) = walk.within(first, size, SLACK, 0.0, length);
+                    assert!(enter > leave || mask >> n & 1 == 1, "cell {n} of {size}: {ray:?}");
+                    let (enter, leave) = walk.within(first, size, 0.01 * size, 0.0, length);
+                    assert!(enter <= leave || mask >> n & 1 == 0, "no cell {n} of {size}: {ray:?}");
+                    met += mask >> n & 1;
+                }
+            };
+            check(1.0, &|t0, t1| walk.met::<1>([0.0; 2], t0, t1));
+            check(8.0, &|t0, t1| walk.met::<8>([0.0; 2], t0, t1));
+            let mask = 0x0123_4567_89AB_CDEF;
+            for bit in 0..64u32 {
+                prop_assert_eq!(walk.mirrored_square(mask) >> (bit ^ walk.turn) & 1, mask >> bit & 1);
+            }
+        }
+    }
+}
