@@ -153,7 +153,8 @@ mod sse2 {
 }
 
 #[cfg(any(test, not(target_arch = "x86_64")))]
-#[cfg_attr(target_family = "wasm", allow(dead_code))]
+// There for tests, which ask for a part of it only.
+#[cfg_attr(target_arch = "x86_64", allow(dead_code))]
 mod portable {
     use crate::slice::Span;
 
