@@ -1,5 +1,6 @@
 //! One page against one shape.
 
+use super::four::Unions;
 use super::grid::Heights;
 use super::grid::sealed::OnPixels;
 use super::scan::{meeting, meeting_in_lanes};
@@ -164,12 +165,16 @@ pub(super) fn touches_union(block: BlockView<'_>, low: u32, high: u32) -> bool {
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn union_heights(block: BlockView<'_>, low: u32, high: u32) -> Option<(u32, u32)> {
     let (first, more) = block.union_quads();
-    if !touches_union(block, low, high) {
-        return None;
+    let mut met = Unions::meeting(first, low, high);
+    for quad in more {
+        // Lowest bottom first.
+        if quad[0].bottom() > high {
+            break;
+        }
+        met = met.join(Unions::meeting(quad, low, high));
     }
-    let quads = std::iter::once(first).chain(more);
-    let met = quads.flatten().filter(|union| union.meets(low, high));
-    Some(met.fold((u32::MAX, 0), |(bottom, top), union| (bottom.min(union.bottom()), top.max(union.top()))))
+    let (bottom, top) = met.ends();
+    (bottom <= top).then_some((bottom, top))
 }
 
 /// Rows `y0..=y1` of a block between lanes `x0..=x1`.

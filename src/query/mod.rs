@@ -36,6 +36,7 @@ mod cylinder;
 mod disc;
 mod floor;
 mod footprint;
+mod four;
 mod grid;
 mod probe;
 mod ray;

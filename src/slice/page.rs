@@ -105,6 +105,13 @@ impl<'a> BlockView<'a> {
         &self.page.spans[first..end]
     }
 
+    /// Spans of the row of pixel `bit` from the first of that pixel on whose top is not below `low`, or from where it would be.
+    #[inline]
+    pub(crate) fn row_from(self, bit: u32, low: u32) -> &'a [Span] {
+        let row = self.rows(bit >> 3, bit >> 3);
+        &row[row.partition_point(|span| span.is_before(bit & 7, low))..]
+    }
+
     /// Spans of the pixel with bit number `bit` in [`pixels`](Self::pixels), lowest first; empty without matter.
     #[inline]
     pub fn column(self, bit: u32) -> &'a [Span] {
@@ -143,12 +150,16 @@ impl Page {
         let below = first.saturating_sub(lowest) as usize;
         let upto = (last + 1).saturating_sub(lowest) as usize;
         let slices = self.slice_blocks.get(below..upto.min(self.slice_blocks.len())).unwrap_or(&[]);
-        let (quads, rest) = slices.as_chunks::<4>();
+        let quads = slices.as_chunks::<4>().0;
         let or = |all: [u64; 4], quad: &[u64; 4]| [0, 1, 2, 3].map(|n| all[n] | quad[n]);
         let mut all = quads.iter().fold([0; 4], or);
         match slices.last_chunk() {
             Some(last) => all = or(all, last),
-            None => all[0] = rest.iter().fold(0, |all, blocks| all | blocks),
+            // At most three.
+            None => {
+                let at = |n: usize| slices.get(n).copied().unwrap_or(0);
+                all[0] = at(0) | at(slices.len() / 2) | at(slices.len().wrapping_sub(1));
+            }
         }
         all[0] | all[1] | all[2] | all[3]
     }

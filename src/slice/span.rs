@@ -81,6 +81,12 @@ impl Span {
         Self(self.0 & VALUE | lane << LANE_SHIFT)
     }
 
+    /// Whether the span lies in a lane before `lane`, or in it with its top below `low`: so at first in a row, and then not.
+    #[inline]
+    pub(crate) fn is_before(self, lane: u32, low: u32) -> bool {
+        self.0 & !OBSTACLE < lane << LANE_SHIFT | low.min(FIELD) << 14
+    }
+
     /// Whether the span and the closed interval `[low, high]` share a height.
     #[inline]
     pub fn meets(self, low: u32, high: u32) -> bool {
@@ -146,6 +152,16 @@ mod tests {
         assert_eq!(Span::new(16320, 16320, false), None);
         assert_eq!(Span::new(3, 2, false), None);
         assert_eq!(Span::new(0, 16320, true).unwrap().slice_mask(), u64::MAX);
+    }
+
+    #[test]
+    fn spans_of_a_row_are_in_order_of_lane_and_top() {
+        let span = |lane, bottom, top| Span::new(bottom, top, lane == 3).unwrap().in_lane(lane);
+        let row = [span(0, 16319, 16320), span(3, 5, 7), span(3, 8, 20), span(3, 255, 255), span(7, 0, 0)];
+        let first = |lane, low| row.partition_point(|span| span.is_before(lane, low));
+        assert_eq!([first(0, 0), first(0, 16320), first(0, 16321), first(1, 0)], [0, 0, 1, 1]);
+        assert_eq!([first(3, 0), first(3, 7), first(3, 8), first(3, 20), first(3, 21)], [1, 1, 2, 2, 3]);
+        assert_eq!([first(3, i32::MAX as u32), first(7, 0), first(7, 1)], [4, 4, 5]);
     }
 
     #[test]

@@ -5,7 +5,8 @@ use super::line::Line;
 use crate::frame::{PAGE_QUANTA, TILE_PIXELS, floor_small};
 use crate::query::blocks::{local, slices_between, slices_of, union_heights};
 use crate::query::footprint::{floor_of, layers};
-use crate::query::grid::Heights;
+use crate::query::four::{Floats, Pair};
+use crate::query::grid::{Heights, row_bits};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, PageSet, PageSlot};
 
@@ -15,6 +16,10 @@ const SLACK: f64 = 1.0 / (1 << 16) as f64;
 const SLACK_Z: f64 = 1.0 / (1 << 12) as f64;
 /// Greatest coordinates (pixels, pixels, quanta).
 const FARTHEST: [f64; 3] = [(1u64 << 30) as f64, (1u64 << 30) as f64, (1u64 << 32) as f64];
+
+/// Growth of cells where single precision tells which of 8 × 8 a ray meets (cells): far above [`SLACK`] and the errors of
+/// numbers below 8, also where these are multiplied by the slope.
+const NEAR: f64 = 1.0 / (1 << 12) as f64;
 
 /// Tiles along the edge of a region.
 const REGION: i64 = 64;
@@ -36,7 +41,7 @@ pub(super) fn first_hit<S: PageSet>(set: &S, line: &Line, bounds: &KeyBounds) ->
         if !(origin.abs() <= FARTHEST[axis] && -low <= FARTHEST[axis] && high <= FARTHEST[axis]) {
             return Err(Unsure);
         }
-        let inverse = inverse(line.speed[axis]);
+        let inverse = walk.inverses[axis];
         let slack = if axis == 2 { SLACK_Z } else { SLACK };
         let (a, b) = ((low - slack - origin) * inverse, (high + slack - origin) * inverse);
         (t0, t1) = (greater(t0, lesser(a, b)), lesser(t1, greater(a, b)));
@@ -88,12 +93,17 @@ struct Walk<'a, S> {
     inverse: [f64; 2],
     /// All bits for a mirrored axis, else none.
     mirror: [i64; 2],
-    inverse_z: f64,
-    /// In a square of 8 × 8 cells, numbered `8·y + x`: how far apart rows and cells across are (as shifts), those of a
-    /// row that begins with 0, and what turns a mirrored number back.
-    shifts: [u32; 2],
-    row: u64,
-    turn: [i32; 2],
+    /// Along x, y and z, not mirrored: metres per pixel and quantum.
+    inverses: [f64; 3],
+    /// Along x and y, not mirrored: origin (pixels), pixels per metre, metres per pixel.
+    start: Pair,
+    way: Pair,
+    each: Pair,
+    /// Pixels along x per pixel along y, and where in a row cells are to be looked for from and up to, as of its beginning.
+    slope: f32,
+    wider: [f32; 2],
+    /// What turns the number `8·y + x` of a cell in a mirrored square of 8 × 8 back.
+    turn: u32,
     /// The page at hand: height of its floor (quanta), and that of the ray's origin above it.
     base: i64,
     height: f64,
@@ -108,17 +118,24 @@ impl<'a, S: PageSet> Walk<'a, S> {
         let axes = [line.major, 1 - line.major];
         let speed = [line.speed[axes[0]], line.speed[axes[1]]];
         let mirror = [-i64::from(speed[0] < 0.0), -i64::from(speed[1] < 0.0)];
+        let inverses = [inverse(line.speed[0]), inverse(line.speed[1]), inverse(line.speed[2])];
+        let slope = lesser(greater(line.speed[0] * inverses[1], -1e30), 1e30);
+        let (before, behind) = (slope * -NEAR, slope * (1.0 + NEAR));
         Self {
             set,
             line,
             origin: [mirrored(line.origin[axes[0]], speed[0]), mirrored(line.origin[axes[1]], speed[1])],
             speed: [speed[0].abs(), speed[1].abs()],
-            inverse: [inverse(speed[0].abs()), inverse(speed[1].abs())],
+            inverse: axes.map(|axis| inverses[axis].abs()),
             mirror,
-            inverse_z: inverse(line.speed[2]),
-            shifts: if line.major == 0 { [0, 3] } else { [3, 0] },
-            row: if line.major == 0 { 0x0101_0101_0101_0101 } else { 0xFF },
-            turn: [mirror[0] as i32 & 7, mirror[1] as i32 & 7],
+            inverses,
+            start: Pair::new([line.origin[0], line.origin[1]]),
+            way: Pair::new([line.speed[0], line.speed[1]]),
+            each: Pair::new([inverses[0], inverses[1]]),
+            slope: slope as f32,
+            // Half a cell less: nearest is floor.
+            wider: [lesser(before, behind) - NEAR - 0.5, greater(before, behind) + NEAR - 0.5].map(|v| v as f32),
+            turn: if line.speed[0] < 0.0 { 7 } else { 0 } | if line.speed[1] < 0.0 { 56 } else { 0 },
             base: 0,
             height: line.origin[2],
             end: line.max,
@@ -133,28 +150,61 @@ impl<'a, S: PageSet> Walk<'a, S> {
         if self.line.major == 0 { [row, cell] } else { [cell, row] }
     }
 
-    /// Cells in `row` of a square of 8 × 8, as a mask.
+    /// A mask of a square of 8 × 8 cells mirrored as the ray needs it, or back.
     #[inline]
-    fn row_of_square(&self, row: i32) -> u64 {
-        self.row << ((row ^ self.turn[0]) << self.shifts[0])
+    fn mirrored_square(&self, mask: u64) -> u64 {
+        let rows = if self.turn & 56 == 0 { mask } else { mask.swap_bytes() };
+        let columns = rows.reverse_bits().swap_bytes();
+        if self.turn & 7 == 0 { rows } else { columns }
     }
 
-    /// The bit of a cell in such a mask.
+    /// Cells of `SIZE` pixels in the square of 8 × 8 that begins at pixel `corner` that the ray may meet between `t0` and `t1`, as a
+    /// mask. All rows at once: a ray that meets few cells would mispredict more branches than this has instructions.
     #[inline]
-    fn bit_in_square(&self, row: i32, cell: i32) -> u32 {
-        ((row ^ self.turn[0]) << self.shifts[0] | (cell ^ self.turn[1]) << self.shifts[1]) as u32
+    fn met<const SIZE: u32>(&self, corner: [f64; 2], t0: f64, t1: f64) -> u64 {
+        let origin = self.start.minus(Pair::new(corner));
+        let at = |t: f64| origin.plus(self.way.times(Pair::new([t; 2]))).times(Pair::new([1.0 / f64::from(SIZE); 2]));
+        let (here, there) = (at(t0), at(t1));
+        let ([x0, y0], ([_, low], [_, high])) = (here.both(), (here.lesser(there).both(), here.greater(there).both()));
+        // Half a cell less: nearest is floor.
+        let south = nearest(low - NEAR - 0.5).clamp(0, 7) as u32;
+        let north = nearest(high + NEAR - 0.5).clamp(0, 7) as u32;
+        let all = |v: f64| Floats::new([v as f32; 4]);
+        let (x0, x1) = (all(x0), all(there.both()[0]));
+        let inside = |v: Floats| v.greater(all(-0.5)).lesser(all(7.25));
+        let (west, east) = (inside(x0.lesser(x1).minus(all(NEAR + 0.5))), inside(x0.greater(x1).plus(all(NEAR - 0.5))));
+        let slope = Floats::new([self.slope; 4]);
+        let begin = x0.minus(slope.times(all(y0)));
+        let (first, last) = (begin.plus(Floats::new([self.wider[0]; 4])), begin.plus(Floats::new([self.wider[1]; 4])));
+        let half = |rows: [f32; 4]| {
+            let way = slope.times(Floats::new(rows));
+            let bit = |x: Floats| x.plus(way).greater(west).lesser(east).power_of_nearest();
+            let (from, upto) = (bit(first), bit(last));
+            upto.plus(upto).minus(from)
+        };
+        half([0.0, 1.0, 2.0, 3.0]).bytes(half([4.0, 5.0, 6.0, 7.0])) & row_bits(south, north)
+    }
+
+    /// The part between `t0` and `t1` in which the ray is in the cell of `size` pixels that begins at pixel `first`, grown by `slack`
+    /// pixels.
+    #[inline]
+    fn within(&self, first: [f64; 2], size: f64, slack: f64, t0: f64, t1: f64) -> (f64, f64) {
+        let origin = Pair::new(first).minus(self.start);
+        let a = origin.minus(Pair::new([slack; 2])).times(self.each);
+        let b = origin.plus(Pair::new([size + slack; 2])).times(self.each);
+        let ([enter, or], [leave, and]) = (a.lesser(b).both(), a.greater(b).both());
+        (greater(greater(t0, enter), or), lesser(lesser(t1, leave), and))
     }
 
     /// Shows `visit` the cells of `1 << SHIFT` pixels that the ray meets between `t0` and `t1`, in a rectangle of `count`
     /// rows and cells across that begins at cell `first`: row, cell across, and the part in which it does. Cells are grown
-    /// by [`SLACK`]. Rows that `skips` says nothing is in are left out, and so is what lies behind a hit.
+    /// by [`SLACK`]. What lies behind a hit is left out.
     #[inline]
     fn cells<const SHIFT: u32>(
         &mut self,
         first: [i64; 2],
         count: [i32; 2],
         (t0, t1): (f64, f64),
-        skips: impl Fn(&Self, i32) -> bool,
         mut visit: impl FnMut(&mut Self, i32, i32, f64, f64) -> Certain,
     ) -> Certain {
         let size = (1u64 << SHIFT) as f64;
@@ -170,9 +220,6 @@ impl<'a, S: PageSet> Walk<'a, S> {
         let from = |axis: usize, t: f64| nearest(low[axis] + speed[axis] * t).max(0);
         let upto = |axis: usize, t: f64| nearest(high[axis] + speed[axis] * t).min(count[axis] - 1);
         for row in from(0, t0)..=upto(0, t1) {
-            if skips(self, row) {
-                continue;
-            }
             let s0 = greater(t0, enter[0] + f64::from(row) * each[0]);
             let s1 = lesser(t1, leave[0] + f64::from(row) * each[0]);
             if s0 > self.end {
@@ -215,8 +262,8 @@ impl<'a, S: PageSet> Walk<'a, S> {
     /// The part between `t0` and `t1` in which the ray may lie between heights `bottom` and `top` of the page.
     #[inline]
     fn between(&self, bottom: u32, top: u32, t0: f64, t1: f64) -> (f64, f64) {
-        let a = (f64::from(bottom) - SLACK_Z - self.height) * self.inverse_z;
-        let b = (f64::from(top) + SLACK_Z - self.height) * self.inverse_z;
+        let a = (f64::from(bottom) - SLACK_Z - self.height) * self.inverses[2];
+        let b = (f64::from(top) + SLACK_Z - self.height) * self.inverses[2];
         (greater(t0, lesser(a, b)), lesser(t1, greater(a, b)))
     }
 
@@ -234,31 +281,21 @@ impl<'a, S: PageSet> Walk<'a, S> {
         }
         let first = [first[0] >> 6, first[1] >> 6];
         let count = [((ends[0].1 >> 6) - first[0] + 1) as i32, ((ends[1].1 >> 6) - first[1] + 1) as i32];
-        self.cells::<12>(
-            first,
-            count,
-            (t0, t1),
-            |_, _| false,
-            |walk, row, cell, t0, t1| {
-                let region = [first[0] + i64::from(row), first[1] + i64::from(cell)];
-                let [rx, ry] = walk.on_grid(region[0], region[1]);
-                if walk.set.has_region(rx as i32, ry as i32) {
-                    walk.tiles([region[0] << 6, region[1] << 6], [REGION as i32; 2], t0, t1)?;
-                }
-                Ok(())
-            },
-        )
+        self.cells::<12>(first, count, (t0, t1), |walk, row, cell, t0, t1| {
+            let region = [first[0] + i64::from(row), first[1] + i64::from(cell)];
+            let [rx, ry] = walk.on_grid(region[0], region[1]);
+            if walk.set.has_region(rx as i32, ry as i32) {
+                walk.tiles([region[0] << 6, region[1] << 6], [REGION as i32; 2], t0, t1)?;
+            }
+            Ok(())
+        })
     }
 
     #[inline(never)]
     fn tiles(&mut self, first: [i64; 2], count: [i32; 2], t0: f64, t1: f64) -> Certain {
-        self.cells::<6>(
-            first,
-            count,
-            (t0, t1),
-            |_, _| false,
-            |walk, row, cell, t0, t1| walk.tile([first[0] + i64::from(row), first[1] + i64::from(cell)], t0, t1),
-        )
+        self.cells::<6>(first, count, (t0, t1), |walk, row, cell, t0, t1| {
+            walk.tile([first[0] + i64::from(row), first[1] + i64::from(cell)], t0, t1)
+        })
     }
 
     #[inline]
@@ -283,7 +320,7 @@ impl<'a, S: PageSet> Walk<'a, S> {
             let (low, high) = self.heights_in_page(t0, t1);
             let (bottom, top) = slices_of(low, high);
             if let Some(page) = slot.page() {
-                self.page(page, page.blocks_in(bottom, top), [tile[0] << 3, tile[1] << 3], t0, t1)?;
+                self.page(page, page.blocks_in(bottom, top), [(tx << 6) as f64, (ty << 6) as f64], t0, t1)?;
             } else if slot.slices() & slices_between(local(heights.low, self.base), local(heights.high, self.base)) != 0
             {
                 return Err(Unsure);
@@ -292,68 +329,67 @@ impl<'a, S: PageSet> Walk<'a, S> {
         Ok(())
     }
 
-    /// Those `blocks` of a page that hold matter at the ray's heights; the first block of the page is `first`.
+    /// Those `blocks` of a page that hold matter at the ray's heights; the first pixel of the page is `corner`.
     #[inline]
-    fn page(&mut self, page: &Page, blocks: u64, first: [i64; 2], t0: f64, t1: f64) -> Certain {
+    fn page(&mut self, page: &Page, blocks: u64, corner: [f64; 2], t0: f64, t1: f64) -> Certain {
         if blocks == 0 {
             return Ok(());
         }
-        let skips = |walk: &Self, row| blocks & walk.row_of_square(row) == 0;
-        self.cells::<3>(first, [8; 2], (t0, t1), skips, |walk, row, cell, t0, t1| {
-            let number = walk.bit_in_square(row, cell);
-            if blocks >> number & 1 == 0 {
-                return Ok(());
+        let mut left = self.mirrored_square(blocks & self.met::<8>(corner, t0, t1));
+        while left != 0 {
+            let number = left.trailing_zeros() ^ self.turn;
+            left &= left - 1;
+            let first = [corner[0] + f64::from((number & 7) << 3), corner[1] + f64::from(number & 56)];
+            let (t0, t1) = self.within(first, 8.0, SLACK, t0, t1);
+            if t0 > t1 || t0 > self.end {
+                continue;
             }
-            let (low, high) = walk.heights_in_page(t0, t1);
+            let (low, high) = self.heights_in_page(t0, t1);
             let block = page.block_at(number);
-            let Some((bottom, top)) = union_heights(block, low, high) else { return Ok(()) };
-            let (t0, t1) = walk.between(bottom, top, t0, t1);
-            if t0 <= t1 && t0 <= walk.end {
-                let first = [(first[0] + i64::from(row)) << 3, (first[1] + i64::from(cell)) << 3];
-                walk.block(block, first, t0, t1)?;
+            let Some((bottom, top)) = union_heights(block, low, high) else { continue };
+            let (t0, t1) = self.between(bottom, top, t0, t1);
+            if t0 <= t1 && t0 <= self.end {
+                self.block(block, first, t0, t1)?;
             }
-            Ok(())
-        })
+        }
+        Ok(())
     }
 
     /// A block whose first pixel is `first`.
     #[inline(never)]
-    fn block(&mut self, block: BlockView<'_>, first: [i64; 2], t0: f64, t1: f64) -> Certain {
-        let pixels = block.pixels();
-        let skips = |walk: &Self, row| pixels & walk.row_of_square(row) == 0;
-        self.cells::<0>(first, [8; 2], (t0, t1), skips, |walk, row, cell, t0, t1| {
-            let bit = walk.bit_in_square(row, cell);
-            if pixels >> bit & 1 == 0 {
-                return Ok(());
+    fn block(&mut self, block: BlockView<'_>, first: [f64; 2], t0: f64, t1: f64) -> Certain {
+        let mut left = self.mirrored_square(block.pixels() & self.met::<1>(first, t0, t1));
+        while left != 0 {
+            let bit = left.trailing_zeros() ^ self.turn;
+            left &= left - 1;
+            let pixel = [first[0] + f64::from(bit & 7), first[1] + f64::from(bit >> 3)];
+            let (t0, t1) = self.within(pixel, 1.0, SLACK, t0, t1);
+            if t0 > t1 || t0 > self.end {
+                continue;
             }
-            let (low, high) = walk.heights_in_page(t0, t1);
-            let spans = block.column(bit);
-            if !spans.iter().any(|span| span.meets(low, high)) {
-                return Ok(());
+            let (low, high) = self.heights_in_page(t0, t1);
+            let spans = block.row_from(bit, low);
+            let met = |span: &Span| span.lane() == bit & 7 && span.bottom() <= high;
+            if spans.first().is_some_and(met) {
+                self.pixel(spans.iter().copied().take_while(met), pixel, t0, t1)?;
             }
-            walk.pixel(spans, [first[0] + i64::from(row), first[1] + i64::from(cell)], t0, t1)
-        })
+        }
+        Ok(())
     }
 
-    /// A pixel with `spans`, some of which the ray meets between `t0` and `t1`, or may.
+    /// A pixel whose `spans`, one or more, the ray meets between `t0` and `t1`, or may.
     #[inline(never)]
-    fn pixel(&mut self, spans: &[Span], pixel: [i64; 2], t0: f64, t1: f64) -> Certain {
+    fn pixel(&mut self, spans: impl Iterator<Item = Span>, pixel: [f64; 2], t0: f64, t1: f64) -> Certain {
         // Something else was hit, and not before this is entered.
         if self.hit.is_some() {
             return Err(Unsure);
         }
         // From here to there the ray is in the pixel beyond doubt.
-        let (mut here, mut there) = (t0, t1);
-        for (n, &cell) in pixel.iter().enumerate() {
-            let origin = cell as f64 - self.origin[n];
-            here = greater(here, (origin + SLACK) * self.inverse[n]);
-            there = lesser(there, (origin + 1.0 - SLACK) * self.inverse[n]);
-        }
+        let (here, there) = self.within(pixel, 1.0, -SLACK, t0, t1);
         let (least, most) = self.heights(here, there);
         let (least, most) = (least + SLACK_Z, most - SLACK_Z);
-        let (low, high) = self.heights_in_page(t0, t1);
-        let [i, j] = self.on_grid(pixel[0], pixel[1]);
-        for &span in spans.iter().filter(|span| span.meets(low, high)) {
+        let [i, j] = pixel.map(|cell| i64::from(nearest(cell)));
+        for span in spans {
             if !(here <= there && f64::from(span.bottom()) <= most && f64::from(span.top()) >= least) {
                 return Err(Unsure);
             }
@@ -364,5 +400,50 @@ impl<'a, S: PageSet> Walk<'a, S> {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Frame;
+    use crate::query::Ray;
+    use crate::store::Store;
+    use nalgebra::{Point3, Vector3};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn every_cell_that_a_ray_is_in_is_in_the_mask(
+            from in prop::array::uniform2(-4i32..72),
+            way in prop::array::uniform2(prop::sample::select(vec![-1.0, -0.3, -1e-5, -1e-40, 0.0, 1e-9, 1e-3, 0.7, 1.0])),
+            off in prop::sample::select(vec![0.0, 1e-6, 0.3, 0.5]),
+            length in 0.0..80.0f64,
+        ) {
+            let store = Store::from_pages(Frame::new(1.0, 1.0).unwrap(), []);
+            let origin = Point3::new(f64::from(from[0]) + off, f64::from(from[1]) + off, 0.0);
+            let ray = Ray::new(origin, Vector3::new(way[0], way[1], 1e-2), length).unwrap();
+            let line = Line::new(store.frame(), &ray);
+            let walk = Walk::new(&store, &line);
+            let mut met = 0;
+            let mut check = |size: f64, mask: &dyn Fn(f64, f64) -> u64| {
+                let (t0, t1) = walk.within([0.0; 2], 8.0 * size, SLACK, 0.0, length);
+                let mask = if t0 <= t1 { mask(t0, t1) } else { 0 };
+                for n in 0..64u32 {
+                    let first = [f64::from(n & 7) * size, f64::from(n >> 3) * size];
+                    let (enter, leave) = walk.within(first, size, SLACK, 0.0, length);
+                    assert!(enter > leave || mask >> n & 1 == 1, "cell {n} of {size}: {ray:?}");
+                    let (enter, leave) = walk.within(first, size, 0.01 * size, 0.0, length);
+                    assert!(enter <= leave || mask >> n & 1 == 0, "no cell {n} of {size}: {ray:?}");
+                    met += mask >> n & 1;
+                }
+            };
+            check(1.0, &|t0, t1| walk.met::<1>([0.0; 2], t0, t1));
+            check(8.0, &|t0, t1| walk.met::<8>([0.0; 2], t0, t1));
+            let mask = 0x0123_4567_89AB_CDEF;
+            for bit in 0..64u32 {
+                prop_assert_eq!(walk.mirrored_square(mask) >> (bit ^ walk.turn) & 1, mask >> bit & 1);
+            }
+        }
     }
 }

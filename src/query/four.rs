@@ -1,0 +1,334 @@
+//! Several numbers at once, by vector instructions that every x86-64 processor has: the compiler would make branches of some of
+//! these selections. Elsewhere lane by lane, with the same results to the last bit.
+
+#[cfg(not(target_arch = "x86_64"))]
+use portable as lanes;
+#[cfg(target_arch = "x86_64")]
+use sse2 as lanes;
+
+pub(super) use lanes::{Floats, Pair, Unions};
+
+#[cfg(target_arch = "x86_64")]
+mod sse2 {
+    use crate::frame::PAGE_QUANTA;
+    use crate::slice::Span;
+    use std::arch::x86_64::*;
+
+    /// Bits of a height in a span.
+    const FIELD: i32 = (1 << 14) - 1;
+
+    /// Vector instructions.
+    macro_rules! vector {
+        ($($code:tt)*) => {
+            // SAFETY: SSE2 is part of x86-64; nothing here reads or writes memory.
+            unsafe { $($code)* }
+        };
+    }
+
+    /// Four numbers of single precision, none of them NaN.
+    #[derive(Clone, Copy)]
+    pub struct Floats(__m128);
+
+    impl Floats {
+        #[inline]
+        pub fn new([a, b, c, d]: [f32; 4]) -> Self {
+            Self(vector!(_mm_set_ps(d, c, b, a)))
+        }
+
+        #[inline]
+        pub fn plus(self, other: Self) -> Self {
+            Self(vector!(_mm_add_ps(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn minus(self, other: Self) -> Self {
+            Self(vector!(_mm_sub_ps(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn times(self, other: Self) -> Self {
+            Self(vector!(_mm_mul_ps(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn lesser(self, other: Self) -> Self {
+            Self(vector!(_mm_min_ps(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn greater(self, other: Self) -> Self {
+            Self(vector!(_mm_max_ps(self.0, other.0)))
+        }
+
+        /// 2 to the power of the nearest integer, for values from -1 to 9: the exponent is written directly.
+        #[inline]
+        pub fn power_of_nearest(self) -> Self {
+            let exponent = vector!(_mm_add_epi32(_mm_cvtps_epi32(self.0), _mm_set1_epi32(127)));
+            Self(vector!(_mm_castsi128_ps(_mm_slli_epi32::<23>(exponent))))
+        }
+
+        /// The integers nearest to these and then to the others, all from 0 to 255, as bytes from the lowest on.
+        #[inline]
+        pub fn bytes(self, others: Self) -> u64 {
+            let words = vector!(_mm_packs_epi32(_mm_cvtps_epi32(self.0), _mm_cvtps_epi32(others.0)));
+            vector!(_mm_cvtsi128_si64(_mm_packus_epi16(words, words))) as u64
+        }
+    }
+
+    /// Two numbers, none of them NaN.
+    #[derive(Clone, Copy)]
+    pub struct Pair(__m128d);
+
+    impl Pair {
+        #[inline]
+        pub fn new([a, b]: [f64; 2]) -> Self {
+            Self(vector!(_mm_set_pd(b, a)))
+        }
+
+        #[inline]
+        pub fn plus(self, other: Self) -> Self {
+            Self(vector!(_mm_add_pd(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn minus(self, other: Self) -> Self {
+            Self(vector!(_mm_sub_pd(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn times(self, other: Self) -> Self {
+            Self(vector!(_mm_mul_pd(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn lesser(self, other: Self) -> Self {
+            Self(vector!(_mm_min_pd(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn greater(self, other: Self) -> Self {
+            Self(vector!(_mm_max_pd(self.0, other.0)))
+        }
+
+        #[inline]
+        pub fn both(self) -> [f64; 2] {
+            vector!([_mm_cvtsd_f64(self.0), _mm_cvtsd_f64(_mm_unpackhi_pd(self.0, self.0))])
+        }
+    }
+
+    /// How far spans reach: per lane the bottom, and above it what the top lacks to 16383; least is farthest in both.
+    #[derive(Clone, Copy)]
+    pub struct Unions(__m128i);
+
+    impl Unions {
+        /// Those of four spans that meet `low..=high`.
+        #[inline]
+        pub fn meeting(spans: &[Span; 4], low: u32, high: u32) -> Self {
+            // Comparisons are signed, and of 16 bits.
+            let (low, high) = (low.min(FIELD as u32) as i32, high.min(PAGE_QUANTA as u32) as i32);
+            // SAFETY: reads the four spans, which are 32 bits each.
+            let words = unsafe { _mm_loadu_si128(std::ptr::from_ref(spans).cast()) };
+            Self(vector! {
+                let bottoms = _mm_and_si128(words, _mm_set1_epi32(FIELD));
+                let ends = _mm_or_si128(bottoms, _mm_andnot_si128(_mm_slli_epi32::<2>(words), _mm_set1_epi32(FIELD << 16)));
+                let beyond = _mm_cmpgt_epi16(ends, _mm_set1_epi32(high | (FIELD - low) << 16));
+                let met = _mm_cmpeq_epi32(beyond, _mm_setzero_si128());
+                _mm_or_si128(ends, _mm_andnot_si128(met, _mm_set1_epi16(i16::MAX)))
+            })
+        }
+
+        #[inline]
+        pub fn join(self, other: Self) -> Self {
+            Self(vector!(_mm_min_epi16(self.0, other.0)))
+        }
+
+        /// The lowest bottom and the highest top; the first is above the second if nothing meets.
+        #[inline]
+        pub fn ends(self) -> (u32, u32) {
+            let half = vector!(_mm_min_epi16(self.0, _mm_shuffle_epi32::<0b1110>(self.0)));
+            let least = vector!(_mm_cvtsi128_si32(_mm_min_epi16(half, _mm_shuffle_epi32::<0b01>(half)))) as u32;
+            (least & 0xFFFF, least >> 16 ^ FIELD as u32)
+        }
+    }
+}
+
+#[cfg(any(test, not(target_arch = "x86_64")))]
+// There for tests, which ask for a part of it only.
+#[cfg_attr(target_arch = "x86_64", allow(dead_code))]
+mod portable {
+    use crate::slice::Span;
+
+    /// Four numbers of single precision, none of them NaN.
+    #[derive(Clone, Copy)]
+    pub struct Floats([f32; 4]);
+
+    /// Makes the integer nearest to a number of magnitude below 2²² the last bits of the sum, of two equally near the even one.
+    const INTEGERS: f32 = (3 << 22) as f32;
+
+    fn nearest(v: f32) -> u32 {
+        (v + INTEGERS).to_bits().wrapping_sub(INTEGERS.to_bits())
+    }
+
+    impl Floats {
+        #[inline]
+        pub fn new(values: [f32; 4]) -> Self {
+            Self(values)
+        }
+
+        #[inline]
+        fn with(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+            Self(std::array::from_fn(|n| f(self.0[n], other.0[n])))
+        }
+
+        #[inline]
+        pub fn plus(self, other: Self) -> Self {
+            self.with(other, |a, b| a + b)
+        }
+
+        #[inline]
+        pub fn minus(self, other: Self) -> Self {
+            self.with(other, |a, b| a - b)
+        }
+
+        #[inline]
+        pub fn times(self, other: Self) -> Self {
+            self.with(other, |a, b| a * b)
+        }
+
+        #[inline]
+        pub fn lesser(self, other: Self) -> Self {
+            self.with(other, |a, b| if a < b { a } else { b })
+        }
+
+        #[inline]
+        pub fn greater(self, other: Self) -> Self {
+            self.with(other, |a, b| if a > b { a } else { b })
+        }
+
+        /// 2 to the power of the nearest integer, for values from -1 to 9: the exponent is written directly.
+        #[inline]
+        pub fn power_of_nearest(self) -> Self {
+            Self(self.0.map(|v| f32::from_bits(nearest(v).wrapping_add(127) << 23)))
+        }
+
+        /// The integers nearest to these and then to the others, all from 0 to 255, as bytes from the lowest on.
+        #[inline]
+        pub fn bytes(self, others: Self) -> u64 {
+            let lanes = self.0.iter().chain(&others.0).rev();
+            lanes.fold(0, |bytes, &v| bytes << 8 | u64::from(nearest(v)))
+        }
+    }
+
+    /// Two numbers, none of them NaN.
+    #[derive(Clone, Copy)]
+    pub struct Pair([f64; 2]);
+
+    impl Pair {
+        #[inline]
+        pub fn new(values: [f64; 2]) -> Self {
+            Self(values)
+        }
+
+        #[inline]
+        fn with(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
+            Self([f(self.0[0], other.0[0]), f(self.0[1], other.0[1])])
+        }
+
+        #[inline]
+        pub fn plus(self, other: Self) -> Self {
+            self.with(other, |a, b| a + b)
+        }
+
+        #[inline]
+        pub fn minus(self, other: Self) -> Self {
+            self.with(other, |a, b| a - b)
+        }
+
+        #[inline]
+        pub fn times(self, other: Self) -> Self {
+            self.with(other, |a, b| a * b)
+        }
+
+        #[inline]
+        pub fn lesser(self, other: Self) -> Self {
+            self.with(other, |a, b| if a < b { a } else { b })
+        }
+
+        #[inline]
+        pub fn greater(self, other: Self) -> Self {
+            self.with(other, |a, b| if a > b { a } else { b })
+        }
+
+        #[inline]
+        pub fn both(self) -> [f64; 2] {
+            self.0
+        }
+    }
+
+    /// The lowest bottom and the highest top of spans.
+    #[derive(Clone, Copy)]
+    pub struct Unions(u32, u32);
+
+    impl Unions {
+        /// Those of four spans that meet `low..=high`.
+        #[inline]
+        pub fn meeting(spans: &[Span; 4], low: u32, high: u32) -> Self {
+            let met = spans.iter().filter(|span| span.meets(low, high));
+            met.fold(Self((1 << 14) - 1, 0), |ends, span| ends.join(Self(span.bottom(), span.top())))
+        }
+
+        #[inline]
+        pub fn join(self, other: Self) -> Self {
+            Self(self.0.min(other.0), self.1.max(other.1))
+        }
+
+        /// The lowest bottom and the highest top; the first is above the second if nothing meets.
+        #[inline]
+        pub fn ends(self) -> (u32, u32) {
+            (self.0, self.1)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::slice::Span;
+    use proptest::prelude::*;
+
+    fn span() -> impl Strategy<Value = Span> {
+        (0..16320u32, 0..16320u32, any::<bool>())
+            .prop_map(|(a, b, obstacle)| Span::new(a.min(b), a.max(b), obstacle).unwrap_or(Span::LEAST))
+    }
+
+    proptest! {
+        #[test]
+        fn every_platform_finds_the_same_ends(
+            quads in prop::array::uniform2(prop::array::uniform4(span())), a in 0..16400u32, b in 0..16400u32
+        ) {
+            let (low, high) = (a.min(b), a.max(b));
+            let met: Vec<Span> = quads.as_flattened().iter().copied().filter(|span| span.meets(low, high)).collect();
+            let lowest = met.iter().map(|span| span.bottom()).min();
+            let expected = lowest.zip(met.iter().map(|span| span.top()).max());
+            let [first, second] = quads.map(|quad| lanes::Unions::meeting(&quad, low, high));
+            let (bottom, top) = first.join(second).ends();
+            prop_assert_eq!((bottom <= top).then_some((bottom, top)), expected);
+            let [first, second] = quads.map(|quad| portable::Unions::meeting(&quad, low, high));
+            let (bottom, top) = first.join(second).ends();
+            prop_assert_eq!((bottom <= top).then_some((bottom, top)), expected);
+        }
+
+        #[test]
+        fn every_platform_makes_the_same_bytes(values in prop::array::uniform8(-0.5f32..7.5), edge in 0..8u8) {
+            let mut values = values;
+            values[0] = f32::from(edge) - 0.5;
+            let powers = |values: [f32; 4]| lanes::Floats::new(values).power_of_nearest();
+            let [low, high] = [0, 4].map(|n| [values[n], values[n + 1], values[n + 2], values[n + 3]]);
+            let bytes = powers(low).bytes(powers(high));
+            let expected = values.map(|v| 1u8 << v.round_ties_even() as i32);
+            prop_assert_eq!(bytes, u64::from_le_bytes(expected));
+            let powers = |values: [f32; 4]| portable::Floats::new(values).power_of_nearest();
+            prop_assert_eq!(powers(low).bytes(powers(high)), bytes);
+        }
+    }
+}
