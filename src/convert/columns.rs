@@ -18,6 +18,9 @@ const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Vox
 const VALUE_BYTES_PER_RECORD: u64 = 2 * size_of::<Record>() as u64 + 32 + 16;
 /// Records of a job; patches count in 32 bits.
 const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
+/// Records of a job of several columns: few enough that what a worker does last is a small part of the whole, and that they stay in
+/// its cache.
+const JOB_RECORDS: u64 = 1 << 16;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
 const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
 /// What one worker does with a job.
@@ -60,7 +63,11 @@ impl Columns<'_> {
         let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
         let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
         HandOver { threads, ahead }.run(
-            |job| merge.jobs(max_records, max_columns, |next| job(next).map_err(|Closed| Error::Interrupted)),
+            |job| {
+                merge.jobs(max_records.min(JOB_RECORDS), max_columns, |next| {
+                    job(next).map_err(|Closed| Error::Interrupted)
+                })
+            },
             || {
                 let mut worker = worker(Patches::new(plan, max_records, dense.clone(), (views, values), monitor));
                 move |job: ColumnJob| worker.work(merge, &job).map(|what| (job.records, what))

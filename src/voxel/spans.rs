@@ -2,8 +2,8 @@
 
 use super::fold::{Area, Patch};
 use super::record::{BLOCK_SLICES, PATCH_PIXELS};
-use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA};
-use crate::slice::{Page, PageBuilder, Span};
+use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA, TILE_PIXELS};
+use crate::slice::{Page, RowBuilder, Span};
 
 /// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta): a
 /// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
@@ -45,7 +45,7 @@ const KEPT_PIECES: usize = 1 << 16;
 #[derive(Debug, Default)]
 pub struct ColumnPages {
     pieces: Vec<Piece>,
-    builder: PageBuilder,
+    builder: RowBuilder,
     column: Vec<Span>,
 }
 
@@ -116,12 +116,14 @@ impl ColumnPages {
             pieces.sort_unstable();
         }
         for page in pieces.chunk_by(|a, b| a.layer() == b.layer()) {
-            builder.clear();
+            let mut rows = [0; TILE_PIXELS as usize];
+            page.iter().map(|piece| piece.pixel()).for_each(|pixel| rows[pixel as usize >> 6] |= 1 << (pixel & 63));
+            builder.begin(rows);
             for pixel in page.chunk_by(|a, b| a.pixel() == b.pixel()) {
                 column.clear();
                 column.extend(pixel.iter().filter_map(|piece| piece.span()));
                 let (px, py) = (pixel[0].pixel() & 63, pixel[0].pixel() >> 6);
-                let canonical = builder.set_column(px, py, column);
+                let canonical = builder.push_column(px, py, column);
                 debug_assert!(canonical, "pixel ({px}, {py}): {column:?}");
             }
             let layer = first_slice.div_euclid(PAGE_SLICES) + page[0].layer();
