@@ -5,7 +5,7 @@ use crate::plan::Plan;
 use crate::voxel::bands::Bands;
 use crate::voxel::colours::ValueSieve;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
-use crate::voxel::record::{ColumnKey, PATCH_AREA, Record};
+use crate::voxel::record::{ColumnKey, PATCH_AREA, Record, RecordPieces};
 use crate::voxel::runs::{ColumnJob, Merge};
 use crate::voxel::views::{CHUNK, Views};
 use crate::{Error, Monitor, Parameter, Result};
@@ -18,6 +18,9 @@ const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Vox
 const VALUE_BYTES_PER_RECORD: u64 = 2 * size_of::<Record>() as u64 + 32 + 16;
 /// Records of a job; patches count in 32 bits.
 const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
+/// Records of a job of several columns: few enough that what a worker does last is a small part of the whole, and that they stay in
+/// its cache.
+const JOB_RECORDS: u64 = 1 << 16;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
 const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
 /// What one worker does with a job.
@@ -60,7 +63,11 @@ impl Columns<'_> {
         let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
         let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
         HandOver { threads, ahead }.run(
-            |job| merge.jobs(max_records, max_columns, |next| job(next).map_err(|Closed| Error::Interrupted)),
+            |job| {
+                merge.jobs(max_records.min(JOB_RECORDS), max_columns, |next| {
+                    job(next).map_err(|Closed| Error::Interrupted)
+                })
+            },
             || {
                 let mut worker = worker(Patches::new(plan, max_records, dense.clone(), (views, values), monitor));
                 move |job: ColumnJob| worker.work(merge, &job).map(|what| (job.records, what))
@@ -208,29 +215,28 @@ impl<'a> Patches<'a> {
         let mut dropped = 0;
         let mut records = std::mem::take(&mut self.records);
         let mut values = std::mem::take(&mut self.values);
-        merge.load(job, &mut records)?;
+        let loaded = merge.load(job, &mut records)?;
         if self.wants_values {
             merge.load_values(job, &mut values)?;
         }
-        let mut rest = &records[..];
         let mut rest_of_values = &values[..];
-        for (&(key, count), &of_values) in job.columns.iter().zip(&job.values) {
-            let (own, others) = rest.split_at(count as usize);
-            rest = others;
+        for (number, (&(key, _), &of_values)) in job.columns.iter().zip(&job.values).enumerate() {
             let (own_values, others) = rest_of_values.split_at(if self.wants_values { of_values as usize } else { 0 });
             rest_of_values = others;
             if wanted(key) {
-                let mut staying = std::mem::take(&mut self.staying);
-                let own = match self.views {
-                    None => own,
+                let own = loaded.column(number);
+                dropped += match self.views {
+                    None => self.patch.fold(&own, self.min_points, Area::TILE, &mut self.sums),
                     Some(_) => {
+                        let mut staying = std::mem::take(&mut self.staying);
                         staying.clear();
-                        staying.extend(own);
+                        own.each(|piece| staying.extend_from_slice(piece));
                         self.remove_moving(key, Area::TILE, &mut staying);
-                        &staying[..]
+                        let dropped = self.patch.fold(&staying[..], self.min_points, Area::TILE, &mut self.sums);
+                        self.staying = staying;
+                        dropped
                     }
                 };
-                dropped += self.patch.fold(own, self.min_points, Area::TILE, &mut self.sums);
                 dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
                 if self.wants_values {
                     let sifted = self.views.map(|_| {
@@ -249,7 +255,6 @@ impl<'a> Patches<'a> {
                     })?;
                 }
                 take.end(key)?;
-                self.staying = staying;
             }
         }
         self.values = values;
@@ -298,7 +303,7 @@ impl<'a> Patches<'a> {
                     true
                 })?;
                 self.remove_moving(key, area, &mut own);
-                dropped += self.patch.fold(&own, self.min_points, area, &mut self.sums);
+                dropped += self.patch.fold(&own[..], self.min_points, area, &mut self.sums);
                 dropped += take.area(key, area, &mut self.patch, &mut self.sums);
                 self.stream_values(merge, job, area, take)?;
                 self.records = own;

@@ -12,7 +12,7 @@ use crate::slice::{Inferred, Occupancy, Page};
 use crate::voxel::colours::ColumnColours;
 use crate::voxel::floaters::{Dropped, Frontier, PieceFinder, Pieces};
 use crate::voxel::fold::{Area, Patch, Sums};
-use crate::voxel::judge::Judge;
+use crate::voxel::judge::{Judge, Verdicts};
 use crate::voxel::record::{ColumnIndex, ColumnKey, Record, Recorder};
 use crate::voxel::runs::{ColumnJob, Merge, RunBuilder, RunStore};
 use crate::voxel::spans::ColumnPages;
@@ -23,7 +23,7 @@ use std::path::Path;
 /// Memory of a small page that waits to be written, beyond its bytes.
 const PAGE_BYTES: u64 = 320;
 /// Jobs that may be finished before the oldest unfinished one.
-const JOBS_AHEAD_PER_THREAD: usize = 8;
+const JOBS_AHEAD_PER_THREAD: usize = 64;
 /// The same where what is finished are pieces of matter.
 const PIECES_AHEAD_PER_THREAD: usize = 2;
 
@@ -221,7 +221,7 @@ impl ColumnWork for PageWorker<'_> {
 struct PageMaker {
     judge: Judge,
     drop_isolated: bool,
-    verdicts: Vec<bool>,
+    verdicts: Verdicts,
     columns: ColumnPages,
     /// Whether heights may be coarsened.
     is_loose: bool,
@@ -259,7 +259,7 @@ impl PageMaker {
         Self {
             judge: Judge::new(plan),
             drop_isolated: plan.options.drop_floaters == 1,
-            verdicts: Vec::new(),
+            verdicts: Verdicts::default(),
             columns: ColumnPages::default(),
             is_loose: plan.tolerance_quanta() > 0,
             encoder: PageEncoder::of_plan(plan).for_levels(levels),

@@ -11,8 +11,8 @@ use crate::{Error, Result};
 
 /// Points of one [`PointChunk`] of a plain LAS file.
 const CHUNK_POINTS: u64 = 1 << 17;
-/// Longest slab of undecoded records (bytes); fits a second-level cache beside the batch.
-const SLAB_BYTES: usize = 1 << 20;
+/// Longest slab of undecoded records (bytes); fits a second-level cache beside the batch and what is made of it.
+const SLAB_BYTES: usize = 1 << 17;
 
 /// One piece of work.
 #[derive(Debug, Clone, PartialEq, Eq)]

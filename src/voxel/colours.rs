@@ -361,7 +361,7 @@ mod tests {
                 at.1 += 1;
             }
             let mut patch = Patch::default();
-            patch.fold(&records, 1, Area::TILE, &mut Sums::default());
+            patch.fold(&records[..], 1, Area::TILE, &mut Sums::default());
             let mut column = ColumnColours::new(ColourScale::of_rgb(255), 1 << 20);
             for area in Area::TILE.halves().unwrap().into_iter().rev() {
                 column.begin(&patch);

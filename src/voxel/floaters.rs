@@ -466,7 +466,7 @@ mod tests {
         let mut dropped = Vec::new();
         for (key, area, records) in units {
             let own: Vec<Record> = records.iter().copied().filter(|r| area.holds_with_halo(r.pixel())).collect();
-            patch.fold(&own, 1, area, &mut sums);
+            patch.fold(&own[..], 1, area, &mut sums);
             frontier.add(finder.find(key, &patch, area), &mut dropped).unwrap();
         }
         assert!(frontier.columns.is_empty(), "every neighbour has come");

@@ -124,6 +124,18 @@ impl Record {
     }
 }
 
+/// Records that lie in several places, to be looked at once or more.
+pub trait RecordPieces {
+    /// Gives all of them to `take`, piece by piece, in the same order each time.
+    fn each(&self, take: impl FnMut(&[Record]));
+}
+
+impl RecordPieces for [Record] {
+    fn each(&self, mut take: impl FnMut(&[Record])) {
+        take(self);
+    }
+}
+
 /// What surfaces fill of a voxel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SurfacePart {
@@ -347,23 +359,26 @@ fn spread((i, j): (i64, i64), slice: i64, place: u64, sink: &mut impl FnMut(Colu
     let slice = (slice + BLOCK_SLICES / 2 - block * BLOCK_SLICES) as u64;
     let (tx, ty) = ((i >> 6) as i32, (j >> 6) as i32);
     let (px, py) = (i & 63, j & 63);
-    let mut give = |dx: i64, dy: i64| {
-        let (px, py) = (px - dx * TILE_PIXELS + HALO_PIXELS, py - dy * TILE_PIXELS + HALO_PIXELS);
-        let pixel = (py * PATCH_PIXELS as i64 + px) as u64;
-        let index = ColumnIndex { tx: tx + dx as i32, ty: ty + dy as i32, block: block as i16 };
-        sink(index, Record::new(pixel, slice, place));
-    };
-    give(0, 0);
+    let index = ColumnIndex { tx, ty, block: block as i16 };
+    let pixel = (py + HALO_PIXELS) * PATCH_PIXELS as i64 + px + HALO_PIXELS;
+    let record = Record::new(pixel as u64, slice, place);
+    sink(index, record);
     let beyond = |p: i64| i64::from(p >= TILE_PIXELS - HALO_PIXELS) - i64::from(p < HALO_PIXELS);
     let (dx, dy) = (beyond(px), beyond(py));
-    if dx != 0 {
-        give(dx, 0);
+    if (dx, dy) != (0, 0) {
+        copy(index, record, (dx, dy), sink);
     }
-    if dy != 0 {
-        give(0, dy);
-    }
-    if dx != 0 && dy != 0 {
-        give(dx, dy);
+}
+
+/// Gives `sink` the copies of a record for the tile columns so many tiles away, along x, y and both.
+#[cold]
+fn copy(of: ColumnIndex, record: Record, (dx, dy): (i64, i64), sink: &mut impl FnMut(ColumnIndex, Record)) {
+    for (dx, dy) in [(dx, 0), (0, dy), (dx, dy)].into_iter().take(if dx != 0 && dy != 0 { 3 } else { 2 }) {
+        if (dx, dy) != (0, 0) {
+            let index = ColumnIndex { tx: of.tx + dx as i32, ty: of.ty + dy as i32, block: of.block };
+            let pixels = (dy * PATCH_PIXELS as i64 + dx) * TILE_PIXELS;
+            sink(index, Record(record.0.wrapping_sub((pixels as u64) << (64 - 13))));
+        }
     }
 }
 

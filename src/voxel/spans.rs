@@ -1,9 +1,9 @@
 //! From voxels with verdicts to the pages of a tile column.
 
-use super::fold::{Area, Patch};
+use super::fold::{Area, Patch, Voxel};
 use super::record::{BLOCK_SLICES, PATCH_PIXELS};
-use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA};
-use crate::slice::{Page, PageBuilder, Span};
+use crate::frame::{PAGE_QUANTA, PAGE_SLICES, SLICE_QUANTA, TILE_PIXELS};
+use crate::slice::{Page, RowBuilder, Span};
 
 /// Voxels of one pixel in adjacent slices are one span if the gap between their points is at most this (quanta): a
 /// pixel's width at the default slice height. Between obstacles in adjacent slices any gap is filled. Guarantee G2
@@ -45,48 +45,50 @@ const KEPT_PIECES: usize = 1 << 16;
 #[derive(Debug, Default)]
 pub struct ColumnPages {
     pieces: Vec<Piece>,
-    builder: PageBuilder,
+    builder: RowBuilder,
     column: Vec<Span>,
+    /// The layer of the page that `builder` has, where there are no pieces.
+    page: Option<i64>,
 }
 
 impl ColumnPages {
     /// Adds the spans of all pixels in `area`, with one verdict (true: obstacle) per voxel of `patch`.
     pub fn add(&mut self, patch: &Patch, area: Area, verdicts: &[bool]) {
+        if area == Area::TILE && self.add_page(patch, verdicts) {
+            return;
+        }
         for pixel in patch.occupied().filter(|&pixel| area.holds(pixel)) {
-            let (x, y) = (pixel % PATCH_PIXELS - 1, pixel / PATCH_PIXELS - 1);
-            self.add_pixel(patch, pixel, (y << 6 | x) as u16, verdicts);
+            let (x, y) = place(pixel);
+            each_span(patch, pixel, verdicts, |span| self.push((y << 6 | x) as u16, span));
         }
     }
 
-    fn add_pixel(&mut self, patch: &Patch, patch_pixel: usize, pixel: u16, verdicts: &[bool]) {
-        let range = patch.range(patch_pixel);
-        let mut open: Option<OpenSpan> = None;
-        for (voxel, &obstacle) in patch.voxels()[range.clone()].iter().zip(&verdicts[range]) {
-            let floor = i64::from(voxel.slice) * SLICE_QUANTA;
-            let (bottom, top) = (floor + i64::from(voxel.bottom), floor + i64::from(voxel.top));
-            open = Some(match open {
-                Some(below)
-                    if below.slice + 1 == voxel.slice
-                        && (below.obstacle && obstacle || bottom - below.top <= JOIN_QUANTA) =>
-                {
-                    if below.obstacle == obstacle {
-                        OpenSpan { top, slice: voxel.slice, ..below }
-                    } else {
-                        self.push(pixel, OpenSpan { top: floor, ..below });
-                        OpenSpan { bottom: floor, top, obstacle, slice: voxel.slice }
-                    }
-                }
-                apart => {
-                    if let Some(below) = apart {
-                        self.push(pixel, below);
-                    }
-                    OpenSpan { bottom, top, obstacle, slice: voxel.slice }
-                }
+    /// Adds the spans of a whole tile column if they make one page; `false` if they do not.
+    fn add_page(&mut self, patch: &Patch, verdicts: &[bool]) -> bool {
+        let layer_of = |voxel: &Voxel| voxel.slice / PAGE_SLICES as u32;
+        let Some(layer) = patch.voxels().first().map(layer_of) else { return false };
+        if patch.voxels().iter().any(|voxel| layer_of(voxel) != layer) {
+            return false;
+        }
+        let mut rows = [0u64; TILE_PIXELS as usize];
+        let pixels = || patch.occupied().filter(|&pixel| Area::TILE.holds(pixel));
+        for (x, y) in pixels().map(place) {
+            rows[y] |= 1 << x;
+        }
+        let Self { column, builder, page, .. } = self;
+        *page = (rows != [0; TILE_PIXELS as usize]).then_some(layer.into());
+        builder.begin(rows);
+        let floor = i64::from(layer) * PAGE_QUANTA;
+        for pixel in pixels() {
+            column.clear();
+            each_span(patch, pixel, verdicts, |OpenSpan { bottom, top, obstacle, .. }| {
+                column.extend(Span::new((bottom - floor) as u32, (top - floor) as u32, obstacle));
             });
+            let (x, y) = place(pixel);
+            let canonical = builder.push_column(x as u32, y as u32, column);
+            debug_assert!(canonical, "pixel ({x}, {y}): {column:?}");
         }
-        if let Some(last) = open {
-            self.push(pixel, last);
-        }
+        true
     }
 
     /// Cuts a span at page boundaries.
@@ -111,26 +113,66 @@ impl ColumnPages {
         first_slice: i64,
         mut give: impl FnMut(i32, &Page) -> std::result::Result<(), E>,
     ) -> std::result::Result<(), E> {
-        let Self { pieces, builder, column, .. } = self;
+        let layer_at = |layer: i64| (first_slice.div_euclid(PAGE_SLICES) + layer) as i32;
+        let Self { pieces, builder, column, page } = self;
+        if let Some(layer) = page.take() {
+            give(layer_at(layer), &builder.build())?;
+        }
         if !pieces.is_sorted() {
             pieces.sort_unstable();
         }
         for page in pieces.chunk_by(|a, b| a.layer() == b.layer()) {
-            builder.clear();
+            let mut rows = [0; TILE_PIXELS as usize];
+            page.iter().map(|piece| piece.pixel()).for_each(|pixel| rows[pixel as usize >> 6] |= 1 << (pixel & 63));
+            builder.begin(rows);
             for pixel in page.chunk_by(|a, b| a.pixel() == b.pixel()) {
                 column.clear();
                 column.extend(pixel.iter().filter_map(|piece| piece.span()));
                 let (px, py) = (pixel[0].pixel() & 63, pixel[0].pixel() >> 6);
-                let canonical = builder.set_column(px, py, column);
+                let canonical = builder.push_column(px, py, column);
                 debug_assert!(canonical, "pixel ({px}, {py}): {column:?}");
             }
-            let layer = first_slice.div_euclid(PAGE_SLICES) + page[0].layer();
-            give(layer as i32, &builder.build())?;
+            give(layer_at(page[0].layer()), &builder.build())?;
         }
         pieces.clear();
         pieces.shrink_to(KEPT_PIECES);
         Ok(())
     }
+}
+
+/// Place in the tile of a patch pixel that is not in the halo.
+#[inline]
+fn place(patch_pixel: usize) -> (usize, usize) {
+    (patch_pixel % PATCH_PIXELS - 1, patch_pixel / PATCH_PIXELS - 1)
+}
+
+/// Calls `give` with the spans of a pixel's voxels, lowest first.
+#[inline]
+fn each_span(patch: &Patch, patch_pixel: usize, verdicts: &[bool], mut give: impl FnMut(OpenSpan)) {
+    let range = patch.range(patch_pixel);
+    let mut open: Option<OpenSpan> = None;
+    for (voxel, &obstacle) in patch.voxels()[range.clone()].iter().zip(&verdicts[range]) {
+        let floor = i64::from(voxel.slice) * SLICE_QUANTA;
+        let (bottom, top) = (floor + i64::from(voxel.bottom), floor + i64::from(voxel.top));
+        open = Some(match open {
+            Some(below)
+                if below.slice + 1 == voxel.slice
+                    && (below.obstacle && obstacle || bottom - below.top <= JOIN_QUANTA) =>
+            {
+                if below.obstacle == obstacle {
+                    OpenSpan { top, slice: voxel.slice, ..below }
+                } else {
+                    give(OpenSpan { top: floor, ..below });
+                    OpenSpan { bottom: floor, top, obstacle, slice: voxel.slice }
+                }
+            }
+            apart => {
+                apart.into_iter().for_each(&mut give);
+                OpenSpan { bottom, top, obstacle, slice: voxel.slice }
+            }
+        });
+    }
+    open.into_iter().for_each(give);
 }
 
 /// A span under construction, in quanta above the column block's floor.

@@ -10,16 +10,18 @@ mod pieces;
 mod sums;
 mod voxel;
 
-use super::record::{HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record};
+use super::record::{HALO_PIXELS, PATCH_AREA, PATCH_PIXELS, Record, RecordPieces};
 pub use area::Area;
 pub use moments::Moments;
 pub use pieces::{Folded, PieceFolder};
 use std::ops::Range;
-pub use sums::Sums;
+pub use sums::{Sums, place_in_patch};
 pub use voxel::{BINS, Voxel};
 
-/// Slices of one pixel that are told apart at once; more than that far apart in one pixel costs a search.
+/// Slices of one pixel that are told apart at once; a pixel with more is sorted.
 const RECENT: usize = 1 << 10;
+/// Records of a pixel up to which sorting them costs less than telling their slices apart.
+const MOST_SORTED: usize = 16;
 
 /// Folds the records of one pixel after another into voxels; its scratch is reused.
 #[derive(Debug)]
@@ -37,31 +39,46 @@ impl Default for Folder {
 }
 
 impl Folder {
-    /// The voxels of one pixel's records, lowest slice first, with the numbers of their points.
-    fn fold(&mut self, points: &[Record]) -> &[(Voxel, u32)] {
+    /// The voxels of one pixel's records, lowest slice first, with the numbers of their points; and whether it sorted the records.
+    fn fold(&mut self, points: &mut [Record]) -> (&[(Voxel, u32)], bool) {
+        let is_sorted = points.len() <= MOST_SORTED || !self.fold_unsorted(points);
+        if is_sorted {
+            points.sort_unstable();
+            self.voxels.clear();
+            for &point in &*points {
+                match self.voxels.last_mut() {
+                    Some((voxel, count)) if voxel.slice == point.slice() => {
+                        voxel.add(point);
+                        *count = count.saturating_add(1);
+                    }
+                    _ => self.voxels.push((Voxel::of(point), 1)),
+                }
+            }
+        }
+        (&self.voxels, is_sorted)
+    }
+
+    /// Folds records in any order; `false` if two of their slices have the same remainder.
+    fn fold_unsorted(&mut self, points: &[Record]) -> bool {
         let Self { voxels, recent } = self;
         voxels.clear();
         for &point in points {
             let slice = point.slice();
             let place = &mut recent[slice as usize % RECENT];
-            let found = match voxels.get(*place as usize) {
-                Some((voxel, _)) if voxel.slice == slice => Some(*place as usize),
-                // Another slice of this pixel has the same remainder, so this one may hide behind it.
-                Some((voxel, _)) if voxel.slice as usize % RECENT == slice as usize % RECENT => {
-                    voxels.iter().position(|(voxel, _)| voxel.slice == slice)
+            let number = match voxels.get(*place as usize) {
+                Some((voxel, _)) if voxel.slice == slice => *place as usize,
+                Some((voxel, _)) if voxel.slice as usize % RECENT == slice as usize % RECENT => return false,
+                _ => {
+                    voxels.push((Voxel::empty(slice), 0));
+                    voxels.len() - 1
                 }
-                _ => None,
             };
-            let number = found.unwrap_or_else(|| {
-                voxels.push((Voxel::empty(slice), 0));
-                voxels.len() - 1
-            });
             *place = number as u32;
             voxels[number].0.add(point);
             voxels[number].1 = voxels[number].1.saturating_add(1);
         }
         voxels.sort_unstable_by_key(|(voxel, _)| voxel.slice);
-        voxels
+        true
     }
 }
 
@@ -94,26 +111,48 @@ impl Patch {
     /// Replaces the content by the fold of `records`, over which `sums` will sum. Voxels of fewer than `min_points` points
     /// and no surface, and those of which a record says so, are dropped; returns how many were, without those in the halo
     /// around `area`.
-    pub fn fold(&mut self, records: &[Record], min_points: u32, area: Area, sums: &mut Sums) -> u64 {
-        let mut folder = std::mem::take(&mut self.folder);
-        self.clear();
-        sums.records.set(records);
+    pub fn fold(
+        &mut self,
+        records: &(impl RecordPieces + ?Sized),
+        min_points: u32,
+        area: Area,
+        sums: &mut Sums,
+    ) -> u64 {
+        let Self { starts, occupied, voxels, folder } = self;
+        starts.clear();
+        occupied.clear();
+        voxels.clear();
+        sums.begin(records);
         let (mut dropped, mut folded) = (0, 0);
-        for (pixel, own) in sums.records.pixels() {
-            let kept = |(voxel, points): &(Voxel, u32)| voxel.is_kept(i64::from(*points), min_points);
+        for pixel in 0..PATCH_AREA {
+            let (first, before) = (voxels.len(), folded);
+            starts.push(first as u32);
+            let own = sums.records.of_mut(pixel);
+            if own.is_empty() {
+                continue;
+            }
             if let [record] = own {
                 let voxel = Voxel::of(*record);
                 folded += 1;
-                dropped += self.push(pixel, std::iter::once((voxel, kept(&(voxel, 1)))), area);
-                continue;
+                if voxel.is_kept(1, min_points) {
+                    voxels.push(voxel);
+                }
+            } else {
+                let (all, is_sorted) = folder.fold(own);
+                folded += all.len();
+                let kept = all.iter().filter(|(voxel, points)| voxel.is_kept(i64::from(*points), min_points));
+                voxels.extend(kept.map(|(voxel, _)| voxel));
+                sums.in_order[pixel] = is_sorted;
             }
-            let voxels = folder.fold(own);
-            folded += voxels.len();
-            dropped += self.push(pixel, voxels.iter().map(|voxel| (voxel.0, kept(voxel))), area);
+            if voxels.len() > first {
+                occupied.push(pixel as u16);
+            }
+            if folded - before > voxels.len() - first && area.holds(pixel) {
+                dropped += (folded - before - (voxels.len() - first)) as u64;
+            }
         }
-        self.end();
-        self.folder = folder;
-        sums.begin(self.voxels.len(), folded == self.voxels.len());
+        starts.push(voxels.len() as u32);
+        sums.end(&self.voxels, folded == self.voxels.len());
         dropped
     }
 

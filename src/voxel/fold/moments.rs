@@ -48,6 +48,13 @@ impl Moments {
         self.ww += w * w;
     }
 
+    /// Adds sums about the same origin.
+    #[inline]
+    pub fn add_all(&mut self, of: &Self) {
+        let (own, of) = (self.numbers(), of.numbers());
+        *self = Self::from_numbers(std::array::from_fn(|number| own[number] + of[number]));
+    }
+
     /// Adds the point of a record; surfaces do not count.
     #[inline]
     pub(super) fn add_record(&mut self, record: Record, bands: Bands) {

@@ -3,7 +3,7 @@
 use super::sums::ByPixel;
 use super::{Folder, Moments, Voxel};
 use crate::voxel::bands::Bands;
-use crate::voxel::record::Record;
+use crate::voxel::record::{PATCH_AREA, Record};
 
 /// Voxels with their patch pixel and sums, in order of pixel and slice.
 pub type Folded = Vec<(usize, Voxel, Moments)>;
@@ -29,12 +29,13 @@ impl PieceFolder {
         let mut before = before.into_iter().peekable();
         self.records.set(records);
         let mut own_sums = Vec::new();
-        for (pixel, own) in self.records.pixels() {
-            let voxels = self.folder.fold(own);
+        for pixel in 0..PATCH_AREA {
+            let own = self.records.of_mut(pixel);
+            let (voxels, _) = self.folder.fold(own);
             own_sums.clear();
             own_sums.resize(voxels.len(), Moments::default());
             let mut number = 0;
-            for &record in own {
+            for &record in &*own {
                 if voxels[number].0.slice != record.slice() {
                     number = voxels.partition_point(|(voxel, _)| voxel.slice < record.slice());
                 }

@@ -41,7 +41,7 @@ proptest! {
         let bands = Bands::new(&thin);
         assert_eq!(bands.slices(), slices);
         let (mut made, mut added) = (Sums::new(bands), Sums::default());
-        let dropped = at_once.fold(&records, min_points, Area::TILE, &mut made);
+        let dropped = at_once.fold(&records[..], min_points, Area::TILE, &mut made);
         records.reverse();
         let (mut folded, mut folder) = (Folded::new(), PieceFolder::new(bands));
         records.chunks(piece).for_each(|piece| folder.fold_into(&mut folded, piece));
@@ -51,7 +51,11 @@ proptest! {
         let mut points_kept = 0;
         for pixel in at_once.occupied() {
             for number in at_once.range(pixel) {
-                prop_assert_eq!(made.of(&at_once, pixel, number), added.of(&piecemeal, pixel, number));
+                let band = bands.of(at_once.voxels[number].slice) - made.lowest_band().unwrap();
+                let [x, y] = [pixel % PATCH_PIXELS, pixel / PATCH_PIXELS].map(|at| at as i64);
+                let mut about_the_patch = Moments::default();
+                about_the_patch.add_shifted(added.of(&piecemeal, pixel, number), x, y, band.into());
+                prop_assert_eq!(made.of(&at_once, pixel, number), &about_the_patch);
                 points_kept += made.of(&at_once, pixel, number).n;
             }
         }
@@ -87,7 +91,7 @@ fn slices_far_apart_in_one_pixel_are_told_apart() {
     let points: Vec<_> = (0..9000).map(|n| (0.2, 0.2, f64::from(n * 7919 % 4500) * 1.5 + 0.1)).collect();
     let mut patch = Patch::default();
     let mut sums = Sums::default();
-    patch.fold(&records(&points), 1, Area::TILE, &mut sums);
+    patch.fold(&records(&points)[..], 1, Area::TILE, &mut sums);
     assert_eq!(patch.voxels().len(), 4500);
     assert!(patch.voxels().is_sorted_by_key(|voxel| voxel.slice));
     let pixel = PATCH_PIXELS + 1;
@@ -102,12 +106,13 @@ fn more_sums_than_are_kept_are_made_again() {
         .collect();
     assert!(points.len() > KEPT_SUMS, "the test would show nothing");
     let (mut patch, mut sums) = (Patch::default(), Sums::default());
-    patch.fold(&records(&points), 1, Area::TILE, &mut sums);
+    patch.fold(&records(&points)[..], 1, Area::TILE, &mut sums);
     for round in 0..2 {
         for pixel in patch.occupied() {
             for number in patch.range(pixel) {
                 let alone = *sums.of(&patch, pixel, number);
-                assert_eq!((alone.n, alone.u), (1, 51), "round {round}, voxel {number}");
+                let x = (pixel % PATCH_PIXELS) as i64 * SUBPIXELS;
+                assert_eq!((alone.n, alone.u), (1, x + 51), "round {round}, voxel {number}");
                 assert!(sums.kept.len() <= KEPT_SUMS);
             }
         }
@@ -127,7 +132,7 @@ fn only_voxels_alone_in_their_neighbourhood_are_dropped() {
     ];
     let mut patch = Patch::default();
     let mut sums = Sums::default();
-    patch.fold(&records(&points), 1, Area::TILE, &mut sums);
+    patch.fold(&records(&points)[..], 1, Area::TILE, &mut sums);
     assert_eq!(patch.drop_isolated(Area::TILE, &mut sums), 3, "one alone, two a slice apart; not the diagonal pair");
     assert_eq!(patch.voxels().len(), 4, "the last pair lies across the tile's edge and stays");
     assert_eq!(patch.occupied().count(), 4);

@@ -44,6 +44,7 @@ use crate::frame::SLICE_QUANTA;
 use crate::plan::{Classifier, Plan, rise_of};
 use extents::Extents;
 use pieces::Runs;
+use std::ops::Deref;
 use surface::{Around, Surfaces, Verdict};
 use windows::Windows;
 
@@ -70,6 +71,29 @@ pub struct Judge {
     least_windows: usize,
 }
 
+/// One verdict per voxel of a patch, true for an obstacle, and what judging it takes; reused.
+#[derive(Debug, Default)]
+pub struct Verdicts {
+    of_voxels: Vec<bool>,
+    /// Voxels that take no part in fits.
+    steep_alone: Vec<bool>,
+    extents: Extents,
+    /// Pixels that are not floor for being low.
+    open: Vec<usize>,
+    windows: Windows,
+    around: Around,
+    /// Extents of the runs of a pixel.
+    of_runs: Vec<i64>,
+}
+
+impl Deref for Verdicts {
+    type Target = [bool];
+
+    fn deref(&self) -> &[bool] {
+        &self.of_voxels
+    }
+}
+
 impl Judge {
     /// A judge for archives of `plan`.
     pub fn new(plan: &Plan) -> Self {
@@ -90,24 +114,25 @@ impl Judge {
         }
     }
 
-    /// Sets `verdicts` to one verdict per voxel of `patch`: true for an obstacle. Only those of pixels in `area` are
-    /// meant to be used; the halo's are computed from less.
-    pub fn judge(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Vec<bool>) {
-        verdicts.clear();
-        verdicts.resize(patch.voxels().len(), false);
+    /// Sets `verdicts` to those on the voxels of `patch`. Only those of pixels in `area` are meant to be used; the halo's are
+    /// computed from less.
+    pub fn judge(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Verdicts) {
+        verdicts.of_voxels.clear();
+        verdicts.of_voxels.resize(patch.voxels().len(), false);
         if patch.voxels().iter().any(Voxel::has_points) {
             self.judge_points(patch, sums, area, verdicts);
         }
-        for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
+        for (verdict, voxel) in verdicts.of_voxels.iter_mut().zip(patch.voxels()) {
             *verdict = voxel.is_steep() || voxel.has_points() && *verdict;
         }
     }
 
     /// Verdicts on voxels with points; those on others mean nothing.
-    fn judge_points(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut [bool]) {
+    fn judge_points(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Verdicts) {
+        let Verdicts { of_voxels, steep_alone, extents, .. } = verdicts;
         let greatest_extent = match self.classifier {
             Classifier::Thesis => {
-                for (verdict, voxel) in verdicts.iter_mut().zip(patch.voxels()) {
+                for (verdict, voxel) in of_voxels.iter_mut().zip(patch.voxels()) {
                     *verdict = i64::from(voxel.top - voxel.bottom) > SLICE_QUANTA / 3;
                 }
                 return;
@@ -116,51 +141,48 @@ impl Judge {
             Classifier::Plane => self.clearly_steep_run,
         };
         // No run reaches further than the matter of its pixel.
-        let extents = Extents::of(patch);
+        extents.set(patch);
         let reaches_far = |&pixel: &usize| extents.height(pixel) as f64 > greatest_extent;
         for pixel in patch.occupied().filter(reaches_far).filter(|&pixel| area.holds(pixel)) {
-            self.runs.mark(patch, pixel, greatest_extent, verdicts);
+            self.runs.mark(patch, pixel, greatest_extent, of_voxels);
         }
         if self.classifier == Classifier::Plane {
             // What stays out of the fits is decided by each pixel alone, so that it does not depend on which neighbours of
             // the halo are at hand.
-            let mut steep_alone = vec![false; verdicts.len()];
+            steep_alone.clear();
+            steep_alone.resize(of_voxels.len(), false);
             for pixel in patch.occupied().filter(reaches_far) {
-                self.runs.mark_alone(patch, pixel, greatest_extent, &mut steep_alone);
+                self.runs.mark_alone(patch, pixel, greatest_extent, steep_alone);
             }
-            self.judge_surfaces(patch, sums, area, &extents, &steep_alone, verdicts);
+            self.judge_surfaces(patch, sums, area, verdicts);
         }
     }
 
     /// Verdicts on voxels that are in no clearly steep run.
-    fn judge_surfaces(
-        &self,
-        patch: &Patch,
-        sums: &mut Sums,
-        area: Area,
-        extents: &Extents,
-        steep_alone: &[bool],
-        verdicts: &mut [bool],
-    ) {
-        let extents_around = extents.around();
+    fn judge_surfaces(&self, patch: &Patch, sums: &mut Sums, area: Area, verdicts: &mut Verdicts) {
+        let Verdicts { of_voxels: verdicts, steep_alone, extents, open, windows, around, of_runs } = verdicts;
+        extents.set_around();
         // Where all matter around a pixel is that low, all of it is floor, however it is connected.
-        let is_low = |pixel: &usize| self.surfaces.is_level(extents_around.height(*pixel));
-        let open: Vec<usize> =
-            patch.occupied().filter(|&pixel| area.holds(pixel)).filter(|pixel| !is_low(pixel)).collect();
+        let is_low = |pixel: usize| self.surfaces.is_level(extents.height_around(pixel));
+        open.clear();
+        open.extend(patch.occupied().filter(|&pixel| area.holds(pixel) && !is_low(pixel)));
         let is_one_layer =
-            |pixel: usize| self.surfaces.is_one_layer(extents_around.height(pixel), self.clearly_steep_run);
+            |pixel: usize| self.surfaces.is_one_layer(extents.height_around(pixel), self.clearly_steep_run);
         let layers = open.iter().filter(|&&pixel| is_one_layer(pixel)).count();
-        let windows = if layers >= self.least_windows { Windows::of(patch, sums, self.bands) } else { None };
-        let (mut around, mut extents) = (Around::default(), Vec::new());
-        for pixel in open {
+        let lowest = sums.lowest_band().filter(|_| layers >= self.least_windows);
+        lowest.into_iter().for_each(|lowest| windows.begin(lowest));
+        for &pixel in &*open {
             let range = patch.range(pixel);
-            let fitted = windows.as_ref().filter(|_| is_one_layer(pixel));
-            if let Some(is_steep) = fitted.and_then(|windows| self.surfaces.plane_is_steep(&windows.around(pixel))) {
+            if lowest.is_some()
+                && is_one_layer(pixel)
+                && let Some(records) = sums.few_by_pixel()
+                && let Some(is_steep) = self.surfaces.plane_is_steep(&windows.around(pixel, records, self.bands))
+            {
                 verdicts[range].fill(is_steep);
                 continue;
             }
             around.enter(patch, pixel);
-            extents.clear();
+            of_runs.clear();
             let mut rest = range.clone();
             while let Some(first) = rest.next() {
                 if verdicts[first] || !patch.voxels()[first].has_points() {
@@ -168,15 +190,15 @@ impl Judge {
                 }
                 let centre = self.surfaces.centre(patch, first..range.end, verdicts);
                 rest.start = centre.numbers.end;
-                match self.surfaces.verdict(patch, sums, steep_alone, &mut around, &centre) {
+                match self.surfaces.verdict(patch, sums, steep_alone, around, &centre) {
                     Verdict::Floor => {}
                     Verdict::Obstacle => verdicts[centre.numbers].fill(true),
                     Verdict::ByRun => {
-                        if extents.is_empty() {
-                            self.runs.extents(patch, pixel, &mut extents);
+                        if of_runs.is_empty() {
+                            self.runs.extents(patch, pixel, of_runs);
                         }
                         for number in centre.numbers {
-                            verdicts[number] = extents[number - range.start] as f64 > self.steep_run;
+                            verdicts[number] = of_runs[number - range.start] as f64 > self.steep_run;
                         }
                     }
                 }

@@ -35,7 +35,7 @@ fn folded(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> (Patch, Sums) 
         });
     }
     let (mut patch, mut sums) = (Patch::default(), Sums::new(Bands::new(plan)));
-    patch.fold(&records, 1, Area::TILE, &mut sums);
+    patch.fold(&records[..], 1, Area::TILE, &mut sums);
     (patch, sums)
 }
 
@@ -48,7 +48,7 @@ fn obstacle_share(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> f64 {
 fn obstacle_share_between(plan: &Plan, points: impl Iterator<Item = [f64; 3]>, x: (u32, u32)) -> f64 {
     let (patch, mut sums) = folded(plan, points);
     let inner = Area { x, y: (4, 60) };
-    let mut verdicts = Vec::new();
+    let mut verdicts = Verdicts::default();
     Judge::new(plan).judge(&patch, &mut sums, inner, &mut verdicts);
     let (mut all, mut obstacles) = (0, 0);
     for pixel in patch.occupied().filter(|&pixel| inner.holds(pixel)) {
@@ -122,10 +122,10 @@ fn what_is_floor_without_a_fit_is_floor_by_the_fit_too() {
         let mut without = with;
         without.surfaces.level = -1;
         let (patch, mut sums) = folded(&plan, points.into_iter());
-        let [mut fast, mut full] = [Vec::new(), Vec::new()];
+        let [mut fast, mut full] = [Verdicts::default(), Verdicts::default()];
         with.judge(&patch, &mut sums, Area::TILE, &mut fast);
         without.judge(&patch, &mut sums, Area::TILE, &mut full);
-        assert!(fast == full, "limit {limit}, noise {noise}");
+        assert!(*fast == *full, "limit {limit}, noise {noise}");
         assert!(full.contains(&false), "the test would show nothing");
     }
 }
@@ -155,11 +155,11 @@ fn ground_fitted_in_one_go_gets_the_verdicts_of_single_fits() {
         let mut one_by_one = judge;
         one_by_one.least_windows = usize::MAX;
         let (patch, mut sums) = folded(&plan, points.into_iter());
-        let [mut at_once, mut single] = [Vec::new(), Vec::new()];
+        let [mut at_once, mut single] = [Verdicts::default(), Verdicts::default()];
         judge.judge(&patch, &mut sums, Area::TILE, &mut at_once);
         one_by_one.judge(&patch, &mut sums, Area::TILE, &mut single);
-        assert!(at_once == single, "limit {limit}, slices of {slice} pixels");
-        assert!(Windows::of(&patch, &sums, judge.bands).is_some(), "the test would show nothing");
+        assert!(*at_once == *single, "limit {limit}, slices of {slice} pixels");
+        assert!(sums.few_by_pixel().is_some() && sums.lowest_band().is_some(), "the test would show nothing");
         steep += single.iter().filter(|&&verdict| verdict).count();
     }
     assert!(steep > 1000, "{steep}");
@@ -287,7 +287,7 @@ struct Judged {
 /// All voxels of tile (0, 0), which holds `points`.
 fn judged(plan: &Plan, points: impl Iterator<Item = [f64; 3]>) -> Vec<Judged> {
     let (patch, mut sums) = folded(plan, points);
-    let mut verdicts = Vec::new();
+    let mut verdicts = Verdicts::default();
     Judge::new(plan).judge(&patch, &mut sums, Area::TILE, &mut verdicts);
     let first_slice = crate::voxel::record::ColumnKey { column: 0, block: 0 }.first_slice();
     let mut all = Vec::new();

@@ -2,9 +2,9 @@
 
 use super::cover::Covering;
 use super::store::{RunKind, RunStore};
-use super::{SORTED_RECORDS, Segment, SegmentCoder};
+use super::{Segment, SegmentCoder};
 use crate::Result;
-use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, Record, Recorder, SurfaceVoxel, record_dropped};
+use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, Record, Recorder, SurfaceVoxel, record_dropped};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -39,6 +39,8 @@ impl Hasher for ColumnHasher {
         self.0 ^= self.0 >> 32;
     }
 }
+
+type Lookup = HashMap<ColumnIndex, u32, BuildHasherDefault<ColumnHasher>>;
 
 /// The tile columns whose records are kept, and what was asked of them last at each place of a 16 × 16 pattern.
 struct Only {
@@ -77,6 +79,15 @@ fn place(index: ColumnIndex, bits: u32) -> usize {
 /// Points in no order jump between all of them.
 const PATTERN_BITS: u32 = 8;
 
+/// Number of a column among `columns`, which gets it if it has not met it.
+#[cold]
+fn number_of(index: ColumnIndex, lookup: &mut Lookup, columns: &mut Vec<(ColumnIndex, u32)>) -> u32 {
+    *lookup.entry(index).or_insert_with(|| {
+        columns.push((index, 0));
+        (columns.len() - 1) as u32
+    })
+}
+
 /// Collects the records of one worker and hands them to a [`RunStore`] run by run.
 #[derive(Debug)]
 pub struct RunBuilder {
@@ -89,7 +100,7 @@ pub struct RunBuilder {
     /// Number of each record's column in `columns`.
     numbers: Vec<u32>,
     columns: Vec<(ColumnIndex, u32)>,
-    lookup: HashMap<ColumnIndex, u32, BuildHasherDefault<ColumnHasher>>,
+    lookup: Lookup,
     /// Number of the last column met at this place of a pattern ([`PATTERN_BITS`]); may be left over from an earlier run.
     /// Memory is touched where there are columns.
     recent: Box<[u32]>,
@@ -112,7 +123,7 @@ impl RunBuilder {
             records: Vec::new(),
             numbers: Vec::new(),
             columns: Vec::new(),
-            lookup: HashMap::default(),
+            lookup: Lookup::default(),
             recent: vec![0; 1 << (2 * PATTERN_BITS)].into(),
             spare: Vec::new(),
             covering: None,
@@ -264,10 +275,7 @@ impl RunBuilder {
             // Most columns are found here without hashing.
             let place = &mut recent[place(index, PATTERN_BITS)];
             if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
-                *place = *lookup.entry(index).or_insert_with(|| {
-                    columns.push((index, 0));
-                    (columns.len() - 1) as u32
-                });
+                *place = number_of(index, lookup, columns);
             }
             columns[*place as usize].1 += 1;
             records.push(record);
@@ -299,41 +307,13 @@ impl RunBuilder {
             sorted[*place as usize] = record;
             *place += 1;
         }
-        // The records are in `sorted` now; their memory is scratch from here on.
-        let mut rest = &mut sorted[..];
-        let mut start = 0;
-        for &(_, number) in &order {
-            // The place of the next record is now the end of the segment.
-            let end = self.columns[number as usize].1;
-            let (segment, others) = rest.split_at_mut((end - start) as usize);
-            if segment.len() as u64 >= SORTED_RECORDS {
-                sort_by_pixel(segment, &mut self.records);
-            }
-            (rest, start) = (others, end);
-        }
-        self.records.clear();
+        // The records are in `sorted` now; their memory is scratch.
         self.numbers.clear();
         self.columns.clear();
         self.lookup.clear();
         index.shrink_to_fit();
-        self.spare = store.add(self.kind, sorted, index, cover)?;
+        self.spare = store.add(self.kind, sorted, index, cover, &mut self.records)?;
+        self.records.clear();
         Ok(())
-    }
-}
-
-/// Sorts many records by pixel, and by nothing else, by counting.
-fn sort_by_pixel(records: &mut [Record], scratch: &mut Vec<Record>) {
-    let mut next = [0u32; PATCH_AREA];
-    records.iter().for_each(|record| next[record.pixel()] += 1);
-    let mut start = 0;
-    for count in &mut next {
-        start += std::mem::replace(count, start);
-    }
-    scratch.clear();
-    scratch.extend_from_slice(records);
-    for &record in &*scratch {
-        let place = &mut next[record.pixel()];
-        records[*place as usize] = record;
-        *place += 1;
     }
 }

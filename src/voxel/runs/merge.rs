@@ -3,9 +3,10 @@
 use super::store::{Run, RunKind, RunStorage, RunStore};
 use super::{SORTED_RECORDS, Segment, SegmentCoder};
 use crate::Result;
-use crate::voxel::record::{ColumnKey, PATCH_PIXELS, Record};
+use crate::voxel::record::{ColumnKey, PATCH_PIXELS, Record, RecordPieces};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::ops::Range;
 
 /// Read-ahead in the index of a run on disk, least and most.
 const INDEX_CHUNK_BYTES: (u64, u64) = (256, 4096);
@@ -177,52 +178,49 @@ impl<'a> Merge<'a> {
         if job.columns.is_empty() { Ok(()) } else { give(job) }
     }
 
-    /// Puts the records of all columns of `job` into `records`, column after column.
-    pub fn load(&self, job: &ColumnJob, records: &mut Vec<Record>) -> Result<()> {
-        self.load_from(&job.stretches, job.columns.iter().map(|column| column.1), records)
+    /// The records of all columns of `job`; those that are on disk are read into `buffer`.
+    pub fn load<'b>(&'b self, job: &ColumnJob, buffer: &'b mut Vec<Record>) -> Result<LoadedRecords<'b>> {
+        self.load_from(&job.stretches, buffer)
     }
 
     /// Puts the records of values of all columns of `job` into `records`, column after column.
     pub fn load_values(&self, job: &ColumnJob, records: &mut Vec<Record>) -> Result<()> {
-        self.load_from(&job.value_stretches, job.values.iter().copied(), records)
+        let mut buffer = Vec::new();
+        let loaded = self.load_from(&job.value_stretches, &mut buffer)?;
+        records.clear();
+        (0..job.columns.len()).for_each(|number| loaded.column(number).each(|piece| records.extend_from_slice(piece)));
+        Ok(())
     }
 
-    fn load_from(
-        &self,
-        stretches: &[Stretch],
-        counts: impl Iterator<Item = u64>,
-        records: &mut Vec<Record>,
-    ) -> Result<()> {
-        let (mut start, mut next) = (0, Vec::new());
-        for count in counts {
-            next.push(start as usize);
-            start += count;
-        }
-        records.clear();
-        records.resize(start as usize, Record(0));
-        let mut buffer = Vec::new();
+    fn load_from<'b>(&'b self, stretches: &[Stretch], buffer: &'b mut Vec<Record>) -> Result<LoadedRecords<'b>> {
+        let mut parts = Vec::new();
+        buffer.clear();
         for stretch in stretches {
-            let run = &self.runs[stretch.run];
-            let total: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
-            let first = stretch.first_record as usize;
-            let mut rest = match &run.storage {
-                RunStorage::Memory { records, .. } => &records[first..first + total],
-                RunStorage::Disk { .. } => {
-                    buffer.clear();
-                    buffer.resize(total, Record(0));
-                    self.store.read_records(run, stretch.first_record, &mut buffer)?;
-                    &buffer[..]
+            match &self.runs[stretch.run].storage {
+                RunStorage::Memory { records, .. } => {
+                    let mut rest = &records[stretch.first_record as usize..];
+                    for &(column, count) in &stretch.columns {
+                        let (own, others) = rest.split_at(count as usize);
+                        parts.push((column, Part::InMemory(own)));
+                        rest = others;
+                    }
                 }
-            };
-            for &(column, count) in &stretch.columns {
-                let (own, others) = rest.split_at(count as usize);
-                let place = &mut next[column as usize];
-                records[*place..*place + own.len()].copy_from_slice(own);
-                *place += own.len();
-                rest = others;
+                RunStorage::Disk { records_at, .. } => {
+                    let mut begin = buffer.len();
+                    let total: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
+                    buffer.resize(begin + total, Record(0));
+                    self.store.read_records(*records_at, stretch.first_record, &mut buffer[begin..])?;
+                    for &(column, count) in &stretch.columns {
+                        let end = begin + count as usize;
+                        parts.push((column, Part::Read(begin..end)));
+                        begin = end;
+                    }
+                }
             }
         }
-        Ok(())
+        // Those of a column stay in the order of runs.
+        parts.sort_by_key(|part| part.0);
+        Ok(LoadedRecords { parts, buffer })
     }
 
     /// Calls `take` with the records of a job's only column whose pixels lie in the `rows` (first and end) of its patch,
@@ -257,13 +255,34 @@ impl<'a> Merge<'a> {
     ) -> Result<()> {
         let mut buffer = Vec::new();
         for stretch in stretches {
+            let records_at = match &self.runs[stretch.run].storage {
+                RunStorage::Disk { records_at, .. } => *records_at,
+                RunStorage::Memory { records, .. } => {
+                    let pixels = rows.0 as usize * PATCH_PIXELS..rows.1 as usize * PATCH_PIXELS;
+                    let count: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
+                    let all = &records[stretch.first_record as usize..][..count];
+                    let mut own = all.iter().filter(|record| pixels.contains(&record.pixel()));
+                    loop {
+                        buffer.clear();
+                        buffer.extend(own.by_ref().take(chunk).copied());
+                        if buffer.is_empty() {
+                            break;
+                        }
+                        if !take(&buffer)? {
+                            return Ok(());
+                        }
+                    }
+                    continue;
+                }
+            };
             let (mut first, mut end) = (0, stretch.columns.iter().map(|column| u64::from(column.1)).sum());
-            if end >= SORTED_RECORDS && stretch.columns.len() == 1 {
-                (first, end) = (self.row_begins(stretch, end, rows.0)?, self.row_begins(stretch, end, rows.1)?);
+            if end >= SORTED_RECORDS {
+                let row_begins = |row| self.row_begins((records_at, stretch.first_record), end, row);
+                (first, end) = (row_begins(rows.0)?, row_begins(rows.1)?);
             }
             while first < end {
                 buffer.resize((end - first).min(chunk as u64) as usize, Record(0));
-                self.store.read_records(&self.runs[stretch.run], stretch.first_record + first, &mut buffer)?;
+                self.store.read_records(records_at, stretch.first_record + first, &mut buffer)?;
                 if !take(&buffer)? {
                     return Ok(());
                 }
@@ -273,13 +292,13 @@ impl<'a> Merge<'a> {
         Ok(())
     }
 
-    /// Number of the first record of a sorted stretch of `records` that does not lie before `row`.
-    fn row_begins(&self, stretch: &Stretch, records: u64, row: u32) -> Result<u64> {
+    /// Number of the first of so many `records` of a column, which begin there in a run on disk, that does not lie before `row`.
+    fn row_begins(&self, (records_at, first): (u64, u64), records: u64, row: u32) -> Result<u64> {
         let (mut low, mut high) = (0, records);
         while low < high {
             let middle = low + (high - low) / 2;
             let mut record = [Record(0)];
-            self.store.read_records(&self.runs[stretch.run], stretch.first_record + middle, &mut record)?;
+            self.store.read_records(records_at, first + middle, &mut record)?;
             if record[0].pixel() < row as usize * PATCH_PIXELS {
                 low = middle + 1;
             } else {
@@ -287,5 +306,49 @@ impl<'a> Merge<'a> {
             }
         }
         Ok(low)
+    }
+}
+
+/// Records of one run and column.
+#[derive(Debug)]
+enum Part<'a> {
+    InMemory(&'a [Record]),
+    /// These of the buffer.
+    Read(Range<usize>),
+}
+
+/// The records of the columns of a [`ColumnJob`], those in memory where they are.
+#[derive(Debug)]
+pub struct LoadedRecords<'a> {
+    /// With the position of their column in the job, by this.
+    parts: Vec<(u32, Part<'a>)>,
+    buffer: &'a [Record],
+}
+
+impl LoadedRecords<'_> {
+    /// Those of the column at this position in the job.
+    pub fn column(&self, number: usize) -> ColumnRecords<'_> {
+        let begin = self.parts.partition_point(|part| (part.0 as usize) < number);
+        let end = self.parts.partition_point(|part| part.0 as usize <= number);
+        ColumnRecords { parts: &self.parts[begin..end], buffer: self.buffer }
+    }
+}
+
+/// The records of a column.
+#[derive(Debug, Clone, Copy)]
+pub struct ColumnRecords<'a> {
+    parts: &'a [(u32, Part<'a>)],
+    buffer: &'a [Record],
+}
+
+impl RecordPieces for ColumnRecords<'_> {
+    #[inline]
+    fn each(&self, mut take: impl FnMut(&[Record])) {
+        for (_, part) in self.parts {
+            match part {
+                Part::InMemory(records) => take(records),
+                Part::Read(range) => take(&self.buffer[range.clone()]),
+            }
+        }
     }
 }

@@ -28,7 +28,7 @@ use super::record::{ColumnKey, Record};
 use crate::Result;
 
 const RECORD_BYTES: u64 = size_of::<Record>() as u64;
-/// Segments of a run with at least this many records are sorted by pixel too: a column of very many records is worked on
+/// On disk, segments of a run with at least this many records are sorted by pixel too: a column of very many records is worked on
 /// in areas, and their rows can then be found without reading the whole column for each.
 const SORTED_RECORDS: u64 = 1 << 14;
 
@@ -101,7 +101,7 @@ fn count_segments(index: &[u8]) -> Result<u64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::record::Recorder;
+    use super::super::record::{RecordPieces, Recorder};
     use super::super::spill::SpillPlace;
     use super::*;
     use crate::frame::Frame;
@@ -156,14 +156,14 @@ mod tests {
                 .jobs(max_records, 1000, |job| {
                     assert!(job.columns.len() <= 1000);
                     assert!(job.records <= max_records || job.columns.len() == 1);
-                    let mut records = Vec::new();
-                    merge.load(&job, &mut records)?;
-                    let mut rest = &records[..];
-                    for &(key, count) in &job.columns {
-                        let (own, others) = rest.split_at(count as usize);
+                    let mut buffer = Vec::new();
+                    let loaded = merge.load(&job, &mut buffer)?;
+                    for (number, &(key, count)) in job.columns.iter().enumerate() {
+                        let mut own = Vec::new();
+                        loaded.column(number).each(|piece| own.extend_from_slice(piece));
+                        assert_eq!(own.len() as u64, count);
                         assert!(found.last_key_value().is_none_or(|(last, _)| *last < key));
-                        found.insert(key, own.to_vec());
-                        rest = others;
+                        found.insert(key, own);
                     }
                     if job.columns.len() == 1 {
                         let of_column = streamed.entry(job.columns[0].0).or_default();
