@@ -15,8 +15,8 @@ use syn::{Attribute, BinOp, Block, Expr, ReturnType, Signature, Type, UnOp};
 /// A change of one place.
 #[derive(Debug, Clone)]
 pub struct Mutant {
-    /// The line of the place, from 1 on.
-    pub line: usize,
+    /// Line and column of what is changed, from 1 on.
+    pub at: (usize, usize),
     /// What is done to it.
     pub change: String,
     /// The place that this change and others of it share, as bytes of the file.
@@ -137,7 +137,8 @@ impl Finder<'_> {
     }
 
     fn add(&mut self, span: Span, place: Range<usize>, change: String, kind: Kind) {
-        self.found.push(Mutant { line: span.start().line, change, place, kind });
+        let start = span.start();
+        self.found.push(Mutant { at: (start.line, start.column + 1), change, place, kind });
     }
 
     fn function(&mut self, signature: &Signature, block: &Block) {
