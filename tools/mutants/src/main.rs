@@ -40,8 +40,8 @@ struct Options {
     #[arg(long, default_value_t = 0)]
     offset: usize,
     /// Leaves out tests that take longer, in seconds
-    #[arg(long, default_value_t = 30)]
-    slowest: u64,
+    #[arg(long, default_value_t = 30.0)]
+    slowest: f64,
     /// Tests that run at the same time
     #[arg(long, default_value_t = 2)]
     jobs: usize,
@@ -66,7 +66,7 @@ fn main() -> Result<()> {
     let drawn: Vec<_> = drawn.into_iter().map(|(_, number)| *number).collect();
     let programs = tree.build(drawn.iter().copied().collect(), &options.test, &out.join("refused.tsv"))?;
     let paths = [tree.folder(), &out.join("scratch"), &out.join("reached.tsv")];
-    let slowest = Duration::from_secs(options.slowest);
+    let slowest = Duration::try_from_secs_f64(options.slowest)?;
     let trial = Trial::record(&programs, tree.mutants().count(), slowest, options.jobs, paths)?;
     let results = out.join("results.tsv");
     let names: BTreeMap<_, _> = tree.chosen().map(|(number, source, mutant)| (number, source.name(mutant))).collect();
