@@ -123,6 +123,62 @@ fn zeroed_ranges_are_reported_or_were_zero() {
     }
 }
 
+/// Counts that a head states: the bytes that they lie at, and what rule H8 allows at most.
+#[test]
+fn counts_of_a_head_may_reach_their_limits_and_not_pass_them() {
+    let [read, kept, withheld, excluded] = [128, 136, 144, 152];
+    let [occupied, stored, unique, voxels, obstacle] = [224, 232, 240, 248, 256];
+    let [pages_stored, pages_shared, pages_uniform] = [264, 272, 280];
+    let parts = Parts::of(&archive(&two_pixels()));
+    let most = 1 << 29;
+    // Numbers at which the head is in order, and one of them that may not be one greater, or less.
+    let cases: [(&[(usize, u64)], (usize, i64)); 10] = [
+        (&[(read, 9), (kept, 2), (withheld, 3), (excluded, 4)], (kept, 1)),
+        (&[(read, 9), (kept, 2), (withheld, 3), (excluded, 4)], (read, -1)),
+        (&[(occupied, 7), (stored, 6), (unique, 6), (voxels, 7), (obstacle, 0)], (unique, 1)),
+        (&[(occupied, 7), (stored, 7), (unique, 6), (voxels, 7), (obstacle, 0)], (stored, 1)),
+        (&[(occupied, 7), (stored, 6), (unique, 6), (voxels, 7), (obstacle, 7)], (obstacle, 1)),
+        (&[(occupied, 7), (stored, 6), (unique, 6), (voxels, 7), (obstacle, 0)], (voxels, -1)),
+        (
+            &[
+                (occupied, 6),
+                (stored, 6),
+                (unique, 6),
+                (pages_stored, 1),
+                (pages_shared, 2),
+                (pages_uniform, 3),
+                (voxels, 6),
+            ],
+            (pages_uniform, 1),
+        ),
+        (&[(occupied, most + 1), (voxels, most + 1), (pages_stored, most), (pages_uniform, 0)], (pages_stored, 1)),
+        (
+            &[
+                (occupied, most + 1),
+                (voxels, most + 1),
+                (pages_stored, 1),
+                (pages_shared, most - 1),
+                (pages_uniform, 0),
+            ],
+            (pages_uniform, 1),
+        ),
+        (&[(occupied, most + 1), (voxels, most + 1), (pages_stored, 1), (pages_uniform, most - 1)], (pages_shared, 1)),
+    ];
+    for (number, (counts, (at, by))) in cases.into_iter().enumerate() {
+        let found = |by: i64| {
+            let bytes = parts.build(|head| {
+                counts.iter().for_each(|&(at, count)| put(head, at, count, 8));
+                let count = u64::from_le_bytes(head[at..at + 8].try_into().unwrap());
+                put(head, at, count.wrapping_add_signed(by), 8);
+            });
+            rules(&bytes)
+        };
+        // In order by itself: what does not fit the rest of the file is for other rules.
+        assert!(!found(0).contains(&"H8"), "case {number}: {:?}", found(0));
+        assert_eq!(found(by), ["H8"], "case {number}");
+    }
+}
+
 #[test]
 fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
     let parts = Parts::of(&archive(&two_pixels()));

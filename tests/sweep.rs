@@ -14,7 +14,9 @@ mod scene;
 
 use nalgebra::{Point3, Vector3};
 use scene::{Random, Scene};
+use slicewalk::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
 use slicewalk::query::*;
+use slicewalk::slice::Page;
 use slicewalk::store::{Missing, PageSet};
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).
@@ -306,6 +308,82 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
             }
         }
     }
+}
+
+/// Top (quanta) and kind of each span of each page in pixels that `covers` accepts: what goes on in another page ends with its own.
+fn tops(scene: &Scene, covers: impl Fn(i64, i64) -> bool) -> Vec<(i64, bool)> {
+    let of_page = |(key, page): &(PageKey, Page)| -> Vec<(i64, bool)> {
+        let pixels = (0..64 * 64).map(|pixel| (pixel % 64, pixel / 64));
+        let covered = pixels.filter(|&(px, py)| {
+            covers(i64::from(key.tx) * TILE_PIXELS + i64::from(px), i64::from(key.ty) * TILE_PIXELS + i64::from(py))
+        });
+        let base = i64::from(key.layer) * PAGE_QUANTA;
+        let spans = covered.flat_map(|(px, py)| page.column(px, py));
+        spans.map(|span| (base + i64::from(span.top()), span.is_obstacle())).collect()
+    };
+    scene.pages.iter().flat_map(of_page).collect()
+}
+
+#[test]
+fn tops_and_mean_floors_are_those_of_the_pixels_under_the_shape() {
+    let (mut found, mut means) = (0, 0);
+    for (scene, mut random) in Scene::all() {
+        let (store, frame) = (scene.store(), &scene.frame);
+        let edges = |n: i64| (frame.edge_of_pixel(n), frame.edge_of_pixel(n + 1));
+        for turn in 0..12 {
+            let pawn = random_pawn(&scene, &mut random);
+            let (min, max, middle) = (pawn.min(), pawn.max(), nalgebra::center(&pawn.min(), &pawn.max()));
+            let (from, depth) = (scene.random_point(&mut random).z, frame.slice_m() * random.between(0.0, 30.0));
+            let radius = frame.pixel_m() * random.between(0.1, 8.0);
+            // How deep the footprint reaches into a pixel; touching is not enough.
+            let in_box = |i: i64, j: i64| {
+                let deep = |a: usize, (low, high): (f64, f64)| max[a].min(high) - min[a].max(low);
+                deep(0, edges(i)).min(deep(1, edges(j)))
+            };
+            let in_disc = |i: i64, j: i64| {
+                let gap = |a: usize, (low, high): (f64, f64)| (low - middle[a]).max(middle[a] - high).max(0.0);
+                radius - gap(0, edges(i)).hypot(gap(1, edges(j)))
+            };
+            let (depth_in, answers): (&dyn Fn(i64, i64) -> f64, _) = match turn % 3 {
+                0 => (&in_box, (top_under(&store, &pawn, from, depth), mean_floor_under(&store, &pawn, from, depth))),
+                1 => {
+                    let cylinder = Cylinder::new(middle, radius, 1.0).unwrap();
+                    let mean = mean_floor_under(&store, &cylinder, from, depth);
+                    (&in_disc, (top_under(&store, &cylinder, from, depth), mean))
+                }
+                _ => {
+                    let sphere = Sphere::new(middle, radius).unwrap();
+                    let mean = mean_floor_under(&store, &sphere, from, depth);
+                    (&in_disc, (top_under(&store, &sphere, from, depth), mean))
+                }
+            };
+            let (top, mean) = (answers.0.known().unwrap(), answers.1.known().unwrap());
+            let what = format!("{pawn:?}, radius {radius}, from {from} by {depth}");
+            let window = frame.quantum_ceil(from - depth)..=frame.quantum_floor(from);
+            let [sure, possible] = [SLACK, -SLACK].map(|least| {
+                let mut tops = tops(&scene, |i, j| depth_in(i, j) > least);
+                tops.retain(|(top, _)| window.contains(top));
+                tops
+            });
+            let highest = |tops: &[(i64, bool)]| tops.iter().map(|top| top.0).max().map(|top| frame.top_height(top));
+            assert!(highest(&sure) <= top && top <= highest(&possible), "{what}: {top:?}");
+            found += usize::from(top.is_some());
+            if sure.len() == possible.len() {
+                let floors: Vec<_> = sure.iter().filter(|top| !top.1).map(|top| top.0 as f64).collect();
+                let expected = floors.iter().sum::<f64>() / floors.len() as f64 * frame.quantum_m();
+                assert_eq!(mean.is_some(), !floors.is_empty(), "{what}: {mean:?}");
+                assert!(mean.is_none_or(|mean| (mean - expected).abs() < 1e-9), "{what}: {mean:?}, not {expected}");
+                means += usize::from(mean.is_some());
+            }
+        }
+        let pawn = random_pawn(&scene, &mut random);
+        for (from, depth) in [(f64::NAN, 1.0), (1.0, f64::NAN), (f64::INFINITY, 1.0), (1.0, f64::INFINITY), (1.0, -1.0)]
+        {
+            assert_eq!(top_under(&store, &pawn, from, depth), Answer::Known(None), "from {from} by {depth}");
+            assert_eq!(mean_floor_under(&store, &pawn, from, depth), Answer::Known(None), "from {from} by {depth}");
+        }
+    }
+    assert!(found > 100 && means > 60, "{found} tops, {means} means");
 }
 
 #[test]

@@ -16,6 +16,8 @@ fn server() -> Server {
     Server::new(program.to_str().unwrap().to_owned().leak())
 }
 
+/// Exit code where the object had the very bytes already and was kept.
+const KEPT: i32 = 3;
 const UPLOADS: [&str; 3] = ["this_program_uploads", "--exact", "--nocapture"];
 
 fn content(len: usize) -> Vec<u8> {
@@ -29,31 +31,41 @@ fn content(len: usize) -> Vec<u8> {
 #[test]
 fn this_program_uploads() {
     let Some(len) = std::env::var("UPLOADED_BYTES").ok().and_then(|text| text.parse().ok()) else { return };
-    let existing = Existing::replaced_if(std::env::var_os("REPLACES").is_some());
+    let existing = match std::env::var("EXISTING").unwrap().as_str() {
+        "Replace" => Existing::Replace,
+        "KeepSame" => Existing::KeepSame,
+        _ => Existing::Refuse,
+    };
     let upload = || {
         let name = Path::new("s3://bucket/large.slices");
         let mut output = Output::create(name, OutputKind::Archive(existing), Protected::default())?;
         output.write_at(0, &content(len))?;
         output.publish()
     };
-    if let Err(error) = upload() {
-        eprintln!("{error}");
-        std::process::exit(1);
-    }
-    std::process::exit(0);
+    std::process::exit(match upload() {
+        Ok(true) => 0,
+        Ok(false) => KEPT,
+        Err(error) => {
+            eprintln!("{error}");
+            1
+        }
+    });
 }
 
 /// Uploads so many bytes; `Err` holds the one line that was said.
 fn uploads(server: &Server, len: usize, replaces: bool) -> Result<(), String> {
+    uploads_over(server, len, Existing::replaced_if(replaces)).map(|was_written| assert!(was_written))
+}
+
+/// As [`uploads`]; returns whether it wrote the object.
+fn uploads_over(server: &Server, len: usize, existing: Existing) -> Result<bool, String> {
     let mut program = server.program(Path::new("."));
-    program.args(UPLOADS).env("UPLOADED_BYTES", len.to_string());
-    if replaces {
-        program.env("REPLACES", "yes");
-    }
+    program.args(UPLOADS).env("UPLOADED_BYTES", len.to_string()).env("EXISTING", format!("{existing:?}"));
     let out = program.output().unwrap();
     let said = String::from_utf8(out.stderr).unwrap();
     match out.status.code() {
-        Some(0) => Ok(()),
+        Some(0) => Ok(true),
+        Some(KEPT) => Ok(false),
         Some(1) if said.lines().count() == 1 && !said.contains("very-secret") => Err(said),
         other => panic!("{other:?}: {said}"),
     }
@@ -139,4 +151,37 @@ fn a_store_that_fails_for_long_keeps_neither_parts_nor_the_object() {
     assert!(said.contains("exists already"), "{said}");
     assert_eq!(server.get("large.slices").unwrap(), b"first");
     assert!(server.store().uploads.is_empty());
+}
+
+#[test]
+fn an_object_that_is_there_is_replaced_kept_or_refused_as_the_caller_says() {
+    let server = server();
+    let (short, long) = (content(1000), content(5000));
+    for existing in [Existing::Refuse, Existing::Replace, Existing::KeepSame] {
+        server.store().objects.clear();
+        assert_eq!(uploads_over(&server, short.len(), existing), Ok(true), "{existing:?}: the name is free");
+        // Of the same bytes, of other ones and of another length.
+        let mut other = short.clone();
+        other[999] ^= 1;
+        for there in [&short, &other, &long] {
+            server.put("large.slices", there.clone());
+            let done = uploads_over(&server, short.len(), existing);
+            let is_same = there == &short;
+            let found = server.get("large.slices").unwrap();
+            match existing {
+                Existing::Replace => assert!(done == Ok(true) && found == short, "{done:?}"),
+                Existing::KeepSame if is_same => assert!(done == Ok(false) && found == short, "{done:?}"),
+                Existing::Refuse | Existing::KeepSame => {
+                    let said = done.unwrap_err();
+                    assert!(said.contains("exists already"), "{said}");
+                    assert_eq!(said.contains("something else"), existing == Existing::KeepSame, "{said}");
+                    assert!(found == *there, "{existing:?}");
+                }
+            }
+        }
+        // Whatever may be replaced, a file of another kind is not.
+        server.put("large.slices", b"a letter to the editor".to_vec());
+        assert!(uploads_over(&server, short.len(), existing).is_err());
+        assert_eq!(server.get("large.slices").unwrap(), b"a letter to the editor");
+    }
 }

@@ -15,8 +15,8 @@ use syn::{Attribute, BinOp, Block, Expr, ReturnType, Signature, Type, UnOp};
 /// A change of one place.
 #[derive(Debug, Clone)]
 pub struct Mutant {
-    /// The line of the place, from 1 on.
-    pub line: usize,
+    /// Line and column of what is changed, from 1 on.
+    pub at: (usize, usize),
     /// What is done to it.
     pub change: String,
     /// The place that this change and others of it share, as bytes of the file.
@@ -137,7 +137,8 @@ impl Finder<'_> {
     }
 
     fn add(&mut self, span: Span, place: Range<usize>, change: String, kind: Kind) {
-        self.found.push(Mutant { line: span.start().line, change, place, kind });
+        let start = span.start();
+        self.found.push(Mutant { at: (start.line, start.column + 1), change, place, kind });
     }
 
     fn function(&mut self, signature: &Signature, block: &Block) {
@@ -151,28 +152,30 @@ impl Finder<'_> {
     }
 }
 
-fn is_test(attributes: &[Attribute]) -> bool {
+/// Whether an item is a test, or stands only in builds without a feature: tests run with all of them.
+fn is_left_out(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|attribute| {
         let text = attribute.to_token_stream().to_string();
-        text.contains("test") && (text.contains("cfg") || text.starts_with("# [test"))
+        let is_condition = text.starts_with("# [cfg (");
+        text.starts_with("# [test") || is_condition && (text.contains("test") || text.contains("not (feature"))
     })
 }
 
 impl<'ast> Visit<'ast> for Finder<'_> {
     fn visit_item_fn(&mut self, item: &'ast syn::ItemFn) {
-        if !is_test(&item.attrs) && item.sig.constness.is_none() && item.sig.unsafety.is_none() {
+        if !is_left_out(&item.attrs) && item.sig.constness.is_none() && item.sig.unsafety.is_none() {
             self.function(&item.sig, &item.block);
         }
     }
 
     fn visit_impl_item_fn(&mut self, item: &'ast syn::ImplItemFn) {
-        if !is_test(&item.attrs) && item.sig.constness.is_none() && item.sig.unsafety.is_none() {
+        if !is_left_out(&item.attrs) && item.sig.constness.is_none() && item.sig.unsafety.is_none() {
             self.function(&item.sig, &item.block);
         }
     }
 
     fn visit_item_mod(&mut self, item: &'ast syn::ItemMod) {
-        if !is_test(&item.attrs) {
+        if !is_left_out(&item.attrs) {
             visit::visit_item_mod(self, item);
         }
     }
@@ -182,7 +185,7 @@ impl<'ast> Visit<'ast> for Finder<'_> {
             .trait_
             .as_ref()
             .is_some_and(|(_, path, _)| path.segments.last().is_some_and(|name| name.ident == "Debug"));
-        if !is_test(&item.attrs) && !is_debug {
+        if !is_left_out(&item.attrs) && !is_debug {
             visit::visit_item_impl(self, item);
         }
     }
@@ -390,6 +393,8 @@ mod tests {
     fn what_cannot_be_switched_stays() {
         assert_eq!(changes("const A: u8 = 1 + 2; const fn f() -> u8 { 1 + 2 }"), [""; 0]);
         assert_eq!(changes("#[cfg(test)] mod tests { fn f() {} } #[test] fn g() {}"), [""; 0]);
+        assert_eq!(changes("#[cfg(not(feature = \"remote\"))] fn f() {}"), [""; 0]);
+        assert_eq!(changes("#[cfg(feature = \"remote\")] fn f() {}").len(), 1);
         assert_eq!(changes("unsafe fn f() { a + b; }"), [""; 0]);
         assert_eq!(changes("fn f() -> &mut u8 { if let Some(a) = b && c { d } else { [0; 1 + 2] } }"), [""; 0]);
     }

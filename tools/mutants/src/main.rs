@@ -1,55 +1,33 @@
-//! Counts how many wrong places the tests of a module notice.
+//! Counts how many wrong places the library's tests notice.
 //!
-//! All mutants of a module are compiled at once, each behind a switch that an environment variable turns on, so one build serves
-//! thousands of runs of the tests. The sources are changed in a copy. What the compiler refuses is no mutant.
+//! Mutants are compiled all at once, each behind a switch that an environment variable turns on, so one build serves
+//! thousands of runs of tests. The sources are changed in a copy. What the compiler refuses is no mutant. Each test runs once by itself
+//! with all switches off, which records the mutants that it reaches. Then each mutant meets only the tests that reach it, the quickest
+//! first, until one fails.
 //!
 //! Results are added to a file, one line a mutant; the next run goes on behind them. Where sources have changed, remove it first.
 
 mod find;
+mod tree;
+mod trial;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use find::Mutant;
-use serde_json::Value;
-use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{BufRead, BufReader, Write};
-use std::ops::Range;
+use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tree::Tree;
+use trial::Trial;
 
-/// What the copy of the library gets: the number of the mutant that is on.
-const SWITCH: &str = r#"
-#[doc(hidden)]
-#[allow(missing_docs)]
-pub mod mutant {
-    use std::sync::atomic::{AtomicU32, Ordering};
-    static ACTIVE: AtomicU32 = AtomicU32::new(u32::MAX);
-    #[inline]
-    pub fn is_active(number: u32) -> bool {
-        let active = ACTIVE.load(Ordering::Relaxed);
-        number == if active == u32::MAX { first() } else { active }
-    }
-    #[cold]
-    fn first() -> u32 {
-        let active = std::env::var("SLICEWALK_MUTANT").ok().and_then(|text| text.parse().ok()).unwrap_or(0);
-        ACTIVE.store(active, Ordering::Relaxed);
-        active
-    }
-}
-"#;
-
-/// Runs the unit tests of a module of the library once for each mutant of its sources.
+/// Runs the library's unit tests, and test files, for each mutant of some of its sources.
 #[derive(Debug, Parser)]
 struct Options {
     /// Modules: files and folders of src/ whose sources are changed
     #[arg(required = true)]
     sources: Vec<PathBuf>,
-    /// Test files that run where the unit tests notice nothing
+    /// Test files that run beside the library's unit tests
     #[arg(long)]
     test: Vec<String>,
     /// Folder for the copy, its build and the results
@@ -58,7 +36,13 @@ struct Options {
     /// Only this many mutants of each module, drawn evenly
     #[arg(long)]
     sample: Option<usize>,
-    /// Mutants that run at the same time
+    /// Draws others: each this many mutants further on
+    #[arg(long, default_value_t = 0)]
+    offset: usize,
+    /// Leaves out tests that take longer, in seconds
+    #[arg(long, default_value_t = 30.0)]
+    slowest: f64,
+    /// Tests that run at the same time
     #[arg(long, default_value_t = 2)]
     jobs: usize,
 }
@@ -68,46 +52,51 @@ fn main() -> Result<()> {
     let root = std::env::current_dir()?;
     ensure!(root.join("src/lib.rs").is_file(), "expected to run in the root of the repository");
     let out = root.join(&options.out);
-    let files = sources(&root, &options.sources)?;
-    let copy = copy(&root, &out, &files)?;
-    let mut tree = Tree::read(&root, &copy, files)?;
-    tree.settle(&out.join("refused.tsv"))?;
-    let (modules, results) = (tree.build(&options)?, options.out.join("results.tsv"));
-    tree.run(&options, &results, &modules)?;
-    print!("{}", summary(&fs::read_to_string(&results)?));
+    let mut tree = Tree::new(&root, &out, sources(&root, &options.sources)?)?;
+    let mut by_module: BTreeMap<_, Vec<_>> = BTreeMap::new();
+    for (number, source, _) in tree.mutants() {
+        by_module.entry(source.module()).or_default().push(number);
+    }
+    for (module, all) in &by_module {
+        eprintln!("{module}: {} mutants", all.len());
+    }
+    let mut drawn: Vec<_> = by_module.values().flat_map(|all| draw(all, options.sample, options.offset)).collect();
+    // Some of each module early on.
+    drawn.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    let drawn: Vec<_> = drawn.into_iter().map(|(_, number)| *number).collect();
+    let programs = tree.build(drawn.iter().copied().collect(), &options.test, &out.join("refused.tsv"))?;
+    let paths = [tree.folder(), &out.join("scratch"), &out.join("reached.tsv")];
+    let slowest = Duration::try_from_secs_f64(options.slowest)?;
+    let trial = Trial::record(&programs, tree.mutants().count(), slowest, options.jobs, paths)?;
+    let results = out.join("results.tsv");
+    let names: BTreeMap<_, _> = tree.chosen().map(|(number, source, mutant)| (number, source.name(mutant))).collect();
+    run(&trial, &drawn, &names, &results, options.jobs)?;
+    let wanted: BTreeSet<_> = names.values().map(String::as_str).collect();
+    print!("{}", summary(&fs::read_to_string(results)?, &wanted));
     Ok(())
 }
 
-/// A copy of all that git does not ignore but for `changed`, with the switch. What is as it was in the last run stays untouched, and
-/// is not built again.
-fn copy(root: &Path, out: &Path, changed: &[PathBuf]) -> Result<PathBuf> {
-    let copy = out.join("copy");
-    let listed = Command::new("git")
-        .args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"])
-        .current_dir(root)
-        .output()?;
-    let listed = String::from_utf8(listed.stdout)?;
-    for name in listed.split('\0').filter(|name| !name.is_empty()).chain(["Cargo.lock"]) {
-        let (from, to) = (root.join(name), copy.join(name));
-        if !from.is_file() || changed.iter().any(|path| path == Path::new(name)) {
-            continue;
-        }
-        let mut bytes = fs::read(&from).with_context(|| name.to_string())?;
-        if name == "src/lib.rs" {
-            bytes.extend(SWITCH.as_bytes());
-        }
-        write(&to, &bytes)?;
-    }
-    Ok(copy)
+/// Tries the mutants that the results do not know yet.
+fn run(trial: &Trial, drawn: &[u32], names: &BTreeMap<u32, String>, results: &Path, jobs: usize) -> Result<()> {
+    let known = fs::read_to_string(results).unwrap_or_default();
+    let known: BTreeSet<_> = known.lines().filter_map(|line| Some(columns(line)?.1)).collect();
+    let chosen = drawn.iter().filter_map(|number| Some((*number, names.get(number)?)));
+    let todo: Vec<_> = chosen.filter(|(_, name)| !known.contains(name.as_str())).collect();
+    eprintln!("{} mutants to try", todo.len());
+    let file = fs::OpenOptions::new().create(true).append(true).open(results)?;
+    trial::in_parallel(jobs, &todo, |_, (number, name)| {
+        let (outcome, by) = trial.of(*number)?;
+        // In one piece, so that lines of several workers do not mix.
+        Ok((&file).write_all(format!("{outcome:?}\t{name}\t{by}\n").as_bytes())?)
+    })?;
+    Ok(())
 }
 
-/// Writes a file unless it has these bytes.
-fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    if fs::read(path).is_ok_and(|there| there == bytes) {
-        return Ok(());
-    }
-    fs::create_dir_all(path.parent().context("a file lies in a folder")?)?;
-    fs::write(path, bytes).with_context(|| path.display().to_string())
+/// Outcome, name of the mutant, and the test that noticed it, of a line of the results.
+fn columns(line: &str) -> Option<(&str, &str, &str)> {
+    let (outcome, rest) = line.split_once('\t')?;
+    let (name, by) = rest.rsplit_once('\t')?;
+    Some((outcome, name, by))
 }
 
 /// The Rust files below `wanted`, without those of tests alone; relative to the root.
@@ -139,283 +128,12 @@ fn sources(root: &Path, wanted: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// A file whose places are changed.
-struct Source {
-    path: PathBuf,
-    text: String,
-    mutants: Vec<Mutant>,
-    /// The number of its first mutant.
-    first: u32,
-    /// Where the changed text says what each mutant is.
-    ranges: Vec<(u32, Range<usize>)>,
-}
-
-impl Source {
-    /// The first word of its path in the library.
-    fn module(&self) -> String {
-        let path = self.path.strip_prefix("src").unwrap_or(&self.path).with_extension("");
-        path.iter().next().unwrap_or_default().to_string_lossy().into_owned()
-    }
-
-    fn name(&self, mutant: &Mutant) -> String {
-        format!("{}:{}\t{}", self.path.display(), mutant.line, mutant.change)
-    }
-}
-
-/// The sources that are changed, and the mutants that the compiler refuses.
-struct Tree {
-    copy: PathBuf,
-    sources: Vec<Source>,
-    refused: BTreeSet<u32>,
-}
-
-impl Tree {
-    fn read(root: &Path, copy: &Path, paths: Vec<PathBuf>) -> Result<Self> {
-        let (mut sources, mut first) = (Vec::new(), 1);
-        for path in paths {
-            let text = fs::read_to_string(root.join(&path))?;
-            let mutants = find::mutants(&text).with_context(|| path.display().to_string())?;
-            let count = u32::try_from(mutants.len())?;
-            sources.push(Source { path, text, mutants, first, ranges: Vec::new() });
-            first += count;
-        }
-        Ok(Self { copy: copy.to_path_buf(), sources, refused: BTreeSet::new() })
-    }
-
-    /// Every mutant that the compiler takes: its number, file and change.
-    fn mutants(&self) -> impl Iterator<Item = (u32, &Source, &Mutant)> {
-        self.sources
-            .iter()
-            .flat_map(|source| {
-                (source.first..).zip(&source.mutants).map(move |(number, mutant)| (number, source, mutant))
-            })
-            .filter(|(number, ..)| !self.refused.contains(number))
-    }
-
-    fn write(&mut self) -> Result<()> {
-        for source in &mut self.sources {
-            let number = |index: usize| {
-                let number = source.first + u32::try_from(index).ok()?;
-                (!self.refused.contains(&number)).then_some(number)
-            };
-            let (text, ranges) = find::switched(&source.text, &source.mutants, number);
-            write(&self.copy.join(&source.path), text.as_bytes())?;
-            source.ranges = ranges;
-        }
-        Ok(())
-    }
-
-    fn cargo(&self, arguments: &[&str]) -> Result<(bool, Vec<Value>)> {
-        let output = Command::new("cargo")
-            .args(arguments)
-            .args(["--message-format=json", "--quiet"])
-            .current_dir(&self.copy)
-            .env("CARGO_TARGET_DIR", self.copy.with_file_name("target"))
-            .env("CARGO_PROFILE_DEV_DEBUG", "0")
-            .env("RUSTFLAGS", "-Awarnings")
-            .stderr(Stdio::inherit())
-            .output()?;
-        let lines = String::from_utf8_lossy(&output.stdout);
-        let messages = lines.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
-        Ok((output.status.success(), messages))
-    }
-
-    /// Leaves mutants out until the compiler takes the rest. `known` is a file of those that it refused before.
-    fn settle(&mut self, known: &Path) -> Result<()> {
-        let place = |source: &Source, mutant: &Mutant| format!("{}\t{}\n", source.name(mutant), mutant.place.start);
-        let before = fs::read_to_string(known).unwrap_or_default();
-        let before: BTreeSet<_> = before.split_inclusive('\n').collect();
-        let again = self.mutants().filter(|(_, source, mutant)| before.contains(place(source, mutant).as_str()));
-        self.refused = again.map(|(number, ..)| number).collect();
-        for round in 1.. {
-            self.write()?;
-            let (is_sound, messages) = self.cargo(&["check", "-p", "slicewalk", "--all-features", "--lib"])?;
-            if is_sound {
-                let all = self
-                    .sources
-                    .iter()
-                    .flat_map(|source| (source.first..).zip(&source.mutants).map(move |m| (source, m)));
-                let refused = all.filter(|(_, (number, _))| self.refused.contains(number));
-                write(
-                    known,
-                    refused.map(|(source, (_, mutant))| place(source, mutant)).collect::<String>().as_bytes(),
-                )?;
-                eprintln!("{} mutants, {} refused by the compiler", self.mutants().count(), self.refused.len());
-                return Ok(());
-            }
-            let before = self.refused.len();
-            for message in messages.iter().filter(|message| message["message"]["level"] == "error") {
-                self.refuse(&message["message"]);
-            }
-            ensure!(self.refused.len() > before, "the compiler refuses more than mutants: {}", first_error(&messages));
-            eprintln!("round {round}: {} mutants refused", self.refused.len());
-        }
-        Ok(())
-    }
-
-    /// Leaves out the mutants that an error of the compiler is about.
-    fn refuse(&mut self, error: &Value) {
-        let mut spans: Vec<_> = error["spans"].as_array().into_iter().flatten().collect();
-        spans.sort_by_key(|span| !span["is_primary"].as_bool().unwrap_or(false));
-        for span in spans {
-            let Some(name) = span["file_name"].as_str() else { continue };
-            let Some(source) = self.sources.iter().find(|source| Path::new(name).ends_with(&source.path)) else {
-                continue;
-            };
-            let (start, end) =
-                (span["byte_start"].as_u64().unwrap_or(0) as usize, span["byte_end"].as_u64().unwrap_or(0) as usize);
-            let within: Vec<_> =
-                source.ranges.iter().filter(|(_, range)| range.start <= start && end <= range.end).collect();
-            if let Some((number, _)) = within.iter().min_by_key(|(_, range)| range.len()) {
-                self.refused.insert(*number);
-                return;
-            }
-            // About what follows a mutant's own words: the mutants whose words end last before it.
-            let last = source.ranges.iter().filter(|(_, range)| range.end <= start).max_by_key(|(_, range)| range.end);
-            if let Some((number, _)) = last {
-                let place = &source.mutants[(number - source.first) as usize].place;
-                let same = (source.first..).zip(&source.mutants).filter(|(_, mutant)| mutant.place == *place);
-                self.refused.extend(same.map(|(number, _)| number));
-                return;
-            }
-        }
-    }
-
-    /// What runs for mutants of each module: its unit tests, then the test files, the quickest first.
-    fn build(&self, options: &Options) -> Result<BTreeMap<String, Vec<Tests>>> {
-        let mut arguments = vec!["test", "-p", "slicewalk", "--all-features", "--no-run", "--lib"];
-        for test in &options.test {
-            arguments.extend(["--test", test]);
-        }
-        let (is_sound, messages) = self.cargo(&arguments)?;
-        ensure!(is_sound, "the tests do not build: {}", first_error(&messages));
-        let program = |name: &str| {
-            let is_it = |message: &&Value| message["profile"]["test"] == true && message["target"]["name"] == name;
-            let path = messages.iter().filter(is_it).find_map(|message| message["executable"].as_str());
-            path.map(PathBuf::from).with_context(|| format!("the tests '{name}' are not built"))
-        };
-        let file = |name: &String| Tests::new(program(name)?, None, &self.copy);
-        let mut files = options.test.iter().map(file).collect::<Result<Vec<_>>>()?;
-        // The quick ones first: most mutants never come to the others.
-        files.sort_by_key(|tests| tests.limit);
-        let mut modules = BTreeMap::new();
-        for source in &self.sources {
-            if let Entry::Vacant(entry) = modules.entry(source.module()) {
-                let unit = Tests::new(program("slicewalk")?, Some(format!("{}::", entry.key())), &self.copy)?;
-                entry.insert([&[unit], &files[..]].concat());
-            }
-        }
-        Ok(modules)
-    }
-
-    /// Runs all mutants or a sample that the results do not know yet.
-    fn run(&self, options: &Options, results: &Path, modules: &BTreeMap<String, Vec<Tests>>) -> Result<()> {
-        let known = fs::read_to_string(results).unwrap_or_default();
-        let known: BTreeSet<_> = known.lines().filter_map(|line| line.split_once('\t')).map(|(_, name)| name).collect();
-        let mut by_module: BTreeMap<_, Vec<_>> = BTreeMap::new();
-        for mutant in self.mutants() {
-            by_module.entry(mutant.1.module()).or_default().push(mutant);
-        }
-        let mut drawn: Vec<_> = by_module.values().flat_map(|all| draw(all, options.sample)).collect();
-        // Some of each module early on.
-        drawn.sort_by(|(a, _), (b, _)| a.total_cmp(b));
-        let drawn = drawn.into_iter().map(|(_, mutant)| mutant);
-        let todo: Vec<_> = drawn.filter(|(_, source, mutant)| !known.contains(source.name(mutant).as_str())).collect();
-        let (file, next) = (fs::OpenOptions::new().create(true).append(true).open(results)?, AtomicUsize::new(0));
-        let work = || -> Result<()> {
-            while let Some((number, source, mutant)) = todo.get(next.fetch_add(1, Ordering::Relaxed)) {
-                let mut outcome = Outcome::Missed;
-                for tests in &modules[&source.module()] {
-                    outcome = tests.run(*number, tests.limit, &self.copy)?;
-                    if outcome != Outcome::Missed {
-                        break;
-                    }
-                }
-                // In one piece, so that lines of several workers do not mix.
-                (&file).write_all(format!("{outcome:?}\t{}\n", source.name(mutant)).as_bytes())?;
-            }
-            Ok(())
-        };
-        std::thread::scope(|scope| {
-            let workers: Vec<_> = (0..options.jobs.max(1)).map(|_| scope.spawn(work)).collect();
-            workers.into_iter().try_for_each(|worker| worker.join().unwrap_or_else(|_| bail!("a worker panicked")))
-        })
-    }
-}
-
-/// A test program, or the part of it that is about one module.
-#[derive(Debug, Clone)]
-struct Tests {
-    program: PathBuf,
-    /// How the tests' names begin.
-    module: Option<String>,
-    /// After which a run counts as hanging.
-    limit: Duration,
-}
-
-impl Tests {
-    /// They must pass without a mutant; their limit is some times as long as that takes.
-    fn new(program: PathBuf, module: Option<String>, folder: &Path) -> Result<Self> {
-        let mut tests = Self { program, module, limit: Duration::ZERO };
-        let start = Instant::now();
-        let outcome = tests.run(0, Duration::from_secs(3600), folder)?;
-        ensure!(outcome == Outcome::Missed, "{tests:?} fail without a mutant");
-        tests.limit = start.elapsed() * 4 + Duration::from_secs(10);
-        Ok(tests)
-    }
-
-    /// What they say with a mutant on.
-    fn run(&self, number: u32, limit: Duration, folder: &Path) -> Result<Outcome> {
-        let mut child = Command::new(&self.program)
-            .args(&self.module)
-            .args(["--test-threads", "1"])
-            .current_dir(folder)
-            .env("SLICEWALK_MUTANT", number.to_string())
-            .env("PROPTEST_RNG_SEED", "1")
-            .env("RUST_BACKTRACE", "0")
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()?;
-        // Ends with the first test that fails, or with the program.
-        let (failed, news) = mpsc::channel();
-        let mut lines = BufReader::new(child.stdout.take().context("its output comes here")?).lines();
-        std::thread::spawn(move || {
-            if lines.any(|line| line.is_ok_and(|line| line.ends_with("... FAILED"))) {
-                let _ = failed.send(());
-            }
-        });
-        // Counted, so that time counts only while this program runs: somebody may stop it for a while.
-        const TICK: Duration = Duration::from_millis(100);
-        let mut ticks = limit.div_duration_f64(TICK) as u64;
-        let outcome = loop {
-            match news.recv_timeout(TICK) {
-                Err(mpsc::RecvTimeoutError::Disconnected) => {
-                    return Ok(if child.wait()?.success() { Outcome::Missed } else { Outcome::Caught });
-                }
-                Ok(()) => break Outcome::Caught,
-                Err(mpsc::RecvTimeoutError::Timeout) if ticks == 0 => break Outcome::Hung,
-                Err(mpsc::RecvTimeoutError::Timeout) => ticks -= 1,
-            }
-        };
-        child.kill()?;
-        child.wait()?;
-        Ok(outcome)
-    }
-}
-
-/// What tests did about a mutant; those that hang notice it, too.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Outcome {
-    Caught,
-    Hung,
-    Missed,
-}
-
-/// So many of `all`, evenly, in an order that has some from everywhere early on; with each the part of them that comes before it.
-fn draw<T>(all: &[T], sample: Option<usize>) -> impl Iterator<Item = (f64, &T)> {
+/// So many of `all`, evenly, each `offset` further on, in an order that has some from everywhere early on; with each the part of
+/// them that comes before it.
+fn draw<T>(all: &[T], sample: Option<usize>, offset: usize) -> impl Iterator<Item = (f64, &T)> {
     let count = sample.unwrap_or(all.len()).clamp(1, all.len().max(1));
     let stride = (count * 5 / 8..).find(|&stride| is_coprime(stride, count)).unwrap_or(1);
-    let place = move |turn: usize| turn * stride % count * all.len() / count;
+    let place = move |turn: usize| (turn * stride % count * all.len() / count + offset) % all.len().max(1);
     (0..count).filter_map(move |turn| Some((turn as f64 / count as f64, all.get(place(turn))?)))
 }
 
@@ -423,28 +141,78 @@ fn is_coprime(a: usize, b: usize) -> bool {
     if b == 0 { a == 1 } else { is_coprime(b, a % b) }
 }
 
-fn first_error(messages: &[Value]) -> String {
-    let errors = messages.iter().filter(|message| message["message"]["level"] == "error");
-    errors
-        .filter_map(|message| message["message"]["rendered"].as_str())
-        .next()
-        .unwrap_or("it does not say why")
-        .to_string()
-}
-
-/// One line a module, from the lines of the results.
-fn summary(results: &str) -> String {
-    let mut modules: BTreeMap<&str, [usize; 3]> = BTreeMap::new();
-    for line in results.lines() {
-        let Some((said, place)) = line.split_once("\tsrc/") else { continue };
-        let module = place.split(['/', '.']).next().unwrap_or(place);
-        let outcome = ["Caught", "Hung", "Missed"].iter().position(|word| *word == said);
-        modules.entry(module).or_default()[outcome.unwrap_or(2)] += 1;
+/// One line a module, from those lines of the results that are about `wanted`.
+fn summary(results: &str, wanted: &BTreeSet<&str>) -> String {
+    #[derive(Default)]
+    struct Counts {
+        own: usize,
+        unit: usize,
+        files: usize,
+        hung: usize,
+        missed: usize,
+        unreached: usize,
     }
-    let line = |(module, [caught, hung, missed]): (&str, [usize; 3])| {
-        let all = caught + hung + missed;
-        let share = (caught + hung) as f64 * 100.0 / all as f64;
-        format!("{module}: {all} mutants, {caught} caught, {hung} hung, {missed} missed: {share:.1} % noticed\n")
+    let mut modules: BTreeMap<&str, Counts> = BTreeMap::new();
+    for line in results.lines() {
+        let Some((outcome, name, by)) = columns(line).filter(|(_, name, _)| wanted.contains(name)) else { continue };
+        let path = name.strip_prefix("src/").unwrap_or(name);
+        let module = path.split(['/', '.']).next().unwrap_or(path);
+        let counts = modules.entry(module).or_default();
+        let test = by.strip_prefix("lib ");
+        let is_own = test.is_some_and(|test| test.strip_prefix(module).is_some_and(|rest| rest.starts_with("::")));
+        *match outcome {
+            "Missed" => &mut counts.missed,
+            "Unreached" => &mut counts.unreached,
+            "Hung" => &mut counts.hung,
+            _ if is_own => &mut counts.own,
+            _ if test.is_some() => &mut counts.unit,
+            _ => &mut counts.files,
+        } += 1;
+    }
+    let line = |(module, Counts { own, unit, files, hung, missed, unreached }): (&str, Counts)| {
+        let noticed = own + unit + files + hung;
+        let all = noticed + missed + unreached;
+        let share = noticed as f64 * 100.0 / all as f64;
+        format!(
+            "{module}: {noticed} of {all} mutants noticed ({share:.1} %): {own} by its unit tests, {unit} by other unit tests, \
+             {files} by test files, {hung} by hanging; {missed} missed, {unreached} not reached\n"
+        )
     };
     modules.into_iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_are_even_and_others_further_on() {
+        let all: Vec<usize> = (0..100).collect();
+        let drawn = |sample, offset| {
+            let drawn: BTreeSet<_> = draw(&all, sample, offset).map(|(_, number)| *number).collect();
+            drawn.into_iter().collect::<Vec<_>>()
+        };
+        assert_eq!(drawn(None, 0), all);
+        assert_eq!(drawn(Some(4), 0), [0, 25, 50, 75]);
+        assert_eq!(drawn(Some(4), 30), [5, 30, 55, 80]);
+        assert_eq!(draw(&all[..0], Some(4), 3).count(), 0);
+    }
+
+    #[test]
+    fn a_summary_says_who_noticed() {
+        let results = "Caught\tsrc/codec/a.rs:1:2\t+ becomes -\tlib codec::a::tests::b\n\
+                       Caught\tsrc/codec/a.rs:1:3\t+ becomes *\tlib codecs::c\n\
+                       Caught\tsrc/codec/a.rs:1:4\tx\toracle c\n\
+                       Hung\tsrc/codec/a.rs:1:5\tx\toracle c\n\
+                       Missed\tsrc/frame.rs:1:5\tx\t\n\
+                       Unreached\tsrc/frame.rs:1:6\tx\t\n\
+                       Unreached\tsrc/frame.rs:1:7\tx\t\n";
+        let wanted = results.lines().filter_map(|line| Some(columns(line)?.1)).filter(|name| !name.contains(":7\t"));
+        let said = summary(results, &wanted.collect());
+        let codec = "codec: 4 of 4 mutants noticed (100.0 %): 1 by its unit tests, 1 by other unit tests, 1 by test files, \
+                     1 by hanging; 0 missed, 0 not reached\n";
+        let frame = "frame: 0 of 2 mutants noticed (0.0 %): 0 by its unit tests, 0 by other unit tests, 0 by test files, \
+                     0 by hanging; 1 missed, 1 not reached\n";
+        assert_eq!(said, format!("{codec}{frame}"));
+    }
 }
