@@ -85,8 +85,7 @@ impl ColumnPages {
                 column.extend(Span::new((bottom - floor) as u32, (top - floor) as u32, obstacle));
             });
             let (x, y) = place(pixel);
-            let canonical = builder.push_column(x as u32, y as u32, column);
-            debug_assert!(canonical, "pixel ({x}, {y}): {column:?}");
+            push_column(builder, x as u32, y as u32, column);
         }
         true
     }
@@ -129,8 +128,7 @@ impl ColumnPages {
                 column.clear();
                 column.extend(pixel.iter().filter_map(|piece| piece.span()));
                 let (px, py) = (pixel[0].pixel() & 63, pixel[0].pixel() >> 6);
-                let canonical = builder.push_column(px, py, column);
-                debug_assert!(canonical, "pixel ({px}, {py}): {column:?}");
+                push_column(builder, px, py, column);
             }
             give(layer_at(page[0].layer()), &builder.build())?;
         }
@@ -138,6 +136,14 @@ impl ColumnPages {
         pieces.shrink_to(KEPT_PIECES);
         Ok(())
     }
+}
+
+/// Adds the spans of the next pixel with matter, lowest first.
+#[inline]
+fn push_column(builder: &mut RowBuilder, px: u32, py: u32, spans: &[Span]) {
+    debug_assert!(spans.windows(2).all(|pair| pair[0].lies_below(pair[1])), "pixel ({px}, {py}): {spans:?}");
+    spans.iter().for_each(|&span| builder.push(px, span));
+    builder.end_pixel(px, py);
 }
 
 /// Place in the tile of a patch pixel that is not in the halo.
