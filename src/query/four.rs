@@ -1,14 +1,14 @@
 //! Several numbers at once, by vector instructions that every x86-64 processor has: the compiler would make branches of some of
 //! these selections. Elsewhere lane by lane, with the same results to the last bit.
 
-#[cfg(not(target_arch = "x86_64"))]
+#[cfg(any(not(target_arch = "x86_64"), slicewalk_portable))]
 use portable as lanes;
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 use sse2 as lanes;
 
 pub(super) use lanes::{Floats, Pair, Unions};
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 mod sse2 {
     use crate::frame::PAGE_QUANTA;
     use crate::slice::Span;
@@ -152,9 +152,9 @@ mod sse2 {
     }
 }
 
-#[cfg(any(test, not(target_arch = "x86_64")))]
+#[cfg(any(test, not(target_arch = "x86_64"), slicewalk_portable))]
 // There for tests, which ask for a part of it only.
-#[cfg_attr(target_arch = "x86_64", allow(dead_code))]
+#[cfg_attr(all(target_arch = "x86_64", not(slicewalk_portable)), allow(dead_code))]
 mod portable {
     use crate::slice::Span;
 

@@ -30,7 +30,7 @@ pub trait Lanes: Copy {
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Base;
 
-#[cfg(not(target_arch = "x86_64"))]
+#[cfg(any(not(target_arch = "x86_64"), slicewalk_portable))]
 impl Lanes for Base {
     #[inline(always)]
     fn symbol(self, ends: &Ends, slot: i16) -> u32 {
@@ -44,7 +44,7 @@ impl Lanes for Base {
 }
 
 /// The same for every processor.
-#[cfg(any(test, not(target_arch = "x86_64")))]
+#[cfg(any(test, not(target_arch = "x86_64"), slicewalk_portable))]
 mod portable {
     use super::Ends;
 
@@ -62,10 +62,10 @@ mod portable {
     }
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 pub use x86::Avx2;
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 mod x86 {
     use super::{Base, Ends, Lanes};
     use std::arch::x86_64::{
@@ -174,7 +174,7 @@ mod tests {
                 slots
             };
             agree(Base, &slots(ends), &slots(targets), one, rate);
-            #[cfg(target_arch = "x86_64")]
+            #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
             if let Some(lanes) = Avx2::detect() {
                 agree(lanes, &slots(ends), &slots(targets), one, rate);
             }

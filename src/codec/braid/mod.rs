@@ -9,7 +9,7 @@ mod lanes;
 
 use super::Violation;
 use super::rans::{SCALE, SCALE_BITS, inverses, pushed};
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 pub use lanes::Avx2;
 use lanes::TARGETS;
 pub use lanes::{Base, Lanes};

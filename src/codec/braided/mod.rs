@@ -11,7 +11,7 @@ mod near;
 mod pixels;
 
 use super::adaptive::{MAX_COLUMN, Rows, SLICE, unfold};
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 use super::braid::Avx2;
 use super::braid::{Base, BraidDecoder, BraidEncoder, Lanes, Strands};
 use super::lattice::{End, Lattice};
@@ -341,7 +341,7 @@ impl Taker for &mut RowBuilder {
 
 /// Appends the encoding of `page` with heights on `lattice`, at most [`MAX_LEN`] bytes.
 pub fn encode(lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
     if let Some(lanes) = Avx2::detect() {
         // SAFETY: the processor has what the function asks for.
         return unsafe { encode_avx2(lanes, lattice, page, scratch, out) };
@@ -349,7 +349,7 @@ pub fn encode(lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Ve
     encode_with(Base, lattice, page, scratch, out);
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
 fn encode_avx2(lanes: Avx2, lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
     encode_with(lanes, lattice, page, scratch, out);
@@ -368,7 +368,7 @@ fn encode_with(lanes: impl Lanes, lattice: Lattice, page: &Page, scratch: &mut S
 
 /// Fills `builder` from the encoding `body`.
 pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut RowBuilder) -> Result<(), Violation> {
-    #[cfg(target_arch = "x86_64")]
+    #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
     if let Some(lanes) = Avx2::detect() {
         // SAFETY: the processor has what the function asks for.
         return unsafe { decode_avx2(lanes, body, scratch, builder) };
@@ -376,7 +376,7 @@ pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut RowBuilder) -> R
     decode_with(Base, body, scratch, builder)
 }
 
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
 fn decode_avx2(lanes: Avx2, body: &[u8], scratch: &mut Scratch, builder: &mut RowBuilder) -> Result<(), Violation> {
     decode_with(lanes, body, scratch, builder)

@@ -106,13 +106,13 @@ struct Weighed {
     count: u32,
 }
 
-#[cfg(not(target_arch = "x86_64"))]
+#[cfg(any(not(target_arch = "x86_64"), slicewalk_portable))]
 use portable::weigh;
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 use sse2::weigh;
 
 /// The same for every processor.
-#[cfg(any(test, not(target_arch = "x86_64")))]
+#[cfg(any(test, not(target_arch = "x86_64"), slicewalk_portable))]
 mod portable {
     use super::{Seen, Weighed, pack};
 
@@ -136,7 +136,7 @@ mod portable {
 }
 
 /// All fields of four spans at once.
-#[cfg(target_arch = "x86_64")]
+#[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 mod sse2 {
     use super::{Seen, Weighed};
     use std::arch::x86_64::{
