@@ -310,16 +310,17 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
     }
 }
 
-/// Top (quanta) and kind of each span of each page in pixels that `covers` accepts: what goes on in another page ends with its own.
-fn tops(scene: &Scene, covers: impl Fn(i64, i64) -> bool) -> Vec<(i64, bool)> {
-    let of_page = |(key, page): &(PageKey, Page)| -> Vec<(i64, bool)> {
-        let pixels = (0..64 * 64).map(|pixel| (pixel % 64, pixel / 64));
-        let covered = pixels.filter(|&(px, py)| {
-            covers(i64::from(key.tx) * TILE_PIXELS + i64::from(px), i64::from(key.ty) * TILE_PIXELS + i64::from(py))
-        });
+/// Pixel, top (quanta) and kind of each span of each page: what goes on in another page ends with its own.
+fn tops(scene: &Scene) -> Vec<([i64; 2], i64, bool)> {
+    let of_page = |(key, page): &(PageKey, Page)| -> Vec<_> {
+        let place = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
         let base = i64::from(key.layer) * PAGE_QUANTA;
-        let spans = covered.flat_map(|(px, py)| page.column(px, py));
-        spans.map(|span| (base + i64::from(span.top()), span.is_obstacle())).collect()
+        let pixels = (0..64 * 64).map(|pixel| (pixel % 64, pixel / 64));
+        let spans = pixels.flat_map(|(px, py)| {
+            let pixel = [place(key.tx, px), place(key.ty, py)];
+            page.column(px, py).iter().map(move |span| (pixel, base + i64::from(span.top()), span.is_obstacle()))
+        });
+        spans.collect()
     };
     scene.pages.iter().flat_map(of_page).collect()
 }
@@ -328,7 +329,7 @@ fn tops(scene: &Scene, covers: impl Fn(i64, i64) -> bool) -> Vec<(i64, bool)> {
 fn tops_and_mean_floors_are_those_of_the_pixels_under_the_shape() {
     let (mut found, mut means) = (0, 0);
     for (scene, mut random) in Scene::all() {
-        let (store, frame) = (scene.store(), &scene.frame);
+        let (store, frame, tops) = (scene.store(), &scene.frame, tops(&scene));
         let edges = |n: i64| (frame.edge_of_pixel(n), frame.edge_of_pixel(n + 1));
         for turn in 0..12 {
             let pawn = random_pawn(&scene, &mut random);
@@ -361,15 +362,17 @@ fn tops_and_mean_floors_are_those_of_the_pixels_under_the_shape() {
             let what = format!("{pawn:?}, radius {radius}, from {from} by {depth}");
             let window = frame.quantum_ceil(from - depth)..=frame.quantum_floor(from);
             let [sure, possible] = [SLACK, -SLACK].map(|least| {
-                let mut tops = tops(&scene, |i, j| depth_in(i, j) > least);
-                tops.retain(|(top, _)| window.contains(top));
-                tops
+                let under = tops.iter().filter(|(_, top, _)| window.contains(top));
+                under.filter(|([i, j], ..)| depth_in(*i, *j) > least).collect::<Vec<_>>()
             });
-            let highest = |tops: &[(i64, bool)]| tops.iter().map(|top| top.0).max().map(|top| frame.top_height(top));
+            let highest = |tops: &[&([i64; 2], i64, bool)]| {
+                tops.iter().map(|(_, top, _)| *top).max().map(|top| frame.top_height(top))
+            };
             assert!(highest(&sure) <= top && top <= highest(&possible), "{what}: {top:?}");
             found += usize::from(top.is_some());
             if sure.len() == possible.len() {
-                let floors: Vec<_> = sure.iter().filter(|top| !top.1).map(|top| top.0 as f64).collect();
+                let floors: Vec<_> =
+                    sure.iter().filter(|(.., obstacle)| !obstacle).map(|(_, top, _)| *top as f64).collect();
                 let expected = floors.iter().sum::<f64>() / floors.len() as f64 * frame.quantum_m();
                 assert_eq!(mean.is_some(), !floors.is_empty(), "{what}: {mean:?}");
                 assert!(mean.is_none_or(|mean| (mean - expected).abs() < 1e-9), "{what}: {mean:?}, not {expected}");
