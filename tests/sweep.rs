@@ -14,10 +14,10 @@ mod scene;
 
 use nalgebra::{Point3, Vector3};
 use scene::{Random, Scene};
-use slicewalk::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
+use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS};
 use slicewalk::query::*;
-use slicewalk::slice::Page;
-use slicewalk::store::{Missing, PageSet};
+use slicewalk::slice::{Page, PageBuilder, Span};
+use slicewalk::store::{Missing, PageSet, Store};
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).
 const SLACK: f64 = 1e-7;
@@ -267,7 +267,7 @@ fn creeping_into_matter_never_gets_inside() {
 fn the_answer_does_not_depend_on_where_pages_begin() {
     // The same scene, moved by parts of a tile: boundaries lie elsewhere, all else is the same to the last bit.
     let (t, s) = (0.0625, 0.25);
-    let frame = slicewalk::frame::Frame::new(t, s).unwrap();
+    let frame = Frame::new(t, s).unwrap();
     let mut random = Random(7);
     for _ in 0..60 {
         let matter: Vec<_> = (0..400)
@@ -285,7 +285,7 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
                 let low = bottom + ds * 255;
                 columns.insert((i + di, j + dj), vec![(low, (low + 40).min(base + 250).max(low), obstacle)]);
             }
-            slicewalk::store::Store::from_pages(frame, scene::pages_of(&columns))
+            Store::from_pages(frame, scene::pages_of(&columns))
         };
         let (here, there) = (store(0, 0, 0), store(37, -23, 29));
         let shift = Vector3::new(37.0 * t, -23.0 * t, 29.0 * s);
@@ -508,9 +508,43 @@ fn missing<T>(answer: Answer<T>) -> Option<Missing> {
 }
 
 #[test]
+fn who_stands_on_matter_touches_it_and_is_not_inside() {
+    // Quanta of 2⁻¹⁰ m, so that all heights are exact.
+    let frame = Frame::new(0.25, 255.0 / 1024.0).unwrap();
+    let mut builder = PageBuilder::default();
+    let floor = Span::new(0, 512, false).unwrap();
+    for pixel in 0..64 * 64 {
+        assert!(builder.set_column(pixel % 64, pixel / 64, &[floor]));
+    }
+    let key = PageKey { tx: 0, ty: 0, layer: 0 };
+    let store = Store::from_pages(frame, [(key, builder.build())]);
+    let (top, quantum, down) = (0.5, 1.0 / 1024.0, Vector3::new(0.0, 0.0, -1.0));
+    let standing = |z: f64, motion: Vector3<f64>| {
+        let at = Point3::new(4.0, 4.0, z);
+        let hits = [
+            sweep(&store, &Cylinder::new(at, 0.25, 1.0).unwrap(), motion),
+            sweep(&store, &Aabb::new(at, at + Vector3::new(0.5, 0.5, 1.0)).unwrap(), motion),
+        ];
+        hits.map(|hit| hit.known().unwrap())
+    };
+    for hit in standing(top, down) {
+        let hit = hit.unwrap();
+        assert!(hit.fraction == 0.0 && hit.normal == Vector3::z() && !hit.begins_inside(), "{hit:?}");
+    }
+    for hit in standing(top + quantum, down) {
+        let hit = hit.unwrap();
+        assert!((hit.distance - quantum).abs() < 1e-12 && hit.normal == Vector3::z(), "{hit:?}");
+    }
+    assert_eq!(standing(top, -down), [None; 2]);
+    for hit in standing(top - quantum, down) {
+        assert!(hit.unwrap().begins_inside());
+    }
+}
+
+#[test]
 fn a_thin_wall_stops_at_any_speed() {
     // One pixel thick, and one quantum thick from above.
-    let frame = slicewalk::frame::Frame::new(0.05, 0.15).unwrap();
+    let frame = Frame::new(0.05, 0.15).unwrap();
     for far in [0i64, 200_000_000] {
         let columns: scene::Columns = (-40..40)
             .flat_map(|j| {
@@ -518,7 +552,7 @@ fn a_thin_wall_stops_at_any_speed() {
                 (far - 20..far + 100).map(move |i| ((i, j), vec![(-7, -7, false)])).chain([wall])
             })
             .collect();
-        let store = slicewalk::store::Store::from_pages(frame, scene::pages_of(&columns));
+        let store = Store::from_pages(frame, scene::pages_of(&columns));
         let from = store.frame().edge_of_pixel(far);
         for speed in [0.1, 1.4, 30.0, 300.0, 3e4, 3e8] {
             for hz in [15.0, 60.0, 240.0] {
