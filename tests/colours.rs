@@ -286,6 +286,9 @@ fn damage_of_colours_is_named_and_leaves_the_geometry() {
             !rules.is_empty() && rules.iter().all(|(rule, part)| rule.starts_with('K') && part.contains("colour")),
             "{rules:?}"
         );
+        // Of the table, whose only leaf takes the last 12 bytes, its own checksum speaks before any number in it is believed.
+        let is_table = |(rule, part): &(&str, String)| *rule == "K2" && part == "table of colours";
+        assert!(place < to - 12 || rules.iter().all(is_table), "{rules:?}");
         for entry in good.entries().map(Result::unwrap) {
             assert_eq!(archive.page(&entry).unwrap(), good.page(&entry).unwrap());
         }

@@ -132,7 +132,8 @@ fn counts_of_a_head_may_reach_their_limits_and_not_pass_them() {
     let parts = Parts::of(&archive(&two_pixels()));
     let most = 1 << 29;
     // Numbers at which the head is in order, and one of them that may not be one greater, or less.
-    let cases: [(&[(usize, u64)], (usize, i64)); 10] = [
+    type Counts<'a> = &'a [(usize, u64)];
+    let cases: [(Counts<'_>, (usize, i64)); 10] = [
         (&[(read, 9), (kept, 2), (withheld, 3), (excluded, 4)], (kept, 1)),
         (&[(read, 9), (kept, 2), (withheld, 3), (excluded, 4)], (read, -1)),
         (&[(occupied, 7), (stored, 6), (unique, 6), (voxels, 7), (obstacle, 0)], (unique, 1)),

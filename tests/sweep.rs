@@ -14,10 +14,10 @@ mod scene;
 
 use nalgebra::{Point3, Vector3};
 use scene::{Random, Scene};
-use slicewalk::frame::{PAGE_QUANTA, PageKey, TILE_PIXELS};
+use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey, TILE_PIXELS};
 use slicewalk::query::*;
-use slicewalk::slice::Page;
-use slicewalk::store::{Missing, PageSet};
+use slicewalk::slice::{Page, PageBuilder, Span};
+use slicewalk::store::{Missing, PageSet, Store};
 
 /// Rounding errors at 10⁷ m, of the library and of the tests (m).
 const SLACK: f64 = 1e-7;
@@ -267,7 +267,7 @@ fn creeping_into_matter_never_gets_inside() {
 fn the_answer_does_not_depend_on_where_pages_begin() {
     // The same scene, moved by parts of a tile: boundaries lie elsewhere, all else is the same to the last bit.
     let (t, s) = (0.0625, 0.25);
-    let frame = slicewalk::frame::Frame::new(t, s).unwrap();
+    let frame = Frame::new(t, s).unwrap();
     let mut random = Random(7);
     for _ in 0..60 {
         let matter: Vec<_> = (0..400)
@@ -285,7 +285,7 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
                 let low = bottom + ds * 255;
                 columns.insert((i + di, j + dj), vec![(low, (low + 40).min(base + 250).max(low), obstacle)]);
             }
-            slicewalk::store::Store::from_pages(frame, scene::pages_of(&columns))
+            Store::from_pages(frame, scene::pages_of(&columns))
         };
         let (here, there) = (store(0, 0, 0), store(37, -23, 29));
         let shift = Vector3::new(37.0 * t, -23.0 * t, 29.0 * s);
@@ -310,16 +310,17 @@ fn the_answer_does_not_depend_on_where_pages_begin() {
     }
 }
 
-/// Top (quanta) and kind of each span of each page in pixels that `covers` accepts: what goes on in another page ends with its own.
-fn tops(scene: &Scene, covers: impl Fn(i64, i64) -> bool) -> Vec<(i64, bool)> {
-    let of_page = |(key, page): &(PageKey, Page)| -> Vec<(i64, bool)> {
-        let pixels = (0..64 * 64).map(|pixel| (pixel % 64, pixel / 64));
-        let covered = pixels.filter(|&(px, py)| {
-            covers(i64::from(key.tx) * TILE_PIXELS + i64::from(px), i64::from(key.ty) * TILE_PIXELS + i64::from(py))
-        });
+/// Pixel, top (quanta) and kind of each span of each page: what goes on in another page ends with its own.
+fn tops(scene: &Scene) -> Vec<([i64; 2], i64, bool)> {
+    let of_page = |(key, page): &(PageKey, Page)| -> Vec<_> {
+        let place = |tile: i32, pixel: u32| i64::from(tile) * TILE_PIXELS + i64::from(pixel);
         let base = i64::from(key.layer) * PAGE_QUANTA;
-        let spans = covered.flat_map(|(px, py)| page.column(px, py));
-        spans.map(|span| (base + i64::from(span.top()), span.is_obstacle())).collect()
+        let pixels = (0..64 * 64).map(|pixel| (pixel % 64, pixel / 64));
+        let spans = pixels.flat_map(|(px, py)| {
+            let pixel = [place(key.tx, px), place(key.ty, py)];
+            page.column(px, py).iter().map(move |span| (pixel, base + i64::from(span.top()), span.is_obstacle()))
+        });
+        spans.collect()
     };
     scene.pages.iter().flat_map(of_page).collect()
 }
@@ -328,7 +329,7 @@ fn tops(scene: &Scene, covers: impl Fn(i64, i64) -> bool) -> Vec<(i64, bool)> {
 fn tops_and_mean_floors_are_those_of_the_pixels_under_the_shape() {
     let (mut found, mut means) = (0, 0);
     for (scene, mut random) in Scene::all() {
-        let (store, frame) = (scene.store(), &scene.frame);
+        let (store, frame, tops) = (scene.store(), &scene.frame, tops(&scene));
         let edges = |n: i64| (frame.edge_of_pixel(n), frame.edge_of_pixel(n + 1));
         for turn in 0..12 {
             let pawn = random_pawn(&scene, &mut random);
@@ -361,15 +362,17 @@ fn tops_and_mean_floors_are_those_of_the_pixels_under_the_shape() {
             let what = format!("{pawn:?}, radius {radius}, from {from} by {depth}");
             let window = frame.quantum_ceil(from - depth)..=frame.quantum_floor(from);
             let [sure, possible] = [SLACK, -SLACK].map(|least| {
-                let mut tops = tops(&scene, |i, j| depth_in(i, j) > least);
-                tops.retain(|(top, _)| window.contains(top));
-                tops
+                let under = tops.iter().filter(|(_, top, _)| window.contains(top));
+                under.filter(|([i, j], ..)| depth_in(*i, *j) > least).collect::<Vec<_>>()
             });
-            let highest = |tops: &[(i64, bool)]| tops.iter().map(|top| top.0).max().map(|top| frame.top_height(top));
+            let highest = |tops: &[&([i64; 2], i64, bool)]| {
+                tops.iter().map(|(_, top, _)| *top).max().map(|top| frame.top_height(top))
+            };
             assert!(highest(&sure) <= top && top <= highest(&possible), "{what}: {top:?}");
             found += usize::from(top.is_some());
             if sure.len() == possible.len() {
-                let floors: Vec<_> = sure.iter().filter(|top| !top.1).map(|top| top.0 as f64).collect();
+                let floors: Vec<_> =
+                    sure.iter().filter(|(.., obstacle)| !obstacle).map(|(_, top, _)| *top as f64).collect();
                 let expected = floors.iter().sum::<f64>() / floors.len() as f64 * frame.quantum_m();
                 assert_eq!(mean.is_some(), !floors.is_empty(), "{what}: {mean:?}");
                 assert!(mean.is_none_or(|mean| (mean - expected).abs() < 1e-9), "{what}: {mean:?}, not {expected}");
@@ -505,9 +508,43 @@ fn missing<T>(answer: Answer<T>) -> Option<Missing> {
 }
 
 #[test]
+fn who_stands_on_matter_touches_it_and_is_not_inside() {
+    // Quanta of 2⁻¹⁰ m, so that all heights are exact.
+    let frame = Frame::new(0.25, 255.0 / 1024.0).unwrap();
+    let mut builder = PageBuilder::default();
+    let floor = Span::new(0, 512, false).unwrap();
+    for pixel in 0..64 * 64 {
+        assert!(builder.set_column(pixel % 64, pixel / 64, &[floor]));
+    }
+    let key = PageKey { tx: 0, ty: 0, layer: 0 };
+    let store = Store::from_pages(frame, [(key, builder.build())]);
+    let (top, quantum, down) = (0.5, 1.0 / 1024.0, Vector3::new(0.0, 0.0, -1.0));
+    let standing = |z: f64, motion: Vector3<f64>| {
+        let at = Point3::new(4.0, 4.0, z);
+        let hits = [
+            sweep(&store, &Cylinder::new(at, 0.25, 1.0).unwrap(), motion),
+            sweep(&store, &Aabb::new(at, at + Vector3::new(0.5, 0.5, 1.0)).unwrap(), motion),
+        ];
+        hits.map(|hit| hit.known().unwrap())
+    };
+    for hit in standing(top, down) {
+        let hit = hit.unwrap();
+        assert!(hit.fraction == 0.0 && hit.normal == Vector3::z() && !hit.begins_inside(), "{hit:?}");
+    }
+    for hit in standing(top + quantum, down) {
+        let hit = hit.unwrap();
+        assert!((hit.distance - quantum).abs() < 1e-12 && hit.normal == Vector3::z(), "{hit:?}");
+    }
+    assert_eq!(standing(top, -down), [None; 2]);
+    for hit in standing(top - quantum, down) {
+        assert!(hit.unwrap().begins_inside());
+    }
+}
+
+#[test]
 fn a_thin_wall_stops_at_any_speed() {
     // One pixel thick, and one quantum thick from above.
-    let frame = slicewalk::frame::Frame::new(0.05, 0.15).unwrap();
+    let frame = Frame::new(0.05, 0.15).unwrap();
     for far in [0i64, 200_000_000] {
         let columns: scene::Columns = (-40..40)
             .flat_map(|j| {
@@ -515,7 +552,7 @@ fn a_thin_wall_stops_at_any_speed() {
                 (far - 20..far + 100).map(move |i| ((i, j), vec![(-7, -7, false)])).chain([wall])
             })
             .collect();
-        let store = slicewalk::store::Store::from_pages(frame, scene::pages_of(&columns));
+        let store = Store::from_pages(frame, scene::pages_of(&columns));
         let from = store.frame().edge_of_pixel(far);
         for speed in [0.1, 1.4, 30.0, 300.0, 3e4, 3e8] {
             for hz in [15.0, 60.0, 240.0] {

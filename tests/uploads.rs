@@ -5,9 +5,11 @@
 #[path = "common/store.rs"]
 mod store;
 
-use slicewalk::output::{Existing, Output, OutputKind, Protected};
+use slicewalk::NoMonitor;
+use slicewalk::output::{Existing, Output, OutputKind, Protected, upload_archive};
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::process::Command;
 use store::{Fault, Server, When};
 
 /// This program, which uploads if it is asked to.
@@ -38,6 +40,9 @@ fn this_program_uploads() {
     };
     let upload = || {
         let name = Path::new("s3://bucket/large.slices");
+        if let Some(file) = std::env::var_os("UPLOADED_FILE") {
+            return upload_archive(Path::new(&file), name, existing, &NoMonitor);
+        }
         let mut output = Output::create(name, OutputKind::Archive(existing), Protected::default())?;
         output.write_at(0, &content(len))?;
         output.publish()
@@ -61,6 +66,11 @@ fn uploads(server: &Server, len: usize, replaces: bool) -> Result<(), String> {
 fn uploads_over(server: &Server, len: usize, existing: Existing) -> Result<bool, String> {
     let mut program = server.program(Path::new("."));
     program.args(UPLOADS).env("UPLOADED_BYTES", len.to_string()).env("EXISTING", format!("{existing:?}"));
+    ended(program)
+}
+
+/// What a program that uploads said: whether it wrote the object.
+fn ended(mut program: Command) -> Result<bool, String> {
     let out = program.output().unwrap();
     let said = String::from_utf8(out.stderr).unwrap();
     match out.status.code() {
@@ -184,4 +194,32 @@ fn an_object_that_is_there_is_replaced_kept_or_refused_as_the_caller_says() {
         assert!(uploads_over(&server, short.len(), existing).is_err());
         assert_eq!(server.get("large.slices").unwrap(), b"a letter to the editor");
     }
+}
+
+#[test]
+fn a_file_is_uploaded_if_it_is_an_archive() {
+    let (server, folder) = (server(), tempfile::tempdir().unwrap());
+    let file = folder.path().join("a.slices");
+    let upload = |bytes: &[u8], existing: Existing| {
+        std::fs::write(&file, bytes).unwrap();
+        let mut program = server.program(Path::new("."));
+        program.args(UPLOADS).env("UPLOADED_BYTES", "0").env("UPLOADED_FILE", &file);
+        program.env("EXISTING", format!("{existing:?}"));
+        ended(program)
+    };
+    let archive = content(3000);
+    for bad in [&b"a letter"[..], &[], &archive[..7], &archive[1..]] {
+        let said = upload(bad, Existing::Replace).unwrap_err();
+        assert!(said.contains("is not a slice archive"), "{said}");
+        assert!(server.get("large.slices").is_none());
+    }
+    assert_eq!(upload(&archive, Existing::Refuse), Ok(true));
+    assert!(server.get("large.slices").unwrap() == archive);
+    assert_eq!(upload(&archive, Existing::KeepSame), Ok(false));
+    assert!(upload(&archive, Existing::Refuse).unwrap_err().contains("exists already"));
+    assert_eq!(upload(&archive, Existing::Replace), Ok(true));
+    // No address of a store: refused before anything is read there.
+    let here = upload_archive(&file, &folder.path().join("b.slices"), Existing::Replace, &NoMonitor);
+    assert!(here.unwrap_err().to_string().contains("no address in an object store"));
+    assert!(!folder.path().join("b.slices").exists());
 }

@@ -65,8 +65,8 @@ impl Trial {
         let file = fs::OpenOptions::new().append(true).open(known)?;
         let tests = in_parallel(jobs, &wanted, |index, (program, path, key, name)| {
             let mut test = Test {
-                program: program.to_string(),
-                path: path.to_path_buf(),
+                program: String::clone(program),
+                path: PathBuf::clone(path),
                 name: name.clone(),
                 time: Duration::ZERO,
                 reached: BTreeSet::new(),
