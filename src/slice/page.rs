@@ -452,7 +452,7 @@ impl RowBuilder {
         for (y, &row) in self.rows.iter().enumerate() {
             let mut rest = row;
             while rest != 0 {
-                let bx = rest.trailing_zeros() as usize / 8 & 7;
+                let bx = (rest.trailing_zeros() / 8) as usize & 7;
                 rest &= !(0xFF << (8 * bx));
                 let end = self.ends[y << 3 | bx];
                 parts[y << 3 | bx] = (start, end);
