@@ -18,8 +18,8 @@ const JOB_BYTES_PER_RECORD: u64 = 3 * size_of::<Record>() as u64 + size_of::<Vox
 const VALUE_BYTES_PER_RECORD: u64 = 2 * size_of::<Record>() as u64 + 32 + 16;
 /// Records of a job; patches count in 32 bits.
 const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
-/// Records of a job of several columns: few enough that what a worker does last is a small part of the whole, and that they stay in
-/// its cache.
+/// Records of a job of several columns where all are in memory: few enough that what a worker does last is a small part of the whole.
+/// From runs on disk so few would be read piece by piece.
 const JOB_RECORDS: u64 = 1 << 16;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
 const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
@@ -62,12 +62,9 @@ impl Columns<'_> {
         let max_records = (memory_bytes / 4 / threads as u64 / job_bytes_per_record(views, values)).min(MOST_RECORDS);
         let max_voxels = memory_bytes / 4 / DENSE_BYTES_PER_VOXEL;
         let dense = Arc::new(Dense { one_at_a_time: Mutex::new(()), max_voxels });
+        let job_records = if merge.reads_disk() { max_records } else { max_records.min(JOB_RECORDS) };
         HandOver { threads, ahead }.run(
-            |job| {
-                merge.jobs(max_records.min(JOB_RECORDS), max_columns, |next| {
-                    job(next).map_err(|Closed| Error::Interrupted)
-                })
-            },
+            |job| merge.jobs(job_records, max_columns, |next| job(next).map_err(|Closed| Error::Interrupted)),
             || {
                 let mut worker = worker(Patches::new(plan, max_records, dense.clone(), (views, values), monitor));
                 move |job: ColumnJob| worker.work(merge, &job).map(|what| (job.records, what))
@@ -340,7 +337,7 @@ impl<'a> Patches<'a> {
         take: &mut impl TakeAreas,
     ) -> Result<Option<u64>> {
         let mut folder = std::mem::take(&mut self.folder);
-        let mut folded = Folded::new();
+        let (mut folded, mut scratch) = (Folded::new(), Folded::new());
         let (mut own, mut moving) = (Vec::new(), Vec::new());
         let (views, key) = (self.views, job.columns[0].0);
         let fits = self.stream(merge, job, area, |records| {
@@ -349,10 +346,11 @@ impl<'a> Patches<'a> {
             if let Some(views) = views {
                 remove_moving(views, key, area, &mut own, &mut moving);
             }
-            folder.fold_into(&mut folded, &own);
+            folder.fold_into(&mut folded, &mut scratch, &own);
             folded.len() as u64 <= max_voxels
         })?;
         self.folder = folder;
+        drop(scratch);
         if !fits {
             return Ok(None);
         }

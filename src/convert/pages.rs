@@ -22,8 +22,8 @@ use std::path::Path;
 
 /// Memory of a small page that waits to be written, beyond its bytes.
 const PAGE_BYTES: u64 = 320;
-/// Jobs that may be finished before the oldest unfinished one.
-const JOBS_AHEAD_PER_THREAD: usize = 64;
+/// Jobs that may be finished before the oldest unfinished one: the small ones of records in memory, and those of runs on disk.
+const JOBS_AHEAD_PER_THREAD: (usize, usize) = (64, 8);
 /// The same where what is finished are pieces of matter.
 const PIECES_AHEAD_PER_THREAD: usize = 2;
 
@@ -96,7 +96,8 @@ pub(super) fn write_columns(
         merge.take_more();
     }
     monitor.stage("writing slices", merge.records(), "records");
-    let (ahead, levels) = (JOBS_AHEAD_PER_THREAD * threads, writer.has_levels());
+    let (small, large) = JOBS_AHEAD_PER_THREAD;
+    let (ahead, levels) = (threads * if merge.reads_disk() { large } else { small }, writer.has_levels());
     let max_columns = (memory_bytes / 8 / ahead as u64 / PAGE_BYTES).max(1);
     let colours = writer.colours();
     let values = colours.is_some();

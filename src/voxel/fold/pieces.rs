@@ -22,11 +22,11 @@ impl PieceFolder {
         Self { bands, ..Self::default() }
     }
 
-    /// Folds `records` into voxels folded before.
-    pub fn fold_into(&mut self, folded: &mut Folded, records: &[Record]) {
-        let before = std::mem::take(folded);
-        folded.reserve(before.len());
-        let mut before = before.into_iter().peekable();
+    /// Folds `records` into voxels folded before; `scratch` is memory for as many, kept from piece to piece.
+    pub fn fold_into(&mut self, folded: &mut Folded, scratch: &mut Folded, records: &[Record]) {
+        std::mem::swap(folded, scratch);
+        folded.reserve(scratch.len());
+        let mut before = scratch.drain(..).peekable();
         self.records.set(records);
         let mut own_sums = Vec::new();
         for pixel in 0..PATCH_AREA {

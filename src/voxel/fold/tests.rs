@@ -43,8 +43,8 @@ proptest! {
         let (mut made, mut added) = (Sums::new(bands), Sums::default());
         let dropped = at_once.fold(&records[..], min_points, Area::TILE, &mut made);
         records.reverse();
-        let (mut folded, mut folder) = (Folded::new(), PieceFolder::new(bands));
-        records.chunks(piece).for_each(|piece| folder.fold_into(&mut folded, piece));
+        let (mut folded, mut scratch, mut folder) = (Folded::new(), Folded::new(), PieceFolder::new(bands));
+        records.chunks(piece).for_each(|piece| folder.fold_into(&mut folded, &mut scratch, piece));
         prop_assert_eq!(piecemeal.set_folded(&folded, min_points, Area::TILE, &mut added), dropped);
         prop_assert_eq!(&at_once.voxels, &piecemeal.voxels);
         prop_assert_eq!(&at_once.starts, &piecemeal.starts);

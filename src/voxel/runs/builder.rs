@@ -2,9 +2,9 @@
 
 use super::cover::Covering;
 use super::store::{RunKind, RunStore};
-use super::{Segment, SegmentCoder};
+use super::{SORTED_RECORDS, Segment, SegmentCoder};
 use crate::Result;
-use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, Record, Recorder, SurfaceVoxel, record_dropped};
+use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, Record, Recorder, SurfaceVoxel, record_dropped};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -307,13 +307,41 @@ impl RunBuilder {
             sorted[*place as usize] = record;
             *place += 1;
         }
-        // The records are in `sorted` now; their memory is scratch.
+        // The records are in `sorted` now; their memory is scratch from here on.
+        let mut rest = &mut sorted[..];
+        let mut start = 0;
+        for &(_, number) in &order {
+            // The place of the next record is now the end of the segment.
+            let end = self.columns[number as usize].1;
+            let (segment, others) = rest.split_at_mut((end - start) as usize);
+            if segment.len() as u64 >= SORTED_RECORDS {
+                sort_by_pixel(segment, &mut self.records);
+            }
+            (rest, start) = (others, end);
+        }
+        self.records.clear();
         self.numbers.clear();
         self.columns.clear();
         self.lookup.clear();
         index.shrink_to_fit();
-        self.spare = store.add(self.kind, sorted, index, cover, &mut self.records)?;
-        self.records.clear();
+        self.spare = store.add(self.kind, sorted, index, cover)?;
         Ok(())
+    }
+}
+
+/// Sorts many records by pixel, and by nothing else, by counting.
+fn sort_by_pixel(records: &mut [Record], scratch: &mut Vec<Record>) {
+    let mut next = [0u32; PATCH_AREA];
+    records.iter().for_each(|record| next[record.pixel()] += 1);
+    let mut start = 0;
+    for count in &mut next {
+        start += std::mem::replace(count, start);
+    }
+    scratch.clear();
+    scratch.extend_from_slice(records);
+    for &record in &*scratch {
+        let place = &mut next[record.pixel()];
+        records[*place as usize] = record;
+        *place += 1;
     }
 }

@@ -120,6 +120,11 @@ impl<'a> Merge<'a> {
         self.runs.iter().filter(|run| run.kind == RunKind::Matter).map(|run| run.records).sum()
     }
 
+    /// Whether some of the runs are on disk.
+    pub fn reads_disk(&self) -> bool {
+        self.runs.iter().any(|run| matches!(run.storage, RunStorage::Disk { .. }))
+    }
+
     /// Calls `give` with one job after another, each of at most `max_columns` columns and `max_records` records, or of a
     /// single column. Memory: up to 4 KiB per run and what the job lists.
     pub fn jobs(
@@ -205,11 +210,11 @@ impl<'a> Merge<'a> {
                         rest = others;
                     }
                 }
-                RunStorage::Disk { records_at, .. } => {
+                RunStorage::Disk { .. } => {
                     let mut begin = buffer.len();
                     let total: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
                     buffer.resize(begin + total, Record(0));
-                    self.store.read_records(*records_at, stretch.first_record, &mut buffer[begin..])?;
+                    self.store.read_records(&self.runs[stretch.run], stretch.first_record, &mut buffer[begin..])?;
                     for &(column, count) in &stretch.columns {
                         let end = begin + count as usize;
                         parts.push((column, Part::Read(begin..end)));
@@ -255,34 +260,13 @@ impl<'a> Merge<'a> {
     ) -> Result<()> {
         let mut buffer = Vec::new();
         for stretch in stretches {
-            let records_at = match &self.runs[stretch.run].storage {
-                RunStorage::Disk { records_at, .. } => *records_at,
-                RunStorage::Memory { records, .. } => {
-                    let pixels = rows.0 as usize * PATCH_PIXELS..rows.1 as usize * PATCH_PIXELS;
-                    let count: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
-                    let all = &records[stretch.first_record as usize..][..count];
-                    let mut own = all.iter().filter(|record| pixels.contains(&record.pixel()));
-                    loop {
-                        buffer.clear();
-                        buffer.extend(own.by_ref().take(chunk).copied());
-                        if buffer.is_empty() {
-                            break;
-                        }
-                        if !take(&buffer)? {
-                            return Ok(());
-                        }
-                    }
-                    continue;
-                }
-            };
             let (mut first, mut end) = (0, stretch.columns.iter().map(|column| u64::from(column.1)).sum());
-            if end >= SORTED_RECORDS {
-                let row_begins = |row| self.row_begins((records_at, stretch.first_record), end, row);
-                (first, end) = (row_begins(rows.0)?, row_begins(rows.1)?);
+            if end >= SORTED_RECORDS && stretch.columns.len() == 1 {
+                (first, end) = (self.row_begins(stretch, end, rows.0)?, self.row_begins(stretch, end, rows.1)?);
             }
             while first < end {
                 buffer.resize((end - first).min(chunk as u64) as usize, Record(0));
-                self.store.read_records(records_at, stretch.first_record + first, &mut buffer)?;
+                self.store.read_records(&self.runs[stretch.run], stretch.first_record + first, &mut buffer)?;
                 if !take(&buffer)? {
                     return Ok(());
                 }
@@ -292,13 +276,13 @@ impl<'a> Merge<'a> {
         Ok(())
     }
 
-    /// Number of the first of so many `records` of a column, which begin there in a run on disk, that does not lie before `row`.
-    fn row_begins(&self, (records_at, first): (u64, u64), records: u64, row: u32) -> Result<u64> {
+    /// Number of the first record of a sorted stretch of `records` that does not lie before `row`.
+    fn row_begins(&self, stretch: &Stretch, records: u64, row: u32) -> Result<u64> {
         let (mut low, mut high) = (0, records);
         while low < high {
             let middle = low + (high - low) / 2;
             let mut record = [Record(0)];
-            self.store.read_records(records_at, first + middle, &mut record)?;
+            self.store.read_records(&self.runs[stretch.run], stretch.first_record + middle, &mut record)?;
             if record[0].pixel() < row as usize * PATCH_PIXELS {
                 low = middle + 1;
             } else {

@@ -28,7 +28,7 @@ use super::record::{ColumnKey, Record};
 use crate::Result;
 
 const RECORD_BYTES: u64 = size_of::<Record>() as u64;
-/// On disk, segments of a run with at least this many records are sorted by pixel too: a column of very many records is worked on
+/// Segments of a run with at least this many records are sorted by pixel too: a column of very many records is worked on
 /// in areas, and their rows can then be found without reading the whole column for each.
 const SORTED_RECORDS: u64 = 1 << 14;
 

@@ -1,9 +1,9 @@
 //! Where runs are: in memory while they fit, else on disk.
 
 use super::cover::Cover;
-use super::{RECORD_BYTES, SORTED_RECORDS, SegmentCoder, count_segments};
+use super::{RECORD_BYTES, count_segments};
 use crate::Result;
-use crate::voxel::record::{PATCH_AREA, Record};
+use crate::voxel::record::Record;
 use crate::voxel::spill::{RunSum, Spill, SpillPlace, SpilledRun};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -118,14 +118,13 @@ impl RunStore {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a run, whose records are by column, and gives back their memory if it is not needed.
+    /// Takes a run, and gives back its memory if it is not needed.
     pub(super) fn add(
         &self,
         kind: RunKind,
         mut records: Vec<Record>,
         index: Vec<u8>,
         cover: Cover,
-        scratch: &mut Vec<Record>,
     ) -> Result<Vec<Record>> {
         let columns = count_segments(&index)?;
         let count = records.len() as u64;
@@ -140,14 +139,14 @@ impl RunStore {
                 return Ok(Vec::new());
             }
         }
-        self.write_run(kind, &mut records, &index, columns, &cover, scratch)?;
-        self.lighten(scratch)?;
+        self.write_run(kind, &records, &index, columns, &cover)?;
+        self.lighten()?;
         Ok(records)
     }
 
     /// Moves one of the runs in memory to disk while there are too many.
-    fn lighten(&self, scratch: &mut Vec<Record>) -> Result<()> {
-        let mut run = {
+    fn lighten(&self) -> Result<()> {
+        let run = {
             let mut kept = self.lock();
             let most = MOST_IN_MEMORY_WHILE_SPILLING;
             let in_memory = kept.runs.iter().position(|run| kept.memory_bytes > most && run.memory_bytes() > 0);
@@ -156,24 +155,15 @@ impl RunStore {
             kept.memory_bytes -= run.memory_bytes();
             run
         };
-        match &mut run.storage {
+        match &run.storage {
             RunStorage::Memory { records, index, cover } => {
-                self.write_run(run.kind, records, index, run.columns, cover, scratch)
+                self.write_run(run.kind, records, index, run.columns, cover)
             }
             RunStorage::Disk { .. } => Ok(()),
         }
     }
 
-    fn write_run(
-        &self,
-        kind: RunKind,
-        records: &mut [Record],
-        index: &[u8],
-        columns: u64,
-        cover: &Cover,
-        scratch: &mut Vec<Record>,
-    ) -> Result<()> {
-        sort_long_segments(records, index, scratch)?;
+    fn write_run(&self, kind: RunKind, records: &[Record], index: &[u8], columns: u64, cover: &Cover) -> Result<()> {
         let (count, index_bytes) = (records.len() as u64, index.len() as u64);
         let records_at = self.spill.reserve(count * RECORD_BYTES + index_bytes)?;
         let (mut buffer, mut sum, mut at) = (vec![0u8; COPY_BYTES], RunSum::default(), records_at);
@@ -200,49 +190,24 @@ impl RunStore {
         Ok(())
     }
 
-    /// Reads records of a run whose records begin at `records_at`, from its record `first` on.
-    pub(super) fn read_records(&self, records_at: u64, first: u64, records: &mut [Record]) -> Result<()> {
-        let mut buffer = vec![0u8; COPY_BYTES.min(records.len() * RECORD_BYTES as usize)];
-        let mut at = records_at + first * RECORD_BYTES;
-        for chunk in records.chunks_mut(COPY_BYTES / RECORD_BYTES as usize) {
-            let bytes = &mut buffer[..chunk.len() * RECORD_BYTES as usize];
-            self.spill.read(at, bytes)?;
-            at += bytes.len() as u64;
-            for (record, bytes) in chunk.iter_mut().zip(bytes.as_chunks::<8>().0) {
-                *record = Record(u64::from_ne_bytes(*bytes));
+    pub(super) fn read_records(&self, run: &Run, first: u64, records: &mut [Record]) -> Result<()> {
+        match &run.storage {
+            RunStorage::Memory { records: all, .. } => {
+                records.copy_from_slice(&all[first as usize..first as usize + records.len()]);
+            }
+            RunStorage::Disk { records_at, .. } => {
+                let mut buffer = vec![0u8; COPY_BYTES.min(records.len() * RECORD_BYTES as usize)];
+                let mut at = records_at + first * RECORD_BYTES;
+                for chunk in records.chunks_mut(COPY_BYTES / RECORD_BYTES as usize) {
+                    let bytes = &mut buffer[..chunk.len() * RECORD_BYTES as usize];
+                    self.spill.read(at, bytes)?;
+                    at += bytes.len() as u64;
+                    for (record, bytes) in chunk.iter_mut().zip(bytes.as_chunks::<8>().0) {
+                        *record = Record(u64::from_ne_bytes(*bytes));
+                    }
+                }
             }
         }
         Ok(())
-    }
-}
-
-/// Sorts the records of the columns that have many by pixel.
-fn sort_long_segments(records: &mut [Record], index: &[u8], scratch: &mut Vec<Record>) -> Result<()> {
-    let (mut coder, mut bytes, mut rest) = (SegmentCoder::default(), index.iter(), records);
-    while bytes.len() > 0 {
-        let segment = coder.decode(|| Ok(bytes.next().copied().unwrap_or(0)))?;
-        let (own, others) = rest.split_at_mut(segment.records as usize);
-        if own.len() as u64 >= SORTED_RECORDS {
-            sort_by_pixel(own, scratch);
-        }
-        rest = others;
-    }
-    Ok(())
-}
-
-/// Sorts many records by pixel, and by nothing else, by counting.
-fn sort_by_pixel(records: &mut [Record], scratch: &mut Vec<Record>) {
-    let mut next = [0u32; PATCH_AREA];
-    records.iter().for_each(|record| next[record.pixel()] += 1);
-    let mut start = 0;
-    for count in &mut next {
-        start += std::mem::replace(count, start);
-    }
-    scratch.clear();
-    scratch.extend_from_slice(records);
-    for &record in &*scratch {
-        let place = &mut next[record.pixel()];
-        records[*place as usize] = record;
-        *place += 1;
     }
 }
