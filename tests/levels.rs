@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::forge::{Parts, put, word};
+use common::forge::{Parts, pack, put, word};
 use common::random::Random;
 use common::{Pages, archive_coloured_by_place, archive_of, archive_with_levels, braided, key, page};
 use nalgebra::{Point3, Vector3};
@@ -11,7 +11,7 @@ use slicewalk::archive::{
     Archive, ArchiveWriter, ColourReader, EncodedColours, Opened, Opening, PageEncoder, Shard, Totals, extract, merge,
     recover,
 };
-use slicewalk::codec::ColourEncoder;
+use slicewalk::codec::{ColourEncoder, Unpacker};
 use slicewalk::colour::{ColourPlan, ColourScale, LabTable, difference};
 use slicewalk::plan::Plan;
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, Sight, cast, cast_far, overlaps};
@@ -496,6 +496,28 @@ fn with_levels_of(pages: Pages, others: Pages) -> Vec<u8> {
     Parts { head, pages, ..own }.build(|_| ())
 }
 
+/// The archive without its last level, and right checksums. Every level has one leaf.
+fn without_last_level(parts: &Parts) -> Vec<u8> {
+    const RECORD: usize = 40 + 28;
+    let [levels_len, table_len] = [328, 336].map(|at| word(&parts.head, at));
+    let (rest, table) = parts.pages.split_at(parts.pages.len() - table_len);
+    let mut unpacker = Unpacker::new();
+    let raw = unpacker.unpack(table, 1 << 20, "").unwrap();
+    let count = usize::from(parts.head[325]);
+    assert_eq!(raw.len(), count * RECORD, "one leaf a level");
+    let (kept, last) = raw.split_at(raw.len() - RECORD);
+    let last = word(last, 0) + word(last, 8);
+    let mut table = Vec::new();
+    pack(kept, &mut table);
+    let mut head = parts.head.clone();
+    put(&mut head, 325, count as u64 - 1, 1);
+    put(&mut head, 328, (levels_len - table_len - last + table.len()) as u64, 8);
+    put(&mut head, 336, table.len() as u64, 4);
+    put(&mut head, 340, crc32c::crc32c(&table).into(), 4);
+    let pages = [&rest[..rest.len() - last], &table].concat();
+    Parts { head, pages, ..parts.clone() }.build(|_| ())
+}
+
 #[test]
 fn levels_that_are_not_those_of_the_pages_are_found() {
     assert_eq!(rules(with_levels_of(city(), city())), [""; 0]);
@@ -511,6 +533,8 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
     far.insert(key(4000, 0, 0), far.values().next().unwrap().clone());
     assert!(rules(with_levels_of(city(), far.clone())).contains(&"L5"));
     assert!(rules(with_levels_of(far, city())).contains(&"L5"));
+    // The last one is missing, and nothing else is wrong.
+    assert_eq!(rules(without_last_level(&Parts::of(&with_levels(city())))), ["L5"]);
     // Heights on other steps than the head says.
     let parts = Parts::of(&with_levels(city()));
     assert_eq!(word(&parts.head, 24), 0b101);

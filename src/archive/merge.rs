@@ -160,7 +160,7 @@ fn join(
     writer.set_unknown(unknown);
     if let Some(shard) = coarser {
         writer.set_shard(shard);
-        writer.set_read(all_read(&parts)?);
+        writer.set_read(all_read(parts.iter().flat_map(|part| &part.read))?);
     }
     let (header, written) = writer.finish_or_keep(totals)?;
     let (crs, units) = (first.crs.clone(), first.units.clone());
@@ -181,9 +181,8 @@ fn coarser((index, count): (u32, u32), first: &OpenShard<'_>, last: &OpenShard<'
 }
 
 /// What the parts together read of inputs that other parts read too.
-fn all_read(parts: &[OpenShard<'_>]) -> Result<Vec<InputRead>> {
-    let all: BTreeMap<u32, &InputRead> =
-        parts.iter().flat_map(|part| &part.read).map(|read| (read.input, read)).collect();
+fn all_read<'a>(reads: impl Iterator<Item = &'a InputRead>) -> Result<Vec<InputRead>> {
+    let all: BTreeMap<u32, &InputRead> = reads.map(|read| (read.input, read)).collect();
     if all.len() > InputRead::MOST {
         let what = "inputs that several of the joined parts read (join fewer parts at once)";
         return Err(Error::limit(what, all.len(), InputRead::MOST));
@@ -395,4 +394,21 @@ fn joined(a: Option<Bounds>, b: Option<Bounds>) -> Option<Bounds> {
     let (Some((min, max)), Some((other_min, other_max))) = (a, b) else { return a.or(b) };
     let axes = |f: fn(f64, f64) -> f64, a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| f(a[axis], b[axis]));
     Some((axes(f64::min, min, other_min), axes(f64::max, max, other_max)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inputs_that_parts_share_count_once_up_to_the_most_that_an_archive_lists() {
+        let most = InputRead::MOST as u32;
+        let read = |input| InputRead { input, hash: 7, name: String::new() };
+        let mut reads: Vec<_> = (0..most).map(read).collect();
+        reads.extend((9..most).rev().map(read));
+        let all = all_read(reads.iter()).unwrap();
+        assert!(all.iter().map(|read| read.input).eq(0..most));
+        reads.push(read(most));
+        assert!(all_read(reads.iter()).unwrap_err().to_string().contains("join fewer parts at once"));
+    }
 }
