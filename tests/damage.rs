@@ -233,6 +233,9 @@ fn heads_with_right_checksums_and_wrong_numbers_break_the_rule_for_them() {
         });
         assert_eq!(rules(&bytes), [rule], "case {number}");
     }
+    let unknown = parts.build(|head| (head[16], head[23]) = (head[16] | 32, head[23] | 128));
+    let refused = Archive::from_bytes(unknown).unwrap_err().to_string();
+    assert!(refused.contains("required archive feature 5, 63 (rule H5)"), "{refused}");
     let unknown_but_optional = parts.build(|head| head[24] = 1);
     assert_eq!(rules(&unknown_but_optional), [""; 0]);
     let newer = parts.build(|head| {

@@ -16,7 +16,7 @@ use slicewalk::colour::{ColourPlan, ColourScale, LabTable, difference};
 use slicewalk::plan::Plan;
 use slicewalk::query::{Aabb, Answer, Overlap, Ray, Sight, cast, cast_far, overlaps};
 use slicewalk::slice::{Occupancy, Span};
-use slicewalk::store::{Loader, LoaderOptions, Next, Prefetch, Store, Stream, StreamOptions, Time};
+use slicewalk::store::{Loader, LoaderOptions, MISSING_KEYS, Next, Prefetch, Store, Stream, StreamOptions, Time};
 use slicewalk::{Error, NoMonitor};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -67,6 +67,13 @@ fn rules(bytes: Vec<u8>) -> Vec<&'static str> {
     rules
 }
 
+/// What `verify` says.
+fn findings(bytes: Vec<u8>) -> Vec<String> {
+    let mut said = Vec::new();
+    Archive::from_bytes(bytes).unwrap().verify(&NoMonitor, &mut |finding| said.push(finding.expected)).unwrap();
+    said
+}
+
 #[test]
 fn levels_go_up_to_one_page_or_the_eight_around_the_origin() {
     let content = || city().into_values().next().unwrap();
@@ -87,6 +94,17 @@ fn levels_go_up_to_one_page_or_the_eight_around_the_origin() {
         assert_eq!(found, pages);
         assert_eq!(archive.header().levels.unwrap().count as usize, pages.len());
     }
+}
+
+/// Sixteen flat pages make one of their level, flat again, of which no bytes are stored.
+#[test]
+fn pages_of_levels_that_are_the_same_everywhere_are_only_listed() {
+    let flat = page((0..4096).map(|at| ((at % 64, at / 64), vec![Span::new(255, 255, false).unwrap()])));
+    let square = (0..8).flat_map(|x| (0..4).map(move |y| key(x, y, 0)));
+    let archive = Archive::from_bytes(with_levels(square.map(|at| (at, flat.clone())).collect())).unwrap();
+    let levels = archive.levels().unwrap();
+    let pages = levels.iter().map(|level| level.catalog().header().pages);
+    assert_eq!(pages.map(|pages| (pages.uniform, pages.stored)).collect::<Vec<_>>(), [(2, 0), (0, 1)]);
 }
 
 #[test]
@@ -533,6 +551,11 @@ fn levels_that_are_not_those_of_the_pages_are_found() {
     far.insert(key(4000, 0, 0), far.values().next().unwrap().clone());
     assert!(rules(with_levels_of(city(), far.clone())).contains(&"L5"));
     assert!(rules(with_levels_of(far, city())).contains(&"L5"));
+    // A page too many behind all that level 1 has; the levels above follow from it.
+    let mut more = city();
+    more.insert(key(3, 900, 0), more.values().next().unwrap().clone());
+    let found = findings(with_levels_of(city(), more));
+    assert!(found.iter().any(|said| said.contains("no more pages: none has matter below")), "{found:?}");
     // The last one is missing, and nothing else is wrong.
     assert_eq!(rules(without_last_level(&Parts::of(&with_levels(city())))), ["L5"]);
     // Heights on other steps than the head says.
@@ -567,6 +590,20 @@ fn where_pages_are_missing_a_level_says_how_far_a_ray_is_free() {
     let view = stream.view();
     let frame = archive().header().plan.frame;
     let page_m = [64.0 * frame.pixel_m(), 64.0 * frame.pixel_m(), 64.0 * frame.slice_m()];
+    // Where the ray enters pages that are not loaded (m).
+    let entries = |ray: &Ray| {
+        let absent = keys.iter().filter(|key| !some.contains(key));
+        let entry = |key: &slicewalk::frame::PageKey| {
+            let (mut enter, mut leave) = (0.0f64, ray.max());
+            for (axis, index) in [key.tx, key.ty, key.layer].into_iter().enumerate() {
+                let side = |index: i32| (f64::from(index) * page_m[axis] - ray.origin()[axis]) / ray.direction()[axis];
+                let (a, b) = (side(index), side(index + 1));
+                (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
+            }
+            (enter <= leave).then_some(enter)
+        };
+        absent.filter_map(entry).collect::<Vec<_>>()
+    };
     let mut random = Random(5);
     for number in [1, 2] {
         let level = Store::resident(&archive().level(number).unwrap(), &NoMonitor).unwrap();
@@ -594,6 +631,11 @@ fn where_pages_are_missing_a_level_says_how_far_a_ray_is_free() {
                         truth.is_none_or(|hit| hit.distance >= distance),
                         "{ray:?}: {truth:?} is nearer than {distance}"
                     );
+                    let entries = entries(&ray);
+                    if entries.len() <= MISSING_KEYS {
+                        let nearest = entries.into_iter().fold(f64::INFINITY, f64::min);
+                        assert!(distance >= nearest - 1e-5, "{ray:?}: {distance}, loaded up to {nearest}");
+                    }
                     bounds += 1;
                     better += usize::from(distance > 0.1);
                 }

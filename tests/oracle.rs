@@ -143,6 +143,8 @@ fn rays_end_at_the_first_span() {
                 assert!((0.0..=max).contains(&d), "{ray:?}: {d}");
                 let faces = hit.normal.norm() == 1.0 && hit.normal.dot(&ray.direction()) < 0.0;
                 assert!(faces || hit.normal == Vector3::zeros() && d == 0.0, "{ray:?} {hit:?}");
+                let face = scene.has_face(ray.at(d), hit.normal, 2.0 * SLACK);
+                assert!(face || d == 0.0, "{ray:?}: no face there: {hit:?}");
             }
         }
     }
@@ -219,6 +221,14 @@ fn batches_answer_like_single_queries() {
         assert_eq!(answers[n], overlaps(&store, shape));
         assert_eq!(probes[n], probe(&store, shape));
     }
+    let rays: Vec<_> = boxes
+        .iter()
+        .map(|shape| Ray::new(shape.min(), scene.random_point(&mut random) - shape.min(), f64::INFINITY).unwrap())
+        .collect();
+    let mut hits = vec![Answer::Known(None); rays.len()];
+    cast_batch(&store, &rays, &mut hits);
+    assert!(rays.iter().zip(&hits).all(|(ray, hit)| *hit == cast(&store, ray)));
+    assert!(hits.iter().filter(|hit| matches!(hit, Answer::Known(Some(_)))).count() > 10);
 }
 
 proptest! {

@@ -107,7 +107,9 @@ mod tests {
 
     #[test]
     fn refuses_varints_that_are_long_or_cut() {
-        for bad in [&[][..], &[0x80], &[0x80, 0], &[0xFF; 10], &[0xFF; 11]] {
+        // Bit 64 of a number.
+        let too_great = [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 2];
+        for bad in [&[][..], &[0x80], &[0x80, 0], &too_great, &[0xFF; 10], &[0xFF; 11]] {
             assert_eq!(ByteReader::new(bad, "D3").varint().unwrap_err().rule, "D3");
         }
         let longest = [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 1];

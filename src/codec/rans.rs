@@ -360,6 +360,13 @@ mod tests {
     }
 
     #[test]
+    fn states_begin_at_the_lowest_that_coding_ends_in() {
+        let lowest = LOW.to_le_bytes();
+        assert_eq!(RansDecoder::new(&lowest, "P2").unwrap().finish("P2"), Ok(()));
+        assert!(RansDecoder::new(&(LOW - 1).to_le_bytes(), "P2").is_err());
+    }
+
+    #[test]
     fn costs_are_logarithms() {
         for count in 1..=SCALE {
             let exact = f64::from(COST_BIT) * (f64::from(SCALE) / f64::from(count)).log2();

@@ -1,7 +1,7 @@
 //! The same questions answered by looking at every span.
 
 use super::scene::{Matter, Scene};
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use slicewalk::query::{Aabb, Ray};
 
 impl Scene {
@@ -63,17 +63,32 @@ impl Scene {
         distances.fold(f64::INFINITY, f64::min)
     }
 
-    /// First distance at which `ray` meets a span grown by `grow` (negative: shrunk) (m).
-    pub fn cast(&self, ray: &Ray, grow: f64) -> Option<f64> {
+    /// Least and greatest corner of all spans (m).
+    fn boxes(&self) -> impl Iterator<Item = ([f64; 3], [f64; 3])> {
         let (frame, quantum) = (&self.frame, self.frame.quantum_m());
-        let boxes = self.columns.iter().flat_map(|(&(i, j), spans)| {
+        self.columns.iter().flat_map(move |(&(i, j), spans)| {
             spans.iter().map(move |m| {
                 let low = [frame.edge_of_pixel(i), frame.edge_of_pixel(j), m.0 as f64 * quantum];
                 let high = [frame.edge_of_pixel(i + 1), frame.edge_of_pixel(j + 1), m.1 as f64 * quantum];
                 (low, high)
             })
-        });
-        let hits = boxes.filter_map(|(low, high)| {
+        })
+    }
+
+    /// Whether `point` lies, within `slack` metres, on the side of a span to which `normal` points.
+    pub fn has_face(&self, point: Point3<f64>, normal: Vector3<f64>, slack: f64) -> bool {
+        self.boxes().any(|(low, high)| {
+            (0..3).all(|axis| {
+                let low = if normal[axis] > 0.0 { high[axis] } else { low[axis] };
+                let high = if normal[axis] < 0.0 { low } else { high[axis] };
+                (low - slack..=high + slack).contains(&point[axis])
+            })
+        })
+    }
+
+    /// First distance at which `ray` meets a span grown by `grow` (negative: shrunk) (m).
+    pub fn cast(&self, ray: &Ray, grow: f64) -> Option<f64> {
+        let hits = self.boxes().filter_map(|(low, high)| {
             let (mut t0, mut t1) = (0.0f64, ray.max());
             for axis in 0..3 {
                 let (a, b) = (low[axis] - grow - ray.origin()[axis], high[axis] + grow - ray.origin()[axis]);

@@ -140,3 +140,27 @@ fn no_object_in_a_half_loaded_scene_is_free_where_it_is_not_in_the_whole_one() {
     }
     assert!(waited > 500 && hits > 300, "{waited} {hits}: the test shows little");
 }
+
+/// The column that is looked at first lacks a page, the other has a floor above that: nothing needs to be waited for.
+#[test]
+fn a_missing_page_below_the_floor_is_no_hindrance() {
+    let frame = Frame::new(0.1, 0.1).unwrap();
+    let page = |px| {
+        let mut builder = PageBuilder::default();
+        assert!(builder.set_column(px, 30, &[Span::new(100, 140, false).unwrap()]));
+        builder.build()
+    };
+    let key = |tx, layer| PageKey { tx, ty: 0, layer };
+    for [low, high] in [[key(0, 0), key(1, 1)], [key(1, 0), key(0, 1)]] {
+        let pages = [low, high].map(|key| (key, page(if key.tx == 0 { 60 } else { 3 })));
+        let mut part = Part::new(frame, pages.to_vec());
+        let shape = Aabb::new(Point3::new(6.0, 3.0, 0.0), Point3::new(6.8, 3.1, 1.0)).unwrap();
+        let floor = |part: &Part| floor_under(part, &shape, 20.0, 20.0);
+        assert!(matches!(floor(&part), Answer::NotLoaded(_)));
+        assert_eq!(part.load(&[high]), 1);
+        let Answer::Known(Some(found)) = floor(&part) else { panic!("{high:?} is enough") };
+        assert!((found - 6.4 - 140.0 * frame.quantum_m()).abs() < 1e-9, "{found}");
+        assert_eq!(part.load(&[low]), 1);
+        assert_eq!(floor(&part), Answer::Known(Some(found)));
+    }
+}

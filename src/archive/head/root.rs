@@ -80,3 +80,19 @@ pub(in crate::archive) fn decode_root(
     }
     Ok(leaves)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn leaves_are_as_short_as_the_root_allows() {
+        let (least, most) = (u64::from(MIN_LEAF_ENTRIES), MAX_LEAVES as u64);
+        for doublings in 0..4 {
+            let fit = (least << doublings) * most;
+            assert_eq!(u64::from(leaf_entries(fit)), least << doublings);
+            assert_eq!(u64::from(leaf_entries(fit + 1)), least << (doublings + 1));
+        }
+        assert_eq!(u64::from(leaf_entries(0)), least);
+    }
+}

@@ -42,6 +42,9 @@ struct Options {
     /// Leaves out tests that take longer, in seconds
     #[arg(long, default_value_t = 30.0)]
     slowest: f64,
+    /// Leaves out tests that take less, in seconds: for a second run, over what quick tests miss
+    #[arg(long, default_value_t = 0.0)]
+    quickest: f64,
     /// Tests that run at the same time
     #[arg(long, default_value_t = 2)]
     jobs: usize,
@@ -66,8 +69,9 @@ fn main() -> Result<()> {
     let drawn: Vec<_> = drawn.into_iter().map(|(_, number)| *number).collect();
     let programs = tree.build(drawn.iter().copied().collect(), &options.test, &out.join("refused.tsv"))?;
     let paths = [tree.folder(), &out.join("scratch"), &out.join("reached.tsv")];
-    let slowest = Duration::try_from_secs_f64(options.slowest)?;
-    let trial = Trial::record(&programs, tree.mutants().count(), slowest, options.jobs, paths)?;
+    let [quickest, slowest] = [options.quickest, options.slowest].map(Duration::try_from_secs_f64);
+    let times = quickest?..=slowest?;
+    let trial = Trial::record(&programs, tree.mutants().count(), &times, options.jobs, paths)?;
     let results = out.join("results.tsv");
     let names: BTreeMap<_, _> = tree.chosen().map(|(number, source, mutant)| (number, source.name(mutant))).collect();
     run(&trial, &drawn, &names, &results, options.jobs)?;

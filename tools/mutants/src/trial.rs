@@ -4,6 +4,7 @@ use anyhow::{Context, Result, bail, ensure};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::Write;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -41,7 +42,7 @@ impl Trial {
     pub fn record(
         programs: &[(String, PathBuf)],
         mutants: usize,
-        slowest: Duration,
+        times: &RangeInclusive<Duration>,
         jobs: usize,
         [folder, scratch, known]: [&Path; 3],
     ) -> Result<Self> {
@@ -82,7 +83,7 @@ impl Trial {
             }
             let marks = trial.scratch.join(format!("reached-{index}"));
             fs::write(&marks, vec![0; mutants + 1])?;
-            let (outcome, time) = trial.run(&test, ("SLICEWALK_MUTANTS_REACHED", marks.as_os_str()), slowest)?;
+            let (outcome, time) = trial.run(&test, ("SLICEWALK_MUTANTS_REACHED", marks.as_os_str()), *times.end())?;
             let marked = fs::read(&marks)?;
             fs::remove_file(&marks)?;
             if outcome != Outcome::Missed {
@@ -97,8 +98,9 @@ impl Trial {
             Ok(Some(test))
         })?;
         trial.tests = tests.into_iter().flatten().collect();
-        let slow = trial.tests.extract_if(.., |test| test.time > slowest);
+        let slow = trial.tests.extract_if(.., |test| test.time > *times.end());
         slow.for_each(|test| eprintln!("left out: {} {}, takes {:?}", test.program, test.name, test.time));
+        trial.tests.retain(|test| test.time >= *times.start());
         trial.tests.sort_by_key(|test| test.time);
         ensure!(!trial.tests.is_empty(), "no test can be run");
         Ok(trial)
