@@ -500,8 +500,18 @@ fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
     assert!(forged(&|table| put(table, 20, u64::MAX - 5, 8)).contains(&"K11"));
     // Room for the tables.
     let parts = Parts::of(&bytes);
-    let refused = Archive::from_bytes(parts.build(|head| put(head, 352, 70, 8))).unwrap_err().to_string();
-    assert!(refused.contains("rule K1"), "{refused}");
+    let refused = |forge: &dyn Fn(&mut Vec<u8>)| Archive::from_bytes(parts.build(forge)).unwrap_err().to_string();
+    let said = refused(&|head| put(head, 352, 70, 8));
+    assert!(said.contains("rule K1"), "{said}");
+    // Bytes that only a newer version may use.
+    let said = refused(&|head| head[383] = 1);
+    assert!(said.contains("rule K1"), "{said}");
+    let newer = parts.build(|head| (head[10], head[383]) = (head[10] + 1, 1));
+    assert!(Archive::from_bytes(newer).is_ok());
+    // Every byte of a sound archive is looked at.
+    let sound = parts.build(|_| ());
+    let summary = Archive::from_bytes(sound.clone()).unwrap().verify(&NoMonitor, &mut |_| ()).unwrap();
+    assert_eq!((summary.findings, summary.bytes), (0, sound.len() as u64));
 }
 
 /// The archive of `pages` with the levels of `others`, and right checksums.

@@ -187,3 +187,33 @@ impl Region {
         (0..3).all(|axis| min[axis] <= max[axis]).then_some((min, max))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_kept_of_a_page_is_cut_at_slices_and_stays_inferred() {
+        let span = |slice: u32| Span::new(slice * 255 + 10, slice * 255 + 300, false).unwrap();
+        let (mut builder, mut inferred) = (PageBuilder::default(), Inferred::new());
+        assert!(builder.set_column(5, 6, &[span(1), span(10), span(20)]) && inferred.push(5, 6, 0b101));
+        let page = builder.build();
+        for (px, py, slices, spans, marks) in [
+            ((0, 63), (0, 63), (0, 63), vec![span(1), span(10), span(20)], 0b101u64),
+            ((5, 5), (6, 6), (3, 63), vec![span(10), span(20)], 0b10),
+            (
+                (5, 6),
+                (0, 6),
+                (2, 10),
+                vec![Span::new(510, 555, false).unwrap(), Span::new(2560, 2805, false).unwrap()],
+                0b1,
+            ),
+            ((6, 63), (0, 63), (0, 63), vec![], 0),
+            ((0, 63), (0, 5), (0, 63), vec![], 0),
+        ] {
+            let (part, kept) = PagePart { px, py, slices }.cut(&page, &inferred, &mut builder);
+            assert_eq!((part.column(5, 6), part.span_count()), (&spans[..], spans.len()));
+            assert_eq!((kept.of(5, 6), kept.span_count()), (marks, u64::from(marks.count_ones())));
+        }
+    }
+}

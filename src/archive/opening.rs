@@ -202,6 +202,18 @@ mod tests {
         (header, std::fs::read(&target).unwrap())
     }
 
+    #[test]
+    fn a_piece_knows_its_bytes_up_to_the_first_gap() {
+        let mut piece = Piece::new(100..130);
+        assert_eq!(piece.known(), [0u8; 0]);
+        piece.give(95, &[7; 15]);
+        assert_eq!(piece.known(), [7; 10]);
+        piece.give(120, &[9; 20]);
+        assert_eq!((piece.known().len(), piece.is_complete()), (10, false));
+        piece.give(110, &[8; 10]);
+        assert_eq!((piece.known(), piece.is_complete()), (&[[7; 10], [8; 10], [9; 10]].concat()[..], true));
+    }
+
     /// Opens `file`, answering each want with exactly its bytes; the requests.
     fn requests(file: &[u8], mut opening: Opening) -> (usize, Result<Catalog>) {
         let mut rounds = 0;

@@ -196,6 +196,26 @@ mod tests {
     use crate::slice::Span;
 
     #[test]
+    fn a_spool_keeps_little_in_memory_and_gives_all_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::new(&Files::current(), &folder.path().join("a.slices"));
+        let piece: Vec<u8> = (0..SPOOL_KEPT / 3).map(|at| (at % 251) as u8).collect();
+        for count in 1..=10 {
+            spool.push(&piece).unwrap();
+            assert_eq!((spool.len(), spool.file.is_some()), (count * piece.len() as u64, count > 3));
+            assert!(spool.kept.len() <= SPOOL_KEPT);
+        }
+        let mut back = Vec::new();
+        spool
+            .read(&mut |bytes| {
+                back.extend_from_slice(bytes);
+                Ok(())
+            })
+            .unwrap();
+        assert!(back == piece.repeat(10));
+    }
+
+    #[test]
     fn gives_back_entries_from_file_and_memory() {
         let folder = tempfile::tempdir().unwrap();
         let mut entries = Entries::new(&Files::current(), &folder.path().join("a.slices"));
