@@ -541,6 +541,36 @@ fn who_stands_on_matter_touches_it_and_is_not_inside() {
     }
 }
 
+/// A body that comes down at the foot of a wall, or on an edge, lands: what it meets from above at the same moment counts.
+#[test]
+fn of_contacts_at_the_same_moment_landing_counts() {
+    // Pixels of 1/4 m, quanta of 1/256 m: all ends are exact.
+    let frame = Frame::new(0.25, 255.0 / 256.0).unwrap();
+    let (floor, wall) = ((0, 256, false), (300, 700, false));
+    for mirrored in [false, true] {
+        let mut columns = scene::Columns::new();
+        let pixel = |i: i64| if mirrored { -1 - i } else { i };
+        let mut store = |at: &[(i64, scene::Matter)]| {
+            columns.clear();
+            columns.extend(at.iter().flat_map(|&(i, matter)| (-3..6).map(move |j| ((pixel(i), j), vec![matter]))));
+            Store::from_pages(frame, scene::pages_of(&columns))
+        };
+        let side: f64 = if mirrored { -1.0 } else { 1.0 };
+        // Half a metre from the wall, half a metre above the floor.
+        let (from, to) = (0.25 * side, 0.5 * side);
+        let shape = Aabb::new([from.min(to), 0.25, 1.5].into(), [from.max(to), 0.5, 2.5].into()).unwrap();
+        let motion = Vector3::new(side, 0.0, -1.0);
+        let both = store(&[(2, floor), (3, floor), (4, wall)]);
+        let edge = store(&[(4, floor)]);
+        for store in [both, edge] {
+            let hit = sweep(&store, &shape, motion).known().unwrap().unwrap();
+            assert!((hit.fraction - 0.5).abs() < 1e-9 && hit.normal == Vector3::z(), "{hit:?}");
+        }
+        let hit = sweep(&store(&[(4, wall)]), &shape, motion).known().unwrap().unwrap();
+        assert!((hit.fraction - 0.5).abs() < 1e-9 && hit.normal == -side * Vector3::x(), "{hit:?}");
+    }
+}
+
 #[test]
 fn a_thin_wall_stops_at_any_speed() {
     // One pixel thick, and one quantum thick from above.
