@@ -498,8 +498,11 @@ fn damage_of_colours_of_levels_is_named_and_leaves_all_else() {
     assert!(forged(&|table| table[36] ^= 1).contains(&"K2"));
     assert!(forged(&|table| put(table, 20, 3, 8)).contains(&"K11"));
     assert!(forged(&|table| put(table, 20, u64::MAX - 5, 8)).contains(&"K11"));
-    // Room for the tables.
-    let parts = Parts::of(&bytes);
+}
+
+#[test]
+fn heads_without_room_for_colours_of_levels_are_refused_and_verify_looks_at_every_byte() {
+    let parts = Parts::of(&archive_coloured_by_place(&(city(), totals()), 2000, true, None));
     let refused = |forge: &dyn Fn(&mut Vec<u8>)| Archive::from_bytes(parts.build(forge)).unwrap_err().to_string();
     let said = refused(&|head| put(head, 352, 70, 8));
     assert!(said.contains("rule K1"), "{said}");

@@ -8,7 +8,7 @@ use common::{Pages, archive_of, braided, key, page, read_all, render, scene};
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
-    Archive, ArchiveWriter, Bounds, PageEncoder, Recovered, Shard, Storage, Totals, extract, merge, recover,
+    Archive, ArchiveWriter, Bounds, PageEncoder, PageReader, Recovered, Shard, Storage, Totals, extract, merge, recover,
 };
 use slicewalk::frame::Frame;
 use slicewalk::plan::Plan;
@@ -27,6 +27,19 @@ fn plan() -> Plan {
 
 fn archive(made: &(Pages, Totals)) -> Vec<u8> {
     archive_of(&plan(), made, None)
+}
+
+#[test]
+fn a_reader_gives_the_pages_of_an_archive_in_any_order() {
+    let pages: Pages = (0..12).map(|at| (key(at, at % 3, 0), content([0, 1, 1, 2, 0, 3][at as usize % 6]))).collect();
+    let archive = Archive::from_bytes(archive(&(pages.clone(), Totals::default()))).unwrap();
+    let entries: Vec<_> = archive.entries().map(Result::unwrap).collect();
+    let mut reader = PageReader::new(&archive);
+    for entry in entries.iter().chain(entries.iter().rev()) {
+        assert_eq!(reader.page(entry).unwrap(), &pages[&entry.key]);
+        let (page, inferred) = reader.page_and_inferred(entry).unwrap();
+        assert_eq!((page, inferred.span_count()), (&pages[&entry.key], 0));
+    }
 }
 
 /// Few different contents, so that many pages are equal, and a uniform one.

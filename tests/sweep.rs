@@ -541,6 +541,22 @@ fn who_stands_on_matter_touches_it_and_is_not_inside() {
     }
 }
 
+/// Its bounding box meets the edge all the way, the sphere never.
+#[test]
+fn a_sphere_passes_along_an_edge_that_is_further_than_its_radius() {
+    let frame = Frame::new(0.25, 255.0 / 256.0).unwrap();
+    let columns = (0..20).map(|i| ((i, 0), vec![(0, 256, false)])).collect();
+    let store = Store::from_pages(frame, scene::pages_of(&columns));
+    for (aside, hits) in [(0.4, false), (0.3, true)] {
+        for motion in [Vector3::x() * 3.0, Vector3::x() * -3.0] {
+            let from = if motion.x > 0.0 { -1.0 } else { 6.0 };
+            // From the upper edge of the row, as far aside as above.
+            let sphere = Sphere::new([from, 0.25 + aside, 1.0 + aside].into(), 0.5).unwrap();
+            assert_eq!(sweep(&store, &sphere, motion).known().unwrap().is_some(), hits, "{aside} {motion:?}");
+        }
+    }
+}
+
 /// A body that comes down at the foot of a wall, or on an edge, lands: what it meets from above at the same moment counts.
 #[test]
 fn of_contacts_at_the_same_moment_landing_counts() {

@@ -519,3 +519,19 @@ mod on_unix {
         assert_eq!(fs::read(&target).unwrap(), b"old");
     }
 }
+
+#[test]
+fn what_was_written_is_read_back_in_pieces_from_where_writing_stands() {
+    let (_folder, target) = place(None);
+    let mut output = Output::create(&target, OutputKind::Result, Protected::default()).unwrap();
+    output.write_all(b"one two three").unwrap();
+    output.seek(SeekFrom::Start(4)).unwrap();
+    let (mut piece, mut read) = ([0; 4], Vec::new());
+    loop {
+        match output.read(&mut piece).unwrap() {
+            0 => break,
+            count => read.extend_from_slice(&piece[..count]),
+        }
+    }
+    assert_eq!(read, b"two three");
+}

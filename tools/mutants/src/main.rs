@@ -42,7 +42,7 @@ struct Options {
     /// Leaves out tests that take longer, in seconds
     #[arg(long, default_value_t = 30.0)]
     slowest: f64,
-    /// Leaves out tests that take less, in seconds: for a second run, over what quick tests miss
+    /// Leaves out tests that take less, in seconds, and tries again what was missed: a second run, with the slow tests
     #[arg(long, default_value_t = 0.0)]
     quickest: f64,
     /// Tests that run at the same time
@@ -74,22 +74,37 @@ fn main() -> Result<()> {
     let trial = Trial::record(&programs, tree.mutants().count(), &times, options.jobs, paths)?;
     let results = out.join("results.tsv");
     let names: BTreeMap<_, _> = tree.chosen().map(|(number, source, mutant)| (number, source.name(mutant))).collect();
-    run(&trial, &drawn, &names, &results, options.jobs)?;
+    run(&trial, &drawn, &names, &results, &options)?;
     let wanted: BTreeSet<_> = names.values().map(String::as_str).collect();
     print!("{}", summary(&fs::read_to_string(results)?, &wanted));
     Ok(())
 }
 
-/// Tries the mutants that the results do not know yet.
-fn run(trial: &Trial, drawn: &[u32], names: &BTreeMap<u32, String>, results: &Path, jobs: usize) -> Result<()> {
+/// Tries the mutants that the results do not know yet, or those that were missed.
+fn run(
+    trial: &Trial,
+    drawn: &[u32],
+    names: &BTreeMap<u32, String>,
+    results: &Path,
+    Options { quickest, jobs, .. }: &Options,
+) -> Result<()> {
     let known = fs::read_to_string(results).unwrap_or_default();
-    let known: BTreeSet<_> = known.lines().filter_map(|line| Some(columns(line)?.1)).collect();
+    let again = *quickest > 0.0;
+    let known: BTreeSet<_> = outcomes(&known)
+        .into_iter()
+        .filter(|(_, (outcome, _))| !again || is_noticed(outcome))
+        .map(|(name, _)| name)
+        .collect();
     let chosen = drawn.iter().filter_map(|number| Some((*number, names.get(number)?)));
     let todo: Vec<_> = chosen.filter(|(_, name)| !known.contains(name.as_str())).collect();
     eprintln!("{} mutants to try", todo.len());
     let file = fs::OpenOptions::new().create(true).append(true).open(results)?;
-    trial::in_parallel(jobs, &todo, |_, (number, name)| {
+    trial::in_parallel(*jobs, &todo, |_, (number, name)| {
         let (outcome, by) = trial.of(*number)?;
+        // What quick tests reach and miss stays missed where no slow one reaches it.
+        if again && !is_noticed(&format!("{outcome:?}")) {
+            return Ok(());
+        }
         // In one piece, so that lines of several workers do not mix.
         Ok((&file).write_all(format!("{outcome:?}\t{name}\t{by}\n").as_bytes())?)
     })?;
@@ -101,6 +116,15 @@ fn columns(line: &str) -> Option<(&str, &str, &str)> {
     let (outcome, rest) = line.split_once('\t')?;
     let (name, by) = rest.rsplit_once('\t')?;
     Some((outcome, name, by))
+}
+
+fn is_noticed(outcome: &str) -> bool {
+    !matches!(outcome, "Missed" | "Unreached")
+}
+
+/// The last outcome of each mutant, and the test that noticed it.
+fn outcomes(results: &str) -> BTreeMap<&str, (&str, &str)> {
+    results.lines().filter_map(columns).map(|(outcome, name, by)| (name, (outcome, by))).collect()
 }
 
 /// The Rust files below `wanted`, without those of tests alone; relative to the root.
@@ -157,8 +181,7 @@ fn summary(results: &str, wanted: &BTreeSet<&str>) -> String {
         unreached: usize,
     }
     let mut modules: BTreeMap<&str, Counts> = BTreeMap::new();
-    for line in results.lines() {
-        let Some((outcome, name, by)) = columns(line).filter(|(_, name, _)| wanted.contains(name)) else { continue };
+    for (name, (outcome, by)) in outcomes(results).into_iter().filter(|(name, _)| wanted.contains(name)) {
         let path = name.strip_prefix("src/").unwrap_or(name);
         let module = path.split(['/', '.']).next().unwrap_or(path);
         let counts = modules.entry(module).or_default();

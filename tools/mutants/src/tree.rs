@@ -94,6 +94,8 @@ impl Tree {
             .current_dir(root)
             .output()?;
         let listed = String::from_utf8(listed.stdout)?;
+        let names: BTreeSet<_> = listed.split('\0').chain(["Cargo.lock"]).map(|name| folder.join(name)).collect();
+        remove_others(&folder, &names)?;
         for name in listed.split('\0').filter(|name| !name.is_empty()).chain(["Cargo.lock"]) {
             let from = root.join(name);
             if !from.is_file() || paths.iter().any(|path| path == Path::new(name)) {
@@ -224,6 +226,19 @@ impl Tree {
         }
         Vec::new()
     }
+}
+
+/// Removes the files of `folder` that are not among `kept`.
+fn remove_others(folder: &Path, kept: &BTreeSet<PathBuf>) -> Result<()> {
+    for entry in fs::read_dir(folder).into_iter().flatten() {
+        let path = entry?.path();
+        if path.is_dir() {
+            remove_others(&path, kept)?;
+        } else if !kept.contains(&path) {
+            fs::remove_file(&path)?;
+        }
+    }
+    Ok(())
 }
 
 /// Writes a file unless it has these bytes.
