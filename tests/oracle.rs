@@ -15,7 +15,7 @@ mod scene;
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 use scene::{Columns, Random, Scene, pages_of};
-use slicewalk::frame::PageKey;
+use slicewalk::frame::{Frame, PageKey};
 use slicewalk::query::*;
 use slicewalk::store::Store;
 
@@ -148,6 +148,42 @@ fn rays_end_at_the_first_span() {
             }
         }
     }
+}
+
+/// Few pillars on hundreds of tiles, so that most rays cross many empty ones.
+#[test]
+fn rays_find_pillars_far_across_empty_tiles() {
+    let frame = Frame::new(0.25, 0.5).unwrap();
+    let mut random = Random(31);
+    let mut columns = Columns::new();
+    let mut pixel = |tiles: usize| random.below(64 * tiles) as i64 - 32 * tiles as i64;
+    for _ in 0..60 {
+        columns.insert((pixel(400), pixel(300)), vec![(-2000, 9000, false)]);
+    }
+    let pages = pages_of(&columns);
+    let scene = Scene { frame, origin: Point3::origin(), points: Vec::new(), columns, pages };
+    let store = scene.store();
+    let pillars: Vec<_> = scene.columns.keys().map(|&(i, j)| [i, j].map(|n| (n as f64 + 0.5) * 0.25)).collect();
+    let mut far = 0;
+    for number in 0..400 {
+        let [x, y] = pillars[number % pillars.len()];
+        let from =
+            Point3::new(random.between(-3500.0, 3500.0), random.between(-2600.0, 2600.0), random.between(-3.0, 17.0));
+        let aim = Point3::new(x + random.between(-0.3, 0.3), y + random.between(-0.3, 0.3), random.between(-3.0, 17.0));
+        let ray = Ray::new(from, aim - from, f64::INFINITY).unwrap();
+        let Answer::Known(hit) = cast(&store, &ray) else { panic!("all pages are in memory") };
+        let (early, late) = (scene.cast(&ray, SLACK), scene.cast(&ray, -SLACK));
+        assert!(
+            late.is_none_or(|late| hit.is_some_and(|hit| hit.distance <= late + SLACK)),
+            "{ray:?}: {hit:?} {late:?}"
+        );
+        assert!(
+            hit.is_none_or(|hit| early.is_some_and(|early| hit.distance >= early - SLACK)),
+            "{ray:?}: {hit:?} {early:?}"
+        );
+        far += usize::from(hit.is_some_and(|hit| hit.distance > 64.0 * 16.0));
+    }
+    assert!(far > 50, "{far} far ones: the test shows little");
 }
 
 #[test]

@@ -398,6 +398,25 @@ fn what_is_made_of_an_older_coding_has_the_bytes_of_the_new_one() {
 }
 
 #[test]
+fn an_extracted_region_has_one_slice_and_pixel_more_on_every_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let target = folder.path().join("e.slices");
+    // Matter in the middle of each slice of seven by seven pixels.
+    let spans: Vec<_> = (5..16).map(|slice| Span::new(slice * 255 + 90, slice * 255 + 120, false).unwrap()).collect();
+    let pages = [(key(0, 0, 0), page((0..49).map(|at| ((20 + at % 7, 30 + at / 7), spans.clone()))))];
+    let whole = Archive::from_bytes(archive(&(pages.into(), Totals::default()))).unwrap();
+    let frame = whole.header().plan.frame;
+    // Inside pixel (23, 33) and slice 10.
+    let at =
+        |pixel: f64, slice: f64| [pixel * frame.pixel_m(), (pixel + 10.0) * frame.pixel_m(), slice * frame.slice_m()];
+    extract(&whole, &(at(23.3, 10.3), at(23.6, 10.6)), &target, false, &NoMonitor).unwrap();
+    let part = read_all(&Archive::open(&target).unwrap()).unwrap();
+    let kept: Vec<_> = part[&key(0, 0, 0)].columns().map(|(x, y, spans)| (x, y, spans.to_vec())).collect();
+    let expected: Vec<_> = (32..35).flat_map(|y| (22..25).map(move |x| (x, y))).collect();
+    assert_eq!(kept, expected.into_iter().map(|(x, y)| (x, y, spans[4..7].to_vec())).collect::<Vec<_>>());
+}
+
+#[test]
 fn unknown_metadata_is_copied_or_told_of() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
