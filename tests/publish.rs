@@ -1,4 +1,7 @@
 //! The hand-over of snapshots to readers, in every interleaving of its steps (loom).
+//!
+//! Not on Windows: loom ends its coroutines by unwinding them, which wine cannot, and the interleavings are the same everywhere.
+#![cfg(not(windows))]
 
 /// What `publish.rs` finds beside it, of loom's making.
 mod sync {

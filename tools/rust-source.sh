@@ -22,6 +22,6 @@ if [ ! -x "$root/usr/bin/rustc" ]; then
 fi
 cat <<VARIABLES
 export LD_LIBRARY_PATH="$root/usr/lib/x86_64-linux-gnu:$root/usr/lib\${LD_LIBRARY_PATH:+:\$LD_LIBRARY_PATH}"
-export RUSTC="$root/usr/bin/rustc"
+export RUSTC="$root/usr/bin/rustc" RUSTDOC="$root/usr/bin/rustdoc"
 export RUSTC_BOOTSTRAP=1
 VARIABLES

@@ -591,13 +591,24 @@ fn lattice_of(of: &HeightsOf, steps: &[u64], page: &Page, heights: &mut Vec<(u32
 /// Appends the encoding of `page`, at most [`MAX_LEN`] bytes; `steps` (1/2³² quantum) are looked for first.
 pub fn encode(of: &HeightsOf, steps: &[u64], page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
     let lattice = lattice_of(of, steps, page, &mut scratch.heights);
+    code(lattice, page, scratch);
+    scratch.encoder.finish(out);
+}
+
+/// What the symbols of `page` take on `lattice` (1/64 bit).
+pub(super) fn length_on(lattice: Lattice, page: &Page, scratch: &mut Scratch) -> u64 {
+    code(lattice, page, scratch);
+    scratch.encoder.cost()
+}
+
+/// Leaves the symbols of `page` in the encoder of `scratch`.
+fn code(lattice: Lattice, page: &Page, scratch: &mut Scratch) {
     let mut encoder = std::mem::take(&mut scratch.encoder);
     encoder.clear();
     code_lattice(&mut encoder, lattice);
-    if let Ok(mut encoder) = walk(encoder, lattice, scratch, Rows::of(page), |_, _, _| Ok(())) {
-        encoder.finish(out);
-        scratch.encoder = encoder;
-    }
+    let walked = walk(encoder, lattice, scratch, Rows::of(page), |_, _, _| Ok(()));
+    debug_assert!(walked.is_ok(), "a page holds matter");
+    scratch.encoder = walked.unwrap_or_default();
 }
 
 /// Codes what `given` chooses on the lattice of `tried`: its spans, and their symbols.

@@ -4,8 +4,13 @@
 //! not coded at all. Where a scan has steps of its own, several of them are taken together: with a tolerance of 1.25 cm, heights
 //! in whole centimetres become even ones. Steps half as wide leave most heights a choice; it falls on what the models of the
 //! coder expect at that place. Of few such ways the one with the shortest symbols is taken, page by page.
+//!
+//! Ends that cannot move, above all where the border of a page cuts matter, lie on no wide step and take a symbol for heights
+//! beside the steps. Nor does a page choose its steps: they are found in its heights, and where these are few and alike, that
+//! may be wider ones than they were chosen on. A page with many such ends may get narrow steps, which reach them; heights then
+//! follow what is expected, but for some first ones that stay as they are, so that no wider steps suit them all.
 
-use super::adaptive::{Candidates, Given, PIXELS, Rows, SLICE, Scratch, Traversal, choose};
+use super::adaptive::{Candidates, Given, PIXELS, Rows, SLICE, Scratch, Traversal, choose, length_on, telling_heights};
 use super::lattice::{End, HeightsOf, LEAST_HEIGHTS, Lattice, ONE};
 use super::rans::RansEncoder;
 use crate::frame::{Frame, PAGE_QUANTA};
@@ -15,6 +20,10 @@ use crate::slice::{Page, PageBuilder, Span};
 const PHASES: u64 = 8;
 /// Most pairs of spans by which they are compared.
 const MOST_PAIRS: usize = 1024;
+/// Of so many spans more than one must have an end that stays on a slice boundary for narrow steps to be tried.
+const CUT_SPANS: usize = 16;
+/// So many spans stay true to the scan on narrow steps.
+const TRUE_SPANS: usize = 8;
 /// What a height takes that lies below the lowest step, in that comparison.
 const BELOW: u32 = 20;
 
@@ -36,6 +45,8 @@ pub struct Loose {
     room: Vec<Room>,
     /// Whether some spans are so close to each other that steps may not suit them.
     is_narrow: bool,
+    /// Whether many ends must stay on slice boundaries.
+    is_cut: bool,
     heights: Vec<(u32, End)>,
     tried: Tried,
     best: Tried,
@@ -60,7 +71,7 @@ impl Loose {
     /// higher. If `merges` says so, spans of one kind between which no gap is left become one. Returns the way it is encoded, too.
     pub fn simplify(
         &mut self,
-        of: &HeightsOf,
+        (of, steps): (&HeightsOf, &[u64]),
         (page, tolerance, merges): (&Page, u32, bool),
         scratch: &mut Scratch,
         builder: &mut PageBuilder,
@@ -68,33 +79,43 @@ impl Loose {
         self.set(page, tolerance, merges);
         let mut shortest = None;
         for lattice in self.lattices(of, tolerance) {
-            let length = self.try_on(lattice, scratch);
+            self.try_on(lattice, scratch);
+            let mut length = self.tried.encoder.cost();
+            if self.is_cut {
+                let page = self.built(&self.tried, builder);
+                telling_heights(&page, &mut self.heights);
+                let lattice = Lattice::find_short(of, steps, &self.heights).unwrap_or(Lattice::QUANTA);
+                length = length_on(lattice, &page, scratch);
+            }
             if shortest.is_none_or(|shortest| length < shortest) {
                 shortest = Some(length);
                 std::mem::swap(&mut self.best, &mut self.tried);
             }
         }
-        builder.clear();
-        for (pixel, ends) in self.first.windows(2).enumerate().filter(|(_, ends)| ends[0] < ends[1]) {
-            let own = &self.best.spans[ends[0] as usize..ends[1] as usize];
-            let taken = builder.set_column(pixel as u32 % 64, pixel as u32 / 64, own);
-            debug_assert!(taken, "pixel {pixel}: {own:?}");
-        }
-        (builder.build(), &mut self.best)
+        (self.built(&self.best, builder), &mut self.best)
     }
 
-    /// Chooses heights on `lattice`; returns what their symbols take (1/64 bit).
-    fn try_on(&mut self, lattice: Lattice, scratch: &mut Scratch) -> u64 {
+    /// Chooses heights on `lattice`.
+    fn try_on(&mut self, lattice: Lattice, scratch: &mut Scratch) {
         let mut tried = std::mem::take(&mut self.tried);
         tried.lattice = lattice;
         choose(&*self, &mut tried, scratch);
-        let length = tried.encoder.cost();
         self.tried = tried;
-        length
+    }
+
+    /// The page of the spans of `tried`.
+    fn built(&self, tried: &Tried, builder: &mut PageBuilder) -> Page {
+        builder.clear();
+        for (pixel, ends) in self.first.windows(2).enumerate().filter(|(_, ends)| ends[0] < ends[1]) {
+            let own = &tried.spans[ends[0] as usize..ends[1] as usize];
+            let taken = builder.set_column(pixel as u32 % 64, pixel as u32 / 64, own);
+            debug_assert!(taken, "pixel {pixel}: {own:?}");
+        }
+        builder.build()
     }
 
     fn set(&mut self, page: &Page, tolerance: u32, merges: bool) {
-        let Self { blocks, first, spans, room, is_narrow, heights, .. } = self;
+        let Self { blocks, first, spans, room, is_narrow, is_cut, heights, .. } = self;
         *blocks = Rows::of(page).blocks();
         *is_narrow = false;
         first.clear();
@@ -134,6 +155,9 @@ impl Loose {
             }
         }
         first.push(spans.len() as u32);
+        let fixed = |&&(low, high): &&(u32, u32)| low == high && low % SLICE == 0;
+        let cut = room.iter().flat_map(|room| [&room.bottom, &room.top]).filter(fixed).count();
+        *is_cut = cut * CUT_SPANS > spans.len();
         heights.extend(room.iter().flat_map(|room| [(room.bottom.1, End::Bottom), (room.top.0, End::Top)]));
         // Those on slice boundaries may be cuts, and say nothing.
         heights.retain(|(height, _)| height % SLICE != 0);
@@ -163,7 +187,13 @@ impl Loose {
                 (0..phases).map(|phase| (phase * step / phases) * ONE as u64 + ONE as u64 / 2),
             )
         };
-        steps(tolerance).enumerate().filter_map(on).collect()
+        let mut all: Vec<Lattice> = steps(tolerance).enumerate().filter_map(on).collect();
+        if let (true, HeightsOf::Scan(frame), Some(wide)) = (self.is_cut, of, all.last()) {
+            // Those of the tolerance end there, but steps that scans have are looked for, too.
+            let narrow = Lattice::steps_of_scans(frame).filter_map(|step| Lattice::new(step, 0)).last();
+            all.extend(narrow.filter(|narrow| narrow.step < wide.step));
+        }
+        all
     }
 
     /// Steps of this distance (1/2³² quantum) at the phase of `phases` that suits the heights best.
@@ -245,29 +275,19 @@ type Choice = (u32, u32, Option<(u32, i32)>);
 /// Most heights that an end has to choose from.
 const MOST_CHOICES: usize = 3;
 
-/// The heights that an end may get, the exact one's neighbour first.
+/// The heights that an end may get: all steps of its room if they are few, else the one that follows the expected step, and the one
+/// nearest to the exact height; without an expected step that one alone.
 struct Choices {
     list: [Choice; MOST_CHOICES],
     len: usize,
 }
 
 impl Choices {
-    fn of(lattice: &Lattice, end: End, (low, high): (u32, u32)) -> Self {
-        let mut choices = Self { list: [(0, 0, None); MOST_CHOICES], len: 0 };
-        let mut index = match end {
-            End::Bottom => lattice.at_or_above(high + 1).wrapping_sub(1),
-            End::Top => lattice.at_or_above(low.saturating_sub(1)),
-        };
-        while choices.len < MOST_CHOICES && index < 1 << 14 {
-            let height = lattice.usual(index, end);
-            if height < low as i32 || height > high as i32 {
-                break;
-            }
-            choices.list[choices.len] = (height as u32, index, Some((index, 0)));
-            choices.len += 1;
-            index = if end == End::Bottom { index.wrapping_sub(1) } else { index + 1 };
-        }
-        if choices.len == 0 {
+    fn of(lattice: &Lattice, end: End, (low, high): (u32, u32), expected: Option<i32>) -> Self {
+        // The first step of the room and the last, by their usual heights.
+        let up = if end == End::Top { 1 } else { 0 };
+        let first = lattice.at_or_above(low.saturating_sub(up));
+        let Some(last) = lattice.at_or_above(high + 1 - up).checked_sub(1).filter(|&last| first <= last) else {
             // A slice boundary; or as it is, which the steps of a scan reach but for its rounding. In steps of the tolerance a height
             // beside a step would make it none of the page's.
             let (exact, border) = match end {
@@ -276,10 +296,19 @@ impl Choices {
             };
             let height = if (low..=high).contains(&border) { border } else { exact };
             let step = lattice.index(height, end);
-            choices.list[0] = (height, step.map_or_else(|| lattice.at_or_above(height), |step| step.0), step);
-            choices.len = 1;
-        }
-        choices
+            let index = step.map_or_else(|| lattice.at_or_above(height), |step| step.0);
+            return Self { list: [(height, index, step); MOST_CHOICES], len: 1 };
+        };
+        let near = if end == End::Top { first } else { last };
+        let away = |steps: u32| if end == End::Top { near + steps } else { near.saturating_sub(steps) };
+        let (indices, len) = match last - first {
+            more @ 0..=2 => ([near, away(1), away(2)], more as usize + 1),
+            _ => match expected.map(|expected| follow(expected, (first, last))) {
+                Some(follow) if follow != near => ([follow, near, near], 2),
+                _ => ([near; MOST_CHOICES], 1),
+            },
+        };
+        Self { list: indices.map(|index| (lattice.usual(index, end) as u32, index, Some((index, 0)))), len }
     }
 
     fn all(&self) -> &[Choice] {
@@ -287,8 +316,8 @@ impl Choices {
     }
 }
 
-/// Where every quantum is a step: the expected height if it lies in the room; else a third of the way across it, since the surface has
-/// left the expected one and may go on.
+/// The expected height, or step, if it lies in the room; else a third of the way across it, since the surface has left the expected one
+/// and may go on.
 fn follow(expected: i32, (low, high): (u32, u32)) -> u32 {
     let (low, high) = (low as i32, high as i32);
     let height = match expected {
@@ -310,24 +339,23 @@ impl<'a> Given<'a> for &'a Loose {
     }
 
     fn chosen<C>(&self, span: Span, at: (usize, usize), candidates: &Candidates, walk: &Traversal<'_, C>) -> Span {
-        let room = self.room[self.first[at.0] as usize + at.1];
+        let number = self.first[at.0] as usize + at.1;
+        let room = self.room[number];
+        // The first heights, if there is much to choose from, are true to the scan.
+        let is_free = number >= TRUE_SPANS;
         let (lattice, thickness) = (&walk.lattice, candidates.thickness);
         let with = |bottom: u32, top: u32| Span::new(bottom, top, span.is_obstacle()).unwrap_or(span);
         if lattice.is_quanta() {
             let bottom = follow(candidates.bottom, room.bottom);
             return with(bottom, follow(bottom as i32 + thickness, room.top));
         }
-        let (bottoms, tops) =
-            (Choices::of(lattice, End::Bottom, room.bottom), Choices::of(lattice, End::Top, room.top));
-        if let ([bottom], [top]) = (bottoms.all(), tops.all()) {
-            return with(bottom.0, top.0);
-        }
         let (bottom_context, top_context) = (candidates.bottom_context(), candidates.thickness_context());
         let mut best = (u32::MAX, span);
-        for bottom in bottoms.all() {
+        for bottom in Choices::of(lattice, End::Bottom, room.bottom, is_free.then_some(candidates.bottom)).all() {
             let bottom_cost = walk.cost(End::Bottom, bottom_context, candidates.bottom, bottom.2);
-            for top in tops.all() {
-                let cost = bottom_cost + walk.cost(End::Top, top_context, bottom.1 as i32 + thickness, top.2);
+            let expected = bottom.1 as i32 + thickness;
+            for top in Choices::of(lattice, End::Top, room.top, is_free.then_some(expected)).all() {
+                let cost = bottom_cost + walk.cost(End::Top, top_context, expected, top.2);
                 if cost < best.0 {
                     best = (cost, with(bottom.0, top.0));
                 }
@@ -361,7 +389,7 @@ mod tests {
             assert_eq!(Decoder::default().decode_as(Some(coding), &body).unwrap(), loose);
             (loose, body.len())
         });
-        let [(loose, len), (same, _)] = coded;
+        let [(same, _), (loose, len)] = coded;
         assert_eq!(loose, same);
         for pixel in 0..PIXELS as u32 {
             let (px, py) = (pixel % 64, pixel / 64);
@@ -445,6 +473,23 @@ mod tests {
     }
 
     #[test]
+    fn a_floor_that_the_page_cuts_off_takes_hardly_more_than_one_that_lies_free() {
+        let at = |height: u32| {
+            let mut builder = PageBuilder::default();
+            for pixel in 0..PIXELS as u32 {
+                let random = pixel.wrapping_mul(2654435761) >> 16;
+                let span = Span::new(height.saturating_sub(random % 5), height + 2 + (random >> 8) % 5, false).unwrap();
+                assert!(builder.set_column(pixel % 64, pixel / 64, &[span]));
+            }
+            builder.build()
+        };
+        for tolerance in [21, 85, 170] {
+            let [free, cut] = [at(2000), at(0)].map(|page| check(&page, tolerance, &Inferred::NONE).1);
+            assert!(cut < free + 128, "{cut} and {free} bytes at {tolerance}");
+        }
+    }
+
+    #[test]
     fn steps_of_a_scan_are_taken_together() {
         let page = floor(17, 200);
         let (loose, len) = check(&page, 21, &Inferred::NONE);
@@ -459,7 +504,8 @@ mod tests {
         let mut builder = PageBuilder::default();
         for pixel in 0..PIXELS as u32 {
             let floor = span(2 * SLICE, 2 * SLICE, false);
-            let column = if pixel % 2 == 0 { vec![span(300, 800, true)] } else { vec![span(300, 400, true), floor] };
+            let is_shared = pixel % 32 == 1;
+            let column = if is_shared { vec![span(300, 400, true), floor] } else { vec![span(300, 800, true)] };
             assert!(builder.set_column(pixel % 64, pixel / 64, &column));
         }
         let (loose, _) = check(&builder.build(), 255, &Inferred::NONE);

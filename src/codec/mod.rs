@@ -180,7 +180,7 @@ impl Encoder {
         let Self { coding, of, tolerance, steps, adaptive, loose, builder, .. } = self;
         let adaptive = adaptive.get_or_insert_default();
         let wanted = (page, *tolerance, inferred.is_empty());
-        let (page, tried) = loose.simplify(of, wanted, adaptive, builder);
+        let (page, tried) = loose.simplify((of, steps), wanted, adaptive, builder);
         put_model(*coding, &page, inferred, out);
         match coding {
             Coding::Adaptive => adaptive::encode_chosen(of, steps, &page, tried, adaptive, out),
