@@ -50,3 +50,4 @@ scan centimetres "--pixel 0.05" stairs --density 2000 --noise 0.01 --scale 0.01
 scan slope "--pixel 0.29 --classifier thesis" plane --param slope=30 --scale 0.01 --translate -3,-4,-60
 scan feet "--pixel 0.1016 --tolerance 0.02" corridor --density 1000 --noise 0.003 --scale 0.01 --origin 150000,400000,40
 scan house "--pixel 0.1 --min-points 2 --levels on" house --density 300 --noise 0.005 --rotate 30
+scan ground "--pixel 0.1 --tolerance 0.025" house --density 300 --noise 0.003

@@ -192,6 +192,18 @@ mod tests {
     }
 
     #[test]
+    fn matter_of_a_part_may_lie_beyond_its_bounds_where_holes_are_closed() {
+        let matter = matter([5, 6, 700], [9, 8, 900]);
+        let closing = Plan { options: PlanOptions { fill_holes: 3, ..PlanOptions::default() }, ..plan() };
+        for axis in 0..3 {
+            let (mut min, mut max) = matter.bounds(&closing.frame).unwrap();
+            (min[axis], max[axis]) = (min[axis] + 0.5, max[axis] - 0.5);
+            let holds = |plan: &Plan, is_part| matter.check(plan, is_part, Some(&(min, max))).is_ok();
+            assert!(holds(&closing, true) && !holds(&closing, false) && !holds(&plan(), true), "axis {axis}");
+        }
+    }
+
+    #[test]
     fn without_matter_bounds_lie_on_the_grid() {
         let (none, plan) = (Matter::default(), plan());
         assert_eq!(none.check(&plan, false, None), Ok(()));
