@@ -44,7 +44,7 @@ pub struct Loose {
     spans: Vec<Span>,
     room: Vec<Room>,
     /// Whether some spans are so close to each other that steps may not suit them.
-    is_narrow: bool,
+    is_close: bool,
     /// Whether many ends must stay on slice boundaries.
     is_cut: bool,
     heights: Vec<(u32, End)>,
@@ -82,6 +82,7 @@ impl Loose {
             self.try_on(lattice, scratch);
             let mut length = self.tried.encoder.cost();
             if self.is_cut {
+                // Other steps may be found in the heights than those they were chosen on.
                 let page = self.built(&self.tried, builder);
                 telling_heights(&page, &mut self.heights);
                 let lattice = Lattice::find_short(of, steps, &self.heights).unwrap_or(Lattice::QUANTA);
@@ -115,9 +116,9 @@ impl Loose {
     }
 
     fn set(&mut self, page: &Page, tolerance: u32, merges: bool) {
-        let Self { blocks, first, spans, room, is_narrow, is_cut, heights, .. } = self;
+        let Self { blocks, first, spans, room, is_close, is_cut, heights, .. } = self;
         *blocks = Rows::of(page).blocks();
-        *is_narrow = false;
+        *is_close = false;
         first.clear();
         spans.clear();
         room.clear();
@@ -145,7 +146,7 @@ impl Loose {
                         below_room.top.1 = border.min(below_room.top.1);
                         own.bottom.0 = border.max(own.bottom.0);
                     } else {
-                        *is_narrow = true;
+                        *is_close = true;
                         below_room.top.1 = below.top();
                         own.bottom.0 = span.bottom();
                     }
@@ -165,7 +166,7 @@ impl Loose {
 
     /// The steps that are tried.
     fn lattices(&self, of: &HeightsOf, tolerance: u32) -> Vec<Lattice> {
-        if self.heights.len() < LEAST_HEIGHTS || self.is_narrow || tolerance == 0 {
+        if self.heights.len() < LEAST_HEIGHTS || self.is_close || tolerance == 0 {
             return vec![Lattice::QUANTA];
         }
         let own = Lattice::find(of, &[], &self.heights);
