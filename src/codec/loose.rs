@@ -352,10 +352,15 @@ impl<'a> Given<'a> for &'a Loose {
         }
         let (bottom_context, top_context) = (candidates.bottom_context(), candidates.thickness_context());
         let mut best = (u32::MAX, span);
-        for bottom in Choices::of(lattice, End::Bottom, room.bottom, is_free.then_some(candidates.bottom)).all() {
-            let bottom_cost = walk.cost(End::Bottom, bottom_context, candidates.bottom, bottom.2);
+        let bottoms = Choices::of(lattice, End::Bottom, room.bottom, is_free.then_some(candidates.bottom));
+        for bottom in bottoms.all() {
             let expected = bottom.1 as i32 + thickness;
-            for top in Choices::of(lattice, End::Top, room.top, is_free.then_some(expected)).all() {
+            let tops = Choices::of(lattice, End::Top, room.top, is_free.then_some(expected));
+            if bottoms.len == 1 && tops.len == 1 {
+                return with(bottom.0, tops.list[0].0);
+            }
+            let bottom_cost = walk.cost(End::Bottom, bottom_context, candidates.bottom, bottom.2);
+            for top in tops.all() {
                 let cost = bottom_cost + walk.cost(End::Top, top_context, expected, top.2);
                 if cost < best.0 {
                     best = (cost, with(bottom.0, top.0));
