@@ -188,6 +188,9 @@ fn order_threads_budget_and_parts_change_no_byte() {
         for (inputs, options) in [
             (&["one.laz"][..], &["--threads", "1"][..]),
             (&["turned.las"], &["--threads", "3", "--memory", "64MiB"]),
+            // Columns in strips of rows, and in smaller areas.
+            (&["turned.las"], &["--threads", "16", "--memory", "64MiB"]),
+            (&["turned.las"], &["--threads", "100", "--memory", "64MiB"]),
             (&["half-b.las", "half-a.laz"], &["--threads", "2"]),
         ] {
             convert(at, inputs, "again.slices", &[&["--colour", mode], options].concat());

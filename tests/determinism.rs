@@ -90,7 +90,8 @@ fn threads_and_memory_do_not_show_even_where_points_go_to_disk_and_columns_are_c
     let expected =
         archive(folder.path(), &[at("a.las")], &[&FINE[..], &["--memory", "2GiB", "--threads", "1"]].concat());
     verifies(&at("out.slices"));
-    for (memory, threads) in [("64MiB", "1"), ("64MiB", "4"), ("2GiB", "2")] {
+    // In strips of rows, and by 16 threads in smaller areas.
+    for (memory, threads) in [("64MiB", "1"), ("64MiB", "4"), ("64MiB", "16"), ("2GiB", "2")] {
         let options = [&FINE[..], &["--memory", memory, "--threads", threads]].concat();
         assert!(archive(folder.path(), &[at("a.las")], &options) == expected, "{memory}, {threads} threads");
     }

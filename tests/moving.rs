@@ -195,7 +195,9 @@ fn walkers_go_and_what_stands_stays_beside_glass_mirrors_plants_and_clutter() {
     }
     let mut turned = names.clone();
     turned.rotate_left(2);
-    for options in [&["--threads", "1"][..], &["--threads", "4", "--memory", "100MiB"]] {
+    // By 32 threads in strips of rows.
+    let few = ["--memory", "100MiB", "--threads"];
+    for options in [&["--threads", "1"][..], &[&few[..], &["4"]].concat(), &[&few[..], &["32"]].concat()] {
         let options: Vec<&str> = OPTIONS[..6].iter().chain(options).copied().collect();
         let moving = ["--remove-moving", "--stations", "stations.csv", "--removed", "gone.las", "-o", "out.slices"];
         converts(at, &[&turned[..], &options, &moving].concat());

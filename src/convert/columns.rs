@@ -5,7 +5,7 @@ use crate::plan::Plan;
 use crate::voxel::bands::Bands;
 use crate::voxel::colours::ValueSieve;
 use crate::voxel::fold::{Area, Folded, Moments, Patch, PieceFolder, Sums, Voxel};
-use crate::voxel::record::{ColumnKey, PATCH_AREA, Record, RecordPieces};
+use crate::voxel::record::{ColumnKey, PATCH_AREA, PATCH_PIXELS, Record, RecordPieces};
 use crate::voxel::runs::{ColumnJob, Merge};
 use crate::voxel::views::{CHUNK, Views};
 use crate::{Error, Monitor, Parameter, Result};
@@ -23,6 +23,9 @@ const MOST_RECORDS: u64 = u32::MAX as u64 / 2;
 const JOB_RECORDS: u64 = 1 << 16;
 /// Memory of one voxel in a column that is folded piece by piece: before and after a piece, and in the patch.
 const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u64;
+/// Strips of rows in which a column is worked on. More would look at their halo, and at records that are in no order, for longer than it
+/// takes to fold all piece by piece.
+const MOST_STRIPS: u64 = 16;
 /// What one worker does with a job.
 pub(super) trait ColumnWork {
     /// What comes of it.
@@ -221,19 +224,7 @@ impl<'a> Patches<'a> {
             let (own_values, others) = rest_of_values.split_at(if self.wants_values { of_values as usize } else { 0 });
             rest_of_values = others;
             if wanted(key) {
-                let own = loaded.column(number);
-                dropped += match self.views {
-                    None => self.patch.fold(&own, self.min_points, Area::TILE, &mut self.sums),
-                    Some(_) => {
-                        let mut staying = std::mem::take(&mut self.staying);
-                        staying.clear();
-                        own.each(|piece| staying.extend_from_slice(piece));
-                        self.remove_moving(key, Area::TILE, &mut staying);
-                        let dropped = self.patch.fold(&staying[..], self.min_points, Area::TILE, &mut self.sums);
-                        self.staying = staying;
-                        dropped
-                    }
-                };
+                dropped += self.fold(key, Area::TILE, &loaded.column(number));
                 dropped += take.area(key, Area::TILE, &mut self.patch, &mut self.sums);
                 if self.wants_values {
                     let sifted = self.views.map(|_| {
@@ -259,6 +250,20 @@ impl<'a> Patches<'a> {
         Ok(dropped)
     }
 
+    /// Folds the records of an area and its halo, without those that are taken for moving; returns how many voxels were dropped.
+    fn fold(&mut self, key: ColumnKey, area: Area, own: &impl RecordPieces) -> u64 {
+        if self.views.is_none() {
+            return self.patch.fold(own, self.min_points, area, &mut self.sums);
+        }
+        let mut staying = std::mem::take(&mut self.staying);
+        staying.clear();
+        own.each(|piece| staying.extend_from_slice(piece));
+        self.remove_moving(key, area, &mut staying);
+        let dropped = self.patch.fold(&staying[..], self.min_points, area, &mut self.sums);
+        self.staying = staying;
+        dropped
+    }
+
     fn remove_moving(&mut self, key: ColumnKey, area: Area, records: &mut Vec<Record>) {
         if let Some(views) = self.views {
             remove_moving(views, key, area, records, &mut self.removed);
@@ -273,21 +278,31 @@ impl<'a> Patches<'a> {
         own
     }
 
-    /// Works on a column of more records than memory holds. Where they make few voxels, one pass folds them piece by
-    /// piece; else the column is cut into areas of few enough records, with one pass for each.
+    /// Works on a column of more records than memory holds: in a few strips of rows that have few enough. Where there would be many, one
+    /// pass folds all records piece by piece if they make few voxels; else the column is cut into areas of few enough
+    /// records, with one pass for each.
     ///
-    /// Cost: one to three passes over the column's records, then for each area its rows.
+    /// Cost: one to three passes over the column's records, then for each strip or area its rows, and all records that are in no order.
     fn dense_column(&mut self, merge: &Merge<'_>, job: &ColumnJob, take: &mut impl TakeAreas) -> Result<u64> {
         let key = job.columns[0].0;
+        let mut dropped = 0;
+        if job.records <= MOST_STRIPS * self.max_records
+            && let Some(strips) = self.strips(&self.counts(merge, job)?)
+        {
+            for strip in strips {
+                let mut records = std::mem::take(&mut self.records);
+                let loaded = merge.load_rows(job, (strip.y.0, strip.y.1 + 2), &mut records)?;
+                dropped += self.fold(key, strip, &loaded.column(0));
+                self.records = records;
+                dropped += take.area(key, strip, &mut self.patch, &mut self.sums);
+                self.stream_values(merge, job, strip, take)?;
+            }
+            return Ok(dropped);
+        }
         if let Some(dropped) = self.fold_piecemeal(merge, job, Area::TILE, self.max_voxels(), take)? {
             return Ok(dropped);
         }
-        let mut counts = vec![0u64; PATCH_AREA];
-        self.stream(merge, job, Area::TILE, |records| {
-            records.iter().for_each(|record| counts[record.pixel()] += 1);
-            true
-        })?;
-        let mut dropped = 0;
+        let counts = self.counts(merge, job)?;
         let mut open = vec![Area::TILE];
         while let Some(area) = open.pop() {
             let with_halo: u64 = (0..PATCH_AREA).filter(|&pixel| area.holds_with_halo(pixel)).map(|p| counts[p]).sum();
@@ -320,6 +335,31 @@ impl<'a> Patches<'a> {
             }
         }
         Ok(dropped)
+    }
+
+    /// How many records of a job's only column each patch pixel has.
+    fn counts(&self, merge: &Merge<'_>, job: &ColumnJob) -> Result<Vec<u64>> {
+        let mut counts = vec![0; PATCH_AREA];
+        self.stream(merge, job, Area::TILE, |records| {
+            records.iter().for_each(|record| counts[record.pixel()] += 1);
+            true
+        })?;
+        Ok(counts)
+    }
+
+    /// A column with so many records in each patch pixel as strips of as many whole rows as may be at work at once with their halo;
+    /// `None` where a row has too many, or where the strips would be.
+    fn strips(&self, counts: &[u64]) -> Option<Vec<Area>> {
+        let rows: Vec<u64> = counts.chunks(PATCH_PIXELS).map(|row| row.iter().sum()).collect();
+        let mut strips = Vec::new();
+        let (mut begin, end) = (0, Area::TILE.y.1);
+        while begin < end {
+            let fits = |end: u32| rows[begin as usize..end as usize + 2].iter().sum::<u64>() <= self.max_records;
+            let last = (begin + 1..=end).take_while(|&end| fits(end)).last()?;
+            strips.push(Area { y: (begin, last), ..Area::TILE });
+            begin = last;
+        }
+        (strips.len() as u64 <= MOST_STRIPS).then_some(strips)
     }
 
     /// Voxels with sums that fit where `max_records` records do.

@@ -84,6 +84,17 @@ struct Stretch {
     columns: Vec<(u32, u32)>,
 }
 
+impl Stretch {
+    fn records(&self) -> u64 {
+        self.columns.iter().map(|column| u64::from(column.1)).sum()
+    }
+
+    /// Whether it is of one column, by pixel.
+    fn is_sorted(&self) -> bool {
+        self.columns.len() == 1 && self.records() >= SORTED_RECORDS
+    }
+}
+
 /// A few neighbouring tile columns to be worked on together, in archive order.
 #[derive(Debug, Default)]
 pub struct ColumnJob {
@@ -212,8 +223,7 @@ impl<'a> Merge<'a> {
                 }
                 RunStorage::Disk { .. } => {
                     let mut begin = buffer.len();
-                    let total: usize = stretch.columns.iter().map(|column| column.1 as usize).sum();
-                    buffer.resize(begin + total, Record(0));
+                    buffer.resize(begin + stretch.records() as usize, Record(0));
                     self.store.read_records(&self.runs[stretch.run], stretch.first_record, &mut buffer[begin..])?;
                     for &(column, count) in &stretch.columns {
                         let end = begin + count as usize;
@@ -225,6 +235,42 @@ impl<'a> Merge<'a> {
         }
         // Those of a column stay in the order of runs.
         parts.sort_by_key(|part| part.0);
+        Ok(LoadedRecords { parts, buffer })
+    }
+
+    /// The records of a job's only column whose pixels lie in the `rows` (first and end) of its patch; those that are on disk or in no
+    /// order are put into `buffer`.
+    pub fn load_rows<'b>(
+        &'b self,
+        job: &ColumnJob,
+        rows: (u32, u32),
+        buffer: &'b mut Vec<Record>,
+    ) -> Result<LoadedRecords<'b>> {
+        let mut parts = Vec::new();
+        buffer.clear();
+        for stretch in &job.stretches {
+            let run = &self.runs[stretch.run];
+            let (begin, is_sorted) = (buffer.len(), stretch.is_sorted());
+            let within = self.rows_of(stretch, rows)?;
+            let (first, count) = (stretch.first_record + within.start, (within.end - within.start) as usize);
+            if let (RunStorage::Memory { records, .. }, true) = (&run.storage, is_sorted) {
+                parts.push((0, Part::InMemory(&records[first as usize..first as usize + count])));
+                continue;
+            }
+            buffer.resize(begin + count, Record(0));
+            self.store.read_records(run, first, &mut buffer[begin..])?;
+            if !is_sorted {
+                let pixels = rows.0 as usize * PATCH_PIXELS..rows.1 as usize * PATCH_PIXELS;
+                let mut kept = begin;
+                for number in begin..buffer.len() {
+                    let record = buffer[number];
+                    buffer[kept] = record;
+                    kept += usize::from(pixels.contains(&record.pixel()));
+                }
+                buffer.truncate(kept);
+            }
+            parts.push((0, Part::Read(begin..buffer.len())));
+        }
         Ok(LoadedRecords { parts, buffer })
     }
 
@@ -260,10 +306,7 @@ impl<'a> Merge<'a> {
     ) -> Result<()> {
         let mut buffer = Vec::new();
         for stretch in stretches {
-            let (mut first, mut end) = (0, stretch.columns.iter().map(|column| u64::from(column.1)).sum());
-            if end >= SORTED_RECORDS && stretch.columns.len() == 1 {
-                (first, end) = (self.row_begins(stretch, end, rows.0)?, self.row_begins(stretch, end, rows.1)?);
-            }
+            let Range { start: mut first, end } = self.rows_of(stretch, rows)?;
             while first < end {
                 buffer.resize((end - first).min(chunk as u64) as usize, Record(0));
                 self.store.read_records(&self.runs[stretch.run], stretch.first_record + first, &mut buffer)?;
@@ -276,9 +319,17 @@ impl<'a> Merge<'a> {
         Ok(())
     }
 
-    /// Number of the first record of a sorted stretch of `records` that does not lie before `row`.
-    fn row_begins(&self, stretch: &Stretch, records: u64, row: u32) -> Result<u64> {
-        let (mut low, mut high) = (0, records);
+    /// Numbers of the records of a stretch that lie in `rows`; of all if it is not sorted.
+    fn rows_of(&self, stretch: &Stretch, rows: (u32, u32)) -> Result<Range<u64>> {
+        Ok(match stretch.is_sorted() {
+            true => self.row_begins(stretch, rows.0)?..self.row_begins(stretch, rows.1)?,
+            false => 0..stretch.records(),
+        })
+    }
+
+    /// Number of the first record of a sorted stretch that does not lie before `row`.
+    fn row_begins(&self, stretch: &Stretch, row: u32) -> Result<u64> {
+        let (mut low, mut high) = (0, stretch.records());
         while low < high {
             let middle = low + (high - low) / 2;
             let mut record = [Record(0)];

@@ -222,6 +222,13 @@ mod tests {
                             assert!(some.len() < all.len() / 2, "{} of {}", some.len(), all.len());
                         }
                         some.retain(within);
+                        let (mut loaded, mut buffer) = (Vec::new(), Vec::new());
+                        merge
+                            .load_rows(&job, rows, &mut buffer)?
+                            .column(0)
+                            .each(|piece| loaded.extend_from_slice(piece));
+                        loaded.sort_unstable();
+                        assert_eq!(loaded, some, "no other rows");
                         assert_eq!(some, all.iter().copied().filter(within).collect::<Vec<_>>());
                     }
                     Ok(())
