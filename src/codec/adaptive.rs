@@ -370,6 +370,11 @@ pub(super) trait Given<'a> {
     fn chosen<C>(&self, span: Span, _at: (usize, usize), _: &Candidates, _: &Traversal<'_, C>) -> Span {
         span
     }
+    /// Whether the walk goes on with a row of pixels; `cost` tells what the rows before it take (1/64 bit).
+    #[inline]
+    fn goes_on(&mut self, _row: u32, _cost: impl FnOnce() -> u64) -> bool {
+        true
+    }
 }
 
 /// For decoding: nothing.
@@ -504,6 +509,9 @@ pub(super) fn walk<'a, C: Coder>(
     while pixel < PIXELS {
         let (px, py) = (pixel as u32 % 64, pixel as u32 / 64);
         if px == 0 {
+            if !given.goes_on(py, || traversal.coder.cost()) {
+                break;
+            }
             before = Before::row(row, row_north);
             (row_north, row) = (row, 0);
         }

@@ -12,7 +12,7 @@
 
 use super::adaptive::{Candidates, Given, PIXELS, Rows, SLICE, Scratch, Traversal, choose, length_on, telling_heights};
 use super::lattice::{End, HeightsOf, LEAST_HEIGHTS, Lattice, ONE};
-use super::rans::RansEncoder;
+use super::rans::{Coder, RansEncoder};
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::slice::{Page, PageBuilder, Span};
 
@@ -24,6 +24,10 @@ const MOST_PAIRS: usize = 1024;
 const CUT_SPANS: usize = 16;
 /// So many spans stay true to the scan on narrow steps.
 const TRUE_SPANS: usize = 8;
+/// After each so many rows of pixels a way is compared with the shortest one, once that has taken a quarter of all it takes.
+const ROWS: u32 = 8;
+/// A way that then takes more by one part in so many is given up.
+const HOPELESS: u64 = 32;
 /// What a height takes that lies below the lowest step, in that comparison.
 const BELOW: u32 = 20;
 
@@ -52,6 +56,17 @@ pub struct Loose {
     best: Tried,
 }
 
+/// A way to be tried, beside the shortest one so far and what that takes.
+struct Attempt<'a> {
+    loose: &'a Loose,
+    shortest: Option<&'a (u64, RowCosts)>,
+    costs: RowCosts,
+    is_given_up: bool,
+}
+
+/// What the rows before each that is a multiple of [`ROWS`] take (1/64 bit).
+type RowCosts = [u64; PIXELS / 64 / ROWS as usize];
+
 /// Heights on steps, and their symbols.
 #[derive(Debug)]
 pub struct Tried {
@@ -77,9 +92,10 @@ impl Loose {
         builder: &mut PageBuilder,
     ) -> (Page, &mut Tried) {
         self.set(page, tolerance, merges);
-        let mut shortest = None;
+        let mut shortest: Option<(u64, RowCosts)> = None;
         for lattice in self.lattices(of, tolerance) {
-            self.try_on(lattice, scratch);
+            let before = shortest.as_ref().filter(|_| !self.is_cut);
+            let Some(costs) = self.try_on(lattice, before, scratch) else { continue };
             let mut length = self.tried.encoder.cost();
             if self.is_cut {
                 // Other steps may be found in the heights than those they were chosen on.
@@ -88,20 +104,28 @@ impl Loose {
                 let lattice = Lattice::find_short(of, steps, &self.heights).unwrap_or(Lattice::QUANTA);
                 length = length_on(lattice, &page, scratch);
             }
-            if shortest.is_none_or(|shortest| length < shortest) {
-                shortest = Some(length);
+            if shortest.is_none_or(|shortest| length < shortest.0) {
+                shortest = Some((length, costs));
                 std::mem::swap(&mut self.best, &mut self.tried);
             }
         }
         (self.built(&self.best, builder), &mut self.best)
     }
 
-    /// Chooses heights on `lattice`.
-    fn try_on(&mut self, lattice: Lattice, scratch: &mut Scratch) {
+    /// Chooses heights on `lattice`, and returns what its rows take; `None` if that is hopelessly more than those of the `shortest` way.
+    fn try_on(
+        &mut self,
+        lattice: Lattice,
+        shortest: Option<&(u64, RowCosts)>,
+        scratch: &mut Scratch,
+    ) -> Option<RowCosts> {
         let mut tried = std::mem::take(&mut self.tried);
         tried.lattice = lattice;
-        choose(&*self, &mut tried, scratch);
+        let mut attempt = Attempt { loose: self, shortest, costs: RowCosts::default(), is_given_up: false };
+        choose(&mut attempt, &mut tried, scratch);
+        let Attempt { costs, is_given_up, .. } = attempt;
         self.tried = tried;
+        (!is_given_up).then_some(costs)
     }
 
     /// The page of the spans of `tried`.
@@ -329,19 +353,31 @@ fn follow(expected: i32, (low, high): (u32, u32)) -> u32 {
     height as u32
 }
 
-impl<'a> Given<'a> for &'a Loose {
+impl<'a> Given<'a> for &mut Attempt<'a> {
     fn blocks(&self) -> (u64, u64) {
-        self.blocks
+        self.loose.blocks
     }
 
     fn spans(&mut self, px: u32, py: u32) -> &'a [Span] {
-        let pixel = (py * 64 + px) as usize;
-        &self.spans[self.first[pixel] as usize..self.first[pixel + 1] as usize]
+        let (loose, pixel) = (self.loose, (py * 64 + px) as usize);
+        &loose.spans[loose.first[pixel] as usize..loose.first[pixel + 1] as usize]
+    }
+
+    fn goes_on(&mut self, row: u32, cost: impl FnOnce() -> u64) -> bool {
+        if row.is_multiple_of(ROWS) {
+            let (number, cost) = ((row / ROWS) as usize, cost());
+            self.costs[number] = cost;
+            let is_hopeless = |&(all, shortest): &(u64, RowCosts)| {
+                4 * shortest[number] > all && cost > shortest[number] + shortest[number] / HOPELESS
+            };
+            self.is_given_up = self.shortest.is_some_and(is_hopeless);
+        }
+        !self.is_given_up
     }
 
     fn chosen<C>(&self, span: Span, at: (usize, usize), candidates: &Candidates, walk: &Traversal<'_, C>) -> Span {
-        let number = self.first[at.0] as usize + at.1;
-        let room = self.room[number];
+        let number = self.loose.first[at.0] as usize + at.1;
+        let room = self.loose.room[number];
         // The first heights, if there is much to choose from, are true to the scan.
         let is_free = number >= TRUE_SPANS;
         let (lattice, thickness) = (&walk.lattice, candidates.thickness);

@@ -110,10 +110,26 @@ const LOG: [u8; 64] = {
 /// What a symbol of `count` slots takes (1/64 bit).
 #[inline]
 fn cost_of(count: u32) -> u32 {
+    SCALE_BITS * COST_BIT - log(count.into())
+}
+
+/// What symbols of so many slots take together (1/64 bit).
+fn cost_of_all(slots: &[(u16, u16)]) -> u64 {
+    // A product of four, which fits into 64 bits, has one logarithm.
+    const _: () = assert!(4 * SCALE_BITS < u64::BITS);
+    let log_of = |slots: &[(u16, u16)]| u64::from(log(slots.iter().map(|&(_, count)| u64::from(count)).product()));
+    let (fours, rest) = slots.as_chunks::<4>();
+    let logs = fours.iter().map(|four| log_of(four)).sum::<u64>() + log_of(rest);
+    slots.len() as u64 * u64::from(SCALE_BITS * COST_BIT) - logs
+}
+
+/// The logarithm of `count` to the base 2, rounded down to 1/64.
+#[inline]
+fn log(count: u64) -> u32 {
     let whole = count.ilog2();
     // The six bits below the highest.
-    let fraction = LOG[((count << 6 >> whole) & 63) as usize];
-    (SCALE_BITS - whole) * COST_BIT - fraction as u32
+    let fraction = LOG[(count >> whole.saturating_sub(6) << 6u32.saturating_sub(whole)) as usize & 63];
+    whole * COST_BIT + u32::from(fraction)
 }
 
 /// Adaptive probability of a bit.
@@ -162,11 +178,17 @@ pub trait Coder {
     fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
     /// `bits` bits [1..=15] of equal probability.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
+    /// What all symbols so far take, but for rounding (1/64 bit); 0 where that is not known.
+    fn cost(&mut self) -> u64 {
+        0
+    }
 }
 
 /// Writes symbols; reusable.
 #[derive(Debug, Default)]
 pub struct RansEncoder {
+    /// What the first symbols take (1/64 bit), and how many these are.
+    cost: (u64, usize),
     /// First slot and number of slots of each symbol. What is decoded first is encoded last, so they wait here.
     slots: Vec<(u16, u16)>,
     words: Vec<u16>,
@@ -200,11 +222,12 @@ impl RansEncoder {
     /// Forgets all symbols.
     pub fn clear(&mut self) {
         self.slots.clear();
+        self.cost = (0, 0);
     }
 
     /// Appends the bytes of all symbols since [`clear`](Self::clear): the state (u32), then its words (u16).
     pub fn finish(&mut self, out: &mut Vec<u8>) {
-        let Self { slots, words } = self;
+        let Self { slots, words, .. } = self;
         let inverses = inverses();
         words.resize(slots.len() + 1, 0);
         let (mut state, mut length) = (LOW, 0);
@@ -219,11 +242,6 @@ impl RansEncoder {
         }
         out.extend(state.to_le_bytes());
         out.extend(words[..length].iter().rev().flat_map(|word| word.to_le_bytes()));
-    }
-
-    /// What all symbols since [`clear`](Self::clear) take, but for rounding (1/64 bit).
-    pub fn cost(&self) -> u64 {
-        self.slots.iter().map(|&(_, count)| u64::from(cost_of(count.into()))).sum()
     }
 
     /// Replaces the first symbols by those of `other`.
@@ -258,6 +276,12 @@ impl Coder for RansEncoder {
         let shift = SCALE_BITS - bits;
         self.push((value << shift, 1 << shift));
         value
+    }
+
+    fn cost(&mut self) -> u64 {
+        let (cost, counted) = self.cost;
+        self.cost = (cost + cost_of_all(&self.slots[counted..]), self.slots.len());
+        self.cost.0
     }
 }
 
@@ -371,6 +395,24 @@ mod tests {
         for count in 1..=SCALE {
             let exact = f64::from(COST_BIT) * (f64::from(SCALE) / f64::from(count)).log2();
             assert!((f64::from(cost_of(count)) - exact).abs() < 2.5, "{count}");
+        }
+    }
+
+    #[test]
+    fn costs_add_up_wherever_they_are_asked_for() {
+        let bits = |number: u32| 1 + number * 7 % 15;
+        let exact: u32 = (0..1000).map(|number| bits(number) * COST_BIT).sum();
+        for asked_every in [1, 2, 3, 7, 1000] {
+            let mut encoder = RansEncoder::default();
+            for number in 0..1000 {
+                encoder.raw(bits(number), 0);
+                if number % asked_every == 0 {
+                    encoder.cost();
+                }
+            }
+            assert_eq!(encoder.cost(), u64::from(exact), "asked every {asked_every} symbols");
+            encoder.clear();
+            assert_eq!(encoder.cost(), 0);
         }
     }
 

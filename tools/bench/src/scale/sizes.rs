@@ -7,6 +7,7 @@ use crate::reading::read_las;
 use crate::stability::Result;
 use crate::stability::table::{Table, number};
 use crate::watch::Memory;
+use std::io::{Read, Seek, Write};
 use std::path::Path;
 use std::time::Instant;
 
@@ -32,6 +33,8 @@ pub fn measure(found: &mut Found, work: &Path, millions: &[u64], quick: bool) ->
         "ratio",
         "peak (MiB)",
         "temporary (B a point)",
+        "the file alone (s)",
+        "temporary data alone (s)",
         "archive (MB)",
         "(B a point)",
     ]);
@@ -58,7 +61,8 @@ pub fn measure(found: &mut Found, work: &Path, millions: &[u64], quick: bool) ->
         "## Conversion against the number of points\n\n{DENSITY} points on a square metre, `--memory 512MiB --pixel 0.1` (four times the spacing of points, as `--pixel auto` chooses); blocks in random order, points in random \
          order within each block; the file is read once before, so it is cached as far as the memory goes. Median of \
          three runs up to 100 M points, one run beyond; `las` reads the same file on one thread, in turn with the \
-         conversions.\n\n{}\n{notes}",
+         conversions. *The file alone*: its bytes are read and nothing else is done; *temporary data alone*: as many bytes as the conversion \
+         puts aside are written and read back.\n\n{}\n{notes}",
         table.markdown()
     ));
     let mut samples = Table::new(["t_s", "rss_bytes"]);
@@ -91,6 +95,7 @@ fn one(found: &mut Found, work: &Path, points: u64, runs: usize) -> Result<(Vec<
         last = Some(measured);
     }
     let measured = last.ok_or("no run")?;
+    let (of_file, of_temporary) = (time(|| read_bytes(&scan))?, time(|| spill(work, measured.temp_bytes))?);
     let rates: Vec<f64> = seconds.iter().map(|seconds| points as f64 / seconds).collect();
     for (metric, values) in [
         ("points_per_s", &rates),
@@ -99,6 +104,8 @@ fn one(found: &mut Found, work: &Path, points: u64, runs: usize) -> Result<(Vec<
         ("read_points_per_s", &reading),
         ("temp_bytes", &vec![measured.temp_bytes as f64]),
         ("archive_bytes", &vec![measured.bytes as f64]),
+        ("file_alone_s", &vec![of_file]),
+        ("temp_alone_s", &vec![of_temporary]),
     ] {
         found.add("conversion", points, metric, values);
     }
@@ -117,8 +124,40 @@ fn one(found: &mut Found, work: &Path, points: u64, runs: usize) -> Result<(Vec<
         number(rate / read, 3),
         number(peak / f64::from(1 << 20), 0),
         each(measured.temp_bytes),
+        number(of_file, 2),
+        number(of_temporary, 2),
         number(measured.bytes as f64 / 1e6, 1),
         each(measured.bytes),
     ];
     Ok((row, resident))
+}
+
+/// Bytes that are read or written at once.
+const PIECE: usize = 1 << 20;
+
+fn time(work: impl FnOnce() -> Result<()>) -> Result<f64> {
+    let start = Instant::now();
+    work()?;
+    Ok(start.elapsed().as_secs_f64())
+}
+
+fn read_bytes(path: &Path) -> Result<()> {
+    let (mut file, mut piece) = (std::fs::File::open(path)?, vec![0; PIECE]);
+    while file.read(&mut piece)? > 0 {}
+    Ok(())
+}
+
+/// Writes so many bytes to a new file in `folder` and reads them back.
+fn spill(folder: &Path, bytes: u64) -> Result<()> {
+    let mut file = tempfile::tempfile_in(folder)?;
+    let mut piece = vec![1; PIECE];
+    let mut left = bytes;
+    while left > 0 {
+        let now = left.min(PIECE as u64);
+        file.write_all(&piece[..now as usize])?;
+        left -= now;
+    }
+    file.rewind()?;
+    while file.read(&mut piece)? > 0 {}
+    Ok(())
 }
