@@ -14,7 +14,7 @@ use super::adaptive::{Candidates, Given, PIXELS, Rows, SLICE, Scratch, Traversal
 use super::lattice::{End, HeightsOf, LEAST_HEIGHTS, Lattice, ONE};
 use super::rans::{Coder, RansEncoder};
 use crate::frame::{Frame, PAGE_QUANTA};
-use crate::slice::{Page, PageBuilder, Span};
+use crate::slice::{Page, RowBuilder, Span};
 
 /// Phases of steps that are compared.
 const PHASES: u64 = 8;
@@ -89,7 +89,7 @@ impl Loose {
         (of, steps): (&HeightsOf, &[u64]),
         (page, tolerance, merges): (&Page, u32, bool),
         scratch: &mut Scratch,
-        builder: &mut PageBuilder,
+        builder: &mut RowBuilder,
     ) -> (Page, &mut Tried) {
         self.set(page, tolerance, merges);
         let mut shortest: Option<(u64, RowCosts)> = None;
@@ -129,12 +129,17 @@ impl Loose {
     }
 
     /// The page of the spans of `tried`.
-    fn built(&self, tried: &Tried, builder: &mut PageBuilder) -> Page {
-        builder.clear();
-        for (pixel, ends) in self.first.windows(2).enumerate().filter(|(_, ends)| ends[0] < ends[1]) {
+    fn built(&self, tried: &Tried, builder: &mut RowBuilder) -> Page {
+        let occupied = || self.first.windows(2).enumerate().filter(|(_, ends)| ends[0] < ends[1]);
+        let mut rows = [0u64; 64];
+        occupied().for_each(|(pixel, _)| rows[pixel / 64] |= 1 << (pixel % 64));
+        builder.begin(rows);
+        for (pixel, ends) in occupied() {
+            let (px, py) = (pixel as u32 % 64, pixel as u32 / 64);
             let own = &tried.spans[ends[0] as usize..ends[1] as usize];
-            let taken = builder.set_column(pixel as u32 % 64, pixel as u32 / 64, own);
-            debug_assert!(taken, "pixel {pixel}: {own:?}");
+            debug_assert!(own.windows(2).all(|pair| pair[0].lies_below(pair[1])), "pixel {pixel}: {own:?}");
+            own.iter().for_each(|&span| builder.push(px, span));
+            builder.end_pixel(px, py);
         }
         builder.build()
     }
@@ -147,10 +152,10 @@ impl Loose {
         spans.clear();
         room.clear();
         heights.clear();
-        for pixel in 0..PIXELS as u32 {
+        for (px, py, column) in page.columns() {
             let start = spans.len();
-            first.push(start as u32);
-            for &span in page.column(pixel % 64, pixel / 64) {
+            first.resize((py * 64 + px + 1) as usize, start as u32);
+            for &span in column {
                 let mut own = Room {
                     bottom: (span.bottom().saturating_sub(tolerance), span.bottom()),
                     top: (span.top(), (span.top() + tolerance).min(PAGE_QUANTA as u32)),
@@ -179,7 +184,7 @@ impl Loose {
                 room.push(own);
             }
         }
-        first.push(spans.len() as u32);
+        first.resize(PIXELS + 1, spans.len() as u32);
         let fixed = |&&(low, high): &&(u32, u32)| low == high && low % SLICE == 0;
         let cut = room.iter().flat_map(|room| [&room.bottom, &room.top]).filter(fixed).count();
         *is_cut = cut * CUT_SPANS > spans.len();
@@ -413,7 +418,7 @@ mod tests {
     use crate::codec::adaptive::tests::pages;
     use crate::codec::{Decoder, Encoder, MAX_BODY};
     use crate::plan::Coding;
-    use crate::slice::Inferred;
+    use crate::slice::{Inferred, PageBuilder};
     use proptest::prelude::*;
 
     fn frame() -> Frame {

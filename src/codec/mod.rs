@@ -88,7 +88,7 @@ pub struct Encoder {
     braided: Option<Box<braided::Scratch>>,
     heights: Vec<(u32, End)>,
     loose: loose::Loose,
-    builder: PageBuilder,
+    builder: RowBuilder,
 }
 
 impl Encoder {
@@ -118,7 +118,7 @@ impl Encoder {
             braided: None,
             heights: Vec::new(),
             loose: Default::default(),
-            builder: PageBuilder::default(),
+            builder: RowBuilder::default(),
         }
     }
 
