@@ -234,7 +234,14 @@ impl Recorder {
     /// Gives `sink` each point's record, and its copies for tile columns whose halo it lies in. The points, at most
     /// [`BATCH`], must be within [`reaches`](Self::reaches).
     pub fn record(&self, x: &[f64], y: &[f64], z: &[f64], mut sink: impl FnMut(ColumnIndex, Record)) {
-        self.places(x, y, z, |_, fx, fy, steps| self.place(fx, fy, steps, &mut sink));
+        let places = self.places(x, y, z);
+        match Near::of(&places) {
+            Some(near) => near.each(places.count, sink),
+            None => places.each(|_, fx, fy, steps| {
+                let place = place_of(fx, fy, steps);
+                spread((fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS), slice_of(steps), place, &mut sink);
+            }),
+        }
     }
 
     /// Gives `sink` one or two records of each point's voxel with `values` of the point with this number, and no copies; before them,
@@ -246,7 +253,7 @@ impl Recorder {
         mut values: impl FnMut(usize) -> (u32, Option<u32>),
         mut sink: impl FnMut(ColumnIndex, Record),
     ) {
-        self.places(x, y, z, |number, fx, fy, steps| {
+        self.places(x, y, z).each(|number, fx, fy, steps| {
             let (i, j) = (fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS);
             let slice = slice_of(steps);
             let block = (slice + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
@@ -291,39 +298,136 @@ impl Recorder {
         }
     }
 
-    /// Gives `take` the number of each point, its place in subpixels, and its height in steps.
     #[inline]
-    fn places(&self, x: &[f64], y: &[f64], z: &[f64], mut take: impl FnMut(usize, i64, i64, i64)) {
-        let count = x.len().min(y.len()).min(z.len());
-        // One array per coordinate, so that the arithmetic compiles to vector instructions.
-        let [mut fx, mut fy, mut steps] = [[0i64; BATCH]; 3];
+    fn places(&self, x: &[f64], y: &[f64], z: &[f64]) -> Places {
+        let count = x.len().min(y.len()).min(z.len()).min(BATCH);
+        let [mut fx, mut fy, mut steps] = [[0; BATCH]; 3];
         let across = |to: &mut [i64; BATCH], from: &[f64]| {
-            for (to, from) in to.iter_mut().zip(from) {
+            for (to, from) in to.iter_mut().zip(&from[..count]) {
                 *to = floor_small(from * self.subpixels_per_m);
             }
         };
         across(&mut fx, x);
         across(&mut fy, y);
-        for (steps, z) in steps.iter_mut().zip(z) {
+        for (steps, z) in steps.iter_mut().zip(&z[..count]) {
             let cells = z * self.cells_per_m;
             let cell = floor_small(cells);
             *steps = 2 * cell + (cell as f64 != cells) as i64;
         }
-        for (number, ((&fx, &fy), &steps)) in fx.iter().zip(&fy).zip(&steps).take(count).enumerate() {
-            take(number, fx, fy, steps);
-        }
-    }
-
-    #[inline]
-    fn place(&self, fx: i64, fy: i64, steps: i64, sink: &mut impl FnMut(ColumnIndex, Record)) {
-        let place = place_of(fx, fy, steps);
-        spread((fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS), slice_of(steps), place, sink);
+        Places { count, fx, fy, steps }
     }
 
     /// Gives `sink` the record of what a surface fills of a voxel, and its copies. The voxel must be on the grid.
     pub fn record_surface(&self, voxel: &SurfaceVoxel, mut sink: impl FnMut(ColumnIndex, Record)) {
         spread(voxel.pixel, voxel.slice, place_of_surface(voxel.part), &mut sink);
     }
+}
+
+/// Where the points of a batch lie on the grid: one array per coordinate, so that the arithmetic compiles to vector instructions.
+struct Places {
+    count: usize,
+    /// Subpixels.
+    fx: [i64; BATCH],
+    fy: [i64; BATCH],
+    /// Height in steps.
+    steps: [i64; BATCH],
+}
+
+impl Places {
+    /// Gives `take` the number of each point, its place in subpixels, and its height in steps.
+    #[inline]
+    fn each(&self, mut take: impl FnMut(usize, i64, i64, i64)) {
+        let Self { count, fx, fy, steps } = self;
+        for (number, ((&fx, &fy), &steps)) in fx.iter().zip(fy).zip(steps).take(*count).enumerate() {
+            take(number, fx, fy, steps);
+        }
+    }
+}
+
+/// The records of a batch whose points lie so near each other, as they do in nearly all, that numbers of 32 bits say where: twice as many of
+/// them are computed at once.
+struct Near {
+    block: i16,
+    /// Tile column, and whether the point lies in a halo.
+    tx: [i32; BATCH],
+    ty: [i32; BATCH],
+    is_copied: [bool; BATCH],
+    records: [u64; BATCH],
+}
+
+impl Near {
+    /// `None` where points lie too far from the first: 2³⁰ subpixels, 2¹⁷ slices, or in another block.
+    #[inline]
+    fn of(places: &Places) -> Option<Self> {
+        const TILE_BITS: u32 = TILE_PIXELS.ilog2();
+        const BELOW: i64 = 1 << 17;
+        let Places { count, fx, fy, steps } = places;
+        let first_slice = slice_of(steps[0]) - BELOW;
+        let block = (first_slice + BELOW + BLOCK_SLICES / 2).div_euclid(BLOCK_SLICES);
+        let lowest = i32::try_from(first_slice + BLOCK_SLICES / 2 - block * BLOCK_SLICES).ok()?;
+        let mut near = Self {
+            block: block as i16,
+            tx: [0; BATCH],
+            ty: [0; BATCH],
+            is_copied: [false; BATCH],
+            records: [0; BATCH],
+        };
+        // Whole tiles away from the first point's.
+        let origin = |first: i64| first >> (SUBPIXEL_BITS + TILE_BITS);
+        let (tx, ty) = (origin(fx[0]), origin(fy[0]));
+        let from = |tile: i64| tile << (SUBPIXEL_BITS + TILE_BITS);
+        let (from_x, from_y, from_z) = (from(tx), from(ty), first_slice * SLICE_STEPS);
+        // Has a bit where some number needs more than 31 of them, or a slice lies beyond the block.
+        let mut far = 0;
+        for number in 0..*count {
+            let (x, y, z) = (fx[number] - from_x, fy[number] - from_y, steps[number] - from_z);
+            far |= ((x + (1 << 30)) as u64 | (y + (1 << 30)) as u64 | z as u64) >> 31;
+            let (x, y, z) = (x as i32, y as i32, z as u32);
+            let above = z / SLICE_STEPS as u32;
+            let height = z - above * SLICE_STEPS as u32;
+            let slice = (lowest + above as i32) as u32;
+            far |= u64::from(slice >> SLICE_BITS);
+            let pixel = |subpixel: i32| (subpixel >> SUBPIXEL_BITS) & (TILE_PIXELS as i32 - 1);
+            let (px, py) = (pixel(x), pixel(y));
+            near.tx[number] = (tx as i32).wrapping_add(x >> (SUBPIXEL_BITS + TILE_BITS));
+            near.ty[number] = (ty as i32).wrapping_add(y >> (SUBPIXEL_BITS + TILE_BITS));
+            let is_at_edge = |p: i32| p < HALO_PIXELS as i32 || p >= (TILE_PIXELS - HALO_PIXELS) as i32;
+            near.is_copied[number] = is_at_edge(px) | is_at_edge(py);
+            let patch_pixel = (py + HALO_PIXELS as i32) * PATCH_PIXELS as i32 + px + HALO_PIXELS as i32;
+            let within = |subpixel: i32| subpixel as u32 & (SUBPIXELS as u32 - 1);
+            let place = (height << SUBPIXEL_BITS | within(x)) << SUBPIXEL_BITS | within(y);
+            near.records[number] = u64::from(patch_pixel as u32) << (SLICE_BITS + PLACE_BITS)
+                | u64::from(slice) << PLACE_BITS
+                | u64::from(place);
+        }
+        (far == 0).then_some(near)
+    }
+
+    /// Gives `sink` the records of the first `count` points, then their copies.
+    #[inline]
+    fn each(&self, count: usize, mut sink: impl FnMut(ColumnIndex, Record)) {
+        let record = |number: usize| {
+            let index = ColumnIndex { tx: self.tx[number], ty: self.ty[number], block: self.block };
+            (index, Record(self.records[number]))
+        };
+        for (index, own) in (0..count).map(record) {
+            sink(index, own);
+        }
+        for number in (0..count).filter(|&number| self.is_copied[number]) {
+            let (index, own) = record(number);
+            copy(index, own, beyond(own.pixel()), &mut sink);
+        }
+    }
+}
+
+/// On which sides a pixel of a tile lies in the halo of another, along x and y.
+#[inline]
+fn beyond(patch_pixel: usize) -> (i64, i64) {
+    let side = |p: usize| {
+        let p = p as i64 - HALO_PIXELS;
+        i64::from(p >= TILE_PIXELS - HALO_PIXELS) - i64::from(p < HALO_PIXELS)
+    };
+    (side(patch_pixel % PATCH_PIXELS), side(patch_pixel / PATCH_PIXELS))
 }
 
 /// Lower bits of the record of what a surface fills of a voxel.
@@ -363,10 +467,9 @@ fn spread((i, j): (i64, i64), slice: i64, place: u64, sink: &mut impl FnMut(Colu
     let pixel = (py + HALO_PIXELS) * PATCH_PIXELS as i64 + px + HALO_PIXELS;
     let record = Record::new(pixel as u64, slice, place);
     sink(index, record);
-    let beyond = |p: i64| i64::from(p >= TILE_PIXELS - HALO_PIXELS) - i64::from(p < HALO_PIXELS);
-    let (dx, dy) = (beyond(px), beyond(py));
-    if (dx, dy) != (0, 0) {
-        copy(index, record, (dx, dy), sink);
+    let sides = beyond(pixel as usize);
+    if sides != (0, 0) {
+        copy(index, record, sides, sink);
     }
 }
 
@@ -414,6 +517,35 @@ mod tests {
 
     proptest! {
         #[test]
+        fn batches_of_near_and_of_far_points_are_recorded_as_their_points_are(
+            origin in prop::array::uniform3(-1e6f64..1e6),
+            mut points in prop::collection::vec(prop::array::uniform3(-30f64..30.0), 1..60),
+            far in 0usize..9,
+        ) {
+            // One point lies farther along one axis than is near, or none does.
+            let (too_far, in_reach) = ([1e6, 1e6, 2.3e4], far >= 3);
+            points.iter_mut().flatten().enumerate().for_each(|(at, v)| *v += origin[at % 3]);
+            if !in_reach {
+                let near = points[0];
+                points[0][far] += too_far[far];
+                points.push(near);
+            }
+            let recorder = Recorder::new(Frame::new(0.05, 0.15).unwrap());
+            let [x, y, z] = [0, 1, 2].map(|axis| points.iter().map(|p| p[axis]).collect::<Vec<_>>());
+            let places = recorder.places(&x, &y, &z);
+            prop_assert_eq!(Near::of(&places).is_some(), in_reach || points.len() == 1);
+            let (mut found, mut expected) = (Vec::new(), Vec::new());
+            recorder.record(&x, &y, &z, |index, record| found.push((index.key(), record)));
+            places.each(|_, fx, fy, steps| {
+                let (pixel, place) = ((fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS), place_of(fx, fy, steps));
+                spread(pixel, slice_of(steps), place, &mut |index, record| expected.push((index.key(), record)));
+            });
+            found.sort_unstable();
+            expected.sort_unstable();
+            prop_assert_eq!(found, expected);
+        }
+
+        #[test]
         fn surfaces_come_back_slice_by_slice(
             i in -100_000i64..100_000, j in -200i64..200, bottom in -3000i64..3000, extent in 0i64..2000, steep: bool
         ) {
@@ -441,6 +573,20 @@ mod tests {
         fn points_are_no_surfaces(x in -1e3f64..1e3, z in -1e3f64..1e3) {
             let recorder = Recorder::new(Frame::new(0.1, 0.3).unwrap());
             recorder.record(&[x], &[x], &[z], |_, record| assert_eq!(record.content(), Content::Point));
+        }
+    }
+
+    #[test]
+    fn points_on_both_sides_of_a_block_s_border_keep_their_blocks() {
+        let frame = Frame::new(1.0, 3.0).unwrap();
+        let border = 3.0 * (BLOCK_SLICES / 2) as f64;
+        let z = [border - 1.0, border + 1.0];
+        for z in [z, [z[1], z[0]]] {
+            let mut found = Vec::new();
+            Recorder::new(frame).record(&[1.5; 2], &[1.5; 2], &z, |index, record| {
+                found.push(index.key().first_slice() + i64::from(record.slice()));
+            });
+            assert_eq!(found, z.map(|z| frame.slice_of(z)));
         }
     }
 
