@@ -333,17 +333,21 @@ impl<S: PageSet> Attempt<'_, S> {
             Some(hit) => {
                 // The matter's own height, not a sum of ways: standing still is standing still, to the last bit.
                 self.motion.feet.z = hit.heights[1];
-                self.note_ground()?;
+                self.note_ground(&hit)?;
             }
             None => self.motion.ground = Ground::Air,
         }
         ControlFlow::Continue(())
     }
 
-    /// What the pawn stands on, and from where its next climb is measured.
-    fn note_ground(&mut self) -> Needs<()> {
+    /// What the pawn stands on after it came down on what it `hit`, and from where its next climb is measured.
+    fn note_ground(&mut self, hit: &SweepHit) -> Needs<()> {
         let feet = self.motion.feet;
-        let near = known(self.config.body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M))?;
+        // Floor that stopped it is the highest under it; beside an obstacle there may be some a little lower.
+        let near = match hit.obstacle {
+            false => Some(feet.z),
+            true => known(self.config.body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M))?,
+        };
         self.motion.ground = if near.is_some() { Ground::Floor } else { Ground::Obstacle };
         let floor_z = self.motion.floor_z.min(feet.z);
         self.motion.floor_z = near.map_or(floor_z, |near| near.max(floor_z));
@@ -366,7 +370,7 @@ impl<S: PageSet> Attempt<'_, S> {
             Some(hit) => {
                 self.motion.feet.z = hit.heights[1];
                 self.motion.floor_z = self.motion.feet.z;
-                self.note_ground()?;
+                self.note_ground(&hit)?;
             }
             None => {
                 self.motion.feet.z -= down;
