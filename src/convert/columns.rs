@@ -26,6 +26,7 @@ const DENSE_BYTES_PER_VOXEL: u64 = 3 * size_of::<(usize, Voxel, Moments)>() as u
 /// Strips of rows in which a column is worked on. More would look at their halo, and at records that are in no order, for longer than it
 /// takes to fold all piece by piece.
 const MOST_STRIPS: u64 = 16;
+
 /// What one worker does with a job.
 pub(super) trait ColumnWork {
     /// What comes of it.
@@ -286,9 +287,9 @@ impl<'a> Patches<'a> {
     fn dense_column(&mut self, merge: &Merge<'_>, job: &ColumnJob, take: &mut impl TakeAreas) -> Result<u64> {
         let key = job.columns[0].0;
         let mut dropped = 0;
-        if job.records <= MOST_STRIPS * self.max_records
-            && let Some(strips) = self.strips(&self.counts(merge, job)?)
-        {
+        let may_be_few = job.records <= MOST_STRIPS * self.max_records;
+        let counts = if may_be_few { Some(self.counts(merge, job)?) } else { None };
+        if let Some(strips) = counts.as_ref().and_then(|counts| self.strips(counts)) {
             for strip in strips {
                 let mut records = std::mem::take(&mut self.records);
                 let loaded = merge.load_rows(job, (strip.y.0, strip.y.1 + 2), &mut records)?;
@@ -302,7 +303,7 @@ impl<'a> Patches<'a> {
         if let Some(dropped) = self.fold_piecemeal(merge, job, Area::TILE, self.max_voxels(), take)? {
             return Ok(dropped);
         }
-        let counts = self.counts(merge, job)?;
+        let counts = counts.map_or_else(|| self.counts(merge, job), Ok)?;
         let mut open = vec![Area::TILE];
         while let Some(area) = open.pop() {
             let with_halo: u64 = (0..PATCH_AREA).filter(|&pixel| area.holds_with_halo(pixel)).map(|p| counts[p]).sum();
