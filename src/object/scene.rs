@@ -29,7 +29,9 @@ pub fn touches_scene<S: PageSet>(object: &Object<'_>, scene: &S) -> Overlap {
         },
         |item| {
             search.item = *item;
-            descend(scene, &SweepArea::around(scene.frame(), &upright.around(item)), &mut search);
+            let area = SweepArea::around(scene.frame(), &upright.around(item));
+            search.heights = (area.low, area.high);
+            descend(scene, &area, &mut search);
             search.hit
         },
     );
@@ -77,6 +79,8 @@ struct Search<'a> {
     /// The world, seen from the object.
     relative: Relative,
     item: LocalBox,
+    /// Heights around it (quanta).
+    heights: (i64, i64),
     hit: bool,
     missing: Option<Missing>,
 }
@@ -85,7 +89,7 @@ impl<'a> Search<'a> {
     fn new(object: &Object<'_>, frame: &'a Frame) -> Self {
         let relative = Relative::new(&object.pose, &Isometry3::identity(), coordinates_m(object, frame));
         let item = LocalBox { middle: [0.0; 3], half: [0.0; 3] };
-        Self { frame, relative, item, hit: false, missing: None }
+        Self { frame, relative, item, heights: (0, 0), hit: false, missing: None }
     }
 
     /// A cell in the world.
@@ -99,6 +103,10 @@ impl<'a> Search<'a> {
 }
 
 impl Visit for Search<'_> {
+    fn heights(&self) -> (i64, i64) {
+        self.heights
+    }
+
     fn enter(&mut self, cell: &GridCell) -> bool {
         !self.hit && !self.relative.separates_by_faces(&self.item, &self.place(cell))
     }

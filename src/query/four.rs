@@ -6,7 +6,7 @@ use portable as lanes;
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 use sse2 as lanes;
 
-pub(super) use lanes::{Floats, Pair, Unions};
+pub(super) use lanes::{Floats, Pair, Unions, Window};
 
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 mod sse2 {
@@ -16,6 +16,8 @@ mod sse2 {
 
     /// Bits of a height in a span.
     const FIELD: i32 = (1 << 14) - 1;
+    /// A span's highest bits are its lane.
+    const LANE_SHIFT: u32 = 29;
 
     /// Vector instructions.
     macro_rules! vector {
@@ -129,12 +131,17 @@ mod sse2 {
             // SAFETY: reads the four spans, which are 32 bits each.
             let words = unsafe { _mm_loadu_si128(std::ptr::from_ref(spans).cast()) };
             Self(vector! {
-                let bottoms = _mm_and_si128(words, _mm_set1_epi32(FIELD));
-                let ends = _mm_or_si128(bottoms, _mm_andnot_si128(_mm_slli_epi32::<2>(words), _mm_set1_epi32(FIELD << 16)));
+                let ends = ends_of(words);
                 let beyond = _mm_cmpgt_epi16(ends, _mm_set1_epi32(high | (FIELD - low) << 16));
                 let met = _mm_cmpeq_epi32(beyond, _mm_setzero_si128());
                 _mm_or_si128(ends, _mm_andnot_si128(met, _mm_set1_epi16(i16::MAX)))
             })
+        }
+
+        /// No span.
+        #[inline]
+        pub fn none() -> Self {
+            Self(vector!(_mm_set1_epi16(i16::MAX)))
         }
 
         #[inline]
@@ -148,6 +155,69 @@ mod sse2 {
             let half = vector!(_mm_min_epi16(self.0, _mm_shuffle_epi32::<0b1110>(self.0)));
             let least = vector!(_mm_cvtsi128_si32(_mm_min_epi16(half, _mm_shuffle_epi32::<0b01>(half)))) as u32;
             (least & 0xFFFF, least >> 16 ^ FIELD as u32)
+        }
+    }
+    /// Lanes and heights that spans are held against.
+    #[derive(Clone, Copy)]
+    pub struct Window {
+        /// The highest bottom, and above it what the lowest top lacks to 16383.
+        heights: __m128i,
+        /// Makes words of lanes `x0..=x1` the least ones, as signed numbers, and the greatest of them.
+        turn: __m128i,
+        last: __m128i,
+    }
+
+    impl Window {
+        /// Lanes `x0..=x1` [0..8], heights `low..=high`.
+        #[inline]
+        pub fn new([x0, x1]: [u32; 2], low: u32, high: u32) -> Self {
+            // Comparisons are signed, and of 16 bits.
+            let (low, high) = (low.min(FIELD as u32) as i32, high.min(PAGE_QUANTA as u32) as i32);
+            let last = u32::MAX >> 3 | (x1 - x0) << LANE_SHIFT;
+            Self {
+                heights: vector!(_mm_set1_epi32(high | (FIELD - low) << 16)),
+                turn: vector!(_mm_set1_epi32(i32::MIN.wrapping_sub((x0 << LANE_SHIFT) as i32))),
+                last: vector!(_mm_set1_epi32(last as i32 ^ i32::MIN)),
+            }
+        }
+
+        /// The ends of four spans, and which of them lie in the lanes and meet the heights.
+        #[inline]
+        fn four(self, spans: &[Span; 4]) -> (__m128i, __m128i) {
+            // SAFETY: reads the four spans, which are 32 bits each.
+            let words = unsafe { _mm_loadu_si128(std::ptr::from_ref(spans).cast()) };
+            vector! {
+                let ends = ends_of(words);
+                let beside = _mm_cmpgt_epi32(_mm_add_epi32(words, self.turn), self.last);
+                let outside = _mm_or_si128(_mm_cmpgt_epi16(ends, self.heights), beside);
+                (ends, _mm_cmpeq_epi32(outside, _mm_setzero_si128()))
+            }
+        }
+
+        /// Which of eight spans lie in the lanes and meet the heights, as a mask.
+        #[inline]
+        pub fn meets(self, [a, b]: [&[Span; 4]; 2]) -> u32 {
+            let mask = |spans| vector!(_mm_movemask_ps(_mm_castsi128_ps(self.four(spans).1))) as u32;
+            mask(a) | mask(b) << 4
+        }
+
+        /// `all`, and the ends of those of eight spans that lie in the lanes and meet the heights.
+        #[inline]
+        pub fn join(self, all: Unions, [a, b]: [&[Span; 4]; 2]) -> Unions {
+            let of = |spans| {
+                let (ends, inside) = self.four(spans);
+                Unions(vector!(_mm_or_si128(ends, _mm_andnot_si128(inside, _mm_set1_epi16(i16::MAX)))))
+            };
+            all.join(of(a)).join(of(b))
+        }
+    }
+
+    /// Per lane of 32 bits the bottom of a span, and above it what its top lacks to 16383.
+    #[inline]
+    fn ends_of(spans: __m128i) -> __m128i {
+        vector! {
+            let bottoms = _mm_and_si128(spans, _mm_set1_epi32(FIELD));
+            _mm_or_si128(bottoms, _mm_andnot_si128(_mm_slli_epi32::<2>(spans), _mm_set1_epi32(FIELD << 16)))
         }
     }
 }
@@ -274,7 +344,13 @@ mod portable {
         #[inline]
         pub fn meeting(spans: &[Span; 4], low: u32, high: u32) -> Self {
             let met = spans.iter().filter(|span| span.meets(low, high));
-            met.fold(Self((1 << 14) - 1, 0), |ends, span| ends.join(Self(span.bottom(), span.top())))
+            met.fold(Self::none(), |ends, span| ends.join(Self(span.bottom(), span.top())))
+        }
+
+        /// No span.
+        #[inline]
+        pub fn none() -> Self {
+            Self((1 << 14) - 1, 0)
         }
 
         #[inline]
@@ -286,6 +362,41 @@ mod portable {
         #[inline]
         pub fn ends(self) -> (u32, u32) {
             (self.0, self.1)
+        }
+    }
+
+    /// Lanes and heights that spans are held against.
+    #[derive(Clone, Copy)]
+    pub struct Window {
+        lanes: [u32; 2],
+        low: u32,
+        high: u32,
+    }
+
+    impl Window {
+        /// Lanes `x0..=x1` [0..8], heights `low..=high`.
+        #[inline]
+        pub fn new(lanes: [u32; 2], low: u32, high: u32) -> Self {
+            Self { lanes, low, high }
+        }
+
+        /// Which of eight spans lie in the lanes and meet the heights, as a mask.
+        #[inline]
+        pub fn meets(self, [a, b]: [&[Span; 4]; 2]) -> u32 {
+            let spans = b.iter().rev().chain(a.iter().rev());
+            spans.fold(0, |mask, &span| mask << 1 | u32::from(self.holds(span)))
+        }
+
+        fn holds(self, span: Span) -> bool {
+            let [x0, x1] = self.lanes;
+            span.meets(self.low, self.high) & (x0 <= span.lane()) & (span.lane() <= x1)
+        }
+
+        /// `all`, and the ends of those of eight spans that lie in the lanes and meet the heights.
+        #[inline]
+        pub fn join(self, all: Unions, [a, b]: [&[Span; 4]; 2]) -> Unions {
+            let met = a.iter().chain(b).filter(|&&span| self.holds(span));
+            met.fold(all, |all, span| all.join(Unions(span.bottom(), span.top())))
         }
     }
 }
@@ -316,6 +427,26 @@ mod tests {
             let [first, second] = quads.map(|quad| portable::Unions::meeting(&quad, low, high));
             let (bottom, top) = first.join(second).ends();
             prop_assert_eq!((bottom <= top).then_some((bottom, top)), expected);
+        }
+
+        #[test]
+        fn every_platform_finds_the_same_spans_in_a_window(
+            quads in prop::array::uniform2(prop::array::uniform4((span(), 0..8u32).prop_map(|(span, lane)| span.in_lane(lane)))),
+            a in 0..16400u32, b in 0..16400u32, c in 0..8u32, d in 0..8u32,
+        ) {
+            let (low, high, x) = (a.min(b), a.max(b), [c.min(d), c.max(d)]);
+            let holds = |span: &Span| span.meets(low, high) && (x[0]..=x[1]).contains(&span.lane());
+            let eight = [&quads[0], &quads[1]];
+            let expected: u32 = quads.as_flattened().iter().zip(0..).map(|(span, n)| u32::from(holds(span)) << n).sum();
+            prop_assert_eq!(lanes::Window::new(x, low, high).meets(eight), expected);
+            prop_assert_eq!(portable::Window::new(x, low, high).meets(eight), expected);
+            let held: Vec<Span> = quads.as_flattened().iter().copied().filter(holds).collect();
+            let lowest = held.iter().map(|span| span.bottom()).min();
+            let expected = lowest.zip(held.iter().map(|span| span.top()).max());
+            let ends = lanes::Window::new(x, low, high).join(lanes::Unions::none(), eight).ends();
+            prop_assert_eq!((ends.0 <= ends.1).then_some(ends), expected);
+            let ends = portable::Window::new(x, low, high).join(portable::Unions::none(), eight).ends();
+            prop_assert_eq!((ends.0 <= ends.1).then_some(ends), expected);
         }
 
         #[test]

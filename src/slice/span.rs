@@ -36,7 +36,7 @@ impl Span {
     pub(crate) const OBSTACLE_KIND: u32 = OBSTACLE;
 
     /// Fills up groups of spans: meets no interval.
-    pub(super) const NEVER: Self = Self(FIELD);
+    pub(crate) const NEVER: Self = Self(FIELD);
 
     /// The span `[bottom, top]` [quanta above the page's floor]; `None` unless `bottom <= top <= 16320` and the
     /// bottom lies below the page's end (a span that only touches the end belongs to the page above).
@@ -77,7 +77,7 @@ impl Span {
     }
 
     /// The span as a page holds it in a pixel with `x % 8 == lane`.
-    pub(super) fn in_lane(self, lane: u32) -> Self {
+    pub(crate) fn in_lane(self, lane: u32) -> Self {
         Self(self.0 & VALUE | lane << LANE_SHIFT)
     }
 

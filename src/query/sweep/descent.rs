@@ -3,11 +3,12 @@
 
 use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::query::Aabb;
-use crate::query::blocks::{for_each_bit, local, slices_between, slices_of};
+use crate::query::blocks::{for_each_bit, local, slices_between, slices_of, union_heights};
 use crate::query::footprint::{floor_of, layers};
+use crate::query::four::{Unions, Window};
 use crate::query::grid::sealed::{OnGrid, OnPixels};
-use crate::query::grid::{Heights, Rect};
-use crate::slice::{Page, Span};
+use crate::query::grid::{Heights, Rect, column_bits, row_bits};
+use crate::slice::{BLOCK_PIXELS, BlockView, Span};
 use crate::store::{PageSet, PageSlot};
 
 /// A closed box in grid units: pixels, pixels, quanta.
@@ -33,13 +34,22 @@ pub(crate) trait Visit {
     /// Matter that fills `cell`, in pixel (`i`, `j`).
     fn span(&mut self, cell: &GridCell, obstacle: bool, pixel: [i64; 2]);
 
+    /// Whether of matter in a block the highest is likely to be what counts.
+    #[inline]
+    fn highest_first(&self) -> bool {
+        false
+    }
+
     /// A page that is not in memory and has matter in a cell that can matter.
     fn missing(&mut self, key: PageKey);
 
-    /// The part of the heights `low..=high` in which matter can still matter.
+    /// The lowest top and the highest bottom of matter that can matter.
+    fn heights(&self) -> (i64, i64);
+
+    /// Like [`enter`](Self::enter) for matter at these [`heights`](Self::heights), but quickly told: may be true where that is false.
     #[inline]
-    fn heights(&self, low: i64, high: i64) -> (i64, i64) {
-        (low, high)
+    fn reaches(&mut self, cell: impl FnOnce() -> GridCell) -> bool {
+        self.enter(&cell())
     }
 
     /// Least and greatest coordinate along the other axis of x and y that can matter between `lo` and `hi` along
@@ -131,54 +141,167 @@ pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &SweepArea, visit: &m
 #[inline]
 fn column<T: PageSlot, V: Visit>(area: &SweepArea, tx: i32, ty: i32, slots: &[T], visit: &mut V) {
     let (i, j) = (i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS);
+    let (x, y) = (Range::within(area.rect.i0, area.rect.i1, i), Range::within(area.rect.j0, area.rect.j1, j));
+    let under = column_bits(x.first >> 3, x.last >> 3) & row_bits(y.first >> 3, y.last >> 3);
     let mut slots = layers(slots, Heights { low: area.low, high: area.high });
     while let Some(slot) = if area.backward[2] { slots.next_back() } else { slots.next() } {
-        let base = floor_of(slot.layer());
-        let (low, high) = visit.heights(area.low, area.high);
-        let window = (local(low, base), local(high, base));
-        let slices = slot.slices() & slices_between(window.0, window.1);
+        let place = Place { i, j, base: floor_of(slot.layer()) };
+        let (low, high) = place.heights(visit);
+        let slices = slot.slices() & slices_between(low, high);
         if slices == 0 {
             continue;
         }
-        let bottom = base + i64::from(slices.trailing_zeros()) * SLICE_QUANTA;
-        let top = base + i64::from(64 - slices.leading_zeros()) * SLICE_QUANTA;
-        if !visit.enter(&GridCell::square(i, j, TILE_PIXELS, bottom, top)) {
-            continue;
-        }
+        let (bottom, top) = (slices.trailing_zeros(), 64 - slices.leading_zeros());
+        let cell = || place.cell(TILE_PIXELS, bottom * SLICE_QUANTA as u32, top * SLICE_QUANTA as u32);
         match slot.page() {
-            Some(held) => page(area, held, i, j, base, visit),
-            None => visit.missing(PageKey { tx, ty, layer: slot.layer() }),
+            Some(page) if visit.reaches(cell) => {
+                let (first, last) = slices_of(low, high);
+                for_each_bit(under & page.blocks_in(first, last), |number| {
+                    let (bx, by) = ((number & 7) << 3, number & 56);
+                    block(page.block_at(number), place.at(bx, by), [x.in_block(bx), y.in_block(by)], visit);
+                });
+            }
+            None if visit.enter(&cell()) => visit.missing(PageKey { tx, ty, layer: slot.layer() }),
+            _ => {}
         }
     }
 }
 
+/// Pixels of a tile, or of a block, along x or y.
+#[derive(Clone, Copy)]
+struct Range {
+    first: u32,
+    last: u32,
+}
+
+impl Range {
+    /// The part of `first..=last` in the tile that begins at `origin`.
+    #[inline]
+    fn within(first: i64, last: i64, origin: i64) -> Self {
+        let clamp = |pixel: i64| (pixel - origin).clamp(0, TILE_PIXELS - 1) as u32;
+        Self { first: clamp(first), last: clamp(last) }
+    }
+
+    /// The part in the block that begins at pixel `begin` of the tile.
+    #[inline]
+    fn in_block(self, begin: u32) -> Self {
+        Self { first: self.first.saturating_sub(begin), last: (self.last - begin).min(BLOCK_PIXELS - 1) }
+    }
+}
+
+/// The pixels `x`, `y` of a block that begins at `place`.
 #[inline]
-fn page<V: Visit>(area: &SweepArea, page: &Page, i: i64, j: i64, base: i64, visit: &mut V) {
-    let (low, high) = (local(area.low, base), local(area.high, base));
-    let (first, last) = slices_of(low, high);
-    let blocks = area.rect.bits(i, j, 3) & page.blocks_in(first, last);
-    for_each_bit(blocks, |number| {
-        let block = page.block_at(number);
-        let (low, high) = visit.heights(area.low, area.high);
-        let (low, high) = (local(low, base), local(high, base));
-        let meets = |span: Span| span.meets(low, high);
-        let (bi, bj) = (i + i64::from(number & 7) * 8, j + i64::from(number >> 3) * 8);
-        let cell = |span: Span, i: i64, j: i64, edge: i64| {
-            GridCell::square(i, j, edge, base + i64::from(span.bottom()), base + i64::from(span.top()))
-        };
-        if !block.unions().any(|union| meets(union) && visit.enter(&cell(union, bi, bj, 8))) {
-            return;
+fn block<V: Visit>(block: BlockView<'_>, place: Place, [x, y]: [Range; 2], visit: &mut V) {
+    let (low, high) = place.heights(visit);
+    let Some((bottom, top)) = union_heights(block, low, high) else { return };
+    if !visit.reaches(|| place.cell(i64::from(BLOCK_PIXELS), bottom, top)) {
+        return;
+    }
+    let (lanes, y0) = ([x.first, x.last], y.first);
+    for (n, spans) in block.rows(y0, y.last).chunks(MOST).enumerate() {
+        let (low, high) = place.heights(visit);
+        let mut window = Window::new(lanes, low, high);
+        if visit.highest_first() {
+            let mut ends = Unions::none();
+            for_each_eight(spans, |_, eight| ends = window.join(ends, eight));
+            let (bottom, top) = ends.ends();
+            if bottom > top {
+                continue;
+            }
+            window = Window::new(lanes, top, high);
+            place.spans(spans, met_of(spans, window), visit, |k| block.row_of(y0, MOST * n + k));
+            let (low, high) = place.heights(visit);
+            if low >= top {
+                continue;
+            }
+            window = Window::new(lanes, low, high);
         }
-        let clamp = |v: i64, origin: i64| (v.saturating_sub(origin)).clamp(0, 7) as u32;
-        let (x0, width) = (clamp(area.rect.i0, bi), clamp(area.rect.i1, bi) - clamp(area.rect.i0, bi));
-        for y in clamp(area.rect.j0, bj)..=clamp(area.rect.j1, bj) {
-            let pj = bj + i64::from(y);
-            for &span in block.rows(y, y) {
-                if meets(span) && span.lane().wrapping_sub(x0) <= width {
-                    let pi = bi + i64::from(span.lane());
-                    visit.span(&cell(span, pi, pj, 1), span.is_obstacle(), [pi, pj]);
-                }
+        let met = met_of(spans, window);
+        if met != 0 {
+            place.spans(spans, met, visit, |k| block.row_of(y0, MOST * n + k));
+        }
+    }
+}
+
+/// Most spans that are looked at together: bits of a mask.
+const MOST: usize = 64;
+
+/// Which of at most [`MOST`] spans are in `window`, as a mask.
+#[inline]
+fn met_of(spans: &[Span], window: Window) -> u64 {
+    let mut met = 0;
+    for_each_eight(spans, |first, eight| met |= u64::from(window.meets(eight)) << (first & 63));
+    met
+}
+
+/// Shows `f` spans in eights, with the number of the first: the last eight overlap with those before, and fewer than eight are filled
+/// up with such that meet nothing.
+#[inline]
+fn for_each_eight(spans: &[Span], mut f: impl FnMut(usize, [&[Span; 4]; 2])) {
+    let (fours, rest) = spans.as_chunks::<4>();
+    let mut n = 0;
+    while let Some([a, b]) = fours.get(n..n + 2) {
+        f(4 * n, [a, b]);
+        n += 2;
+    }
+    if n == fours.len() && rest.is_empty() {
+        return;
+    }
+    if let Some([a, b]) =
+        spans.last_chunk::<8>().map(|last| last.as_chunks::<4>().0).and_then(|fours| fours.first_chunk())
+    {
+        f(spans.len() - 8, [a, b]);
+    } else {
+        let mut few = [[Span::NEVER; 4]; 2];
+        for (slot, &span) in few.as_flattened_mut().iter_mut().zip(spans) {
+            *slot = span;
+        }
+        f(0, [&few[0], &few[1]]);
+    }
+}
+
+/// A place in a page: a pixel, and the page's floor.
+#[derive(Clone, Copy)]
+struct Place {
+    i: i64,
+    j: i64,
+    base: i64,
+}
+
+impl Place {
+    /// `x` and `y` pixels on.
+    #[inline]
+    fn at(self, x: u32, y: u32) -> Self {
+        Self { i: self.i + i64::from(x), j: self.j + i64::from(y), ..self }
+    }
+
+    /// The square of `edge` pixels that begins here, between two heights in the page.
+    #[inline]
+    fn cell(self, edge: i64, bottom: u32, top: u32) -> GridCell {
+        GridCell::square(self.i, self.j, edge, self.base + i64::from(bottom), self.base + i64::from(top))
+    }
+
+    /// Heights in the page that can matter.
+    #[inline]
+    fn heights<V: Visit>(self, visit: &V) -> (u32, u32) {
+        let (low, high) = visit.heights();
+        (local(low, self.base), local(high, self.base))
+    }
+
+    /// Shows `visit` those of the spans of a block here that are in the mask `met`.
+    #[inline(never)]
+    fn spans<V: Visit>(self, spans: &[Span], mut met: u64, visit: &mut V, row_of: impl Fn(usize) -> u32) {
+        let (mut low, mut high) = (0, u32::MAX);
+        while met != 0 {
+            let n = met.trailing_zeros() as usize;
+            met &= met - 1;
+            let span = spans[n];
+            // What was found may have left less to look for.
+            if span.meets(low, high) {
+                let place = self.at(span.lane(), row_of(n));
+                visit.span(&place.cell(1, span.bottom(), span.top()), span.is_obstacle(), [place.i, place.j]);
+                (low, high) = self.heights(visit);
             }
         }
-    });
+    }
 }

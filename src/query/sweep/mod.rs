@@ -16,13 +16,19 @@ pub use step::{mean_floor_under, top_under};
 
 use super::answer::Answer;
 use super::batch;
-use crate::frame::{Frame, PageKey, floor_index};
+use crate::frame::{Frame, PageKey};
 use crate::store::{Missing, PageSet, note};
 use nalgebra::Vector3;
 use solid::{Contact, Moving, Resting};
 
 /// Farther than all matter is from all (m), and the square of its pixels is finite.
 const LONGEST_M: f64 = 1e30;
+
+/// Motions up to here (pixels) hardly leave the blocks around the shape.
+const SHORT: f64 = 8.0;
+
+/// Heights that no matter meets: above all that there is, and below.
+const NOWHERE: (i64, i64) = (1 << 50, -(1 << 50));
 
 /// The first matter that a moving shape meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -97,7 +103,8 @@ pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> 
     let motion = motion * share;
     let moving = Moving::new(frame, rest, motion);
     let area = moving.area();
-    let mut search = Search { moving, best: Best::NONE, missing: None };
+    let is_short = moving.v[0].abs().max(moving.v[1].abs()) <= SHORT;
+    let mut search = Search { moving, best: Best::NONE, heights: (area.low, area.high), is_short, missing: None };
     descend(set, &area, &mut search);
     if search.missing.is_some() && search.best.at < f64::INFINITY {
         // Only pages that could hold an earlier contact matter: those, again.
@@ -177,7 +184,25 @@ impl Best {
 struct Search {
     moving: Moving,
     best: Best,
+    /// Heights of matter that may be met first.
+    heights: (i64, i64),
+    /// The motion is so short that all blocks around it are looked at.
+    is_short: bool,
     missing: Option<Missing>,
+}
+
+impl Search {
+    /// Whether matter is met at the same time as what was found, because a flat face moves along z alone and it ends at the same height,
+    /// but comes after that in the order of contacts.
+    #[inline]
+    fn is_later_of_equal(&self, cell: &GridCell, obstacle: bool, pixel: [i64; 2]) -> bool {
+        let best = &self.best;
+        let equal = if self.moving.v[2] < 0.0 { cell.hi[2] == best.top } else { cell.lo[2] == best.bottom };
+        equal
+            && self.moving.is_flat_and_upright()
+            && best.at < f64::INFINITY
+            && (!obstacle, pixel) >= (!best.obstacle, best.pixel)
+    }
 }
 
 impl Visit for Search {
@@ -190,13 +215,15 @@ impl Visit for Search {
 
     #[inline]
     fn span(&mut self, cell: &GridCell, obstacle: bool, pixel: [i64; 2]) {
-        if self.best.at < 0.0 {
+        if self.best.at < 0.0 || self.is_later_of_equal(cell, obstacle, pixel) {
             return;
         }
         if let Some(Contact { at, normal }) = self.moving.contact(cell, self.best.at) {
             let found = Best { at, normal, obstacle, pixel, bottom: cell.lo[2], top: cell.hi[2] };
             if found.before(&self.best) {
                 self.best = found;
+                // A shape that begins inside looks for no better place.
+                self.heights = if at < 0.0 { NOWHERE } else { self.moving.heights_before(at, self.heights) };
             }
         }
     }
@@ -206,18 +233,18 @@ impl Visit for Search {
     }
 
     #[inline]
-    fn heights(&self, low: i64, high: i64) -> (i64, i64) {
-        // While nothing was met, all of the way matters.
-        if self.best.at >= 1.0 {
-            return (low, high);
-        }
-        // Two quanta for rounding, and for contacts at the same time.
-        let (v, at) = (self.moving.v[2], self.best.at.max(0.0));
-        if v < 0.0 {
-            (low.max(floor_index(self.moving.rest.lo[2] + v * at) - 2), high)
-        } else {
-            (low, high.min(floor_index(self.moving.rest.hi[2] + v * at) + 2))
-        }
+    fn highest_first(&self) -> bool {
+        self.moving.v[2] < 0.0
+    }
+
+    #[inline]
+    fn heights(&self) -> (i64, i64) {
+        self.heights
+    }
+
+    #[inline]
+    fn reaches(&mut self, cell: impl FnOnce() -> GridCell) -> bool {
+        self.is_short || self.enter(&cell())
     }
 
     #[inline]
@@ -225,3 +252,6 @@ impl Visit for Search {
         self.moving.across(axis, lo, hi)
     }
 }
+
+#[cfg(test)]
+mod tests;

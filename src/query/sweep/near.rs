@@ -5,7 +5,7 @@ use super::solid::{Form, Moving, Resting, Solid, norm};
 use crate::frame::{Frame, PageKey, floor_index};
 use crate::query::answer::Answer;
 use crate::query::batch;
-use crate::query::disc::SLACK;
+use crate::query::disc::{lower, upper};
 use crate::query::grid::Rect;
 use crate::store::PageSet;
 use crate::store::{Missing, note};
@@ -22,8 +22,9 @@ pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<O
     }
     let frame = set.frame();
     let rest = shape.resting(frame);
-    let mut search = Nearest { rest, metres: metres(frame), best: max, found: false, missing: None };
     let area = around(frame, &rest, max);
+    let heights = (area.low, area.high);
+    let mut search = Nearest { rest, metres: metres(frame), best: max, heights, found: false, missing: None };
     descend(set, &area, &mut search);
     if search.missing.is_some() && search.found {
         search.missing = None;
@@ -88,25 +89,16 @@ fn metres(frame: &Frame) -> [f64; 3] {
     [frame.pixel_m(), frame.pixel_m(), frame.quantum_m()]
 }
 
+/// First and last pixel or quantum with matter that is at most `reach` from a shape along `axis` (grid units).
+fn within(rest: &Resting, axis: usize, reach: f64) -> (i64, i64) {
+    (floor_index(lower(rest.lo[axis] - reach) - 1.0), floor_index(upper(rest.hi[axis] + reach) + 1.0))
+}
+
 /// What lies within `reach` metres of a shape.
 fn around(frame: &Frame, rest: &Resting, reach: f64) -> SweepArea {
     let unit = metres(frame);
-    let low = |a: usize| (rest.lo[a] - reach / unit[a]) * (1.0 + SLACK) - 1.0;
-    let low = |a: usize| low(a).min(rest.lo[a] - reach / unit[a] - 1.0);
-    let high =
-        |a: usize| (rest.hi[a] + reach / unit[a] + 1.0).max((rest.hi[a] + reach / unit[a]) * (1.0 + SLACK) + 1.0);
-    SweepArea {
-        rect: Rect {
-            i0: floor_index(low(0)),
-            i1: floor_index(high(0)),
-            j0: floor_index(low(1)),
-            j1: floor_index(high(1)),
-        },
-        low: floor_index(low(2)),
-        high: floor_index(high(2)),
-        major: 0,
-        backward: [false; 3],
-    }
+    let [(i0, i1), (j0, j1), (low, high)] = [0, 1, 2].map(|axis| within(rest, axis, reach / unit[axis]));
+    SweepArea { rect: Rect { i0, i1, j0, j1 }, low, high, major: 0, backward: [false; 3] }
 }
 
 struct Nearest {
@@ -114,6 +106,8 @@ struct Nearest {
     metres: [f64; 3],
     /// Distance of the nearest matter so far, at first how far to look (m).
     best: f64,
+    /// Heights of matter that is no farther.
+    heights: (i64, i64),
     found: bool,
     missing: Option<Missing>,
 }
@@ -139,6 +133,10 @@ impl Nearest {
 }
 
 impl Visit for Nearest {
+    fn heights(&self) -> (i64, i64) {
+        self.heights
+    }
+
     fn enter(&mut self, cell: &GridCell) -> bool {
         let distance = self.distance(cell);
         distance < self.best || !self.found && distance <= self.best
@@ -147,6 +145,7 @@ impl Visit for Nearest {
     fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
         if self.enter(cell) {
             self.best = self.distance(cell);
+            self.heights = within(&self.rest, 2, self.best / self.metres[2]);
             self.found = true;
         }
     }
@@ -154,6 +153,19 @@ impl Visit for Nearest {
     fn missing(&mut self, key: PageKey) {
         note(&mut self.missing, key);
     }
+}
+
+/// [`clearance`] by the distance of every one of `cells`.
+#[cfg(test)]
+pub(super) fn nearest_of_all(
+    frame: &Frame,
+    rest: Resting,
+    cells: impl Iterator<Item = GridCell>,
+    max: f64,
+) -> Option<f64> {
+    let heights = (i64::MIN, i64::MAX);
+    let search = Nearest { rest, metres: metres(frame), best: max, heights, found: false, missing: None };
+    cells.map(|cell| search.distance(&cell)).filter(|&distance| distance <= max).min_by(f64::total_cmp)
 }
 
 /// How far a shape must go along `axis` until it meets no matter: the way out of all that it is in, again and again.
@@ -165,8 +177,9 @@ fn push<S: PageSet>(set: &S, rest: Resting, axis: usize, sign: f64, max: f64) ->
         at.lo[axis] += sign * gone;
         at.hi[axis] += sign * gone;
         let moving = Moving::new(set.frame(), at, Vector3::zeros());
-        let mut search = WayOut { moving, axis, sign, most: 0.0, missing: None };
-        descend(set, &moving.area(), &mut search);
+        let area = moving.area();
+        let mut search = WayOut { moving, axis, sign, heights: (area.low, area.high), most: 0.0, missing: None };
+        descend(set, &area, &mut search);
         if let Some(missing) = search.missing {
             return Answer::NotLoaded(missing);
         }
@@ -184,6 +197,7 @@ struct WayOut {
     moving: Moving,
     axis: usize,
     sign: f64,
+    heights: (i64, i64),
     /// Longest way out of a span so far (grid units).
     most: f64,
     missing: Option<Missing>,
@@ -212,6 +226,10 @@ impl WayOut {
 }
 
 impl Visit for WayOut {
+    fn heights(&self) -> (i64, i64) {
+        self.heights
+    }
+
     fn enter(&mut self, cell: &GridCell) -> bool {
         self.moving.meeting(cell).is_some()
     }

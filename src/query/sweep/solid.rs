@@ -82,6 +82,12 @@ impl sealed::OnSolid for Sphere {
     }
 }
 
+/// The greater of two numbers that are no NaN: one instruction, unlike `f64::max`.
+#[inline]
+fn greater(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
 /// Times between which a shape's interior meets a box's; none unless `enter < leave`. `enter` is -∞ if it does at 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Meeting {
@@ -125,6 +131,11 @@ pub(super) struct Moving {
     inverse: [f64; 3],
     /// Rounding errors of a coordinate.
     pub slack: [f64; 3],
+    /// A disc that holds the footprint of a cylinder all the way: its centre, and the square of its radius.
+    middle: [f64; 2],
+    reach: f64,
+    /// Along z alone, or not at all.
+    is_vertical: bool,
 }
 
 impl Moving {
@@ -133,9 +144,21 @@ impl Moving {
         let v = [frame.pixels(motion.x), frame.pixels(motion.y), frame.quanta(motion.z)];
         // Infinite sides have no rounding errors, and of a way only the part before a contact has.
         let error = |side: f64| if side.is_finite() { side.abs() } else { 0.0 };
-        let slack =
+        let slack: [f64; 3] =
             std::array::from_fn(|a| (error(rest.lo[a]).max(error(rest.hi[a])) + v[a].abs().min(BEYOND)) * SLACK);
-        Self { rest, v, inverse: v.map(|v| 1.0 / v), slack }
+        let middle = std::array::from_fn(|a| (rest.lo[a] + rest.hi[a] + v[a]) * 0.5);
+        let reach = match rest.form {
+            Form::Cylinder { radius } => radius + norm([v[0], v[1], 0.0]) * 0.5 + 8.0 * slack[0].max(slack[1]),
+            Form::Box | Form::Sphere { .. } => f64::INFINITY,
+        };
+        let is_vertical = v[0] == 0.0 && v[1] == 0.0;
+        Self { rest, v, inverse: v.map(|v| 1.0 / v), slack, middle, reach: reach * reach, is_vertical }
+    }
+
+    /// Whether a face of the shape, its top or bottom, moves along z alone.
+    #[inline]
+    pub fn is_flat_and_upright(&self) -> bool {
+        self.is_vertical && !matches!(self.rest.form, Form::Sphere { .. })
     }
 
     /// Everything that the bounding box can meet.
@@ -190,6 +213,17 @@ impl Moving {
         of(0).and(of(1)).and(of(2))
     }
 
+    /// The part of `heights` that the bounding box touches up to time `at`.
+    #[inline]
+    pub fn heights_before(&self, at: f64, (low, high): (i64, i64)) -> (i64, i64) {
+        let (way, slack) = (self.v[2] * at.max(0.0), 2.0 * self.slack[2]);
+        if self.v[2] < 0.0 {
+            (low.max(-floor_index(slack - self.rest.lo[2] - way)), high)
+        } else {
+            (low, high.min(floor_index(self.rest.hi[2] + way + slack)))
+        }
+    }
+
     /// Extent of the bounding box along the other axis while it meets `lo..hi` along `axis`.
     #[inline]
     pub fn across(&self, axis: usize, lo: f64, hi: f64) -> (f64, f64) {
@@ -203,12 +237,49 @@ impl Moving {
     /// The first contact with `cell`, within the motion and not after `until`.
     #[inline]
     pub fn contact(&self, cell: &GridCell, until: f64) -> Option<Contact> {
+        let gap = |a: usize| greater(greater(cell.lo[a] - self.middle[a], self.middle[a] - cell.hi[a]), 0.0);
+        if gap(0) * gap(0) + gap(1) * gap(1) > self.reach {
+            return None;
+        }
+        if self.is_vertical {
+            return self.vertical_contact(cell, until);
+        }
         let meetings: [Meeting; 3] = std::array::from_fn(|a| self.axis(a, cell.lo[a], cell.hi[a]));
         let hull = meetings[0].and(meetings[1]).and(meetings[2]);
         if !hull.is_some() || hull.enter > until {
             return None;
         }
         self.form_contact(cell, &meetings, hull)
+    }
+
+    /// The first contact of a shape that moves along z alone.
+    #[inline]
+    fn vertical_contact(&self, cell: &GridCell, until: f64) -> Option<Contact> {
+        let over = |a: usize| {
+            let slack = -2.0 * self.slack[a];
+            (cell.lo[a] - self.rest.hi[a] < slack) & (self.rest.lo[a] - cell.hi[a] < slack)
+        };
+        if !(over(0) & over(1)) {
+            return None;
+        }
+        let meeting = self.axis(2, cell.lo[2], cell.hi[2]);
+        if !meeting.is_some() || meeting.enter > until {
+            return None;
+        }
+        match self.rest.form {
+            Form::Box => {}
+            Form::Cylinder { radius } => {
+                let round = Round::new(self, cell, [1.0, 1.0, 0.0], 2);
+                if norm(round.away(0.0)) >= radius - 2.0 * round.slack {
+                    return None;
+                }
+            }
+            Form::Sphere { radius, scale } => {
+                return Round::new(self, cell, [1.0, 1.0, scale], 3).contact(radius, Meeting::ALWAYS);
+            }
+        }
+        let first = Contact { at: meeting.enter, normal: self.face(2) };
+        Some(if meeting.enter < 0.0 { Contact::INSIDE } else { first })
     }
 
     #[inline]
@@ -225,11 +296,6 @@ impl Moving {
             }
             Form::Cylinder { radius } => {
                 let round = Round::new(self, cell, [1.0, 1.0, 0.0], 2);
-                if self.v[0] == 0.0 && self.v[1] == 0.0 {
-                    let over = norm(round.away(0.0)) < radius - 2.0 * round.slack;
-                    let first = Contact { at: hull.enter, normal: self.face(2) };
-                    return over.then_some(if hull.enter < 0.0 { Contact::INSIDE } else { first });
-                }
                 let contact = round.contact(radius, meetings[2])?;
                 Some(
                     if contact.at >= 0.0 && meetings[2].enter >= contact.at && meetings[2].enter > round.enter(radius) {

@@ -69,6 +69,14 @@ struct Highest {
 }
 
 impl Visit for Highest {
+    fn heights(&self) -> (i64, i64) {
+        (self.best + 1, self.limit)
+    }
+
+    fn reaches(&mut self, _cell: impl FnOnce() -> GridCell) -> bool {
+        true
+    }
+
     fn enter(&mut self, cell: &GridCell) -> bool {
         cell.hi[2] > self.best as f64 && over(&self.moving, cell)
     }
@@ -95,6 +103,10 @@ struct Mean {
 }
 
 impl Visit for Mean {
+    fn heights(&self) -> (i64, i64) {
+        (self.low, self.high)
+    }
+
     fn enter(&mut self, cell: &GridCell) -> bool {
         over(&self.moving, cell)
     }

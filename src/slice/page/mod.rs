@@ -111,6 +111,14 @@ impl<'a> BlockView<'a> {
         &self.page.spans[first..end]
     }
 
+    /// Row of the span that is number `number` of those of the rows from `y0` on.
+    #[inline]
+    pub(crate) fn row_of(self, y0: u32, number: usize) -> u32 {
+        let begins = &self.page.blocks[self.place].rows;
+        let number = begins[y0 as usize & 7] + number as u16;
+        begins.iter().map(|&begin| u32::from(begin <= number)).sum::<u32>() - 1
+    }
+
     /// Spans of the row of pixel `bit` from the first of that pixel on whose top is not below `low`, or from where it would be.
     #[inline]
     pub(crate) fn row_from(self, bit: u32, low: u32) -> &'a [Span] {

@@ -1,0 +1,119 @@
+//! What the search passes over changes no answer: it is held against the same judgement of every span.
+
+use super::near::nearest_of_all;
+use super::solid::Moving;
+use super::*;
+use crate::frame::{PAGE_QUANTA, TILE_PIXELS};
+use crate::query::{Aabb, Cylinder, Sphere};
+use crate::slice::{Page, PageBuilder, Span};
+use crate::store::Store;
+use nalgebra::Point3;
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+
+const PIXEL_M: f64 = 0.5;
+const SLICE_M: f64 = 2.55;
+
+/// Spans of pixels around the corner of four tiles and two layers, as (i, j, bottom, top, obstacle). Heights are few, so that many
+/// are equal.
+type Matter = Vec<(i64, i64, i64, i64, bool)>;
+
+fn matter() -> impl Strategy<Value = Matter> {
+    let height = prop::sample::select(vec![-300i64, -256, -255, -60, -1, 0, 1, 20, 21, 254, 255, 256, 400]);
+    let span = (-20i64..20, -20i64..20, height, prop::sample::select(vec![0i64, 1, 5, 200]), any::<bool>());
+    prop::collection::vec(
+        span.prop_map(|(i, j, bottom, more, obstacle)| (i, j, bottom, bottom + more, obstacle)),
+        1..300,
+    )
+}
+
+/// A store of that matter, and the matter that is in it: one span in a pixel and slice.
+fn store(matter: &Matter) -> (Store, Matter) {
+    let mut pages: BTreeMap<PageKey, BTreeMap<(u32, u32), Vec<Span>>> = BTreeMap::new();
+    let mut kept = Matter::new();
+    for &(i, j, bottom, top, obstacle) in matter {
+        let layer = bottom.div_euclid(PAGE_QUANTA);
+        let base = layer * PAGE_QUANTA;
+        let key = PageKey { tx: (i >> 6) as i32, ty: (j >> 6) as i32, layer: layer as i32 };
+        let column = pages.entry(key).or_default().entry(((i & 63) as u32, (j & 63) as u32)).or_default();
+        let top = top.min(base + PAGE_QUANTA);
+        let Some(span) = Span::new((bottom - base) as u32, (top - base) as u32, obstacle) else { continue };
+        // Apart by a quantum at least: what a page may hold.
+        if column.iter().all(|other| span.top() + 1 < other.bottom() || other.top() + 1 < span.bottom()) {
+            column.push(span);
+            column.sort_unstable_by_key(|span| span.bottom());
+            kept.push((i, j, bottom, top, obstacle));
+        }
+    }
+    let build = |columns: &BTreeMap<(u32, u32), Vec<Span>>| -> Page {
+        let mut builder = PageBuilder::default();
+        for (&(x, y), spans) in columns {
+            assert!(builder.set_column(x, y, spans), "{spans:?}");
+        }
+        builder.build()
+    };
+    let frame = Frame::new(PIXEL_M, SLICE_M).unwrap();
+    (Store::from_pages(frame, pages.iter().map(|(&key, columns)| (key, build(columns)))), kept)
+}
+
+fn cell(&(i, j, bottom, top, _): &(i64, i64, i64, i64, bool)) -> GridCell {
+    let end = |n: i64| (n + 1) as f64;
+    GridCell { lo: [i as f64, j as f64, bottom as f64], hi: [end(i), end(j), top as f64] }
+}
+
+fn first_of_all(store: &Store, matter: &Matter, rest: Resting, motion: Vector3<f64>) -> Option<SweepHit> {
+    let moving = Moving::new(store.frame(), rest, motion);
+    let mut best = Best::NONE;
+    for span in matter {
+        let cell = cell(span);
+        if let Some(Contact { at, normal }) = moving.contact(&cell, f64::INFINITY) {
+            let (pixel, obstacle) = ([span.0, span.1], span.4);
+            let found = Best { at, normal, obstacle, pixel, bottom: cell.lo[2], top: cell.hi[2] };
+            if found.before(&best) {
+                best = found;
+            }
+        }
+    }
+    (best.at < f64::INFINITY).then(|| best.hit(store.frame(), motion, 1.0))
+}
+
+fn check<H: Solid>(store: &Store, matter: &Matter, shape: &H, motion: Vector3<f64>) -> Result<(), TestCaseError> {
+    let expected = first_of_all(store, matter, shape.resting(store.frame()), motion);
+    let Answer::Known(found) = sweep(store, shape, motion) else { panic!("all pages are in memory") };
+    match (expected, found) {
+        // Any span that it is in.
+        (Some(expected), Some(found)) if expected.begins_inside() => prop_assert!(found.begins_inside()),
+        _ => prop_assert_eq!(found, expected),
+    }
+    for reach in [0.3, 4.0, f64::INFINITY] {
+        let expected = nearest_of_all(store.frame(), shape.resting(store.frame()), matter.iter().map(cell), reach);
+        prop_assert_eq!(clearance(store, shape, reach), Answer::Known(expected));
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+    #[test]
+    fn what_is_passed_over_changes_no_answer(
+        matter in matter(),
+        place in prop::array::uniform3(-40i32..40),
+        size in prop::array::uniform3(prop::sample::select(vec![0.1, 0.25, 1.0, 1.5, 3.0])),
+        way in prop::array::uniform3(prop::sample::select(vec![0.0, 0.0, 0.05, -0.05, 0.7, -0.7, -3.0, 9.0, -40.0])),
+        off in prop::sample::select(vec![0.0, 0.01, 0.25]),
+    ) {
+        prop_assert_eq!(TILE_PIXELS, 64);
+        let (store, matter) = store(&matter);
+        let place = Point3::from(place.map(|v| f64::from(v) * 0.25 + off));
+        let motion = Vector3::from(way);
+        let (radius, height) = (size[0], size[2]);
+        check(&store, &matter, &Aabb::standing(place, Vector3::from(size)).unwrap(), motion)?;
+        check(&store, &matter, &Cylinder::new(place, radius, height).unwrap(), motion)?;
+        check(&store, &matter, &Sphere::new(place, radius).unwrap(), motion)?;
+        for motion in [Vector3::new(0.0, 0.0, -3.0), Vector3::new(0.0, 0.0, 1.5), Vector3::zeros()] {
+            check(&store, &matter, &Aabb::standing(place, Vector3::from(size)).unwrap(), motion)?;
+            check(&store, &matter, &Cylinder::new(place, radius, height).unwrap(), motion)?;
+            check(&store, &matter, &Sphere::new(place, radius).unwrap(), motion)?;
+        }
+    }
+}
