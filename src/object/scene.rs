@@ -3,7 +3,7 @@
 use super::Object;
 use super::oriented::{LocalBox, Relative, SLACK};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
-use crate::query::{Aabb, GridCell, Overlap, SweepArea, Visit, descend, overlaps};
+use crate::query::{Aabb, GridCell, Matter, Overlap, SweepArea, Visit, descend, overlaps};
 use crate::store::{Missing, PageSet, join, note};
 use nalgebra::{Isometry3, Point3};
 
@@ -111,8 +111,8 @@ impl Visit for Search<'_> {
         !self.hit && !self.relative.separates_by_faces(&self.item, &self.place(cell))
     }
 
-    fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
-        self.hit = self.hit || self.relative.meets(&self.item, &self.place(cell));
+    fn matter(&mut self, matter: &Matter) {
+        self.hit = self.hit || self.relative.meets(&self.item, &self.place(&matter.cell()));
     }
 
     fn missing(&mut self, key: PageKey) {

@@ -138,12 +138,6 @@ mod sse2 {
             })
         }
 
-        /// No span.
-        #[inline]
-        pub fn none() -> Self {
-            Self(vector!(_mm_set1_epi16(i16::MAX)))
-        }
-
         #[inline]
         pub fn join(self, other: Self) -> Self {
             Self(vector!(_mm_min_epi16(self.0, other.0)))
@@ -181,34 +175,17 @@ mod sse2 {
             }
         }
 
-        /// The ends of four spans, and which of them lie in the lanes and meet the heights.
+        /// Which of four spans lie in the lanes and meet the heights, as a mask.
         #[inline]
-        fn four(self, spans: &[Span; 4]) -> (__m128i, __m128i) {
+        pub fn meets(self, spans: &[Span; 4]) -> u32 {
             // SAFETY: reads the four spans, which are 32 bits each.
             let words = unsafe { _mm_loadu_si128(std::ptr::from_ref(spans).cast()) };
             vector! {
-                let ends = ends_of(words);
                 let beside = _mm_cmpgt_epi32(_mm_add_epi32(words, self.turn), self.last);
-                let outside = _mm_or_si128(_mm_cmpgt_epi16(ends, self.heights), beside);
-                (ends, _mm_cmpeq_epi32(outside, _mm_setzero_si128()))
+                let outside = _mm_or_si128(_mm_cmpgt_epi16(ends_of(words), self.heights), beside);
+                let inside = _mm_cmpeq_epi32(outside, _mm_setzero_si128());
+                _mm_movemask_ps(_mm_castsi128_ps(inside)) as u32
             }
-        }
-
-        /// Which of eight spans lie in the lanes and meet the heights, as a mask.
-        #[inline]
-        pub fn meets(self, [a, b]: [&[Span; 4]; 2]) -> u32 {
-            let mask = |spans| vector!(_mm_movemask_ps(_mm_castsi128_ps(self.four(spans).1))) as u32;
-            mask(a) | mask(b) << 4
-        }
-
-        /// `all`, and the ends of those of eight spans that lie in the lanes and meet the heights.
-        #[inline]
-        pub fn join(self, all: Unions, [a, b]: [&[Span; 4]; 2]) -> Unions {
-            let of = |spans| {
-                let (ends, inside) = self.four(spans);
-                Unions(vector!(_mm_or_si128(ends, _mm_andnot_si128(inside, _mm_set1_epi16(i16::MAX)))))
-            };
-            all.join(of(a)).join(of(b))
         }
     }
 
@@ -344,13 +321,7 @@ mod portable {
         #[inline]
         pub fn meeting(spans: &[Span; 4], low: u32, high: u32) -> Self {
             let met = spans.iter().filter(|span| span.meets(low, high));
-            met.fold(Self::none(), |ends, span| ends.join(Self(span.bottom(), span.top())))
-        }
-
-        /// No span.
-        #[inline]
-        pub fn none() -> Self {
-            Self((1 << 14) - 1, 0)
+            met.fold(Self((1 << 14) - 1, 0), |ends, span| ends.join(Self(span.bottom(), span.top())))
         }
 
         #[inline]
@@ -380,23 +351,12 @@ mod portable {
             Self { lanes, low, high }
         }
 
-        /// Which of eight spans lie in the lanes and meet the heights, as a mask.
+        /// Which of four spans lie in the lanes and meet the heights, as a mask.
         #[inline]
-        pub fn meets(self, [a, b]: [&[Span; 4]; 2]) -> u32 {
-            let spans = b.iter().rev().chain(a.iter().rev());
-            spans.fold(0, |mask, &span| mask << 1 | u32::from(self.holds(span)))
-        }
-
-        fn holds(self, span: Span) -> bool {
+        pub fn meets(self, spans: &[Span; 4]) -> u32 {
             let [x0, x1] = self.lanes;
-            span.meets(self.low, self.high) & (x0 <= span.lane()) & (span.lane() <= x1)
-        }
-
-        /// `all`, and the ends of those of eight spans that lie in the lanes and meet the heights.
-        #[inline]
-        pub fn join(self, all: Unions, [a, b]: [&[Span; 4]; 2]) -> Unions {
-            let met = a.iter().chain(b).filter(|&&span| self.holds(span));
-            met.fold(all, |all, span| all.join(Unions(span.bottom(), span.top())))
+            let inside = |span: Span| span.meets(self.low, self.high) & (x0 <= span.lane()) & (span.lane() <= x1);
+            spans.iter().rev().fold(0, |mask, &span| mask << 1 | u32::from(inside(span)))
         }
     }
 }
@@ -431,22 +391,14 @@ mod tests {
 
         #[test]
         fn every_platform_finds_the_same_spans_in_a_window(
-            quads in prop::array::uniform2(prop::array::uniform4((span(), 0..8u32).prop_map(|(span, lane)| span.in_lane(lane)))),
+            spans in prop::array::uniform4((span(), 0..8u32).prop_map(|(span, lane)| span.in_lane(lane))),
             a in 0..16400u32, b in 0..16400u32, c in 0..8u32, d in 0..8u32,
         ) {
             let (low, high, x) = (a.min(b), a.max(b), [c.min(d), c.max(d)]);
-            let holds = |span: &Span| span.meets(low, high) && (x[0]..=x[1]).contains(&span.lane());
-            let eight = [&quads[0], &quads[1]];
-            let expected: u32 = quads.as_flattened().iter().zip(0..).map(|(span, n)| u32::from(holds(span)) << n).sum();
-            prop_assert_eq!(lanes::Window::new(x, low, high).meets(eight), expected);
-            prop_assert_eq!(portable::Window::new(x, low, high).meets(eight), expected);
-            let held: Vec<Span> = quads.as_flattened().iter().copied().filter(holds).collect();
-            let lowest = held.iter().map(|span| span.bottom()).min();
-            let expected = lowest.zip(held.iter().map(|span| span.top()).max());
-            let ends = lanes::Window::new(x, low, high).join(lanes::Unions::none(), eight).ends();
-            prop_assert_eq!((ends.0 <= ends.1).then_some(ends), expected);
-            let ends = portable::Window::new(x, low, high).join(portable::Unions::none(), eight).ends();
-            prop_assert_eq!((ends.0 <= ends.1).then_some(ends), expected);
+            let inside = |span: &Span| span.meets(low, high) && (x[0]..=x[1]).contains(&span.lane());
+            let expected: u32 = spans.iter().zip(0..).map(|(span, n)| u32::from(inside(span)) << n).sum();
+            prop_assert_eq!(lanes::Window::new(x, low, high).meets(&spans), expected);
+            prop_assert_eq!(portable::Window::new(x, low, high).meets(&spans), expected);
         }
 
         #[test]

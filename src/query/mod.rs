@@ -54,7 +54,7 @@ pub(crate) use grid::all_within_reach;
 pub use probe::{Probe, probe, probe_batch};
 pub use ray::{Ray, RayHit, Sight, cast, cast_batch, cast_far};
 pub use sphere::Sphere;
-pub(crate) use sweep::{GridCell, SweepArea, Visit, descend};
+pub(crate) use sweep::{GridCell, Matter, SweepArea, Visit, descend};
 pub use sweep::{
     Solid, SweepHit, clearance, clearance_batch, depenetrate, depenetrate_batch, mean_floor_under, sweep, sweep_batch,
     top_under,

@@ -5,7 +5,7 @@ use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::query::Aabb;
 use crate::query::blocks::{for_each_bit, local, slices_between, slices_of, union_heights};
 use crate::query::footprint::{floor_of, layers};
-use crate::query::four::{Unions, Window};
+use crate::query::four::Window;
 use crate::query::grid::sealed::{OnGrid, OnPixels};
 use crate::query::grid::{Heights, Rect, column_bits, row_bits};
 use crate::slice::{BLOCK_PIXELS, BlockView, Span};
@@ -26,19 +26,31 @@ impl GridCell {
     }
 }
 
+/// A span of a pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Matter {
+    pub pixel: [i64; 2],
+    /// Heights (quanta).
+    pub bottom: i64,
+    pub top: i64,
+    pub obstacle: bool,
+}
+
+impl Matter {
+    /// What it fills.
+    #[inline]
+    pub fn cell(&self) -> GridCell {
+        GridCell::square(self.pixel[0], self.pixel[1], 1, self.bottom, self.top)
+    }
+}
+
 /// What is asked on the way down.
 pub(crate) trait Visit {
     /// Whether matter anywhere in `cell` can matter. If it can in a part of the cell, it can in the cell.
     fn enter(&mut self, cell: &GridCell) -> bool;
 
-    /// Matter that fills `cell`, in pixel (`i`, `j`).
-    fn span(&mut self, cell: &GridCell, obstacle: bool, pixel: [i64; 2]);
-
-    /// Whether of matter in a block the highest is likely to be what counts.
-    #[inline]
-    fn highest_first(&self) -> bool {
-        false
-    }
+    /// Matter that can matter.
+    fn matter(&mut self, matter: &Matter);
 
     /// A page that is not in memory and has matter in a cell that can matter.
     fn missing(&mut self, key: PageKey);
@@ -200,23 +212,7 @@ fn block<V: Visit>(block: BlockView<'_>, place: Place, [x, y]: [Range; 2], visit
     let (lanes, y0) = ([x.first, x.last], y.first);
     for (n, spans) in block.rows(y0, y.last).chunks(MOST).enumerate() {
         let (low, high) = place.heights(visit);
-        let mut window = Window::new(lanes, low, high);
-        if visit.highest_first() {
-            let mut ends = Unions::none();
-            for_each_eight(spans, |_, eight| ends = window.join(ends, eight));
-            let (bottom, top) = ends.ends();
-            if bottom > top {
-                continue;
-            }
-            window = Window::new(lanes, top, high);
-            place.spans(spans, met_of(spans, window), visit, |k| block.row_of(y0, MOST * n + k));
-            let (low, high) = place.heights(visit);
-            if low >= top {
-                continue;
-            }
-            window = Window::new(lanes, low, high);
-        }
-        let met = met_of(spans, window);
+        let met = met_of(spans, Window::new(lanes, low, high));
         if met != 0 {
             place.spans(spans, met, visit, |k| block.row_of(y0, MOST * n + k));
         }
@@ -230,34 +226,21 @@ const MOST: usize = 64;
 #[inline]
 fn met_of(spans: &[Span], window: Window) -> u64 {
     let mut met = 0;
-    for_each_eight(spans, |first, eight| met |= u64::from(window.meets(eight)) << (first & 63));
-    met
-}
-
-/// Shows `f` spans in eights, with the number of the first: the last eight overlap with those before, and fewer than eight are filled
-/// up with such that meet nothing.
-#[inline]
-fn for_each_eight(spans: &[Span], mut f: impl FnMut(usize, [&[Span; 4]; 2])) {
-    let (fours, rest) = spans.as_chunks::<4>();
-    let mut n = 0;
-    while let Some([a, b]) = fours.get(n..n + 2) {
-        f(4 * n, [a, b]);
-        n += 2;
+    for (n, four) in spans.as_chunks().0.iter().enumerate() {
+        met |= u64::from(window.meets(four)) << (4 * n & 63);
     }
-    if n == fours.len() && rest.is_empty() {
-        return;
-    }
-    if let Some([a, b]) =
-        spans.last_chunk::<8>().map(|last| last.as_chunks::<4>().0).and_then(|fours| fours.first_chunk())
-    {
-        f(spans.len() - 8, [a, b]);
-    } else {
-        let mut few = [[Span::NEVER; 4]; 2];
-        for (slot, &span) in few.as_flattened_mut().iter_mut().zip(spans) {
-            *slot = span;
+    // The last four overlap with those before, rather than a loop over the rest.
+    match spans.last_chunk() {
+        Some(last) => met |= u64::from(window.meets(last)) << (spans.len() - 4 & 63),
+        None => {
+            let mut few = [Span::NEVER; 4];
+            for (slot, &span) in few.iter_mut().zip(spans) {
+                *slot = span;
+            }
+            met = u64::from(window.meets(&few));
         }
-        f(0, [&few[0], &few[1]]);
     }
+    met
 }
 
 /// A place in a page: a pixel, and the page's floor.
@@ -298,8 +281,9 @@ impl Place {
             let span = spans[n];
             // What was found may have left less to look for.
             if span.meets(low, high) {
-                let place = self.at(span.lane(), row_of(n));
-                visit.span(&place.cell(1, span.bottom(), span.top()), span.is_obstacle(), [place.i, place.j]);
+                let Self { i, j, base } = self.at(span.lane(), row_of(n));
+                let (bottom, top) = (base + i64::from(span.bottom()), base + i64::from(span.top()));
+                visit.matter(&Matter { pixel: [i, j], bottom, top, obstacle: span.is_obstacle() });
                 (low, high) = self.heights(visit);
             }
         }

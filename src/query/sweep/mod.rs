@@ -9,7 +9,7 @@ mod near;
 mod solid;
 mod step;
 
-pub(crate) use descent::{GridCell, SweepArea, Visit, descend};
+pub(crate) use descent::{GridCell, Matter, SweepArea, Visit, descend};
 pub use near::{clearance, clearance_batch, depenetrate, depenetrate_batch};
 pub use solid::Solid;
 pub use step::{mean_floor_under, top_under};
@@ -147,24 +147,20 @@ struct Best {
     /// Of the motion; -1 for a shape that begins inside, infinite while there is none.
     at: f64,
     normal: [f64; 3],
-    obstacle: bool,
-    pixel: [i64; 2],
-    bottom: f64,
-    top: f64,
+    matter: Matter,
 }
 
 impl Best {
-    const NONE: Self =
-        Self { at: f64::INFINITY, normal: [0.0; 3], obstacle: false, pixel: [0; 2], bottom: 0.0, top: 0.0 };
+    const NONE: Self = Self {
+        at: f64::INFINITY,
+        normal: [0.0; 3],
+        matter: Matter { pixel: [0; 2], bottom: 0, top: 0, obstacle: false },
+    };
 
     /// Whether this one is to be taken before `other`: an order in which no two contacts are equal.
     fn before(&self, other: &Self) -> bool {
-        let axis = |best: &Self| {
-            let n = best.normal;
-            (n[2] == 0.0, n[0] == 0.0, !best.obstacle, best.pixel)
-        };
-        let order = self.at.total_cmp(&other.at).then_with(|| axis(self).cmp(&axis(other)));
-        order.then_with(|| self.bottom.total_cmp(&other.bottom)).is_lt()
+        let axis = |best: &Self| (best.normal[2] == 0.0, best.normal[0] == 0.0, rank(&best.matter));
+        self.at.total_cmp(&other.at).then_with(|| axis(self).cmp(&axis(other))).is_lt()
     }
 
     /// Of a motion that is this `share` of the one asked for.
@@ -174,11 +170,17 @@ impl Best {
             fraction: fraction * share,
             distance: fraction * motion.norm(),
             normal: Vector3::from(self.normal),
-            obstacle: self.obstacle,
-            pixel: self.pixel,
-            heights: [frame.bottom_height(self.bottom as i64), frame.top_height(self.top as i64)],
+            obstacle: self.matter.obstacle,
+            pixel: self.matter.pixel,
+            heights: [frame.bottom_height(self.matter.bottom), frame.top_height(self.matter.top)],
         }
     }
+}
+
+/// The least of matter that is met at the same time counts.
+#[inline]
+fn rank(matter: &Matter) -> (bool, [i64; 2], i64) {
+    (!matter.obstacle, matter.pixel, matter.bottom)
 }
 
 struct Search {
@@ -195,13 +197,10 @@ impl Search {
     /// Whether matter is met at the same time as what was found, because a flat face moves along z alone and it ends at the same height,
     /// but comes after that in the order of contacts.
     #[inline]
-    fn is_later_of_equal(&self, cell: &GridCell, obstacle: bool, pixel: [i64; 2]) -> bool {
-        let best = &self.best;
-        let equal = if self.moving.v[2] < 0.0 { cell.hi[2] == best.top } else { cell.lo[2] == best.bottom };
-        equal
-            && self.moving.is_flat_and_upright()
-            && best.at < f64::INFINITY
-            && (!obstacle, pixel) >= (!best.obstacle, best.pixel)
+    fn is_later_of_equal(&self, matter: &Matter) -> bool {
+        let best = &self.best.matter;
+        let equal = if self.moving.v[2] < 0.0 { matter.top == best.top } else { matter.bottom == best.bottom };
+        equal && self.moving.is_flat_and_upright() && self.best.at < f64::INFINITY && rank(matter) >= rank(best)
     }
 }
 
@@ -214,12 +213,12 @@ impl Visit for Search {
     }
 
     #[inline]
-    fn span(&mut self, cell: &GridCell, obstacle: bool, pixel: [i64; 2]) {
-        if self.best.at < 0.0 || self.is_later_of_equal(cell, obstacle, pixel) {
+    fn matter(&mut self, matter: &Matter) {
+        if self.best.at < 0.0 || self.is_later_of_equal(matter) {
             return;
         }
-        if let Some(Contact { at, normal }) = self.moving.contact(cell, self.best.at) {
-            let found = Best { at, normal, obstacle, pixel, bottom: cell.lo[2], top: cell.hi[2] };
+        if let Some(Contact { at, normal }) = self.moving.contact(&matter.cell(), self.best.at) {
+            let found = Best { at, normal, matter: *matter };
             if found.before(&self.best) {
                 self.best = found;
                 // A shape that begins inside looks for no better place.
@@ -230,11 +229,6 @@ impl Visit for Search {
 
     fn missing(&mut self, key: PageKey) {
         note(&mut self.missing, key);
-    }
-
-    #[inline]
-    fn highest_first(&self) -> bool {
-        self.moving.v[2] < 0.0
     }
 
     #[inline]

@@ -1,6 +1,6 @@
 //! How far matter is from a shape, and the shortest way out of it.
 
-use super::descent::{GridCell, SweepArea, Visit, descend};
+use super::descent::{GridCell, Matter, SweepArea, Visit, descend};
 use super::solid::{Form, Moving, Resting, Solid, norm};
 use crate::frame::{Frame, PageKey, floor_index};
 use crate::query::answer::Answer;
@@ -142,9 +142,10 @@ impl Visit for Nearest {
         distance < self.best || !self.found && distance <= self.best
     }
 
-    fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
-        if self.enter(cell) {
-            self.best = self.distance(cell);
+    fn matter(&mut self, matter: &Matter) {
+        let cell = matter.cell();
+        if self.enter(&cell) {
+            self.best = self.distance(&cell);
             self.heights = within(&self.rest, 2, self.best / self.metres[2]);
             self.found = true;
         }
@@ -234,9 +235,10 @@ impl Visit for WayOut {
         self.moving.meeting(cell).is_some()
     }
 
-    fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
-        if self.moving.contact(cell, 1.0).is_some() {
-            self.most = self.most.max(self.way(cell));
+    fn matter(&mut self, matter: &Matter) {
+        let cell = matter.cell();
+        if self.moving.contact(&cell, 1.0).is_some() {
+            self.most = self.most.max(self.way(&cell));
         }
     }
 

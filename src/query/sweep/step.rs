@@ -1,6 +1,6 @@
 //! Tops under a footprint: how high a step is, and the floor as the thesis takes it.
 
-use super::descent::{GridCell, SweepArea, Visit, descend};
+use super::descent::{GridCell, Matter, SweepArea, Visit, descend};
 use super::solid::{Form, Moving, Solid};
 use crate::frame::PageKey;
 use crate::query::answer::Answer;
@@ -81,9 +81,9 @@ impl Visit for Highest {
         cell.hi[2] > self.best as f64 && over(&self.moving, cell)
     }
 
-    fn span(&mut self, cell: &GridCell, _obstacle: bool, _pixel: [i64; 2]) {
-        if cell.hi[2] <= self.limit as f64 && self.enter(cell) {
-            self.best = cell.hi[2] as i64;
+    fn matter(&mut self, matter: &Matter) {
+        if matter.top <= self.limit && self.enter(&matter.cell()) {
+            self.best = matter.top;
             self.found = true;
         }
     }
@@ -111,10 +111,10 @@ impl Visit for Mean {
         over(&self.moving, cell)
     }
 
-    fn span(&mut self, cell: &GridCell, obstacle: bool, _pixel: [i64; 2]) {
-        let inside = (self.low as f64..=self.high as f64).contains(&cell.hi[2]);
-        if !obstacle && inside && self.enter(cell) {
-            self.sum += cell.hi[2];
+    fn matter(&mut self, matter: &Matter) {
+        let inside = (self.low..=self.high).contains(&matter.top);
+        if !matter.obstacle && inside && self.enter(&matter.cell()) {
+            self.sum += matter.top as f64;
             self.count += 1;
         }
     }

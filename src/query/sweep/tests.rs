@@ -14,11 +14,8 @@ use std::collections::BTreeMap;
 const PIXEL_M: f64 = 0.5;
 const SLICE_M: f64 = 2.55;
 
-/// Spans of pixels around the corner of four tiles and two layers, as (i, j, bottom, top, obstacle). Heights are few, so that many
-/// are equal.
-type Matter = Vec<(i64, i64, i64, i64, bool)>;
-
-fn matter() -> impl Strategy<Value = Matter> {
+/// Spans of pixels around the corner of four tiles and two layers. Heights are few, so that many are equal.
+fn matter() -> impl Strategy<Value = Vec<Matter>> {
     let height = prop::sample::select(vec![-300i64, -256, -255, -60, -1, 0, 1, 20, 21, 254, 255, 256, 400]);
     let span = (-20i64..20, -20i64..20, height, prop::sample::select(vec![0i64, 1, 5, 200]), any::<bool>());
     prop::collection::vec(
@@ -27,22 +24,22 @@ fn matter() -> impl Strategy<Value = Matter> {
     )
 }
 
-/// A store of that matter, and the matter that is in it: one span in a pixel and slice.
-fn store(matter: &Matter) -> (Store, Matter) {
+/// A store of that matter, and the matter that is in it: what a page may hold.
+fn store(matter: &[Matter]) -> (Store, Vec<Matter>) {
     let mut pages: BTreeMap<PageKey, BTreeMap<(u32, u32), Vec<Span>>> = BTreeMap::new();
-    let mut kept = Matter::new();
-    for &(i, j, bottom, top, obstacle) in matter {
+    let mut kept = Vec::new();
+    for &Matter { pixel: [i, j], bottom, top, obstacle } in matter {
         let layer = bottom.div_euclid(PAGE_QUANTA);
         let base = layer * PAGE_QUANTA;
         let key = PageKey { tx: (i >> 6) as i32, ty: (j >> 6) as i32, layer: layer as i32 };
         let column = pages.entry(key).or_default().entry(((i & 63) as u32, (j & 63) as u32)).or_default();
         let top = top.min(base + PAGE_QUANTA);
         let Some(span) = Span::new((bottom - base) as u32, (top - base) as u32, obstacle) else { continue };
-        // Apart by a quantum at least: what a page may hold.
+        // Spans of a pixel are apart.
         if column.iter().all(|other| span.top() + 1 < other.bottom() || other.top() + 1 < span.bottom()) {
             column.push(span);
             column.sort_unstable_by_key(|span| span.bottom());
-            kept.push((i, j, bottom, top, obstacle));
+            kept.push(Matter { pixel: [i, j], bottom, top, obstacle });
         }
     }
     let build = |columns: &BTreeMap<(u32, u32), Vec<Span>>| -> Page {
@@ -56,19 +53,12 @@ fn store(matter: &Matter) -> (Store, Matter) {
     (Store::from_pages(frame, pages.iter().map(|(&key, columns)| (key, build(columns)))), kept)
 }
 
-fn cell(&(i, j, bottom, top, _): &(i64, i64, i64, i64, bool)) -> GridCell {
-    let end = |n: i64| (n + 1) as f64;
-    GridCell { lo: [i as f64, j as f64, bottom as f64], hi: [end(i), end(j), top as f64] }
-}
-
-fn first_of_all(store: &Store, matter: &Matter, rest: Resting, motion: Vector3<f64>) -> Option<SweepHit> {
+fn first_of_all(store: &Store, matter: &[Matter], rest: Resting, motion: Vector3<f64>) -> Option<SweepHit> {
     let moving = Moving::new(store.frame(), rest, motion);
     let mut best = Best::NONE;
-    for span in matter {
-        let cell = cell(span);
-        if let Some(Contact { at, normal }) = moving.contact(&cell, f64::INFINITY) {
-            let (pixel, obstacle) = ([span.0, span.1], span.4);
-            let found = Best { at, normal, obstacle, pixel, bottom: cell.lo[2], top: cell.hi[2] };
+    for &matter in matter {
+        if let Some(Contact { at, normal }) = moving.contact(&matter.cell(), f64::INFINITY) {
+            let found = Best { at, normal, matter };
             if found.before(&best) {
                 best = found;
             }
@@ -77,7 +67,7 @@ fn first_of_all(store: &Store, matter: &Matter, rest: Resting, motion: Vector3<f
     (best.at < f64::INFINITY).then(|| best.hit(store.frame(), motion, 1.0))
 }
 
-fn check<H: Solid>(store: &Store, matter: &Matter, shape: &H, motion: Vector3<f64>) -> Result<(), TestCaseError> {
+fn check<H: Solid>(store: &Store, matter: &[Matter], shape: &H, motion: Vector3<f64>) -> Result<(), TestCaseError> {
     let expected = first_of_all(store, matter, shape.resting(store.frame()), motion);
     let Answer::Known(found) = sweep(store, shape, motion) else { panic!("all pages are in memory") };
     match (expected, found) {
@@ -86,7 +76,8 @@ fn check<H: Solid>(store: &Store, matter: &Matter, shape: &H, motion: Vector3<f6
         _ => prop_assert_eq!(found, expected),
     }
     for reach in [0.3, 4.0, f64::INFINITY] {
-        let expected = nearest_of_all(store.frame(), shape.resting(store.frame()), matter.iter().map(cell), reach);
+        let expected =
+            nearest_of_all(store.frame(), shape.resting(store.frame()), matter.iter().map(Matter::cell), reach);
         prop_assert_eq!(clearance(store, shape, reach), Answer::Known(expected));
     }
     Ok(())
