@@ -42,14 +42,14 @@ pub(super) fn tick<S: PageSet>(
     way: Vector2<f64>,
 ) -> Needs<Option<Stop>> {
     let mut attempt = Attempt { config, set, motion, stop: None };
-    attempt.get_out()?;
     let strides = (way.norm() / STRIDE_M).ceil().max(1.0);
+    let mut first = attempt.get_out(way / strides)?;
     let mut falls = attempt.motion.ground == Ground::Air;
     for _ in 0..strides as u64 {
         let before = attempt.motion.feet;
         let stride = way / strides;
         if !attempt.go_around(stride)? {
-            attempt.stride(stride)?;
+            attempt.stride(stride, first.take())?;
         }
         if attempt.motion.ground != Ground::Air {
             attempt.stand()?;
@@ -88,28 +88,37 @@ impl<S: PageSet> Attempt<'_, S> {
         self.config.climb + self.set.frame().quantum_m() + LEVEL_M
     }
 
-    /// Out of matter that the pawn was put into, or that has been loaded around it.
-    fn get_out(&mut self) -> Needs<()> {
+    /// Out of matter that the pawn was put into, or that has been loaded around it. Gives what is in the way of the first `stride`, if
+    /// that is what was asked.
+    fn get_out(&mut self, stride: Vector2<f64>) -> Needs<Option<Option<SweepHit>>> {
         let feet = self.motion.feet;
-        if self.sweep(feet, Vector3::zeros())?.is_some() {
-            self.stop = Some(Stop::Inside);
-            let max = self.config.climb.max(self.config.body.half().max());
-            if let Some(out) = known(self.config.body.way_out(self.set, feet, max))? {
-                self.motion.feet += out;
-            }
+        // Any way tells whether the pawn is inside: the one that it wants to go, unless that may change.
+        let is_way = stride.norm() >= NOTHING_M && self.motion.detour == Vector2::zeros();
+        let hit = self.sweep(feet, if is_way { stride.push(0.0) } else { Vector3::zeros() })?;
+        if !hit.is_some_and(|hit| hit.begins_inside()) {
+            return ControlFlow::Continue(is_way.then_some(hit));
         }
-        ControlFlow::Continue(())
+        self.stop = Some(Stop::Inside);
+        let max = self.config.climb.max(self.config.body.half().max());
+        if let Some(out) = known(self.config.body.way_out(self.set, feet, max))? {
+            self.motion.feet += out;
+        }
+        ControlFlow::Continue(None)
     }
 
-    /// Across by `way`, over steps and along walls.
-    fn stride(&mut self, way: Vector2<f64>) -> Needs<()> {
+    /// Across by `way`, over steps and along walls; `first` is what is in the way, where that is known.
+    fn stride(&mut self, way: Vector2<f64>, mut first: Option<Option<SweepHit>>) -> Needs<()> {
         let mut rest = way;
         let mut wall: Option<Vector2<f64>> = None;
         for _ in 0..CONTACTS {
             if rest.norm() < NOTHING_M {
                 break;
             }
-            let Some(hit) = self.sweep(self.motion.feet, rest.push(0.0))? else {
+            let hit = match first.take() {
+                Some(hit) => hit,
+                None => self.sweep(self.motion.feet, rest.push(0.0))?,
+            };
+            let Some(hit) = hit else {
                 self.motion.feet += rest.push(0.0);
                 if wall.is_none() {
                     self.note_free(rest.norm());

@@ -227,11 +227,11 @@ const MOST: usize = 64;
 fn met_of(spans: &[Span], window: Window) -> u64 {
     let mut met = 0;
     for (n, four) in spans.as_chunks().0.iter().enumerate() {
-        met |= u64::from(window.meets(four)) << (4 * n & 63);
+        met |= u64::from(window.meets(four)) << (4 * n);
     }
     // The last four overlap with those before, rather than a loop over the rest.
     match spans.last_chunk() {
-        Some(last) => met |= u64::from(window.meets(last)) << (spans.len() - 4 & 63),
+        Some(last) => met |= u64::from(window.meets(last)) << (spans.len() - 4),
         None => {
             let mut few = [Span::NEVER; 4];
             for (slot, &span) in few.iter_mut().zip(spans) {

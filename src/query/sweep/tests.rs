@@ -18,10 +18,11 @@ const SLICE_M: f64 = 2.55;
 fn matter() -> impl Strategy<Value = Vec<Matter>> {
     let height = prop::sample::select(vec![-300i64, -256, -255, -60, -1, 0, 1, 20, 21, 254, 255, 256, 400]);
     let span = (-20i64..20, -20i64..20, height, prop::sample::select(vec![0i64, 1, 5, 200]), any::<bool>());
-    prop::collection::vec(
-        span.prop_map(|(i, j, bottom, more, obstacle)| (i, j, bottom, bottom + more, obstacle)),
-        1..300,
-    )
+    let matter = span.prop_map(|(i, j, bottom, more, obstacle)| {
+        let (pixel, top) = ([i, j], bottom + more);
+        Matter { pixel, bottom, top, obstacle }
+    });
+    prop::collection::vec(matter, 1..300)
 }
 
 /// A store of that matter, and the matter that is in it: what a page may hold.
