@@ -58,10 +58,10 @@ pub(crate) trait Visit {
     /// The lowest top and the highest bottom of matter that can matter.
     fn heights(&self) -> (i64, i64);
 
-    /// Like [`enter`](Self::enter) for matter at these [`heights`](Self::heights), but quickly told: may be true where that is false.
+    /// Whether [`enter`](Self::enter) would hardly ever say no to matter at these [`heights`](Self::heights).
     #[inline]
-    fn reaches(&mut self, cell: impl FnOnce() -> GridCell) -> bool {
-        self.enter(&cell())
+    fn takes_all(&self) -> bool {
+        false
     }
 
     /// Least and greatest coordinate along the other axis of x and y that can matter between `lo` and `hi` along
@@ -97,6 +97,14 @@ impl SweepArea {
 /// Shows `visit` the matter of `set` in `area`.
 #[inline]
 pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &SweepArea, visit: &mut V) {
+    // A page on the web fetches what it runs: one way down for all visitors.
+    #[cfg(target_family = "wasm")]
+    let visit: &mut dyn Visit = visit;
+    tiles(set, area, visit);
+}
+
+#[inline]
+fn tiles<S: PageSet, V: Visit + ?Sized>(set: &S, area: &SweepArea, visit: &mut V) {
     let Some(bounds) = set.bounds() else { return };
     let tiles = |first: i64, last: i64, axis: usize| {
         ((first >> 6).max(i64::from(bounds.min[axis])), (last >> 6).min(i64::from(bounds.max[axis])))
@@ -151,7 +159,7 @@ pub(crate) fn descend<S: PageSet, V: Visit>(set: &S, area: &SweepArea, visit: &m
 }
 
 #[inline]
-fn column<T: PageSlot, V: Visit>(area: &SweepArea, tx: i32, ty: i32, slots: &[T], visit: &mut V) {
+fn column<T: PageSlot, V: Visit + ?Sized>(area: &SweepArea, tx: i32, ty: i32, slots: &[T], visit: &mut V) {
     let (i, j) = (i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS);
     let (x, y) = (Range::within(area.rect.i0, area.rect.i1, i), Range::within(area.rect.j0, area.rect.j1, j));
     let under = column_bits(x.first >> 3, x.last >> 3) & row_bits(y.first >> 3, y.last >> 3);
@@ -166,7 +174,7 @@ fn column<T: PageSlot, V: Visit>(area: &SweepArea, tx: i32, ty: i32, slots: &[T]
         let (bottom, top) = (slices.trailing_zeros(), 64 - slices.leading_zeros());
         let cell = || place.cell(TILE_PIXELS, bottom * SLICE_QUANTA as u32, top * SLICE_QUANTA as u32);
         match slot.page() {
-            Some(page) if visit.reaches(cell) => {
+            Some(page) if visit.takes_all() || visit.enter(&cell()) => {
                 let (first, last) = slices_of(low, high);
                 for_each_bit(under & page.blocks_in(first, last), |number| {
                     let (bx, by) = ((number & 7) << 3, number & 56);
@@ -203,10 +211,10 @@ impl Range {
 
 /// The pixels `x`, `y` of a block that begins at `place`.
 #[inline]
-fn block<V: Visit>(block: BlockView<'_>, place: Place, [x, y]: [Range; 2], visit: &mut V) {
+fn block<V: Visit + ?Sized>(block: BlockView<'_>, place: Place, [x, y]: [Range; 2], visit: &mut V) {
     let (low, high) = place.heights(visit);
     let Some((bottom, top)) = union_heights(block, low, high) else { return };
-    if !visit.reaches(|| place.cell(i64::from(BLOCK_PIXELS), bottom, top)) {
+    if !visit.takes_all() && !visit.enter(&place.cell(i64::from(BLOCK_PIXELS), bottom, top)) {
         return;
     }
     let (lanes, y0) = ([x.first, x.last], y.first);
@@ -223,7 +231,7 @@ fn block<V: Visit>(block: BlockView<'_>, place: Place, [x, y]: [Range; 2], visit
 const MOST: usize = 64;
 
 /// Which of at most [`MOST`] spans are in `window`, as a mask.
-#[inline]
+#[cfg_attr(not(target_family = "wasm"), inline)]
 fn met_of(spans: &[Span], window: Window) -> u64 {
     let mut met = 0;
     for (n, four) in spans.as_chunks().0.iter().enumerate() {
@@ -266,14 +274,14 @@ impl Place {
 
     /// Heights in the page that can matter.
     #[inline]
-    fn heights<V: Visit>(self, visit: &V) -> (u32, u32) {
+    fn heights<V: Visit + ?Sized>(self, visit: &V) -> (u32, u32) {
         let (low, high) = visit.heights();
         (local(low, self.base), local(high, self.base))
     }
 
     /// Shows `visit` those of the spans of a block here that are in the mask `met`.
     #[inline(never)]
-    fn spans<V: Visit>(self, spans: &[Span], mut met: u64, visit: &mut V, row_of: impl Fn(usize) -> u32) {
+    fn spans<V: Visit + ?Sized>(self, spans: &[Span], mut met: u64, visit: &mut V, row_of: impl Fn(usize) -> u32) {
         let (mut low, mut high) = (0, u32::MAX);
         while met != 0 {
             let n = met.trailing_zeros() as usize;

@@ -237,8 +237,8 @@ impl Visit for Search {
     }
 
     #[inline]
-    fn reaches(&mut self, cell: impl FnOnce() -> GridCell) -> bool {
-        self.is_short || self.enter(&cell())
+    fn takes_all(&self) -> bool {
+        self.is_short
     }
 
     #[inline]

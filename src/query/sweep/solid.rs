@@ -235,7 +235,7 @@ impl Moving {
     }
 
     /// The first contact with `cell`, within the motion and not after `until`.
-    #[inline]
+    #[cfg_attr(not(target_family = "wasm"), inline)]
     pub fn contact(&self, cell: &GridCell, until: f64) -> Option<Contact> {
         let gap = |a: usize| greater(greater(cell.lo[a] - self.middle[a], self.middle[a] - cell.hi[a]), 0.0);
         if gap(0) * gap(0) + gap(1) * gap(1) > self.reach {

@@ -73,7 +73,7 @@ impl Visit for Highest {
         (self.best + 1, self.limit)
     }
 
-    fn reaches(&mut self, _cell: impl FnOnce() -> GridCell) -> bool {
+    fn takes_all(&self) -> bool {
         true
     }
 
