@@ -1,9 +1,9 @@
 //! One page against one shape.
 
-use super::four::Unions;
+use super::four::{Unions, Window};
 use super::grid::Heights;
 use super::grid::sealed::OnPixels;
-use super::scan::{meeting, meeting_in_lanes};
+use super::scan::meeting;
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::slice::{BlockView, Page, Span};
 
@@ -127,7 +127,8 @@ fn touched_in_pixels<G: OnPixels>(
     let mut kinds = 0;
     if G::UPRIGHT {
         for_each_strip(mask, |strip| {
-            kinds |= meeting_in_lanes(block.rows(strip.y0, strip.y1), strip.x0, strip.x1, low, high, until);
+            let window = Window::new([strip.x0, strip.x1], low, high);
+            kinds |= window.kinds(block.rows(strip.y0, strip.y1), until);
         });
         return kinds;
     }

@@ -6,11 +6,20 @@ use portable as lanes;
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 use sse2 as lanes;
 
+use crate::slice::Span;
 pub(super) use lanes::{Floats, Pair, Unions, Window};
+
+/// The last four of `spans`, rather than a loop over what groups of four leave; fewer are filled up with such that meet nothing.
+#[inline]
+pub(super) fn last_four(spans: &[Span]) -> [Span; 4] {
+    spans.last_chunk().copied().unwrap_or_else(|| std::array::from_fn(|n| spans.get(n).copied().unwrap_or(Span::NEVER)))
+}
 
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 mod sse2 {
+    use super::last_four;
     use crate::frame::PAGE_QUANTA;
+    use crate::query::blocks::{Kinds, MATTER, OBSTACLE};
     use crate::slice::Span;
     use std::arch::x86_64::*;
 
@@ -175,17 +184,52 @@ mod sse2 {
             }
         }
 
-        /// Which of four spans lie in the lanes and meet the heights, as a mask.
+        /// Four spans, and which of them lie in the lanes and meet the heights.
         #[inline]
-        pub fn meets(self, spans: &[Span; 4]) -> u32 {
+        fn inside(self, spans: &[Span; 4]) -> (__m128i, __m128i) {
             // SAFETY: reads the four spans, which are 32 bits each.
             let words = unsafe { _mm_loadu_si128(std::ptr::from_ref(spans).cast()) };
             vector! {
                 let beside = _mm_cmpgt_epi32(_mm_add_epi32(words, self.turn), self.last);
                 let outside = _mm_or_si128(_mm_cmpgt_epi16(ends_of(words), self.heights), beside);
-                let inside = _mm_cmpeq_epi32(outside, _mm_setzero_si128());
-                _mm_movemask_ps(_mm_castsi128_ps(inside)) as u32
+                (words, _mm_cmpeq_epi32(outside, _mm_setzero_si128()))
             }
+        }
+
+        /// Which of four spans lie in the lanes and meet the heights, as a mask.
+        #[inline]
+        pub fn meets(self, spans: &[Span; 4]) -> u32 {
+            vector!(_mm_movemask_ps(_mm_castsi128_ps(self.inside(spans).1))) as u32
+        }
+
+        /// Kinds of those `spans` that lie in the lanes and meet the heights, at least until one is in `until`.
+        #[inline]
+        pub fn kinds(self, spans: &[Span], until: Kinds) -> Kinds {
+            let until = vector!(_mm_set1_epi32(until as i32));
+            let mut all = vector!(_mm_setzero_si128());
+            let mut join = |four: &[Span; 4]| {
+                let (words, inside) = self.inside(four);
+                all = vector!(_mm_or_si128(all, _mm_and_si128(inside, _mm_or_si128(words, _mm_set1_epi32(1)))));
+                vector!(_mm_movemask_epi8(_mm_cmpeq_epi32(_mm_and_si128(all, until), _mm_setzero_si128()))) != 0xFFFF
+            };
+            let (fours, rest) = spans.as_chunks();
+            let mut pairs = fours.chunks_exact(2);
+            // Two at a time: the way out costs as much as one of them.
+            let done = pairs.any(|pair| {
+                join(&pair[0]);
+                join(&pair[1])
+            });
+            if !done {
+                if let [four] = pairs.remainder() {
+                    join(four);
+                }
+                if !rest.is_empty() {
+                    join(&last_four(spans));
+                }
+            }
+            let half = vector!(_mm_or_si128(all, _mm_shuffle_epi32::<0b1110>(all)));
+            let kinds = vector!(_mm_cvtsi128_si32(_mm_or_si128(half, _mm_shuffle_epi32::<0b01>(half)))) as u32;
+            kinds & (MATTER | OBSTACLE)
         }
     }
 
@@ -203,6 +247,8 @@ mod sse2 {
 // There for tests, which ask for a part of it only.
 #[cfg_attr(all(target_arch = "x86_64", not(slicewalk_portable)), allow(dead_code))]
 mod portable {
+    use crate::query::blocks::Kinds;
+    use crate::query::scan::meeting_in_lanes;
     use crate::slice::Span;
 
     /// Four numbers of single precision, none of them NaN.
@@ -358,13 +404,19 @@ mod portable {
             let inside = |span: Span| span.meets(self.low, self.high) & (x0 <= span.lane()) & (span.lane() <= x1);
             spans.iter().rev().fold(0, |mask, &span| mask << 1 | u32::from(inside(span)))
         }
+
+        /// Kinds of those `spans` that lie in the lanes and meet the heights, at least until one is in `until`.
+        #[inline]
+        pub fn kinds(self, spans: &[Span], until: Kinds) -> Kinds {
+            meeting_in_lanes(spans, self.lanes[0], self.lanes[1], self.low, self.high, until)
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::slice::Span;
+    use crate::query::blocks::{MATTER, OBSTACLE};
     use proptest::prelude::*;
 
     fn span() -> impl Strategy<Value = Span> {
@@ -399,6 +451,25 @@ mod tests {
             let expected: u32 = spans.iter().zip(0..).map(|(span, n)| u32::from(inside(span)) << n).sum();
             prop_assert_eq!(lanes::Window::new(x, low, high).meets(&spans), expected);
             prop_assert_eq!(portable::Window::new(x, low, high).meets(&spans), expected);
+        }
+
+        #[test]
+        fn every_platform_finds_the_same_kinds(
+            spans in prop::collection::vec((span(), 0..8u32).prop_map(|(span, lane)| span.in_lane(lane)), 0..40),
+            a in 0..16400u32, b in 0..16400u32, c in 0..8u32, d in 0..8u32,
+        ) {
+            let (low, high, x) = (a.min(b), a.max(b), [c.min(d), c.max(d)]);
+            let inside = spans.iter().filter(|span| span.meets(low, high) && (x[0]..=x[1]).contains(&span.lane()));
+            let expected = inside.fold(0, |kinds, span| kinds | span.kinds());
+            for until in [0, MATTER, OBSTACLE] {
+                let kinds = [
+                    lanes::Window::new(x, low, high).kinds(&spans, until),
+                    portable::Window::new(x, low, high).kinds(&spans, until),
+                ];
+                for kinds in kinds {
+                    prop_assert!(kinds == expected || kinds & until != 0 && kinds & !expected == 0);
+                }
+            }
         }
 
         #[test]

@@ -52,6 +52,7 @@ fn eight(spans: &[Span; 8], value: impl Fn(Span) -> u32, join: impl Fn(u32, u32)
 }
 
 /// Kinds of those `spans` that lie in lanes `x0..=x1` and meet `low..=high`, at least until one is in `until`.
+#[cfg(any(test, not(target_arch = "x86_64"), slicewalk_portable))]
 #[cfg_attr(target_family = "wasm", inline)]
 #[cfg_attr(not(target_family = "wasm"), inline(always))]
 pub(super) fn meeting_in_lanes(spans: &[Span], x0: u32, x1: u32, low: u32, high: u32, until: Kinds) -> Kinds {

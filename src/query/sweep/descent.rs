@@ -5,7 +5,7 @@ use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::query::Aabb;
 use crate::query::blocks::{for_each_bit, local, slices_between, slices_of, union_heights};
 use crate::query::footprint::{floor_of, layers};
-use crate::query::four::Window;
+use crate::query::four::{Window, last_four};
 use crate::query::grid::sealed::{OnGrid, OnPixels};
 use crate::query::grid::{Heights, Rect, column_bits, row_bits};
 use crate::slice::{BLOCK_PIXELS, BlockView, Span};
@@ -237,18 +237,7 @@ fn met_of(spans: &[Span], window: Window) -> u64 {
     for (n, four) in spans.as_chunks().0.iter().enumerate() {
         met |= u64::from(window.meets(four)) << (4 * n);
     }
-    // The last four overlap with those before, rather than a loop over the rest.
-    match spans.last_chunk() {
-        Some(last) => met |= u64::from(window.meets(last)) << (spans.len() - 4),
-        None => {
-            let mut few = [Span::NEVER; 4];
-            for (slot, &span) in few.iter_mut().zip(spans) {
-                *slot = span;
-            }
-            met = u64::from(window.meets(&few));
-        }
-    }
-    met
+    met | u64::from(window.meets(&last_four(spans))) << spans.len().saturating_sub(4)
 }
 
 /// A place in a page: a pixel, and the page's floor.
