@@ -160,6 +160,7 @@ mod sse2 {
             (least & 0xFFFF, least >> 16 ^ FIELD as u32)
         }
     }
+
     /// Lanes and heights that spans are held against.
     #[derive(Clone, Copy)]
     pub struct Window {

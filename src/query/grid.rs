@@ -91,6 +91,12 @@ pub(super) fn row_bits(first: u32, last: u32) -> u64 {
 }
 
 impl Rect {
+    /// Whether pixel (`i`, `j`) is one of these.
+    #[inline]
+    pub(super) fn holds(&self, i: i64, j: i64) -> bool {
+        (self.i0 <= i) & (i <= self.i1) & (self.j0 <= j) & (j <= self.j1)
+    }
+
     /// The rectangle's part in the square of `8·scale` pixels that begins at (`i`, `j`), as a mask over its 8 × 8
     /// squares of `1 << shift` pixels. The two must meet.
     #[inline]

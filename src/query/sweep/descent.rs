@@ -1,5 +1,6 @@
 //! The way down to the spans that a moving or growing shape may meet: tile columns, pages, blocks, spans. What is worth
-//! a look is decided by a visitor that is asked about boxes, from large to small.
+//! a look is decided by a visitor. It names the heights that matter must meet, in quanta, and narrows them as it finds some; what meets
+//! them is told by masks, four spans at a time. About tile columns and blocks it is asked as about boxes.
 
 use crate::frame::{Frame, PageKey, SLICE_QUANTA, TILE_PIXELS};
 use crate::query::Aabb;
@@ -49,16 +50,16 @@ pub(crate) trait Visit {
     /// Whether matter anywhere in `cell` can matter. If it can in a part of the cell, it can in the cell.
     fn enter(&mut self, cell: &GridCell) -> bool;
 
-    /// Matter that can matter.
+    /// A span that meets [`heights`](Self::heights), in a pixel of the area.
     fn matter(&mut self, matter: &Matter);
 
     /// A page that is not in memory and has matter in a cell that can matter.
     fn missing(&mut self, key: PageKey);
 
-    /// The lowest top and the highest bottom of matter that can matter.
+    /// The lowest top and the highest bottom of matter that can matter now.
     fn heights(&self) -> (i64, i64);
 
-    /// Whether [`enter`](Self::enter) would hardly ever say no to matter at these [`heights`](Self::heights).
+    /// Whether [`enter`](Self::enter) need not be asked, because it hardly ever says no to matter at these heights.
     #[inline]
     fn takes_all(&self) -> bool {
         false
@@ -161,7 +162,7 @@ fn tiles<S: PageSet, V: Visit + ?Sized>(set: &S, area: &SweepArea, visit: &mut V
 #[inline]
 fn column<T: PageSlot, V: Visit + ?Sized>(area: &SweepArea, tx: i32, ty: i32, slots: &[T], visit: &mut V) {
     let (i, j) = (i64::from(tx) * TILE_PIXELS, i64::from(ty) * TILE_PIXELS);
-    let (x, y) = (Range::within(area.rect.i0, area.rect.i1, i), Range::within(area.rect.j0, area.rect.j1, j));
+    let (x, y) = (Extent::within(area.rect.i0, area.rect.i1, i), Extent::within(area.rect.j0, area.rect.j1, j));
     let under = column_bits(x.first >> 3, x.last >> 3) & row_bits(y.first >> 3, y.last >> 3);
     let mut slots = layers(slots, Heights { low: area.low, high: area.high });
     while let Some(slot) = if area.backward[2] { slots.next_back() } else { slots.next() } {
@@ -189,12 +190,12 @@ fn column<T: PageSlot, V: Visit + ?Sized>(area: &SweepArea, tx: i32, ty: i32, sl
 
 /// Pixels of a tile, or of a block, along x or y.
 #[derive(Clone, Copy)]
-struct Range {
+struct Extent {
     first: u32,
     last: u32,
 }
 
-impl Range {
+impl Extent {
     /// The part of `first..=last` in the tile that begins at `origin`.
     #[inline]
     fn within(first: i64, last: i64, origin: i64) -> Self {
@@ -211,7 +212,7 @@ impl Range {
 
 /// The pixels `x`, `y` of a block that begins at `place`.
 #[inline]
-fn block<V: Visit + ?Sized>(block: BlockView<'_>, place: Place, [x, y]: [Range; 2], visit: &mut V) {
+fn block<V: Visit + ?Sized>(block: BlockView<'_>, place: Place, [x, y]: [Extent; 2], visit: &mut V) {
     let (low, high) = place.heights(visit);
     let Some((bottom, top)) = union_heights(block, low, high) else { return };
     if !visit.takes_all() && !visit.enter(&place.cell(i64::from(BLOCK_PIXELS), bottom, top)) {

@@ -16,6 +16,7 @@ pub use step::{mean_floor_under, top_under};
 
 use super::answer::Answer;
 use super::batch;
+use super::grid::Rect;
 use crate::frame::{Frame, PageKey};
 use crate::store::{Missing, PageSet, note};
 use nalgebra::Vector3;
@@ -104,7 +105,8 @@ pub fn sweep<S: PageSet, H: Solid>(set: &S, shape: &H, motion: Vector3<f64>) -> 
     let moving = Moving::new(frame, rest, motion);
     let area = moving.area();
     let is_short = moving.v[0].abs().max(moving.v[1].abs()) <= SHORT;
-    let mut search = Search { moving, best: Best::NONE, heights: (area.low, area.high), is_short, missing: None };
+    let (heights, pixels) = ((area.low, area.high), area.rect);
+    let mut search = Search { moving, best: Best::NONE, heights, pixels, is_short, missing: None };
     descend(set, &area, &mut search);
     if search.missing.is_some() && search.best.at < f64::INFINITY {
         // Only pages that could hold an earlier contact matter: those, again.
@@ -186,8 +188,9 @@ fn rank(matter: &Matter) -> (bool, [i64; 2], i64) {
 struct Search {
     moving: Moving,
     best: Best,
-    /// Heights of matter that may be met first.
+    /// Heights and pixels of matter that may be met first.
     heights: (i64, i64),
+    pixels: Rect,
     /// The motion is so short that all blocks around it are looked at.
     is_short: bool,
     missing: Option<Missing>,
@@ -214,15 +217,21 @@ impl Visit for Search {
 
     #[inline]
     fn matter(&mut self, matter: &Matter) {
-        if self.best.at < 0.0 || self.is_later_of_equal(matter) {
+        let [i, j] = matter.pixel;
+        if self.best.at < 0.0 || !self.pixels.holds(i, j) || self.is_later_of_equal(matter) {
             return;
         }
         if let Some(Contact { at, normal }) = self.moving.contact(&matter.cell(), self.best.at) {
             let found = Best { at, normal, matter: *matter };
             if found.before(&self.best) {
                 self.best = found;
-                // A shape that begins inside looks for no better place.
-                self.heights = if at < 0.0 { NOWHERE } else { self.moving.heights_before(at, self.heights) };
+                if at < 0.0 {
+                    // A shape that begins inside looks for no better place.
+                    self.heights = NOWHERE;
+                } else {
+                    self.heights = self.moving.heights_before(at, self.heights);
+                    self.pixels = self.moving.pixels_before(at, self.pixels);
+                }
             }
         }
     }

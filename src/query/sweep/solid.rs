@@ -224,6 +224,22 @@ impl Moving {
         }
     }
 
+    /// The part of `pixels` that the bounding box touches up to time `at`, or all if it moves along z alone.
+    #[inline]
+    pub fn pixels_before(&self, at: f64, pixels: Rect) -> Rect {
+        if self.is_vertical {
+            return pixels;
+        }
+        let ends = |a: usize| {
+            let (way, slack) = (self.v[a] * at, 2.0 * self.slack[a]);
+            let (low, high) = (self.rest.lo[a] + way.min(0.0), self.rest.hi[a] + way.max(0.0));
+            // A pixel that begins or ends there is touched.
+            (-floor_index(slack - low) - 1, floor_index(high + slack))
+        };
+        let ((i0, i1), (j0, j1)) = (ends(0), ends(1));
+        Rect { i0, i1, j0, j1 }
+    }
+
     /// Extent of the bounding box along the other axis while it meets `lo..hi` along `axis`.
     #[inline]
     pub fn across(&self, axis: usize, lo: f64, hi: f64) -> (f64, f64) {

@@ -6,12 +6,16 @@
 //! neighbours in the west, north-west, north and north-east say chooses the model that codes a value: where they agree,
 //! little is left to say.
 
+mod near;
+
 use super::lattice::{End, HeightsOf, Lattice};
 use super::loose::Tried;
 use super::rans::{Bit, COST_BIT, Coder, Nibble, RansDecoder, RansEncoder};
 use super::{MAX_PAGE_SPANS, Violation};
 use crate::frame::{PAGE_QUANTA, SLICE_QUANTA};
 use crate::slice::{BLOCK_PIXELS, Page, PageBuilder, Span};
+pub(super) use near::Candidates;
+use near::{bits, candidates, neighbours};
 
 pub(super) const PIXELS: usize = 64 * 64;
 /// Most spans in one pixel.
@@ -126,109 +130,6 @@ impl Default for Scratch {
             column: Vec::new(),
             heights: Vec::new(),
         }
-    }
-}
-
-/// What the neighbours say of the next span: its candidates in them.
-pub(super) struct Candidates {
-    count: usize,
-    obstacles: usize,
-    /// Expected step of the bottom, and thickness (steps).
-    pub bottom: i32,
-    pub thickness: i32,
-    /// Greatest less least among the candidates (steps).
-    bottom_spread: u32,
-    thickness_spread: u32,
-}
-
-/// The spans of the four neighbours coded already (west, north, north-west, north-east) that are still to be passed by
-/// the spans of the pixel in work.
-type Neighbours = [std::ops::Range<u32>; 4];
-
-fn neighbours(first: &[u32], pixel: usize) -> Neighbours {
-    let of = |exists: bool, back: usize| {
-        if exists { first[pixel - back]..first[pixel - back + 1] } else { 0..0 }
-    };
-    let (px, below_first_row) = (pixel & 63, pixel >= 64);
-    [of(px > 0, 1), of(below_first_row, 64), of(below_first_row && px > 0, 65), of(below_first_row && px < 63, 63)]
-}
-
-/// Looks for the candidates of the span above `below` and moves past the neighbours' spans that `below` rules out.
-///
-/// A median follows edges where a mean would blur them: on six scans, the second least of four neighbours took 2 %
-/// fewer bytes than the mean of the middle two.
-#[inline]
-fn candidates(spans: &[Coded], neighbours: &mut Neighbours, below: Option<Coded>) -> Candidates {
-    let (mut count, mut obstacles) = (0, 0);
-    let (mut bottoms, mut thicknesses) = ([i32::MAX; 4], [i32::MAX; 4]);
-    for range in neighbours {
-        while let Some(span) = spans.get(range.start as usize).filter(|_| range.start < range.end) {
-            if below.is_none_or(|below| span.bottom > below.top) {
-                bottoms[count] = span.bottom_step.into();
-                thicknesses[count] = span.thickness();
-                obstacles += span.obstacle as usize;
-                count += 1;
-                break;
-            }
-            range.start += 1;
-        }
-    }
-    let (bottom, thickness) = match (count, below, spans.last()) {
-        (3.., _, _) => (second_least(bottoms), second_least(thicknesses)),
-        (1.., _, _) => (bottoms[0], thicknesses[0]),
-        (0, Some(below), _) => (below.top_step.into(), below.thickness()),
-        (0, None, Some(last)) => (last.bottom_step.into(), last.thickness()),
-        (0, None, None) => (0, 0),
-    };
-    let spread = |values: [i32; 4]| {
-        let (mut least, mut greatest) = (values[0], values[0]);
-        for &value in values[..count].iter().skip(1) {
-            (least, greatest) = (least.min(value), greatest.max(value));
-        }
-        greatest.wrapping_sub(least) as u32
-    };
-    let (bottom_spread, thickness_spread) = (spread(bottoms), spread(thicknesses));
-    Candidates { count, obstacles, bottom, thickness, bottom_spread, thickness_spread }
-}
-
-#[inline]
-fn second_least([a, b, c, d]: [i32; 4]) -> i32 {
-    let (least, rest) = (a.min(b).max(c.min(d)), a.max(b).min(c.max(d)));
-    least.min(rest)
-}
-
-/// Number of bits of `value`.
-#[inline]
-fn bits(value: u32) -> u32 {
-    u32::BITS - value.leading_zeros()
-}
-
-/// Class of a size by its number of bits: 0 to 2, 3, 4, 5, 6, 7, 8 to 9, more.
-#[inline]
-fn class(size: u32) -> usize {
-    const CLASSES: [u8; 16] = [0, 0, 0, 1, 2, 3, 4, 5, 6, 6, 7, 7, 7, 7, 7, 7];
-    CLASSES[bits(size).min(15) as usize].into()
-}
-
-impl Candidates {
-    /// Model of the bottom.
-    #[inline]
-    pub fn bottom_context(&self) -> usize {
-        match self.count {
-            0 | 1 => self.count,
-            2 => 2 + class(self.bottom_spread) / 2,
-            _ => 8 + class(self.bottom_spread),
-        }
-    }
-
-    /// Model of the thickness.
-    #[inline]
-    pub fn thickness_context(&self) -> usize {
-        let agreement = match self.count {
-            0 | 1 => self.count,
-            _ => 2 + class(self.thickness_spread),
-        };
-        class(self.thickness.unsigned_abs()) * 10 + agreement
     }
 }
 
@@ -556,7 +457,7 @@ pub(super) fn walk<'a, C: Coder>(
                     span.map(|span| span.top()),
                 );
                 let thick = top.saturating_sub(bottom) > SLICE / 4;
-                let context = (candidates.obstacles * 5 + candidates.count) * 2 + thick as usize;
+                let context = candidates.kind_context() * 2 + thick as usize;
                 let obstacle = traversal
                     .coder
                     .bit(&mut traversal.models.kind[context], span.is_some_and(|span| span.is_obstacle()));
@@ -684,180 +585,4 @@ pub fn decode(body: &[u8], scratch: &mut Scratch, builder: &mut PageBuilder) -> 
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-    use crate::codec::{Decoder, Encoder, MAX_BODY};
-    use crate::frame::Frame;
-    use crate::plan::Coding;
-    use proptest::prelude::*;
-    use std::collections::BTreeMap;
-
-    /// Spans of pixels, as a page holds them: a smooth floor, a wall, noise, or all 64 slices, in a part of the pixels.
-    pub fn pages() -> impl Strategy<Value = Page> {
-        let column = proptest::collection::btree_map(0u32..64, (0u32..250, 0u32..4, any::<bool>()), 1..5);
-        let noise = proptest::collection::btree_map((0u32..64, 0u32..64), column, 1..150);
-        let floor = (0u32..16000, -8i32..9, -8i32..9, 1u32..40);
-        (noise, floor, 0u32..65, 0u32..65, any::<bool>()).prop_map(|(noise, floor, width, depth, tower)| {
-            let mut builder = PageBuilder::default();
-            for pixel in 0..PIXELS as u32 {
-                let (px, py) = (pixel % 64, pixel / 64);
-                let spans: Vec<Span> = match noise.get(&(px, py)) {
-                    Some(parts) => noisy(parts),
-                    None if px < width && py < depth && tower => {
-                        (0..64).map(|k| Span::new(255 * k + px, 255 * k + px + py, k % 3 == 1).unwrap()).collect()
-                    }
-                    None if px < width && py < depth => {
-                        let (base, dx, dy, thick) = floor;
-                        let bottom = base as i32 + dx * px as i32 + dy * py as i32 + (px * py % 5) as i32;
-                        let bottom = bottom.clamp(0, 16319) as u32;
-                        vec![Span::new(bottom, (bottom + thick).min(16320), px == 7).unwrap()]
-                    }
-                    None => continue,
-                };
-                assert!(builder.set_column(px, py, &spans));
-            }
-            builder.build()
-        })
-    }
-
-    fn noisy(parts: &BTreeMap<u32, (u32, u32, bool)>) -> Vec<Span> {
-        parts.iter().map(|(k, &(b, h, kind))| Span::new(k * 255 + b, k * 255 + b + h, kind).unwrap()).collect()
-    }
-
-    fn encoder(frame: &Frame) -> Encoder {
-        Encoder::new(*frame, 0).with_coding(Coding::Adaptive)
-    }
-
-    fn encoded(frame: &Frame, page: &Page) -> Vec<u8> {
-        let mut body = Vec::new();
-        encoder(frame).encode(page, &mut body);
-        body
-    }
-
-    fn frame() -> Frame {
-        Frame::new(0.05, 0.15).unwrap()
-    }
-
-    /// `page` with heights on centimetres, as far as its spans are apart then.
-    fn in_centimetres(page: &Page) -> Page {
-        let mut builder = PageBuilder::default();
-        for (px, py, spans) in page.columns() {
-            let whole = |height: u32| height / 17 * 17;
-            let spans: Vec<_> = spans
-                .iter()
-                .map(|s| Span::new(whole(s.bottom()), (whole(s.top()) + 1).min(16320), s.is_obstacle()).unwrap())
-                .collect();
-            assert!(builder.set_column(px, py, &spans) || spans.len() > 1);
-        }
-        builder.build()
-    }
-
-    #[test]
-    fn the_largest_page_has_less_than_the_stated_length() {
-        let mut builder = PageBuilder::default();
-        for pixel in 0..PIXELS as u32 {
-            let height = |k: u32| 255 * k + (pixel.wrapping_mul(2654435761).wrapping_mul(k + 1) >> 7) % 200;
-            let span = |k: u32| Span::new(height(k), height(k) + (pixel ^ k) % 50, (pixel ^ k).is_multiple_of(3));
-            let spans: Vec<_> = (0..64).map(|k| span(k).unwrap()).collect();
-            assert!(builder.set_column(pixel % 64, pixel / 64, &spans));
-        }
-        let page = builder.build();
-        let body = encoded(&frame(), &page);
-        assert!(body.len() <= MAX_BODY, "{} bytes", body.len());
-        assert_eq!(Decoder::default().decode(&body).unwrap(), page);
-    }
-
-    #[test]
-    fn the_second_least_is_the_middle_one_of_three() {
-        for (values, second) in [([4, 1, 3, 2], 2), ([1, 1, 0, 9], 1), ([7, 5, 6, i32::MAX], 6), ([5, 5, 5, 5], 5)] {
-            for turn in 0..4 {
-                let mut turned = values;
-                turned.rotate_left(turn);
-                assert_eq!(second_least(turned), second);
-                turned.swap(0, 1);
-                assert_eq!(second_least(turned), second);
-            }
-        }
-    }
-
-    #[test]
-    fn folding_is_a_bijection() {
-        let mut folded: Vec<u32> = (-8192..8192).map(fold).collect();
-        assert!((-8192..8192).all(|value| unfold(fold(value)) == value && fold(value + (1 << 14)) == fold(value)));
-        folded.sort_unstable();
-        assert!(folded.into_iter().eq(0..1 << 14));
-    }
-
-    /// A height below the floor of the page wraps around; no sum of it may overflow before it is refused.
-    #[test]
-    fn a_bottom_below_the_floor_is_refused() {
-        let Scratch { mut models, mut last_off, mut encoder, .. } = Scratch::default();
-        let lattice = Lattice::new(2 << crate::codec::lattice::FRACTION_BITS, 0).unwrap();
-        code_lattice(&mut encoder, lattice);
-        let mut walk = Traversal { coder: encoder, lattice, models: &mut models, last_off: &mut last_off };
-        walk.blocks((1, 0));
-        walk.coder.bit(&mut walk.models.pixel[0], true);
-        walk.count(0, 0, 1);
-        walk.coder.nibble(&mut walk.models.bottom[0], 0);
-        walk.coder.bit(&mut walk.models.off[0][0], true);
-        walk.coder.bit(&mut walk.models.up[0], false);
-        let mut body = vec![1];
-        walk.coder.finish(&mut body);
-        assert_eq!(Decoder::default().decode(&body).unwrap_err().rule, "P8");
-    }
-
-    #[test]
-    fn a_floor_in_centimetres_takes_fewer_bytes_than_one_in_quanta() {
-        let floor = |unit: u32| {
-            let mut builder = PageBuilder::default();
-            for pixel in 0..PIXELS as u32 {
-                // Noise of 5 units around 1 m.
-                let bottom = 17 * 100 + pixel.wrapping_mul(2654435761) % 5 * unit;
-                assert!(builder.set_column(pixel % 64, pixel / 64, &[Span::new(bottom, bottom + 1, false).unwrap()]));
-            }
-            let body = encoded(&frame(), &builder.build());
-            assert_eq!(Decoder::default().decode(&body).unwrap(), builder.build());
-            body.len()
-        };
-        assert!(floor(17) < floor(16) * 3 / 4, "{} and {}", floor(17), floor(16));
-    }
-
-    proptest! {
-        #[test]
-        fn pages_round_trip(pages in proptest::collection::vec(pages(), 1..4), centimetres: bool) {
-            let (mut encoder, mut decoder) = (encoder(&frame()), Decoder::default());
-            for page in pages {
-                let page = if centimetres { in_centimetres(&page) } else { page };
-                prop_assume!(page.span_count() > 0);
-                let mut body = Vec::new();
-                encoder.encode(&page, &mut body);
-                prop_assert!(body.len() <= MAX_BODY && body == encoded(&frame(), &page));
-                prop_assert_eq!(decoder.decode(&body).unwrap(), page);
-            }
-        }
-
-        #[test]
-        fn what_decodes_encodes_again(page in pages(), flips in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..4)) {
-            let mut body = encoded(&frame(), &page);
-            for (at, value) in flips {
-                let place = at.index(body.len());
-                body[place] = value;
-            }
-            match Decoder::default().decode(&body) {
-                Ok(page) => {
-                    let again = encoded(&frame(), &page);
-                    prop_assert_eq!(Decoder::default().decode(&again).unwrap(), page);
-                }
-                Err(violation) => prop_assert!(["P5", "P6", "P7", "P8"].contains(&violation.rule)),
-            }
-        }
-
-        #[test]
-        fn random_bytes_never_panic(mut body in proptest::collection::vec(any::<u8>(), 0..2000)) {
-            if let Some(first) = body.first_mut() {
-                *first = 1;
-            }
-            let _ = Decoder::default().decode(&body);
-        }
-    }
-}
+pub(crate) mod tests;

@@ -1,0 +1,112 @@
+//! What the four neighbours coded already say of the next span of a pixel.
+
+use super::Coded;
+
+/// What the neighbours say of the next span: its candidates in them.
+pub struct Candidates {
+    count: usize,
+    obstacles: usize,
+    /// Expected step of the bottom, and thickness (steps).
+    pub bottom: i32,
+    pub thickness: i32,
+    /// Greatest less least among the candidates (steps).
+    bottom_spread: u32,
+    thickness_spread: u32,
+}
+
+/// The spans of the four neighbours coded already (west, north, north-west, north-east) that are still to be passed by
+/// the spans of the pixel in work.
+pub(super) type Neighbours = [std::ops::Range<u32>; 4];
+
+pub(super) fn neighbours(first: &[u32], pixel: usize) -> Neighbours {
+    let of = |exists: bool, back: usize| {
+        if exists { first[pixel - back]..first[pixel - back + 1] } else { 0..0 }
+    };
+    let (px, below_first_row) = (pixel & 63, pixel >= 64);
+    [of(px > 0, 1), of(below_first_row, 64), of(below_first_row && px > 0, 65), of(below_first_row && px < 63, 63)]
+}
+
+/// Looks for the candidates of the span above `below` and moves past the neighbours' spans that `below` rules out.
+///
+/// A median follows edges where a mean would blur them: on six scans, the second least of four neighbours took 2 %
+/// fewer bytes than the mean of the middle two.
+#[inline]
+pub(super) fn candidates(spans: &[Coded], neighbours: &mut Neighbours, below: Option<Coded>) -> Candidates {
+    let (mut count, mut obstacles) = (0, 0);
+    let (mut bottoms, mut thicknesses) = ([i32::MAX; 4], [i32::MAX; 4]);
+    for range in neighbours {
+        while let Some(span) = spans.get(range.start as usize).filter(|_| range.start < range.end) {
+            if below.is_none_or(|below| span.bottom > below.top) {
+                bottoms[count] = span.bottom_step.into();
+                thicknesses[count] = span.thickness();
+                obstacles += span.obstacle as usize;
+                count += 1;
+                break;
+            }
+            range.start += 1;
+        }
+    }
+    let (bottom, thickness) = match (count, below, spans.last()) {
+        (3.., _, _) => (second_least(bottoms), second_least(thicknesses)),
+        (1.., _, _) => (bottoms[0], thicknesses[0]),
+        (0, Some(below), _) => (below.top_step.into(), below.thickness()),
+        (0, None, Some(last)) => (last.bottom_step.into(), last.thickness()),
+        (0, None, None) => (0, 0),
+    };
+    let spread = |values: [i32; 4]| {
+        let (mut least, mut greatest) = (values[0], values[0]);
+        for &value in values[..count].iter().skip(1) {
+            (least, greatest) = (least.min(value), greatest.max(value));
+        }
+        greatest.wrapping_sub(least) as u32
+    };
+    let (bottom_spread, thickness_spread) = (spread(bottoms), spread(thicknesses));
+    Candidates { count, obstacles, bottom, thickness, bottom_spread, thickness_spread }
+}
+
+#[inline]
+fn second_least([a, b, c, d]: [i32; 4]) -> i32 {
+    let (least, rest) = (a.min(b).max(c.min(d)), a.max(b).min(c.max(d)));
+    least.min(rest)
+}
+
+/// Number of bits of `value`.
+#[inline]
+pub(super) fn bits(value: u32) -> u32 {
+    u32::BITS - value.leading_zeros()
+}
+
+/// Class of a size by its number of bits: 0 to 2, 3, 4, 5, 6, 7, 8 to 9, more.
+#[inline]
+fn class(size: u32) -> usize {
+    const CLASSES: [u8; 16] = [0, 0, 0, 1, 2, 3, 4, 5, 6, 6, 7, 7, 7, 7, 7, 7];
+    CLASSES[bits(size).min(15) as usize].into()
+}
+
+impl Candidates {
+    /// Model of the bottom.
+    #[inline]
+    pub fn bottom_context(&self) -> usize {
+        match self.count {
+            0 | 1 => self.count,
+            2 => 2 + class(self.bottom_spread) / 2,
+            _ => 8 + class(self.bottom_spread),
+        }
+    }
+
+    /// Part of the model of the kind [0..25].
+    #[inline]
+    pub fn kind_context(&self) -> usize {
+        self.obstacles * 5 + self.count
+    }
+
+    /// Model of the thickness.
+    #[inline]
+    pub fn thickness_context(&self) -> usize {
+        let agreement = match self.count {
+            0 | 1 => self.count,
+            _ => 2 + class(self.thickness_spread),
+        };
+        class(self.thickness.unsigned_abs()) * 10 + agreement
+    }
+}
