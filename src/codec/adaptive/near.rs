@@ -110,3 +110,21 @@ impl Candidates {
         class(self.thickness.unsigned_abs()) * 10 + agreement
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_second_least_is_the_middle_one_of_three() {
+        for (values, second) in [([4, 1, 3, 2], 2), ([1, 1, 0, 9], 1), ([7, 5, 6, i32::MAX], 6), ([5, 5, 5, 5], 5)] {
+            for turn in 0..4 {
+                let mut turned = values;
+                turned.rotate_left(turn);
+                assert_eq!(second_least(turned), second);
+                turned.swap(0, 1);
+                assert_eq!(second_least(turned), second);
+            }
+        }
+    }
+}
