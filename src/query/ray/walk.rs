@@ -6,7 +6,7 @@ use crate::frame::{PAGE_QUANTA, TILE_PIXELS, floor_small};
 use crate::query::blocks::{local, slices_between, slices_of, union_heights};
 use crate::query::footprint::{floor_of, layers};
 use crate::query::four::{Floats, Pair};
-use crate::query::grid::{Heights, row_bits};
+use crate::query::grid::{Heights, greater, row_bits};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, PageSet, PageSlot};
 
@@ -68,12 +68,6 @@ fn mirrored(v: f64, speed: f64) -> f64 {
 #[inline]
 fn lesser(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
-}
-
-/// The greater of two numbers that are no NaN.
-#[inline]
-fn greater(a: f64, b: f64) -> f64 {
-    if a > b { a } else { b }
 }
 
 /// The integer nearest to `v`, of magnitude below 2³¹.

@@ -197,13 +197,13 @@ struct Search {
 }
 
 impl Search {
-    /// Whether matter is met at the same time as what was found, because a flat face moves along z alone and it ends at the same height,
-    /// but comes after that in the order of contacts.
+    /// Whether matter is met at the same time as what was found, because an upright way leads to the same height, but comes after that in
+    /// the order of contacts.
     #[inline]
     fn is_later_of_equal(&self, matter: &Matter) -> bool {
         let best = &self.best.matter;
         let equal = if self.moving.v[2] < 0.0 { matter.top == best.top } else { matter.bottom == best.bottom };
-        equal && self.moving.is_flat_and_upright() && self.best.at < f64::INFINITY && rank(matter) >= rank(best)
+        equal && self.moving.is_upright && self.best.at < f64::INFINITY && rank(matter) >= rank(best)
     }
 }
 

@@ -15,8 +15,8 @@ use nalgebra::Vector3;
 /// `None` if there is none so near. Not loaded if a page that is not in memory could hold nearer matter.
 ///
 /// Exact but for rounding errors (2⁻⁴⁸ of the coordinates). A NaN finds nothing. Cost: as
-/// [`overlaps`](crate::query::overlaps) of the shape grown by up to four times the distance found, or by `max` where nothing lies
-/// within 24 pixels; name no larger `max` than needed.
+/// [`overlaps`](crate::query::overlaps) of the shape grown by 1.5 pixels or up to four times the distance found, by `max` where
+/// nothing lies within 24 pixels; name no larger `max` than needed.
 pub fn clearance<S: PageSet, H: Solid>(set: &S, shape: &H, max: f64) -> Answer<Option<f64>> {
     if max.is_nan() || max < 0.0 {
         return Answer::Known(None);

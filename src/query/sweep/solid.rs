@@ -9,7 +9,7 @@
 use super::descent::{GridCell, SweepArea};
 use crate::frame::{Frame, floor_index};
 use crate::query::disc::SLACK;
-use crate::query::grid::Rect;
+use crate::query::grid::{Rect, greater};
 use crate::query::{Aabb, Cylinder, Sphere};
 use nalgebra::{Point3, Vector3};
 
@@ -82,12 +82,6 @@ impl sealed::OnSolid for Sphere {
     }
 }
 
-/// The greater of two numbers that are no NaN: one instruction, unlike `f64::max`.
-#[inline]
-fn greater(a: f64, b: f64) -> f64 {
-    if a > b { a } else { b }
-}
-
 /// Times between which a shape's interior meets a box's; none unless `enter < leave`. `enter` is -∞ if it does at 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Meeting {
@@ -131,11 +125,11 @@ pub(super) struct Moving {
     inverse: [f64; 3],
     /// Rounding errors of a coordinate.
     pub slack: [f64; 3],
-    /// A disc that holds the footprint of a cylinder all the way: its centre, and the square of its radius.
+    /// A disc that holds the footprint of a cylinder all the way: its centre, and the square of its radius; infinite for other shapes.
     middle: [f64; 2],
     reach: f64,
-    /// Along z alone, or not at all.
-    is_vertical: bool,
+    /// A box or a cylinder that moves along z alone, or not at all.
+    pub is_upright: bool,
 }
 
 impl Moving {
@@ -146,19 +140,17 @@ impl Moving {
         let error = |side: f64| if side.is_finite() { side.abs() } else { 0.0 };
         let slack: [f64; 3] =
             std::array::from_fn(|a| (error(rest.lo[a]).max(error(rest.hi[a])) + v[a].abs().min(BEYOND)) * SLACK);
-        let middle = std::array::from_fn(|a| (rest.lo[a] + rest.hi[a] + v[a]) * 0.5);
-        let reach = match rest.form {
-            Form::Cylinder { radius } => radius + norm([v[0], v[1], 0.0]) * 0.5 + 8.0 * slack[0].max(slack[1]),
-            Form::Box | Form::Sphere { .. } => f64::INFINITY,
+        let (middle, reach) = match rest.form {
+            // Larger by far more than rounding.
+            Form::Cylinder { radius } => (
+                [0, 1].map(|a| (rest.lo[a] + rest.hi[a] + v[a]) * 0.5),
+                radius + norm([v[0], v[1], 0.0]) * 0.5 + 8.0 * slack[0].max(slack[1]),
+            ),
+            // A box may be infinite, and then has no middle.
+            Form::Box | Form::Sphere { .. } => ([0.0; 2], f64::INFINITY),
         };
-        let is_vertical = v[0] == 0.0 && v[1] == 0.0;
-        Self { rest, v, inverse: v.map(|v| 1.0 / v), slack, middle, reach: reach * reach, is_vertical }
-    }
-
-    /// Whether a face of the shape, its top or bottom, moves along z alone.
-    #[inline]
-    pub fn is_flat_and_upright(&self) -> bool {
-        self.is_vertical && !matches!(self.rest.form, Form::Sphere { .. })
+        let is_upright = v[0] == 0.0 && v[1] == 0.0 && !matches!(rest.form, Form::Sphere { .. });
+        Self { rest, v, inverse: v.map(|v| 1.0 / v), slack, middle, reach: reach * reach, is_upright }
     }
 
     /// Everything that the bounding box can meet.
@@ -216,7 +208,7 @@ impl Moving {
     /// The part of `heights` that the bounding box touches up to time `at`.
     #[inline]
     pub fn heights_before(&self, at: f64, (low, high): (i64, i64)) -> (i64, i64) {
-        let (way, slack) = (self.v[2] * at.max(0.0), 2.0 * self.slack[2]);
+        let (way, slack) = (self.v[2] * at, 2.0 * self.slack[2]);
         if self.v[2] < 0.0 {
             (low.max(-floor_index(slack - self.rest.lo[2] - way)), high)
         } else {
@@ -224,10 +216,10 @@ impl Moving {
         }
     }
 
-    /// The part of `pixels` that the bounding box touches up to time `at`, or all if it moves along z alone.
+    /// The part of `pixels` that the bounding box touches up to time `at`; all of an upright way.
     #[inline]
     pub fn pixels_before(&self, at: f64, pixels: Rect) -> Rect {
-        if self.is_vertical {
+        if self.is_upright {
             return pixels;
         }
         let ends = |a: usize| {
@@ -257,8 +249,8 @@ impl Moving {
         if gap(0) * gap(0) + gap(1) * gap(1) > self.reach {
             return None;
         }
-        if self.is_vertical {
-            return self.vertical_contact(cell, until);
+        if self.is_upright {
+            return self.upright_contact(cell, until);
         }
         let meetings: [Meeting; 3] = std::array::from_fn(|a| self.axis(a, cell.lo[a], cell.hi[a]));
         let hull = meetings[0].and(meetings[1]).and(meetings[2]);
@@ -268,9 +260,9 @@ impl Moving {
         self.form_contact(cell, &meetings, hull)
     }
 
-    /// The first contact of a shape that moves along z alone.
+    /// The first contact of a box or a cylinder that moves along z alone.
     #[inline]
-    fn vertical_contact(&self, cell: &GridCell, until: f64) -> Option<Contact> {
+    fn upright_contact(&self, cell: &GridCell, until: f64) -> Option<Contact> {
         let over = |a: usize| {
             let slack = -2.0 * self.slack[a];
             (cell.lo[a] - self.rest.hi[a] < slack) & (self.rest.lo[a] - cell.hi[a] < slack)
@@ -282,16 +274,10 @@ impl Moving {
         if !meeting.is_some() || meeting.enter > until {
             return None;
         }
-        match self.rest.form {
-            Form::Box => {}
-            Form::Cylinder { radius } => {
-                let round = Round::new(self, cell, [1.0, 1.0, 0.0], 2);
-                if norm(round.away(0.0)) >= radius - 2.0 * round.slack {
-                    return None;
-                }
-            }
-            Form::Sphere { radius, scale } => {
-                return Round::new(self, cell, [1.0, 1.0, scale], 3).contact(radius, Meeting::ALWAYS);
+        if let Form::Cylinder { radius } = self.rest.form {
+            let round = Round::new(self, cell, [1.0, 1.0, 0.0], 2);
+            if norm(round.away(0.0)) >= radius - 2.0 * round.slack {
+                return None;
             }
         }
         let first = Contact { at: meeting.enter, normal: self.face(2) };

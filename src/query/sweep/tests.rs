@@ -3,7 +3,7 @@
 use super::near::nearest_of_all;
 use super::solid::Moving;
 use super::*;
-use crate::frame::{PAGE_QUANTA, TILE_PIXELS};
+use crate::frame::PAGE_QUANTA;
 use crate::query::{Aabb, Cylinder, Sphere};
 use crate::slice::{Page, PageBuilder, Span};
 use crate::store::Store;
@@ -94,7 +94,6 @@ proptest! {
         way in prop::array::uniform3(prop::sample::select(vec![0.0, 0.0, 0.05, -0.05, 0.7, -0.7, -3.0, 9.0, -40.0])),
         off in prop::sample::select(vec![0.0, 0.01, 0.25]),
     ) {
-        prop_assert_eq!(TILE_PIXELS, 64);
         let (store, matter) = store(&matter);
         let place = Point3::from(place.map(|v| f64::from(v) * 0.25 + off));
         let motion = Vector3::from(way);
