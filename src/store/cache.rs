@@ -161,10 +161,10 @@ pub(super) struct Cache {
 }
 
 impl Cache {
-    pub fn new(index: Index, table: Room, account: Arc<Account>, run_bytes: usize) -> Self {
+    pub fn new(index: Arc<Index>, table: Room, account: Arc<Account>, run_bytes: usize) -> Self {
         let snapshot = Arc::new(Snapshot::empty(&index));
         let longest_run = run_bytes.min(account.budget() / 8) as u64;
-        let views = Views { index: Arc::new(index), current: Arc::new(Current::new(snapshot.clone())) };
+        let views = Views { index, current: Arc::new(Current::new(snapshot.clone())) };
         Self {
             views,
             account,

@@ -53,7 +53,7 @@ pub(super) enum StartTurn {
     Fetch(Range<u64>, Range<usize>, Option<Room>),
     Wait(Option<Time>),
     /// The table of pages with its room.
-    Ready(Index, Room),
+    Ready(Arc<Index>, Room),
 }
 
 impl Start {
@@ -154,7 +154,7 @@ impl Start {
         let (pages, bytes) = (index.len() as u64, index.weight_bytes());
         self.table = None;
         let table = account.take(bytes).ok_or_else(|| too_small(account, pages, bytes))?;
-        Ok(StartTurn::Ready(index, table))
+        Ok(StartTurn::Ready(Arc::new(index), table))
     }
 
     /// Notes that a fetch which [`poll`](Self::poll) asked for has this name.

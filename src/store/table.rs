@@ -112,10 +112,26 @@ impl<T> SlotTable<T> {
     }
 }
 
-/// From pairs of indices to ranges that are not empty: Fibonacci hashing (Knuth, vol. 3, section 6.4) and linear
-/// probing at a load of at most one half, so that a lookup reads one or two neighbouring lines.
+/// From pairs of indices to ranges that are not empty.
 #[derive(Debug)]
-pub(super) struct TileTable {
+pub(super) enum TileTable {
+    Grid(Grid),
+    Hashed(Hashed),
+}
+
+/// A cell for every pair within a rectangle, row by row.
+#[derive(Debug)]
+pub(super) struct Grid {
+    first: [i32; 2],
+    size: [u32; 2],
+    /// Begin and length.
+    cells: Box<[[u32; 2]]>,
+}
+
+/// Fibonacci hashing (Knuth, vol. 3, section 6.4) and linear probing at a load of at most one half, so that a lookup
+/// reads one or two neighbouring lines.
+#[derive(Debug)]
+pub(super) struct Hashed {
     /// Power of two in length.
     buckets: Box<[Bucket]>,
     /// Right shift of a 64-bit hash to an index of `buckets`.
@@ -131,7 +147,64 @@ struct Bucket {
 }
 
 impl TileTable {
+    /// Most cells of a grid per entry: with as many it takes what a table of buckets takes at least.
+    const MOST_CELLS: usize = 4;
+
     pub fn new(entries: Vec<(i32, i32, Range<u32>)>) -> Self {
+        Grid::new(&entries).map_or_else(|| Self::Hashed(Hashed::new(entries)), Self::Grid)
+    }
+
+    pub fn weight_bytes(&self) -> usize {
+        match self {
+            Self::Grid(grid) => size_of_val::<[[u32; 2]]>(&grid.cells),
+            Self::Hashed(hashed) => size_of_val::<[Bucket]>(&hashed.buckets),
+        }
+    }
+
+    #[inline]
+    pub fn get(&self, x: i32, y: i32) -> Range<usize> {
+        match self {
+            Self::Grid(grid) => grid.get(x, y),
+            Self::Hashed(hashed) => hashed.get(x, y),
+        }
+    }
+}
+
+impl Grid {
+    /// `None` if too few of the cells would have an entry.
+    fn new(entries: &[(i32, i32, Range<u32>)]) -> Option<Self> {
+        let ends = |along: fn(&(i32, i32, Range<u32>)) -> i32| {
+            let (least, most) = (entries.iter().map(along).min()?, entries.iter().map(along).max()?);
+            Some((least, u32::try_from(i64::from(most) - i64::from(least) + 1).ok()?))
+        };
+        let ((x, columns), (y, rows)) = (ends(|entry| entry.0)?, ends(|entry| entry.1)?);
+        let count = usize::try_from(u64::from(columns) * u64::from(rows)).ok()?;
+        if count > TileTable::MOST_CELLS * entries.len() {
+            return None;
+        }
+        let mut cells = vec![[0; 2]; count];
+        let grid = Self { first: [x, y], size: [columns, rows], cells: Box::default() };
+        for (x, y, range) in entries {
+            cells[grid.place(*x, *y)?] = [range.start, range.end - range.start];
+        }
+        Some(Self { cells: cells.into(), ..grid })
+    }
+
+    #[inline]
+    fn place(&self, x: i32, y: i32) -> Option<usize> {
+        let (i, j) = (x.wrapping_sub(self.first[0]) as u32, y.wrapping_sub(self.first[1]) as u32);
+        (i < self.size[0] && j < self.size[1]).then_some(j as usize * self.size[0] as usize + i as usize)
+    }
+
+    #[inline]
+    fn get(&self, x: i32, y: i32) -> Range<usize> {
+        let cell = self.place(x, y).and_then(|place| self.cells.get(place));
+        cell.map_or(0..0, |&[first, count]| first as usize..(first + count) as usize)
+    }
+}
+
+impl Hashed {
+    fn new(entries: Vec<(i32, i32, Range<u32>)>) -> Self {
         let count = (2 * entries.len()).next_power_of_two().max(2);
         let mut table = Self { buckets: vec![Bucket::default(); count].into(), shift: 64 - count.trailing_zeros() };
         for (x, y, range) in entries {
@@ -145,17 +218,13 @@ impl TileTable {
         table
     }
 
-    pub fn weight_bytes(&self) -> usize {
-        size_of_val::<[Bucket]>(&self.buckets)
-    }
-
     #[inline]
     fn home(&self, name: u64) -> usize {
         (name.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> self.shift) as usize
     }
 
     #[inline]
-    pub fn get(&self, x: i32, y: i32) -> Range<usize> {
+    fn get(&self, x: i32, y: i32) -> Range<usize> {
         let name = name(x, y);
         let mut at = self.home(name);
         loop {
@@ -182,19 +251,21 @@ mod tests {
     proptest! {
         #[test]
         fn finds_every_column_and_no_other(
-            keys in proptest::collection::btree_set((-5i32..5, -5i32..5, -3i32..3), 0..80)
+            mut keys in proptest::collection::btree_set((-5i32..5, -5i32..5, -3i32..3), 0..80), far in any::<bool>()
         ) {
+            // One so far away that a grid of all would be too large.
+            keys.extend(far.then_some((i32::MAX, i32::MIN, 0)));
             let slots: Vec<_> = keys.iter().map(|&(tx, ty, layer)| (PageKey { tx, ty, layer }, layer)).collect();
             let mut expected: BTreeMap<(i32, i32), Vec<i32>> = BTreeMap::new();
             for &(tx, ty, layer) in &keys {
                 expected.entry((tx, ty)).or_default().push(layer);
             }
             let columns = SlotTable::new(slots);
-            for tx in -6..6 {
-                for ty in -6..6 {
-                    let found = columns.column(tx, ty);
-                    prop_assert_eq!(found, expected.get(&(tx, ty)).map_or(&[][..], |layers| layers));
-                }
+            prop_assert!(!far || keys.len() == 1 || matches!(columns.tiles, TileTable::Hashed(_)));
+            let around = (-6..6).flat_map(|tx| (-6..6).map(move |ty| (tx, ty)));
+            for (tx, ty) in around.chain([(i32::MAX, i32::MIN), (i32::MIN, i32::MAX), (i32::MAX, i32::MAX)]) {
+                let found = columns.column(tx, ty);
+                prop_assert_eq!(found, expected.get(&(tx, ty)).map_or(&[][..], |layers| layers));
             }
             prop_assert_eq!(columns.column_count(), expected.len());
             for number in 0..columns.column_count() {
@@ -209,6 +280,7 @@ mod tests {
         let columns = SlotTable::new(vec![(PageKey { tx: 1, ty: 0, layer: 0 }, ())]);
         assert!(columns.column(0, 0).is_empty());
         assert_eq!(columns.column(1, 0).len(), 1);
+        assert!(matches!(columns.tiles, TileTable::Grid(_)));
         assert!(SlotTable::<()>::new(Vec::new()).column(0, 0).is_empty());
     }
 }
