@@ -3,6 +3,7 @@
 //! All rounding errors are covered by margins of [`SLACK`] of the magnitudes involved, outwards: a pixel that holds a
 //! point of the disc is always in the footprint, and no pixel farther than the margins from the disc is.
 
+use super::four::greater;
 use super::grid::Rect;
 use crate::frame::Frame;
 
@@ -61,7 +62,7 @@ impl Disc {
     fn gap(&self, center: f64, first: i64, count: i64) -> f64 {
         let low = lower(self.frame.edge_of_pixel(first));
         let high = upper(self.frame.edge_of_pixel(first + count));
-        lower((low - center).max(center - high).max(0.0))
+        lower(greater(greater(low - center, center - high), 0.0))
     }
 
     /// Half of the chord at `distance` from the middle: not below the true one; `None` outside the disc (m).
@@ -84,7 +85,7 @@ impl Disc {
     pub fn holds(&self, i: i64, j: i64) -> bool {
         let far = |center: f64, first: i64| {
             let (low, high) = (self.frame.edge_of_pixel(first), self.frame.edge_of_pixel(first + 8));
-            (center - low).max(high - center)
+            greater(center - low, high - center)
         };
         let (x, y) = (far(self.x, i), far(self.y, j));
         x * x + y * y <= self.radius * self.radius

@@ -7,7 +7,7 @@ use portable as lanes;
 use sse2 as lanes;
 
 use crate::slice::Span;
-pub(super) use lanes::{Floats, Pair, Unions, Window};
+pub(super) use lanes::{Floats, Pair, Unions, Window, greater, lesser};
 
 /// The last four of `spans`, rather than a loop over what groups of four leave; fewer are filled up with such that meet nothing.
 #[inline]
@@ -34,6 +34,19 @@ mod sse2 {
             // SAFETY: SSE2 is part of x86-64; nothing here reads or writes memory.
             unsafe { $($code)* }
         };
+    }
+
+    /// The lesser of two numbers that are no NaN. One instruction, unlike `f64::min`, and what the compiler makes of two choices
+    /// beside each other.
+    #[inline]
+    pub fn lesser(a: f64, b: f64) -> f64 {
+        vector!(_mm_cvtsd_f64(_mm_min_sd(_mm_set_sd(a), _mm_set_sd(b))))
+    }
+
+    /// The greater of two numbers that are no NaN; as [`lesser`].
+    #[inline]
+    pub fn greater(a: f64, b: f64) -> f64 {
+        vector!(_mm_cvtsd_f64(_mm_max_sd(_mm_set_sd(a), _mm_set_sd(b))))
     }
 
     /// Four numbers of single precision, none of them NaN.
@@ -256,6 +269,18 @@ mod portable {
     #[derive(Clone, Copy)]
     pub struct Floats([f32; 4]);
 
+    /// The lesser of two numbers that are no NaN.
+    #[inline]
+    pub fn lesser(a: f64, b: f64) -> f64 {
+        if a < b { a } else { b }
+    }
+
+    /// The greater of two numbers that are no NaN.
+    #[inline]
+    pub fn greater(a: f64, b: f64) -> f64 {
+        if a > b { a } else { b }
+    }
+
     /// Makes the integer nearest to a number of magnitude below 2²² the last bits of the sum, of two equally near the even one.
     const INTEGERS: f32 = (3 << 22) as f32;
 
@@ -426,6 +451,20 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn every_platform_finds_the_same_of_two_numbers(a in any::<f64>(), b in any::<f64>(), swap in 0..3) {
+            let (a, b) = match swap { 0 => (a, b), 1 => (a, a), _ => (a, -a) };
+            prop_assume!(!a.is_nan() && !b.is_nan());
+            prop_assert_eq!(lanes::lesser(a, b).to_bits(), portable::lesser(a, b).to_bits());
+            prop_assert_eq!(lanes::greater(a, b).to_bits(), portable::greater(a, b).to_bits());
+            prop_assert_eq!((lanes::lesser(a, b), lanes::greater(a, b)), (a.min(b), a.max(b)));
+            let zeros = [0.0, -0.0f64];
+            for (a, b) in [(zeros[0], zeros[1]), (zeros[1], zeros[0])] {
+                prop_assert_eq!(lanes::lesser(a, b).to_bits(), portable::lesser(a, b).to_bits());
+                prop_assert_eq!(lanes::greater(a, b).to_bits(), portable::greater(a, b).to_bits());
+            }
+        }
+
         #[test]
         fn every_platform_finds_the_same_ends(
             quads in prop::array::uniform2(prop::array::uniform4(span())), a in 0..16400u32, b in 0..16400u32

@@ -15,12 +15,6 @@ pub(crate) fn all_within_reach<'a>(values: impl IntoIterator<Item = &'a f64>) ->
     values.into_iter().all(|v| v.abs() <= FARTHEST_M)
 }
 
-/// The greater of two numbers that are no NaN: one instruction, unlike `f64::max`.
-#[inline]
-pub(super) fn greater(a: f64, b: f64) -> f64 {
-    if a > b { a } else { b }
-}
-
 /// Pixels `i0..=i1` × `j0..=j1`, within ±2⁵⁰ as [`Frame`] gives them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rect {

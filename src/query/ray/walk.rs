@@ -3,10 +3,10 @@
 use super::RayHit;
 use super::line::Line;
 use crate::frame::{PAGE_QUANTA, TILE_PIXELS, floor_small};
-use crate::query::blocks::{local, slices_between, slices_of, union_heights};
+use crate::query::blocks::{slices_of, union_heights};
 use crate::query::footprint::{floor_of, layers};
-use crate::query::four::{Floats, Pair};
-use crate::query::grid::{Heights, greater, row_bits};
+use crate::query::four::{Floats, Pair, greater, lesser};
+use crate::query::grid::{Heights, row_bits};
 use crate::slice::{BlockView, Page, Span};
 use crate::store::{KeyBounds, PageSet, PageSlot};
 
@@ -64,12 +64,6 @@ fn mirrored(v: f64, speed: f64) -> f64 {
     if speed < 0.0 { -v } else { v }
 }
 
-/// The lesser of two numbers that are no NaN: one instruction, unlike `f64::min`.
-#[inline]
-fn lesser(a: f64, b: f64) -> f64 {
-    if a < b { a } else { b }
-}
-
 /// The integer nearest to `v`, of magnitude below 2³¹.
 #[inline]
 fn nearest(v: f64) -> i32 {
@@ -104,6 +98,9 @@ struct Walk<'a, S> {
     /// Distance of the hit; before that, the ray's length (m).
     end: f64,
     hit: Option<RayHit>,
+    /// Cells of one mask are entered in the order in which they are looked at, but for this much (m): of two neighbours across a row
+    /// that are both in a mask, one may only be there for its margin.
+    overlap: f64,
 }
 
 impl<'a, S: PageSet> Walk<'a, S> {
@@ -134,6 +131,8 @@ impl<'a, S: PageSet> Walk<'a, S> {
             height: line.origin[2],
             end: line.max,
             hit: None,
+            // Four times what the largest cells are grown by.
+            overlap: 32.0 * NEAR * (inverses[0].abs() + inverses[1].abs()),
         }
     }
 
@@ -313,12 +312,12 @@ impl<'a, S: PageSet> Walk<'a, S> {
             }
             let (low, high) = self.heights_in_page(t0, t1);
             let (bottom, top) = slices_of(low, high);
-            if let Some(page) = slot.page() {
-                self.page(page, page.blocks_in(bottom, top), [(tx << 6) as f64, (ty << 6) as f64], t0, t1)?;
-            } else if slot.slices() & slices_between(local(heights.low, self.base), local(heights.high, self.base)) != 0
-            {
-                return Err(Unsure);
+            // At the page's end a slice more than there are: then the page tells that it has none.
+            if slot.slices() & u64::MAX >> (63 - top) & u64::MAX.wrapping_shl(bottom) == 0 {
+                continue;
             }
+            let Some(page) = slot.page() else { return Err(Unsure) };
+            self.page(page, page.blocks_in(bottom, top), [(tx << 6) as f64, (ty << 6) as f64], t0, t1)?;
         }
         Ok(())
     }
@@ -336,6 +335,9 @@ impl<'a, S: PageSet> Walk<'a, S> {
             let first = [corner[0] + f64::from((number & 7) << 3), corner[1] + f64::from(number & 56)];
             let (t0, t1) = self.within(first, 8.0, SLACK, t0, t1);
             if t0 > t1 || t0 > self.end {
+                if t0 > self.end + self.overlap {
+                    break;
+                }
                 continue;
             }
             let (low, high) = self.heights_in_page(t0, t1);
@@ -359,6 +361,9 @@ impl<'a, S: PageSet> Walk<'a, S> {
             let pixel = [first[0] + f64::from(bit & 7), first[1] + f64::from(bit >> 3)];
             let (t0, t1) = self.within(pixel, 1.0, SLACK, t0, t1);
             if t0 > t1 || t0 > self.end {
+                if t0 > self.end + self.overlap {
+                    break;
+                }
                 continue;
             }
             let (low, high) = self.heights_in_page(t0, t1);

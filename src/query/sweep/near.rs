@@ -6,6 +6,7 @@ use crate::frame::{Frame, PageKey, floor_index};
 use crate::query::answer::Answer;
 use crate::query::batch;
 use crate::query::disc::{lower, upper};
+use crate::query::four::greater;
 use crate::query::grid::Rect;
 use crate::store::PageSet;
 use crate::store::{Missing, note};
@@ -136,7 +137,7 @@ impl Nearest {
     /// Distance of the shape to a cell (m).
     fn distance(&self, cell: &GridCell) -> f64 {
         let Resting { lo, hi, form } = self.rest;
-        let gap = |a: usize, lo: f64, hi: f64| (cell.lo[a] - hi).max(lo - cell.hi[a]).max(0.0) * self.metres[a];
+        let gap = |a: usize, lo: f64, hi: f64| greater(greater(cell.lo[a] - hi, lo - cell.hi[a]), 0.0) * self.metres[a];
         let middle = |a: usize| {
             let center = (lo[a] + hi[a]) * 0.5;
             gap(a, center, center)
@@ -229,7 +230,7 @@ impl WayOut {
     fn way(&self, cell: &GridCell) -> f64 {
         let Resting { lo, hi, form } = self.moving.rest;
         let middle = |a: usize| (lo[a] + hi[a]) * 0.5;
-        let gap = |a: usize, scale: f64| (cell.lo[a] - middle(a)).max(middle(a) - cell.hi[a]).max(0.0) * scale;
+        let gap = |a: usize, scale: f64| greater(greater(cell.lo[a] - middle(a), middle(a) - cell.hi[a]), 0.0) * scale;
         let axis = self.axis;
         let chord = |radius: f64, squares: f64| (radius * radius - squares).max(0.0).sqrt();
         let square = |v: f64| v * v;

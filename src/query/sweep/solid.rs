@@ -9,7 +9,8 @@
 use super::descent::{GridCell, SweepArea};
 use crate::frame::{Frame, floor_index};
 use crate::query::disc::SLACK;
-use crate::query::grid::{Rect, greater};
+use crate::query::four::{greater, lesser};
+use crate::query::grid::Rect;
 use crate::query::{Aabb, Cylinder, Sphere};
 use nalgebra::{Point3, Vector3};
 
@@ -95,7 +96,7 @@ impl Meeting {
 
     #[inline]
     fn and(self, other: Self) -> Self {
-        Self { enter: self.enter.max(other.enter), leave: self.leave.min(other.leave) }
+        Self { enter: greater(self.enter, other.enter), leave: lesser(self.leave, other.leave) }
     }
 
     #[inline]
@@ -358,37 +359,42 @@ impl Round {
         })
     }
 
-    /// When the centre is nearer than `radius` to the box: a box with rounded edges, the union of what is near to its
-    /// corners, edges and faces and the box itself. It is convex, so the union of the times is an interval.
+    /// When the centre is nearer than `radius` to the box: a box with rounded edges, the union of boxes grown by the radius along one
+    /// axis and of what is near to edges and corners. It is convex, so the union of the times is an interval.
     fn within(&self, radius: f64) -> Meeting {
+        // Between the faces along an axis, grown by so much.
+        let between = |a: usize, by: f64| {
+            let (lo, hi, v) = (self.lo[a] - by - self.p[a], self.hi[a] + by - self.p[a], self.v[a]);
+            if v == 0.0 {
+                return if lo < 0.0 && 0.0 < hi { Meeting::ALWAYS } else { Meeting::NEVER };
+            }
+            let (s, t) = (lo / v, hi / v);
+            Meeting { enter: lesser(s, t), leave: greater(s, t) }
+        };
+        let near = |along: &[usize], sides: usize| {
+            let distance = |sum: [f64; 3], (n, &a): (usize, &usize)| {
+                let (v, from) = (self.v[a], self.p[a] - if sides >> n & 1 == 0 { self.lo[a] } else { self.hi[a] });
+                [sum[0] + v * v, sum[1] + v * from, sum[2] + from * from]
+            };
+            below_zero(along.iter().enumerate().fold([0.0, 0.0, -radius * radius], distance))
+        };
         let mut all = Meeting::NEVER;
-        for part in 0..3usize.pow(self.axes as u32) {
-            let (mut meeting, mut quadratic) = (Meeting::ALWAYS, [0.0, 0.0, -radius * radius]);
-            let mut rest = part;
-            for a in 0..self.axes {
-                let (p, v) = (self.p[a], self.v[a]);
-                match rest % 3 {
-                    0 if v == 0.0 && (p <= self.lo[a] || p >= self.hi[a]) => meeting = Meeting::NEVER,
-                    0 if v == 0.0 => {}
-                    0 => {
-                        let (s, t) = ((self.lo[a] - p) / v, (self.hi[a] - p) / v);
-                        meeting = meeting.and(Meeting { enter: s.min(t), leave: s.max(t) });
-                    }
-                    side => {
-                        let from = p - if side == 1 { self.lo[a] } else { self.hi[a] };
-                        quadratic[0] += v * v;
-                        quadratic[1] += v * from;
-                        quadratic[2] += from * from;
-                    }
-                }
-                rest /= 3;
-            }
-            if part > 0 {
-                meeting = meeting.and(below_zero(quadratic));
-            }
+        let mut join = |meeting: Meeting| {
             if meeting.is_some() {
-                all = Meeting { enter: all.enter.min(meeting.enter), leave: all.leave.max(meeting.leave) };
+                all = Meeting { enter: lesser(all.enter, meeting.enter), leave: greater(all.leave, meeting.leave) };
             }
+        };
+        if self.axes == 2 {
+            join(between(0, radius).and(between(1, 0.0)));
+            join(between(0, 0.0).and(between(1, radius)));
+            (0..4).for_each(|sides| join(near(&[0, 1], sides)));
+        } else {
+            for (a, b, c) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
+                join(between(a, radius).and(between(b, 0.0)).and(between(c, 0.0)));
+                let along = between(a, 0.0);
+                (0..4).for_each(|sides| join(near(&[b, c], sides).and(along)));
+            }
+            (0..8).for_each(|sides| join(near(&[0, 1, 2], sides)));
         }
         all
     }
@@ -425,6 +431,7 @@ impl Round {
 }
 
 /// Where `a·t² + 2·b·t + c < 0`.
+#[cfg_attr(target_family = "wasm", inline(never))]
 fn below_zero([a, b, c]: [f64; 3]) -> Meeting {
     if a == 0.0 {
         return if c < 0.0 { Meeting::ALWAYS } else { Meeting::NEVER };
@@ -436,7 +443,7 @@ fn below_zero([a, b, c]: [f64; 3]) -> Meeting {
     // The root without cancellation first.
     let q = -(b + root.sqrt().copysign(b));
     let (s, t) = (q / a, if q == 0.0 { 0.0 } else { c / q });
-    Meeting { enter: s.min(t), leave: s.max(t) }
+    Meeting { enter: lesser(s, t), leave: greater(s, t) }
 }
 
 pub(super) fn norm(v: [f64; 3]) -> f64 {
