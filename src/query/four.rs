@@ -198,15 +198,32 @@ mod sse2 {
             }
         }
 
-        /// Four spans, and which of them lie in the lanes and meet the heights.
+        /// Four spans, and bits in those that do not lie in the lanes or do not meet the heights.
         #[inline]
-        fn inside(self, spans: &[Span; 4]) -> (__m128i, __m128i) {
+        fn outside(self, spans: &[Span; 4]) -> (__m128i, __m128i) {
             // SAFETY: reads the four spans, which are 32 bits each.
             let words = unsafe { _mm_loadu_si128(std::ptr::from_ref(spans).cast()) };
             vector! {
                 let beside = _mm_cmpgt_epi32(_mm_add_epi32(words, self.turn), self.last);
-                let outside = _mm_or_si128(_mm_cmpgt_epi16(ends_of(words), self.heights), beside);
-                (words, _mm_cmpeq_epi32(outside, _mm_setzero_si128()))
+                (words, _mm_or_si128(_mm_cmpgt_epi16(ends_of(words), self.heights), beside))
+            }
+        }
+
+        /// Four spans, and all bits in those that lie in the lanes and meet the heights.
+        #[inline]
+        fn inside(self, spans: &[Span; 4]) -> (__m128i, __m128i) {
+            let (words, outside) = self.outside(spans);
+            (words, vector!(_mm_cmpeq_epi32(outside, _mm_setzero_si128())))
+        }
+
+        /// Which of sixteen spans lie in the lanes and meet the heights, as a mask.
+        #[inline]
+        pub fn meets_of_sixteen(self, spans: &[Span; 16]) -> u32 {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|n| self.outside(&spans.as_chunks().0[n]).1);
+            // Saturating: what has a bit keeps one.
+            vector! {
+                let outside = _mm_packs_epi16(_mm_packs_epi32(a, b), _mm_packs_epi32(c, d));
+                _mm_movemask_epi8(_mm_cmpeq_epi8(outside, _mm_setzero_si128())) as u32
             }
         }
 
@@ -431,6 +448,12 @@ mod portable {
             spans.iter().rev().fold(0, |mask, &span| mask << 1 | u32::from(inside(span)))
         }
 
+        /// Which of sixteen spans lie in the lanes and meet the heights, as a mask.
+        #[inline]
+        pub fn meets_of_sixteen(self, spans: &[Span; 16]) -> u32 {
+            spans.as_chunks().0.iter().rev().fold(0, |mask, four| mask << 4 | self.meets(four))
+        }
+
         /// Kinds of those `spans` that lie in the lanes and meet the heights, at least until one is in `until`.
         #[inline]
         pub fn kinds(self, spans: &[Span], until: Kinds) -> Kinds {
@@ -483,14 +506,18 @@ mod tests {
 
         #[test]
         fn every_platform_finds_the_same_spans_in_a_window(
-            spans in prop::array::uniform4((span(), 0..8u32).prop_map(|(span, lane)| span.in_lane(lane))),
+            spans in prop::array::uniform16((span(), 0..8u32).prop_map(|(span, lane)| span.in_lane(lane))),
             a in 0..16400u32, b in 0..16400u32, c in 0..8u32, d in 0..8u32,
         ) {
             let (low, high, x) = (a.min(b), a.max(b), [c.min(d), c.max(d)]);
             let inside = |span: &Span| span.meets(low, high) && (x[0]..=x[1]).contains(&span.lane());
             let expected: u32 = spans.iter().zip(0..).map(|(span, n)| u32::from(inside(span)) << n).sum();
-            prop_assert_eq!(lanes::Window::new(x, low, high).meets(&spans), expected);
-            prop_assert_eq!(portable::Window::new(x, low, high).meets(&spans), expected);
+            prop_assert_eq!(lanes::Window::new(x, low, high).meets_of_sixteen(&spans), expected);
+            prop_assert_eq!(portable::Window::new(x, low, high).meets_of_sixteen(&spans), expected);
+            for (n, four) in spans.as_chunks().0.iter().enumerate() {
+                prop_assert_eq!(lanes::Window::new(x, low, high).meets(four), expected >> (4 * n) & 0xF);
+                prop_assert_eq!(portable::Window::new(x, low, high).meets(four), expected >> (4 * n) & 0xF);
+            }
         }
 
         #[test]

@@ -235,6 +235,13 @@ const MOST: usize = 64;
 #[cfg_attr(not(target_family = "wasm"), inline)]
 fn met_of(spans: &[Span], window: Window) -> u64 {
     let mut met = 0;
+    // The last ones rather than a loop over what groups leave.
+    if let Some(last) = spans.last_chunk() {
+        for (n, sixteen) in spans.as_chunks().0.iter().enumerate() {
+            met |= u64::from(window.meets_of_sixteen(sixteen)) << (16 * n);
+        }
+        return met | u64::from(window.meets_of_sixteen(last)) << (spans.len() - 16);
+    }
     for (n, four) in spans.as_chunks().0.iter().enumerate() {
         met |= u64::from(window.meets(four)) << (4 * n);
     }
