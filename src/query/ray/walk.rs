@@ -98,8 +98,8 @@ struct Walk<'a, S> {
     /// Distance of the hit; before that, the ray's length (m).
     end: f64,
     hit: Option<RayHit>,
-    /// Cells of one mask are entered in the order in which they are looked at, but for this much (m): of two neighbours across a row
-    /// that are both in a mask, one may only be there for its margin.
+    /// Cells of one mask are entered in the order in which they are looked at, but for less than this (m). A cell that comes later is
+    /// entered earlier only if it lies in the next row and before this one, which then is in the mask for its margin alone.
     overlap: f64,
 }
 

@@ -371,6 +371,7 @@ impl Round {
             let (s, t) = (lo / v, hi / v);
             Meeting { enter: lesser(s, t), leave: greater(s, t) }
         };
+        // Near to an edge or a corner, on these sides along some axes.
         let near = |along: &[usize], sides: usize| {
             let distance = |sum: [f64; 3], (n, &a): (usize, &usize)| {
                 let (v, from) = (self.v[a], self.p[a] - if sides >> n & 1 == 0 { self.lo[a] } else { self.hi[a] });
