@@ -23,7 +23,6 @@ mod expand;
 mod file;
 mod header;
 mod las;
-mod layers;
 mod laz;
 mod losses;
 mod noise;

@@ -12,7 +12,7 @@ use crate::{Error, Result};
 use xxhash_rust::xxh3::{Xxh3, xxh3_128_with_seed};
 
 /// Read-ahead of a [`Window`] (bytes).
-const WINDOW_BYTES: usize = 64 << 10;
+pub(super) const WINDOW_BYTES: usize = 64 << 10;
 
 /// An open scan file.
 #[derive(Debug)]
@@ -127,7 +127,7 @@ impl Source {
         self.fill(out, offset).map_err(|e| Error::io(&self.path, format!("read {len} bytes at byte {offset}"), e))
     }
 
-    fn fill(&self, out: &mut [u8], offset: u64) -> io::Result<usize> {
+    pub(super) fn fill(&self, out: &mut [u8], offset: u64) -> io::Result<usize> {
         let read = self.input.read_up_to(offset, out)?;
         if let Some(log) = &self.log {
             log.add(offset, &out[..read]);

@@ -1,7 +1,7 @@
 //! Points in layers (LAZ of formats 6 to 10): only the point's own fields. Items behind the point (colours, extra bytes,
 //! waveforms) are stepped over: nothing of them is read, and no models are made for them.
 
-use super::laz::Wanted;
+use super::Wanted;
 use laz::DecompressionSelection;
 use laz::las::{v3, v4};
 use laz::record::LayeredFieldDecompressor;

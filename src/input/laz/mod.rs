@@ -1,11 +1,18 @@
 //! LAZ: where its chunks lie, and their decoding in bounded memory.
 //!
 //! In: a checked header and the LASzip record. Out: a [`Chunking`], whose chunks can be decoded in any order, and whole
-//! point records. Sources: the LASzip 1.4 format as implemented by the crate `laz` 0.13, which does the arithmetic
-//! decoding; chunk table, chunk heads and counts are read and checked here.
+//! point records. Sources: the LASzip 1.4 format as implemented by the crate `laz` 0.13, which decodes what [`sequence`] does
+//! not: points in layers, wave packets, and what LASzip wrote before 2011. Chunk table, chunk heads and counts are read and
+//! checked here.
 //!
-//! Memory of one decoder: one slab of records, one [`Window`], and for formats 6 to 10 the compressed layers of one chunk
+//! Memory of one decoder: one slab of records, one [`Window`] or as many bytes held by a [`Sequence`], and for formats 6 to 10 the compressed layers of one chunk
 //! that are needed (x, y, z, flags; class, intensity, RGB, point source id and GPS time only when they are wanted); more than the budget is an error.
+
+mod coder;
+mod layers;
+mod sequence;
+#[cfg(test)]
+mod tests;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -15,10 +22,11 @@ use laz::{LazItemType, LazVlr};
 
 use super::convert::Layout;
 use super::header::{LasHeader, u16_at, u32_at, u64_at};
-use super::layers::{self, LAYERS, Layers, POINT_BYTES};
 use super::losses::Findings;
 use super::source::{Source, Window};
 use crate::{Error, Parameter, Result};
+use layers::{LAYERS, Layers, POINT_BYTES};
+use sequence::{Items, Sequence};
 
 /// How the points of one LAZ file are packed.
 #[derive(Debug, Clone)]
@@ -27,6 +35,8 @@ pub(super) struct Packing {
     layered: bool,
     /// The whole file is one sequence without chunks or chunk table (compressor 1).
     whole: bool,
+    /// What a record consists of, if [`Sequence`] decodes it.
+    items: Option<Items>,
     /// Bytes of an unpacked record, by the items; a few writers state another length in the header.
     record_bytes: usize,
     pub layout: Layout,
@@ -116,7 +126,8 @@ impl Packing {
         }
         let version = vlr.items()[0].version();
         let whole = compressor == 1;
-        let packing = Self { vlr, layered, whole, record_bytes, layout, layers, version, rgb_at, rgb_layer };
+        let items = Items::of(vlr.items());
+        let packing = Self { vlr, items, layered, whole, record_bytes, layout, layers, version, rgb_at, rgb_layer };
         packing.decoder_exists(source)?;
         Ok(packing)
     }
@@ -427,11 +438,19 @@ impl PackedPoints<'_> {
         if self.points == 1 && !stream {
             return self.decode_one(slab, sink);
         }
-        let chunk_points = if stream && !self.packing.whole { u64::from(self.packing.vlr.chunk_size()) } else { 0 };
+        let chunk_points = match stream && !self.packing.whole {
+            true => u64::from(self.packing.vlr.chunk_size()),
+            false => 0,
+        };
+        if let Some(items) = self.packing.items {
+            let mut sequence = Sequence::new(self.source, items, self.start, self.len, chunk_points);
+            let done = self.fill(slab, sink, |records, filled| sequence.next(records, filled))?;
+            return Ok((done, self.len.saturating_sub(sequence.position())));
+        }
         let mut decoder = SequentialPointRecordDecompressor::new(Window::new(self.source, self.start, self.len));
         let items = self.packing.vlr.items();
         let mut in_chunk = None;
-        let done = self.fill(slab, sink, |record| {
+        let next = |record: &mut [u8]| {
             if in_chunk.is_none_or(|points| chunk_points > 0 && points == chunk_points) {
                 decoder.reset();
                 decoder.set_fields_from(items).map_err(std::io::Error::other)?;
@@ -440,7 +459,8 @@ impl PackedPoints<'_> {
             decoder.decompress_next(record)?;
             in_chunk = in_chunk.map(|points| points + 1);
             Ok(())
-        })?;
+        };
+        let done = self.fill(slab, sink, self.each(next))?;
         Ok((done, self.len.saturating_sub(decoder.get().position())))
     }
 
@@ -487,38 +507,48 @@ impl PackedPoints<'_> {
                 return Err(self.damaged(0, "no decoder can be made of its items"));
             }
             decoder.set_selection(layers::selection(self.wanted).decompress_rgb());
-            let done = self.fill(slab, sink, |record| decoder.decompress_next(record))?;
+            let done = self.fill(slab, sink, self.each(|record| decoder.decompress_next(record)))?;
             return Ok((done, self.len - head.bytes));
         }
         let mut layers = Layers::new(self.packing.version);
         let (others, sizes) = (self.packing.record_bytes - POINT_BYTES, 4 * (self.packing.layers - LAYERS));
         let mut first = true;
-        let done = self.fill(slab, sink, |record| match std::mem::take(&mut first) {
+        let next = |record: &mut [u8]| match std::mem::take(&mut first) {
             true => layers.begin(&mut window, record, others, sizes, self.wanted),
             false => layers.next::<Window>(record),
-        })?;
+        };
+        let done = self.fill(slab, sink, self.each(next))?;
         Ok((done, self.len - head.bytes))
     }
 
-    /// Fills `slab` with records, one by `next` after the other, and hands them to `sink`; returns their number.
+    /// Fills records one by `next` after the other.
+    fn each(
+        &self,
+        mut next: impl FnMut(&mut [u8]) -> std::io::Result<()>,
+    ) -> impl FnMut(&mut [u8], &mut usize) -> std::io::Result<()> {
+        let record_bytes = self.packing.decoded_bytes(self.wanted.rgb);
+        move |records, filled| {
+            for record in records.chunks_exact_mut(record_bytes) {
+                next(record)?;
+                *filled += 1;
+            }
+            Ok(())
+        }
+    }
+
+    /// Fills `slab` with records by `next`, which counts those that are whole, and hands them to `sink`; returns their number.
     fn fill(
         &self,
         slab: &mut [u8],
         sink: &mut dyn FnMut(&[u8]) -> Result<()>,
-        mut next: impl FnMut(&mut [u8]) -> std::io::Result<()>,
+        mut next: impl FnMut(&mut [u8], &mut usize) -> std::io::Result<()>,
     ) -> Result<u64> {
         let record_bytes = self.packing.decoded_bytes(self.wanted.rgb);
         let mut done = 0;
         while done < self.points {
             let want = (slab.len() / record_bytes).min(usize::try_from(self.points - done).unwrap_or(usize::MAX));
             let mut filled = 0;
-            let outcome = isolate(|| -> std::io::Result<()> {
-                for record in slab.chunks_exact_mut(record_bytes).take(want) {
-                    next(record)?;
-                    filled += 1;
-                }
-                Ok(())
-            });
+            let outcome = isolate(|| next(&mut slab[..want * record_bytes], &mut filled));
             if filled > 0 {
                 sink(&slab[..filled * record_bytes])?;
             }
@@ -529,11 +559,16 @@ impl PackedPoints<'_> {
                     true => break,
                     false => return Err(self.damaged(done, "its data end early")),
                 },
+                Ok(Err(error)) if error.kind() == std::io::ErrorKind::InvalidData => return Err(self.unknown(done)),
                 Ok(Err(error)) => return Err(Error::io(self.source.path(), format!("decode {}", self.name), error)),
-                Err(Panicked) => return Err(self.damaged(done, "the decoder cannot follow its data")),
+                Err(Panicked) => return Err(self.unknown(done)),
             }
         }
         Ok(done)
+    }
+
+    fn unknown(&self, done: u64) -> Error {
+        self.damaged(done, "the decoder cannot follow its data")
     }
 
     fn damaged(&self, done: u64, what: &str) -> Error {

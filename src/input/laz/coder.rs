@@ -1,0 +1,330 @@
+//! The arithmetic decoder of LASzip, its adaptive models, and whole numbers as differences from expected ones.
+//!
+//! In: compressed bytes. Out: the symbols that LASzip and the crate `laz` find in them, at two thirds of the time of the latter: a
+//! decoder's state stays in registers, a model is one piece of memory with bounds and counts of 16 bits, and its table has
+//! a place for every 128th of the range. Sources: A. Said, *Introduction to Arithmetic Coding: Theory and Practice*
+//! (HPL-2004-76); M. Isenburg, *LASzip: lossless compression of LiDAR data* (PE&RS 79(2), 2013).
+//!
+//! Bytes that no encoder wrote give other symbols, never a panic; they show where the data end too early or too late.
+
+use std::hint::select_unpredictable;
+
+/// Below this length of the range further bytes are taken in.
+const MIN_LENGTH_BITS: u32 = 24;
+/// Models divide the range into so many parts, as a power of two.
+const MODEL_BITS: u32 = 15;
+/// The same for models of one bit.
+const BIT_MODEL_BITS: u32 = 13;
+/// Parts of the range that share a place in a model's table, as a power of two.
+const PLACE_BITS: u32 = MODEL_BITS - 8;
+
+/// Most bytes that one symbol, bit or number of bits takes.
+pub(super) const MOST_STEP_BYTES: usize = (MIN_LENGTH_BITS / 8) as usize;
+
+/// A decoder at work on `bytes`. Behind their end it reads zeros; its position tells that it did.
+#[derive(Clone, Copy)]
+pub(super) struct Coder<'a> {
+    bytes: &'a [u8],
+    position: usize,
+    range: Range,
+}
+
+/// Where a decoder is between the bytes it has taken and those to come.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Range {
+    value: u32,
+    length: u32,
+}
+
+impl<'a> Coder<'a> {
+    /// A decoder of what begins at `bytes[position]`.
+    pub fn begin(bytes: &'a [u8], position: usize) -> Self {
+        let mut coder = Self { bytes, position, range: Range { value: 0, length: u32::MAX } };
+        coder.range.value = coder.next_four();
+        coder.position += 4;
+        coder
+    }
+
+    /// A decoder that goes on at `bytes[position]`.
+    pub fn resume(bytes: &'a [u8], position: usize, range: Range) -> Self {
+        Self { bytes, position, range }
+    }
+
+    pub fn position(&self) -> usize {
+        self.position
+    }
+
+    pub fn range(&self) -> Range {
+        self.range
+    }
+
+    #[inline(always)]
+    fn next_four(&self) -> u32 {
+        match self.bytes.get(self.position..).and_then(<[u8]>::first_chunk) {
+            Some(&four) => u32::from_be_bytes(four),
+            None => self.last_bytes(),
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn last_bytes(&self) -> u32 {
+        let byte = |at| u32::from(self.bytes.get(self.position + at).copied().unwrap_or(0));
+        (0..4).fold(0, |four, at| four << 8 | byte(at))
+    }
+
+    /// Narrows the range to `length` from `low` on, and takes in bytes until it is long enough.
+    #[inline(always)]
+    fn narrow(&mut self, low: u32, length: u32) {
+        let taken = length.leading_zeros() / 8;
+        let both = u64::from(self.range.value - low) << 32 | u64::from(self.next_four());
+        self.range = Range { value: (both << (8 * taken) >> 32) as u32, length: length << (8 * taken) };
+        self.position += taken as usize;
+    }
+
+    /// A symbol of `model`.
+    #[inline(always)]
+    pub fn symbol<const N: usize, T: Place>(&mut self, model: &mut Model<N, T>) -> u32 {
+        let part = self.range.length >> MODEL_BITS;
+        // The last symbol also has what the division leaves over.
+        let parts = (self.range.value / part).min((1 << MODEL_BITS) - 1);
+        let mut symbol: usize = model.places[(parts >> PLACE_BITS) as usize].into();
+        while model.bounds.get(symbol + 1).is_some_and(|&bound| u32::from(bound) <= parts) {
+            symbol += 1;
+        }
+        let symbol = symbol.min(N - 1);
+        let low = u32::from(model.bounds[symbol]) * part;
+        let high = match model.bounds.get(symbol + 1) {
+            Some(&bound) if symbol + 1 < model.symbols as usize => u32::from(bound) * part,
+            _ => self.range.length,
+        };
+        self.narrow(low, high - low);
+        model.counts[symbol] += 1;
+        model.left -= 1;
+        if model.left == 0 {
+            model.update();
+        }
+        symbol as u32
+    }
+
+    /// A bit of `model`.
+    #[inline(always)]
+    pub fn bit(&mut self, model: &mut BitModel) -> bool {
+        let zero = model.zero * (self.range.length >> BIT_MODEL_BITS);
+        let bit = self.range.value >= zero;
+        match bit {
+            true => self.narrow(zero, self.range.length - zero),
+            false => {
+                model.zeros += 1;
+                self.narrow(0, zero);
+            }
+        }
+        model.left -= 1;
+        if model.left == 0 {
+            model.update();
+        }
+        bit
+    }
+
+    /// A number of `count` [1..=19] bits, each as likely as the other.
+    #[inline(always)]
+    fn short(&mut self, count: u32) -> u32 {
+        let part = self.range.length >> count;
+        let number = self.range.value / part;
+        self.narrow(number * part, part);
+        number
+    }
+
+    /// A number of `count` [1..=32] bits.
+    #[inline(always)]
+    pub fn bits(&mut self, count: u32) -> u32 {
+        if count <= 19 {
+            return self.short(count);
+        }
+        let low = self.short(16);
+        self.short(count - 16) << 16 | low
+    }
+}
+
+/// Kind of number in which a model's table names symbols.
+pub(super) trait Place: Copy + Default + Into<usize> + TryFrom<usize> {}
+impl Place for u8 {}
+impl Place for u16 {}
+
+/// How often each of up to `N` symbols is met; learns.
+#[derive(Debug, Clone)]
+pub(super) struct Model<const N: usize, T = u8> {
+    /// Per place the last symbol that does not begin above where the place does.
+    places: [T; 1 << (MODEL_BITS - PLACE_BITS)],
+    /// Where each symbol begins, in parts of the range; beyond its end for symbols that there are not.
+    bounds: [u16; N],
+    counts: [u16; N],
+    symbols: u32,
+    total: u32,
+    /// Symbols from one update to the next, and until the next.
+    cycle: u32,
+    left: u32,
+}
+
+impl<const N: usize, T: Place> Model<N, T> {
+    /// A model of so many `symbols` [2..=N], all as likely.
+    pub fn new(symbols: usize) -> Self {
+        let mut model = Self {
+            places: [T::default(); _],
+            bounds: [1 << MODEL_BITS; N],
+            counts: std::array::from_fn(|symbol| u16::from(symbol < symbols)),
+            symbols: symbols as u32,
+            total: 0,
+            cycle: symbols as u32,
+            left: 0,
+        };
+        model.update();
+        model.cycle = (model.symbols + 6) / 2;
+        model.left = model.cycle;
+        model
+    }
+
+    #[inline(never)]
+    fn update(&mut self) {
+        let counts = &mut self.counts[..self.symbols as usize];
+        self.total += self.cycle;
+        if self.total > 1 << MODEL_BITS {
+            counts.iter_mut().for_each(|count| *count = count.div_ceil(2));
+            self.total = counts.iter().map(|&count| u32::from(count)).sum();
+        }
+        let scale = (1 << 31) / self.total;
+        let (mut sum, mut places) = (0, 0);
+        for (symbol, (bound, &count)) in self.bounds.iter_mut().zip(&*counts).enumerate() {
+            *bound = ((scale * sum) >> (31 - MODEL_BITS)) as u16;
+            sum += u32::from(count);
+            // Places that begin below it are the symbol's before.
+            let end = usize::from(bound.div_ceil(1 << PLACE_BITS));
+            if end > places {
+                self.places[places..end].fill(T::try_from(symbol - 1).unwrap_or_default());
+                places = end;
+            }
+        }
+        self.places[places..].fill(T::try_from(counts.len() - 1).unwrap_or_default());
+        self.cycle = (5 * self.cycle / 4).min(8 * (self.symbols + 6));
+        self.left = self.cycle;
+    }
+}
+
+/// How often a bit is 0; learns.
+#[derive(Debug, Clone)]
+pub(super) struct BitModel {
+    /// Where 1 begins, in parts of the range.
+    zero: u32,
+    zeros: u32,
+    total: u32,
+    cycle: u32,
+    left: u32,
+}
+
+impl BitModel {
+    pub fn new() -> Self {
+        Self { zero: 1 << (BIT_MODEL_BITS - 1), zeros: 1, total: 2, cycle: 4, left: 4 }
+    }
+
+    fn update(&mut self) {
+        self.total += self.cycle;
+        if self.total > 1 << BIT_MODEL_BITS {
+            self.total = self.total.div_ceil(2);
+            self.zeros = self.zeros.div_ceil(2);
+            self.total += u32::from(self.zeros == self.total);
+        }
+        self.zero = (self.zeros * ((1 << 31) / self.total)) >> (31 - BIT_MODEL_BITS);
+        self.cycle = (5 * self.cycle / 4).min(64);
+        self.left = self.cycle;
+    }
+}
+
+/// Sizes of differences whose value is one symbol (bits); of larger ones the upper bits are.
+const SYMBOL_BITS: u32 = 8;
+
+/// Whole numbers as differences from expected ones: first the size of the difference in bits, by context, then its value among
+/// those of that size.
+#[derive(Debug, Clone)]
+pub(super) struct Numbers {
+    sizes: Box<[Model<33>]>,
+    /// Difference 0 or 1.
+    small: BitModel,
+    /// Differences of 1, 2, … bits.
+    values: Box<[Model<256>]>,
+    /// Numbers are counted modulo this; 0 for 2³².
+    modulus: u32,
+    size: u32,
+}
+
+impl Numbers {
+    /// Most steps that a number takes.
+    pub const MOST_STEPS: usize = 4;
+
+    /// Numbers of so many `bits`, 16 or 32.
+    pub fn new(bits: u32, contexts: usize) -> Self {
+        Self {
+            sizes: (0..contexts).map(|_| Model::new(bits as usize + 1)).collect(),
+            small: BitModel::new(),
+            values: (1..=bits).map(|size| Model::new(1 << size.min(SYMBOL_BITS))).collect(),
+            modulus: 1u32.checked_shl(bits).unwrap_or(0),
+            size: 0,
+        }
+    }
+
+    /// Size of the last difference (bits).
+    pub fn size(&self) -> u32 {
+        self.size
+    }
+
+    /// The next number.
+    #[inline(always)]
+    pub fn next(&mut self, coder: &mut Coder, context: usize, expected: i32) -> i32 {
+        self.size = coder.symbol(&mut self.sizes[context]);
+        let difference = match self.size {
+            0 => i32::from(coder.bit(&mut self.small)),
+            32 => i32::MIN,
+            size => {
+                let mut value = coder.symbol(&mut self.values[size as usize - 1]);
+                if size > SYMBOL_BITS {
+                    let lower = size - SYMBOL_BITS;
+                    value = value << lower | coder.bits(lower);
+                }
+                // The upper half are the positive differences of this size, 0 and 1 are of size 0.
+                let half = 1 << (size - 1);
+                let (above, below) = (value.wrapping_add(1), value.wrapping_sub(2 * half - 1));
+                select_unpredictable(value >= half, above, below) as i32
+            }
+        };
+        let number = expected.wrapping_add(difference);
+        match self.modulus as i32 {
+            0 => number,
+            modulus if number < 0 => number.wrapping_add(modulus),
+            modulus if number >= modulus => number.wrapping_sub(modulus),
+            _ => number,
+        }
+    }
+}
+
+/// Median of five of the last numbers: of those that the least and the greatest, in turn, gave way to.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Median {
+    sorted: [i32; 5],
+    /// The least gives way to the next number, not the greatest.
+    least: bool,
+}
+
+impl Median {
+    pub fn get(&self) -> i32 {
+        self.sorted[2]
+    }
+
+    /// Without branches: which place a number takes cannot be foreseen.
+    #[inline(always)]
+    pub fn add(&mut self, number: i32) {
+        let all = self.sorted;
+        let kept: [i32; 4] = std::array::from_fn(|at| if self.least { all[at + 1] } else { all[at] });
+        self.least = if self.least { number > all[2] } else { number >= all[2] };
+        let [a, b, c, d] = kept;
+        self.sorted = [a.min(number), a.max(b.min(number)), b.max(c.min(number)), c.max(d.min(number)), d.max(number)];
+    }
+}

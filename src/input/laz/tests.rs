@@ -1,0 +1,220 @@
+//! Our decoders against those of the crate `laz`: the same records from the same bytes, whole, cut and damaged.
+
+use std::io::Write;
+
+use laz::record::{
+    RecordCompressor, RecordDecompressor, SequentialPointRecordCompressor, SequentialPointRecordDecompressor,
+};
+use laz::{LazItem, LazItemRecordBuilder, LazItemType};
+use proptest::prelude::*;
+
+use super::isolate;
+use super::sequence::{Items, Sequence};
+use crate::input::source::{Source, Window};
+
+/// How a field of a record follows that of the one before.
+#[derive(Debug, Clone, Copy)]
+enum Change {
+    Stays,
+    /// By a few, as neighbours differ.
+    By(i8),
+    /// By as much as the last time, times this.
+    Times(i16),
+    Becomes(u64),
+}
+
+fn change() -> impl Strategy<Value = Change> {
+    prop_oneof![
+        6 => Just(Change::Stays),
+        4 => any::<i8>().prop_map(Change::By),
+        2 => (-12i16..12).prop_map(Change::Times),
+        1 => (-700i16..700).prop_map(Change::Times),
+        1 => (any::<u64>(), 0u32..64).prop_map(|(number, bits)| Change::Becomes(number >> bits)),
+    ]
+}
+
+/// Bytes of each field of a record.
+fn fields(items: &[LazItem]) -> Vec<usize> {
+    let of = |item: &LazItem| match item.item_type() {
+        LazItemType::Point10 => vec![4, 4, 4, 2, 1, 1, 1, 1, 2],
+        LazItemType::GpsTime => vec![8],
+        LazItemType::RGB12 => vec![2, 2, 2],
+        _ => vec![1; usize::from(item.size())],
+    };
+    items.iter().flat_map(of).collect()
+}
+
+/// Records whose fields follow each other by the `changes`, a row for each record, in turns where there are too few.
+fn records(items: &[LazItem], changes: &[Vec<Change>]) -> Vec<u8> {
+    let fields = fields(items);
+    let mut last = vec![(0u64, 0u64); fields.len()];
+    let mut all = Vec::new();
+    for row in changes {
+        for ((bytes, (value, step)), change) in fields.iter().zip(&mut last).zip(row.iter().cycle()) {
+            let next = match *change {
+                Change::Stays => *value,
+                Change::By(by) => value.wrapping_add_signed(i64::from(by)),
+                Change::Times(times) => value.wrapping_add(step.wrapping_mul(i64::from(times) as u64)),
+                Change::Becomes(next) => next,
+            };
+            // The compressor of `laz` takes differences of times as if none overflowed.
+            let next = if *bytes == 8 { next >> 2 } else { next };
+            if next != *value {
+                (*value, *step) = (next, next.wrapping_sub(*value));
+            }
+            all.extend(&value.to_le_bytes()[..*bytes]);
+        }
+    }
+    all
+}
+
+fn record_bytes(items: &[LazItem]) -> usize {
+    items.iter().map(|item| usize::from(item.size())).sum()
+}
+
+fn old_items(time: bool, colour: bool, extra: u16) -> Vec<LazItem> {
+    let mut builder = LazItemRecordBuilder::new();
+    builder.add_item(LazItemType::Point10);
+    if time {
+        builder.add_item(LazItemType::GpsTime);
+    }
+    if colour {
+        builder.add_item(LazItemType::RGB12);
+    }
+    if extra > 0 {
+        builder.add_item(LazItemType::Byte(extra));
+    }
+    builder.build()
+}
+
+/// Chunks of so many points, one behind the other.
+fn pack(items: &[LazItem], records: &[u8], chunk_points: usize) -> Vec<u8> {
+    let mut packed = Vec::new();
+    for chunk in records.chunks(record_bytes(items) * chunk_points) {
+        let mut compressor = SequentialPointRecordCompressor::new(Vec::new());
+        compressor.set_fields_from(&items.to_vec()).unwrap();
+        chunk.chunks_exact(record_bytes(items)).for_each(|record| compressor.compress_next(record).unwrap());
+        compressor.done().unwrap();
+        packed.extend(compressor.into_inner());
+    }
+    packed
+}
+
+/// A file of `bytes`; the other value removes it when it is dropped.
+fn source(bytes: &[u8]) -> (Source, tempfile::NamedTempFile) {
+    let mut file = tempfile::NamedTempFile::new().unwrap();
+    file.write_all(bytes).unwrap();
+    (Source::open(file.path(), None).unwrap(), file)
+}
+
+/// Whole records that `laz` finds, one chunk, and the bytes it took for them if all are whole.
+fn by_laz(source: &Source, items: &[LazItem], len: u64, points: usize) -> (Vec<u8>, Option<u64>) {
+    let mut decoder = SequentialPointRecordDecompressor::new(Window::new(source, 0, len));
+    decoder.set_fields_from(&items.to_vec()).unwrap();
+    let mut records = vec![0; points * record_bytes(items)];
+    let mut whole = 0;
+    for record in records.chunks_exact_mut(record_bytes(items)) {
+        if !matches!(isolate(|| decoder.decompress_next(record)), Ok(Ok(()))) {
+            break;
+        }
+        whole += record.len();
+    }
+    records.truncate(whole);
+    let all = whole == points * record_bytes(items);
+    (records, all.then(|| decoder.get().position()))
+}
+
+/// Whole records that ours finds, asked for so many at a time, and the bytes it took for them if all are whole.
+fn by_ours(
+    source: &Source,
+    items: &[LazItem],
+    len: u64,
+    points: usize,
+    chunk_points: u64,
+    at_a_time: usize,
+) -> (Vec<u8>, Option<u64>) {
+    let mut decoder = Sequence::new(source, Items::of(items).unwrap(), 0, len, chunk_points);
+    let mut records = vec![0; points * record_bytes(items)];
+    let mut whole = 0;
+    for slab in records.chunks_mut(at_a_time * record_bytes(items)) {
+        let mut filled = 0;
+        let outcome = decoder.next(slab, &mut filled);
+        whole += filled * record_bytes(items);
+        if outcome.is_err() {
+            break;
+        }
+    }
+    records.truncate(whole);
+    let all = whole == points * record_bytes(items);
+    (records, all.then(|| decoder.position()))
+}
+
+fn a_few(most: usize) -> impl Strategy<Value = Vec<Vec<Change>>> {
+    proptest::collection::vec(proptest::collection::vec(change(), 1..30), 1..most)
+}
+
+proptest! {
+    #[test]
+    fn a_sequence_gives_back_what_was_packed(
+        changes in a_few(40), repeats in 1usize..60, time: bool, colour: bool, extra in 0u16..4,
+        chunk_points in 1usize..900, at_a_time in 1usize..300
+    ) {
+        let items = old_items(time, colour, extra);
+        let changes = vec![changes; repeats].concat();
+        let packed = pack(&items, &records(&items, &changes), chunk_points);
+        let (source, _file) = source(&packed);
+        let len = packed.len() as u64;
+        let (ours, taken) = by_ours(&source, &items, len, changes.len(), chunk_points as u64, at_a_time);
+        prop_assert!(ours == records(&items, &changes));
+        prop_assert_eq!(taken, Some(len));
+    }
+
+    #[test]
+    fn a_cut_or_damaged_sequence_gives_what_laz_finds_in_it(
+        changes in a_few(40), repeats in 1usize..30, time: bool, colour: bool, extra in 0u16..4,
+        cut in 0.0f64..1.0, flips in proptest::collection::vec((0.0f64..1.0, 1u8..), 0..3)
+    ) {
+        let items = old_items(time, colour, extra);
+        let changes = vec![changes; repeats].concat();
+        let mut packed = pack(&items, &records(&items, &changes), usize::MAX / 100);
+        for (at, bits) in &flips {
+            let at = (at * packed.len() as f64) as usize;
+            packed[at] ^= bits;
+        }
+        let (source, _file) = source(&packed);
+        let len = ((1.0 - cut * cut) * packed.len() as f64) as u64;
+        let (ours, taken) = by_ours(&source, &items, len, changes.len(), 0, usize::MAX / 100);
+        let (theirs, taken_by_laz) = by_laz(&source, &items, len, changes.len());
+        // Where damage makes `laz` panic, ours goes on; nobody writes a time by more than four changes of its sequence.
+        let shared = ours.len().min(theirs.len());
+        prop_assert!(ours[..shared] == theirs[..shared]);
+        if flips.is_empty() || !time {
+            prop_assert!(ours.len() >= theirs.len());
+        }
+        if flips.is_empty() {
+            prop_assert_eq!(ours.len(), theirs.len());
+            prop_assert_eq!(taken, taken_by_laz);
+        }
+    }
+}
+
+/// More bytes than are held at once, chunks that end amid them.
+#[test]
+fn a_long_sequence_is_read_piece_by_piece() {
+    let items = old_items(true, true, 1);
+    let mut seed = 1u64;
+    let mut random = || {
+        seed = seed.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(0x1405_7b7e_f767_814f);
+        seed >> 33
+    };
+    let changes: Vec<Vec<Change>> =
+        (0..60_000).map(|_| (0..14).map(|_| Change::Becomes(random() << 20 ^ random())).collect()).collect();
+    let records = records(&items, &changes);
+    let packed = pack(&items, &records, 25_000);
+    assert!(packed.len() > 20 << 16);
+    let (source, _file) = source(&packed);
+    let len = packed.len() as u64;
+    let (ours, taken) = by_ours(&source, &items, len, changes.len(), 25_000, 1000);
+    assert!(ours == records);
+    assert_eq!(taken, Some(len));
+}
