@@ -58,6 +58,12 @@ impl<'a> Coder<'a> {
         self.range
     }
 
+    /// Bytes were taken that there are not.
+    #[inline(always)]
+    pub fn is_beyond(&self) -> bool {
+        self.position > self.bytes.len()
+    }
+
     #[inline(always)]
     fn next_four(&self) -> u32 {
         match self.bytes.get(self.position..).and_then(<[u8]>::first_chunk) {

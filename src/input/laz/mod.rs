@@ -2,13 +2,13 @@
 //!
 //! In: a checked header and the LASzip record. Out: a [`Chunking`], whose chunks can be decoded in any order, and whole
 //! point records. Sources: the LASzip 1.4 format as implemented by the crate `laz` 0.13, which decodes what [`sequence`] does
-//! not: points in layers, wave packets, and what LASzip wrote before 2011. Chunk table, chunk heads and counts are read and
-//! checked here.
+//! not: wave packets, and points as LASzip packed them first. Chunk table, chunk heads and counts are read and checked here.
 //!
-//! Memory of one decoder: one slab of records, one [`Window`] or as many bytes held by a [`Sequence`], and for formats 6 to 10 the compressed layers of one chunk
+//! Memory of one decoder: one slab of records, one [`Window`] or as many bytes that a [`Sequence`] holds, and for formats 6 to 10 the compressed layers of one chunk
 //! that are needed (x, y, z, flags; class, intensity, RGB, point source id and GPS time only when they are wanted); more than the budget is an error.
 
 mod coder;
+mod fields;
 mod layers;
 mod sequence;
 #[cfg(test)]
@@ -17,7 +17,7 @@ mod tests;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use laz::laszip::ChunkTable;
-use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
+use laz::record::{RecordDecompressor, SequentialPointRecordDecompressor};
 use laz::{LazItemType, LazVlr};
 
 use super::convert::Layout;
@@ -25,7 +25,7 @@ use super::header::{LasHeader, u16_at, u32_at, u64_at};
 use super::losses::Findings;
 use super::source::{Source, Window};
 use crate::{Error, Parameter, Result};
-use layers::{LAYERS, Layers, POINT_BYTES};
+use layers::{Layers, POINT_BYTES};
 use sequence::{Items, Sequence};
 
 /// How the points of one LAZ file are packed.
@@ -157,7 +157,7 @@ impl Packing {
             })
         };
         if self.layered {
-            return match Layers::exist(self.version) {
+            return match layers::exist(self.version) {
                 true => Ok(()),
                 false => unsupported(format!("LASzip points in layers of version {}", self.version)),
             };
@@ -360,11 +360,9 @@ impl Packing {
         }
         let Some(bytes) = source.bytes_at(at, len)? else { return Ok(None) };
         let size = |layer: usize| u64::from(u32_at(&bytes, self.record_bytes + 4 + 4 * layer));
-        // Layers of a point: x and y, z, class, flags, intensity, two that are never needed here, point source id, GPS time.
-        let rgb = if self.rgb_at.is_some() { size(self.rgb_layer) } else { 0 };
-        let needed = [size(0), size(1), size(2), size(3), size(4), rgb, size(7), size(8)];
-        let layers: u64 = (0..self.layers).map(size).sum();
-        Ok(Some(Head { points: u32_at(&bytes, self.record_bytes), bytes: len as u64 + layers, needed }))
+        let sizes: Vec<u64> = (0..self.layers).map(size).collect();
+        let points = u32_at(&bytes, self.record_bytes);
+        Ok(Some(Head { points, bytes: len as u64 + sizes.iter().sum::<u64>(), sizes, first: bytes }))
     }
 }
 
@@ -378,8 +376,12 @@ struct Lost {
 /// Head of a layered chunk.
 struct Head {
     points: u32,
+    /// Bytes of the whole chunk.
     bytes: u64,
-    needed: [u64; 8],
+    /// Bytes of each layer.
+    sizes: Vec<u64>,
+    /// The first point, and what follows it before the layers.
+    first: Vec<u8>,
 }
 
 fn check_count(source: &Source, count: u64, most: u64) -> Result<()> {
@@ -444,7 +446,7 @@ impl PackedPoints<'_> {
         };
         if let Some(items) = self.packing.items {
             let mut sequence = Sequence::new(self.source, items, self.start, self.len, chunk_points);
-            let done = self.fill(slab, sink, |records, filled| sequence.next(records, filled))?;
+            let done = self.fill(0, slab, sink, |records, filled| sequence.next(records, filled))?;
             return Ok((done, self.len.saturating_sub(sequence.position())));
         }
         let mut decoder = SequentialPointRecordDecompressor::new(Window::new(self.source, self.start, self.len));
@@ -460,7 +462,7 @@ impl PackedPoints<'_> {
             in_chunk = in_chunk.map(|points| points + 1);
             Ok(())
         };
-        let done = self.fill(slab, sink, self.each(next))?;
+        let done = self.fill(0, slab, sink, self.each(next))?;
         Ok((done, self.len.saturating_sub(decoder.get().position())))
     }
 
@@ -480,9 +482,9 @@ impl PackedPoints<'_> {
         let Some(head) = self.packing.head(self.source, self.start, self.len)? else {
             return Err(self.damaged(0, "it is too short for its head"));
         };
-        let Wanted { classes, intensity, rgb, source_ids, times } = self.wanted;
-        let wanted = [true, true, classes, true, intensity, rgb, source_ids, times];
-        let needed: u64 = head.needed.iter().zip(wanted).filter(|(_, wanted)| *wanted).map(|(size, _)| size).sum();
+        let places = layers::places(self.wanted, self.packing.rgb_layer);
+        let sizes = places.map(|place| place.and_then(|place| head.sizes.get(place).copied()).unwrap_or(0));
+        let needed: u64 = sizes.iter().sum();
         if head.bytes > self.len {
             return Err(self.damaged(0, &format!("its layers take {} bytes, it has {}", head.bytes, self.len)));
         }
@@ -492,32 +494,29 @@ impl PackedPoints<'_> {
         if needed > self.memory_bytes {
             return Err(too_much(self.source, &format!("{}: compressed bytes", self.name), needed, self.memory_bytes));
         }
-        if head.points == 1 {
-            // It lies there as it is, and to begin a chunk is the dearest part of decoding.
-            let len = self.packing.decoded_bytes(rgb);
-            let done = self.source.read_at(&mut slab[..len], self.start)? / len;
-            sink(&slab[..done * len])?;
-            return Ok((done as u64, self.len - head.bytes));
+        let record_bytes = self.packing.decoded_bytes(self.wanted.rgb);
+        if head.points > 0 {
+            sink(&head.first[..record_bytes])?;
         }
-        let mut window = Window::new(self.source, self.start, self.len);
-        if rgb {
-            let mut decoder = LayeredPointRecordDecompressor::new(window);
-            let fields = isolate(|| decoder.set_fields_from(self.packing.vlr.items()));
-            if !matches!(fields, Ok(Ok(()))) {
-                return Err(self.damaged(0, "no decoder can be made of its items"));
+        // To begin layers is the dearest part of decoding.
+        if head.points <= 1 {
+            return Ok((self.points, self.len - head.bytes));
+        }
+        let mut bytes = vec![0; usize::try_from(needed).unwrap_or(usize::MAX)];
+        let mut rest = bytes.as_mut_slice();
+        for (place, size) in places.iter().zip(sizes) {
+            let Some(place) = place else { continue };
+            let at = self.start + head.first.len() as u64 + head.sizes[..*place].iter().sum::<u64>();
+            let (layer, others) = rest.split_at_mut(size as usize);
+            if self.source.read_at(layer, at)? < layer.len() {
+                return Err(self.damaged(1, "its data end early"));
             }
-            decoder.set_selection(layers::selection(self.wanted).decompress_rgb());
-            let done = self.fill(slab, sink, self.each(|record| decoder.decompress_next(record)))?;
-            return Ok((done, self.len - head.bytes));
+            rest = others;
         }
-        let mut layers = Layers::new(self.packing.version);
-        let (others, sizes) = (self.packing.record_bytes - POINT_BYTES, 4 * (self.packing.layers - LAYERS));
-        let mut first = true;
-        let next = |record: &mut [u8]| match std::mem::take(&mut first) {
-            true => layers.begin(&mut window, record, others, sizes, self.wanted),
-            false => layers.next::<Window>(record),
-        };
-        let done = self.fill(slab, sink, self.each(next))?;
+        let colour_at = self.packing.rgb_at.filter(|_| self.wanted.rgb);
+        let sizes = sizes.map(|size| size as usize);
+        let mut layers = Layers::new(&head.first[..record_bytes], bytes, sizes, colour_at, self.packing.version);
+        let done = self.fill(1, slab, sink, |records, filled| layers.next(records, record_bytes, filled))?;
         Ok((done, self.len - head.bytes))
     }
 
@@ -536,15 +535,16 @@ impl PackedPoints<'_> {
         }
     }
 
-    /// Fills `slab` with records by `next`, which counts those that are whole, and hands them to `sink`; returns their number.
+    /// Fills `slab` with records by `next`, which counts those that are whole, and hands them to `sink`, so many of which are
+    /// `done`; returns the number of all.
     fn fill(
         &self,
+        mut done: u64,
         slab: &mut [u8],
         sink: &mut dyn FnMut(&[u8]) -> Result<()>,
         mut next: impl FnMut(&mut [u8], &mut usize) -> std::io::Result<()>,
     ) -> Result<u64> {
         let record_bytes = self.packing.decoded_bytes(self.wanted.rgb);
-        let mut done = 0;
         while done < self.points {
             let want = (slab.len() / record_bytes).min(usize::try_from(self.points - done).unwrap_or(usize::MAX));
             let mut filled = 0;

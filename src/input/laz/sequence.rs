@@ -8,12 +8,11 @@ use std::io;
 use laz::{LazItem, LazItemType};
 
 use super::coder::{Coder, MOST_STEP_BYTES, Median, Model, Numbers, Range};
+use super::fields::{COLOUR_BYTES, Colours, Lazily, TIME_BYTES, Times};
 use crate::input::source::{Source, WINDOW_BYTES};
 
-/// Bytes of the point's own fields, of its time, of its colour.
+/// Bytes of the point's own fields.
 const POINT_BYTES: usize = 20;
-const TIME_BYTES: usize = 8;
-const COLOUR_BYTES: usize = 6;
 
 /// What a record consists of, in this order: the point, then what else there is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -112,7 +111,7 @@ impl<'a> Sequence<'a> {
                 if !fields.next(&mut coder, record) {
                     return Err(io::ErrorKind::InvalidData.into());
                 }
-                if coder.position() > self.held.len() {
+                if coder.is_beyond() {
                     return Err(io::ErrorKind::UnexpectedEof.into());
                 }
                 *filled += 1;
@@ -160,7 +159,7 @@ impl<'a> Sequence<'a> {
 struct Fields {
     point: Point,
     times: Option<Box<Times>>,
-    colours: Option<Box<Colours>>,
+    colours: Option<(Box<Colours>, [u8; COLOUR_BYTES])>,
     extra: Vec<(u8, Model<256>)>,
 }
 
@@ -171,8 +170,8 @@ impl Fields {
         let (colour, extra) = rest.split_at(if items.colour { COLOUR_BYTES } else { 0 });
         Self {
             point: Point::new(point.first_chunk().copied().unwrap_or_default()),
-            times: time.first_chunk().map(|&time| Box::new(Times::new(i64::from_le_bytes(time)))),
-            colours: colour.first_chunk().map(|colour| Box::new(Colours::new(colour))),
+            times: time.first_chunk().map(|&time| Box::new(Times::new(i64::from_le_bytes(time), true))),
+            colours: colour.first_chunk().map(|&colour| (Box::new(Colours::new()), colour)),
             extra: extra.iter().map(|&byte| (byte, Model::new(256))).collect(),
         }
     }
@@ -193,12 +192,10 @@ impl Fields {
             time.copy_from_slice(&times.last().to_le_bytes());
             rest = others;
         }
-        if let Some(colours) = &mut self.colours {
+        if let Some((colours, last)) = &mut self.colours {
             let (colour, others) = rest.split_at_mut(COLOUR_BYTES);
-            colours.next(coder);
-            for (to, from) in colour.chunks_exact_mut(2).zip(colours.last) {
-                to.copy_from_slice(&from.to_le_bytes());
-            }
+            *last = colours.next(coder, *last);
+            colour.copy_from_slice(last);
             rest = others;
         }
         for (to, (last, model)) in rest.iter_mut().zip(&mut self.extra) {
@@ -206,19 +203,6 @@ impl Fields {
             *to = *last;
         }
         true
-    }
-}
-
-/// Models by the last value of a byte, made when that value is met.
-struct ByLast(Vec<Option<Box<Model<256>>>>);
-
-impl ByLast {
-    fn new() -> Self {
-        Self((0..256).map(|_| None).collect())
-    }
-
-    fn next(&mut self, coder: &mut Coder, last: u8) -> u8 {
-        coder.symbol(self.0[usize::from(last)].get_or_insert_with(|| Box::new(Model::new(256)))) as u8
     }
 }
 
@@ -247,9 +231,9 @@ struct Point {
     z: Numbers,
     intensity: Numbers,
     source_id: Numbers,
-    flags: ByLast,
-    class: ByLast,
-    user: ByLast,
+    flags: Lazily,
+    class: Lazily,
+    user: Lazily,
     /// By direction of the scan.
     angle: [Model<256>; 2],
 }
@@ -275,9 +259,9 @@ impl Point {
             z: Numbers::new(32, 20),
             intensity: Numbers::new(16, 4),
             source_id: Numbers::new(16, 1),
-            flags: ByLast::new(),
-            class: ByLast::new(),
-            user: ByLast::new(),
+            flags: Lazily::new(256, 256),
+            class: Lazily::new(256, 256),
+            user: Lazily::new(256, 256),
             angle: [Model::new(256), Model::new(256)],
         }
     }
@@ -286,7 +270,7 @@ impl Point {
     fn next(&mut self, coder: &mut Coder, record: &mut [u8]) {
         let changes = coder.symbol(&mut self.changes);
         if changes & 32 != 0 {
-            self.last[FLAGS] = self.flags.next(coder, self.last[FLAGS]);
+            self.last[FLAGS] = self.flags.next(coder, usize::from(self.last[FLAGS]));
         }
         let (number, count) = (usize::from(self.last[FLAGS] & 7), usize::from(self.last[FLAGS] >> 3 & 7));
         let kind = usize::from(RETURN_KINDS[count][number] & 15);
@@ -323,14 +307,14 @@ impl Point {
     fn seldom<'a>(&mut self, mut coder: Coder<'a>, changes: u32) -> Coder<'a> {
         let last = &mut self.last;
         if changes & 8 != 0 {
-            last[CLASS] = self.class.next(&mut coder, last[CLASS]);
+            last[CLASS] = self.class.next(&mut coder, usize::from(last[CLASS]));
         }
         if changes & 4 != 0 {
             let model = &mut self.angle[usize::from(last[FLAGS] >> 6 & 1)];
             last[ANGLE] = last[ANGLE].wrapping_add(coder.symbol(model) as u8);
         }
         if changes & 2 != 0 {
-            last[USER] = self.user.next(&mut coder, last[USER]);
+            last[USER] = self.user.next(&mut coder, usize::from(last[USER]));
         }
         if changes & 1 != 0 {
             let expected = u16::from_le_bytes([last[SOURCE_ID], last[SOURCE_ID + 1]]);
@@ -352,166 +336,3 @@ const RETURN_KINDS: [[u8; 8]; 8] = [
     [9, 10, 11, 12, 13, 14, 15, 14],
     [8, 9, 10, 11, 12, 13, 14, 15],
 ];
-
-struct Colours {
-    last: [u16; 3],
-    changes: Model<128>,
-    /// Of red, green and blue the lower, then the upper byte.
-    bytes: [Model<256>; 6],
-}
-
-impl Colours {
-    const MOST_STEPS: usize = 7;
-
-    fn new(first: &[u8; COLOUR_BYTES]) -> Self {
-        let &[r0, r1, g0, g1, b0, b1] = first;
-        let last = [[r0, r1], [g0, g1], [b0, b1]].map(u16::from_le_bytes);
-        Self { last, changes: Model::new(128), bytes: std::array::from_fn(|_| Model::new(256)) }
-    }
-
-    #[inline(always)]
-    fn next(&mut self, coder: &mut Coder) {
-        let changes = coder.symbol(&mut self.changes);
-        let last = self.last.map(u16::to_le_bytes);
-        let mut now = last;
-        let mut byte = |place: usize, expected: u8| {
-            let changed = changes >> place & 1 != 0;
-            changed.then(|| expected.wrapping_add(coder.symbol(&mut self.bytes[place]) as u8))
-        };
-        for half in 0..2 {
-            now[0][half] = byte(half, last[0][half]).unwrap_or(last[0][half]);
-        }
-        if changes & 64 == 0 {
-            now = [now[0]; 3];
-        } else {
-            for half in 0..2 {
-                // What red changed by, green and blue are expected to.
-                let change = |channel: usize, now: [u8; 2]| i32::from(now[half]) - i32::from(last[channel][half]);
-                let with = |channel: usize, by: i32| (i32::from(last[channel][half]) + by).clamp(0, 255) as u8;
-                let red = change(0, now[0]);
-                if let Some(green) = byte(2 + half, with(1, red)) {
-                    now[1][half] = green;
-                }
-                let both = (red + change(1, now[1])) / 2;
-                if let Some(blue) = byte(4 + half, with(2, both)) {
-                    now[2][half] = blue;
-                }
-            }
-        }
-        self.last = now.map(u16::from_le_bytes);
-    }
-}
-
-/// Multiples of the last difference of times that have a symbol of their own: up to the first number, down to the second.
-const MOST_MULTIPLE: i32 = 500;
-const LEAST_MULTIPLE: i32 = -10;
-const UNCHANGED: i32 = MOST_MULTIPLE - LEAST_MULTIPLE + 1;
-const ANEW: i32 = UNCHANGED + 1;
-/// Sequences of times that alternate.
-const SEQUENCES: usize = 4;
-
-/// Times as the integers that their bits are.
-struct Times {
-    sequences: [TimeSequence; SEQUENCES],
-    last: usize,
-    newest: usize,
-    multiples: Model<516, u16>,
-    /// Where the last difference is 0.
-    still: Model<6>,
-    numbers: Numbers,
-}
-
-/// One sequence of times.
-#[derive(Clone, Copy, Default)]
-struct TimeSequence {
-    time: i64,
-    difference: i32,
-    /// How often in a row the difference was far from a multiple of the last one.
-    misses: u32,
-}
-
-impl Times {
-    const MOST_STEPS: usize = SEQUENCES + 1 + Numbers::MOST_STEPS + 2;
-
-    fn new(first: i64) -> Self {
-        let mut sequences = [TimeSequence::default(); SEQUENCES];
-        sequences[0].time = first;
-        Self {
-            sequences,
-            last: 0,
-            newest: 0,
-            multiples: Model::new(516),
-            still: Model::new(6),
-            numbers: Numbers::new(32, 9),
-        }
-    }
-
-    fn last(&self) -> i64 {
-        self.sequences[self.last].time
-    }
-
-    /// The next time; whether its bytes are those of a writer, who changes to another sequence once.
-    #[inline(never)]
-    fn next<'a>(&mut self, mut coder: Coder<'a>) -> (Coder<'a>, bool) {
-        for _ in 0..SEQUENCES {
-            let sequence = &mut self.sequences[self.last];
-            let symbol = match sequence.difference {
-                0 => match coder.symbol(&mut self.still) as i32 {
-                    0 => UNCHANGED,
-                    1 => {
-                        let difference = self.numbers.next(&mut coder, 0, 0);
-                        *sequence = TimeSequence { time: sequence.after(difference), difference, misses: 0 };
-                        return (coder, true);
-                    }
-                    symbol => ANEW - 2 + symbol,
-                },
-                _ => coder.symbol(&mut self.multiples) as i32,
-            };
-            match symbol {
-                UNCHANGED => return (coder, true),
-                ..UNCHANGED => {
-                    let (multiple, context) = match symbol {
-                        0 => (0, 7),
-                        1 => (1, 1),
-                        2..10 => (symbol, 2),
-                        10..MOST_MULTIPLE => (symbol, 3),
-                        MOST_MULTIPLE => (symbol, 4),
-                        _ if MOST_MULTIPLE - symbol > LEAST_MULTIPLE => (MOST_MULTIPLE - symbol, 5),
-                        _ => (LEAST_MULTIPLE, 6),
-                    };
-                    let expected = sequence.difference.wrapping_mul(multiple);
-                    let difference = self.numbers.next(&mut coder, context, expected);
-                    sequence.time = sequence.after(difference);
-                    match multiple {
-                        1 => sequence.misses = 0,
-                        0 | LEAST_MULTIPLE | MOST_MULTIPLE => {
-                            sequence.misses += 1;
-                            if sequence.misses > 3 {
-                                (sequence.difference, sequence.misses) = (difference, 0);
-                            }
-                        }
-                        _ => {}
-                    }
-                    return (coder, true);
-                }
-                ANEW => {
-                    let upper = self.numbers.next(&mut coder, 8, (sequence.time >> 32) as i32);
-                    let lower = coder.bits(16) | coder.bits(16) << 16;
-                    self.newest = (self.newest + 1) % SEQUENCES;
-                    self.last = self.newest;
-                    let time = i64::from(upper) << 32 | i64::from(lower);
-                    self.sequences[self.last] = TimeSequence { time, ..TimeSequence::default() };
-                    return (coder, true);
-                }
-                _ => self.last = (self.last + (symbol - ANEW) as usize) % SEQUENCES,
-            }
-        }
-        (coder, false)
-    }
-}
-
-impl TimeSequence {
-    fn after(&self, difference: i32) -> i64 {
-        self.time.wrapping_add(i64::from(difference))
-    }
-}

@@ -3,13 +3,15 @@
 use std::io::Write;
 
 use laz::record::{
-    RecordCompressor, RecordDecompressor, SequentialPointRecordCompressor, SequentialPointRecordDecompressor,
+    LayeredPointRecordCompressor, LayeredPointRecordDecompressor, RecordCompressor, RecordDecompressor,
+    SequentialPointRecordCompressor, SequentialPointRecordDecompressor,
 };
-use laz::{LazItem, LazItemRecordBuilder, LazItemType};
+use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, LazVlr};
 use proptest::prelude::*;
 
-use super::isolate;
+use super::layers::{Layers, POINT_BYTES, places};
 use super::sequence::{Items, Sequence};
+use super::{Wanted, isolate, u32_at};
 use crate::input::source::{Source, Window};
 
 /// How a field of a record follows that of the one before.
@@ -38,7 +40,9 @@ fn fields(items: &[LazItem]) -> Vec<usize> {
     let of = |item: &LazItem| match item.item_type() {
         LazItemType::Point10 => vec![4, 4, 4, 2, 1, 1, 1, 1, 2],
         LazItemType::GpsTime => vec![8],
-        LazItemType::RGB12 => vec![2, 2, 2],
+        LazItemType::RGB12 | LazItemType::RGB14 => vec![2, 2, 2],
+        LazItemType::RGBNIR14 => vec![2, 2, 2, 2],
+        LazItemType::Point14 => vec![4, 4, 4, 2, 1, 1, 1, 1, 2, 2, 8],
         _ => vec![1; usize::from(item.size())],
     };
     items.iter().flat_map(of).collect()
@@ -217,4 +221,170 @@ fn a_long_sequence_is_read_piece_by_piece() {
     let (ours, taken) = by_ours(&source, &items, len, changes.len(), 25_000, 1000);
     assert!(ours == records);
     assert_eq!(taken, Some(len));
+}
+
+/// Points in layers, with RGB, or RGB and near infrared.
+fn new_items(version: u16, colour: Option<LazItemType>, extra: u16) -> Vec<LazItem> {
+    let mut builder = LazItemRecordBuilder::new();
+    builder.add_item(LazItemType::Point14);
+    if let Some(colour) = colour {
+        builder.add_item(colour);
+    }
+    if extra > 0 {
+        builder.add_item(LazItemType::Byte14(extra));
+    }
+    // The builder knows version 3 only, so the items go through a LASzip record.
+    let mut record = vec![0; 34];
+    record[0] = 3;
+    record[32] = builder.build().len() as u8;
+    for item in builder.build() {
+        let kind: u16 = item.item_type().into();
+        record.extend([kind, item.size(), version].map(u16::to_le_bytes).as_flattened());
+    }
+    LazVlr::from_buffer(&record).unwrap().items().clone()
+}
+
+fn pack_layers(items: &[LazItem], records: &[u8]) -> Vec<u8> {
+    let mut compressor = LayeredPointRecordCompressor::new(std::io::Cursor::new(Vec::new()));
+    compressor.set_fields_from(&items.to_vec()).unwrap();
+    records.chunks_exact(record_bytes(items)).for_each(|record| compressor.compress_next(record).unwrap());
+    compressor.done().unwrap();
+    compressor.into_inner().into_inner()
+}
+
+/// Which fields are wanted, bit by bit.
+fn wanted(bits: u8) -> Wanted {
+    let bit = |n: u8| bits >> n & 1 == 1;
+    Wanted { classes: bit(0), intensity: bit(1), rgb: bit(2), source_ids: bit(3), times: bit(4) }
+}
+
+/// The whole records that `laz` finds with these fields decoded.
+fn layers_by_laz(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usize) -> Vec<u8> {
+    let add = |all: DecompressionSelection, wanted, with: fn(DecompressionSelection) -> DecompressionSelection| {
+        match wanted {
+            true => with(all),
+            false => all,
+        }
+    };
+    let all = DecompressionSelection::base().decompress_z().decompress_flags();
+    let all = add(all, wanted.classes, DecompressionSelection::decompress_classification);
+    let all = add(all, wanted.intensity, DecompressionSelection::decompress_intensity);
+    let all = add(all, wanted.rgb, DecompressionSelection::decompress_rgb);
+    let all = add(all, wanted.source_ids, DecompressionSelection::decompress_point_source_id);
+    let selection = add(all, wanted.times, DecompressionSelection::decompress_gps_time);
+    let mut decoder = LayeredPointRecordDecompressor::new(std::io::Cursor::new(packed));
+    decoder.set_fields_from(&items.to_vec()).unwrap();
+    decoder.set_selection(selection);
+    let mut records = vec![0; points * record_bytes(items)];
+    let mut whole = 0;
+    for record in records.chunks_exact_mut(record_bytes(items)) {
+        if !matches!(isolate(|| decoder.decompress_next(record)), Ok(Ok(()))) {
+            break;
+        }
+        whole += record.len();
+    }
+    records.truncate(whole);
+    records
+}
+
+/// The whole records that ours finds.
+fn layers_by_ours(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usize, at_a_time: usize) -> Vec<u8> {
+    let (first, rest) = packed.split_at(record_bytes(items));
+    let colour = (items.get(1)).filter(|item| matches!(item.item_type(), LazItemType::RGB14 | LazItemType::RGBNIR14));
+    let layers: usize = (items.iter())
+        .map(|item| match item.item_type() {
+            LazItemType::Point14 => 9,
+            LazItemType::RGBNIR14 => 2,
+            LazItemType::Byte14(n) => usize::from(n),
+            _ => 1,
+        })
+        .sum();
+    let size = |layer: usize| u32_at(rest, 4 + 4 * layer) as usize;
+    let places = places(wanted, 9);
+    let (mut bytes, mut sizes) = (Vec::new(), [0; 8]);
+    for (place, to) in places.iter().zip(&mut sizes) {
+        let Some(place) = place.filter(|place| *place < layers) else { continue };
+        let at = 4 + 4 * layers + (0..place).map(size).sum::<usize>();
+        // What is cut off is not there.
+        let layer = &rest[at.min(rest.len())..(at + size(place)).min(rest.len())];
+        bytes.extend(layer);
+        *to = layer.len();
+    }
+    let colour_at = colour.filter(|_| wanted.rgb).map(|_| POINT_BYTES);
+    let mut decoder = Layers::new(first, bytes, sizes, colour_at, items[0].version());
+    // Of other fields nothing is decoded.
+    let mut records = first.repeat(points);
+    let mut whole = first.len();
+    for slab in records[first.len()..].chunks_mut(at_a_time * first.len()) {
+        let mut filled = 0;
+        let outcome = decoder.next(slab, first.len(), &mut filled);
+        whole += filled * first.len();
+        if outcome.is_err() {
+            break;
+        }
+    }
+    records.truncate(whole);
+    records
+}
+
+fn colour() -> impl Strategy<Value = Option<LazItemType>> {
+    proptest::sample::select(vec![None, Some(LazItemType::RGB14), Some(LazItemType::RGBNIR14)])
+}
+
+/// Of each record the point and, if wanted, its colour.
+fn shown(records: &[u8], items: &[LazItem], wanted: Wanted) -> Vec<u8> {
+    let colour = usize::from(wanted.rgb && items.len() > 1) * 6;
+    records
+        .chunks_exact(record_bytes(items))
+        .flat_map(|record| &record[..(POINT_BYTES + colour).min(record.len())])
+        .copied()
+        .collect()
+}
+
+proptest! {
+    #[test]
+    fn layers_give_what_laz_finds_in_them(
+        changes in a_few(40), repeats in 1usize..40, version in 3u16..=4, colour in colour(), extra in 0u16..2,
+        bits: u8, at_a_time in 1usize..300, flips in proptest::collection::vec((0.0f64..1.0, 1u8..), 0..3)
+    ) {
+        let items = new_items(version, colour, if colour.is_some() { extra } else { 0 });
+        let wanted = Wanted { rgb: wanted(bits).rgb && colour.is_some(), ..wanted(bits) };
+        let changes = vec![changes; repeats].concat();
+        let records = records(&items, &changes);
+        let mut packed = pack_layers(&items, &records);
+        let layers_at = record_bytes(&items) + 4 + 4 * (9 + 3);
+        for (at, bits) in &flips {
+            let at = layers_at + (at * packed.len().saturating_sub(layers_at) as f64) as usize;
+            packed.get_mut(at).into_iter().for_each(|byte| *byte ^= bits);
+        }
+        let ours = shown(&layers_by_ours(&packed, &items, wanted, changes.len(), at_a_time), &items, wanted);
+        let theirs = shown(&layers_by_laz(&packed, &items, wanted, changes.len()), &items, wanted);
+        if flips.is_empty() {
+            prop_assert_eq!(ours.len(), theirs.len());
+            let all = Wanted { classes: true, intensity: true, rgb: wanted.rgb, source_ids: true, times: true };
+            if bits & 0b11011 == 0b11011 {
+                let whole = shown(&records, &items, all);
+                let same = |at: usize| !(17..20).contains(&(at % (whole.len() / changes.len())));
+                prop_assert!((0..whole.len()).filter(|&at| same(at)).all(|at| ours[at] == whole[at]));
+            }
+        }
+        let shared = ours.len().min(theirs.len());
+        prop_assert!(ours[..shared] == theirs[..shared]);
+        if !wanted.times {
+            prop_assert!(ours.len() >= theirs.len());
+        }
+    }
+}
+
+/// LASzip forgets the first point's intensity: one of 0 after it is no change.
+#[test]
+fn an_intensity_of_nothing_may_follow_the_first() {
+    let items = old_items(false, false, 0);
+    let row =
+        |intensity| (0..9).map(|field| if field == 3 { Change::Becomes(intensity) } else { Change::Stays }).collect();
+    let changes: Vec<Vec<Change>> = [7, 0, 0, 9, 9].map(row).into();
+    let records = records(&items, &changes);
+    let packed = pack(&items, &records, 5);
+    let (source, _file) = source(&packed);
+    assert_eq!(by_ours(&source, &items, packed.len() as u64, 5, 0, 5).0, records);
 }
