@@ -207,6 +207,23 @@ impl ColumnIndex {
     }
 }
 
+/// Takes records.
+pub trait RecordSink {
+    /// Takes one of this column.
+    fn add(&mut self, index: ColumnIndex, record: Record);
+
+    /// Takes some, each of the column that `index` tells for its number.
+    fn add_all(&mut self, records: &[Record], index: impl Fn(usize) -> ColumnIndex) {
+        records.iter().enumerate().for_each(|(number, &record)| self.add(index(number), record));
+    }
+}
+
+impl<F: FnMut(ColumnIndex, Record)> RecordSink for F {
+    fn add(&mut self, index: ColumnIndex, record: Record) {
+        self(index, record);
+    }
+}
+
 /// No point on the grid lies as many slices below the origin.
 const MOST_SLICES: i64 = 1 << 40;
 const _: () = assert!(MAX_INDEX < MOST_SLICES && MOST_SLICES < i64::MAX / SLICE_STEPS / 2);
@@ -233,19 +250,28 @@ impl Recorder {
 
     /// Gives `sink` each point's record, and its copies for tile columns whose halo it lies in. The points, at most
     /// [`BATCH`], must be within [`reaches`](Self::reaches).
-    pub fn record(&self, x: &[f64], y: &[f64], z: &[f64], mut sink: impl FnMut(ColumnIndex, Record)) {
+    #[inline]
+    pub fn record_into(&self, x: &[f64], y: &[f64], z: &[f64], mut sink: impl RecordSink) {
         let places = self.places(x, y, z);
         match Near::of(&places) {
-            Some(near) => near.each(places.count, sink),
+            Some(near) => near.each(places.count, &mut sink),
             None => places.each(|_, fx, fy, steps| {
                 let place = place_of(fx, fy, steps);
-                spread((fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS), slice_of(steps), place, &mut sink);
+                let pixel = (fx >> SUBPIXEL_BITS, fy >> SUBPIXEL_BITS);
+                spread(pixel, slice_of(steps), place, &mut |index, record| sink.add(index, record));
             }),
         }
     }
 
+    /// As [`record_into`](Self::record_into), one record after the other.
+    #[cfg(test)]
+    pub fn record(&self, x: &[f64], y: &[f64], z: &[f64], sink: impl FnMut(ColumnIndex, Record)) {
+        self.record_into(x, y, z, sink);
+    }
+
     /// Gives `sink` one or two records of each point's voxel with `values` of the point with this number, and no copies; before them,
-    /// `with_points`, that of the point. The points are those of [`record`](Self::record).
+    /// `with_points`, that of the point. The points are those of
+    /// [`record_into`](Self::record_into).
     pub fn record_values(
         &self,
         [x, y, z]: [&[f64]; 3],
@@ -404,17 +430,12 @@ impl Near {
 
     /// Gives `sink` the records of the first `count` points, then their copies.
     #[inline]
-    fn each(&self, count: usize, mut sink: impl FnMut(ColumnIndex, Record)) {
-        let record = |number: usize| {
-            let index = ColumnIndex { tx: self.tx[number], ty: self.ty[number], block: self.block };
-            (index, self.records[number])
-        };
-        for (index, own) in (0..count).map(record) {
-            sink(index, own);
-        }
+    fn each(&self, count: usize, sink: &mut impl RecordSink) {
+        let index = |number: usize| ColumnIndex { tx: self.tx[number], ty: self.ty[number], block: self.block };
+        sink.add_all(&self.records[..count], index);
         for number in (0..count).filter(|&number| self.is_copied[number]) {
-            let (index, own) = record(number);
-            copy(index, own, beyond(own.pixel()), &mut sink);
+            let own = self.records[number];
+            copy(index(number), own, beyond(own.pixel()), &mut |index, record| sink.add(index, record));
         }
     }
 }

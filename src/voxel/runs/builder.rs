@@ -4,7 +4,9 @@ use super::cover::Covering;
 use super::store::{RunKind, RunStore};
 use super::{SORTED_RECORDS, Segment, SegmentCoder};
 use crate::Result;
-use crate::voxel::record::{BATCH, ColumnIndex, ColumnKey, PATCH_AREA, Record, Recorder, SurfaceVoxel, record_dropped};
+use crate::voxel::record::{
+    BATCH, ColumnIndex, ColumnKey, PATCH_AREA, Record, RecordSink, Recorder, SurfaceVoxel, record_dropped,
+};
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
 
@@ -86,6 +88,69 @@ fn number_of(index: ColumnIndex, lookup: &mut Lookup, columns: &mut Vec<(ColumnI
         columns.push((index, 0));
         (columns.len() - 1) as u32
     })
+}
+
+/// Adds records to those of a builder.
+struct Adder<'a> {
+    records: &'a mut Vec<Record>,
+    numbers: &'a mut Vec<u32>,
+    columns: &'a mut Vec<(ColumnIndex, u32)>,
+    lookup: &'a mut Lookup,
+    recent: &'a mut [u32],
+    only: Option<&'a mut Only>,
+}
+
+impl Adder<'_> {
+    /// Number of a column.
+    #[inline]
+    fn number(&mut self, index: ColumnIndex) -> u32 {
+        // Most columns are found here without hashing.
+        let number = &mut self.recent[place(index, PATTERN_BITS)];
+        if self.columns.get(*number as usize).is_none_or(|column| column.0 != index) {
+            *number = number_of(index, self.lookup, self.columns);
+        }
+        *number
+    }
+}
+
+impl RecordSink for Adder<'_> {
+    #[inline]
+    fn add(&mut self, index: ColumnIndex, record: Record) {
+        if self.only.as_mut().is_some_and(|only| !only.keeps(index)) {
+            return;
+        }
+        let number = self.number(index);
+        self.columns[number as usize].1 += 1;
+        self.records.push(record);
+        self.numbers.push(number);
+    }
+
+    #[inline]
+    fn add_all(&mut self, records: &[Record], index: impl Fn(usize) -> ColumnIndex) {
+        if self.only.is_some() {
+            return records.iter().enumerate().for_each(|(number, &record)| self.add(index(number), record));
+        }
+        // Points of one column mostly follow each other, and their count is kept meanwhile.
+        let mut last = None;
+        let (mut number, mut count) = (0, 0);
+        let start = self.numbers.len();
+        self.numbers.resize(start + records.len(), 0);
+        for at in 0..records.len() {
+            let index = index(at);
+            if last != Some(index) {
+                if count > 0 {
+                    self.columns[number as usize].1 += count;
+                }
+                (number, count, last) = (self.number(index), 0, Some(index));
+            }
+            count += 1;
+            self.numbers[start + at] = number;
+        }
+        if count > 0 {
+            self.columns[number as usize].1 += count;
+        }
+        self.records.extend_from_slice(records);
+    }
 }
 
 /// Collects the records of one worker and hands them to a [`RunStore`] run by run.
@@ -176,7 +241,7 @@ impl RunBuilder {
             self.make_room(chunk.len(), store)?;
             let recorder = self.recorder;
             let count = chunk.len() as u64;
-            recorder.record(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], self.adder());
+            recorder.record_into(&x[chunk.clone()], &y[chunk.clone()], &z[chunk], self.adder());
             if let Some(covering) = &mut self.covering {
                 covering.add(count);
             }
@@ -205,7 +270,8 @@ impl RunBuilder {
             let of_chunk = |number: usize| values(start + number);
             let (count, with_points) = (chunk.len() as u64, self.with_points);
             let points = [&x[chunk.clone()], &y[chunk.clone()], &z[chunk]];
-            recorder.record_values(points, with_points, of_chunk, self.adder());
+            let mut adder = self.adder();
+            recorder.record_values(points, with_points, of_chunk, |index, record| adder.add(index, record));
             if let Some(covering) = &mut self.covering {
                 covering.add(count);
             }
@@ -218,8 +284,8 @@ impl RunBuilder {
         for chunk in voxels.chunks(BATCH) {
             self.make_room(chunk.len(), store)?;
             let recorder = self.recorder;
-            let mut add = self.adder();
-            chunk.iter().for_each(|voxel| recorder.record_surface(voxel, &mut add));
+            let mut adder = self.adder();
+            chunk.iter().for_each(|voxel| recorder.record_surface(voxel, |index, record| adder.add(index, record)));
         }
         Ok(())
     }
@@ -233,9 +299,9 @@ impl RunBuilder {
         for chunk in pieces.chunks(BATCH) {
             self.make_room(chunk.len(), store)?;
             let (recorder, with_points) = (self.recorder, self.with_points);
-            let mut add = self.adder();
+            let mut adder = self.adder();
             for (voxel, values) in chunk {
-                recorder.record_surface_values(voxel, with_points, *values, &mut add);
+                recorder.record_surface_values(voxel, with_points, *values, |index, record| adder.add(index, record));
             }
         }
         Ok(())
@@ -245,8 +311,10 @@ impl RunBuilder {
     pub fn push_dropped(&mut self, voxels: &[((i64, i64), i64)], store: &RunStore) -> Result<()> {
         for chunk in voxels.chunks(BATCH) {
             self.make_room(chunk.len(), store)?;
-            let mut add = self.adder();
-            chunk.iter().for_each(|&(pixel, slice)| record_dropped(pixel, slice, &mut add));
+            let mut adder = self.adder();
+            chunk
+                .iter()
+                .for_each(|&(pixel, slice)| record_dropped(pixel, slice, |index, record| adder.add(index, record)));
         }
         Ok(())
     }
@@ -266,21 +334,9 @@ impl RunBuilder {
         Ok(())
     }
 
-    fn adder(&mut self) -> impl FnMut(ColumnIndex, Record) + use<'_> {
+    fn adder(&mut self) -> Adder<'_> {
         let Self { records, numbers, columns, lookup, recent, only, .. } = self;
-        move |index, record| {
-            if only.as_mut().is_some_and(|only| !only.keeps(index)) {
-                return;
-            }
-            // Most columns are found here without hashing.
-            let place = &mut recent[place(index, PATTERN_BITS)];
-            if columns.get(*place as usize).is_none_or(|column| column.0 != index) {
-                *place = number_of(index, lookup, columns);
-            }
-            columns[*place as usize].1 += 1;
-            records.push(record);
-            numbers.push(*place);
-        }
+        Adder { records, numbers, columns, lookup, recent, only: only.as_mut() }
     }
 
     /// Hands what is collected to `store`; call once more at the end.
