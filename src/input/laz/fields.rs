@@ -1,10 +1,62 @@
-//! Fields that points of all formats pack alike: bytes by the last ones, colours, times.
+//! Fields that points of all formats pack alike: coordinates, bytes by the last ones, colours, times.
 
-use super::coder::{Coder, Model, Numbers};
+use super::coder::{Coder, Median, Model, Numbers};
 
 /// Bytes of a time and of a colour.
 pub(super) const TIME_BYTES: usize = 8;
 pub(super) const COLOUR_BYTES: usize = 6;
+
+/// Coordinates: x and y as steps from the last point's, z as a difference from an expected height.
+pub(super) struct Coordinates {
+    x: i32,
+    y: i32,
+    z: i32,
+    dx: Numbers,
+    dy: Numbers,
+    dz: Numbers,
+}
+
+impl Coordinates {
+    pub const MOST_STEPS: usize = 3 * Numbers::MOST_STEPS;
+
+    /// Those after the `first` record's.
+    pub fn new(first: &[u8]) -> Self {
+        let number = |at: usize| first[at..].first_chunk().map_or(0, |&four| i32::from_le_bytes(four));
+        let [dx, dy, dz] = [2, 22, 20].map(|contexts| Numbers::new(32, contexts));
+        Self { x: number(0), y: number(4), z: number(8), dx, dy, dz }
+    }
+
+    pub fn z(&self) -> i32 {
+        self.z
+    }
+
+    /// The next x and y, by the last `steps` alike; `single` if the pulse has one return.
+    #[inline(always)]
+    pub fn next_xy(&mut self, coder: &mut Coder, [step_x, step_y]: &mut [Median; 2], single: bool) {
+        let dx = self.dx.next(coder, usize::from(single), step_x.get());
+        step_x.add(dx);
+        self.x = self.x.wrapping_add(dx);
+        let context = (self.dx.size() & !1).min(20) as usize + usize::from(single);
+        let dy = self.dy.next(coder, context, step_y.get());
+        step_y.add(dy);
+        self.y = self.y.wrapping_add(dy);
+    }
+
+    /// The next z, behind x and y; it is expected to be the last `height` alike, and becomes that.
+    #[inline(always)]
+    pub fn next_z(&mut self, coder: &mut Coder, height: &mut i32, single: bool) {
+        let context = (((self.dx.size() + self.dy.size()) / 2) & !1).min(18) as usize + usize::from(single);
+        self.z = self.dz.next(coder, context, *height);
+        *height = self.z;
+    }
+
+    #[inline(always)]
+    pub fn write(&self, record: &mut [u8]) {
+        for (to, from) in record.chunks_exact_mut(4).zip([self.x, self.y, self.z]) {
+            to.copy_from_slice(&from.to_le_bytes());
+        }
+    }
+}
 
 /// Models by what was met before, made when that is met.
 pub(super) struct Lazily {

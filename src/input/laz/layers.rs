@@ -9,7 +9,7 @@ use std::ops::Range as Places;
 
 use super::Wanted;
 use super::coder::{Coder, Median, Model, Numbers, Range};
-use super::fields::{COLOUR_BYTES, Colours, Lazily, Times};
+use super::fields::{COLOUR_BYTES, Colours, Coordinates, Lazily, Times};
 
 /// Bytes of the point's own fields.
 pub(super) const POINT_BYTES: usize = 30;
@@ -149,20 +149,11 @@ impl Points {
         channel.before = usize::from(number == 1) | usize::from(number >= count) << 1 | usize::from(new_time) << 2;
 
         let kind = usize::from(RETURN_KINDS[usize::from(count)][usize::from(number)]) << 1 | usize::from(new_time);
-        let [step_x, step_y] = &mut channel.steps[kind];
-        let single = usize::from(count == 1);
-        let dx = channel.dx.next(xy, single, step_x.get());
-        step_x.add(dx);
-        channel.x = channel.x.wrapping_add(dx);
-        let context = (channel.dx.size() & !1).min(20) as usize + single;
-        let dy = channel.dy.next(xy, context, step_y.get());
-        step_y.add(dy);
-        channel.y = channel.y.wrapping_add(dy);
+        let single = count == 1;
+        channel.coordinates.next_xy(xy, &mut channel.steps[kind], single);
         if present[Z] {
             let height = &mut channel.heights[usize::from(number.abs_diff(count).min(7))];
-            let context = (((channel.dx.size() + channel.dy.size()) / 2) & !1).min(18) as usize + single;
-            *height = channel.z.next(z, context, *height);
-            channel.last_z = *height;
+            channel.coordinates.next_z(z, height, single);
         }
         if present[CLASSES] {
             let before = usize::from(last[CLASS] & 31) << 1 | usize::from(place == 3);
@@ -191,9 +182,7 @@ impl Points {
             }
             last[TIME..].copy_from_slice(&channel.times.last().to_le_bytes());
         }
-        for (to, from) in last.chunks_exact_mut(4).zip([channel.x, channel.y, channel.last_z]) {
-            to.copy_from_slice(&from.to_le_bytes());
-        }
+        channel.coordinates.write(last);
         record[..POINT_BYTES].copy_from_slice(last);
         if let Some(by_channel) = &mut self.colours {
             // In version 3 a point whose channel is the one before's has colours as in channel 0.
@@ -207,9 +196,7 @@ impl Points {
 /// One channel of a scanner.
 struct Channel {
     last: [u8; POINT_BYTES],
-    x: i32,
-    y: i32,
-    last_z: i32,
+    coordinates: Coordinates,
     /// Context of what changes: whether the last return was the first, and the last, of its pulse, and had a new time.
     before: usize,
     /// Last heights, by level of the return; last intensities, by place in the pulse and whether the time is new; medians of the last
@@ -224,9 +211,6 @@ struct Channel {
     number_of_same_time: Model<13>,
     class: Lazily,
     flags: Lazily,
-    dx: Numbers,
-    dy: Numbers,
-    z: Numbers,
     intensity: Numbers,
     source_id: Numbers,
     times: Times,
@@ -235,16 +219,14 @@ struct Channel {
 impl Channel {
     /// What is expected after `last`, whichever channel it is of.
     fn new(last: [u8; POINT_BYTES]) -> Self {
-        let number = |at: usize| last[at..].first_chunk().map_or(0, |&four| i32::from_le_bytes(four));
+        let coordinates = Coordinates::new(&last);
         let time = last[TIME..].first_chunk().map_or(0, |&eight| i64::from_le_bytes(eight));
         let (return_number, count) = (last[RETURNS] & 15, last[RETURNS] >> 4);
         Self {
             last,
-            x: number(0),
-            y: number(4),
-            last_z: number(8),
+            heights: [coordinates.z(); 8],
+            coordinates,
             before: usize::from(return_number == 1) | usize::from(return_number >= count) << 1,
-            heights: [number(8); 8],
             intensities: [u16::from_le_bytes([last[INTENSITY], last[INTENSITY + 1]]); 8],
             steps: Default::default(),
             changes: std::array::from_fn(|_| Model::new(128)),
@@ -254,9 +236,6 @@ impl Channel {
             number_of_same_time: Model::new(13),
             class: Lazily::new(64, 256),
             flags: Lazily::new(64, 64),
-            dx: Numbers::new(32, 2),
-            dy: Numbers::new(32, 22),
-            z: Numbers::new(32, 20),
             intensity: Numbers::new(16, 4),
             source_id: Numbers::new(16, 1),
             times: Times::new(time, false),

@@ -520,18 +520,21 @@ impl PackedPoints<'_> {
         Ok((done, self.len - head.bytes))
     }
 
-    /// Fills records one by `next` after the other.
+    /// Fills records one by `next`, which calls `laz`, after the other.
     fn each(
         &self,
         mut next: impl FnMut(&mut [u8]) -> std::io::Result<()>,
     ) -> impl FnMut(&mut [u8], &mut usize) -> std::io::Result<()> {
         let record_bytes = self.packing.decoded_bytes(self.wanted.rgb);
         move |records, filled| {
-            for record in records.chunks_exact_mut(record_bytes) {
-                next(record)?;
-                *filled += 1;
-            }
-            Ok(())
+            let all = isolate(|| {
+                for record in records.chunks_exact_mut(record_bytes) {
+                    next(record)?;
+                    *filled += 1;
+                }
+                Ok(())
+            });
+            all.unwrap_or_else(|Panicked| Err(std::io::ErrorKind::InvalidData.into()))
         }
     }
 
@@ -548,27 +551,24 @@ impl PackedPoints<'_> {
         while done < self.points {
             let want = (slab.len() / record_bytes).min(usize::try_from(self.points - done).unwrap_or(usize::MAX));
             let mut filled = 0;
-            let outcome = isolate(|| next(&mut slab[..want * record_bytes], &mut filled));
+            let outcome = next(&mut slab[..want * record_bytes], &mut filled);
             if filled > 0 {
                 sink(&slab[..filled * record_bytes])?;
             }
             done += filled as u64;
             match outcome {
-                Ok(Ok(())) => {}
-                Ok(Err(error)) if error.kind() == std::io::ErrorKind::UnexpectedEof => match self.open {
+                Ok(()) => {}
+                Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => match self.open {
                     true => break,
                     false => return Err(self.damaged(done, "its data end early")),
                 },
-                Ok(Err(error)) if error.kind() == std::io::ErrorKind::InvalidData => return Err(self.unknown(done)),
-                Ok(Err(error)) => return Err(Error::io(self.source.path(), format!("decode {}", self.name), error)),
-                Err(Panicked) => return Err(self.unknown(done)),
+                Err(error) if error.kind() == std::io::ErrorKind::InvalidData => {
+                    return Err(self.damaged(done, "the decoder cannot follow its data"));
+                }
+                Err(error) => return Err(Error::io(self.source.path(), format!("decode {}", self.name), error)),
             }
         }
         Ok(done)
-    }
-
-    fn unknown(&self, done: u64) -> Error {
-        self.damaged(done, "the decoder cannot follow its data")
     }
 
     fn damaged(&self, done: u64, what: &str) -> Error {

@@ -8,7 +8,7 @@ use std::io;
 use laz::{LazItem, LazItemType};
 
 use super::coder::{Coder, MOST_STEP_BYTES, Median, Model, Numbers, Range};
-use super::fields::{COLOUR_BYTES, Colours, Lazily, TIME_BYTES, Times};
+use super::fields::{COLOUR_BYTES, Colours, Coordinates, Lazily, TIME_BYTES, Times};
 use crate::input::source::{Source, WINDOW_BYTES};
 
 /// Bytes of the point's own fields.
@@ -218,17 +218,13 @@ const SOURCE_ID: usize = 18;
 struct Point {
     /// All fields but the coordinates.
     last: [u8; POINT_BYTES],
-    x: i32,
-    y: i32,
+    coordinates: Coordinates,
     /// Last heights, by level of the return.
     heights: [i32; 8],
     /// Last intensities, medians of the last differences in x and y, by kind of return.
     intensities: [u16; 16],
     steps: [[Median; 2]; 16],
     changes: Model<64>,
-    dx: Numbers,
-    dy: Numbers,
-    z: Numbers,
     intensity: Numbers,
     source_id: Numbers,
     flags: Lazily,
@@ -239,24 +235,19 @@ struct Point {
 }
 
 impl Point {
-    const MOST_STEPS: usize = 1 + 1 + 1 + 1 + 1 + 5 * Numbers::MOST_STEPS;
+    const MOST_STEPS: usize = 5 + Coordinates::MOST_STEPS + 2 * Numbers::MOST_STEPS;
 
     fn new(first: [u8; POINT_BYTES]) -> Self {
-        let number = |at: usize| first[at..].first_chunk().map_or(0, |&four| i32::from_le_bytes(four));
         let mut last = first;
         // So do LASzip's writers: the intensity of the first point is nowhere expected.
         last[INTENSITY..INTENSITY + 2].fill(0);
         Self {
             last,
-            x: number(0),
-            y: number(4),
+            coordinates: Coordinates::new(&first),
             heights: [0; 8],
             intensities: [0; 16],
             steps: Default::default(),
             changes: Model::new(64),
-            dx: Numbers::new(32, 2),
-            dy: Numbers::new(32, 22),
-            z: Numbers::new(32, 20),
             intensity: Numbers::new(16, 4),
             source_id: Numbers::new(16, 1),
             flags: Lazily::new(256, 256),
@@ -284,22 +275,11 @@ impl Point {
                 *coder = self.seldom(*coder, changes);
             }
         }
-        let single = usize::from(count == 1);
-        let [step_x, step_y] = &mut self.steps[kind];
-        let dx = self.dx.next(coder, single, step_x.get());
-        step_x.add(dx);
-        self.x = self.x.wrapping_add(dx);
-        let context = (self.dx.size() & !1).min(20) as usize + single;
-        let dy = self.dy.next(coder, context, step_y.get());
-        step_y.add(dy);
-        self.y = self.y.wrapping_add(dy);
-        let height = &mut self.heights[number.abs_diff(count)];
-        let context = (((self.dx.size() + self.dy.size()) / 2) & !1).min(18) as usize + single;
-        *height = self.z.next(coder, context, *height);
+        let single = count == 1;
+        self.coordinates.next_xy(coder, &mut self.steps[kind], single);
+        self.coordinates.next_z(coder, &mut self.heights[number.abs_diff(count)], single);
         record.copy_from_slice(&self.last);
-        for (to, from) in record.chunks_exact_mut(4).zip([self.x, self.y, *height]) {
-            to.copy_from_slice(&from.to_le_bytes());
-        }
+        self.coordinates.write(record);
     }
 
     /// Apart from what most points need, with a decoder of its own, so that the other stays in registers.
