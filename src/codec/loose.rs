@@ -24,10 +24,10 @@ const MOST_PAIRS: usize = 1024;
 const CUT_SPANS: usize = 16;
 /// So many spans stay true to the scan on narrow steps.
 const TRUE_SPANS: usize = 8;
-/// After each so many rows of pixels a way is compared with the shortest one, once that has taken a quarter of all it takes.
+/// After each so many rows of pixels a way is compared with the shortest one, once that has taken an eighth of all it takes.
 const ROWS: u32 = 8;
 /// A way that then takes more by one part in so many is given up.
-const HOPELESS: u64 = 32;
+const HOPELESS: u64 = 48;
 /// What a height takes that lies below the lowest step, in that comparison.
 const BELOW: u32 = 20;
 
@@ -373,7 +373,7 @@ impl<'a> Given<'a> for &mut Attempt<'a> {
             let (number, cost) = ((row / ROWS) as usize, cost());
             self.costs[number] = cost;
             let is_hopeless = |&(all, shortest): &(u64, RowCosts)| {
-                4 * shortest[number] > all && cost > shortest[number] + shortest[number] / HOPELESS
+                8 * shortest[number] > all && cost > shortest[number] + shortest[number] / HOPELESS
             };
             self.is_given_up = self.shortest.is_some_and(is_hopeless);
         }
