@@ -264,7 +264,8 @@ proptest! {
                 }
             }
         }
-        prop_assert!(counts[0] > 1000 && counts[1] > 50, "{counts:?}");
+        // 44 to 96 in 150 cases.
+        prop_assert!(counts[0] > 1000 && counts[1] > 20, "{counts:?}");
     }
 
     #[test]
