@@ -25,7 +25,7 @@ const SOURCE_IDS: usize = 5;
 const TIMES: usize = 6;
 const COLOURS: usize = 7;
 
-/// Whether there is a decoder of points of this version.
+/// Whether there is a decoder of items of this version.
 pub(super) fn exist(version: u16) -> bool {
     matches!(version, 3 | 4)
 }
@@ -50,8 +50,14 @@ pub(super) struct Layers {
 
 impl Layers {
     /// A decoder of the points after the `first`, whose layers lie behind each other in `bytes` and are of these `sizes` (bytes);
-    /// `colour_at` is where a record has its colour.
-    pub fn new(first: &[u8], bytes: Vec<u8>, sizes: [usize; WANTED], colour_at: Option<usize>, version: u16) -> Self {
+    /// `colour` is where a record has its colour, and the version in which that is packed.
+    pub fn new(
+        first: &[u8],
+        bytes: Vec<u8>,
+        sizes: [usize; WANTED],
+        version: u16,
+        colour: Option<(usize, u16)>,
+    ) -> Self {
         let mut end = 0;
         let places = sizes.map(|size| {
             let start = end;
@@ -60,7 +66,7 @@ impl Layers {
         });
         let coders = places.clone().map(|place| Coder::begin(&bytes[place], 0));
         let reached = coders.map(|coder| (coder.position(), coder.range()));
-        Self { bytes, places, reached, points: Points::new(first, colour_at, version) }
+        Self { bytes, places, reached, points: Points::new(first, version, colour) }
     }
 
     /// Fills `records`, each of so many bytes, and counts those that are whole in `filled`.
@@ -105,13 +111,15 @@ struct Points {
 }
 
 impl Points {
-    fn new(first: &[u8], colour_at: Option<usize>, version: u16) -> Self {
+    fn new(first: &[u8], version: u16, colour: Option<(usize, u16)>) -> Self {
         let point = first.first_chunk().copied().unwrap_or([0; POINT_BYTES]);
         let channel = usize::from(point[FLAG] >> 4) % CHANNELS;
         let mut channels = [const { None }; CHANNELS];
         channels[channel] = Some(Box::new(Channel::new(point)));
-        let colour = colour_at.and_then(|at| Some((at, *first.get(at..)?.first_chunk()?)));
-        let colours = colour.map(|(at, first)| ColoursByChannel::new(at, first, channel));
+        let colours = colour.and_then(|(at, version)| {
+            let first = *first.get(at..)?.first_chunk()?;
+            Some(ColoursByChannel::new(at, version, first, channel))
+        });
         Self { channels, channel, colours, version }
     }
 
@@ -187,7 +195,7 @@ impl Points {
         if let Some(by_channel) = &mut self.colours {
             // In version 3 a point whose channel is the one before's has colours as in channel 0.
             let channel = if changed || self.version == 4 { self.channel } else { 0 };
-            by_channel.next(present[COLOURS].then_some(colours), channel, self.version, record);
+            by_channel.next(present[COLOURS].then_some(colours), channel, record);
         }
         true
     }
@@ -267,21 +275,23 @@ const RETURN_KINDS: [[u8; 16]; 16] = [
 struct ColoursByChannel {
     /// Where a record has its colour.
     at: usize,
+    version: u16,
     channels: [Option<Box<Colours>>; CHANNELS],
     last: [[u8; COLOUR_BYTES]; CHANNELS],
     channel: usize,
 }
 
 impl ColoursByChannel {
-    fn new(at: usize, first: [u8; COLOUR_BYTES], channel: usize) -> Self {
-        let mut all = Self { at, channels: [const { None }; CHANNELS], last: [[0; COLOUR_BYTES]; CHANNELS], channel };
+    fn new(at: usize, version: u16, first: [u8; COLOUR_BYTES], channel: usize) -> Self {
+        let mut all =
+            Self { at, version, channels: [const { None }; CHANNELS], last: [[0; COLOUR_BYTES]; CHANNELS], channel };
         all.channels[channel] = Some(Box::new(Colours::new()));
         all.last[channel] = first;
         all
     }
 
     /// The colour of the next point; without a coder none changes.
-    fn next(&mut self, coder: Option<&mut Coder>, channel: usize, version: u16, record: &mut [u8]) {
+    fn next(&mut self, coder: Option<&mut Coder>, channel: usize, record: &mut [u8]) {
         let before = std::mem::replace(&mut self.channel, channel);
         let is_new = self.channels[channel].is_none();
         let models = self.channels[channel].get_or_insert_with(|| Box::new(Colours::new()));
@@ -289,7 +299,7 @@ impl ColoursByChannel {
             self.last[channel] = self.last[before];
         }
         // Version 3 goes on from the channel before if both were met: so do its writers.
-        let expected = if version == 3 && !is_new { before } else { channel };
+        let expected = if self.version == 3 && !is_new { before } else { channel };
         let last = &mut self.last[expected];
         if let Some(coder) = coder {
             *last = models.next(coder, *last);

@@ -2,10 +2,11 @@
 //!
 //! In: a checked header and the LASzip record. Out: a [`Chunking`], whose chunks can be decoded in any order, and whole
 //! point records. Sources: the LASzip 1.4 format as implemented by the crate `laz` 0.13, which decodes what [`sequence`] does
-//! not: wave packets, and points as LASzip packed them first. Chunk table, chunk heads and counts are read and checked here.
+//! not: formats 4 and 5, and points as LASzip packed them first. Chunk table, chunk heads and counts are read and checked here.
 //!
-//! Memory of one decoder: one slab of records, one [`Window`] or as many bytes that a [`Sequence`] holds, and for formats 6 to 10 the compressed layers of one chunk
-//! that are needed (x, y, z, flags; class, intensity, RGB, point source id and GPS time only when they are wanted); more than the budget is an error.
+//! Memory of one decoder: one slab of records, one [`Window`] or as many bytes that a [`Sequence`] holds, and for formats 6
+//! to 10 the compressed layers of one chunk that are needed (x, y, z, flags; class, intensity, RGB, point source id and GPS
+//! time only when they are wanted); more than the budget is an error.
 
 mod coder;
 mod fields;
@@ -47,6 +48,8 @@ pub(super) struct Packing {
     /// Where RGB lies in an unpacked record, and the number of its layer in a layered chunk.
     pub rgb_at: Option<usize>,
     rgb_layer: usize,
+    /// Version of the item of RGB.
+    rgb_version: u16,
 }
 
 /// Size and points of one chunk.
@@ -88,7 +91,7 @@ impl Packing {
             return Err(bad(format!("compressor {compressor} does not fit its items; 1 and 2 pack old points, 3 new")));
         }
         let (mut record_bytes, mut layers, mut extra) = (0, 0, 0u64);
-        let (mut rgb_at, mut rgb_layer) = (None, 0);
+        let (mut rgb_at, mut rgb_layer, mut rgb_version) = (None, 0, 0);
         for item in vlr.items() {
             let (bytes, sizes) = match (layered, item.item_type()) {
                 (false, LazItemType::Point10) => (20, 0),
@@ -107,7 +110,7 @@ impl Packing {
                 }
             };
             if matches!(item.item_type(), LazItemType::RGB12 | LazItemType::RGB14 | LazItemType::RGBNIR14) {
-                (rgb_at, rgb_layer) = (Some(record_bytes), layers);
+                (rgb_at, rgb_layer, rgb_version) = (Some(record_bytes), layers, item.version());
             }
             record_bytes += bytes;
             layers += sizes;
@@ -127,7 +130,8 @@ impl Packing {
         let version = vlr.items()[0].version();
         let whole = compressor == 1;
         let items = Items::of(vlr.items());
-        let packing = Self { vlr, items, layered, whole, record_bytes, layout, layers, version, rgb_at, rgb_layer };
+        let packing =
+            Self { vlr, items, layered, whole, record_bytes, layout, layers, version, rgb_at, rgb_layer, rgb_version };
         packing.decoder_exists(source)?;
         Ok(packing)
     }
@@ -502,6 +506,10 @@ impl PackedPoints<'_> {
         if head.points <= 1 {
             return Ok((self.points, self.len - head.bytes));
         }
+        let colour = self.packing.rgb_at.filter(|_| self.wanted.rgb).map(|at| (at, self.packing.rgb_version));
+        if colour.is_some_and(|(_, version)| !layers::exist(version)) {
+            return Err(self.damaged(1, "no decoder can be made of its items"));
+        }
         let mut bytes = vec![0; usize::try_from(needed).unwrap_or(usize::MAX)];
         let mut rest = bytes.as_mut_slice();
         for (place, size) in places.iter().zip(sizes) {
@@ -513,9 +521,8 @@ impl PackedPoints<'_> {
             }
             rest = others;
         }
-        let colour_at = self.packing.rgb_at.filter(|_| self.wanted.rgb);
         let sizes = sizes.map(|size| size as usize);
-        let mut layers = Layers::new(&head.first[..record_bytes], bytes, sizes, colour_at, self.packing.version);
+        let mut layers = Layers::new(&head.first[..record_bytes], bytes, sizes, self.packing.version, colour);
         let done = self.fill(1, slab, sink, |records, filled| layers.next(records, record_bytes, filled))?;
         Ok((done, self.len - head.bytes))
     }

@@ -111,10 +111,8 @@ fn source(bytes: &[u8]) -> (Source, tempfile::NamedTempFile) {
     (Source::open(file.path(), None).unwrap(), file)
 }
 
-/// Whole records that `laz` finds, one chunk, and the bytes it took for them if all are whole.
-fn by_laz(source: &Source, items: &[LazItem], len: u64, points: usize) -> (Vec<u8>, Option<u64>) {
-    let mut decoder = SequentialPointRecordDecompressor::new(Window::new(source, 0, len));
-    decoder.set_fields_from(&items.to_vec()).unwrap();
+/// So many records by a decoder of `laz`, up to the first that it cannot decode.
+fn whole_by_laz<R>(decoder: &mut impl RecordDecompressor<R>, items: &[LazItem], points: usize) -> Vec<u8> {
     let mut records = vec![0; points * record_bytes(items)];
     let mut whole = 0;
     for record in records.chunks_exact_mut(record_bytes(items)) {
@@ -124,7 +122,15 @@ fn by_laz(source: &Source, items: &[LazItem], len: u64, points: usize) -> (Vec<u
         whole += record.len();
     }
     records.truncate(whole);
-    let all = whole == points * record_bytes(items);
+    records
+}
+
+/// Whole records that `laz` finds, one chunk, and the bytes it took for them if all are whole.
+fn by_laz(source: &Source, items: &[LazItem], len: u64, points: usize) -> (Vec<u8>, Option<u64>) {
+    let mut decoder = SequentialPointRecordDecompressor::new(Window::new(source, 0, len));
+    decoder.set_fields_from(&items.to_vec()).unwrap();
+    let records = whole_by_laz(&mut decoder, items, points);
+    let all = records.len() == points * record_bytes(items);
     (records, all.then(|| decoder.get().position()))
 }
 
@@ -224,10 +230,10 @@ fn a_long_sequence_is_read_piece_by_piece() {
 }
 
 /// Points in layers, with RGB, or RGB and near infrared.
-fn new_items(version: u16, colour: Option<LazItemType>, extra: u16) -> Vec<LazItem> {
+fn new_items(version: u16, colour: Option<(LazItemType, u16)>, extra: u16) -> Vec<LazItem> {
     let mut builder = LazItemRecordBuilder::new();
     builder.add_item(LazItemType::Point14);
-    if let Some(colour) = colour {
+    if let Some((colour, _)) = colour {
         builder.add_item(colour);
     }
     if extra > 0 {
@@ -239,6 +245,8 @@ fn new_items(version: u16, colour: Option<LazItemType>, extra: u16) -> Vec<LazIt
     record[32] = builder.build().len() as u8;
     for item in builder.build() {
         let kind: u16 = item.item_type().into();
+        let of_colour = colour.filter(|(colour, _)| *colour == item.item_type());
+        let version = of_colour.map_or(version, |(_, version)| version);
         record.extend([kind, item.size(), version].map(u16::to_le_bytes).as_flattened());
     }
     LazVlr::from_buffer(&record).unwrap().items().clone()
@@ -275,16 +283,7 @@ fn layers_by_laz(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usize
     let mut decoder = LayeredPointRecordDecompressor::new(std::io::Cursor::new(packed));
     decoder.set_fields_from(&items.to_vec()).unwrap();
     decoder.set_selection(selection);
-    let mut records = vec![0; points * record_bytes(items)];
-    let mut whole = 0;
-    for record in records.chunks_exact_mut(record_bytes(items)) {
-        if !matches!(isolate(|| decoder.decompress_next(record)), Ok(Ok(()))) {
-            break;
-        }
-        whole += record.len();
-    }
-    records.truncate(whole);
-    records
+    whole_by_laz(&mut decoder, items, points)
 }
 
 /// The whole records that ours finds.
@@ -310,8 +309,8 @@ fn layers_by_ours(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usiz
         bytes.extend(layer);
         *to = layer.len();
     }
-    let colour_at = colour.filter(|_| wanted.rgb).map(|_| POINT_BYTES);
-    let mut decoder = Layers::new(first, bytes, sizes, colour_at, items[0].version());
+    let colour = colour.filter(|_| wanted.rgb).map(|item| (POINT_BYTES, item.version()));
+    let mut decoder = Layers::new(first, bytes, sizes, items[0].version(), colour);
     // Of other fields nothing is decoded.
     let mut records = first.repeat(points);
     let mut whole = first.len();
@@ -327,8 +326,9 @@ fn layers_by_ours(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usiz
     records
 }
 
-fn colour() -> impl Strategy<Value = Option<LazItemType>> {
-    proptest::sample::select(vec![None, Some(LazItemType::RGB14), Some(LazItemType::RGBNIR14)])
+fn colour() -> impl Strategy<Value = Option<(LazItemType, u16)>> {
+    let item = proptest::sample::select(vec![LazItemType::RGB14, LazItemType::RGBNIR14]);
+    proptest::option::of((item, 3u16..=4))
 }
 
 /// Of each record the point and, if wanted, its colour.
