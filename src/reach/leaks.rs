@@ -186,9 +186,7 @@ impl<S: PageSet> Survey<'_, S> {
 
     fn look(&mut self, pixel: [i32; 2], level: i32) -> Needs<There> {
         if !self.standing.grid.is_inside(pixel) {
-            // A margin of a tile: the end of the scan may lie just at the end of a tile.
-            let near = |axis: usize| (-64..64 * (self.standing.grid.tiles[axis] + 1)).contains(&pixel[axis]);
-            return ControlFlow::Continue(if near(0) && near(1) { There::Open(None) } else { There::Outside });
+            return ControlFlow::Continue(There::Outside);
         }
         let tile = self.standing.tile(self.set, pixel)?;
         let grid = &self.standing.grid;

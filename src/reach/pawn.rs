@@ -51,7 +51,8 @@ impl Pawn {
 pub(super) struct Grid {
     pub frame: Frame,
     pub pawn: Pawn,
-    /// First tile and lowest layer of the set, and the number of tiles along x and y.
+    /// First tile and lowest layer of the grid, and the number of its tiles along x and y: those of the set and a margin in which the
+    /// body may hang over the end of the scan.
     pub origin: [i32; 3],
     pub tiles: [i32; 2],
     /// The footprint as a union of rectangles about the middle pixel: pixels to either side along x and y.
@@ -98,11 +99,14 @@ impl Grid {
         let half = [widest(0), widest(1)];
         // Far below what overflows, far above any building.
         let quanta = |metres: f64| (frame.quanta(metres) + EQUAL).min(f64::from(1 << 29)).floor() as i32;
+        // Where the scan lies in its tiles must not show: no place lies farther from matter than this.
+        let margin = half.map(|half| i64::from((half + 64) / 64));
+        let first = [0, 1].map(|axis| (i64::from(min[axis]) - margin[axis]).max(i64::from(i32::MIN)));
         Ok(Self {
             frame,
             pawn,
-            origin: min,
-            tiles: [extent[0] as i32, extent[1] as i32],
+            origin: [first[0] as i32, first[1] as i32, min[2]],
+            tiles: [0, 1].map(|axis| (i64::from(min[axis]) - first[axis] + extent[axis] + margin[axis]) as i32),
             half,
             lets_go,
             foot: i32::from(half[0].min(half[1]) >= 3),
@@ -117,7 +121,7 @@ impl Grid {
         })
     }
 
-    /// Pixel of a place (pixels from the first tile's); `None` outside the set.
+    /// Pixel of a place (pixels from the first tile's); `None` outside the grid.
     pub fn pixel(&self, x: f64, y: f64) -> Option<[i32; 2]> {
         let mut pixel = [0; 2];
         for (axis, value) in [x, y].into_iter().enumerate() {

@@ -73,10 +73,19 @@ impl Flood {
     }
 
     fn all<S: PageSet>(standing: &mut StandingPlaces, set: &S) -> Needs<Self> {
+        // Matter lies at most a pixel from the middle of the feet, so a place may lie in the next tile.
+        let mut corners: Vec<[i32; 2]> = (0..set.column_count())
+            .flat_map(|number| {
+                let (tx, ty, _) = set.column_at(number);
+                let at = [tx - standing.grid.origin[0], ty - standing.grid.origin[1]];
+                (-1..=1).flat_map(move |y| (-1..=1).map(move |x| [64 * (at[0] + x), 64 * (at[1] + y)]))
+            })
+            .filter(|corner| standing.grid.is_inside(*corner))
+            .collect();
+        corners.sort_unstable_by_key(|corner| [corner[1], corner[0]]);
+        corners.dedup();
         let mut open = Vec::new();
-        for number in 0..set.column_count() {
-            let (tx, ty, _) = set.column_at(number);
-            let corner = [64 * (tx - standing.grid.origin[0]), 64 * (ty - standing.grid.origin[1])];
+        for corner in corners {
             let tile = standing.tile(set, corner)?;
             for cell in 0..64 * 64 {
                 let pixel = [corner[0] + (cell & 63), corner[1] + (cell >> 6)];
