@@ -15,6 +15,8 @@ mod plans;
 mod routes;
 #[path = "reach/scenes.rs"]
 mod scenes;
+#[path = "reach/walked.rs"]
+mod walked;
 #[allow(dead_code)]
 #[path = "walk/world.rs"]
 mod world;
@@ -59,6 +61,6 @@ fn spot<S: PageSet>(standing: &mut StandingPlaces, set: &S, at: Point3<f64>) -> 
     known(standing.spot(set, at).unwrap())
 }
 
-fn way(search: &mut Search, region: &Region, from: &Spot, to: &Spot) -> Option<Route> {
-    search.route(region, from, to, &NoMonitor).unwrap()
+fn way<S: PageSet>(search: &mut Search, set: &S, region: &Region, from: &Spot, to: &Spot) -> Option<Route> {
+    known(search.route(set, region, from, to, &NoMonitor).unwrap())
 }

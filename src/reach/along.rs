@@ -47,6 +47,8 @@ struct Piece {
     from: Option<Spot>,
     to: Option<Spot>,
     flood: Option<Flood>,
+    /// What has been reached, while the way through it takes more pages.
+    region: Option<Region>,
     /// Whether it leads to the end.
     is_last: bool,
 }
@@ -85,6 +87,7 @@ impl Along {
                     from: None,
                     to: None,
                     flood: None,
+                    region: None,
                     is_last: ahead >= end,
                 },
             };
@@ -140,23 +143,29 @@ impl Along {
         let Some(from) = piece.from else { return Ok(Answer::Known(Ok(None))) };
         let flood = piece.flood.get_or_insert_with(|| Flood::from(from));
         let distance = self.distance * f64::from(1u32 << self.widenings);
-        let line = stretch(&self.guide, self.done - distance, ahead + distance, at.xy());
-        flood.along(&line, distance);
-        if let Answer::NotLoaded(missing) = flood.grow(&mut piece.standing, set, monitor)? {
-            return Ok(Answer::NotLoaded(missing));
+        if piece.region.is_none() {
+            let line = stretch(&self.guide, self.done - distance, ahead + distance, at.xy());
+            flood.along(&line, distance);
+            if let Answer::NotLoaded(missing) = flood.grow(&mut piece.standing, set, monitor)? {
+                return Ok(Answer::NotLoaded(missing));
+            }
         }
-        let region = flood.region(&piece.standing);
+        let region = piece.region.get_or_insert_with(|| flood.region(&piece.standing));
         let last = match &piece.to {
             Some(spot) => region.number(spot),
-            None => nearest(&region, point_at(&self.guide, ahead), distance),
+            None => nearest(region, point_at(&self.guide, ahead), distance),
         };
         let route = match (region.number(&from), last) {
-            (Some(first), Some(last)) => self.search.between(&region, first, last, monitor)?,
+            (Some(first), Some(last)) => match self.search.between(set, region, [first, last], monitor)? {
+                Answer::Known(route) => route,
+                Answer::NotLoaded(missing) => return Ok(Answer::NotLoaded(missing)),
+            },
             _ => None,
         };
         let bytes =
             piece.standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes() + self.search.memory_bytes();
         self.peak_bytes = self.peak_bytes.max(bytes);
+        piece.region = None;
         if route.is_none() {
             if self.widenings == MOST_WIDENINGS || flood.is_whole() {
                 return Ok(Answer::Known(Err(Refusal::NotConnected)));

@@ -46,9 +46,14 @@ impl Lists {
         self.starts.push(self.items.len() as u32);
     }
 
-    /// The spans of the pixels from `corner` on (pixels from the first tile's), gaps too low for the body closed; or the pages that it
-    /// takes.
-    pub fn read<S: PageSet>(set: &S, grid: &Grid, corner: [i32; 2], [width, height]: [usize; 2]) -> Needs<Self> {
+    /// The spans of the pixels from `corner` on (pixels from the first tile's), gaps too low for the body closed, and the tops of those
+    /// that are floor; or the pages that it takes.
+    pub fn read<S: PageSet>(
+        set: &S,
+        grid: &Grid,
+        corner: [i32; 2],
+        [width, height]: [usize; 2],
+    ) -> Needs<(Self, Floors)> {
         let last = [corner[0] + width as i32 - 1, corner[1] + height as i32 - 1];
         let columns = Columns::under(set, grid, corner, last)?;
         let spans = columns.spans();
@@ -56,6 +61,8 @@ impl Lists {
             return ControlFlow::Break(Stop::Spans(spans));
         }
         let mut lists = Self::with_room(width, height, 2 * width * height);
+        let mut floors = Floors { width, starts: Vec::with_capacity(width * height + 1), tops: Vec::new() };
+        floors.starts.push(0);
         for j in corner[1]..=last[1] {
             for i in corner[0]..=last[0] {
                 let own = lists.items.len();
@@ -65,13 +72,17 @@ impl Lists {
                     for span in page.column((i & 63) as u32, (j & 63) as u32) {
                         let [bottom, top] = [span.bottom(), span.top()].map(|quanta| base as i32 + quanta as i32);
                         let floor = if span.is_obstacle() { NONE } else { top };
+                        if floor != NONE {
+                            floors.tops.push(top);
+                        }
                         push(&mut lists.items, own, Interval { bottom, top, floor }, grid.height);
                     }
                 }
                 lists.end_cell();
+                floors.starts.push(floors.tops.len() as u32);
             }
         }
-        ControlFlow::Continue(lists)
+        ControlFlow::Continue((lists, floors))
     }
 
     /// The union over `length` neighbouring cells along an axis, from each cell on.
@@ -117,6 +128,31 @@ impl Lists {
             union = Some(sum);
         }
         union.unwrap_or_else(|| Self::with_room(0, 0, 0))
+    }
+}
+
+/// The tops of floor in each pixel of a rectangle, row by row and from below.
+#[derive(Debug)]
+pub struct Floors {
+    width: usize,
+    starts: Vec<u32>,
+    tops: Vec<i32>,
+}
+
+impl Floors {
+    /// The highest top from `low` to `high` in the `size` pixels from (`x`, `y`) on.
+    pub fn highest(&self, [x, y]: [usize; 2], size: [usize; 2], [low, high]: [i32; 2]) -> Option<i32> {
+        let mut best = None;
+        for row in y..y + size[1] {
+            let cell = row * self.width + x;
+            let [first, end] = [self.starts[cell], self.starts[cell + size[0]]].map(|start| start as usize);
+            for &top in &self.tops[first..end] {
+                if top <= high && top >= best.unwrap_or(low) {
+                    best = Some(top);
+                }
+            }
+        }
+        best
     }
 }
 

@@ -2,11 +2,9 @@
 
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::store::PageSet;
-use crate::walk::{Body, FLOOR_NEAR_M};
+use crate::walk::{Body, FLOOR_NEAR_M, pixels_beside};
 use crate::{Error, Parameter, Result};
 
-/// How far beyond the footprint a floor makes a step out of an edge (m): as far as a walker looks ahead.
-const AHEAD_M: f64 = 0.25;
 /// Lengths that differ by less are equal (pixels): rounding errors of `length / pixel`.
 const EQUAL: f64 = 1e-6;
 /// Greatest extent of a set of pages (tiles, layers): pixels and quanta fit 31 bits.
@@ -109,15 +107,15 @@ impl Grid {
             tiles: [0, 1].map(|axis| (i64::from(min[axis]) - first[axis] + extent[axis] + margin[axis]) as i32),
             half,
             lets_go,
-            foot: i32::from(half[0].min(half[1]) >= 3),
-            ahead: ((AHEAD_M / frame.pixel_m()) as i32).clamp(1, MOST_PIXELS as i32),
+            foot: half[0].min(half[1]).min(1),
+            ahead: pixels_beside(frame.pixel_m()).min(MOST_PIXELS as i32),
             rects,
             // Rounded up, so that a body that fits has room for rounding errors.
             height: quanta(pawn.body.height()) + 1,
             // Floors are stored to a quantum, so a step of just the climb height may seem to be one higher.
             up: quanta(pawn.climb) + 1,
             drop: quanta(pawn.max_drop) + 1,
-            near: quanta(FLOOR_NEAR_M).clamp(1, i32::from(super::standing::NO_FLOOR) - 1),
+            near: quanta(FLOOR_NEAR_M).clamp(1, i32::from(i16::MAX)),
         })
     }
 

@@ -1,6 +1,6 @@
 //! A route as a task that can wait and stop.
 
-use super::{Flood, Pawn, Refusal, Route, Search, Spot, StandingPlaces};
+use super::{Flood, Pawn, Refusal, Region, Route, Search, Spot, StandingPlaces};
 use crate::query::Answer;
 use crate::store::{Missing, PageSet};
 use crate::{Monitor, Result};
@@ -34,6 +34,9 @@ pub struct Planner {
     standing: StandingPlaces,
     spots: [Option<Spot>; 2],
     flood: Option<Flood>,
+    /// What has been reached, while the way through it takes more pages.
+    region: Option<Region>,
+    search: Search,
     length: f64,
     /// Whether longer ways are of no use.
     is_bounded: bool,
@@ -46,7 +49,17 @@ impl Planner {
     pub fn new<S: PageSet>(set: &S, pawn: Pawn, from: Point3<f64>, to: Point3<f64>) -> Result<Self> {
         let length = STRETCH * (to - from).xy().norm() + ROUND_M;
         let standing = StandingPlaces::new(set, pawn)?;
-        Ok(Self { ends: [from, to], standing, spots: [None; 2], flood: None, length, is_bounded: false, peak_bytes: 0 })
+        Ok(Self {
+            ends: [from, to],
+            standing,
+            spots: [None; 2],
+            flood: None,
+            region: None,
+            search: Search::new(),
+            length,
+            is_bounded: false,
+            peak_bytes: 0,
+        })
     }
 
     /// Looks only where ways of up to this length lead (m), and no farther. [`Refusal::NotConnected`] then says that no way is so short; one
@@ -75,17 +88,23 @@ impl Planner {
         }
         let [Some(from), Some(to)] = self.spots else { return Ok(Planned::Unfinished) };
         let flood = self.flood.get_or_insert_with(|| Flood::from(from));
-        flood.within(self.ends.map(|end| end.xy()), self.length);
-        match flood.grow_some(&mut self.standing, set, steps, monitor)? {
-            Answer::Known(true) => {}
-            Answer::Known(false) => return Ok(Planned::Unfinished),
-            Answer::NotLoaded(missing) => return Ok(Planned::NotLoaded(missing)),
+        if self.region.is_none() {
+            flood.within(self.ends.map(|end| end.xy()), self.length);
+            match flood.grow_some(&mut self.standing, set, steps, monitor)? {
+                Answer::Known(true) => {}
+                Answer::Known(false) => return Ok(Planned::Unfinished),
+                Answer::NotLoaded(missing) => return Ok(Planned::NotLoaded(missing)),
+            }
         }
-        let region = flood.region(&self.standing);
-        let mut search = Search::new();
-        let route = search.route(&region, &from, &to, monitor)?;
-        let bytes = self.standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes() + search.memory_bytes();
+        let region = self.region.get_or_insert_with(|| flood.region(&self.standing));
+        let route = match self.search.route(set, region, &from, &to, monitor)? {
+            Answer::Known(route) => route,
+            Answer::NotLoaded(missing) => return Ok(Planned::NotLoaded(missing)),
+        };
+        let search = self.search.memory_bytes();
+        let bytes = self.standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes() + search;
         self.peak_bytes = self.peak_bytes.max(bytes);
+        self.region = None;
         // What a way of this length can touch has been looked at; a shorter way lies in it whole.
         let is_last = self.is_bounded || flood.is_whole();
         match route {

@@ -251,6 +251,7 @@ impl Flood {
             standing: Vec::new(),
             links: Vec::new(),
             clearances: Vec::new(),
+            levels: Vec::new(),
             landmarks: Vec::new(),
             lowest_headroom: None,
             highest_step: None,
@@ -325,6 +326,7 @@ impl Flood {
             }
         }
         region.measure();
+        region.levels = region.levelled();
         region
     }
 }
@@ -352,6 +354,8 @@ pub struct Region {
     pub(super) standing: Vec<bool>,
     pub(super) links: Vec<[u32; 4]>,
     pub(super) clearances: Vec<f32>,
+    /// Heights averaged over the places around (quanta).
+    pub(super) levels: Vec<i32>,
     /// What ways from some far places cost; empty unless prepared.
     pub(super) landmarks: Vec<[u32; LANDMARKS]>,
     lowest_headroom: Option<(i32, u32)>,
@@ -446,7 +450,7 @@ impl Region {
     /// Bytes of memory that the region takes.
     pub fn memory_bytes(&self) -> usize {
         let place =
-            size_of::<[i32; 2]>() + size_of::<i32>() + size_of::<bool>() + size_of::<[u32; 4]>() + size_of::<f32>();
+            size_of::<[i32; 2]>() + 2 * size_of::<i32>() + size_of::<bool>() + size_of::<[u32; 4]>() + size_of::<f32>();
         self.len() * place + size_of_val(&self.landmarks[..])
     }
 

@@ -1,21 +1,32 @@
 //! The shortest way between two places of a region.
 //!
 //! A\* over steps to 16 neighbours (the eight, and knight's moves) finds a way at most 2.8 % longer than any in its cells; then
-//! each stretch that can be walked straight is. A straight stretch passes squares between four pixel centres, and all four
-//! must be places linked with each other: the footprint of a body anywhere inside such a square lies under the union of the
-//! footprints at its corners. So what a straight stretch crosses, the whole body can cross.
+//! each stretch is straightened if that makes it no longer. A straight stretch passes squares between four pixel centres, and all
+//! four must be places linked with each other: the footprint of a body anywhere inside such a square lies under the union of the
+//! footprints at its corners.
+//!
+//! Lengths count heights, averaged over [`LEVEL_M`]: stairs count as ramps, and roughness not at all, but a way around a ridge is
+//! shorter than one over it.
+//!
+//! A [`Walker`] then follows the way. A stretch that it cannot follow is divided; a step that it cannot take is left out of the next
+//! search. So every route can be walked, whatever the difference between steps over pixels and a body in between.
 //!
 //! A [prepared](Region::prepare) region guides the search around walls and up stairs; many routes share what that takes.
 //!
-//! Steps next to the end of the region count 2 % more and bridges three times, so that the way keeps a pixel away from walls
-//! and does not lead along gaps.
+//! Steps next to the end of the region count 2 % more and bridges 4 %, so that the way keeps a pixel away from walls and does not
+//! lead along gaps.
 
 use super::region::{NO_PLACE, Region};
 use super::standing::Spot;
+use super::{Needs, Stop};
+use crate::query::Answer;
+use crate::store::PageSet;
+use crate::walk::{Config, State, Walker, Waypoints};
 use crate::{Error, Monitor, Result};
 use nalgebra::Point3;
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, HashSet};
+use std::ops::ControlFlow;
 
 /// Costs of steps of lengths 1, √2 and √5 pixels, rounded down.
 const STRAIGHT: u32 = 1000;
@@ -27,6 +38,16 @@ const BETWEEN_LOOKS: usize = 1 << 12;
 pub(super) const LANDMARKS: usize = 8;
 /// Cost of a way that there is not.
 const UNREACHED: u32 = u32::MAX;
+/// Heights are averaged over about such a square (m), and over so many pixels to each side at most.
+const LEVEL_M: f64 = 0.6;
+const MOST_LEVELLED: i32 = 16;
+/// How often a way is searched again because the walker could not take a step of it.
+const MOST_SEARCHES: usize = 1 << 10;
+/// A walker that does not arrive in the time of the way, this many times over and so much longer (s), is lost.
+const PATIENCE: f64 = 2.0;
+const PATIENCE_S: f64 = 1.0;
+/// How near the walker must come to a place (m).
+const THERE_M: f64 = 1e-6;
 
 /// Why there is no route.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,6 +93,24 @@ pub struct Search {
     heap: BinaryHeap<(Reverse<u32>, u32, u32)>,
     looked_at: usize,
     goal: Goal,
+    /// Steps that a walker could not take.
+    refused: HashSet<(u32, u32)>,
+    /// The way that a walker follows, kept while pages are missing.
+    trial: Option<Trial>,
+}
+
+/// A way that a walker follows.
+#[derive(Debug)]
+struct Trial {
+    ends: [u32; 2],
+    places: usize,
+    way: Vec<u32>,
+    /// Numbers in the way: where the walker is, and where it is to go, the next one last.
+    at: usize,
+    next: Vec<usize>,
+    walker: Walker,
+    points: Vec<Point3<f64>>,
+    searches: usize,
 }
 
 /// Where a search wants to get.
@@ -129,31 +168,87 @@ impl Search {
             + self.heap.capacity() * size_of::<(Reverse<u32>, u32, u32)>()
     }
 
-    /// The shortest way from one place of `region` to another, within 5 %; `None` if none leads there. Fails only when `monitor`
-    /// asks to stop.
-    pub fn route(&mut self, region: &Region, from: &Spot, to: &Spot, monitor: &dyn Monitor) -> Result<Option<Route>> {
+    /// The shortest way from one place of `region` to another, within 5 %; `None` if none leads there. A [`Walker`] has followed it in
+    /// `set`: load what is missing, and call again with the same arguments. Fails only when `monitor` asks to stop.
+    pub fn route<S: PageSet>(
+        &mut self,
+        set: &S,
+        region: &Region,
+        from: &Spot,
+        to: &Spot,
+        monitor: &dyn Monitor,
+    ) -> Result<Answer<Option<Route>>> {
         match (region.number(from), region.number(to)) {
-            (Some(first), Some(last)) => self.between(region, first, last, monitor),
-            _ => Ok(None),
+            (Some(first), Some(last)) => self.between(set, region, [first, last], monitor),
+            _ => Ok(Answer::Known(None)),
         }
     }
 
     /// The same between two numbered places.
-    pub(super) fn between(
+    pub(super) fn between<S: PageSet>(
+        &mut self,
+        set: &S,
+        region: &Region,
+        ends: [u32; 2],
+        monitor: &dyn Monitor,
+    ) -> Result<Answer<Option<Route>>> {
+        let kept = self.trial.take().filter(|trial| trial.ends == ends && trial.places == region.len());
+        let mut searches = 0;
+        let mut trial = match kept {
+            Some(trial) => trial,
+            None => {
+                self.refused.clear();
+                match self.trial(region, ends, searches, monitor)? {
+                    Some(trial) => trial,
+                    None => return Ok(Answer::Known(None)),
+                }
+            }
+        };
+        loop {
+            match trial.follow(set, region) {
+                ControlFlow::Break(stop) => {
+                    self.trial = Some(trial);
+                    return stop.answer();
+                }
+                ControlFlow::Continue(Ok(route)) => return Ok(Answer::Known(Some(route))),
+                ControlFlow::Continue(Err(step)) => {
+                    self.refused.insert(step);
+                    searches = trial.searches + 1;
+                    let next = match searches < MOST_SEARCHES {
+                        true => self.trial(region, ends, searches, monitor)?,
+                        false => None,
+                    };
+                    match next {
+                        Some(next) => trial = next,
+                        None => return Ok(Answer::Known(None)),
+                    }
+                }
+            }
+        }
+    }
+
+    /// The shortest way without the steps refused so far.
+    fn trial(
         &mut self,
         region: &Region,
-        first: u32,
-        last: u32,
+        [first, last]: [u32; 2],
+        searches: usize,
         monitor: &dyn Monitor,
-    ) -> Result<Option<Route>> {
-        Ok(self.run(region, first, Some(last), monitor)?.then(|| {
-            let mut way = vec![last];
-            while let Some(&place) = way.last().filter(|place| **place != first) {
-                way.push(self.from[place as usize]);
-            }
-            way.reverse();
-            straighten(region, &way)
-        }))
+    ) -> Result<Option<Trial>> {
+        if !self.run(region, first, Some(last), monitor)? {
+            return Ok(None);
+        }
+        let mut way = vec![last];
+        while let Some(&place) = way.last().filter(|place| **place != first) {
+            way.push(self.from[place as usize]);
+        }
+        way.reverse();
+        let next = straightened(region, &way);
+        let (pawn, feet) = (region.pawn(), region.feet(first));
+        let config = Config { climb: pawn.climb, ..Config::new(pawn.body) };
+        let walker = Walker::new(config, feet)?;
+        let ends = [first, last];
+        Ok(Some(Trial { ends, places: region.len(), way, at: 0, next, walker, points: vec![feet], searches }))
     }
 
     fn run(&mut self, region: &Region, first: u32, last: Option<u32>, monitor: &dyn Monitor) -> Result<bool> {
@@ -193,6 +288,9 @@ impl Search {
         if self.search_of[at] == self.search && self.costs[at] <= cost {
             return;
         }
+        if !self.refused.is_empty() && self.refused.contains(&(from, place)) {
+            return;
+        }
         (self.search_of[at], self.costs[at], self.from[at]) = (self.search, cost, from);
         let rest = self.goal.least_cost(region, place);
         if rest != UNREACHED {
@@ -205,10 +303,10 @@ impl Search {
     fn expand(&mut self, region: &Region, place: u32, cost: u32) {
         let links = region.links[place as usize];
         let weigh = |to: u32, length: u32| {
-            let to = to as usize;
-            let weight = if !region.standing[to] {
-                3 * length
-            } else if f64::from(region.clearances[to]) < region.near_wall() {
+            let length = region.length(place, to, length);
+            let weight = if !region.standing[to as usize] {
+                length + length / 25
+            } else if f64::from(region.clearances[to as usize]) < region.near_wall() {
                 length + length / 50
             } else {
                 length
@@ -319,6 +417,57 @@ impl Region {
         largest.map(|(_, first)| first)
     }
 
+    /// What a step costs whose length across the ground costs `across`.
+    #[inline]
+    fn length(&self, from: u32, to: u32, across: u32) -> u32 {
+        let rise = self.levels[to as usize] - self.levels[from as usize];
+        if rise == 0 {
+            return across;
+        }
+        let up = f64::from(rise) * self.grid.frame.quantum_m() / self.grid.frame.pixel_m() * f64::from(STRAIGHT);
+        f64::from(across).hypot(up) as u32
+    }
+
+    /// What the straight line between two places costs, if a body can walk it.
+    fn straight(&self, a: u32, b: u32) -> Option<u32> {
+        let [from, to] = [a, b].map(|place| self.pixels[place as usize].map(f64::from));
+        let way = [to[0] - from[0], to[1] - from[1]];
+        let squared = way[0] * way[0] + way[1] * way[1];
+        let across = squared.sqrt() * f64::from(STRAIGHT);
+        let (mut sum, mut last, mut share) = (0, a, 0.0);
+        let is_straight = self.is_straight(a, b, |place| {
+            let [i, j] = self.pixels[place as usize].map(f64::from);
+            let own = ((i - from[0]) * way[0] + (j - from[1]) * way[1]) / squared;
+            sum += self.length(last, place, ((own - share).abs() * across) as u32);
+            (last, share) = (place, own);
+        });
+        is_straight.then_some(sum)
+    }
+
+    /// Averages heights over the places around each one.
+    pub(super) fn levelled(&self) -> Vec<i32> {
+        let far = ((LEVEL_M / 2.0 / self.grid.frame.pixel_m()) as i32).min(MOST_LEVELLED);
+        let mut levels = self.tops.clone();
+        for axis in [0, 1] {
+            let mean = |place: u32| {
+                let (mut sum, mut count) = (i64::from(levels[place as usize]), 1);
+                for way in [axis, axis + 2] {
+                    let mut at = place;
+                    for _ in 0..far {
+                        at = self.links[at as usize][way];
+                        if at == NO_PLACE {
+                            break;
+                        }
+                        (sum, count) = (sum + i64::from(levels[at as usize]), count + 1);
+                    }
+                }
+                (sum / count) as i32
+            };
+            levels = (0..self.len() as u32).map(mean).collect();
+        }
+        levels
+    }
+
     /// Clearance below which a place lies next to the end of the region (m).
     fn near_wall(&self) -> f64 {
         (self.body_pixels() + 1.2) * self.grid.frame.pixel_m()
@@ -332,7 +481,7 @@ impl Region {
         let (dx, dy) = (dx.abs(), dy.abs());
         let link = |place: u32, way: usize| {
             let next = self.links[place as usize][way];
-            (next != NO_PLACE && (self.standing[next as usize] || next == b)).then_some(next)
+            (next != NO_PLACE).then_some(next)
         };
         if dx == 0 || dy == 0 {
             let mut at = a;
@@ -383,12 +532,26 @@ impl Region {
     }
 }
 
-/// The way over as few of its places as can be.
-fn straighten(region: &Region, way: &[u32]) -> Route {
-    let mut kept = vec![0];
+/// The places of a way, as numbers in it and the last one first, between which it can be straight and is no longer then.
+fn straightened(region: &Region, way: &[u32]) -> Vec<usize> {
+    let mut far = vec![0u64];
+    for pair in way.windows(2) {
+        let [from, to] = [0, 1].map(|at| region.pixels[pair[at] as usize]);
+        let across = match (from[0].abs_diff(to[0]), from[1].abs_diff(to[1])) {
+            (1, 1) => DIAGONAL,
+            (0, 1) | (1, 0) => STRAIGHT,
+            _ => KNIGHT,
+        };
+        far.push(far[far.len() - 1] + u64::from(region.length(pair[0], pair[1], across)));
+    }
+    let mut kept = vec![];
     let mut at = 0;
     while at + 1 < way.len() {
-        let sees = |to: usize| region.is_straight(way[at], way[to], |_| {});
+        let sees = |to: usize| {
+            region
+                .straight(way[at], way[to])
+                .is_some_and(|cost| u64::from(cost) <= far[to] - far[at] + u64::from(STRAIGHT) / 10)
+        };
         // By doubling, then by halving: what is seen is mostly all up to some place.
         let (mut near, mut step) = (at + 1, 2);
         while at + step < way.len() && sees(at + step) {
@@ -403,16 +566,58 @@ fn straighten(region: &Region, way: &[u32]) -> Route {
         kept.push(near);
         at = near;
     }
-    let mut points = vec![region.feet(way[0])];
-    for ends in kept.windows(2) {
-        let mut profile = Vec::new();
-        region.is_straight(way[ends[0]], way[ends[1]], |place| profile.push(region.feet(place)));
-        let to = region.feet(way[ends[1]]);
-        follow_heights(region, &profile, to, &mut points);
-        points.push(to);
+    kept.reverse();
+    kept
+}
+
+impl Trial {
+    /// Follows the way to its end: the route, or a step that the walker could not take.
+    fn follow<S: PageSet>(&mut self, set: &S, region: &Region) -> Needs<std::result::Result<Route, (u32, u32)>> {
+        while let Some(&next) = self.next.last() {
+            let [from, to] = [self.at, next].map(|at| self.way[at]);
+            if let Some(walker) = walked(set, region, self.walker.clone(), to)? {
+                self.walker = walker;
+                (self.at, _) = (next, self.next.pop());
+                let mut profile = Vec::new();
+                region.is_straight(from, to, |place| profile.push(region.feet(place)));
+                let to = region.feet(to);
+                follow_heights(region, &profile, to, &mut self.points);
+                self.points.push(to);
+            } else if next - self.at > 1 {
+                self.next.push(self.at.midpoint(next));
+            } else {
+                return ControlFlow::Continue(Err((from, to)));
+            }
+        }
+        let points = std::mem::take(&mut self.points);
+        let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        ControlFlow::Continue(Ok(Route { points, length_m }))
     }
-    let length_m = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-    Route { points, length_m }
+}
+
+/// The walker at a place to which it goes straight, if it gets there.
+fn walked<S: PageSet>(set: &S, region: &Region, mut walker: Walker, place: u32) -> Needs<Option<Walker>> {
+    let to = region.feet(place);
+    let Ok(mut waypoints) = Waypoints::new(vec![to.xy()]) else { return ControlFlow::Continue(None) };
+    let (speed, tick_s) = (walker.config().speed, walker.config().tick_s);
+    let mut left = (PATIENCE * (to - walker.feet()).norm() / speed + PATIENCE_S) / tick_s;
+    while left > 0.0 {
+        let report = walker.follow(set, 8.0 * tick_s, &mut waypoints);
+        if let Some(missing) = report.missing {
+            return ControlFlow::Break(Stop::Missing(missing));
+        }
+        left -= f64::from(report.ticks);
+        let off = to - walker.feet();
+        match report.state {
+            State::Arrived => {
+                let is_there = off.xy().norm() <= THERE_M && off.z.abs() <= region.grid.frame.quantum_m();
+                return ControlFlow::Continue(is_there.then_some(walker));
+            }
+            State::Blocked => return ControlFlow::Continue(None),
+            _ => {}
+        }
+    }
+    ControlFlow::Continue(None)
 }
 
 /// Adds points between the last of `points` and `to` so that the line keeps within the climb height of the `profile`.

@@ -1,6 +1,6 @@
 //! Standing places, tile by tile, and the steps between neighbours.
 
-use super::intervals::{Interval, Lists, NONE};
+use super::intervals::{Floors, Interval, Lists, NONE};
 use super::pawn::{Grid, Pawn};
 use super::{Needs, answer};
 use crate::Result;
@@ -12,8 +12,8 @@ use std::ops::ControlFlow;
 
 /// Edge of a tile (pixels).
 const TILE: usize = 64;
-/// [`Interval`]s without floor near their top.
-pub(super) const NO_FLOOR: u16 = u16::MAX;
+/// Of a [`Block`] without floor.
+const NO_FLOOR: i16 = i16::MIN;
 
 /// What an interval's top is good for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -31,10 +31,8 @@ pub(super) enum Kind {
 pub(super) struct Block {
     pub bottom: i32,
     pub top: i32,
-    /// How far floor lies below the top, or [`NO_FLOOR`] (quanta).
-    pub below: u16,
-    /// Without floor of its own, how much higher one stands on the floor beside it, as far as that counts (quanta).
-    pub above: u8,
+    /// How much higher the floor lies than the top, under the footprint or beside it (quanta), or [`NO_FLOOR`].
+    floor: i16,
     pub kind: Kind,
 }
 
@@ -147,19 +145,11 @@ impl StandingPlaces {
     /// Where the pawn gets from block `place` of `column` in the neighbouring pixel along an axis, with blocks `next`.
     pub(super) fn step(&self, column: &[Block], place: usize, next: &[Block], axis: usize) -> Step {
         let (grid, from) = (&self.grid, column[place]);
-        // Climbing counts from the floor, so that no ledge is climbed in parts: over an edge it ends on the floor beside it.
-        let limit = match from.below {
-            NO_FLOOR => from.top + grid.near,
-            below => {
-                let limit = from.top + (grid.up - i32::from(below)).max(0);
-                let is_too_high = |edge: &&Block| {
-                    edge.below == NO_FLOOR && edge.top > from.top && edge.top + i32::from(edge.above) > limit
-                };
-                let highest = next.partition_point(|block| block.top <= limit).checked_sub(1).map(|at| &next[at]);
-                // Such an edge is in the way.
-                highest.filter(is_too_high).map_or(limit, |edge| edge.top - 1)
-            }
-        };
+        // Climbing counts from the floor, so that no ledge is climbed in parts. An edge whose floor lies beyond is in the way.
+        let limit = from.top.max(from.top + i32::from(from.floor) + grid.up);
+        let highest = next.partition_point(|block| block.top <= limit).checked_sub(1).map(|at| &next[at]);
+        let is_too_high = |edge: &&Block| edge.top > from.top && edge.top + i32::from(edge.floor) > limit;
+        let limit = highest.filter(is_too_high).map_or(limit, |edge| edge.top - 1);
         let (below, above) = next.split_at(next.partition_point(|block| block.top <= limit));
         let to = below.last();
         let level = to.map_or(from.top, |block| block.top.max(from.top));
@@ -187,7 +177,7 @@ fn compute<S: PageSet>(set: &S, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
     let margin = grid.half.map(|half| half + ahead);
     let corner = [0, 1].map(|axis| at[axis] * TILE as i32 - margin[axis]);
     let size = margin.map(|margin| TILE + 2 * margin as usize);
-    let matter = Lists::read(set, grid, corner, size)?;
+    let (matter, floors) = Lists::read(set, grid, corner, size)?;
     let under = matter.under(&grid.rects, grid.half, grid.height);
     let foot = matter.under(&[[grid.foot; 2]], margin, grid.height);
     let (mut starts, mut blocks) = (Vec::with_capacity(TILE * TILE + 1), Vec::new());
@@ -195,7 +185,7 @@ fn compute<S: PageSet>(set: &S, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
     for y in 0..TILE {
         for x in 0..TILE {
             for interval in under.at(x + ahead as usize, y + ahead as usize) {
-                blocks.push(judge(grid, interval, &under, [x, y], foot.at(x, y)));
+                blocks.push(judge(grid, interval, &floors, [x, y], foot.at(x, y)));
             }
             starts.push(blocks.len() as u32);
         }
@@ -203,29 +193,22 @@ fn compute<S: PageSet>(set: &S, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
     ControlFlow::Continue(Tile { at, starts: starts.into(), blocks: blocks.into() })
 }
 
-/// Distance from the top down to floor, if that is near.
-fn floor_below(grid: &Grid, interval: &Interval) -> Option<u16> {
-    let near = interval.floor != NONE && interval.top - interval.floor <= grid.near;
-    near.then(|| (interval.top - interval.floor) as u16)
-}
-
-fn judge(grid: &Grid, interval: &Interval, under: &Lists, [x, y]: [usize; 2], foot: &[Interval]) -> Block {
-    let below = floor_below(grid, interval);
-    // The highest floor at about the same height around it.
-    let beside = below.is_none().then(|| {
-        let ahead = 2 * grid.ahead as usize;
-        let around = (y..=y + ahead).flat_map(|y| (x..=x + ahead).map(move |x| (x, y)));
-        let level = |other: &&Interval| (other.top - interval.top).abs() <= grid.near;
-        let floors = around.flat_map(|(x, y)| under.at(x, y)).filter(level);
-        floors.filter(|other| floor_below(grid, other).is_some()).map(|other| other.top - interval.top).max()
-    });
-    let beside = beside.flatten();
-    let under_foot = foot.partition_point(|matter| matter.top <= interval.top).checked_sub(1);
+fn judge(grid: &Grid, interval: &Interval, floors: &Floors, at: [usize; 2], foot: &[Interval]) -> Block {
+    let top = interval.top;
+    // Under the footprint the highest floor is known.
+    let floor = match interval.floor != NONE && top - interval.floor <= grid.near {
+        true => Some(interval.floor),
+        false => {
+            let size = grid.half.map(|half| 2 * (half + grid.ahead) as usize + 1);
+            floors.highest(at, size, [top - grid.near, top + grid.near])
+        }
+    };
+    let under_foot = foot.partition_point(|matter| matter.top <= top).checked_sub(1);
     let kind = match under_foot {
-        _ if below.is_none() && beside.is_none() => Kind::Refused,
-        Some(matter) if interval.top - foot[matter].top <= grid.up => Kind::Standing,
+        _ if floor.is_none() => Kind::Refused,
+        Some(matter) if top - foot[matter].top <= grid.up => Kind::Standing,
         _ => Kind::Bridge,
     };
-    let above = beside.unwrap_or(0).clamp(0, i32::from(u8::MAX)) as u8;
-    Block { bottom: interval.bottom, top: interval.top, below: below.unwrap_or(NO_FLOOR), above, kind }
+    let floor = floor.map_or(NO_FLOOR, |floor| (floor - top) as i16);
+    Block { bottom: interval.bottom, top, floor, kind }
 }

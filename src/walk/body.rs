@@ -138,20 +138,18 @@ impl Body {
         ask!(self.part(feet, 0.0), shape => mean_floor_under(set, &shape, from, depth))
     }
 
-    /// The highest floor under the footprint and under what it covers on the way `ahead`.
-    pub(super) fn floor_ahead<S: PageSet>(
+    /// The highest floor under the footprint's bounds, grown by `margin` (m).
+    pub(super) fn floor_around<S: PageSet>(
         &self,
         set: &S,
         feet: Point3<f64>,
-        ahead: Vector2<f64>,
+        margin: f64,
         from: f64,
         depth: f64,
     ) -> Answer<Option<f64>> {
-        let half = self.half();
-        let (low, high) =
-            (feet.xy() - half + ahead.inf(&Vector2::zeros()), feet.xy() + half + ahead.sup(&Vector2::zeros()));
-        let shape = Aabb::new(Point3::new(low.x, low.y, feet.z), Point3::new(high.x, high.y, feet.z));
-        floor_under(set, &shape.expect("a finite box"), from, depth)
+        let half = self.half().add_scalar(margin).push(0.0);
+        let shape = Aabb::new(feet - half, feet + half).expect("a finite box");
+        floor_under(set, &shape, from, depth)
     }
 
     /// Whether an obstacle touches the body above `lift`.

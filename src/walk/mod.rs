@@ -66,7 +66,7 @@ impl State {
 pub enum Ground {
     /// Floor no farther below its feet than [`FLOOR_NEAR_M`].
     Floor,
-    /// Matter without floor near its feet: the edge of a step, or something too steep to be climbed.
+    /// Matter without floor near its feet: something too steep to be climbed.
     Obstacle,
     /// Nothing.
     Air,
@@ -77,7 +77,7 @@ pub enum Ground {
 pub enum Stop {
     /// Matter higher than it can climb.
     Wall,
-    /// Matter that it could climb, but without floor on it: steeper than the slope limit.
+    /// Matter that it could climb, but without floor on or beside it: steeper than the slope limit.
     Steep,
     /// A step, but no room for its head above it.
     Headroom,
@@ -151,6 +151,15 @@ impl StepReport {
 /// it, be that a pebble, and is still on the floor.
 pub const FLOOR_NEAR_M: f64 = 0.05;
 
+/// Floor beside the footprint counts within this distance (m), rounded down to whole pixels, but to one at least: the edge of a step
+/// is an obstacle, its tread comes behind.
+pub const BESIDE_M: f64 = 0.25;
+
+/// The same in pixels of `pixel` (m).
+pub(crate) fn pixels_beside(pixel: f64) -> i32 {
+    ((BESIDE_M / pixel + 1e-6) as i32).max(1)
+}
+
 /// Most ticks of one step, so that its work is bounded however long the frame was: a machine may have slept for hours.
 pub const MOST_TICKS: u32 = 256;
 
@@ -164,6 +173,9 @@ fn is_place(feet: &Point3<f64>) -> bool {
 
 /// Less than this share of the way wanted is "blocked".
 const BLOCKED_BELOW: f64 = 0.01;
+
+/// Less than this share of the way wanted in one tick is none.
+const STALLED_BELOW: f64 = 1e-6;
 
 /// The answer of a tick, or the pages that it needs.
 type Needs<T> = ControlFlow<Missing, T>;
@@ -255,6 +267,8 @@ pub struct Walker {
     progress: Progress,
     /// Part of a tick that is left of the time given so far (s).
     rest_s: f64,
+    /// Whether it wanted to go on in the last tick, and stood.
+    stalled: bool,
 }
 
 impl Walker {
@@ -266,7 +280,7 @@ impl Walker {
             return Err(Error::parameter(Parameter::Pawn("start"), format!("{feet} (expected numbers within ±1e9 m)")));
         }
         let progress = Progress::at(feet.xy());
-        Ok(Self { config, motion: Motion::at(feet), state: State::Walking, progress, rest_s: 0.0 })
+        Ok(Self { config, motion: Motion::at(feet), state: State::Walking, progress, rest_s: 0.0, stalled: false })
     }
 
     /// Its numbers.
@@ -301,7 +315,7 @@ impl Walker {
     pub fn outlook(&self, frame: &Frame) -> Outlook {
         let config = &self.config;
         // Around an edge of pixels, to floor ahead of a step; up a step, and down one.
-        let aside = config.body.half().add_scalar(slide::AHEAD_M + slide::EDGE_PIXELS * frame.pixel_m());
+        let aside = config.body.half().add_scalar(BESIDE_M.max(frame.pixel_m()) + slide::EDGE_PIXELS * frame.pixel_m());
         let step = config.climb + FLOOR_NEAR_M + frame.slice_m();
         let up = config.body.height() + step;
         Outlook {
@@ -319,7 +333,7 @@ impl Walker {
         if is_place(&feet) {
             self.motion = Motion::at(feet);
             self.progress = Progress::at(feet.xy());
-            (self.state, self.rest_s) = (State::Walking, 0.0);
+            (self.state, self.rest_s, self.stalled) = (State::Walking, 0.0, false);
         }
     }
 
@@ -329,17 +343,22 @@ impl Walker {
     /// drops it; a simulation passes it to the next step. Cost: a few sweeps per tick, about a microsecond on a floor at
     /// 5 cm.
     pub fn step<S: PageSet>(&mut self, set: &S, dt: f64, wish: Wish) -> StepReport {
-        self.run(set, dt, |_| Some(wish))
+        self.run(set, dt, |_, _| Some(wish))
     }
 
     /// As [`step`](Self::step) while the pawn follows `waypoints`; it has [`Arrived`](State::Arrived) when it is on its
     /// feet at the end.
     pub fn follow<S: PageSet>(&mut self, set: &S, dt: f64, waypoints: &mut Waypoints) -> StepReport {
-        self.run(set, dt, |feet| waypoints.wish(feet))
+        self.run(set, dt, |feet, stalled| waypoints.wish(feet, stalled))
     }
 
     /// Ticks, each with the wish for it; `None` at the end of the way.
-    fn run<S: PageSet>(&mut self, set: &S, dt: f64, mut wish: impl FnMut(Point3<f64>) -> Option<Wish>) -> StepReport {
+    fn run<S: PageSet>(
+        &mut self,
+        set: &S,
+        dt: f64,
+        mut wish: impl FnMut(Point3<f64>, bool) -> Option<Wish>,
+    ) -> StepReport {
         let (from, tick) = (self.motion.feet, self.config.tick_s);
         let mut report = StepReport {
             state: self.state,
@@ -357,7 +376,7 @@ impl Walker {
                 (report.unspent, time) = (time, 0.0);
                 break;
             }
-            let (wish, before) = (wish(self.motion.feet), self.motion.feet.xy());
+            let (wish, before) = (wish(self.motion.feet, self.stalled), self.motion.feet.xy());
             let way = wish.map_or(Vector2::zeros(), |wish| self.way(wish));
             match self.tick(set, way) {
                 ControlFlow::Continue(stop) => report.stop = stop.or(report.stop),
@@ -408,6 +427,8 @@ impl Walker {
     /// Judges a tick in which the pawn wanted `way` and began at `before`.
     fn note_progress(&mut self, way: Vector2<f64>, before: Point2<f64>) {
         let wanted = if self.motion.ground == Ground::Air { Vector2::zeros() } else { way };
+        let gone = (self.motion.feet.xy() - before).norm();
+        self.stalled = wanted != Vector2::zeros() && gone < STALLED_BELOW * wanted.norm();
         self.progress.note(self.config.tick_s, wanted, before, self.motion.feet.xy());
     }
 

@@ -1,6 +1,6 @@
 //! Walking by exact sweeps: forward, up a step, along a wall, down to the ground.
 
-use super::{Config, FLOOR_NEAR_M, Ground, Motion, Needs, Stop, known};
+use super::{Config, FLOOR_NEAR_M, Ground, Motion, Needs, Stop, known, pixels_beside};
 use crate::query::SweepHit;
 use crate::store::PageSet;
 use nalgebra::{Point3, Vector2, Vector3};
@@ -10,8 +10,6 @@ use std::ops::ControlFlow;
 const CONTACTS: usize = 4;
 /// Longest stride (m): a step is judged by what is under the body at the end of the stride.
 const STRIDE_M: f64 = 0.25;
-/// How far beyond the body floor is looked for on top of a step (m): its edge is an obstacle, its tread comes behind.
-pub(super) const AHEAD_M: f64 = 0.25;
 /// A way around an edge leads so far off the wall, and must gain so much (pixels).
 const OFF: f64 = 0.3;
 /// Such a way is at most so long (pixels).
@@ -29,6 +27,8 @@ const AWAY: f64 = 4.0;
 const CLEAR: f64 = 0.02;
 /// How often the pixel in which such a way ends is halved.
 const NARROWINGS: usize = 3;
+/// Less than this part of a pixel is no more than touched.
+const TOUCH: f64 = 1e-5;
 /// Ways shorter than this are none (m).
 const NOTHING_M: f64 = 1e-9;
 /// Heights closer than this are equal: rounding errors at 10⁷ m (m).
@@ -78,12 +78,28 @@ impl<S: PageSet> Attempt<'_, S> {
         known(self.config.body.sweep(self.set, feet, by))
     }
 
-    /// Height up to which the pawn may step now. Floors are stored to a quantum, so a step of just the climb height may
-    /// seem to be one higher.
+    /// Height up to which the pawn may step now.
     fn limit(&self) -> f64 {
         self.motion.floor_z.max(self.motion.feet.z - self.config.climb) + self.reach()
     }
 
+    /// Height of the floor on which a pawn with its feet at `feet` stands: the highest at most [`FLOOR_NEAR_M`] below them under the
+    /// footprint; without one the highest as near above or below them within [`BESIDE_M`] of the footprint, for the edge of a step is an
+    /// obstacle.
+    fn floor_at(&self, feet: Point3<f64>) -> Needs<Option<f64>> {
+        let body = &self.config.body;
+        let under = known(body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M + LEVEL_M))?;
+        if under.is_some() {
+            return ControlFlow::Continue(under);
+        }
+        // Whole pixels, less what would touch the next one.
+        let pixel = self.set.frame().pixel_m();
+        let margin = (f64::from(pixels_beside(pixel)) - TOUCH) * pixel;
+        let above = feet.z + FLOOR_NEAR_M + LEVEL_M;
+        known(body.floor_around(self.set, feet, margin, above, 2.0 * (FLOOR_NEAR_M + LEVEL_M)))
+    }
+
+    /// Floors are stored to a quantum, so a step of just the climb height may seem to be one higher.
     fn reach(&self) -> f64 {
         self.config.climb + self.set.frame().quantum_m() + LEVEL_M
     }
@@ -311,7 +327,8 @@ impl<S: PageSet> Attempt<'_, S> {
         let gone = ahead.map_or(1.0, |hit| hit.fraction);
         if rest.norm() * gone < NOTHING_M {
             // Too low a lintel, or more wall behind the step.
-            let over = ahead.is_some_and(|hit| hit.heights[0] > feet.z + LEVEL_M);
+            let lowest = limit.max(feet.z + self.config.body.height() / 2.0);
+            let over = ahead.is_some_and(|hit| hit.heights[0] > lowest);
             return ControlFlow::Continue(Step::Refused(if over { Stop::Headroom } else { Stop::Wall }));
         }
         let mut to = raised + (rest * gone).push(0.0);
@@ -321,13 +338,8 @@ impl<S: PageSet> Attempt<'_, S> {
             Some(_) => {}
             None => to.z = feet.z,
         }
-        if to.z > feet.z + LEVEL_M {
-            let ahead = rest.normalize() * AHEAD_M;
-            let low = to.z - FLOOR_NEAR_M;
-            let floor = self.config.body.floor_ahead(self.set, to, ahead, limit, limit - low);
-            if known(floor)?.is_none() {
-                return ControlFlow::Continue(Step::Refused(Stop::Steep));
-            }
+        if to.z > feet.z + LEVEL_M && self.floor_at(to)?.is_none_or(|floor| floor > limit) {
+            return ControlFlow::Continue(Step::Refused(Stop::Steep));
         }
         self.motion.feet = to;
         ControlFlow::Continue(Step::Done(gone))
@@ -352,14 +364,10 @@ impl<S: PageSet> Attempt<'_, S> {
     /// What the pawn stands on after it came down on what it `hit`, and from where its next climb is measured.
     fn note_ground(&mut self, hit: &SweepHit) -> Needs<()> {
         let feet = self.motion.feet;
-        // Floor that stopped it is the highest under it; beside an obstacle there may be some a little lower.
-        let near = match hit.obstacle {
-            false => Some(feet.z),
-            true => known(self.config.body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M))?,
-        };
-        self.motion.ground = if near.is_some() { Ground::Floor } else { Ground::Obstacle };
-        let floor_z = self.motion.floor_z.min(feet.z);
-        self.motion.floor_z = near.map_or(floor_z, |near| near.max(floor_z));
+        // Floor that stopped it is the highest under it.
+        let floor = if hit.obstacle { self.floor_at(feet)? } else { Some(feet.z) };
+        self.motion.ground = if floor.is_some() { Ground::Floor } else { Ground::Obstacle };
+        self.motion.floor_z = floor.unwrap_or(self.motion.floor_z.min(feet.z));
         self.motion.falling = 0.0;
         ControlFlow::Continue(())
     }

@@ -4,8 +4,12 @@ use super::Wish;
 use crate::{Error, Result};
 use nalgebra::{Point2, Point3};
 
-/// A place counts as reached within this distance (m).
+/// A place that the pawn cannot get any nearer to counts as reached within this distance (m).
 pub(super) const REACH_M: f64 = 0.01;
+/// Else it counts as reached within rounding errors, as a share of its coordinates and at least so much (m): beside it, a way
+/// through a gate as wide as the pawn would begin with a contact.
+const EXACT: f64 = 1e-15;
+const EXACT_M: f64 = 1e-15;
 
 /// Places to reach one after the other, in x and y (m).
 #[derive(Debug, Clone, PartialEq)]
@@ -38,11 +42,16 @@ impl Waypoints {
         self.next == self.places.len()
     }
 
-    /// The wish of a pawn at `feet`; `None` at the end.
-    pub(super) fn wish(&mut self, feet: Point3<f64>) -> Option<Wish> {
-        while self.places.get(self.next).is_some_and(|place| (place - feet.xy()).norm() <= REACH_M) {
-            self.next += 1;
+    /// The wish of a pawn at `feet`, which made no progress in its last tick if it `stalled`; `None` at the end.
+    pub(super) fn wish(&mut self, feet: Point3<f64>, mut stalled: bool) -> Option<Wish> {
+        while let Some(place) = self.places.get(self.next) {
+            let off = place - feet.xy();
+            let is_there = off.amax() <= EXACT_M + EXACT * place.coords.amax() || stalled && off.norm() <= REACH_M;
+            if !is_there {
+                return Some(Wish::Toward(*place));
+            }
+            (self.next, stalled) = (self.next + 1, false);
         }
-        self.places.get(self.next).map(|place| Wish::Toward(*place))
+        None
     }
 }

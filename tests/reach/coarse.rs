@@ -121,7 +121,7 @@ fn a_fine_level_has_a_way_wherever_an_exact_one_leads_and_mostly_along_it() {
             for _ in 0..6 {
                 let to = places[random.below(places.len())];
                 let ends = [from, to].map(|at| spot(&mut standing, &store, at).unwrap());
-                let exact = way(&mut Search::new(), &own, &ends[0], &ends[1]);
+                let exact = way(&mut Search::new(), &store, &own, &ends[0], &ends[1]);
                 let mut planner = Coarse::new(&level, pawn(), from, to).unwrap();
                 assert!(planner.is_fine());
                 let found = finish(&mut planner, &level, usize::MAX);

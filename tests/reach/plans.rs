@@ -53,7 +53,7 @@ fn a_task_goes_on_step_by_step_to_the_same_route() {
     assert!(turns <= 4, "{turns}");
     let (mut standing, region) = everywhere(&store, thin());
     let [a, b] = [at(5, 30), at(415, 30)].map(|at| spot(&mut standing, &store, at).unwrap());
-    let expected = way(&mut Search::new(), &region, &a, &b).unwrap();
+    let expected = way(&mut Search::new(), &store, &region, &a, &b).unwrap();
     assert!((whole.as_ref().unwrap().length_m - expected.length_m).abs() < 0.01 * expected.length_m);
     let (in_steps, turns) = plan(500, at(415, 30));
     assert_eq!(in_steps, whole);
@@ -128,7 +128,7 @@ fn a_prepared_region_gives_as_good_routes_and_looks_at_less() {
         let [from, to] = [0, 1].map(|_| at(3 + random.below(690) as usize, 3 + random.below(54) as usize));
         let [a, b] = [from, to].map(|at| spot(&mut standing, &store, at));
         let (Some(a), Some(b)) = (a, b) else { continue };
-        let [one, other] = [way(&mut plain, &region, &a, &b), way(&mut guided, &prepared, &a, &b)];
+        let [one, other] = [way(&mut plain, &store, &region, &a, &b), way(&mut guided, &store, &prepared, &a, &b)];
         let (one, other) = (one.unwrap(), other.unwrap());
         // Of the same cost; straightening may make a little of difference.
         assert!((one.length_m - other.length_m).abs() <= 0.03 * one.length_m, "{from} to {to}: {one:?}, {other:?}");
@@ -144,8 +144,8 @@ fn a_prepared_region_gives_as_good_routes_and_looks_at_less() {
     region.prepare(&NoMonitor).unwrap();
     let [a, b] = [at(20, 30), at(260, 30)].map(|at| spot(&mut standing, &closed, at).unwrap());
     let mut search = Search::new();
-    assert_eq!((way(&mut search, &region, &a, &b), search.looked_at()), (None, 0));
-    assert_eq!(way(&mut search, &region, &b, &a), None);
+    assert_eq!((way(&mut search, &closed, &region, &a, &b), search.looked_at()), (None, 0));
+    assert_eq!(way(&mut search, &closed, &region, &b, &a), None);
 }
 
 #[test]
@@ -156,12 +156,12 @@ fn the_exact_way_along_a_coarse_one_takes_little_memory() {
     let (from, to) = (at(5, 30), at(width - 6, 30));
     let (mut standing, region) = everywhere(&store, pawn);
     let [a, b] = [from, to].map(|at| spot(&mut standing, &store, at).unwrap());
-    let best = way(&mut Search::new(), &region, &a, &b).unwrap();
+    let best = way(&mut Search::new(), &store, &region, &a, &b).unwrap();
     // What the way would be without walls.
     let empty = room(width, 60, |_, _| None);
     let (mut other, free) = everywhere(&empty, pawn);
     let [c, d] = [from, to].map(|at| spot(&mut other, &empty, at).unwrap());
-    let straight = way(&mut Search::new(), &free, &c, &d).unwrap();
+    let straight = way(&mut Search::new(), &empty, &free, &c, &d).unwrap();
     for (guide, distance, longest) in [(&best, 1.0, 1.01), (&straight, 4.0, 1.05), (&straight, 0.5, 1.1)] {
         let mut along = Along::new(pawn, from, to, guide, distance);
         let found = known(along.go_on(&store, &NoMonitor).unwrap()).unwrap();
@@ -176,7 +176,7 @@ fn the_exact_way_along_a_coarse_one_takes_little_memory() {
         // Every stretch can be walked straight.
         for pair in found.points.windows(2) {
             let ends = [pair[0], pair[1]].map(|at| spot(&mut standing, &store, at).unwrap());
-            let direct = way(&mut Search::new(), &region, &ends[0], &ends[1]).unwrap();
+            let direct = way(&mut Search::new(), &store, &region, &ends[0], &ends[1]).unwrap();
             assert!((direct.length_m - (pair[1] - pair[0]).norm()).abs() < 0.01, "{pair:?}");
         }
         let whole = standing.memory_bytes() + region.memory_bytes();

@@ -59,7 +59,7 @@ fn a_route_is_found_just_where_exhaustive_search_finds_one() {
             let [a, b] = [from, to].map(|pixel| spot(&mut standing, &store, at(pixel)));
             assert_eq!([a.is_some(), b.is_some()], [free(from), free(to)], "seed {seed}");
             let (Some(a), Some(b)) = (a, b) else { continue };
-            let route = way(&mut search, &region, &a, &b);
+            let route = way(&mut search, &store, &region, &a, &b);
             assert_eq!(route.is_some(), exhaustive(free, from).contains(&to), "seed {seed}: {from:?} to {to:?}");
             found += usize::from(route.is_some());
             refused += usize::from(route.is_none());
@@ -133,7 +133,7 @@ fn routes_are_at_most_a_twentieth_longer_than_the_shortest_way() {
             let [from, to] = [0, 1].map(|_| (random.below(30) as usize, random.below(30) as usize));
             let [a, b] = [from, to].map(|pixel| spot(&mut standing, &store, at(pixel)));
             let (Some(a), Some(b)) = (a, b) else { continue };
-            let route = way(&mut search, &region, &a, &b);
+            let route = way(&mut search, &store, &region, &a, &b);
             let best = optimum(&free, edge, from, to);
             assert_eq!(route.is_some(), best.is_some(), "seed {seed}: {from:?} to {to:?}");
             let (Some(route), Some(best)) = (route, best.map(|pixels| pixels * T)) else { continue };
@@ -167,7 +167,7 @@ fn a_search_stops_when_it_is_asked_to() {
     let walled = room(190, 190, |i, _| (i == 100).then_some(b'#'));
     let (mut other, halves) = everywhere(&walled, thin());
     let [c, d] = [(2, 2), (187, 180)].map(|pixel| spot(&mut other, &walled, at(pixel)).unwrap());
-    assert!(matches!(Search::new().route(&halves, &c, &d, &Stops), Err(slicewalk::Error::Interrupted)));
-    assert!(way(&mut Search::new(), &region, &a, &b).is_some());
-    assert!(way(&mut Search::new(), &halves, &c, &d).is_none());
+    assert!(matches!(Search::new().route(&walled, &halves, &c, &d, &Stops), Err(slicewalk::Error::Interrupted)));
+    assert!(way(&mut Search::new(), &store, &region, &a, &b).is_some());
+    assert!(way(&mut Search::new(), &walled, &halves, &c, &d).is_none());
 }

@@ -19,7 +19,7 @@ fn connects(store: &Store, pawn: Pawn, from: [f64; 3], to: [f64; 3]) -> bool {
     let (mut standing, region) = reached(store, pawn, from);
     let [a, b] =
         [from, to].map(|at| spot(&mut standing, store, at.into()).unwrap_or_else(|| panic!("{at:?}: no place")));
-    way(&mut Search::new(), &region, &a, &b).is_some()
+    way(&mut Search::new(), store, &region, &a, &b).is_some()
 }
 
 #[test]
@@ -130,7 +130,7 @@ fn the_walker_arrives_along_routes_through_a_house_of_three_storeys() {
         for _ in 0..pairs {
             let [from, to] = [0, 1].map(|_| places[random.below(places.len() as u32) as usize]);
             let [a, b] = [from, to].map(|at| spot(&mut standing, &store, at).unwrap());
-            let route = way(&mut search, &region, &a, &b).unwrap();
+            let route = way(&mut search, &store, &region, &a, &b).unwrap();
             looked_at.push(search.looked_at());
             if !arrives(&store, body, &route) {
                 lost.push((from, to));
@@ -156,7 +156,7 @@ fn the_walker_follows_up_stairs_whose_second_riser_is_just_about_as_high_as_it_c
                 let (low, high) = (Point3::new(-1.0, across(), 0.1), Point3::new(3.2, across(), 8.0 * riser + 0.1));
                 let [a, b] = [low, high].map(|at| spot(&mut standing, &store, at).unwrap());
                 for (from, to) in [(a, b), (b, a)] {
-                    let route = way(&mut search, &region, &from, &to).unwrap();
+                    let route = way(&mut search, &store, &region, &from, &to).unwrap();
                     assert!(arrives(&store, body, &route), "{body:?}, risers of {riser} m: {low} and {high}");
                 }
             }
