@@ -141,18 +141,21 @@ pub struct Floors {
 
 impl Floors {
     /// The highest top from `low` to `high` in the `size` pixels from (`x`, `y`) on.
-    pub fn highest(&self, [x, y]: [usize; 2], size: [usize; 2], [low, high]: [i32; 2]) -> Option<i32> {
-        let mut best = None;
-        for row in y..y + size[1] {
+    pub fn highest(&self, at: [usize; 2], size: [usize; 2], [low, high]: [i32; 2]) -> Option<i32> {
+        self.within(at, size).filter(|top| (low..=high).contains(top)).max()
+    }
+
+    /// The lowest of them.
+    pub fn lowest(&self, at: [usize; 2], size: [usize; 2], [low, high]: [i32; 2]) -> Option<i32> {
+        self.within(at, size).filter(|top| (low..=high).contains(top)).min()
+    }
+
+    fn within(&self, [x, y]: [usize; 2], size: [usize; 2]) -> impl Iterator<Item = i32> {
+        (y..y + size[1]).flat_map(move |row| {
             let cell = row * self.width + x;
             let [first, end] = [self.starts[cell], self.starts[cell + size[0]]].map(|start| start as usize);
-            for &top in &self.tops[first..end] {
-                if top <= high && top >= best.unwrap_or(low) {
-                    best = Some(top);
-                }
-            }
-        }
-        best
+            self.tops[first..end].iter().copied()
+        })
     }
 }
 

@@ -19,21 +19,24 @@
 //! footprint touches are joined, and gaps lower than the body closed: the top of each joined interval is a place where the
 //! whole body fits. Such a place
 //!
-//! - has **floor** if a floor span ends at most 5 cm below the feet inside the footprint, or if a place with floor at the same
-//!   height (± 5 cm) lies within 25 cm: the edge of a step is an obstacle, its tread comes behind;
-//! - is **standing** if it has floor and matter lies under the middle of the feet (within a pixel), no deeper than the climb
-//!   height;
-//! - is a **bridge** if it has floor but the middle of the feet hangs over a gap: a [walker](crate::walk) passes, so the
-//!   region connects over it, but it counts for neither area nor the list of places.
+//! - has **floor** if a floor span ends at most 5 cm below the feet inside the footprint, or else at most 5 cm below or above them
+//!   within 25 cm of the footprint's bounds ([`BESIDE_M`](crate::walk::BESIDE_M)): the edge of a step is an obstacle, its tread lies
+//!   beside;
+//! - is **standing** if it has floor and matter lies under the middle of the feet (within a pixel, for a footprint of three pixels or
+//!   more), no deeper than the climb height;
+//! - is a **bridge** if it has floor but the middle of the feet hangs over a gap, or if floor lies beside it more than 5 cm and no more
+//!   than the climb height above the feet, as at the lower edge of a step: a [walker](crate::walk) passes, so the region connects
+//!   over it, but it counts for neither area nor the list of places.
 //!
-//! From a place the pawn steps to the neighbouring pixels: up to its climb height above the floor that it stands on (over an edge, the
-//! floor beside the edge counts), with room for its head on both sides, and down at most [`Pawn::max_drop`]. These are the rules of [`walk`](crate::walk); all arithmetic on places is
-//! on integers, so the answer does not depend on the order in which pages arrive.
+//! From a place the pawn steps to the neighbouring pixels: up to its climb height above the floor that it stands on, onto what has
+//! floor no higher than that (from the lower edge of a step up to that floor), with room for its head on both sides, and down at most [`Pawn::max_drop`]. A [walker](crate::walk) has
+//! the same floor and climbs as far, and it has followed every [`Route`] that is found. All arithmetic on places is on integers, so the
+//! answer does not depend on the order in which pages arrive, nor on where the scan lies in its tiles.
 //!
 //! # Memory
 //!
 //! [`StandingPlaces`] holds 16 KiB for each tile (64 × 64 pixels) that the search touches and 12 bytes for each place in it;
-//! [`Region`] holds 33 bytes for each place that it reaches; [`Search`] another 12. Pages are needed only while their tile is
+//! [`Region`] holds 37 bytes for each place that it reaches; [`Search`] another 12. Pages are needed only while their tile is
 //! computed.
 
 mod along;
@@ -57,7 +60,7 @@ pub use pawn::Pawn;
 pub use planner::{Planned, Planner};
 pub use region::{Flood, Place, Region};
 pub use route::{Refusal, Route, Search};
-pub use standing::{Spot, StandingPlaces};
+pub use standing::{Snapped, Spot, StandingPlaces};
 pub use storeys::{Storey, Storeys};
 
 use crate::query::Answer;

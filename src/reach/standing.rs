@@ -6,7 +6,7 @@ use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
 use crate::store::PageSet;
-use nalgebra::Point3;
+use nalgebra::{Point2, Point3};
 use std::collections::HashMap;
 use std::ops::ControlFlow;
 
@@ -20,7 +20,7 @@ const NO_FLOOR: i16 = i16::MIN;
 pub(super) enum Kind {
     /// No floor: too steep, or the top of something.
     Refused,
-    /// Floor under the footprint, none under its middle.
+    /// Floor under the footprint, none under its middle; or the lower edge of a step.
     Bridge,
     /// A standing place.
     Standing,
@@ -31,7 +31,8 @@ pub(super) enum Kind {
 pub(super) struct Block {
     pub bottom: i32,
     pub top: i32,
-    /// How much higher the floor lies than the top, under the footprint or beside it (quanta), or [`NO_FLOOR`].
+    /// How much higher the floor lies than the top, under the footprint or beside it (quanta), or [`NO_FLOOR`]; more than
+    /// [`Grid::near`] for the lower edge of a step.
     floor: i16,
     pub kind: Kind,
 }
@@ -77,6 +78,21 @@ pub struct Spot {
     pub(super) place: usize,
     pub(super) top: i32,
 }
+
+/// A standing place that was found at or near another place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Snapped {
+    /// The place.
+    pub spot: Spot,
+    /// Where the feet stand: the middle of a pixel (m).
+    pub feet: Point3<f64>,
+    /// Distance from the place that was asked for (m); 0 if the pawn can stand there.
+    pub moved: f64,
+}
+
+/// Farthest that a place is moved (m).
+const MOST_SNAP_M: f64 = 100.0;
 
 /// The standing places of one pawn in a set of pages, for the tiles that were asked for so far.
 ///
@@ -125,6 +141,48 @@ impl StandingPlaces {
         ControlFlow::Continue(place.filter(fits).map(|place| Spot { pixel, place, top: column[place].top }))
     }
 
+    /// The standing place under `at` (m), as [`spot`](Self::spot) finds it, or the nearest one within `snap` (m).
+    ///
+    /// Distances count across the ground and upwards; downwards only to places that something covers, for in the air the floor below
+    /// counts. Of places as near the first along y, then x, then z.
+    pub fn snapped<S: PageSet>(&mut self, set: &S, at: Point3<f64>, snap: f64) -> Result<Answer<Option<Snapped>>> {
+        answer(self.snap(set, at, snap))
+    }
+
+    fn snap<S: PageSet>(&mut self, set: &S, at: Point3<f64>, snap: f64) -> Needs<Option<Snapped>> {
+        if let Some(spot) = self.find(set, at)? {
+            return ControlFlow::Continue(Some(self.snapped_to(spot, 0.0)));
+        }
+        let Some(middle) = self.grid.pixel(at.x, at.y) else { return ControlFlow::Continue(None) };
+        let far = (snap.clamp(0.0, MOST_SNAP_M) / self.grid.frame.pixel_m()).ceil() as i32;
+        let mut best: Option<(f64, Spot)> = None;
+        for pixel in (-far..=far).flat_map(|y| (-far..=far).map(move |x| [middle[0] + x, middle[1] + y])) {
+            let across = (Point2::new(self.grid.middle(pixel[0], 0), self.grid.middle(pixel[1], 1)) - at.xy()).norm();
+            if !self.grid.is_inside(pixel) || across > best.map_or(snap, |best| best.0) {
+                continue;
+            }
+            let below =
+                self.find(set, Point3::new(self.grid.middle(pixel[0], 0), self.grid.middle(pixel[1], 1), at.z))?;
+            let tile = self.tile(set, pixel)?;
+            for (place, block) in self.tiles[tile].column(pixel).iter().enumerate() {
+                let up = self.grid.z(block.top) - at.z;
+                let up = if below.is_some_and(|below| below.place == place) { up.max(0.0) } else { up };
+                let distance = across.hypot(up);
+                let is_better = distance <= snap && best.is_none_or(|best| distance < best.0);
+                if block.kind == Kind::Standing && is_better {
+                    best = Some((distance, Spot { pixel, place, top: block.top }));
+                }
+            }
+        }
+        ControlFlow::Continue(best.map(|(moved, spot)| self.snapped_to(spot, moved)))
+    }
+
+    fn snapped_to(&self, spot: Spot, moved: f64) -> Snapped {
+        let [i, j] = spot.pixel;
+        let feet = Point3::new(self.grid.middle(i, 0), self.grid.middle(j, 1), self.grid.z(spot.top));
+        Snapped { spot, feet, moved }
+    }
+
     /// Number of the tile with `pixel`, if it is computed.
     pub(super) fn known(&self, pixel: [i32; 2]) -> Option<usize> {
         self.numbers.get(&pixel.map(|pixel| pixel >> 6)).copied()
@@ -146,7 +204,10 @@ impl StandingPlaces {
     pub(super) fn step(&self, column: &[Block], place: usize, next: &[Block], axis: usize) -> Step {
         let (grid, from) = (&self.grid, column[place]);
         // Climbing counts from the floor, so that no ledge is climbed in parts. An edge whose floor lies beyond is in the way.
-        let limit = from.top.max(from.top + i32::from(from.floor) + grid.up);
+        let limit = match i32::from(from.floor) {
+            above if above > grid.near => from.top + above,
+            floor => from.top.max(from.top + floor + grid.up),
+        };
         let highest = next.partition_point(|block| block.top <= limit).checked_sub(1).map(|at| &next[at]);
         let is_too_high = |edge: &&Block| edge.top > from.top && edge.top + i32::from(edge.floor) > limit;
         let limit = highest.filter(is_too_high).map_or(limit, |edge| edge.top - 1);
@@ -200,13 +261,17 @@ fn judge(grid: &Grid, interval: &Interval, floors: &Floors, at: [usize; 2], foot
         true => Some(interval.floor),
         false => {
             let size = grid.half.map(|half| 2 * (half + grid.ahead) as usize + 1);
-            floors.highest(at, size, [top - grid.near, top + grid.near])
+            let highest = grid.up.max(grid.near).min(i32::from(i16::MAX));
+            floors
+                .highest(at, size, [top - grid.near, top + grid.near])
+                .or_else(|| floors.lowest(at, size, [top + grid.near, top + highest]))
         }
     };
+    let is_edge = floor.is_some_and(|floor| floor > top + grid.near);
     let under_foot = foot.partition_point(|matter| matter.top <= top).checked_sub(1);
     let kind = match under_foot {
         _ if floor.is_none() => Kind::Refused,
-        Some(matter) if top - foot[matter].top <= grid.up => Kind::Standing,
+        Some(matter) if !is_edge && top - foot[matter].top <= grid.up => Kind::Standing,
         _ => Kind::Bridge,
     };
     let floor = floor.map_or(NO_FLOOR, |floor| (floor - top) as i16);

@@ -84,19 +84,22 @@ impl<S: PageSet> Attempt<'_, S> {
     }
 
     /// Height of the floor on which a pawn with its feet at `feet` stands: the highest at most [`FLOOR_NEAR_M`] below them under the
-    /// footprint; without one the highest as near above or below them within [`BESIDE_M`] of the footprint, for the edge of a step is an
-    /// obstacle.
+    /// footprint, else the highest as near above or below them beside it, for the edge of a step is an obstacle.
     fn floor_at(&self, feet: Point3<f64>) -> Needs<Option<f64>> {
-        let body = &self.config.body;
-        let under = known(body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M + LEVEL_M))?;
-        if under.is_some() {
-            return ControlFlow::Continue(under);
+        let under = self.config.body.floor(self.set, feet, feet.z + LEVEL_M, FLOOR_NEAR_M + LEVEL_M);
+        match known(under)? {
+            Some(floor) => ControlFlow::Continue(Some(floor)),
+            None => self.floor_beside(feet, feet.z + FLOOR_NEAR_M + LEVEL_M),
         }
+    }
+
+    /// The highest floor within [`BESIDE_M`](super::BESIDE_M) of the footprint, from `from` down to [`FLOOR_NEAR_M`] below the feet.
+    fn floor_beside(&self, feet: Point3<f64>, from: f64) -> Needs<Option<f64>> {
         // Whole pixels, less what would touch the next one.
         let pixel = self.set.frame().pixel_m();
         let margin = (f64::from(pixels_beside(pixel)) - TOUCH) * pixel;
-        let above = feet.z + FLOOR_NEAR_M + LEVEL_M;
-        known(body.floor_around(self.set, feet, margin, above, 2.0 * (FLOOR_NEAR_M + LEVEL_M)))
+        let depth = from - feet.z + FLOOR_NEAR_M + LEVEL_M;
+        known(self.config.body.floor_around(self.set, feet, margin, from, depth))
     }
 
     /// Floors are stored to a quantum, so a step of just the climb height may seem to be one higher.
@@ -338,7 +341,7 @@ impl<S: PageSet> Attempt<'_, S> {
             Some(_) => {}
             None => to.z = feet.z,
         }
-        if to.z > feet.z + LEVEL_M && self.floor_at(to)?.is_none_or(|floor| floor > limit) {
+        if to.z > feet.z + LEVEL_M && self.floor_beside(to, limit)?.is_none() {
             return ControlFlow::Continue(Step::Refused(Stop::Steep));
         }
         self.motion.feet = to;

@@ -80,17 +80,20 @@ fn tops(world: &World, body: &Body, (i, j): (i64, i64)) -> Vec<(i64, bool)> {
 fn places(world: &World, pawn: &Pawn) -> Vec<(i64, i64, i64)> {
     let quantum = SIGMA / SLICE_QUANTA as f64;
     let (near, up) = ((0.05 / quantum) as i64, (pawn.climb / quantum + 1e-6) as i64 + 1);
-    let half = pawn.body.half().min() / T;
-    let foot = i64::from((half - 0.5 - 1e-6).ceil() >= 3.0);
+    let half = pawn.body.half() / T;
+    let beside = [half.x, half.y].map(|half| ((half - 0.5 - 1e-6).ceil() as i64).max(0));
+    let foot = beside[0].min(beside[1]).min(1);
     let area = || (FIRST - 9..FIRST + EDGE + 9).flat_map(|j| (FIRST - 9..FIRST + EDGE + 9).map(move |i| (i, j)));
     let all: BTreeMap<(i64, i64), Vec<(i64, bool)>> = area().map(|at| (at, tops(world, &pawn.body, at))).collect();
     let mut places = Vec::new();
     for (i, j) in area() {
         for &(top, has_floor) in &all[&(i, j)] {
             // 25 cm are two pixels.
-            let mut beside = (-2..=2).flat_map(|dx| (-2..=2).map(move |dy| (i + dx, j + dy)));
+            let [x, y] = beside.map(|beside| beside + 2);
+            let mut beside = (-x..=x).flat_map(|dx| (-y..=y).map(move |dy| (i + dx, j + dy)));
             let mut is_edge = || {
-                beside.any(|at| all.get(&at).into_iter().flatten().any(|(z, floor)| *floor && (z - top).abs() <= near))
+                let near_top = |span: &(i64, i64, bool)| !span.2 && (span.1 - top).abs() <= near;
+                beside.any(|at| world.get(&at).into_iter().flatten().any(near_top))
             };
             let matter = (-foot..=foot).flat_map(|dx| (-foot..=foot).map(move |dy| (i + dx, j + dy)));
             let mut matter = matter.flat_map(|at| world.get(&at).into_iter().flatten());

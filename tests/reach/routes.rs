@@ -171,3 +171,68 @@ fn a_search_stops_when_it_is_asked_to() {
     assert!(way(&mut Search::new(), &store, &region, &a, &b).is_some());
     assert!(way(&mut Search::new(), &walled, &halves, &c, &d).is_none());
 }
+
+/// Heights of a world of floor (m), by pixel, as a store.
+fn hills(edge: usize, height: impl Fn(usize, usize) -> f64) -> slicewalk::store::Store {
+    let frame = slicewalk::frame::Frame::new(T, 0.3).unwrap();
+    let pixels = (0..edge).flat_map(|i| (0..edge).map(move |j| (i, j)));
+    let columns = pixels.map(|(i, j)| {
+        let top = ((FLOOR + height(i, j)) / 0.3 * 255.0).round() as u32;
+        ((i as i64, j as i64), vec![slicewalk::slice::Span::new(top - 200, top, false).unwrap()])
+    });
+    super::flat::store(frame, columns)
+}
+
+#[test]
+fn lengths_count_heights_and_ways_lead_around_ridges() {
+    let edge = 90;
+    // A ridge across the straight way, lower towards one side; a cone; a hollow; rough ground.
+    let ridge = |i: usize, j: usize| {
+        let across = (1.0 - (i as f64 - 45.0).abs() * T / 3.0).max(0.0);
+        2.4 * across * (j as f64 / 60.0).min(1.0)
+    };
+    let cone = |i: usize, j: usize| (3.0 - (i as f64 - 45.0).hypot(j as f64 - 45.0) * T).max(0.0) * 0.8;
+    let rough = |i: usize, j: usize| 0.02 * f64::from(((i * 7 + j * 13) % 5) as u8);
+    let worlds: [&dyn Fn(usize, usize) -> f64; 4] =
+        [&ridge, &cone, &|i, j| 3.0 - cone(i, j), &|i, j| ridge(i, j) + rough(i, j)];
+    for (number, height) in worlds.into_iter().enumerate() {
+        let store = hills(edge, height);
+        let (mut standing, region) = everywhere(&store, thin());
+        let (mut random, mut search, mut worst) = (Random(number as u64), Search::new(), 1.0f64);
+        // Exact: all straight lines between places of a coarser lattice, with the heights below them.
+        let nodes: Vec<(usize, usize)> = (0..15).flat_map(|i| (0..15).map(move |j| (3 + 6 * i, 3 + 6 * j))).collect();
+        let line = |a: (usize, usize), b: (usize, usize)| {
+            let far = (a.0 as f64 - b.0 as f64).hypot(a.1 as f64 - b.1 as f64);
+            let steps = (far / 3.0).ceil().max(1.0) as usize;
+            let z = |n: usize| {
+                let share = n as f64 / steps as f64;
+                let [i, j] = [(a.0, b.0), (a.1, b.1)].map(|(a, b)| a as f64 + share * (b as f64 - a as f64));
+                height(i.round() as usize, j.round() as usize)
+            };
+            (0..steps).map(|n| (far * T / steps as f64).hypot(z(n + 1) - z(n))).sum::<f64>()
+        };
+        for _ in 0..6 {
+            let [from, to] = [0, 1].map(|_| random.below(nodes.len()));
+            let mut far = vec![f64::INFINITY; nodes.len()];
+            let mut done = vec![false; nodes.len()];
+            far[from] = 0.0;
+            while let Some(next) = (0..nodes.len()).filter(|n| !done[*n]).min_by(|a, b| far[*a].total_cmp(&far[*b])) {
+                done[next] = true;
+                for other in 0..nodes.len() {
+                    if !done[other] {
+                        far[other] = far[other].min(far[next] + line(nodes[next], nodes[other]));
+                    }
+                }
+            }
+            let place = |node: usize| {
+                let (i, j) = nodes[node];
+                Point3::new((i as f64 + 0.5) * T, (j as f64 + 0.5) * T, FLOOR + height(i, j) + 0.01)
+            };
+            let [a, b] = [from, to].map(|node| spot(&mut standing, &store, place(node)).unwrap());
+            let route = way(&mut search, &store, &region, &a, &b).unwrap();
+            assert!(route.length_m <= 1.05 * far[to] + 1e-9, "world {number}: {} for {}", route.length_m, far[to]);
+            worst = worst.max(route.length_m / far[to].max(T));
+        }
+        eprintln!("world {number}: at worst {worst:.4} of the shortest way");
+    }
+}

@@ -134,7 +134,7 @@ fn find<S: PageSet>(
         flood.within(places, length);
         needs(flood.grow(&mut standing, set, monitor)?)?;
         let region = flood.region(&standing);
-        match search.route(&region, &from, &to, monitor)? {
+        match needs(search.route(set, &region, &from, &to, monitor)?)? {
             Some(route) if route.length_m <= length || flood.is_whole() => return Ok(Ok(route)),
             Some(route) => length = route.length_m,
             None if flood.is_whole() => return Ok(Err(Refusal::NotConnected)),

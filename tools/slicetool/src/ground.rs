@@ -2,10 +2,11 @@
 
 use crate::Failure;
 use crate::nearest::nearest;
+use nalgebra::Point3;
 use slicewalk::archive::Archive;
 use slicewalk::frame::PageKey;
 use slicewalk::query::Answer;
-use slicewalk::reach::Pawn;
+use slicewalk::reach::{Pawn, Snapped, StandingPlaces};
 use slicewalk::size::parse_size;
 use slicewalk::store::{MISSING_KEYS, Prefetch, Stream, StreamOptions, View};
 use slicewalk::text::finite_number;
@@ -26,15 +27,64 @@ pub struct Walks {
     max_drop: Option<f64>,
     #[command(flatten)]
     inferred: crate::Inferred,
+    #[command(flatten)]
+    snap: Snap,
     /// Memory for pages
     #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
+}
+
+/// How far a place may be moved.
+#[derive(clap::Args)]
+pub struct Snap {
+    /// Move a start or an end where the pawn cannot stand to the nearest place where it can, at most so far (m)
+    #[arg(id = "snap", long = "snap", default_value_t = 0.5, value_name = "METRES", allow_negative_numbers = true, value_parser = snap_m)]
+    pub metres: f64,
+}
+
+fn snap_m(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|v: &f64| (0.0..=100.0).contains(v));
+    value.ok_or_else(|| "expected 0 to 100 m".into())
+}
+
+/// An end as JSON has it.
+pub fn end_json(feet: Point3<f64>, moved: f64) -> serde_json::Value {
+    let [x, y, z, moved] = [feet.x, feet.y, feet.z, moved].map(tidy);
+    serde_json::json!({ "x": x, "y": y, "z": z, "moved": moved })
+}
+
+/// A length or an area without the rounding errors of sums: to a millionth.
+pub fn tidy(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
 }
 
 impl Walks {
     /// Opens the archive that is walked in.
     pub fn open(&self, archive: &Path) -> Result<Archive, Failure> {
         self.inferred.open(archive)
+    }
+
+    /// Memory for pages (bytes).
+    pub fn cache(&self) -> u64 {
+        self.cache
+    }
+
+    /// The standing place at `at` or near it.
+    pub fn snapped(
+        &self,
+        loader: &Loader,
+        standing: &mut StandingPlaces,
+        at: Point3<f64>,
+    ) -> Result<Option<Snapped>, Failure> {
+        loader.known(|view| standing.snapped(view, at, self.snap.metres))
+    }
+
+    /// How far a place may be moved, in words.
+    pub fn nowhere_near(&self) -> String {
+        match self.snap.metres {
+            0.0 => "expected floor below it and room for its whole body".to_owned(),
+            metres => format!("expected floor below it and room for its whole body, there or within --snap {metres} m"),
+        }
     }
 
     /// The pawn as the library knows it.
@@ -71,9 +121,9 @@ pub struct Loader {
 }
 
 impl Loader {
-    /// Of an archive at `path`.
-    pub fn new(archive: Archive, path: &Path, walks: &Walks) -> Result<Self, Failure> {
-        let budget = usize::try_from(walks.cache).unwrap_or(usize::MAX);
+    /// Of an archive at `path`, with so many bytes for pages.
+    pub fn new(archive: Archive, path: &Path, cache: u64) -> Result<Self, Failure> {
+        let budget = usize::try_from(cache).unwrap_or(usize::MAX);
         let options = StreamOptions { prefetch: Prefetch::Off, ..StreamOptions::new(budget) };
         let stream = Stream::open(archive, options).map_err(|error| crate::broken(path, &error))?;
         Ok(Self { stream, archive: path.to_path_buf() })

@@ -1,12 +1,12 @@
 //! `slicetool route`: the shortest way of a pawn between two places.
 
-use crate::ground::{Loader, Walks};
+use crate::ground::{Loader, Walks, end_json};
 use crate::{Failure, Outcome};
 use nalgebra::Point3;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::query::Answer;
-use slicewalk::reach::{Along, Coarse, Planned, Planner, Refusal, Route};
+use slicewalk::reach::{Along, Coarse, Planned, Planner, Refusal, Route, StandingPlaces};
 use slicewalk::store::View;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -58,18 +58,20 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let archive = arguments.walks.open(&arguments.archive)?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, &archive, &[])).transpose()?;
     let mut bytes = 0;
+    let mut ends = [(arguments.from, 0.0), (arguments.to, 0.0)];
     let (found, guess) = if arguments.coarse {
         match on_levels(arguments, &archive, &mut bytes)? {
             Ok(guess) => (Ok(guess.route), Some((guess.level, guess.doubt_m))),
             Err(refusal) => (Err(refusal), None),
         }
     } else {
-        (find(arguments, archive, &mut bytes)?, None)
+        (find(arguments, archive, &mut ends, &mut bytes)?, None)
     };
     let seconds = started.elapsed().as_secs_f64();
     let mut rows = String::from("x,y,z\n");
     for point in found.iter().flat_map(|route| &route.points) {
-        writeln!(rows, "{:.4},{:.4},{:.4}", point.x, point.y, point.z)?;
+        // Without rounding: a gate may be just as wide as the pawn.
+        writeln!(rows, "{},{},{:.4}", point.x, point.y, point.z)?;
     }
     if let Some(mut output) = output {
         output.write_at(0, rows.as_bytes())?;
@@ -80,6 +82,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
             "found": found.is_ok(),
             "length_m": found.as_ref().ok().map(|route| route.length_m),
             "reason": found.as_ref().err().map(|refusal| refusal.name()),
+            "from": end_json(ends[0].0, ends[0].1),
+            "to": end_json(ends[1].0, ends[1].1),
             "level": guess.map(|guess| guess.0),
             "doubt_m": guess.map(|guess| guess.1),
             "memory_bytes": bytes,
@@ -94,14 +98,17 @@ pub fn run(arguments: &Arguments) -> Outcome {
                 doubt_m => format!("about, on overview level {level}, with {doubt_m:.1} m in doubt: "),
             });
             crate::say(&format!("{about}{:.2} m over {} places", route.length_m, route.points.len()));
+            for (name, (feet, moved)) in ["start", "end"].into_iter().zip(ends).filter(|end| end.1.1 > 0.0) {
+                crate::say(&format!("{name} moved by {moved:.2} m to {:.2},{:.2},{:.2}", feet.x, feet.y, feet.z));
+            }
         }
         Err(refusal) => {
             let why = match refusal {
                 Refusal::NotStandingFrom => {
-                    "the pawn cannot stand at --from; `slicetool reach` shows where it can".to_owned()
+                    format!("the pawn cannot stand at --from ({})", arguments.walks.nowhere_near())
                 }
                 Refusal::NotStandingTo => {
-                    "the pawn cannot stand at --to; `slicetool reach` shows where it can".to_owned()
+                    format!("the pawn cannot stand at --to ({})", arguments.walks.nowhere_near())
                 }
                 Refusal::NotConnected => {
                     "no way leads there for this pawn; try a lower --pawn or a higher --climb".to_owned()
@@ -118,14 +125,28 @@ pub fn run(arguments: &Arguments) -> Outcome {
 type Found = Result<Route, Refusal>;
 
 /// The way in the archive itself: along a coarse one where that is known to be good enough, else near the straight line first, and
-/// farther if it leads farther.
-fn find(arguments: &Arguments, archive: Archive, bytes: &mut usize) -> Result<Found, Failure> {
-    let loader = Loader::new(archive, &arguments.archive, &arguments.walks)?;
-    let (pawn, ends) = (arguments.walks.pawn(), [arguments.from, arguments.to]);
+/// farther if it leads farther. Moves `ends` to standing places and notes by how much (m).
+fn find(
+    arguments: &Arguments,
+    archive: Archive,
+    ends: &mut [(Point3<f64>, f64); 2],
+    bytes: &mut usize,
+) -> Result<Found, Failure> {
+    let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
+    let pawn = arguments.walks.pawn();
+    let mut standing = StandingPlaces::new(&loader.view(), pawn)?;
+    for (end, refusal) in [(0, Refusal::NotStandingFrom), (1, Refusal::NotStandingTo)] {
+        match arguments.walks.snapped(&loader, &mut standing, ends[end].0)? {
+            Some(snapped) => ends[end] = (snapped.feet, snapped.moved),
+            None => return Ok(Err(refusal)),
+        }
+    }
+    drop(standing);
+    let ends = ends.map(|end| end.0);
     let straight = (ends[1] - ends[0]).xy().norm();
     let known = match straight > NEAR_M {
-        true => match coarse(arguments, loader.archive(), bytes)? {
-            Ok(guess) => refined(arguments, &loader, guess, bytes)?,
+        true => match coarse(arguments, loader.archive(), ends, bytes)? {
+            Ok(guess) => refined(arguments, &loader, ends, guess, bytes)?,
             Err(_) => None,
         },
         false => None,
@@ -178,7 +199,7 @@ struct Guess {
 /// The pages of a level.
 fn on_level(arguments: &Arguments, archive: &Archive, number: u32) -> Result<Loader, Failure> {
     let level = archive.level(number).map_err(|error| crate::broken(&arguments.archive, &error))?;
-    Loader::new(level, &arguments.archive, &arguments.walks)
+    Loader::new(level, &arguments.archive, arguments.walks.cache())
 }
 
 /// The way on levels alone.
@@ -188,11 +209,16 @@ fn on_levels(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Res
         let text = format!("{path}: it has no overview levels; convert with --levels on, or leave out --coarse");
         return Err(Failure::Text(text));
     }
-    coarse(arguments, archive, bytes)
+    coarse(arguments, archive, [arguments.from, arguments.to], bytes)
 }
 
 /// The way on the coarsest level that leaves no doubt, else that on the finest one that has a way; a fine level also decides that there is none.
-fn coarse(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Result<Result<Guess, Refusal>, Failure> {
+fn coarse(
+    arguments: &Arguments,
+    archive: &Archive,
+    [from, to]: [Point3<f64>; 2],
+    bytes: &mut usize,
+) -> Result<Result<Guess, Refusal>, Failure> {
     let broken = |error| crate::broken(&arguments.archive, &error);
     let mut best = Err(Refusal::NotConnected);
     for level in archive.levels().map_err(broken)?.iter().rev() {
@@ -201,7 +227,7 @@ fn coarse(arguments: &Arguments, archive: &Archive, bytes: &mut usize) -> Result
             continue;
         }
         let on_level = on_level(arguments, archive, level.number())?;
-        let mut planner = Coarse::new(&on_level.view(), arguments.walks.pawn(), arguments.from, arguments.to)?;
+        let mut planner = Coarse::new(&on_level.view(), arguments.walks.pawn(), from, to)?;
         let most = if best.is_ok() { MOST_SPANS } else { usize::MAX };
         let found = on_level.known(|view| guessed(&mut planner, view, most))?;
         *bytes = (*bytes).max(on_level.memory_bytes() + planner.memory_bytes());
@@ -234,7 +260,13 @@ fn guessed(planner: &mut Coarse, view: &View, most: usize) -> slicewalk::Result<
 }
 
 /// The exact way along a coarse one, level by level; `None` where no corridor connects.
-fn refined(arguments: &Arguments, loader: &Loader, guess: Guess, bytes: &mut usize) -> Result<Option<Route>, Failure> {
+fn refined(
+    arguments: &Arguments,
+    loader: &Loader,
+    [from, to]: [Point3<f64>; 2],
+    guess: Guess,
+    bytes: &mut usize,
+) -> Result<Option<Route>, Failure> {
     let pawn = arguments.walks.pawn();
     let fine = *loader.archive().frame();
     let beside = |level: u32| BESIDE * fine.pixel_m() * f64::from(4u32.pow(level));
@@ -244,7 +276,7 @@ fn refined(arguments: &Arguments, loader: &Loader, guess: Guess, bytes: &mut usi
         let mut best: Option<Guess> = None;
         // A coarser level hides what is in the way: where the finest shows it, the way may lead around it, anywhere.
         for is_near in [true, false].into_iter().take(if level == 1 { 2 } else { 1 }) {
-            let mut planner = Coarse::new(&on_level.view(), pawn, arguments.from, arguments.to)?;
+            let mut planner = Coarse::new(&on_level.view(), pawn, from, to)?;
             if is_near {
                 planner = planner.near(&guide.route, beside(guide.level));
             }
@@ -262,7 +294,7 @@ fn refined(arguments: &Arguments, loader: &Loader, guess: Guess, bytes: &mut usi
         }
         guide = best.unwrap_or(guide);
     }
-    let mut along = Along::new(pawn, arguments.from, arguments.to, &guide.route, beside(guide.level));
+    let mut along = Along::new(pawn, from, to, &guide.route, beside(guide.level));
     let found = loader.known(|view| along.go_on(view, &NoMonitor))?;
     *bytes = (*bytes).max(loader.memory_bytes() + along.peak_bytes());
     Ok(found.ok())

@@ -1,8 +1,10 @@
 //! `slicetool walk`: a pawn follows waypoints; its path as CSV, what it cost as JSON.
 
+use crate::ground::{Loader, Snap, end_json};
 use crate::{Failure, Outcome, cache_too_small};
 use clap::ValueEnum;
 use nalgebra::{Point2, Point3};
+use slicewalk::reach::{Pawn, StandingPlaces};
 use slicewalk::size::parse_size;
 use slicewalk::store::{Outlook, Prefetch, Stream, StreamOptions};
 use slicewalk::text::finite_number;
@@ -45,6 +47,8 @@ pub struct Arguments {
     hz: f64,
     #[command(flatten)]
     inferred: crate::Inferred,
+    #[command(flatten)]
+    snap: Snap,
     /// Memory for pages
     #[arg(long, default_value = "64MiB", value_name = "SIZE", value_parser = parse_size)]
     cache: u64,
@@ -111,7 +115,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
         },
         ..Config::new(arguments.pawn)
     };
-    let mut walker = Walker::new(config, arguments.start)?;
+    let (start, moved) = start(arguments)?;
+    let mut walker = Walker::new(config, start)?;
     let mut route = Waypoints::new(waypoints(&arguments.waypoints)?)?;
     let stream = stream(arguments)?;
     let mut output = crate::output(&arguments.output, stream.archive(), &[&arguments.waypoints])?;
@@ -165,6 +170,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
             arguments.output.display()
         ));
     } else if !arguments.json {
+        if moved > 0.0 {
+            let [x, y, z] = start.into();
+            crate::say(&format!("start moved by {moved:.2} m to {x:.2},{y:.2},{z:.2}, where the pawn can stand"));
+        }
         crate::say(&format!("{name} at {end}; waypoint {next} of {places}; {late} pages late"));
     }
     let counters = stream.counters();
@@ -175,6 +184,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         "state": name,
         "stop": stop.map(Stop::name),
         "end": [x, y, z],
+        "from": end_json(start, moved),
         "waypoints_reached": next,
         "frame_us": { "p50": at(0.5), "p99": at(0.99), "p99.9": at(0.999), "max": at(1.0) },
         "reads": counters.reads,
@@ -189,6 +199,22 @@ pub fn run(arguments: &Arguments) -> Outcome {
     });
     let result = if arguments.json { format!("{summary:#}\n") } else { String::new() };
     if state == State::Blocked { Err(Failure::Result(result)) } else { Ok(result) }
+}
+
+/// Where the pawn begins, and by how much it was moved there (m): where it cannot stand, at the nearest place where it can, if one is near.
+fn start(arguments: &Arguments) -> Result<(Point3<f64>, f64), Failure> {
+    let asked = (arguments.start, 0.0);
+    if arguments.snap.metres == 0.0 {
+        return Ok(asked);
+    }
+    let drop = arguments.max_drop.unwrap_or(arguments.climb);
+    let pawn = Pawn { climb: arguments.climb, max_drop: drop, ..Pawn::new(arguments.pawn) };
+    let archive = arguments.inferred.open(&arguments.archive)?;
+    let loader = Loader::new(archive, &arguments.archive, arguments.cache)?;
+    let mut standing = StandingPlaces::new(&loader.view(), pawn)?;
+    // What does not fit in memory is no place to be moved to; the walk itself says how much it needs.
+    let found = loader.known(|view| standing.snapped(view, arguments.start, arguments.snap.metres)).ok().flatten();
+    Ok(found.filter(|found| found.moved > 0.0).map_or(asked, |found| (found.feet, found.moved)))
 }
 
 /// Why a pawn is blocked, and what helps.

@@ -131,7 +131,8 @@ impl Ground {
         while pairs.len() < count {
             let ends = [0; 2].map(|_| one_of(&places));
             let [Some(from), Some(to)] = [self.spot(ends[0])?, self.spot(ends[1])?] else { continue };
-            let route = search.route(region, &from, &to, &NoMonitor)?.ok_or("a region without a way")?;
+            let route = super::known(search.route(&self.store, region, &from, &to, &NoMonitor)?)?
+                .ok_or("a region without a way")?;
             pairs.push(Pair { ends, spots: [from, to], length_m: Some(route.length_m) });
         }
         let mut tries = 0;

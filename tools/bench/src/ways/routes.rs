@@ -168,7 +168,7 @@ pub fn page(effort: &Effort) -> Result<String> {
                 continue;
             }
             let start = processor_s();
-            let route = search.route(&region, a, b, &NoMonitor)?;
+            let route = known(search.route(&store, &region, a, b, &NoMonitor)?)?;
             if *is_connected {
                 plain.push(processor_s() - start);
             }
@@ -181,7 +181,7 @@ pub fn page(effort: &Effort) -> Result<String> {
         let mut lost = Vec::new();
         for ((a, b, from, to, is_connected), before) in pairs.iter().zip(&unprepared) {
             let start = processor_s();
-            let route = search.route(&region, a, b, &NoMonitor)?;
+            let route = known(search.route(&store, &region, a, b, &NoMonitor)?)?;
             let agrees = before.as_ref().is_none_or(|before| before.is_some() == *is_connected);
             as_exhaustive += usize::from(route.is_some() == *is_connected && agrees);
             let Some(route) = route else { continue };

@@ -4,10 +4,10 @@ mod files;
 mod geojson;
 mod map;
 
-use crate::ground::{Loader, Walks};
+use crate::ground::{Loader, Walks, end_json, tidy};
 use crate::{Failure, Outcome};
 use slicewalk::NoMonitor;
-use slicewalk::reach::{Flood, Leak, Passage, Region, Route, Search, StandingPlaces, Storeys};
+use slicewalk::reach::{Flood, Leak, Passage, Region, Route, Search, Snapped, StandingPlaces, Storeys};
 use std::fmt::Write;
 use std::io::{BufWriter, IntoInnerError};
 use std::path::PathBuf;
@@ -43,6 +43,9 @@ struct Reach {
     leaks: Vec<Leak>,
     /// The way to another place, if one was asked for and can be reached.
     way: Option<Route>,
+    /// Where the pawn stands first, and where it was asked to get.
+    from: Snapped,
+    to: Option<Snapped>,
 }
 
 /// Finds all that can be reached; a file appears whole, or not at all.
@@ -51,31 +54,36 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let started = Instant::now();
     let write = arguments.output.as_deref().map(files::writer).transpose()?;
     let archive = arguments.walks.open(&arguments.archive)?;
-    let loader = Loader::new(archive, &arguments.archive, &arguments.walks)?;
+    let loader = Loader::new(archive, &arguments.archive, arguments.walks.cache())?;
     let output = arguments.output.as_deref().map(|output| crate::output(output, loader.archive(), &[])).transpose()?;
     let mut standing = StandingPlaces::new(&loader.view(), arguments.walks.pawn())?;
-    let Some(start) = loader.known(|view| standing.spot(view, arguments.from))? else {
+    let Some(from) = arguments.walks.snapped(&loader, &mut standing, arguments.from)? else {
         let [x, y, z] = [arguments.from.x, arguments.from.y, arguments.from.z];
         return Err(Failure::Text(format!(
-            "--from {x},{y},{z}: the pawn cannot stand there (expected floor below it and room for its whole body); choose \
-             another place, or a smaller --pawn"
+            "--from {x},{y},{z}: the pawn cannot stand there ({}); choose another place, or a smaller --pawn",
+            arguments.walks.nowhere_near()
         )));
     };
-    let mut flood = Flood::from(start);
+    let to = match arguments.to {
+        Some(to) => arguments.walks.snapped(&loader, &mut standing, to)?,
+        None => None,
+    };
+    let mut flood = Flood::from(from.spot);
     loader.known(|view| flood.grow(&mut standing, view, &NoMonitor))?;
     let region = flood.region(&standing);
     let leaks = loader.known(|view| region.leaks(&mut standing, view))?;
     let mut way = None;
-    if let Some(to) = arguments.to {
-        if let Some(goal) = loader.known(|view| standing.spot(view, to))? {
-            way = Search::new().route(&region, &start, &goal, &NoMonitor)?;
+    if let Some(asked) = arguments.to {
+        if let Some(to) = &to {
+            let mut search = Search::new();
+            way = loader.known(|view| search.route(view, &region, &from.spot, &to.spot, &NoMonitor))?;
         }
         if way.is_none() {
-            crate::say(&format!("--to {},{},{}: no way leads there", to.x, to.y, to.z));
+            crate::say(&format!("--to {},{},{}: no way leads there", asked.x, asked.y, asked.z));
         }
     }
     let own = standing.memory_bytes() + flood.memory_bytes() + region.memory_bytes();
-    let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, way, region };
+    let reach = Reach { storeys: region.storeys(), passages: region.passages(), leaks, way, region, from, to };
     if let (Some(write), Some(output)) = (write, output) {
         let mut out = BufWriter::new(output);
         write(&reach, &loader, &mut out)?;
@@ -107,6 +115,8 @@ fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
         "lowest_headroom": region.lowest_headroom().map(|(place, room)| at(place.feet, "height", room)),
         "highest_step": region.highest_step().map(|(place, rise)| at(place.feet, "height", rise)),
         "places": region.places().count(),
+        "from": end_json(reach.from.feet, reach.from.moved),
+        "to": reach.to.map(|to| end_json(to.feet, to.moved)),
         "way_m": reach.way.as_ref().map(|way| way.length_m),
         "memory_bytes": memory_bytes,
         "seconds": seconds,
@@ -114,13 +124,13 @@ fn json(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
     Ok(format!("{summary:#}\n"))
 }
 
-/// A length or an area without the rounding errors of sums: to a millionth.
-fn tidy(value: f64) -> f64 {
-    (value * 1e6).round() / 1e6
-}
-
 fn text(reach: &Reach, memory_bytes: usize, seconds: f64) -> Outcome {
     let mut text = format!("area {:.2} m²\n", reach.region.area_m2());
+    for (name, end) in [("start", Some(reach.from)), ("end", reach.to)] {
+        if let Some(Snapped { feet, moved, .. }) = end.filter(|end| end.moved > 0.0) {
+            writeln!(text, "{name} moved by {moved:.2} m to {:.2},{:.2},{:.2}", feet.x, feet.y, feet.z)?;
+        }
+    }
     for storey in &reach.storeys.all {
         writeln!(text, "storey at z = {:.2} m: {:.2} m²", storey.z, storey.area_m2)?;
     }
