@@ -3,6 +3,8 @@
 #[path = "reach/coarse.rs"]
 mod coarse;
 mod common;
+#[path = "common/data.rs"]
+mod data;
 #[path = "reach/flat.rs"]
 mod flat;
 #[path = "reach/leaks.rs"]

@@ -271,3 +271,61 @@ fn moving_turning_and_mirroring_a_scene_moves_turns_and_mirrors_what_is_reached(
     }
     assert!(some as u64 > cases() / 3, "{some}");
 }
+
+/// Routes in real scans, a few pairs of places each; more by `SLICEWALK_PAIRS`.
+#[test]
+fn the_walker_arrives_on_every_route_of_real_scans() {
+    let Some(folder) = crate::data::folder() else { return };
+    let pairs = std::env::var("SLICEWALK_PAIRS").ok().and_then(|pairs| pairs.parse().ok()).unwrap_or(12);
+    let low = |x: f64| Body::Box { x, y: x, height: 1.6 };
+    let scans = [
+        ("indoor_two_storey_zup.laz", 0.05, 1.0, low(0.5)),
+        ("indoor_two_storey_zup.laz", 0.1, 1.0, low(0.5)),
+        ("room_single_station.laz", 0.1, 1.0, Body::Cylinder { radius: 0.25, height: 1.6 }),
+        ("corridor_three_stations.laz", 0.1, 1.0, low(0.5)),
+        ("pump_room.laz", 0.05, 1.0, Body::Cylinder { radius: 0.2, height: 1.2 }),
+        ("forest_plot_tls.laz", 0.1, 1.0, low(0.4)),
+        ("delft_city_block_ahn3.laz", 0.5, 1.0, low(0.5)),
+        ("isprs_csite2_town.laz", 0.5, 1.0, Body::Cylinder { radius: 0.5, height: 1.8 }),
+        ("autzen_stadium.laz", 1.0, 0.3048, low(1.0)),
+    ];
+    let mut lost = Vec::new();
+    for (name, pixel, unit, body) in scans {
+        let dir = tempfile::tempdir().unwrap();
+        let mut options =
+            slicewalk::convert::ConvertOptions::new(vec![folder.join(name)], dir.path().join("scan.slices"));
+        options.pixel = slicewalk::convert::PixelSize::Metres(pixel);
+        options.units = slicewalk::input::Units::Factor(unit);
+        slicewalk::convert::convert(&options, &slicewalk::NoMonitor).unwrap();
+        let archive = slicewalk::archive::Archive::open(dir.path().join("scan.slices")).unwrap();
+        let store = Store::resident(&archive, &slicewalk::NoMonitor).unwrap();
+        let (mut standing, region) = everywhere(&store, Pawn::new(body));
+        let all: Vec<Point3<f64>> = region.places().map(|place| place.feet).collect();
+        let (mut random, mut search, mut found, mut starts) = (Random(7), Search::new(), 0, 0);
+        while found < pairs && starts < 4 * pairs {
+            starts += 1;
+            let from = all[random.below(all.len())];
+            let start = spot(&mut standing, &store, from).unwrap();
+            let own = super::grown(&mut standing, &store, slicewalk::reach::Flood::from(start));
+            let near: Vec<Point3<f64>> = own.places().map(|place| place.feet).collect();
+            if near.len() < 200 {
+                continue;
+            }
+            for _ in 0..(pairs / 10).max(2) {
+                let to = near[random.below(near.len())];
+                let goal = spot(&mut standing, &store, to).unwrap();
+                let Some(route) = way(&mut search, &store, &own, &start, &goal) else {
+                    eprintln!("{name}: reached, but no way from {from} to {to}");
+                    continue;
+                };
+                found += 1;
+                let (state, end) = walk(&store, body, &route, 1.0 / 240.0);
+                if state != State::Arrived || (end - to).norm() > 0.01 {
+                    lost.push(format!("{name} at {pixel} m, {body:?}: {from} to {to}, {state:?} at {end}"));
+                }
+            }
+        }
+        eprintln!("{name} at {pixel} m: {found} routes, {} lost so far", lost.len());
+    }
+    assert!(lost.is_empty(), "{lost:#?}");
+}

@@ -330,3 +330,29 @@ fn what_cannot_be_meant_is_refused() {
     }
     assert_eq!(fs::read(at.join("a.slices")).unwrap(), before);
 }
+
+#[test]
+fn a_start_or_an_end_beside_a_wall_is_moved_to_the_nearest_place_and_says_by_how_much() {
+    let folder = room();
+    let at = folder.path();
+    let number = |value: &serde_json::Value| value.as_f64().unwrap_or_else(|| panic!("{value}: no number"));
+    // 10 cm from one wall and 15 cm from another one; the middle of the pawn stays 25 cm off both. And in the wall, below the floor.
+    let route = ["route", "a.slices", "--from", "1,0.1,1.5", "--to", "7.85,3,0.8", "--json"];
+    let found = json(&done(at, &route));
+    assert_eq!(found["found"], true, "{found}");
+    let (from, to) = (&found["from"], &found["to"]);
+    assert!((0.1..0.26).contains(&number(&from["moved"])) && (number(&from["y"]) - 0.3).abs() < 0.06, "{from}");
+    assert!((0.2..0.35).contains(&number(&to["moved"])) && (number(&to["x"]) - 7.7).abs() < 0.06, "{to}");
+    let stays = json(&done(at, &["route", "a.slices", "--from", "1,1,1.5", "--to", "3,3,1", "--json"]));
+    assert_eq!([&stays["from"]["moved"], &stays["to"]["moved"]], [0.0, 0.0]);
+    let off = json(&done(at, &[&route[..], &["--snap", "0"]].concat()));
+    assert_eq!((&off["found"], &off["reason"]), (&false.into(), &"not_standing_from".into()));
+    let reach = json(&done(at, &["reach", "a.slices", "--from", "1,0.1,1.5", "--to", "7.85,3,0.8", "--json"]));
+    assert_eq!((&reach["from"], &reach["to"]), (from, to));
+    assert!(!slicetool(at, &["reach", "a.slices", "--from", "1,0.1,1.5", "--snap", "0.05"]).status.success());
+    assert_eq!(slicetool(at, &["reach", "a.slices", "--from", "1,1,1", "--snap", "-1"]).status.code(), Some(2));
+    fs::write(at.join("way.csv"), "x,y\n1,2\n").unwrap();
+    let walk = ["walk", "a.slices", "--start", "1,0.1,1", "--waypoints", "way.csv", "-o", "path.csv", "--json"];
+    let walked = json(&done(at, &walk));
+    assert_eq!((&walked["from"]["moved"], &walked["state"]), (&from["moved"], &"arrived".into()));
+}
