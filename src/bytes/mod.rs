@@ -5,6 +5,7 @@
 
 pub(crate) mod crc;
 mod file_id;
+mod interrupt;
 mod named;
 mod positioned;
 mod regular;
@@ -14,6 +15,8 @@ mod remote;
 pub mod testing;
 
 pub use file_id::FileId;
+pub(crate) use interrupt::spawn_in;
+pub use interrupt::{Stop, interruptible, stop_of_thread};
 pub(crate) use named::*;
 pub(crate) use positioned::*;
 pub(crate) use regular::*;

@@ -58,10 +58,12 @@ pub(crate) fn without_feature(path: &Path) -> Error {
     )
 }
 
-/// Conversions take hours: a server gets a minute, and about ten seconds of repetitions.
+/// Conversions take hours: a server gets a minute for each request, and ten for a read.
 #[cfg(feature = "remote")]
 pub(super) fn patient() -> super::RemoteOptions {
-    super::RemoteOptions { timeout: std::time::Duration::from_secs(60), retries: 8, settings: Vec::new() }
+    use std::time::Duration;
+    let (timeout, patience) = (Duration::from_secs(60), Duration::from_secs(600));
+    super::RemoteOptions { timeout, patience, ..super::RemoteOptions::default() }
 }
 
 /// An input that is read by position, and noticed to change.

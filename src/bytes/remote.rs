@@ -18,15 +18,17 @@ mod upload;
 pub(crate) use list::list;
 pub(crate) use upload::{check_upload, upload};
 
-use super::{ByteSource, FileId, Stamp};
+use super::{ByteSource, FileId, Stamp, stop_of_thread};
 use crate::{Error, Result};
 use connect::{Connected, Use, connect};
 use futures_util::StreamExt;
 use object_store::client::HttpError;
 use object_store::{GetOptions, GetRange, ObjectMeta};
+use std::cell::Cell;
 use std::io;
 use std::ops::Range;
-use std::time::Duration;
+use std::pin::pin;
+use std::time::{Duration, Instant};
 use text::{cause, connection, one_line, public_name};
 use tokio::runtime::Handle;
 use transport::Refusal;
@@ -35,17 +37,22 @@ use url::Url;
 /// Bytes that come with the first request: the longest head of an archive.
 const FIRST: u64 = 16 << 10;
 
+/// Time between two looks at the clock and at the wish to stop.
+const LOOK: Duration = Duration::from_millis(20);
+
 /// The wait before the first repetition of a request; it doubles up to 64 times this.
 const WAIT: Duration = Duration::from_millis(50);
 
 /// How to reach an object.
 #[derive(Clone, PartialEq, Eq)]
 pub struct RemoteOptions {
-    /// Longest time of one request (s), connecting included, and longest wait that a server may ask for (`Retry-After`)
-    /// before the request is repeated; if it asks for more, the read fails at once.
+    /// Longest time that a request waits for the next bytes (s), connecting included, and longest wait that a server may ask for
+    /// (`Retry-After`) before the request is repeated; if it asks for more, the read fails at once.
     pub timeout: Duration,
+    /// Longest time that a read waits for the next bytes, its repetitions included (s). A request that timed out is repeated if this
+    /// is longer than `timeout`.
+    pub patience: Duration,
     /// How often a request is repeated that failed for a reason which may pass: a lost connection, an error of the server.
-    /// So a read fails after `(2 · retries + 1) · timeout` at the latest.
     pub retries: usize,
     /// Settings of the object store by name, for example `("aws_endpoint", ...)`; these come on top of the environment's
     /// `AWS_*`, `GOOGLE_*` or `AZURE_*`. If neither holds credentials, requests are not signed.
@@ -53,9 +60,10 @@ pub struct RemoteOptions {
 }
 
 impl Default for RemoteOptions {
-    /// 10 s, three repetitions, no settings.
+    /// 10 s for a request and for a read, eight repetitions, no settings.
     fn default() -> Self {
-        Self { timeout: Duration::from_secs(10), retries: 3, settings: Vec::new() }
+        let wait = Duration::from_secs(10);
+        Self { timeout: wait, patience: wait, retries: 8, settings: Vec::new() }
     }
 }
 
@@ -63,9 +71,10 @@ impl Default for RemoteOptions {
 impl std::fmt::Debug for RemoteOptions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let names: Vec<&str> = self.settings.iter().map(|(name, _)| &name[..]).collect();
-        let Self { timeout, retries, settings: _ } = self;
+        let Self { timeout, patience, retries, settings: _ } = self;
         f.debug_struct("RemoteOptions")
             .field("timeout", timeout)
+            .field("patience", patience)
             .field("retries", retries)
             .field("settings", &names)
             .finish()
@@ -74,7 +83,8 @@ impl std::fmt::Debug for RemoteOptions {
 
 /// An object on a web server or in an object store.
 ///
-/// Reads block the calling thread: give the archive to a [`Stream`](crate::store::Stream), whose thread does the waiting.
+/// Reads block the calling thread: give the archive to a [`Stream`](crate::store::Stream), whose thread does the waiting, or make the
+/// thread [`interruptible`](super::interruptible).
 /// All objects of a server or bucket that are opened with the same options share one client: as many connections as there are
 /// reads at the same time, which stay open for the next ones. Memory: 16 KiB, and the connection's.
 pub struct RemoteSource {
@@ -139,21 +149,54 @@ impl RemoteSource {
     fn get(&self, range: Range<u64>, known: Option<&ObjectMeta>) -> Result<(ObjectMeta, Vec<u8>)> {
         refuse_tasks(&self.name)?;
         let (mut meta, mut bytes) = (known.cloned(), Vec::with_capacity((range.end - range.start) as usize));
-        let mut failures = 0;
+        let (mut failures, heard) = (0, Cell::new(Instant::now()));
         loop {
-            let answer = self.connected.wait_for(self.ask(&range, &mut meta, &mut bytes));
+            let asked = self.within_time(&heard, self.ask(&range, &mut meta, &mut bytes, &heard));
+            let answer = self.connected.wait_for(asked);
             let failure = match answer.map_err(|error| Error::io(&self.name, reading(&range), error))? {
                 Ok(meta) => return Ok((meta, bytes)),
+                Err(Failure::Stopped) => return Err(Error::Interrupted),
                 Err(failure) => failure,
             };
-            let wait = failure.wait(failures, self.options.timeout).filter(|_| failures < self.options.retries);
-            let Some(wait) = wait else {
+            let wait = failure.wait(failures, self.options.timeout);
+            let lasts = |wait: &Duration| {
+                failures < self.options.retries
+                    && (failure.is_answer() || heard.get().elapsed() + *wait < self.options.patience)
+            };
+            let Some(wait) = wait.filter(lasts) else {
                 let action = if known.is_none() { "open".to_owned() } else { reading(&range) };
                 let error = io::Error::from(failure);
                 return Err(Error::io(&self.name, action, self.connected.explained(error)));
             };
             failures += 1;
-            std::thread::sleep(wait);
+            sleep(wait)?;
+            if failure.is_answer() {
+                heard.set(Instant::now());
+            }
+        }
+    }
+
+    /// A request, unless its thread is asked to stop or nothing is heard for too long.
+    async fn within_time<T>(
+        &self,
+        heard: &Cell<Instant>,
+        request: impl Future<Output = Result<T, Failure>>,
+    ) -> Result<T, Failure> {
+        let (mut request, began, stop) = (pin!(request), Instant::now(), stop_of_thread());
+        let RemoteOptions { timeout, patience, .. } = self.options;
+        loop {
+            if let Ok(answer) = tokio::time::timeout(LOOK, request.as_mut()).await {
+                return answer;
+            }
+            if stop.as_ref().is_some_and(|stop| stop()) {
+                return Err(Failure::Stopped);
+            }
+            if began.max(heard.get()).elapsed() >= timeout {
+                return Err(Failure::Silent(timeout));
+            }
+            if heard.get().elapsed() >= patience {
+                return Err(Failure::Silent(patience));
+            }
         }
     }
 
@@ -163,6 +206,7 @@ impl RemoteSource {
         range: &Range<u64>,
         meta: &mut Option<ObjectMeta>,
         bytes: &mut Vec<u8>,
+        heard: &Cell<Instant>,
     ) -> Result<ObjectMeta, Failure> {
         let mut options = meta.as_ref().map_or(GetOptions::default(), same_version);
         // A read that broke off is taken up where it did if that version can be asked for; else it begins again.
@@ -182,6 +226,7 @@ impl RemoteSource {
         let mut stream = answer.into_stream();
         while let Some(part) = stream.next().await {
             let part = part?;
+            heard.set(Instant::now());
             // More than was asked for is not kept.
             let left = (end - range.start) as usize - bytes.len();
             bytes.extend_from_slice(&part[..part.len().min(left)]);
@@ -227,14 +272,22 @@ enum Failure {
     Short {
         missing: u64,
     },
+    /// Nothing came for so long.
+    Silent(Duration),
+    /// The thread was asked to stop.
+    Stopped,
     Store(object_store::Error),
 }
 
 impl Failure {
     /// How long to wait before the request is repeated, after so many failures; `None` if that is of no use.
     fn wait(&self, failures: usize, longest: Duration) -> Option<Duration> {
-        let Self::Store(error) = self else { return None };
         let own = WAIT * (1 << failures.min(6));
+        let error = match self {
+            Self::Store(error) => error,
+            Self::Silent(_) => return Some(own),
+            _ => return None,
+        };
         match cause::<Refusal>(error) {
             Some(refusal) if !refusal.may_pass() => None,
             Some(refusal) => {
@@ -242,6 +295,11 @@ impl Failure {
             }
             None => cause::<HttpError>(error).map(|_| own),
         }
+    }
+
+    /// Whether the server answered, if only by a refusal.
+    fn is_answer(&self) -> bool {
+        matches!(self, Self::Store(error) if cause::<Refusal>(error).is_some())
     }
 }
 
@@ -263,6 +321,12 @@ impl From<Failure> for io::Error {
             Failure::Short { missing } => {
                 return Self::new(io::ErrorKind::UnexpectedEof, format!("the answer lacks {missing} bytes"));
             }
+            Failure::Silent(time) => {
+                let reason =
+                    format!("no answer within {} s; give it more time, or try again later", time.as_secs_f64());
+                return Self::new(io::ErrorKind::TimedOut, reason);
+            }
+            Failure::Stopped => return Self::other("was asked to stop"),
             Failure::Store(error) => error,
         };
         if let Some(refusal) = cause::<Refusal>(&error) {
@@ -281,6 +345,21 @@ impl From<Failure> for io::Error {
             }
             other => Self::other(one_line(&other.to_string())),
         }
+    }
+}
+
+/// Lets time pass, unless this thread is asked to stop.
+fn sleep(time: Duration) -> Result<()> {
+    let (until, stop) = (Instant::now() + time, stop_of_thread());
+    loop {
+        let rest = until.saturating_duration_since(Instant::now());
+        if rest.is_zero() {
+            return Ok(());
+        }
+        if stop.as_ref().is_some_and(|stop| stop()) {
+            return Err(Error::Interrupted);
+        }
+        std::thread::sleep(rest.min(LOOK));
     }
 }
 

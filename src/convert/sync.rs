@@ -8,5 +8,5 @@ pub fn start<'scope, 'env>(
     scope: &'scope Scope<'scope, 'env>,
     work: impl FnOnce() + Send + 'scope,
 ) -> std::io::Result<()> {
-    std::thread::Builder::new().spawn_scoped(scope, work).map(|_| ())
+    crate::bytes::spawn_in(scope, work).map(|_| ())
 }

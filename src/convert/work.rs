@@ -1,13 +1,13 @@
 //! Workers of the first pass.
 
+use crate::bytes::spawn_in;
 use crate::{Error, Result};
-use std::thread::Builder;
 
 /// What `work` gives on each of so many threads, or the error that says most. Threads that the system does not start are
 /// done without: the others find all the work, and if there are none, the calling thread does it.
 pub(super) fn on_threads<T: Send>(threads: usize, work: impl Fn() -> Result<T> + Sync) -> Result<Vec<T>> {
     let results: Vec<Result<T>> = std::thread::scope(|scope| {
-        let start = |_| Builder::new().spawn_scoped(scope, &work).ok();
+        let start = |_| spawn_in(scope, &work).ok();
         let workers: Vec<_> = (0..threads).map_while(start).collect();
         if workers.is_empty() {
             return vec![work()];

@@ -278,7 +278,7 @@ fn in_order<I: Sync, T: Send>(
     std::thread::scope(|scope| {
         // The calling thread works too, also where the system starts no other.
         for _ in 1..threads.min(items.len()) {
-            let _ = std::thread::Builder::new().spawn_scoped(scope, run);
+            let _ = crate::bytes::spawn_in(scope, run);
         }
         run();
     });

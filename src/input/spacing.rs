@@ -151,7 +151,7 @@ fn sample(set: &InputSet, threads: usize, monitor: &dyn Monitor) -> Result<(Shar
     let guarded = || work().inspect_err(|_| failed.store(true, Ordering::Relaxed));
     let outcomes: Vec<Result<()>> = std::thread::scope(|scope| {
         // Fewer threads than asked for do the same work.
-        let start = |_| std::thread::Builder::new().spawn_scoped(scope, guarded).ok();
+        let start = |_| crate::bytes::spawn_in(scope, guarded).ok();
         let threads: Vec<_> = (1..threads.max(1)).map_while(start).collect();
         let mut outcomes = vec![guarded()];
         outcomes.extend(threads.into_iter().map(|t| t.join().unwrap_or_else(|p| std::panic::resume_unwind(p))));

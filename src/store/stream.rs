@@ -14,6 +14,7 @@ use super::sync::{
 };
 use super::tally::Counters;
 use crate::archive::Archive;
+use crate::bytes::interruptible;
 use crate::frame::PageKey;
 use crate::slice::Colours;
 use crate::{Error, Result};
@@ -117,7 +118,7 @@ struct Inbox {
 ///
 /// Any number of bodies may hint and query from any number of threads. Queries run on a [`View`]: they take no lock, do
 /// no I/O and allocate nothing (guarantee G8), and loading never changes an answer, it only turns "not loaded" into one.
-/// Dropping the stream ends its thread: at once, or as soon as the read in progress returns.
+/// Dropping the stream ends its thread: at once, or as soon as the read in progress returns; reads of remote objects end within a moment.
 ///
 /// Memory: the budget, in which everything counts. A stream is a [`Loader`] that drives itself; programs with a scheduler, a
 /// browser or a fetch of their own drive one directly.
@@ -195,7 +196,10 @@ impl Stream {
             Prefetch::Thread => {
                 let shared = shared.clone();
                 let builder = Builder::new().name("slicewalk-prefetch".into());
-                let spawned = builder.spawn(move || shared.work());
+                let spawned = builder.spawn(move || {
+                    let ended = shared.clone();
+                    interruptible(Some(Arc::new(move || ended.stop.load(Acquire))), || shared.work());
+                });
                 Some(spawned.map_err(|error| Error::io("slicewalk-prefetch", "start a thread", error))?)
             }
             _ => None,
@@ -405,8 +409,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// The bytes of a fetch.
 fn read(archive: &Archive, fetch: &Fetch) -> Result<Vec<u8>> {
     let mut bytes = vec![0; (fetch.range.end - fetch.range.start) as usize];
-    archive.source().read_at(fetch.range.start, &mut bytes)?;
-    Ok(bytes)
+    let read = archive.source().read_at(fetch.range.start, &mut bytes);
+    // Who waits was asked to stop; the bytes are as good as before.
+    let again = |error| match error {
+        Error::Interrupted => Error::io("archive", "read on", std::io::Error::other("interrupted")),
+        error => error,
+    };
+    read.map(|()| bytes).map_err(again)
 }
 
 impl Shared {

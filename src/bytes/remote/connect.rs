@@ -60,10 +60,13 @@ pub(super) struct Use {
     pub retries: usize,
     /// Uploads in parts are completed on the condition that no such object is there, where the store knows that condition.
     pub creates: bool,
+    /// The client ends requests that take longer than the time-out. Reads watch their server themselves.
+    pub timed: bool,
 }
 
 impl Use {
-    pub const READ: Self = Self { retries: 0, creates: false };
+    pub const READ: Self = Self { retries: 0, creates: false, timed: false };
+    pub const LIST: Self = Self { timed: true, ..Self::READ };
 }
 
 /// What the builder of a store needs.
@@ -79,7 +82,8 @@ struct Wanted<'a> {
 /// Connects to the store that serves `url`. Without credentials requests go unsigned: no machine's metadata address is asked
 /// for them, unless the environment or a setting names it.
 pub(super) fn connect(mut url: Url, options: &RemoteOptions, how: Use) -> Result<Connected, String> {
-    let client = ClientOptions::new().with_timeout(options.timeout).with_connect_timeout(options.timeout);
+    let client = ClientOptions::new().with_connect_timeout(options.timeout);
+    let client = if how.timed { client.with_timeout(options.timeout) } else { client.with_timeout_disabled() };
     let retry = RetryConfig { max_retries: how.retries, ..RetryConfig::default() };
     let web = matches!(url.scheme(), "http" | "https");
     let authorization = basic_authorization(&url);

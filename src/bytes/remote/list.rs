@@ -1,6 +1,6 @@
 //! The objects of a store below a prefix.
 
-use super::{Failure, Refusal, Use, WAIT, cause, connect, public_name, refuse_tasks};
+use super::{Failure, Refusal, Use, WAIT, cause, connect, public_name, refuse_tasks, sleep};
 use crate::bytes::named::patient;
 use crate::{Error, Result};
 use futures_util::TryStreamExt;
@@ -23,7 +23,7 @@ pub(crate) fn list(address: &str, deep: bool) -> Result<Vec<String>> {
     refuse_tasks(&name)?;
     let bucket = format!("{}://{}", url.scheme(), url.authority());
     let options = patient();
-    let connected = connect(url, &options, Use::READ).map_err(refused)?;
+    let connected = connect(url, &options, Use::LIST).map_err(refused)?;
     let mut failures = 0;
     let keys = loop {
         // A list that breaks off begins again, so that it is of one piece.
@@ -44,7 +44,7 @@ pub(crate) fn list(address: &str, deep: bool) -> Result<Vec<String>> {
             return Err(Error::io(&name, "list", connected.explained(error)));
         };
         failures += 1;
-        std::thread::sleep(wait);
+        sleep(wait)?;
     };
     let mut found: Vec<String> =
         keys.iter().map(|key| format!("{bucket}/{}", utf8_percent_encode(key, RESERVED))).collect();

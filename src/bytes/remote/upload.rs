@@ -85,7 +85,7 @@ pub(crate) fn upload(
     let url = checked(address)?;
     let name = public_name(&url);
     refuse_tasks(&name)?;
-    let connected = connect(url, &patient(), Use { retries: 8, creates: create }).map_err(refused)?;
+    let connected = connect(url, &patient(), Use { retries: 8, creates: create, timed: true }).map_err(refused)?;
     let Connected { store, path, .. } = &connected;
     let mut wait = Duration::from_millis(100);
     let mut together = ON_THEIR_WAY;
