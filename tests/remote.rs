@@ -6,10 +6,11 @@ mod random;
 #[path = "stream/tower.rs"]
 mod tower;
 
+use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, PageEntry};
-use slicewalk::bytes::{ByteSource, RemoteOptions, RemoteSource};
+use slicewalk::bytes::{ByteSource, RemoteOptions, RemoteSource, interruptible};
 use slicewalk::query::{Overlap, overlaps};
-use slicewalk::store::{Prefetch, Step, Stream, StreamOptions};
+use slicewalk::store::{PageSet, PageSlot, Prefetch, Step, Store, StoreSlot, Stream, StreamOptions};
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -44,6 +45,12 @@ enum Manner {
     ShortThenReplaced,
     /// Sends the body in chunks, without a length.
     Chunked,
+    /// Takes the request and never answers.
+    Silent,
+    /// Never answers the first request, and is good again.
+    SilentOnce,
+    /// Sends a hundredth of the body at a time, and waits so many milliseconds after each.
+    Slow(u64),
 }
 
 /// A body that a terminal must never see as it is.
@@ -120,7 +127,12 @@ impl Server {
 }
 
 fn options() -> RemoteOptions {
-    RemoteOptions { timeout: Duration::from_secs(5), retries: 1, ..RemoteOptions::default() }
+    RemoteOptions {
+        timeout: Duration::from_secs(5),
+        patience: Duration::from_secs(5),
+        retries: 1,
+        ..RemoteOptions::default()
+    }
 }
 
 impl Drop for Server {
@@ -143,9 +155,14 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
     state.times.push(Instant::now());
     let manner = state.manner;
     match manner {
-        Manner::ShortOnce | Manner::RefusesOnce(..) => state.manner = Manner::Good,
+        Manner::ShortOnce | Manner::RefusesOnce(..) | Manner::SilentOnce => state.manner = Manner::Good,
         Manner::ShortThenReplaced => state.manner = Manner::Refuses("412 Precondition Failed", ""),
         _ => {}
+    }
+    if matches!(manner, Manner::Silent | Manner::SilentOnce) {
+        // Until the client gives up.
+        std::thread::spawn(move || std::io::Read::read(&mut client, &mut [0]));
+        return Ok(());
     }
     let len = state.bytes.len();
     let range = field("range: bytes=").unwrap_or_default();
@@ -202,6 +219,13 @@ fn answer(mut client: TcpStream, state: &Mutex<State>) -> std::io::Result<()> {
         return write!(client, "0\r\n\r\n");
     }
     write!(client, "HTTP/1.1 {code}\r\n{tag_line}{range}Content-Length: {length}\r\nConnection: close\r\n\r\n")?;
+    if let Manner::Slow(wait) = manner {
+        for piece in body.chunks(length.div_ceil(100)) {
+            client.write_all(piece)?;
+            std::thread::sleep(Duration::from_millis(wait));
+        }
+        return Ok(());
+    }
     let short = matches!(manner, Manner::Short | Manner::ShortOnce | Manner::ShortThenReplaced);
     client.write_all(if short { &body[..length / 2] } else { body })
 }
@@ -240,6 +264,89 @@ fn an_archive_opens_with_two_requests_and_streams_with_few() {
     let requests = &server.state.lock().unwrap().requests;
     let asks = |request: &Vec<String>| request.iter().any(|line| line.eq_ignore_ascii_case("if-match: \"one\""));
     assert!(!asks(&requests[0]) && requests[1..].iter().all(asks), "all but the first ask for the version");
+}
+
+#[test]
+fn all_pages_come_in_a_few_requests_and_are_those_of_the_file() {
+    let bytes = tower(3.0, 60.0, 5);
+    let server = Server::new(bytes.clone(), Some("\"one\""));
+    let archive = server.archive();
+    let store = Store::resident(&archive, &NoMonitor).unwrap();
+    let here = resident(&bytes);
+    println!("{} pages of {} bytes in {} requests", store.page_count(), bytes.len(), server.count());
+    assert!(store.page_count() > 300);
+    // Head, footer, directory, and pages by the MiB.
+    assert!(server.count() <= 4 + bytes.len().div_ceil(1 << 20), "{} requests", server.count());
+    assert_eq!((store.page_count(), store.weight_bytes()), (here.page_count(), here.weight_bytes()));
+    for number in 0..here.column_count() {
+        let ((tx, ty, there), (.., slots)) = (here.column_at(number), store.column_at(number));
+        let pages = |slots: &[StoreSlot]| slots.iter().map(|slot| slot.page().cloned()).collect::<Vec<_>>();
+        assert!(pages(there) == pages(slots), "column {tx}, {ty}");
+    }
+    // The first page that fails, whichever thread reads it.
+    server.set(Manner::OtherTag);
+    assert!(error_of(Store::resident(&archive, &NoMonitor)).to_string().contains("replaced"));
+}
+
+fn waiting(timeout_s: f64, patience_s: f64) -> RemoteOptions {
+    let [timeout, patience] = [timeout_s, patience_s].map(Duration::from_secs_f64);
+    RemoteOptions { timeout, patience, ..RemoteOptions::default() }
+}
+
+#[test]
+fn a_server_that_never_answers_is_left_after_the_time_and_one_that_is_slow_is_not() {
+    let bytes = tower(2.0, 30.0, 4);
+    let server = Server::new(bytes.clone(), Some("\"one\""));
+    let source = RemoteSource::with(&server.url, &waiting(0.5, 0.5)).unwrap();
+    let took = |manner: Manner, work: &dyn Fn() -> String| {
+        server.set(manner);
+        let (asked, start) = (server.count(), Instant::now());
+        (work(), start.elapsed().as_secs_f64(), server.count() - asked)
+    };
+    let open = || error_of(RemoteSource::with(&server.url, &waiting(0.5, 0.5))).to_string();
+    let read = || error_of(source.read_at(20_000, &mut [0; 1000])).to_string();
+    for work in [&open as &dyn Fn() -> String, &read] {
+        let (text, seconds, requests) = took(Manner::Silent, work);
+        assert!(text.contains("no answer within 0.5 s"), "{text}");
+        assert!((0.5..2.0).contains(&seconds) && requests == 1, "{seconds} s, {requests} requests");
+    }
+    // With more patience a request that stays without an answer is repeated.
+    server.set(Manner::SilentOnce);
+    let source = RemoteSource::with(&server.url, &waiting(0.3, 10.0)).unwrap();
+    // Three times as long as the time-out, but never silent for so long.
+    server.set(Manner::Slow(9));
+    let mut all = vec![0; bytes.len()];
+    let start = Instant::now();
+    source.read_at(0, &mut all).unwrap();
+    assert!(start.elapsed() > Duration::from_millis(800) && all == bytes);
+}
+
+#[test]
+fn a_thread_that_waits_for_a_server_can_be_stopped() {
+    let server = Server::new(tower(2.0, 30.0, 4), Some("\"one\""));
+    let source = RemoteSource::with(&server.url, &waiting(60.0, 60.0)).unwrap();
+    for manner in [Manner::Silent, Manner::Refuses("503 Service Unavailable", "Retry-After: 50\r\n")] {
+        server.set(manner);
+        let start = Instant::now();
+        let stop = move || start.elapsed() > Duration::from_millis(300);
+        let read = interruptible(Some(Arc::new(stop)), || source.read_at(20_000, &mut [0; 1000]));
+        assert!(matches!(read, Err(slicewalk::Error::Interrupted)), "{manner:?}: {read:?}");
+        assert!(start.elapsed() < Duration::from_secs(5), "{manner:?}");
+    }
+    // A stream ends its own thread so.
+    server.set(Manner::Good);
+    let archive =
+        Archive::from_source(Box::new(RemoteSource::with(&server.url, &waiting(60.0, 60.0)).unwrap())).unwrap();
+    let stream = Stream::open(archive, StreamOptions::new(16 << 20)).unwrap();
+    server.set(Manner::Silent);
+    let (asked, mut pawn) = (server.count(), stream.pawn());
+    pawn.hint(&Body::at(1.0, 0.0, 25.0).motion());
+    while server.count() == asked {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let start = Instant::now();
+    drop(stream);
+    assert!(start.elapsed() < Duration::from_secs(5));
 }
 
 #[test]

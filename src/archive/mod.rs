@@ -35,6 +35,8 @@ mod opening;
 
 mod reader;
 
+mod runs;
+
 mod verify;
 
 mod merge;

@@ -18,6 +18,9 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+/// Most bytes of leaves read at once, unless a single leaf is longer.
+const LEAVES: u64 = 1 << 20;
+
 /// An open archive. Any number of threads may read from it at once.
 ///
 /// Memory: the root directory (at most 512 leaves, 24 KiB) and the leaf that [`find`](Self::find) used last.
@@ -204,8 +207,9 @@ impl Archive {
     pub fn entries(&self) -> impl Iterator<Item = Result<PageEntry>> + '_ {
         let limits = self.header().check_repeats().err();
         let leaves = if limits.is_some() { 0 } else { self.leaf_count() };
-        let leaves = (0..leaves).flat_map(|index| {
-            let leaf = self.open_leaf(index).and_then(|entries| entries.check().map(|_| entries));
+        let mut ahead = (0..0, Vec::new());
+        let leaves = (0..leaves).flat_map(move |index| {
+            let leaf = self.leaf_ahead(index, &mut ahead).and_then(|entries| entries.check().map(|_| entries));
             let (entries, error) = match leaf {
                 Ok(entries) => (Some(entries), None),
                 Err(error) => (None, Some(error)),
@@ -213,6 +217,27 @@ impl Archive {
             entries.into_iter().flatten().chain(error.map(Err))
         });
         limits.map(Err).into_iter().chain(leaves)
+    }
+
+    /// As [`open_leaf`](Self::open_leaf), of leaves one after the other: `ahead` holds the bytes of some in one read.
+    fn leaf_ahead(&self, index: usize, ahead: &mut (Range<u64>, Vec<u8>)) -> Result<LeafEntries> {
+        let leaf = self.catalog.leaf_range(index);
+        if leaf.start < ahead.0.start || leaf.end > ahead.0.end {
+            let ends = (index..self.leaf_count()).map(|index| self.catalog.leaf_range(index).end);
+            let end = ends.take_while(|end| end - leaf.start <= LEAVES).last().unwrap_or(leaf.end);
+            let is_lasting = |error: &Error| match error {
+                Error::Io { source, .. } => source.kind() != std::io::ErrorKind::TimedOut,
+                _ => false,
+            };
+            let bytes = match read(&*self.source, leaf.start..end) {
+                // Bytes that cannot be read are the fault of the leaf that they belong to.
+                Err(error) if end > leaf.end && is_lasting(&error) => read(&*self.source, leaf.clone())?,
+                read => read?,
+            };
+            *ahead = (leaf.start..leaf.start + bytes.len() as u64, bytes);
+        }
+        let start = (leaf.start - ahead.0.start) as usize;
+        self.catalog.open_leaf(index, &ahead.1[start..start + (leaf.end - leaf.start) as usize])
     }
 
     /// The entry of a page; `None` if the archive has no matter there. One read, or none in the leaf of the last call.

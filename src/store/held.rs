@@ -2,7 +2,7 @@
 
 use super::table::{KeyBounds, SlotTable};
 use super::{PageSet, PageSlot};
-use crate::archive::{Archive, PageDecoder, PageEntry};
+use crate::archive::{Archive, PageEntry};
 use crate::frame::{Frame, PageKey};
 use crate::monitor::Monitor;
 use crate::slice::Page;
@@ -74,20 +74,17 @@ impl Store {
         Self { frame, columns, weight }
     }
 
-    /// A store of all pages of an archive, read now. Fails with the first page that cannot be loaded, and with
-    /// [`Error::Interrupted`] when `monitor` asks to stop.
+    /// A store of all pages of an archive, read now: neighbours in reads of up to 1 MiB, four at the same time. Fails with the first
+    /// page that cannot be loaded, before it reads any if the memory for all cannot be had, and with [`Error::Interrupted`]
+    /// when `monitor` asks to stop.
     pub fn resident(archive: &Archive, monitor: &dyn Monitor) -> Result<Self> {
         let entries: Vec<PageEntry> = archive.entries().collect::<Result<_>>()?;
+        let slot = size_of::<StoreSlot>() + size_of::<Page>();
+        let weights = entries.iter().map(|entry| entry.weight_bytes().saturating_add(slot));
+        check_memory(weights.fold(0, usize::saturating_add), entries.len())?;
         monitor.stage("loading", entries.len() as u64, "pages");
-        let (mut decoder, mut pages) = (PageDecoder::new(), Vec::with_capacity(entries.len()));
-        for entry in entries {
-            if monitor.cancelled() {
-                return Err(Error::Interrupted);
-            }
-            pages.push((entry.key, archive.page_with(&entry, &mut decoder)?));
-            monitor.advance(1);
-        }
-        Ok(Self::from_pages(*archive.frame(), pages))
+        let pages = archive.pages(&entries, monitor)?;
+        Ok(Self::from_pages(*archive.frame(), entries.iter().map(|entry| entry.key).zip(pages)))
     }
 
     /// Weight of the pages (bytes).
@@ -104,6 +101,14 @@ impl Store {
     pub fn page_count(&self) -> usize {
         self.columns.slots().len()
     }
+}
+
+/// Refuses pages for which the system has no memory: to run out of it while they are decoded would end the process.
+fn check_memory(bytes: usize, pages: usize) -> Result<()> {
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
+        let action = format!("reserve {bytes} bytes for all {pages} pages");
+        Error::io("memory", action, std::io::ErrorKind::OutOfMemory.into())
+    })
 }
 
 impl std::fmt::Debug for Store {
@@ -145,5 +150,20 @@ impl PageSet for Store {
 
     fn column_at(&self, number: usize) -> (i32, i32, &[StoreSlot]) {
         self.columns.column_at(number)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_that_cannot_be_had_is_an_error() {
+        check_memory(1 << 20, 5).unwrap();
+        for bytes in [1 << 46, usize::MAX] {
+            let error = check_memory(bytes, 5).unwrap_err();
+            assert!(matches!(&error, Error::Io { source, .. } if source.kind() == std::io::ErrorKind::OutOfMemory));
+            assert!(error.to_string().contains("for all 5 pages"), "{error}");
+        }
     }
 }

@@ -1,0 +1,151 @@
+//! Reading many pages: neighbours in one read, some reads at the same time.
+//!
+//! In: entries in any order. Out: their pages in that order. Memory: 1 MiB for each of four threads beyond the pages.
+
+use super::directory::PageEntry;
+use super::page::PageDecoder;
+use super::reader::Archive;
+use crate::bytes::spawn_in;
+use crate::monitor::Monitor;
+use crate::slice::Page;
+use crate::{Error, Result};
+use std::ops::Range;
+use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::Ordering::Relaxed;
+
+/// Most bytes of one read, unless a single page is longer.
+const LONGEST: u64 = 1 << 20;
+/// Most pages of one read: pages may share bytes, or have none.
+const MOST: usize = 1 << 12;
+/// Reads at the same time.
+const TOGETHER: usize = 4;
+
+/// Bytes of the archive, and the pages in them: a range of the order in which pages are read.
+#[derive(Debug, PartialEq)]
+struct Run {
+    bytes: Range<u64>,
+    pages: Range<usize>,
+}
+
+impl Archive {
+    /// The pages of `entries`. Fails with the first read or page in the order of their bytes that fails, and with
+    /// [`Error::Interrupted`] when `monitor` asks to stop.
+    pub(crate) fn pages(&self, entries: &[PageEntry], monitor: &dyn Monitor) -> Result<Vec<Page>> {
+        let mut order: Vec<usize> = (0..entries.len()).collect();
+        order.sort_by_key(|&number| bytes_of(&entries[number]).start);
+        let runs = runs(entries, &order);
+        let next = AtomicUsize::new(0);
+        let read = |number: usize, decoder: &mut PageDecoder, bytes: &mut Vec<u8>| -> Result<Vec<(usize, Page)>> {
+            if monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            let run = &runs[number];
+            bytes.clear();
+            bytes.resize((run.bytes.end - run.bytes.start) as usize, 0);
+            if !bytes.is_empty() {
+                self.source().read_at(run.bytes.start, bytes)?;
+            }
+            let page = |&number: &usize| {
+                let own = bytes_of(&entries[number]);
+                let at = (own.start - run.bytes.start) as usize;
+                let page = decoder.decode(&entries[number], &bytes[at..at + (own.end - own.start) as usize])?;
+                monitor.advance(1);
+                Ok((number, page))
+            };
+            order[run.pages.clone()].iter().map(page).collect()
+        };
+        let work = || {
+            let (mut decoder, mut bytes, mut pages) = (PageDecoder::new(), Vec::new(), Vec::new());
+            decoder.set_ignore_inferred(self.catalog().ignores_inferred());
+            decoder.set_coding(self.plan().options.coding);
+            loop {
+                let number = next.fetch_add(1, Relaxed);
+                if number >= runs.len() {
+                    return Ok(pages);
+                }
+                match read(number, &mut decoder, &mut bytes) {
+                    Ok(more) => pages.extend(more),
+                    Err(error) => {
+                        // Runs before this one are under way: the first error stays the first.
+                        next.store(runs.len(), Relaxed);
+                        return Err((number, error));
+                    }
+                }
+            }
+        };
+        let results: Vec<_> = std::thread::scope(|scope| {
+            let helper = |_| spawn_in(scope, work).ok();
+            let helpers: Vec<_> = (1..TOGETHER.min(runs.len())).filter_map(helper).collect();
+            let own = work();
+            let join = |helper: std::thread::ScopedJoinHandle<'_, _>| {
+                helper.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            std::iter::once(own).chain(helpers.into_iter().map(join)).collect()
+        });
+        let (mut pages, mut first) = (Vec::with_capacity(entries.len()), None::<(usize, Error)>);
+        for result in results {
+            match result {
+                Ok(more) => pages.extend(more),
+                Err(failed) if first.as_ref().is_none_or(|first| failed.0 < first.0) => first = Some(failed),
+                Err(_) => {}
+            }
+        }
+        if let Some((_, error)) = first {
+            return Err(error);
+        }
+        pages.sort_unstable_by_key(|(number, _)| *number);
+        Ok(pages.into_iter().map(|(_, page)| page).collect())
+    }
+}
+
+/// Where the bytes of a page lie; none for a uniform one.
+fn bytes_of(entry: &PageEntry) -> Range<u64> {
+    entry.extent().map_or(0..0, |extent| extent.offset..extent.offset + u64::from(extent.len))
+}
+
+/// The reads for the pages of `entries`, which `order` sorts by their bytes.
+fn runs(entries: &[PageEntry], order: &[usize]) -> Vec<Run> {
+    let mut runs: Vec<Run> = Vec::new();
+    for (at, &number) in order.iter().enumerate() {
+        let own = bytes_of(&entries[number]);
+        let joins = |run: &&mut Run| {
+            let end = own.end.max(run.bytes.end);
+            own.start <= run.bytes.end && end - run.bytes.start <= LONGEST && run.pages.len() < MOST
+        };
+        match runs.last_mut().filter(joins) {
+            Some(run) => (run.bytes.end, run.pages.end) = (own.end.max(run.bytes.end), at + 1),
+            None => runs.push(Run { bytes: own, pages: at..at + 1 }),
+        }
+    }
+    runs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::directory::{Extent, Storage};
+    use super::*;
+    use crate::frame::PageKey;
+    use crate::slice::{PageSize, Span};
+
+    fn entry(bytes: Range<u64>) -> PageEntry {
+        let extent = Extent { offset: bytes.start, len: (bytes.end - bytes.start) as u32, crc: 0 };
+        let span = Span::new(0, 255, false).unwrap();
+        let storage = if bytes.is_empty() { Storage::Uniform(span) } else { Storage::Stored(extent) };
+        PageEntry { key: PageKey { tx: 0, ty: 0, layer: 0 }, slices: 1, size: PageSize::UNIFORM, storage }
+    }
+
+    #[test]
+    fn neighbours_are_read_at_once_up_to_a_bound() {
+        let of = |all: &[Range<u64>]| {
+            runs(&all.iter().cloned().map(entry).collect::<Vec<_>>(), &Vec::from_iter(0..all.len()))
+        };
+        let run = |bytes: Range<u64>, pages: Range<usize>| Run { bytes, pages };
+        assert_eq!(of(&[]), []);
+        assert_eq!(of(&[100..150, 150..200, 150..200, 200..230]), [run(100..230, 0..4)]);
+        assert_eq!(of(&[0..0, 0..0, 100..150, 151..200]), [run(0..0, 0..2), run(100..150, 2..3), run(151..200, 3..4)]);
+        let long = 5 + LONGEST;
+        assert_eq!(of(&[5..long - 1, long - 1..long, long..long + 1]), [run(5..long, 0..2), run(long..long + 1, 2..3)]);
+        assert_eq!(of(&[5..long + 9, long + 9..long + 10]).len(), 2);
+        assert_eq!(of(&vec![0..0; MOST + 1]), [run(0..0, 0..MOST), run(0..0, MOST..MOST + 1)]);
+    }
+}
