@@ -1,23 +1,25 @@
 //! `open` and `Archive`: where archives come from, and what they say about themselves.
 
+use crate::arrays::{key, short};
 use crate::attend::{Audience, attended};
 use crate::convert::dictionary;
 use crate::errors::Failure;
+use crate::options::refuse;
 use crate::pages::{Pages, Set};
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
-use pyo3::types::{PyByteArray, PyBytes, PyTuple};
+use pyo3::types::{PyByteArray, PyBytes, PyDict, PyTuple};
 use slicewalk::Error;
 use slicewalk::archive::{Archive as Inner, ColourReader, Finding};
-use slicewalk::bytes::{ByteSource, FileSource, RemoteOptions, RemoteSource};
-use slicewalk::frame::PageKey;
+use slicewalk::bytes::{ByteSource, FileSource, RemoteOptions, RemoteSource, interruptible, stop_of_thread};
 use slicewalk::store::Store;
 use std::collections::HashMap;
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, TryLockError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// An open archive. Its pages are loaded when they are first asked for.
 pub struct Opened {
@@ -25,23 +27,68 @@ pub struct Opened {
     source: Arc<dyn ByteSource>,
     /// Path or public address.
     pub name: Option<String>,
+    /// How a server is asked; None for files and bytes.
+    remote: Option<RemoteOptions>,
     store: OnceLock<Store>,
     loading: Mutex<()>,
 }
 
 impl Opened {
-    fn new(source: Arc<dyn ByteSource>, name: Option<String>) -> slicewalk::Result<Self> {
+    fn new(
+        source: Arc<dyn ByteSource>,
+        name: Option<String>,
+        remote: Option<RemoteOptions>,
+    ) -> slicewalk::Result<Self> {
         let archive = Inner::from_source(Box::new(source.clone()))?;
-        Ok(Self::of(archive, source, name))
+        Ok(Self { archive, source, name, remote, store: OnceLock::new(), loading: Mutex::default() })
     }
 
-    fn of(archive: Inner, source: Arc<dyn ByteSource>, name: Option<String>) -> Self {
-        Self { archive, source, name, store: OnceLock::new(), loading: Mutex::default() }
+    /// Opens an address. All of it is given up after the time-out.
+    fn remote(url: &str, options: &RemoteOptions) -> slicewalk::Result<Self> {
+        let (deadline, outer) = (Instant::now() + options.timeout, stop_of_thread());
+        let late = move || Instant::now() >= deadline;
+        let stop = move || late() || outer.as_ref().is_some_and(|stop| stop());
+        let name = public(url);
+        let opened = interruptible(Some(Arc::new(stop)), || {
+            Self::new(Arc::new(RemoteSource::with(url, options)?), Some(name.clone()), Some(options.clone()))
+        });
+        opened.map_err(|error| match error {
+            Error::Interrupted if late() => {
+                let reason = format!("no answer within {} s; give a longer timeout", options.timeout.as_secs_f64());
+                Error::io(&name, "open", std::io::Error::new(std::io::ErrorKind::TimedOut, reason))
+            }
+            error => error,
+        })
     }
 
     /// An overview level.
     fn level(&self, number: u32) -> slicewalk::Result<Self> {
-        Ok(Self::of(self.archive.level(number)?, self.source.clone(), self.name.clone()))
+        let (archive, source) = (self.archive.level(number)?, self.source.clone());
+        let (name, remote) = (self.name.clone(), self.remote.clone());
+        Ok(Self { archive, source, name, remote, store: OnceLock::new(), loading: Mutex::default() })
+    }
+
+    /// A few reads. Ctrl-C is heard while a server is waited for.
+    fn read<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&Self) -> slicewalk::Result<T> + Send) -> PyResult<T> {
+        let name = self.name.as_deref();
+        match self.remote {
+            Some(_) => attended(py, &Audience::default(), name, |_| Ok(work(self)?)),
+            None => py.detach(|| work(self)).map_err(|error| Failure::from(error).raise(py, name)),
+        }
+    }
+
+    /// What it is, for people.
+    pub fn described(&self, class: &str) -> String {
+        let (frame, header) = (self.archive.frame(), self.archive.header());
+        let name = self.name.as_deref().unwrap_or("bytes");
+        let level = if header.level > 0 { format!("level {} of ", header.level) } else { String::new() };
+        format!(
+            "<slicewalk.{class} {level}{name:?}: {} voxels, pixel {} m, {} slices of {} m>",
+            header.voxels.occupied,
+            frame.pixel_m(),
+            slicewalk::info::slice_count(header),
+            frame.slice_m()
+        )
     }
 
     /// The archive once more, on the same source.
@@ -58,7 +105,7 @@ impl Opened {
     }
 
     fn load(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<&Store> {
-        let audience = Audience { progress, quiet: false };
+        let audience = Audience { progress, ..Audience::default() };
         attended(py, &audience, self.name.as_deref(), |monitor| {
             let _loading = loop {
                 match self.loading.try_lock() {
@@ -120,11 +167,14 @@ fn public(url: &str) -> String {
 /// Args:
 ///     source: a path; an address (``https://``, ``http://``, ``s3://bucket/key``, ``file://``), which is read by ranges; or the
 ///         archive itself as ``bytes``, which are read where they are, without a copy (other buffers are copied)
-///     timeout: longest time of one request to a server (s)
+///     timeout: longest time that opening takes, and that a later read waits for the next bytes, repetitions included (s)
+///     retries: how often a request is repeated that failed for a reason which may pass: a lost connection, an error of the server
 ///     settings: settings of an object store by name, such as ``{"aws_endpoint": ...}``, on top of the environment's ``AWS_*``
 ///
+/// These options are for addresses. Ctrl-C is heard while a server is waited for.
+///
 /// Returns:
-///     :class:`Archive`. Two reads; pages follow when they are asked for
+///     :class:`Archive`. Two reads; pages follow when they are asked for, up to 1 MiB of them in a request
 ///
 /// Raises:
 ///     MissingFileError: there is no such file
@@ -136,24 +186,26 @@ fn public(url: &str) -> String {
 /// >>> archive.pixel_size, archive.slices
 /// (0.1, 9)
 #[pyfunction]
-#[pyo3(signature = (source, *, timeout=10.0, settings=None))]
+#[pyo3(signature = (source, *, timeout=10.0, retries=8, settings=None))]
 pub fn open<'py>(
     source: &Bound<'py, PyAny>,
     timeout: f64,
+    retries: usize,
     settings: Option<HashMap<String, String>>,
 ) -> PyResult<Bound<'py, Archive>> {
     let py = source.py();
+    let wrong = || refuse("timeout", format!("expected seconds above 0, found {timeout}"));
+    let time = Duration::try_from_secs_f64(timeout).ok().filter(|time| !time.is_zero()).ok_or_else(wrong)?;
+    // Longer is for ever, and clocks would overflow.
+    let timeout = time.min(Duration::from_secs(1 << 30));
+    let mut source = source.clone();
     let url = source.extract::<String>().ok().filter(|text| text.contains("://"));
     let (name, given): (Option<String>, _) = if let Some(url) = &url {
-        let timeout = Duration::try_from_secs_f64(timeout)
-            .map_err(|error| Failure::from(Error::parameter("timeout", format!("{timeout} s: {error}"))))?;
-        let settings = settings.unwrap_or_default().into_iter().collect();
-        let options = RemoteOptions { timeout, settings, ..RemoteOptions::default() };
-        let name = public(url);
-        let opened = attended(py, &Audience::default(), Some(&name), |_| {
-            Ok(Opened::new(Arc::new(RemoteSource::with(url, &options)?), Some(name.clone()))?)
-        })?;
-        return Archive::bound(py, opened, source.clone().unbind());
+        let mut settings: Vec<_> = settings.unwrap_or_default().into_iter().collect();
+        settings.sort();
+        let options = RemoteOptions { timeout, patience: timeout, retries, settings };
+        let opened = attended(py, &Audience::default(), Some(&public(url)), |_| Ok(Opened::remote(url, &options)?))?;
+        return Archive::bound(py, opened, source.unbind());
     } else if source.is_instance_of::<PyBytes>() || source.is_instance_of::<PyByteArray>() {
         (None, Arc::new(Held(source.extract()?)) as Arc<dyn ByteSource>)
     } else if let Ok(path) = source.extract::<PathBuf>() {
@@ -163,23 +215,23 @@ pub fn open<'py>(
         (Some(name), Arc::new(file))
     } else {
         let bytes =
-            py.import("builtins")?.call_method1("memoryview", (source,)).and_then(|view| view.call_method0("tobytes"));
-        let bytes = bytes.map_err(|_| {
-            let found = source.get_type();
-            PyTypeError::new_err(format!("source: expected a path, an address or bytes, found {found}"))
+            py.import("builtins")?.call_method1("memoryview", (&source,)).and_then(|view| view.call_method0("tobytes"));
+        source = bytes.map_err(|_| {
+            PyTypeError::new_err(format!("source: expected a path, an address or bytes, found {}", short(&source)))
         })?;
-        (None, Arc::new(Held(bytes.extract()?)))
+        (None, Arc::new(Held(source.extract()?)))
     };
-    let opened = py.detach(|| Opened::new(given, name.clone()));
+    let opened = py.detach(|| Opened::new(given, name.clone(), None));
     let opened = opened.map_err(|error| Failure::from(error).raise(py, name.as_deref()))?;
-    Archive::bound(py, opened, source.clone().unbind())
+    Archive::bound(py, opened, source.unbind())
 }
 
 /// An open slice archive; see :func:`open`.
 ///
 /// Its facts are attributes; ``info()`` has all of them. The first question loads all pages, as :meth:`load` does; for an
 /// archive larger than memory ask the :class:`View` of a :class:`Stream`. Archives can be used from many threads at once,
-/// and pickled: a copy opens the same file, and fails if it is another by then.
+/// and pickled: a copy opens the same file with the same options, and fails if it is another by then. The pickle holds the
+/// ``settings``, secrets included; leave those to the environment.
 #[pyclass(frozen, extends = Pages, module = "slicewalk")]
 pub struct Archive {
     pub opened: Arc<Opened>,
@@ -192,18 +244,16 @@ impl Archive {
         let pages = PyClassInitializer::from(Pages { set: Set::All(opened.clone()) });
         Bound::new(py, pages.add_subclass(Self { opened, given }))
     }
-
-    fn failed(&self, py: Python<'_>, error: Error) -> PyErr {
-        Failure::from(error).raise(py, self.opened.name.as_deref())
-    }
 }
 
 #[pymethods]
 impl Archive {
     /// Path or address, without password and query; None for bytes.
     #[getter]
-    fn path(&self) -> Option<&str> {
-        self.opened.name.as_deref()
+    fn path(&self, py: Python<'_>) -> Option<OsString> {
+        // As it was given: a name that is no UTF-8 opens the same file again.
+        let file = self.given.extract::<PathBuf>(py).ok().filter(|_| self.opened.remote.is_none());
+        file.map(Into::into).or_else(|| self.opened.name.as_deref().map(Into::into))
     }
 
     /// Version of the format.
@@ -259,7 +309,7 @@ impl Archive {
     /// Coordinate reference system as the scan stated it; empty if unknown. One read.
     #[getter]
     fn crs(&self, py: Python<'_>) -> PyResult<String> {
-        py.detach(|| self.opened.archive.crs()).map_err(|error| self.failed(py, error))
+        self.opened.read(py, |opened| opened.archive.crs())
     }
 
     /// All facts, as ``slicetool info --json`` prints them. One read.
@@ -267,8 +317,7 @@ impl Archive {
     /// >>> slicewalk.open("room.slices").info()["voxels"]["obstacle"] > 0
     /// True
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let info = py.detach(|| slicewalk::info::info(&self.opened.archive)).map_err(|error| self.failed(py, error))?;
-        dictionary(py, &info)
+        dictionary(py, &self.opened.read(py, |opened| slicewalk::info::info(&opened.archive))?)
     }
 
     /// Loads all pages now. Ctrl-C ends it.
@@ -299,7 +348,7 @@ impl Archive {
     /// Raises:
     ///     ParameterError: the archive has no such level
     fn level(&self, py: Python<'_>, number: u32) -> PyResult<Pages> {
-        let of_level = py.detach(|| self.opened.level(number)).map_err(|error| self.failed(py, error))?;
+        let of_level = self.opened.read(py, |opened| opened.level(number))?;
         Ok(Pages { set: Set::All(Arc::new(of_level)) })
     }
 
@@ -323,19 +372,18 @@ impl Archive {
     fn colours<'py>(
         &self,
         py: Python<'py>,
-        key: (i32, i32, i32),
+        key: &Bound<'py, PyAny>,
         level: u32,
     ) -> PyResult<Option<Bound<'py, PyArray2<u8>>>> {
-        let key = PageKey { tx: key.0, ty: key.1, layer: key.2 };
-        let colours = py.detach(|| {
-            let whole = &self.opened.archive;
+        let key = self::key(key)?;
+        let colours = self.opened.read(py, |opened| {
+            let whole = &opened.archive;
             let archive = if level == 0 { whole } else { &whole.level(level)? };
             let Some(mut reader) = ColourReader::new(archive)? else { return Ok(None) };
             let entry = archive.find(key)?;
             entry.map(|entry| reader.colours(&entry)).transpose()
         });
-        let colours = colours.map_err(|error| self.failed(py, error))?;
-        let values = colours.map(|colours| colours.values().as_flattened().to_vec());
+        let values = colours?.map(|colours| colours.values().as_flattened().to_vec());
         values
             .map(|values| {
                 let count = values.len() / 4;
@@ -354,7 +402,7 @@ impl Archive {
     #[pyo3(signature = (progress=None))]
     fn verify(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<PyErr>> {
         let name = self.opened.name.as_deref();
-        let audience = Audience { progress, quiet: false };
+        let audience = Audience { progress, ..Audience::default() };
         let findings = attended(py, &audience, name, |monitor| {
             let mut findings = Vec::new();
             self.opened.archive.verify(monitor, &mut |finding| findings.push(finding))?;
@@ -368,25 +416,23 @@ impl Archive {
     }
 
     fn __repr__(&self) -> String {
-        let (frame, header) = (self.opened.archive.frame(), self.opened.archive.header());
-        let name = self.opened.name.as_deref().unwrap_or("bytes");
-        format!(
-            "<slicewalk.Archive {name:?}: {} voxels, pixel {} m, {} slices of {} m>",
-            header.voxels.occupied,
-            frame.pixel_m(),
-            slicewalk::info::slice_count(header),
-            frame.slice_m()
-        )
+        self.opened.described("Archive")
     }
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let again = py.import("slicewalk")?.getattr("_again")?;
-        let identity = py.detach(|| self.opened.identity()).map_err(|error| self.failed(py, error))?;
-        Ok((again, (&self.given, identity).into_pyobject(py)?))
+        let identity = self.opened.read(py, Opened::identity)?;
+        let options = PyDict::new(py);
+        if let Some(RemoteOptions { timeout, retries, settings, .. }) = &self.opened.remote {
+            options.set_item("timeout", timeout.as_secs_f64())?;
+            options.set_item("retries", retries)?;
+            options.set_item("settings", settings.iter().cloned().collect::<HashMap<_, _>>())?;
+        }
+        Ok((again, (&self.given, identity, options).into_pyobject(py)?))
     }
 
     #[getter]
     fn _identity(&self, py: Python<'_>) -> PyResult<String> {
-        py.detach(|| self.opened.identity()).map_err(|error| self.failed(py, error))
+        self.opened.read(py, Opened::identity)
     }
 }

@@ -6,11 +6,13 @@
 
 use crate::errors::{Failure, of_row};
 use numpy::{Element, IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
-use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slicewalk::Result;
+use slicewalk::frame::PageKey;
 use std::num::NonZeroUsize;
+use std::sync::OnceLock;
 
 /// Rows that are copied at once.
 pub const BLOCK: usize = 1 << 16;
@@ -38,6 +40,9 @@ impl<'py, const N: usize> Rows<'py, N> {
                 format!("{what}: expected numbers (float64), found {dtype}; convert with numpy.asarray(..., float)");
             return Err(PyTypeError::new_err(text));
         }
+        let corners = N == 6 && matches!(untyped.shape(), [_, 2, 3]);
+        let found = if corners { found.call_method1("reshape", ((-1, 6),))? } else { found.clone() };
+        let untyped = found.cast::<PyUntypedArray>()?;
         let shape = untyped.shape();
         let is_empty_list = shape == [0];
         if !is_empty_list && (shape.len() != 2 || shape[1] != N) {
@@ -52,7 +57,7 @@ impl<'py, const N: usize> Rows<'py, N> {
         let options = PyDict::new(py);
         options.set_item("dtype", "f8")?;
         options.set_item("requirements", "A")?;
-        let array = numpy.call_method("require", (found,), Some(&options))?;
+        let array = numpy.call_method("require", (&found,), Some(&options))?;
         let array = if is_empty_list { array.call_method1("reshape", ((0, N),))? } else { array };
         Ok(Self { array: array.cast_into::<PyArray2<f64>>()?, what })
     }
@@ -69,6 +74,7 @@ impl<'py, const N: usize> Rows<'py, N> {
             return Err(self.busy("resized"));
         }
         block.clear();
+        reserve(block, count, || format!("{count} rows of {}", self.what))?;
         match array.as_slice() {
             Some(all) => block.extend_from_slice(all[first * N..(first + count) * N].as_chunks::<N>().0),
             None => block.extend((first..first + count).map(|row| std::array::from_fn(|at| array[[row, at]]))),
@@ -90,16 +96,28 @@ pub fn batch<'py, const N: usize, A: Element + Copy + Default + Send>(
 ) -> PyResult<Bound<'py, PyArray1<A>>> {
     let py = given.py();
     let rows = Rows::<N>::of(given, what)?;
-    let threads = threads.map_or_else(|| std::thread::available_parallelism().map_or(1, |n| n.get()), |n| n.get());
-    let mut answers = vec![A::default(); rows.len()];
-    let mut block = Vec::new();
-    for (number, answers) in answers.chunks_mut(BLOCK).enumerate() {
+    let (mut answers, mut block) = (Vec::new(), Vec::new());
+    reserve(&mut answers, rows.len(), || format!("the answers to {} rows of {what}", rows.len()))?;
+    for first in (0..rows.len()).step_by(BLOCK) {
         py.check_signals()?;
-        rows.copy(number * BLOCK, answers.len(), &mut block)?;
-        let answered = py.detach(|| on_threads(&block, answers, threads, &answer));
-        answered.map_err(|(row, error)| of_row(py, what, number * BLOCK + row, error))?;
+        rows.copy(first, BLOCK.min(rows.len() - first), &mut block)?;
+        answers.resize(first + block.len(), A::default());
+        let answered = py.detach(|| on_threads(&block, &mut answers[first..], threads, &answer));
+        answered.map_err(|(row, error)| of_row(py, what, first + row, error))?;
     }
     Ok(answers.into_pyarray(py))
+}
+
+/// Threads of a batch. Asked for once: the system reads files to answer.
+fn cores() -> NonZeroUsize {
+    static CORES: OnceLock<NonZeroUsize> = OnceLock::new();
+    *CORES.get_or_init(|| std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN))
+}
+
+/// Room for so many more elements, or MemoryError.
+pub fn reserve<T>(vec: &mut Vec<T>, count: usize, what: impl FnOnce() -> String) -> PyResult<()> {
+    vec.try_reserve_exact(count)
+        .map_err(|_| PyMemoryError::new_err(format!("no memory for {}; ask for less at once", what())))
 }
 
 /// Number of a row, and what is wrong with it.
@@ -108,7 +126,7 @@ type Wrong = (usize, slicewalk::Error);
 fn on_threads<R: Sync, A: Send>(
     rows: &[R],
     answers: &mut [A],
-    threads: usize,
+    threads: Option<NonZeroUsize>,
     answer: &(impl Fn(&R) -> Result<A> + Sync),
 ) -> std::result::Result<(), Wrong> {
     let run = |first: usize, rows: &[R], answers: &mut [A]| {
@@ -117,6 +135,7 @@ fn on_threads<R: Sync, A: Send>(
         }
         Ok(())
     };
+    let threads = if rows.len() <= LEAST_ROWS { 1 } else { threads.unwrap_or_else(cores).get() };
     let each = rows.len().div_ceil(threads).max(LEAST_ROWS);
     if each >= rows.len() {
         return run(0, rows, answers);
@@ -133,15 +152,64 @@ fn on_threads<R: Sync, A: Send>(
     })
 }
 
-/// So many numbers of the caller's, as a place or a box.
+/// So many numbers of the caller's, as a place or a box. A box may also come as its two corners, as `Archive.bounds` does.
 pub fn numbers<const N: usize>(given: &Bound<'_, PyAny>, what: &str) -> PyResult<[f64; N]> {
-    let values: Vec<f64> = given.extract().unwrap_or_default();
-    let found = values.len();
-    let fits = <[f64; N]>::try_from(values).ok().filter(|values| values.iter().all(|v| v.is_finite()));
-    fits.ok_or_else(|| {
-        let found = given.repr().map_or_else(|_| format!("{found} numbers"), |repr| repr.to_string());
-        PyValueError::new_err(format!("{what}: expected {N} finite numbers, found {found}"))
-    })
+    let mut values = Vec::new();
+    if take_numbers(given, N == 6, N, &mut values).is_some()
+        && let Ok(values) = <[f64; N]>::try_from(values)
+        && values.iter().all(|value| value.is_finite())
+    {
+        return Ok(values);
+    }
+    Err(PyValueError::new_err(format!("{what}: expected {N} finite numbers, found {}", short(given))))
+}
+
+/// Appends the numbers of a sequence, or of the two in it; `None` if there is something else, or more than `most`.
+fn take_numbers(given: &Bound<'_, PyAny>, nested: bool, most: usize, values: &mut Vec<f64>) -> Option<()> {
+    let before = values.len();
+    for (number, item) in given.try_iter().ok()?.enumerate() {
+        let item = item.ok()?;
+        match item.extract() {
+            Ok(value) => values.push(value),
+            Err(_) if nested && number < 2 && values.len() == before + number * (most / 2) => {
+                take_numbers(&item, false, most, values)?;
+            }
+            Err(_) => return None,
+        }
+        if values.len() > most {
+            return None;
+        }
+    }
+    Some(())
+}
+
+/// The key of a page: a tuple, or a row of `Pages.keys`.
+pub fn key(given: &Bound<'_, PyAny>) -> PyResult<PageKey> {
+    let parts = given
+        .try_iter()
+        .and_then(|items| items.take(4).map(|item| item?.extract::<i32>()).collect::<PyResult<Vec<_>>>());
+    match parts.as_deref() {
+        Ok(&[tx, ty, layer]) => Ok(PageKey { tx, ty, layer }),
+        _ => Err(PyTypeError::new_err(format!("key: expected tx, ty, layer of a page, found {}", short(given)))),
+    }
+}
+
+/// Shape of an array, type and length of something long, else the thing itself, for messages.
+pub fn short(given: &Bound<'_, PyAny>) -> String {
+    let class = given.get_type().name().map_or_else(|_| "something".into(), |name| name.to_string());
+    if let Ok(array) = given.cast::<PyUntypedArray>()
+        && array.len() > 20
+    {
+        return format!("an array of shape {:?}", array.shape());
+    }
+    match given.len() {
+        Ok(len) if len > 200 => format!("a {class} of length {len}"),
+        _ => given.repr().map_or(class, |repr| {
+            let text = repr.to_string();
+            let cut: String = text.chars().take(200).collect();
+            if cut.len() < text.len() { cut + "…" } else { text }
+        }),
+    }
 }
 
 /// An array on memory that `owner` keeps, without a copy; nobody may write to it.

@@ -5,11 +5,13 @@
 
 use crate::errors::{Failure, in_python, way_out};
 use pyo3::prelude::*;
+use slicewalk::bytes::interruptible;
 use slicewalk::{Monitor, Warning};
+use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::ffi::CString;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Time between two looks.
@@ -21,7 +23,7 @@ struct News {
     stages: Mutex<VecDeque<Stage>>,
     warnings: Mutex<Vec<String>>,
     done: AtomicU64,
-    stop: AtomicBool,
+    stop: Arc<AtomicBool>,
 }
 
 #[derive(Clone, PartialEq)]
@@ -65,18 +67,21 @@ impl Monitor for News {
 pub struct Audience<'a, 'py> {
     /// Called with stage, amount done, total (0 if unknown) and unit.
     pub progress: Option<&'a Bound<'py, PyAny>>,
-    /// No warnings.
+    /// No warnings are raised.
     pub quiet: bool,
+    /// The texts of all warnings, raised or not.
+    pub warnings: RefCell<Vec<String>>,
 }
 
 impl Audience<'_, '_> {
     fn tell(&self, py: Python<'_>, news: &News, told: &mut Option<(Stage, u64)>) -> PyResult<()> {
         py.check_signals()?;
         let warnings = std::mem::take(&mut *lock(&news.warnings));
-        if !self.quiet {
-            for text in warnings {
+        for text in warnings.iter().map(|text| in_python(text).replace('\0', " ")) {
+            self.warnings.borrow_mut().push(text.clone());
+            if !self.quiet {
                 let category = py.import("slicewalk.errors")?.getattr("SlicewalkWarning")?;
-                PyErr::warn(py, &category, &CString::new(in_python(&text).replace('\0', " "))?, 1)?;
+                PyErr::warn(py, &category, &CString::new(text)?, 1)?;
             }
         }
         let Some(progress) = self.progress else { return Ok(()) };
@@ -103,7 +108,7 @@ impl Audience<'_, '_> {
     }
 }
 
-/// Does `work` with the interpreter free. Ctrl-C, or an exception of a callback, ends it and is raised.
+/// Does `work` with the interpreter free, also while it waits for a server. Ctrl-C, or an exception of a callback, ends it and is raised.
 pub fn attended<T: Send>(
     py: Python<'_>,
     audience: &Audience<'_, '_>,
@@ -116,7 +121,8 @@ pub fn attended<T: Send>(
         let worker = scope.spawn(|| {
             // Told of the end even by a panic.
             let _end = End(&ended, caller);
-            work(&news)
+            let stop = news.stop.clone();
+            interruptible(Some(Arc::new(move || stop.load(Ordering::Relaxed))), || work(&news))
         });
         while !ended.load(Ordering::Acquire) {
             py.detach(|| std::thread::park_timeout(LOOK));

@@ -24,7 +24,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 /// conversion within a moment and leaves nothing behind.
 ///
 /// Args:
-///     inputs: one or many: files, folders of scans, glob patterns; scans also at https:// addresses and in object stores, where
+///     inputs: one or many, in any iterable: files, folders of scans, glob patterns; scans also at https:// addresses and in object stores, where
 ///         ``"s3://bucket/folder/"`` and patterns work too, with credentials from ``AWS_*`` in the environment
 ///     output: the archive to write: a file, or an address ``"s3://bucket/key"``
 ///     progress: called with stage, amount done, total (an estimate, 0 if unknown) and unit, on this thread, at most 20 times
@@ -37,10 +37,10 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     memory: memory to use, at least 64 MiB: bytes, or a text such as ``"512MiB"``
 ///     threads: worker threads; all cores by default
 ///     temp_dir: folder for temporary data
-///     exclude_class: LAS classes to leave out, such as ``[7, 18]`` for noise
+///     exclude_class: LAS classes to leave out, such as ``[7, 18]`` for noise; also as a text, ``"7,18,64-255"``
 ///     min_points: drop voxels of fewer points (1)
 ///     drop_isolated: drop voxels without matter in any of the 26 around them
-///     drop_floaters: drop connected matter of up to this many voxels (1 to 65535); 1 is `drop_isolated`
+///     drop_floaters: drop connected matter of up to this many voxels (1 to 65535); 1 is `drop_isolated`, and only one of both is given
 ///     fill_holes: close holes in floors of up to this width (m) by floor that the archive marks as inferred
 ///     remove_moving, stations, removed: remove points that other stations of the scan saw through; a table `file,x,y,z` of the
 ///         stations, which E57 and PTX state themselves; a LAS file for what is removed
@@ -61,7 +61,7 @@ pub fn dictionary<'py>(py: Python<'py>, facts: &Value) -> PyResult<Bound<'py, Py
 ///     quiet: no warnings
 ///
 /// Returns:
-///     what ``sliceconv --json`` prints, as a dict
+///     what ``sliceconv --json`` prints, as a dict, and ``warnings``, their texts, also if `quiet`
 ///
 /// Raises:
 ///     InputError: an input cannot be used
@@ -82,13 +82,14 @@ pub fn convert<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = inputs.py();
-    let asked = Asked::new(paths(inputs)?, output, options)?;
+    let asked = Asked::new(paths("inputs", inputs)?, output, options)?;
     asked.check_code()?;
     let started = Instant::now();
-    let audience = Audience { progress, quiet: asked.quiet };
+    let audience = Audience { progress, quiet: asked.quiet, ..Audience::default() };
     let report = attended(py, &audience, None, |monitor| Ok(slicewalk::convert::convert(&asked.options, monitor)?))?;
     let mut facts = report.info();
     facts["seconds"] = started.elapsed().as_secs_f64().into();
+    facts["warnings"] = audience.warnings.into_inner().into();
     dictionary(py, &facts)
 }
 
@@ -98,10 +99,11 @@ pub fn convert<'py>(
 ///     inputs: as for :func:`convert`
 ///     path: the plan to write (JSON)
 ///     progress: as for :func:`convert`
-///     options: those of :func:`convert`, but for ``plan`` and ``shard``
+///     options: those of :func:`convert`, but for ``plan``, ``shard`` and ``resume``
 ///
 /// Returns:
-///     the plan as a dict, but for its inputs: ``inputs`` is their number. There may be hundreds of thousands; the file lists them
+///     the plan as a dict, but for its inputs: ``inputs`` is their number. There may be hundreds of thousands; the file lists them.
+///     ``warnings`` are texts, also if `quiet`
 ///
 /// >>> plan = slicewalk.write_plan("room.las", "plan.json", pixel=0.1, units="m")
 /// >>> for part in (1, 2):
@@ -115,11 +117,11 @@ pub fn write_plan<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = inputs.py();
-    Asked::refuse(options, &["plan", "shard"])?;
-    let asked = Asked::new(paths(inputs)?, PathBuf::new(), options)?;
+    Asked::refuse(options, |name| !matches!(name, "plan" | "shard" | "resume"))?;
+    let asked = Asked::new(paths("inputs", inputs)?, PathBuf::new(), options)?;
     asked.check_code()?;
-    let audience = Audience { progress, quiet: asked.quiet };
-    let plan = attended(py, &audience, None, |monitor| {
+    let audience = Audience { progress, quiet: asked.quiet, ..Audience::default() };
+    let mut plan = attended(py, &audience, None, |monitor| {
         let kind = OutputKind::Plan(Existing::replaced_if(asked.options.overwrite));
         let output = Output::create(&path, kind, asked.options.inputs.iter().collect())?;
         let file = PlanFile::new(&asked.options, monitor)?;
@@ -128,6 +130,7 @@ pub fn write_plan<'py>(
         file.write_to(output)?;
         Ok::<_, Failure>(facts)
     })?;
+    plan["warnings"] = audience.warnings.into_inner().into();
     dictionary(py, &plan)
 }
 
@@ -165,8 +168,8 @@ pub fn merge<'py>(
     force: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = parts.py();
-    let (parts, part) = (paths(parts)?, part.map(|part| part_of("part", part)).transpose()?);
-    let merged = attended(py, &Audience { progress, quiet: false }, None, |monitor| {
+    let (parts, part) = (paths("parts", parts)?, part.map(|part| part_of("part", part)).transpose()?);
+    let merged = attended(py, &Audience { progress, ..Audience::default() }, None, |monitor| {
         Ok(match part {
             Some(part) => merge_run(&parts, part, &output, force, monitor)?,
             None => join(&parts, &output, force, monitor)?,
@@ -200,7 +203,7 @@ pub fn upload(
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<bool> {
     let existing = if force { Existing::Replace } else { Existing::KeepSame };
-    attended(py, &Audience { progress, quiet: false }, None, |monitor| {
+    attended(py, &Audience { progress, ..Audience::default() }, None, |monitor| {
         Ok(upload_archive(&path, &address, existing, monitor)?)
     })
 }

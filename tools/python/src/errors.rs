@@ -1,5 +1,6 @@
 //! Exceptions: those of `slicewalk.errors`, with the facts of the library's errors as attributes.
 
+use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slicewalk::frame::PageKey;
@@ -12,11 +13,19 @@ pub enum Failure {
     Error(Error),
     /// Pages that are not in memory.
     NotLoaded(Vec<PageKey>),
+    /// An exception of Python.
+    Raised(PyErr),
 }
 
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         Self::Error(error)
+    }
+}
+
+impl From<PyErr> for Failure {
+    fn from(error: PyErr) -> Self {
+        Self::Raised(error)
     }
 }
 
@@ -58,6 +67,7 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
     facts.set_item("path", path)?;
     let error = match failure {
         Failure::Error(error) => error,
+        Failure::Raised(error) => return Ok(error),
         Failure::NotLoaded(keys) => {
             let pages: Vec<_> = keys.iter().map(|key| (key.tx, key.ty, key.layer)).collect();
             facts.set_item("pages", &pages)?;
@@ -82,6 +92,9 @@ fn exception(py: Python<'_>, failure: Failure, path: Option<&str>, row: Option<(
         error => error,
     };
     let class = match about {
+        Error::Io { source, .. } if source.kind() == std::io::ErrorKind::OutOfMemory => {
+            return Ok(PyMemoryError::new_err(in_python(&text)));
+        }
         Error::Io { path, action, source, .. } => {
             set_io(path, source)?;
             facts.set_item("action", action)?;

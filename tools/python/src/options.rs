@@ -1,57 +1,124 @@
 //! Options as Python gives them, in the library's own types.
 
+use crate::arrays::short;
 use crate::errors::Failure;
-use pyo3::exceptions::PyTypeError;
+use pyo3::conversion::FromPyObjectOwned;
+use pyo3::exceptions::{PyOverflowError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use slicewalk::convert::{ColourMode, ConvertOptions, PixelSize, PlanFile, ShardOptions, Tolerance};
 use slicewalk::input::{Columns, Units};
 use slicewalk::mesh::MeshMode;
-use slicewalk::plan::{Classifier, Up};
+use slicewalk::plan::{ClassSet, Classifier, Up};
 use slicewalk::size::parse_size;
 use slicewalk::{Error, Parameter};
 use std::path::PathBuf;
 use std::str::FromStr;
 
+/// What a switch takes.
+const YES_OR_NO: &str = "True or False";
+
 pub fn refuse(name: &str, reason: impl Into<String>) -> PyErr {
     Failure::from(Error::Parameter { what: Parameter::Other(name.to_owned()), reason: reason.into() }).into()
 }
 
+/// An option's value in the type that it takes, which `expected` says in words.
+fn take<'py, T: FromPyObjectOwned<'py>>(name: &str, expected: &str, given: &Bound<'py, PyAny>) -> PyResult<T> {
+    given.extract::<T>().map_err(|error| wrong(name, expected, given, &Into::<PyErr>::into(error)))
+}
+
+/// The error of Python for such a value, with the option's name.
+fn wrong(name: &str, expected: &str, given: &Bound<'_, PyAny>, error: &PyErr) -> PyErr {
+    let py = given.py();
+    let reason = format!("expected {expected}, found {}", short(given));
+    if error.is_instance_of::<PyTypeError>(py) {
+        PyTypeError::new_err(format!("{name}: {reason}"))
+    } else if error.is_instance_of::<PyOverflowError>(py) {
+        PyOverflowError::new_err(format!("{name}: {reason}"))
+    } else {
+        refuse(name, reason)
+    }
+}
+
 /// A number in the library's type, or what a text on the command line would mean.
-fn number_or<T: FromStr<Err = String>>(name: &str, given: &Bound<'_, PyAny>, number: fn(f64) -> T) -> PyResult<T> {
+fn number_or<T: FromStr<Err = String>>(
+    name: &str,
+    expected: &str,
+    given: &Bound<'_, PyAny>,
+    number: fn(f64) -> T,
+) -> PyResult<T> {
     match given.cast::<PyString>() {
         Ok(text) => text.to_string().parse().map_err(|reason: String| refuse(name, reason)),
-        Err(_) => given.extract().map(number),
+        Err(_) => take(name, expected, given).map(number),
     }
 }
 
 /// One of the words that the command line takes.
 fn one_of<T: Copy>(name: &str, given: &Bound<'_, PyAny>, all: &[(&str, T)]) -> PyResult<T> {
-    let word: String = given.extract()?;
+    let words = all.iter().map(|(own, _)| *own).collect::<Vec<_>>().join(", ");
+    let word: String = take(name, &format!("one of {words}"), given)?;
     let found = all.iter().find(|(own, _)| *own == word).map(|(_, value)| *value);
-    let words = || all.iter().map(|(own, _)| *own).collect::<Vec<_>>().join(", ");
-    found.ok_or_else(|| refuse(name, format!("expected one of {}, found {word:?}", words())))
+    found.ok_or_else(|| refuse(name, format!("expected one of {words}, found {word:?}")))
+}
+
+/// A text that is read as the command line does.
+fn text_as<T: FromStr<Err = String>>(name: &str, expected: &str, given: &Bound<'_, PyAny>) -> PyResult<T> {
+    take::<String>(name, expected, given)?.parse().map_err(|reason: String| refuse(name, reason))
 }
 
 /// Bytes, as a number or as a text such as `512MiB`.
 pub fn size(name: &str, given: &Bound<'_, PyAny>) -> PyResult<u64> {
     match given.cast::<PyString>() {
         Ok(text) => parse_size(&text.to_string()).map_err(|reason| refuse(name, reason)),
-        Err(_) => given.extract(),
+        Err(_) => take(name, "a whole number of bytes, or a text such as \"512MiB\"", given),
     }
 }
 
-/// One path, or a sequence of them.
-pub fn paths(given: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
-    given.extract::<PathBuf>().map(|path| vec![path]).or_else(|_| given.extract())
+/// One path, or any number of them.
+pub fn paths(name: &str, given: &Bound<'_, PyAny>) -> PyResult<Vec<PathBuf>> {
+    if let Ok(path) = given.extract::<PathBuf>() {
+        return Ok(vec![path]);
+    }
+    let expected = "a path, or several";
+    let items = given.try_iter().map_err(|error| wrong(name, expected, given, &error))?;
+    let mut paths = Vec::new();
+    for item in items {
+        let item = item?;
+        paths.push(take(&format!("{name}: item {}", paths.len()), "a path", &item)?);
+    }
+    if paths.is_empty() {
+        return Err(refuse(name, format!("expected {expected}, found none")));
+    }
+    Ok(paths)
+}
+
+/// LAS classes: numbers, or what the command line takes, such as `7,18,64-255`.
+fn classes(given: &Bound<'_, PyAny>) -> PyResult<ClassSet> {
+    let (name, expected) = ("exclude_class", "classes from 0 to 255, such as [7, 18] or \"7,18,64-255\"");
+    if let Ok(text) = given.cast::<PyString>() {
+        let text = text.to_string();
+        let range = |range: &str| {
+            let (first, last) = range.split_once('-').unwrap_or((range, range));
+            let (first, last) = (first.trim().parse::<u8>().ok()?, last.trim().parse::<u8>().ok()?);
+            (first <= last).then_some(first..=last)
+        };
+        let ranges: Option<Vec<_>> = text.split(',').map(range).collect();
+        let ranges = ranges.ok_or_else(|| refuse(name, format!("expected {expected}, found {text:?}")))?;
+        return Ok(ranges.into_iter().flatten().collect());
+    }
+    match given.try_iter() {
+        Ok(items) => items.map(|item| take::<u8>(name, expected, &item?)).collect(),
+        Err(_) => take::<u8>(name, expected, given).map(|class| [class].into_iter().collect()),
+    }
 }
 
 /// What the command line calls a part: `"2/8"`, or the pair.
 pub fn part_of(name: &str, given: &Bound<'_, PyAny>) -> PyResult<(u32, u32)> {
-    let Ok(text) = given.cast::<PyString>() else { return given.extract() };
+    let expected = "a part and their number, such as \"2/8\" or (2, 8)";
+    let Ok(text) = given.cast::<PyString>() else { return take(name, expected, given) };
     let text = text.to_string();
     let part = text.split_once('/').and_then(|(index, count)| Some((index.parse().ok()?, count.parse().ok()?)));
-    part.ok_or_else(|| refuse(name, format!("expected a part and their number, such as \"2/8\", found {text:?}")))
+    part.ok_or_else(|| refuse(name, format!("expected {expected}, found {text:?}")))
 }
 
 /// What `convert` was asked for.
@@ -66,67 +133,78 @@ impl Asked {
     pub fn new(inputs: Vec<PathBuf>, output: PathBuf, given: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let mut options = ConvertOptions::new(inputs, output);
         let (mut crs, mut quiet, mut plan, mut shard) = (String::new(), false, None, None);
-        let mut named = Vec::new();
+        let (mut isolated, mut named) = (false, Vec::new());
         for (name, value) in given.into_iter().flatten() {
             let name: String = name.extract()?;
             if value.is_none() {
                 continue;
             }
-            match name.as_str() {
-                "pixel" => options.pixel = number_or("pixel", &value, PixelSize::Metres)?,
-                "slice" => options.slice_m = Some(value.extract()?),
-                "max_slope" => options.plan.max_slope_deg = value.extract()?,
-                "tolerance" => options.set_tolerance(number_or("tolerance", &value, Tolerance::Metres)?),
+            let own = name.as_str();
+            match own {
+                "pixel" => {
+                    options.pixel = number_or(own, "metres, or \"auto\"", &value, PixelSize::Metres)?;
+                }
+                "slice" => options.slice_m = Some(take(own, "metres", &value)?),
+                "max_slope" => options.plan.max_slope_deg = take(own, "degrees", &value)?,
+                "tolerance" => {
+                    options.set_tolerance(number_or(own, "metres, or \"auto\"", &value, Tolerance::Metres)?);
+                }
                 "classifier" => {
                     let all = Classifier::ALL.map(|classifier| (classifier.name(), classifier));
-                    options.plan.classifier = one_of("classifier", &value, &all)?;
+                    options.plan.classifier = one_of(own, &value, &all)?;
                 }
-                "memory" => options.memory_bytes = size("memory", &value)?,
-                "threads" => options.threads = value.extract::<std::num::NonZeroU16>()?.get().into(),
-                "temp_dir" => options.temp_dir = value.extract()?,
-                "exclude_class" => options.plan.exclude_classes = value.extract::<Vec<u8>>()?.into_iter().collect(),
-                "min_points" => options.plan.min_points = value.extract()?,
-                "drop_isolated" => {
-                    let isolated = u16::from(value.extract::<bool>()?);
-                    options.plan.drop_floaters = options.plan.drop_floaters.max(isolated);
+                "memory" => options.memory_bytes = size(own, &value)?,
+                "threads" => {
+                    let threads: std::num::NonZeroU16 = take(own, "a number of threads from 1 to 65535", &value)?;
+                    options.threads = threads.get().into();
                 }
+                "temp_dir" => options.temp_dir = take(own, "a folder", &value)?,
+                "exclude_class" => options.plan.exclude_classes = classes(&value)?,
+                "min_points" => {
+                    let points: std::num::NonZeroU32 = take(own, "a number of points from 1 up", &value)?;
+                    options.plan.min_points = points.get();
+                }
+                "drop_isolated" => isolated = take(own, YES_OR_NO, &value)?,
                 "drop_floaters" => {
-                    options.plan.drop_floaters = options.plan.drop_floaters.max(value.extract()?);
+                    let floaters: std::num::NonZeroU16 = take(own, "a number of voxels from 1 to 65535", &value)?;
+                    options.plan.drop_floaters = floaters.get();
                 }
-                "remove_moving" => options.plan.remove_moving = value.extract()?,
-                "fill_holes" => options.fill_holes_m = Some(value.extract()?),
-                "stations" => options.stations = value.extract()?,
-                "removed" => options.removed = value.extract()?,
-                "up" => options.plan.up = one_of("up", &value, &[("z", Up::Z), ("y", Up::Y)])?,
-                "units" => options.units = number_or("units", &value, Units::Factor)?,
+                "remove_moving" => options.plan.remove_moving = take(own, YES_OR_NO, &value)?,
+                "fill_holes" => options.fill_holes_m = Some(take(own, "metres", &value)?),
+                "stations" => options.stations = Some(take(own, "a file", &value)?),
+                "removed" => options.removed = Some(take(own, "a file", &value)?),
+                "up" => options.plan.up = one_of(own, &value, &[("z", Up::Z), ("y", Up::Y)])?,
+                "units" => {
+                    options.units = number_or(own, "a unit such as \"m\", or metres per unit", &value, Units::Factor)?;
+                }
                 "columns" => {
-                    let text = value.extract::<String>()?;
-                    options.columns = Some(text.parse::<Columns>().map_err(|reason| refuse("columns", reason))?);
+                    options.columns = Some(text_as::<Columns>(own, "a text such as \"x,y,z,i,r,g,b\"", &value)?);
                 }
                 "mesh" => {
                     let all = [("exact", MeshMode::Exact), ("sampled", MeshMode::Sampled { step_m: None })];
-                    options.mesh = one_of("mesh", &value, &all)?;
+                    options.mesh = one_of(own, &value, &all)?;
                 }
                 "levels" => {
                     options.levels = match value.extract::<bool>() {
                         Ok(levels) => levels,
-                        Err(_) => one_of("levels", &value, &[("on", true), ("off", false)])?,
+                        Err(_) if value.cast::<PyString>().is_ok() => {
+                            one_of(own, &value, &[("on", true), ("off", false)])?
+                        }
+                        Err(_) => take(own, YES_OR_NO, &value)?,
                     };
                 }
-                "colour" => {
-                    let text = value.extract::<String>()?;
-                    options.colour = text.parse::<ColourMode>().map_err(|reason| refuse("colour", reason))?;
-                }
-                "colour_error" => options.colour_error = value.extract()?,
-                "allow_incomplete" => options.allow_incomplete = value.extract()?,
-                "resume" => options.resume = value.extract()?,
-                "force" => options.overwrite = value.extract()?,
-                "plan" => plan = Some(value.extract::<PathBuf>()?),
-                "shard" => shard = Some(part_of("shard", &value)?),
-                "quiet" => quiet = value.extract()?,
+                "colour" => options.colour = text_as::<ColourMode>(own, "a text such as \"rgb\"", &value)?,
+                "colour_error" => options.colour_error = take(own, "a number", &value)?,
+                "allow_incomplete" => options.allow_incomplete = take(own, YES_OR_NO, &value)?,
+                "resume" => options.resume = take(own, YES_OR_NO, &value)?,
+                "force" => options.overwrite = take(own, YES_OR_NO, &value)?,
+                "plan" => plan = Some(take::<PathBuf>(own, "a file", &value)?),
+                "shard" => shard = Some(part_of(own, &value)?),
+                "quiet" => quiet = take(own, YES_OR_NO, &value)?,
                 "crs" => {
-                    crs = value.extract::<String>()?;
-                    let code = crs.strip_prefix("EPSG:").and_then(|code| code.parse().ok());
+                    crs = take::<String>(own, "a text such as \"EPSG:25832\"", &value)?;
+                    let is_code = crs.get(..5).is_some_and(|start| start.eq_ignore_ascii_case("EPSG:"));
+                    let code = if is_code { crs[5..].parse().ok() } else { None };
                     options.epsg = code.filter(|code| (1..1_000_000).contains(code));
                 }
                 other => {
@@ -136,6 +214,16 @@ impl Asked {
                 }
             }
             named.push(name);
+        }
+        let is_named = |name: &str| named.iter().any(|own| own == name);
+        if isolated && is_named("drop_floaters") {
+            return Err(refuse("drop_isolated", "is drop_floaters=1, which is given too; leave one of them out"));
+        }
+        options.plan.drop_floaters = options.plan.drop_floaters.max(isolated.into());
+        for name in ["stations", "removed"] {
+            if is_named(name) && !options.plan.remove_moving {
+                return Err(refuse(name, "is for remove_moving=True; give both, or none"));
+            }
         }
         // With the interpreter free: a plan may lie in a store.
         let read = |path: PathBuf| match given {
@@ -162,9 +250,10 @@ impl Asked {
     }
 
     /// Refuses options that have no meaning here.
-    pub fn refuse(given: Option<&Bound<'_, PyDict>>, names: &[&str]) -> PyResult<()> {
-        for name in names {
-            if given.is_some_and(|given| given.contains(name).unwrap_or(false)) {
+    pub fn refuse(given: Option<&Bound<'_, PyDict>>, has_meaning: impl Fn(&str) -> bool) -> PyResult<()> {
+        for name in given.into_iter().flat_map(|given| given.keys()) {
+            let name: String = name.extract()?;
+            if !has_meaning(&name) {
                 return Err(PyTypeError::new_err(format!("got an unexpected keyword argument {name:?}")));
             }
         }

@@ -5,15 +5,19 @@
 
 use crate::arrays::{lend, numbers};
 use crate::errors::Failure;
-use numpy::ndarray::{Array1, Array2, Array3};
-use numpy::{PyArray1, PyArray2, ToPyArray};
+use numpy::ndarray::{Array1, Array2, ArrayViewMut3};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 use slicewalk::Error;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PAGE_SLICES, PageKey, TILE_PIXELS};
 use slicewalk::store::{PageSet, PageSlot};
+use std::time::{Duration, Instant};
 
 /// Voxels of the largest region.
 const MOST_VOXELS: i64 = 1 << 31;
+
+/// Time between two looks for Ctrl-C.
+const LOOK: Duration = Duration::from_millis(20);
 
 fn absent(key: PageKey) -> Failure {
     Failure::NotLoaded(vec![key])
@@ -215,11 +219,13 @@ pub fn region<'py, S: PageSet + Sync>(
         return Err(wrong(Error::limit("voxels of a region (take a smaller one)", value, MOST_VOXELS)));
     }
     let shape = count.map(|count| count as usize);
-    let filled = py.detach(|| {
-        let mut arrays = [0; 3].map(|_| Array3::<u8>::zeros(shape));
-        fill(set, first, last, &mut arrays).map(|()| arrays)
-    });
-    let [kind, bottom, top] = filled.map_err(|failure| failure.raise(py, name))?.map(|array| array.to_pyarray(py));
+    let zeros = py.import("numpy")?.getattr("zeros")?;
+    // Made by numpy: it raises MemoryError, and memory that stays empty is never touched.
+    let zeros = || PyResult::Ok(zeros.call1((shape, "u1"))?.cast_into::<PyArray3<u8>>()?);
+    let [kind, bottom, top] = [zeros()?, zeros()?, zeros()?];
+    // SAFETY: the arrays are new, and nobody else knows of them.
+    let mut arrays = unsafe { [kind.as_array_mut(), bottom.as_array_mut(), top.as_array_mut()] };
+    py.detach(|| fill(set, first, last, &mut arrays)).map_err(|failure| failure.raise(py, name))?;
     py.import("slicewalk._results")?.getattr("Region")?.call1((
         kind,
         bottom,
@@ -230,7 +236,14 @@ pub fn region<'py, S: PageSet + Sync>(
     ))
 }
 
-fn fill<S: PageSet>(set: &S, first: [i64; 3], last: [i64; 3], arrays: &mut [Array3<u8>; 3]) -> Result<(), Failure> {
+/// Fills the arrays, without the interpreter but for looks for Ctrl-C.
+fn fill<S: PageSet>(
+    set: &S,
+    first: [i64; 3],
+    last: [i64; 3],
+    arrays: &mut [ArrayViewMut3<'_, u8>; 3],
+) -> Result<(), Failure> {
+    let mut looked = Instant::now();
     let Some(bounds) = set.bounds() else { return Ok(()) };
     let tiles = |axis: usize, own: usize| {
         let (least, most) = (i64::from(bounds.min[own]), i64::from(bounds.max[own]));
@@ -248,6 +261,10 @@ fn fill<S: PageSet>(set: &S, first: [i64; 3], last: [i64; 3], arrays: &mut [Arra
             let page = slot.page().ok_or_else(|| absent(PageKey { tx, ty, layer: slot.layer() }))?;
             let corner = [i64::from(ty) * TILE_PIXELS, i64::from(tx) * TILE_PIXELS];
             for (px, py, spans) in page.columns() {
+                if looked.elapsed() >= LOOK {
+                    Python::attach(|py| py.check_signals())?;
+                    looked = Instant::now();
+                }
                 let (i, j) = (corner[1] + i64::from(px), corner[0] + i64::from(py));
                 if !(first[2]..=last[2]).contains(&i) || !(first[1]..=last[1]).contains(&j) {
                     continue;

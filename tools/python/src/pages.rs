@@ -1,19 +1,19 @@
 //! `Pages`: what can be asked of a set of pages, be it all pages of an archive or those of a view.
 
 use crate::archive::Opened;
-use crate::arrays::{batch, refused};
+use crate::arrays::{self, batch, refused};
 use crate::errors::Failure;
 use crate::page::{Column, Page, region};
 use crate::reach;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use slicewalk::Result;
-use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
+use slicewalk::frame::{Frame, PAGE_QUANTA};
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::query::{
     Aabb, Answer, Cylinder, Overlap, Ray, Shape, Sphere, cast, ceiling_above, floor_under, overlaps, sweep,
 };
-use slicewalk::store::{PageSet, View};
+use slicewalk::store::{PageSet, PageSlot, View};
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
@@ -48,7 +48,8 @@ pub(crate) use ask;
 /// All coordinates are metres in the archive's reference system. Every method that takes an array of N rows answers with
 /// an array of N values, lets other Python threads run meanwhile, and uses all cores (``threads=`` sets another number).
 /// An array of ``float64`` of any strides is read as it is; whatever numpy turns into ``float64`` without loss
-/// (``float32``, integers, lists) is converted first. The rows must not change while a method runs.
+/// (``float32``, integers, lists) is converted first. Boxes may also be N × 2 × 3, each two corners. The rows must not change while a
+/// method runs. Where there is no memory for the answers, MemoryError is raised.
 #[pyclass(frozen, subclass, module = "slicewalk")]
 pub struct Pages {
     pub set: Set,
@@ -326,7 +327,6 @@ impl Pages {
     /// array([[0, 0, 0],
     ///        [1, 0, 0]], dtype=int32)
     fn keys<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
-        use slicewalk::store::PageSlot;
         let mut keys = Vec::new();
         ask!(self.set, py, pages => {
             for number in 0..pages.column_count() {
@@ -338,7 +338,7 @@ impl Pages {
         keys.into_pyarray(py).reshape([count, 3])
     }
 
-    /// A page by its key; None where the archive has no matter.
+    /// A page by its key, a tuple or a row of :meth:`keys`; None where the archive has no matter.
     ///
     /// Raises:
     ///     NotLoadedError: the page of a view is not in memory
@@ -346,15 +346,16 @@ impl Pages {
     /// >>> page = slicewalk.open("room.slices").page((0, 0, 0))
     /// >>> page.occupancy.shape, page.bottoms.dtype, page.bottoms.flags.writeable
     /// ((64, 64), dtype('uint16'), False)
-    fn page(&self, py: Python<'_>, key: (i32, i32, i32)) -> PyResult<Option<Page>> {
-        let key = PageKey { tx: key.0, ty: key.1, layer: key.2 };
+    fn page(&self, py: Python<'_>, key: &Bound<'_, PyAny>) -> PyResult<Option<Page>> {
+        let key = arrays::key(key)?;
         ask!(self.set, py, pages => Page::of(pages, key).map_err(|failure| failure.raise(py, self.name())))
     }
 
     /// All voxels of a region as arrays.
     ///
     /// Args:
-    ///     bounds: ``xmin, ymin, zmin, xmax, ymax, zmax`` (m): the region is made of the voxels that this box meets
+    ///     bounds: ``xmin, ymin, zmin, xmax, ymax, zmax`` (m), or the two corners as in :attr:`Archive.bounds`: the region is made of
+    ///         the voxels that this box meets
     ///
     /// Returns:
     ///     :class:`Region`; ``region.kind`` is uint8 of shape (slices, rows along y, columns along x): 0 empty, 1 floor, 2
@@ -362,11 +363,15 @@ impl Pages {
     ///
     /// Raises:
     ///     LimitError: the region has more than 2³¹ voxels
+    ///     MemoryError: the system has no memory for them
     ///     NotLoadedError: a page of a view is not in memory
     ///
     /// >>> region = slicewalk.open("room.slices").region((0, 0, 0, 8, 6, 2.5))
     /// >>> region.kind.shape, int((region.kind == 2).any(axis=0).sum())
     /// ((9, 61, 81), 276)
+    /// >>> archive = slicewalk.open("room.slices")
+    /// >>> archive.region(archive.bounds).occupied.sum() == archive.voxels
+    /// np.True_
     fn region<'py>(&self, py: Python<'py>, bounds: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         ask!(self.set, py, pages => region(py, pages, self.name(), bounds))
     }
@@ -429,6 +434,19 @@ impl Pages {
         progress: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         reach::route(self, [start, goal], &reach::pawn(pawn, climb, max_drop)?, progress)
+    }
+
+    fn __repr__(&self) -> String {
+        match &self.set {
+            Set::All(opened) => opened.described("Pages"),
+            Set::View(view) => {
+                let columns = (0..view.column_count()).map(|number| view.column_at(number).2);
+                let (all, there) = columns
+                    .flatten()
+                    .fold((0, 0), |(all, there), slot| (all + 1, there + usize::from(slot.page().is_some())));
+                format!("<slicewalk.View: {there} of {all} pages in memory>")
+            }
+        }
     }
 }
 

@@ -69,7 +69,7 @@ pub fn reach<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = start.py();
     let at = numbers::<3>(start, "start")?;
-    let audience = Audience { progress, quiet: false };
+    let audience = Audience { progress, ..Audience::default() };
     let found = ask!(pages.set, py, set => {
         attended(py, &audience, pages.name(), |monitor| survey(set, *pawn, at, monitor))?
     });
@@ -102,7 +102,7 @@ pub fn route<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = ends[0].py();
     let [from, to] = [numbers::<3>(ends[0], "start")?, numbers::<3>(ends[1], "goal")?].map(Point3::from);
-    let audience = Audience { progress, quiet: false };
+    let audience = Audience { progress, ..Audience::default() };
     let found = ask!(pages.set, py, set => {
         attended(py, &audience, pages.name(), |monitor| find(set, *pawn, [from, to], monitor))?
     });

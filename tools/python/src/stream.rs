@@ -1,10 +1,10 @@
 //! `Stream`: the pages around moving bodies under a byte budget, and `View`, what queries see of them.
 
 use crate::archive::{Archive, Opened};
-use crate::arrays::{Rows, numbers};
+use crate::arrays::{BLOCK, Rows, numbers};
 use crate::attend::{Audience, attended};
-use crate::errors::Failure;
-use crate::options::size;
+use crate::errors::{Failure, of_row};
+use crate::options::{refuse, size};
 use crate::pages::{Pages, Set};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -12,7 +12,7 @@ use pyo3::types::PyDict;
 use slicewalk::nalgebra::{Point3, Vector3};
 use slicewalk::store::{LoadReport, Outlook, PawnHandle, Prefetch, Stream as Inner, StreamOptions};
 use slicewalk::{Error, Result};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 /// The pages of an archive around moving bodies, under a byte budget that holds at every moment.
@@ -38,6 +38,29 @@ use std::time::Duration;
 pub struct Stream {
     stream: Mutex<Option<Arc<Inner>>>,
     opened: Arc<Opened>,
+    /// Hints keep the stream's pages in memory, so they end with it.
+    hints: Mutex<Vec<WeakHints>>,
+}
+
+/// A place for the hints of one body; None once the stream is closed.
+#[derive(Clone)]
+pub struct Hints(Arc<Mutex<Option<PawnHandle>>>);
+
+type WeakHints = Weak<Mutex<Option<PawnHandle>>>;
+
+impl Hints {
+    /// Lets `say` give hints.
+    pub fn with(&self, say: impl FnOnce(&mut PawnHandle)) -> PyResult<()> {
+        lock(&self.0).as_mut().map(say).ok_or_else(closed)
+    }
+}
+
+fn closed() -> PyErr {
+    PyValueError::new_err("the stream is closed: open another one")
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A box at rest: what it touches.
@@ -47,13 +70,19 @@ fn resting(&[x0, y0, z0, x1, y1, z1]: &[f64; 6]) -> Outlook {
 }
 
 impl Stream {
-    fn lock(&self) -> MutexGuard<'_, Option<Arc<Inner>>> {
-        self.stream.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// The stream, unless it is closed.
     pub fn inner(&self) -> PyResult<Arc<Inner>> {
-        self.lock().clone().ok_or_else(|| PyValueError::new_err("the stream is closed: open another one"))
+        lock(&self.stream).clone().ok_or_else(closed)
+    }
+
+    /// A place for the hints of a body.
+    pub fn hints(&self) -> PyResult<Hints> {
+        let stream = lock(&self.stream);
+        let hints = Arc::new(Mutex::new(Some(stream.as_ref().ok_or_else(closed)?.pawn())));
+        let mut all = lock(&self.hints);
+        all.retain(|hints| hints.strong_count() > 0);
+        all.push(Arc::downgrade(&hints));
+        Ok(Hints(hints))
     }
 
     /// The archive's name, for errors.
@@ -75,7 +104,7 @@ impl Stream {
         let stream = attended(archive.py(), &Audience::default(), name.as_deref(), |_| {
             Ok(Inner::open(opened.again()?, options)?)
         })?;
-        Ok(Self { stream: Mutex::new(Some(Arc::new(stream))), opened })
+        Ok(Self { stream: Mutex::new(Some(Arc::new(stream))), opened, hints: Mutex::default() })
     }
 
     /// The pages in memory now, as :class:`View`. Takes one per frame; costs next to nothing.
@@ -95,36 +124,42 @@ impl Stream {
     fn load<'py>(&self, boxes: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
         let py = boxes.py();
         let rows = Rows::<6>::of(boxes, "boxes")?;
-        let mut all = Vec::new();
-        rows.copy(0, rows.len(), &mut all)?;
+        let (mut block, mut sum) = (Vec::new(), LoadReport::default());
         let stream = self.inner()?;
-        let report = attended(py, &Audience::default(), self.name(), |monitor| {
-            let mut sum = LoadReport::default();
-            for row in &all {
-                if monitor.cancelled() {
-                    return Err(Error::Interrupted.into());
-                }
-                let report = stream.load_around(&resting(row))?;
-                sum.loaded += report.loaded;
-                sum.already += report.already;
-                sum.evicted += report.evicted;
-                sum.left_out += report.left_out;
-                sum.needed_bytes = sum.needed_bytes.max(report.needed_bytes);
+        for first in (0..rows.len()).step_by(BLOCK) {
+            rows.copy(first, BLOCK.min(rows.len() - first), &mut block)?;
+            if let Some(wrong) = block.iter().position(|row| !resting(row).is_valid()) {
+                let error = Error::parameter("box", "expected finite numbers, and minima up to maxima");
+                return Err(of_row(py, "boxes", first + wrong, error));
             }
-            Ok(sum)
-        })?;
+            attended(py, &Audience::default(), self.name(), |monitor| {
+                for row in &block {
+                    if monitor.cancelled() {
+                        return Err(Error::Interrupted.into());
+                    }
+                    self.inner()?;
+                    let report = stream.load_around(&resting(row))?;
+                    sum.loaded += report.loaded;
+                    sum.already += report.already;
+                    sum.evicted += report.evicted;
+                    sum.left_out += report.left_out;
+                    sum.needed_bytes = sum.needed_bytes.max(report.needed_bytes);
+                }
+                Ok(())
+            })?;
+        }
         let facts = PyDict::new(py);
-        facts.set_item("loaded", report.loaded)?;
-        facts.set_item("already", report.already)?;
-        facts.set_item("evicted", report.evicted)?;
-        facts.set_item("left_out", report.left_out)?;
-        facts.set_item("needed_bytes", report.needed_bytes)?;
+        facts.set_item("loaded", sum.loaded)?;
+        facts.set_item("already", sum.already)?;
+        facts.set_item("evicted", sum.evicted)?;
+        facts.set_item("left_out", sum.left_out)?;
+        facts.set_item("needed_bytes", sum.needed_bytes)?;
         Ok(facts)
     }
 
     /// A place for the hints of one body of your own; a :class:`Walker` has one by itself.
     fn body(&self) -> PyResult<Body> {
-        Ok(Body { pawn: Mutex::new(self.inner()?.pawn()) })
+        Ok(Body { hints: self.hints()? })
     }
 
     /// Waits until all that the hints so far want is in memory, has failed, or finds no room.
@@ -136,10 +171,12 @@ impl Stream {
     ///     whether it came so far
     fn settle(&self, py: Python<'_>, seconds: f64) -> PyResult<bool> {
         let stream = self.inner()?;
-        let most = Duration::try_from_secs_f64(seconds).map_err(|error| PyValueError::new_err(error.to_string()))?;
+        let wrong = |_| refuse("seconds", format!("expected seconds, 0 or more, found {seconds}"));
+        let most = Duration::try_from_secs_f64(seconds).map_err(wrong)?;
         attended(py, &Audience::default(), None, |monitor| {
             let start = std::time::Instant::now();
             loop {
+                self.inner()?;
                 let rest = most.saturating_sub(start.elapsed());
                 if stream.settle(rest.min(Duration::from_millis(50))) {
                     return Ok(true);
@@ -174,10 +211,24 @@ impl Stream {
         Ok(errors.into_iter().map(|failed| Failure::from(failed.error).raise(py, self.name())).collect())
     }
 
-    /// Ends the stream and its thread; views that are left stay valid.
+    /// Ends the stream and its thread, and with them what bodies and walkers hold of it; views that are left stay valid.
     fn close(&self, py: Python<'_>) {
-        let stream = self.lock().take();
-        py.detach(|| drop(stream));
+        let stream = lock(&self.stream).take();
+        let hints = std::mem::take(&mut *lock(&self.hints));
+        py.detach(|| {
+            for hints in hints.iter().filter_map(Weak::upgrade) {
+                drop(lock(&hints).take());
+            }
+            drop(stream);
+        });
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let name = self.name().unwrap_or("bytes");
+        let Ok(stream) = self.inner() else { return format!("<slicewalk.Stream of {name:?}, closed>") };
+        let counters = py.detach(|| stream.counters());
+        let (pages, used, budget) = (counters.resident_pages, counters.used_bytes, counters.budget_bytes);
+        format!("<slicewalk.Stream of {name:?}: {pages} pages, {used} of {budget} bytes>")
     }
 
     fn __enter__(this: Bound<'_, Self>) -> Bound<'_, Self> {
@@ -207,7 +258,7 @@ pub struct View {}
 /// Where a body of your own says how it moves; see :meth:`Stream.body`. Its hints end with it.
 #[pyclass(frozen, module = "slicewalk")]
 pub struct Body {
-    pawn: Mutex<PawnHandle>,
+    hints: Hints,
 }
 
 #[pymethods]
@@ -228,8 +279,14 @@ impl Body {
     #[pyo3(signature = (r#box, velocity))]
     fn hint(&self, r#box: &Bound<'_, PyAny>, velocity: &Bound<'_, PyAny>) -> PyResult<()> {
         let motion = motion(numbers(r#box, "box")?, numbers(velocity, "velocity")?).map_err(Failure::from)?;
-        self.pawn.lock().unwrap_or_else(PoisonError::into_inner).hint(&motion);
-        Ok(())
+        self.hints.with(|pawn| pawn.hint(&motion))
+    }
+
+    fn __repr__(&self) -> &'static str {
+        match *lock(&self.hints.0) {
+            Some(_) => "<slicewalk.Body of a stream>",
+            None => "<slicewalk.Body of a closed stream>",
+        }
     }
 }
 

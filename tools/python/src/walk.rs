@@ -1,20 +1,20 @@
 //! `Walker`: a pawn with gravity, stairs and walls.
 
-use crate::arrays::{Rows, numbers};
+use crate::arrays::{BLOCK, Rows, numbers, reserve, short};
 use crate::attend::{Audience, attended};
 use crate::errors::Failure;
 use crate::options::refuse;
 use crate::pages::{Pages, ask};
 use crate::reach::body;
-use crate::stream::Stream;
+use crate::stream::{Hints, Stream};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use slicewalk::nalgebra::{Point2, Vector2};
-use slicewalk::store::{Outlook, PageSet, PawnHandle, Stream as Inner};
+use slicewalk::store::{Outlook, PageSet, Stream as Inner};
 use slicewalk::walk::{Config, Response, State, StepReport, Stop, Walker as Pawn3, Waypoints, Wish};
 use slicewalk::{Error, Monitor};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 /// So long a pawn may be blocked before its path ends (s), as in `slicetool walk`.
@@ -23,10 +23,21 @@ const BLOCKED_S: f64 = 2.0;
 const BETWEEN_LOOKS: u64 = 64;
 
 /// Where a walker walks.
-#[derive(FromPyObject)]
 enum Ground<'py> {
     Pages(Bound<'py, Pages>),
     Stream(Bound<'py, Stream>),
+}
+
+impl<'py> Ground<'py> {
+    fn of(given: &Bound<'py, PyAny>) -> PyResult<Self> {
+        if let Ok(pages) = given.cast::<Pages>() {
+            return Ok(Self::Pages(pages.clone()));
+        }
+        let stream = given.cast::<Stream>().map_err(|_| {
+            PyTypeError::new_err(format!("pages: expected an Archive, a View or a Stream, found {}", short(given)))
+        })?;
+        Ok(Self::Stream(stream.clone()))
+    }
 }
 
 /// A pawn: gravity, floors, stairs, walls, ledges. Its way does not depend on the frame rate.
@@ -53,7 +64,7 @@ enum Ground<'py> {
 pub struct Walker {
     walker: Pawn3,
     /// Its hints, and the stream that they are for.
-    hints: Option<(Arc<Inner>, PawnHandle)>,
+    hints: Option<(Weak<Inner>, Hints)>,
 }
 
 fn response(name: &str) -> PyResult<Response> {
@@ -137,7 +148,7 @@ impl Walker {
     ///
     /// Args:
     ///     pages: an :class:`Archive`, a :class:`View`, or a :class:`Stream`, which is then told where the pawn is heading
-    ///     dt: time (s)
+    ///     dt: time (s), 0 or more
     ///     direction: ``dx, dy``: walks this way; a length below 1 means slower
     ///     toward: ``x, y``: walks to this place (m). Without either it stands
     ///
@@ -147,11 +158,15 @@ impl Walker {
     fn step<'py>(
         &mut self,
         py: Python<'py>,
-        pages: Ground<'py>,
+        pages: &Bound<'py, PyAny>,
         dt: f64,
         direction: Option<&Bound<'py, PyAny>>,
         toward: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let pages = Ground::of(pages)?;
+        if !dt.is_finite() || dt < 0.0 {
+            return Err(refuse("dt", format!("expected seconds, 0 or more, found {dt}")));
+        }
         let wish = match (direction, toward) {
             (None, None) => Wish::Stay,
             (Some(way), None) => Wish::Direction(Vector2::from(numbers::<2>(way, "direction")?)),
@@ -161,12 +176,13 @@ impl Walker {
         let done = match &pages {
             Ground::Pages(pages) => ask!(pages.get().set, py, set => self.walker.step(set, dt, wish)),
             Ground::Stream(stream) => {
-                let stream = stream.get().inner()?;
-                let outlook = self.walker.outlook(stream.archive().frame());
-                self.hints_for(&stream).hint(&outlook);
-                let done = self.walker.step(&stream.view(), dt, wish);
-                if let (Some(missing), Some((_, hints))) = (&done.missing, &mut self.hints) {
-                    hints.need(missing);
+                let inner = stream.get().inner()?;
+                let outlook = self.walker.outlook(inner.archive().frame());
+                let hints = self.hints_for(stream.get(), &inner)?;
+                hints.with(|pawn| pawn.hint(&outlook))?;
+                let done = self.walker.step(&inner.view(), dt, wish);
+                if let Some(missing) = &done.missing {
+                    hints.with(|pawn| pawn.need(missing))?;
                 }
                 done
             }
@@ -197,11 +213,12 @@ impl Walker {
     fn path<'py>(
         &mut self,
         py: Python<'py>,
-        pages: Ground<'py>,
+        pages: &Bound<'py, PyAny>,
         waypoints: &Bound<'py, PyAny>,
         hz: f64,
         max_seconds: f64,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let pages = Ground::of(pages)?;
         let fits = (0.1..=1e5).contains(&hz) && max_seconds > 0.0 && max_seconds <= 1e6;
         if !fits {
             return Err(refuse("hz, max_seconds", "expected 0.1 to 100000 frames per second, and up to 1000000 s"));
@@ -217,14 +234,15 @@ impl Walker {
                 })?
             }),
             Ground::Stream(stream) => {
-                let name = stream.get().name();
-                let stream = stream.get().inner()?;
+                let (ground, name) = (stream.get(), stream.get().name());
+                let stream = ground.inner()?;
                 let mut hints = stream.pawn();
                 let walker = &mut self.walker;
                 attended(py, &Audience::default(), name, |monitor| {
                     let frame = *stream.archive().frame();
                     stream.load_around(&walker.outlook(&frame))?;
                     walk.frames(monitor, walker, |walker, dt| {
+                        ground.inner()?;
                         hints.hint(&walker.outlook(&frame));
                         stream.settle(Duration::from_secs_f64(dt));
                         follow_loading(walker, &stream, dt, &mut route)
@@ -250,9 +268,14 @@ impl Walker {
 
 impl Walker {
     /// Its hints for this stream.
-    fn hints_for(&mut self, stream: &Arc<Inner>) -> &mut PawnHandle {
-        let known = self.hints.take().filter(|(own, _)| Arc::ptr_eq(own, stream));
-        &mut self.hints.insert(known.unwrap_or_else(|| (stream.clone(), stream.pawn()))).1
+    fn hints_for(&mut self, stream: &Stream, inner: &Arc<Inner>) -> PyResult<Hints> {
+        let known = self.hints.take().filter(|(own, _)| own.as_ptr() == Arc::as_ptr(inner));
+        let (own, hints) = match known {
+            Some(known) => known,
+            None => (Arc::downgrade(inner), stream.hints()?),
+        };
+        self.hints = Some((own, hints.clone()));
+        Ok(hints)
     }
 }
 
@@ -260,16 +283,20 @@ fn places(waypoints: &Bound<'_, PyAny>) -> PyResult<Vec<Point2<f64>>> {
     let py = waypoints.py();
     let array = py.import("numpy")?.call_method1("asarray", (waypoints,))?;
     let columns = array.getattr("shape")?.get_item(-1).and_then(|columns| columns.extract::<usize>());
-    if columns.is_ok_and(|columns| columns == 3) {
-        let rows = Rows::<3>::of(&array, "waypoints")?;
-        let mut all = Vec::new();
-        rows.copy(0, rows.len(), &mut all)?;
-        return Ok(all.iter().map(|place| Point2::new(place[0], place[1])).collect());
+    match columns {
+        Ok(3) => places_of(&Rows::<3>::of(&array, "waypoints")?),
+        _ => places_of(&Rows::<2>::of(&array, "waypoints")?),
     }
-    let rows = Rows::<2>::of(&array, "waypoints")?;
-    let mut all = Vec::new();
-    rows.copy(0, rows.len(), &mut all)?;
-    Ok(all.into_iter().map(Point2::from).collect())
+}
+
+fn places_of<const N: usize>(rows: &Rows<'_, N>) -> PyResult<Vec<Point2<f64>>> {
+    let (mut all, mut block) = (Vec::new(), Vec::new());
+    reserve(&mut all, rows.len(), || format!("{} waypoints", rows.len()))?;
+    for first in (0..rows.len()).step_by(BLOCK) {
+        rows.copy(first, BLOCK.min(rows.len() - first), &mut block)?;
+        all.extend(block.iter().map(|place| Point2::new(place[0], place[1])));
+    }
+    Ok(all)
 }
 
 /// Frames of equal length.

@@ -10,6 +10,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use slicewalk::convert::PointWriter;
 use std::path::PathBuf;
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Writes an archive of points from memory, in batches of any size and order and in bounded memory.
@@ -37,9 +39,40 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 pub struct Writer {
     writer: Mutex<Option<PointWriter>>,
     report: Mutex<Option<Py<PyAny>>>,
+    output: PathBuf,
+    /// Points of a writer that has ended.
+    points: AtomicU64,
 }
 
+/// Options that do not need a file.
+const OPTIONS: [&str; 15] = [
+    "slice",
+    "max_slope",
+    "tolerance",
+    "classifier",
+    "memory",
+    "threads",
+    "temp_dir",
+    "min_points",
+    "drop_isolated",
+    "drop_floaters",
+    "fill_holes",
+    "up",
+    "levels",
+    "force",
+    "crs",
+];
+
 impl Writer {
+    /// Takes the writer, which ends; its points stay counted.
+    fn take(&self) -> Option<PointWriter> {
+        let writer = self.lock().take();
+        if let Some(writer) = &writer {
+            self.points.store(writer.points(), Relaxed);
+        }
+        writer
+    }
+
     fn lock(&self) -> MutexGuard<'_, Option<PointWriter>> {
         self.writer.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -59,13 +92,12 @@ impl Writer {
         pixel: &Bound<'_, PyAny>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        let of_files = ["exclude_class", "units", "mesh", "allow_incomplete", "resume", "plan", "shard", "quiet"];
-        Asked::refuse(options, &of_files)?;
+        Asked::refuse(options, |name| OPTIONS.contains(&name))?;
         let options = options.map_or_else(|| Ok(PyDict::new(py)), |options| options.copy())?;
         options.set_item("pixel", pixel)?;
-        let asked = Asked::new(Vec::new(), output, Some(&options))?;
+        let asked = Asked::new(Vec::new(), output.clone(), Some(&options))?;
         let writer = py.detach(|| PointWriter::create(&asked.options, &asked.crs)).map_err(Failure::from)?;
-        Ok(Self { writer: Mutex::new(Some(writer)), report: Mutex::default() })
+        Ok(Self { writer: Mutex::new(Some(writer)), report: Mutex::default(), output, points: AtomicU64::new(0) })
     }
 
     /// Adds points.
@@ -95,7 +127,7 @@ impl Writer {
     /// Points added so far, those left out included.
     #[getter]
     fn points(&self, py: Python<'_>) -> u64 {
-        py.detach(|| self.lock().as_ref().map_or(0, PointWriter::points))
+        py.detach(|| self.lock().as_ref().map_or_else(|| self.points.load(Relaxed), PointWriter::points))
     }
 
     /// Publishes the archive; the writer has ended then.
@@ -104,8 +136,8 @@ impl Writer {
     ///     what ``sliceconv --json`` prints, as a dict; also ``report`` from then on
     #[pyo3(signature = (progress=None))]
     fn finish<'py>(&self, py: Python<'py>, progress: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
-        let writer = py.detach(|| self.lock().take()).ok_or_else(ended)?;
-        let audience = Audience { progress, quiet: false };
+        let writer = py.detach(|| self.take()).ok_or_else(ended)?;
+        let audience = Audience { progress, ..Audience::default() };
         let report = attended(py, &audience, None, |monitor| Ok(writer.finish(monitor)?))?;
         let facts = dictionary(py, &report.info())?;
         *self.report.lock().unwrap_or_else(PoisonError::into_inner) = Some(facts.clone().unbind());
@@ -120,7 +152,12 @@ impl Writer {
 
     /// Ends the writer without writing anything.
     fn discard(&self, py: Python<'_>) {
-        py.detach(|| drop(self.lock().take()));
+        py.detach(|| drop(self.take()));
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let state = if py.detach(|| self.lock().is_some()) { "open" } else { "ended" };
+        format!("<slicewalk.Writer {:?}: {} points, {state}>", self.output, self.points(py))
     }
 
     fn __enter__(this: Bound<'_, Self>) -> Bound<'_, Self> {

@@ -188,3 +188,41 @@ def test_not_loaded_is_an_answer_of_its_own(folder):
         stream.load(wall)
         assert view.overlaps(wall) == slicewalk.NOT_LOADED, "a view is about its moment"
         assert stream.view().overlaps(wall) == slicewalk.HIT
+
+
+def test_middles_of_voxels(rubble):
+    region = rubble[1].region([-1, -1, 1, 1, 1, 2])
+    data = region.to_xarray()
+    assert np.allclose(data.z, region.z + region.slice_height / 2)
+    place = data.kind.sel(x=0.03, y=0.03, z=1.5, method="nearest")
+    for axis, size in (("x", region.pixel_size), ("y", region.pixel_size), ("z", region.slice_height)):
+        assert abs(float(place[axis]) - {"x": 0.03, "y": 0.03, "z": 1.5}[axis]) <= size / 2 + 1e-9
+
+
+def test_what_is_printed_says_something(folder, rubble):
+    archive = slicewalk.open(folder / "room.slices")
+    slicewalk.convert(folder / "room.las", folder / "levels.slices", pixel=0.02, units="m", levels=True, force=True)
+    reach, route = archive.reach((4, 3, 0.1)), archive.route((1, 1, 0.1), (7, 5, 0.1))
+    path = slicewalk.Walker((1, 1, 0.1)).path(archive, route.points)
+    said = {
+        archive: "voxels, pixel 0.1 m, 9 slices",
+        slicewalk.open(folder / "levels.slices").level(1): 'Pages level 1 of "',
+        reach: " m², ",
+        route: "7.2",
+        archive.route((1, 1, 0.1), (70, 5, 0.1)): "none, not_standing_to",
+        path: "arrived after",
+        archive.region((0, 0, 0, 8, 6, 2.5)): "9 × 61 × 81 voxels",
+    }
+    for thing, text in said.items():
+        assert text in repr(thing)
+        assert len(repr(thing)) < 200
+
+
+def test_a_row_of_keys_is_a_key(rubble):
+    archive = rubble[1]
+    for key in archive.keys():
+        assert archive.page(key).key == archive.page(tuple(key)).key == tuple(key)
+    assert archive.colours(archive.keys()[0]) is None
+    for key in (5, (1, 2), (1, 2, 3, 4), "abc", (1, 2, 1 << 40), None):
+        with pytest.raises(TypeError, match="key: expected tx, ty, layer"):
+            archive.page(key)

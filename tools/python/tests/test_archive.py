@@ -111,6 +111,17 @@ def test_no_file(tmp_path):
     assert (error.errno, error.action) == (2, "open")
 
 
+def test_a_name_of_any_bytes_opens_again(folder, tmp_path):
+    path = os.fsdecode(os.fsencode(tmp_path) + b"/\xffname.slices")
+    try:
+        pathlib.Path(path).write_bytes((folder / "room.slices").read_bytes())
+    except OSError:
+        pytest.skip("no such names here")
+    archive = slicewalk.open(path)
+    assert archive.path == path
+    assert slicewalk.open(archive.path).voxels == archive.voxels
+
+
 def test_damage(folder, rubble, tmp_path):
     data = bytearray((folder / "rubble.slices").read_bytes())
     with pytest.raises(slicewalk.FormatError, match="rule") as raised:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import pathlib
+import subprocess
+import sys
+import textwrap
+import time
 import tracemalloc
 
 import numpy as np
@@ -149,3 +154,121 @@ def test_input_is_not_copied_whole_and_answers_are_handed_over(rubble):
     assert peak < 400_000
     assert not answers.flags.owndata
     assert answers.flags.writeable
+
+
+def test_boxes_may_come_as_corners(rubble, boxes):
+    archive = rubble[1]
+    corners = boxes.reshape(-1, 2, 3)
+    assert (archive.overlaps(corners) == archive.overlaps(boxes)).all()
+    assert (archive.floor(corners.tolist()) == archive.floor(boxes)).all()
+    with pytest.raises(ValueError, match="expected shape"):
+        archive.sweep(np.zeros((3, 2, 3)))
+    assert (archive.region(archive.bounds).kind == archive.region(archive.bounds.ravel()).kind).all()
+    assert archive.region(archive.bounds.tolist()).occupied.sum() == archive.voxels
+    region = archive.region(iter([0, 0, 0, 1, 1, 1]))
+    assert region.kind.shape == archive.region([[0, 0, 0], [1, 1, 1]]).kind.shape
+    short = [[0, 0, 0, 1, 1], [[0, 0], [1, 1]], [0, 1, [1, 2, 3, 4]], [[0, 0, 0], [1, 1, np.nan]], np.zeros((3, 2))]
+    wrong = [*short, range(1 << 62), None, "box", np.zeros(1 << 20), 5]
+    for bounds in wrong:
+        with pytest.raises(ValueError, match="bounds: expected 6 finite numbers") as raised:
+            archive.region(bounds)
+        assert len(str(raised.value)) < 400
+
+
+def test_a_row_asks_nothing_of_the_system(rubble):
+    archive, box = rubble[1], np.zeros((1, 6))
+    archive.load()
+
+    def least(**options):
+        def once():
+            start = time.perf_counter()
+            for _ in range(100):
+                archive.overlaps(box, **options)
+            return time.perf_counter() - start
+
+        return min(once() for _ in range(20))
+
+    assert least() < 2 * least(threads=1)
+
+
+def limited(script, folder):
+    """Run a script in a process that gets 2 GiB of addresses beyond those of its imports."""
+    head = """
+        import pathlib, re, resource, numpy as np, slicewalk
+        size = int(re.search(r"VmSize:\\s+(\\d+)", pathlib.Path("/proc/self/status").read_text())[1]) << 10
+        archive = slicewalk.open("rubble.slices")
+        stream = slicewalk.Stream(archive, "16MiB")
+        archive.load()
+        low, high = archive.bounds
+        resource.setrlimit(resource.RLIMIT_AS, (size + (2 << 30),) * 2)
+    """
+    code = textwrap.dedent(head) + textwrap.dedent(script)
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
+@pytest.mark.parametrize(
+    "work",
+    [
+        "archive.overlaps(np.broadcast_to([0.0, 0, 0, 1, 1, 1], (1 << 42, 6)))",
+        "archive.floor(np.broadcast_to([0.0, 0, 0, 1, 1, 1], (1 << 29, 6)))",
+        "archive.sweep(np.broadcast_to(0.0, (1 << 42, 9)))",
+        "archive.cast(np.broadcast_to(1.0, (1 << 42, 7)))",
+        "archive.overlaps_spheres(np.broadcast_to(1.0, (1 << 42, 4)))",
+        "archive.overlaps_cylinders(np.broadcast_to(1.0, (1 << 42, 5)))",
+        "stream.view().ceiling(np.broadcast_to([0.0, 0, 0, 1, 1, 1], (1 << 42, 6)))",
+        "archive.region([0, 0, 0, 100, 100, 300])",
+        "slicewalk.Walker((0, 0, 0)).path(archive, np.broadcast_to(1.0, (1 << 42, 2)))",
+        "slicewalk.Walker((0, 0, 0)).path(archive, np.broadcast_to(1.0, (1 << 42, 3)))",
+    ],
+)
+def test_memory_that_cannot_be_had_is_an_error(folder, rubble, work):
+    script = f"""
+        try:
+            {work}
+        except MemoryError as error:
+            print("MemoryError", error)
+        assert archive.overlaps([[*low, *high]]) == slicewalk.HIT
+    """
+    done = limited(script, folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("MemoryError"), done.stdout + done.stderr
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
+def test_boxes_of_a_stream_are_read_block_by_block(folder, rubble):
+    # 48 GiB of rows, of which a callback of the clock ends the loading.
+    script = """
+        import signal
+        def enough(*_):
+            raise KeyError("enough")
+        signal.signal(signal.SIGALRM, enough)
+        signal.setitimer(signal.ITIMER_REAL, 1)
+        try:
+            stream.load(np.broadcast_to([0.0, 0, 0, 1, 1, 1], (1 << 30, 6)))
+        except KeyError as error:
+            print(error)
+    """
+    done = limited(script, folder)
+    assert done.stdout == "'enough'\n", done.stderr
+    with slicewalk.Stream(rubble[1], "16MiB") as stream:
+        boxes = np.zeros((70_000, 6))
+        boxes[69_999, 3] = -1
+        with pytest.raises(slicewalk.ParameterError, match="boxes: row 69999: ") as raised:
+            stream.load(boxes)
+        assert raised.value.row == 69_999
+
+
+@pytest.mark.skipif(not pathlib.Path("/proc/self/status").exists(), reason="needs /proc")
+def test_empty_space_of_a_region_takes_no_memory(folder, rubble):
+    # Three arrays of 600 MB, of which the scan touches a little.
+    script = """
+        region = archive.region([*low, *(high + (40, 40, 500))])
+        assert region.kind.size > 2e8
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10)
+        print(region.kind.flags.owndata)
+    """
+    done = limited(script, folder)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split()[0]) < 300
+    assert done.stdout.split()[1] == "True"

@@ -326,3 +326,95 @@ def test_levels_have_the_means_of_their_voxels(tmp_path):
     slicewalk.convert(tmp_path / "a.las", tmp_path / "b.slices", **options)
     with pytest.raises(slicewalk.ParameterError, match="no overview levels"):
         slicewalk.open(tmp_path / "b.slices").colours((0, 0, 0), level=1)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "says"),
+    [
+        ({"threads": 0}, ValueError, "threads: expected a number of threads from 1 to 65535, found 0"),
+        ({"threads": "two"}, TypeError, "threads: expected .* found 'two'"),
+        ({"crs": 28992}, TypeError, "crs: expected a text such as .EPSG:25832., found 28992"),
+        ({"levels": 1}, TypeError, "levels: expected True or False, found 1"),
+        ({"pixel": [1]}, TypeError, "pixel: expected metres, or .auto., found "),
+        ({"slice": "high"}, TypeError, "slice: expected metres, found 'high'"),
+        ({"max_slope": None, "tolerance": {}}, TypeError, "tolerance: "),
+        ({"memory": 1.5}, TypeError, "memory: expected a whole number of bytes"),
+        ({"min_points": 0}, ValueError, "min_points: "),
+        ({"min_points": -1}, OverflowError, "min_points: expected .* found -1"),
+        ({"drop_floaters": 0}, ValueError, "drop_floaters: "),
+        ({"drop_floaters": 70_000}, OverflowError, "drop_floaters: "),
+        ({"drop_isolated": "yes"}, TypeError, "drop_isolated: expected True or False"),
+        ({"drop_isolated": True, "drop_floaters": 5}, ValueError, "drop_isolated: .*leave one of them out"),
+        ({"exclude_class": "7,x"}, ValueError, "exclude_class: expected classes from 0 to 255, such as .* found"),
+        ({"exclude_class": ""}, ValueError, "exclude_class: "),
+        ({"exclude_class": "18-7"}, ValueError, "exclude_class: "),
+        ({"exclude_class": [300]}, OverflowError, "exclude_class: .* found 300"),
+        ({"exclude_class": [7, "x"]}, TypeError, "exclude_class: .* found 'x'"),
+        ({"exclude_class": 7.5}, TypeError, "exclude_class: "),
+        ({"stations": "a.csv"}, ValueError, "stations: .*remove_moving"),
+        ({"removed": "a.las"}, ValueError, "removed: .*remove_moving"),
+        ({"temp_dir": 5}, TypeError, "temp_dir: expected a folder, found 5"),
+        ({"units": []}, TypeError, "units: "),
+        ({"up": 3}, TypeError, "up: expected one of z, y, found 3"),
+        ({"colour": True}, TypeError, "colour: "),
+        ({"columns": 3}, TypeError, "columns: "),
+        ({"shard": 3}, TypeError, "shard: "),
+        ({"plan": 3}, TypeError, "plan: expected a file, found 3"),
+    ],
+)
+def test_errors_name_the_option(las, tmp_path, options, error, says):
+    with pytest.raises(error, match=says):
+        slicewalk.convert(las, tmp_path / "a.slices", quiet=True, **{"pixel": 0.2, "units": "m", **options})
+    assert sorted(os.listdir(tmp_path)) == ["scan.las"]
+
+
+def test_classes_are_given_as_on_the_command_line(las, tmp_path):
+    def excluded(classes):
+        report = slicewalk.convert(
+            las, tmp_path / "a.slices", pixel=0.2, units="m", force=True, quiet=True, exclude_class=classes
+        )
+        assert report["warnings"] == [] or "nothing is kept" in str(report["warnings"])
+        return report["points_excluded"]
+
+    for classes in ("0,18", " 0 ", "0-3,7", 0, [0, 7], {0}, range(3), np.array([0, 7]), (one for one in [0])):
+        assert excluded(classes) == 6000
+    for classes in ("7,18", "64-255", 7, []):
+        assert excluded(classes) == 0
+
+
+def test_inputs_come_in_any_iterable(las, tmp_path):
+    expected = slicewalk.convert(las, tmp_path / "a.slices", pixel=0.2, units="m")["points_kept"]
+    for inputs in (tmp_path.glob("*.las"), {las}, iter([str(las)]), dict.fromkeys([las])):
+        report = slicewalk.convert(inputs, tmp_path / "a.slices", pixel=0.2, units="m", force=True)
+        assert report["points_kept"] == expected
+    slicewalk.write_plan(tmp_path.glob("*.las"), tmp_path / "plan.json", pixel=0.2, units="m")
+    slicewalk.convert(las, tmp_path / "1.slices", plan=tmp_path / "plan.json", shard=(1, 1))
+    assert slicewalk.merge(tmp_path.glob("1.slices"), tmp_path / "b.slices")["shards"] == 1
+    for inputs, error in (
+        ([], slicewalk.ParameterError),
+        (5, TypeError),
+        ([las, 5], TypeError),
+        (b"scan.las", TypeError),
+    ):
+        with pytest.raises(error, match="inputs: "):
+            slicewalk.convert(inputs, tmp_path / "c.slices", pixel=0.2)
+    with pytest.raises(slicewalk.ParameterError, match="parts: "):
+        slicewalk.merge(iter([]), tmp_path / "c.slices")
+
+
+def test_a_writer_refuses_options_of_files_and_keeps_its_count(tmp_path):
+    for name in ("removed", "colour_error", "columns", "colour", "stations", "remove_moving", "exclude_class", "wide"):
+        with pytest.raises(TypeError, match=name):
+            slicewalk.Writer(tmp_path / "a.slices", pixel=0.1, **{name: "1"})
+    with slicewalk.Writer(tmp_path / "a.slices", pixel=0.1) as writer:
+        writer.write(np.zeros((5, 3)))
+        assert "a.slices" in repr(writer)
+        assert "5 points, open" in repr(writer)
+    assert writer.points == 5
+    assert "5 points, ended" in repr(writer)
+    writer = slicewalk.Writer(tmp_path / "b.slices", pixel=0.1)
+    writer.write(np.zeros((3, 3)))
+    writer.discard()
+    assert writer.points == 3
+    with pytest.raises(TypeError, match="resume"):
+        slicewalk.write_plan("a.las", tmp_path / "y.json", resume=True)

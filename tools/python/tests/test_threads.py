@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import textwrap
@@ -100,6 +101,37 @@ def test_an_array_that_changes_meanwhile_is_no_danger(rubble):
     finally:
         stop.set()
         thread.join()
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs a timer")
+def test_a_region_hears_signals(tmp_path):
+    axes = [np.arange(100) * 0.1 + 0.05] * 3
+    with slicewalk.Writer(tmp_path / "solid.slices", pixel=0.1, slice=0.1) as writer:
+        writer.write(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3))
+    archive = slicewalk.open(tmp_path / "solid.slices")
+    archive.load()
+    start = time.perf_counter()
+    assert archive.region(archive.bounds).occupied.all()
+    whole = time.perf_counter() - start
+    if whole < 0.2:
+        pytest.skip("too fast to be stopped")
+
+    def stop(*_):
+        raise KeyError
+
+    def ask():
+        signal.setitimer(signal.ITIMER_REAL, 0.01)
+        archive.region(archive.bounds)
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        start = time.perf_counter()
+        with pytest.raises(KeyError):
+            ask()
+        assert time.perf_counter() - start < 0.75 * whole
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 @pytest.mark.parametrize("first", ["", "import slicewalk"])

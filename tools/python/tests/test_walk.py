@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import pathlib
+import threading
 
 import numpy as np
 import pytest
@@ -166,3 +169,60 @@ def test_real_stairs(real):
     assert route
     path = slicewalk.Walker(reach.places[0, :3], max_drop=0.35).path(archive, route.points)
     assert path.length > 0.5 * route.length
+
+
+def test_time_runs_forward(room):
+    walker = slicewalk.Walker((1, 1, 0.1))
+    for dt in (np.nan, -1, np.inf, -np.inf):
+        with pytest.raises(slicewalk.ParameterError, match="dt: expected seconds, 0 or more, found"):
+            walker.step(room, dt)
+    assert walker.step(room, 0).ticks == 0
+    for call in (lambda: walker.step("x", 0.1), lambda: walker.path(None, [(1, 1)])):
+        with pytest.raises(TypeError, match="pages: expected an Archive, a View or a Stream, found"):
+            call()
+    with slicewalk.Stream(room, "16MiB") as stream:
+        for seconds in (np.nan, -1):
+            with pytest.raises(ValueError, match="seconds: "):
+                stream.settle(seconds)
+
+
+def test_a_closed_stream_ends_with_its_thread_whoever_walked_on_it(folder):
+    def threads():
+        return sorted(
+            pathlib.Path(f"/proc/self/task/{task}/comm").read_text() for task in os.listdir("/proc/self/task")
+        )
+
+    archive = slicewalk.open(folder / "room.slices")
+    stream = slicewalk.Stream(archive, "16MiB")
+    walker, body = slicewalk.Walker((1, 1, 0.1)), stream.body()
+    walker.step(stream, 0.1)
+    view = stream.view()
+    if pathlib.Path("/proc/self/task").exists():
+        assert "slicewalk-prefe\n" in threads()
+        stream.close()
+        assert "slicewalk-prefe\n" not in threads()
+    stream.close()
+    assert "closed" in repr(stream)
+    assert "closed" in repr(body)
+    assert "pages in memory" in repr(view)
+    for call in (
+        lambda: walker.step(stream, 0.1),
+        lambda: walker.path(stream, [(2, 2)]),
+        lambda: body.hint((0, 0, 0, 1, 1, 1), (0, 0, 0)),
+        stream.view,
+    ):
+        with pytest.raises(ValueError, match="the stream is closed"):
+            call()
+    with slicewalk.Stream(archive, "16MiB") as other:
+        assert walker.step(other, 0.1).ticks >= 0
+        assert "of 16777216 bytes" in repr(other)
+
+
+def test_a_path_ends_when_its_stream_is_closed(folder):
+    stream = slicewalk.Stream(slicewalk.open(folder / "room.slices"), "16MiB")
+    timer = threading.Timer(0.3, stream.close)
+    timer.start()
+    with pytest.raises(ValueError, match="the stream is closed"):
+        # Turns round and round.
+        slicewalk.Walker((1, 1, 0.1)).path(stream, [(1, 1), (7, 5)] * 100_000, max_seconds=1e6, hz=1000)
+    timer.join()

@@ -106,9 +106,9 @@ __all__ = [
 ]
 
 
-def _again(source: Any, identity: str) -> Archive:
+def _again(source: Any, identity: str, options: dict[str, Any] | None = None) -> Archive:
     """Open what was pickled once more."""
-    archive = open(source)
+    archive = open(source, **(options or {}))
     if archive._identity != identity:
         message = f"{archive.path}: another archive than the one that was pickled; pickle it again"
         raise Error(message, path=archive.path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from os import PathLike
 from typing import Literal, TypedDict
 
@@ -39,7 +39,7 @@ class ClusterOptions(_ArchiveOptions, total=False):
     """Options of `cluster.convert`."""
 
     pixel: float | Literal["auto"]
-    exclude_class: Sequence[int]
+    exclude_class: str | int | Iterable[int]
     units: float | Literal["auto", "m", "ft", "us-ft"]
     crs: str | None
     columns: str | None

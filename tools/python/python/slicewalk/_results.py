@@ -56,6 +56,12 @@ class Region:
         """Lower end of each slice (m)."""
         return (self.first[2] + np.arange(self.kind.shape[0], dtype=np.float64)) * self.slice_height
 
+    def __repr__(self) -> str:
+        """Return its size and what is in it."""
+        count = " × ".join(map(str, self.kind.shape))
+        occupied, obstacle = int(np.count_nonzero(self.kind)), int(np.count_nonzero(self.kind == 2))
+        return f"<slicewalk.Region of {count} voxels: {occupied} occupied, {obstacle} of them obstacles>"
+
     def slices(self) -> dict[int, NDArray[np.uint8]]:
         """Return a view of `kind` for each slice with matter, by the slice's number (0 begins at z = 0).
 
@@ -67,12 +73,13 @@ class Region:
         return {number: layer for number, layer in layers if layer.any()}
 
     def to_xarray(self) -> Any:
-        """Return an ``xarray.Dataset`` of kind, bottom and top over z, y and x. Needs the package xarray."""
+        """Return an ``xarray.Dataset`` of kind, bottom and top over z, y and x, the middles of voxels. Needs xarray."""
         import xarray  # noqa: PLC0415
 
         axes = ("z", "y", "x")
         fields = {"kind": (axes, self.kind), "bottom": (axes, self.bottom), "top": (axes, self.top)}
-        places = {"z": self.z, "y": self.y, "x": self.x}
+        middles = self.z + 0.5 * self.slice_height
+        places = {"z": middles, "y": self.y, "x": self.x}
         facts = {"pixel_size": self.pixel_size, "slice_height": self.slice_height}
         return xarray.Dataset(fields, places, facts)
 
@@ -133,6 +140,13 @@ class Reach:
     highest_step: Extreme | None
     places: NDArray[np.float64]
 
+    def __repr__(self) -> str:
+        """Return what there is, without the places."""
+        return (
+            f"<slicewalk.Reach: {self.area:.1f} m², {len(self.places)} places, storeys {len(self.storeys)}, "
+            f"passages {len(self.passages)}, leaks {len(self.leaks)}>"
+        )
+
     @classmethod
     def _of(  # noqa: PLR0913, PLR0917
         cls,
@@ -175,6 +189,12 @@ class Route:
     def __bool__(self) -> bool:
         """Whether there is a way."""
         return self.found
+
+    def __repr__(self) -> str:
+        """Return its length, or why there is no way."""
+        if self.length is None:
+            return f"<slicewalk.Route: none, {self.reason}>"
+        return f"<slicewalk.Route: {self.length:.2f} m, {len(self.points)} points>"
 
 
 class StepReport(NamedTuple):
@@ -219,6 +239,10 @@ class Path:
         cls, seconds: NDArray[np.float64], feet: NDArray[np.float64], codes: NDArray[np.uint8], reached: int
     ) -> Path:
         return cls(seconds, feet, STATES[codes], reached)
+
+    def __repr__(self) -> str:
+        """Return how it ended."""
+        return f"<slicewalk.Path: {self.state} after {self.seconds[-1]:.1f} s and {self.length:.2f} m>"
 
     @property
     def state(self) -> str:

@@ -1,4 +1,4 @@
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from types import TracebackType
 from typing import Any, Self, TypeAlias, final
@@ -12,6 +12,7 @@ from slicewalk._results import Path, Reach, Region, Route, StepReport
 from slicewalk.errors import Error
 
 _Path: TypeAlias = str | PathLike[str]
+_Key: TypeAlias = tuple[int, int, int] | NDArray[np.int32]
 _Progress: TypeAlias = Callable[[str, int, int, str], object] | None
 
 __all__ = [
@@ -35,16 +36,18 @@ __all__ = [
 
 __version__: str
 
-def open(source: _Path | Buffer, *, timeout: float = 10.0, settings: Mapping[str, str] | None = None) -> Archive: ...
+def open(
+    source: _Path | Buffer, *, timeout: float = 10.0, retries: int = 8, settings: Mapping[str, str] | None = None
+) -> Archive: ...
 def convert(
-    inputs: _Path | list[_Path] | tuple[_Path, ...],
+    inputs: _Path | Iterable[_Path],
     output: _Path,
     *,
     progress: _Progress = None,
     **options: Unpack[ConvertOptions],
 ) -> dict[str, Any]: ...
 def merge(
-    parts: _Path | list[_Path] | tuple[_Path, ...],
+    parts: _Path | Iterable[_Path],
     output: _Path,
     *,
     part: str | tuple[int, int] | None = None,
@@ -54,7 +57,7 @@ def merge(
 def _check_output(output: _Path, force: bool) -> None: ...
 def _upload_archive(path: _Path, address: _Path, *, force: bool = False, progress: _Progress = None) -> bool: ...
 def write_plan(
-    inputs: _Path | list[_Path] | tuple[_Path, ...],
+    inputs: _Path | Iterable[_Path],
     path: _Path,
     *,
     progress: _Progress = None,
@@ -78,7 +81,7 @@ class Pages:
     def cast(self, rays: ArrayLike, *, threads: int | None = None) -> NDArray[np.float64]: ...
     def column(self, x: float, y: float) -> Column: ...
     def keys(self) -> NDArray[np.int32]: ...
-    def page(self, key: tuple[int, int, int]) -> Page | None: ...
+    def page(self, key: _Key) -> Page | None: ...
     def region(self, bounds: ArrayLike) -> Region: ...
     def reach(
         self,
@@ -127,7 +130,7 @@ class Archive(Pages):
     def info(self) -> dict[str, Any]: ...
     def load(self, progress: _Progress = None) -> int: ...
     def level(self, number: int) -> Pages: ...
-    def colours(self, key: tuple[int, int, int], *, level: int = 0) -> NDArray[np.uint8] | None: ...
+    def colours(self, key: _Key, *, level: int = 0) -> NDArray[np.uint8] | None: ...
     def verify(self, progress: _Progress = None) -> list[Error]: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
