@@ -223,6 +223,86 @@ def test_an_upload_that_fails_leaves_the_steps_for_the_next_call(scans, tmp_path
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize(
+    ("options", "error", "says"),
+    [
+        ({"memory": "lots"}, slicewalk.ParameterError, "memory: expected a whole number of bytes, .* found 'lots'"),
+        ({"memory": 1e9}, slicewalk.ParameterError, "memory: expected a whole number of bytes, .* found 1000000000.0"),
+        ({"memory": 5}, slicewalk.ParameterError, "64MiB"),
+        ({"pixel": -1}, slicewalk.ParameterError, "pixel"),
+        ({"pixels": 1}, TypeError, "pixels"),
+        ({"exclude_class": "7,x"}, slicewalk.ParameterError, "exclude_class: "),
+        ({"drop_isolated": True, "drop_floaters": 3}, slicewalk.ParameterError, "drop_isolated: "),
+        ({"parts": 2.5}, slicewalk.ParameterError, "parts: expected a whole number"),
+        ({"threads": "1"}, slicewalk.ParameterError, "threads: expected a whole number"),
+        ({"client": None}, slicewalk.ParameterError, "client: expected a synchronous .*Client, found None"),
+        ({"inputs": "none.las"}, slicewalk.Error, "none.las"),
+        ({"inputs": []}, slicewalk.ParameterError, "inputs: "),
+        ({"inputs": 5}, TypeError, "inputs: "),
+    ],
+)
+def test_errors_before_the_first_step_leave_nothing(scans, tmp_path, client, options, error, says):  # noqa: PLR0917
+    given = {"parts": 2, "memory": "64MiB", "client": client, "inputs": scans[0], **tiles.OPTIONS, **options}
+    with pytest.raises(error, match=says):
+        sut.convert(output=tmp_path / "out.slices", **given)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_that_is_not_there_is_named(scans, tmp_path, client):
+    with pytest.raises(slicewalk.OutputError, match="its folder does not exist") as raised:
+        converted(scans, tmp_path / "none", client)
+    assert raised.value.path == str(tmp_path / "none" / "out.slices")
+    assert "slicewalk-cluster" not in str(raised.value)
+
+
+def test_a_call_whose_steps_another_one_removed_says_so(scans, tmp_path, client):
+    def rival(*_):
+        shutil.rmtree(tmp_path / ".out.slices.slicewalk-cluster", ignore_errors=True)
+        shutil.copy(scans[0][0].parent / "single.slices", tmp_path / "out.slices")
+
+    with pytest.raises(slicewalk.OutputError, match="exists already") as raised:
+        converted(scans, tmp_path, client, progress=rival)
+    assert "slicewalk-cluster" not in str(raised.value)
+    assert os.listdir(tmp_path) == ["out.slices"]
+
+
+def test_what_is_missing_is_said_once(scans, tmp_path, client):
+    inputs = [Path(shutil.copy(path, tmp_path)) for path in scans[0]]
+    good = inputs[5].read_bytes()
+    inputs[5].write_bytes(good[: 227 + 20 * 8000])
+    options = {**tiles.OPTIONS, "quiet": False, "allow_incomplete": True}
+    with pytest.warns(slicewalk.SlicewalkWarning) as single:
+        slicewalk.convert(inputs, tmp_path / "single.slices", **options)
+    with pytest.warns(slicewalk.SlicewalkWarning) as told:
+        report = converted((inputs, None), tmp_path, client, **options)
+    assert (tmp_path / "out.slices").read_bytes() == (tmp_path / "single.slices").read_bytes()
+    missing = [str(one.message) for one in single if "8000 whole ones" in str(one.message)]
+    assert missing
+    assert not report["complete"]
+    for text in missing:
+        assert report["warnings"].count(text) == 1
+        assert sum(str(one.message) == text for one in told) == 1
+    (tmp_path / "out.slices").unlink()
+    quiet = converted((inputs, None), tmp_path, client, **{**options, "quiet": True})
+    assert quiet["warnings"] == report["warnings"]
+    (tmp_path / "out.slices").unlink()
+
+    # Steps of an earlier call say it too.
+    def enough(stage, *_):
+        if stage == "verify":
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        converted((inputs, None), tmp_path, client, **{**options, "quiet": True}, progress=enough)
+    again = converted((inputs, None), tmp_path, client, **{**options, "quiet": True})
+    assert again["skipped"] > 9
+    assert (again["complete"], again["warnings"]) == (False, report["warnings"])
+    inputs[5].write_bytes(good)
+    (tmp_path / "out.slices").unlink()
+    whole = converted((inputs, None), tmp_path, client, **{**tiles.OPTIONS, "quiet": False})
+    assert (whole["complete"], whole["warnings"]) == (True, [])
+
+
 def test_discard_removes_what_is_left(scans, tmp_path, client):
     def enough(*_):
         raise ValueError
@@ -243,6 +323,7 @@ def test_a_worker_with_too_little_memory_says_so(scans, tmp_path):
         pytest.raises(slicewalk.LimitError, match="start workers with"),
     ):
         converted(scans, tmp_path, client)
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_step_that_kills_its_workers_ends_the_conversion(scans, tmp_path):

@@ -23,6 +23,7 @@ import contextlib
 import hashlib
 import json
 import math
+import operator
 import os
 import platform
 import queue
@@ -31,14 +32,15 @@ import shutil
 import time
 import urllib.parse
 import uuid
-from collections.abc import Callable, Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard, Unpack
 
 import slicewalk
 from slicewalk import _slicewalk
-from slicewalk.errors import CancelledError, Error, LimitError, OutputError, ParameterError
+from slicewalk.errors import CancelledError, Error, LimitError, OutputError, ParameterError, SlicewalkWarning
 
 if TYPE_CHECKING:
     from slicewalk._options import ClusterOptions, StrPath
@@ -101,7 +103,7 @@ class _Step:
 
 
 def convert(  # noqa: PLR0913
-    inputs: StrPath | Sequence[StrPath],
+    inputs: StrPath | Iterable[StrPath],
     output: StrPath,
     client: Any,
     *,
@@ -145,8 +147,10 @@ def convert(  # noqa: PLR0913
     Returns:
         ``parts``; ``retries`` (steps that began anew, because their worker was lost or a file could not be read or
         written); ``seconds``; ``skipped`` (steps that an earlier call had done); ``output``; ``info`` (as
-        ``Archive.info``); and ``ran``, a dict for each step: ``step``, ``kind``, ``worker``, ``host``, ``pid``,
-        ``seconds``, ``skipped``, ``memory``
+        ``Archive.info``); ``complete``, whether all of the input was read; ``warnings``, the texts of plan and parts,
+        each once and raised as `SlicewalkWarning` unless `quiet`; and ``ran``, a dict for each step: ``step``,
+        ``kind``, ``worker``, ``host``, ``pid``, ``seconds``, ``skipped``, ``memory``, and of parts ``complete`` and
+        ``warnings``
 
     Raises:
         OutputError: the archive exists already
@@ -154,58 +158,58 @@ def convert(  # noqa: PLR0913
         SchedulerLostError: the scheduler died and was not back within the client's timeout
         Error: what `slicewalk.convert` and `slicewalk.merge` raise, from the worker
 
-    Whatever is raised, and however the client dies: finished steps stay in a hidden folder beside the output or in
-    `work`, and the next call with the same inputs and options goes on from there; `discard` removes them. After success
+    Whatever is raised, and however the client dies: finished steps, if there are any, stay in a hidden folder beside
+    the output or in `work`, and the next call with the same inputs and options goes on from there; `discard` removes
+    them. After success
     nothing is left. Cost beyond the conversion: each page is written, read and checked once more a level of the tree,
     and read once more at the end.
 
     """
     started = time.monotonic()
-    if getattr(client, "asynchronous", False):
-        raise ParameterError("client: expected a synchronous client", at="client")
+    if not isinstance(client, distributed.Client) or client.asynchronous:
+        raise ParameterError(f"client: expected a synchronous distributed.Client, found {client!r}", at="client")
     for name, value, least in (
         ("parts", parts, 1),
         ("threads", threads, 1),
         ("fan_in", fan_in, 2),
         ("failures", failures, 0),
     ):
-        if value is not None and value < least:
-            raise ParameterError(f"{name}: expected {least} or more, found {value}", at=name)
+        if value is not None and (not isinstance(value, int) or value < least):
+            raise ParameterError(f"{name}: expected a whole number, {least} or more, found {value!r}", at=name)
+    budget = None if memory is None else _bytes(memory)
     target = _checked_target(output, force)
     folder = _work(target, work)
-    given = [inputs] if isinstance(inputs, (str, os.PathLike)) else list(inputs)
-    paths = [path if _is_address(path) else os.path.abspath(path) for path in given]
-    plan_options: dict[str, Any] = {**options, "memory": "512MiB" if memory is None else memory}
+    paths = _paths(inputs)
+    plan_options: dict[str, Any] = {**options, "memory": "512MiB" if budget is None else budget}
     count = parts or 4 * max(1, sum(client.nthreads().values()))
-    folder.mkdir(exist_ok=True)
-    plan = _plan(folder, paths, plan_options, progress)
-    key = hashlib.sha256(f"{slicewalk.__version__}\n{plan}".encode()).hexdigest()[:16]
-    _put(folder / f"{key}-inputs.json", json.dumps(paths))
-    _put(folder / f"{key}-plan.json", plan)
-    job = _Job(
-        work=str(folder),
-        run=uuid.uuid4().hex[:12],
-        key=key,
-        count=count,
-        memory=None if memory is None else _bytes(memory),
-        threads=threads,
-        temp_dir=None if temp_dir is None else os.fspath(temp_dir),
-        allow_incomplete=bool(options.get("allow_incomplete")),
-        version=slicewalk.__version__,
-    )
-    steps = _tree(key, count, fan_in)
-    driver = _Driver(job, client, steps, failures=failures, patience=patience, progress=progress)
-    try:
+    run = uuid.uuid4().hex[:12]
+    with _at_work(folder, run, output, force):
+        plan, planned = _plan(folder, paths, plan_options, progress)
+        key = hashlib.sha256(f"{slicewalk.__version__}\n{plan}".encode()).hexdigest()[:16]
+        _put(folder / f"{key}-inputs.json", json.dumps(paths))
+        _put(folder / f"{key}-plan.json", plan)
+        job = _Job(
+            work=str(folder),
+            run=run,
+            key=key,
+            count=count,
+            memory=budget,
+            threads=threads,
+            temp_dir=None if temp_dir is None else os.fspath(temp_dir),
+            allow_incomplete=bool(options.get("allow_incomplete")),
+            version=slicewalk.__version__,
+        )
+        steps = _tree(key, count, fan_in)
+        driver = _Driver(job, client, steps, failures=failures, patience=patience, progress=progress)
         ran = driver.run()
-    except Error as error:
-        # The next call plans anew: the inputs may have changed.
-        if not isinstance(error, (WorkerLostError, SchedulerLostError, CancelledError)):
-            _remove(folder / "plan.json")
-        raise
-    retries = driver.passing + _lost(job)
-    _publish(folder / steps[-2].name, target, force, progress)
-    info = slicewalk.open(target).info()
-    _clean(folder)
+        retries = driver.passing + _lost(job)
+        # Several parts read the same file.
+        texts = list(dict.fromkeys(planned + [text for one in ran for text in one.get("warnings", ())]))
+        for text in () if options.get("quiet") else texts[len(planned) :]:
+            warnings.warn(text, SlicewalkWarning, stacklevel=2)
+        _publish(folder / steps[-2].name, target, force, progress)
+        info = slicewalk.open(target).info()
+        _clean(folder)
     return {
         "parts": count,
         "retries": retries,
@@ -213,6 +217,8 @@ def convert(  # noqa: PLR0913
         "skipped": sum(one["skipped"] for one in ran),
         "output": str(target),
         "info": info,
+        "complete": all(one.get("complete", True) for one in ran),
+        "warnings": texts,
         "ran": ran,
     }
 
@@ -254,6 +260,52 @@ def _work(target: Path | str, work: StrPath | None) -> Path:
         raise ParameterError(f"work: {work}: expected a folder that is there", at="work")
     name = re.sub(r"[^A-Za-z0-9._-]", "_", target.rpartition("/")[2])[:100]
     return folder / f".{name}.{hashlib.sha256(target.encode()).hexdigest()[:8]}.slicewalk-cluster"
+
+
+def _paths(inputs: StrPath | Iterable[StrPath]) -> list[str]:
+    """Return addresses as they are, and absolute paths."""
+    if isinstance(inputs, (str, os.PathLike)):
+        inputs = [inputs]
+    try:
+        given = [path if _is_address(path) else os.path.abspath(path) for path in inputs]
+    except TypeError as error:
+        message = f"inputs: expected a path, or several ({error})"
+        raise TypeError(message) from None
+    if not given:
+        raise ParameterError("inputs: expected a path, or several, found none", at="inputs")
+    return given
+
+
+@contextlib.contextmanager
+def _at_work(folder: Path, run: str, output: StrPath, force: bool) -> Iterator[None]:
+    """Make the folder of the steps; remove it after an error before the first of them is finished."""
+    if not folder.parent.is_dir():
+        raise OutputError(f"{output}: its folder does not exist; make it first", path=str(output))
+    is_own = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    try:
+        yield
+    except (Error, OSError, TypeError) as error:
+        if not folder.exists() and isinstance(error, OSError):
+            # Another call for the same output was faster, and removed the steps that both shared.
+            _checked_target(output, force)
+            message = f"{output}: another conversion to it ended meanwhile; call again"
+            raise OutputError(message, path=str(output)) from error
+        if not isinstance(error, (WorkerLostError, SchedulerLostError, CancelledError)):
+            # The next call plans anew: the inputs may have changed.
+            _remove(folder / "plan.json")
+            if is_own and folder.exists() and not _is_worth_keeping(folder, run):
+                _clean(folder)
+        raise
+
+
+def _is_worth_keeping(folder: Path, run: str) -> bool:
+    """Whether a step is finished, or another call is at work."""
+
+    def counts(name: str) -> bool:
+        return run not in name if name.startswith("began-") else name[0] != "." and name.endswith(".slices")
+
+    return any(counts(path.name) for path in folder.iterdir())
 
 
 def _is_address(path: StrPath) -> TypeGuard[str]:
@@ -328,8 +380,8 @@ def _publish(whole: Path, target: Path | str, force: bool, progress: _Progress |
             os.close(folder)
 
 
-def _plan(work: Path, paths: list[str], options: dict[str, Any], progress: _Progress | None) -> str:
-    """Text of the plan: that of an earlier call for the same work, else a new one."""
+def _plan(work: Path, paths: list[str], options: dict[str, Any], progress: _Progress | None) -> tuple[str, list[str]]:
+    """Text of the plan: that of an earlier call for the same work, else a new one; and the warnings, raised already."""
     plan, request = work / "plan.json", work / "request.json"
     wanted = json.dumps([slicewalk.__version__, paths, options], sort_keys=True, default=str)
     reads_points = (
@@ -340,12 +392,12 @@ def _plan(work: Path, paths: list[str], options: dict[str, Any], progress: _Prog
     with contextlib.suppress(FileNotFoundError):
         # A plan from headers alone is quickly made again, and shows inputs that changed.
         if reads_points and request.read_text() == wanted:
-            return plan.read_text()
+            return plan.read_text(), []
     _remove(plan)
     tell = progress and (lambda _stage, done, total, unit: progress("plan", done, total, unit))
-    slicewalk.write_plan(tuple(paths), plan, progress=tell, **options)
+    facts = slicewalk.write_plan(tuple(paths), plan, progress=tell, **options)
     _put(request, wanted)
-    return plan.read_text()
+    return plan.read_text(), list(dict.fromkeys(facts["warnings"]))
 
 
 # ---- steps
@@ -384,7 +436,7 @@ def _run(job: _Job, step: _Step) -> dict[str, Any]:
     began.touch()
     worker, scratch, memory = _place(job)
     try:
-        skipped = _make(job, step, memory, scratch)
+        skipped, facts = _make(job, step, memory, scratch)
     finally:
         # What stays is of workers that died.
         _remove(began)
@@ -397,21 +449,26 @@ def _run(job: _Job, step: _Step) -> dict[str, Any]:
         "seconds": time.monotonic() - started,
         "skipped": skipped,
         "memory": memory if step.kind == "part" else None,
+        **facts,
     }
 
 
-def _make(job: _Job, step: _Step, memory: int, scratch: str | None) -> bool:
-    """Make the archive of a step; return whether it was there."""
+def _make(job: _Job, step: _Step, memory: int, scratch: str | None) -> tuple[bool, dict[str, Any]]:
+    """Make the archive of a step; return whether it was there, and of a part what it lacks."""
     work, watch = Path(job.work), _Watch(job)
     target = work / step.name
     if step.kind == "verify":
         for finding in slicewalk.open(work / step.members[0]).verify(watch):
             raise finding
-        return False
+        return False, {}
+    facts = work / f"{step.name}.json"
     if _is_sound(target, step, watch):
-        return True
+        if step.kind != "part":
+            return True, {}
+        with contextlib.suppress(FileNotFoundError):
+            return True, json.loads(facts.read_text())
     if step.kind == "part":
-        slicewalk.convert(
+        report = slicewalk.convert(
             json.loads((work / f"{job.key}-inputs.json").read_text()),
             target,
             progress=watch,
@@ -424,11 +481,13 @@ def _make(job: _Job, step: _Step, memory: int, scratch: str | None) -> bool:
             quiet=True,
             force=True,
         )
-    else:
-        members = tuple(work / name for name in step.members)
-        part = None if step.name.endswith("-whole.slices") else (step.index, step.of)
-        slicewalk.merge(members, target, part=part, progress=watch, force=True)
-    return False
+        lacks = {"complete": report["complete"], "warnings": report["warnings"]}
+        _put(facts, json.dumps(lacks))
+        return False, lacks
+    members = tuple(work / name for name in step.members)
+    part = None if step.name.endswith("-whole.slices") else (step.index, step.of)
+    slicewalk.merge(members, target, part=part, progress=watch, force=True)
+    return False, {}
 
 
 def _is_sound(target: Path, step: _Step, watch: _Watch) -> bool:
@@ -489,7 +548,13 @@ def _lost(job: _Job) -> int:
 
 
 def _bytes(memory: int | str) -> int:
-    return memory if isinstance(memory, int) else int(parse_bytes(memory))
+    if isinstance(memory, int):
+        return memory
+    try:
+        return int(parse_bytes(memory)) if isinstance(memory, str) else operator.index(memory)
+    except (TypeError, ValueError):
+        message = f'memory: expected a whole number of bytes, or a text such as "512MiB", found {memory!r}'
+        raise ParameterError(message, at="memory") from None
 
 
 # ---- the client's side
