@@ -5,7 +5,7 @@ use serde_json::Value;
 use slicewalk::NoMonitor;
 use slicewalk::archive::Archive;
 use slicewalk::convert::{ConvertOptions, PixelSize, convert};
-use slicewalk::frame::{PAGE_QUANTA, TILE_PIXELS};
+use slicewalk::frame::{PAGE_QUANTA, SLICE_QUANTA, TILE_PIXELS};
 use slicewalk::slice::Span;
 use std::collections::BTreeMap;
 use std::fs;
@@ -74,6 +74,72 @@ fn columns(folder: &Path) -> BTreeMap<(i64, i64), Vec<Matter>> {
         }
     }
     columns
+}
+
+/// Top of the matter (quanta above the origin) of each voxel, by pixel and slice.
+fn tops(folder: &Path) -> BTreeMap<(i64, i64, i64), i64> {
+    let mut tops = BTreeMap::new();
+    for ((x, y), spans) in columns(folder) {
+        for (bottom, top, _) in spans {
+            let (first, last) = (bottom.div_euclid(SLICE_QUANTA), (top - 1).div_euclid(SLICE_QUANTA));
+            for slice in first..=last.max(first) {
+                let top = top.min((slice + 1) * SLICE_QUANTA);
+                tops.entry((x, y, slice)).and_modify(|above: &mut i64| *above = top.max(*above)).or_insert(top);
+            }
+        }
+    }
+    tops
+}
+
+#[test]
+fn an_export_of_points_converted_again_gives_the_same_voxels() {
+    let mut state = 7u64;
+    let mut below = |limit: f64| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 11) as f64 / (1u64 << 53) as f64 * limit
+    };
+    for (pixel, slice, offset) in
+        [(0.1, 0.3, [0.0; 3]), (0.25, 0.25, [481_000.3, 5_456_000.7, -3.0]), (0.037, 0.111, [-77.7, 1e6, 1234.5])]
+    {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        // Floors on the faces between slices, walls through several of them, and points anywhere, above and below 0.
+        let mut points = Vec::new();
+        for number in 0..6000 {
+            let (x, y) = (below(60.0 * pixel) - 10.0 * pixel, below(60.0 * pixel) - 10.0 * pixel);
+            let z = match number % 4 {
+                0 => slice * below(3.0).floor(),
+                1 => slice * (below(40.0) - 20.0),
+                2 => slice * (below(40.0) - 20.0).floor(),
+                _ => slice * below(9.0),
+            };
+            points.push(if number % 4 == 3 { [20.0 * pixel, y, z] } else { [x, y, z] });
+        }
+        let rows = points.iter().map(|p| [0, 1, 2].map(|axis| p[axis] + offset[axis]));
+        let text = rows.map(|[x, y, z]| format!("{x} {y} {z}\n")).collect::<String>();
+        fs::write(at.join("scan.xyz"), text).unwrap();
+        let converted = |name: &str| {
+            let mut options = ConvertOptions::new(vec![at.join(name)], at.join("a.slices"));
+            (options.pixel, options.slice_m, options.overwrite) = (PixelSize::Metres(pixel), Some(slice), true);
+            convert(&options, &NoMonitor).unwrap();
+            tops(at)
+        };
+        let first = converted("scan.xyz");
+        for name in ["out.ply", "out.las", "out.laz", "out.e57"] {
+            converted("scan.xyz");
+            done(at, &["-o", name]);
+            let again = converted(name);
+            assert!(first.keys().eq(again.keys()), "{name} at {pixel} m: {} and {} voxels", first.len(), again.len());
+            for (voxel, top) in &first {
+                // One point a voxel may be judged otherwise, and obstacles join the voxel above.
+                let (x, y, slice) = *voxel;
+                let joined = (slice + 1) * SLICE_QUANTA;
+                let found = again[voxel];
+                let is_joined = found == joined && first.contains_key(&(x, y, slice + 1));
+                assert!((found - top).abs() <= 1 || is_joined, "{name} at {pixel} m: {voxel:?}: {top} and {found}");
+            }
+        }
+    }
 }
 
 #[test]

@@ -35,6 +35,7 @@ const ROUND_STEPS: f64 = 1e4;
 type Voxel = (u32, u8, usize);
 
 /// A voxel as a point: pixel centre, top of the matter in the voxel, its colour; as in `show` where the archive has none.
+/// The height is half a quantum below the top, which a point on the face between two voxels is not: that lies in the upper one.
 struct VoxelPoint {
     position: [f64; 3],
     colour: [u8; 3],
@@ -79,7 +80,7 @@ fn each_voxel(
                     None => [top, 255, BLUES[kind]],
                 };
                 give(&VoxelPoint {
-                    position: [x, y, floor + f64::from(top) * frame.quantum_m()],
+                    position: [x, y, floor + (f64::from(top.max(1)) - 0.5) * frame.quantum_m()],
                     colour,
                     obstacle: kind == 1,
                     inferred: kind == INFERRED,
@@ -308,13 +309,13 @@ fn transforms(archive: &Archive, path: &Path) -> Result<[las::Transform; 3], Fai
     Ok(transforms)
 }
 
-/// Step and offset that hold coordinates between two ends (m) so that what is `finest` apart stays apart; `None` if 32
-/// bits do not hold them. The step is a power of ten: fine enough, or as fine as the ends allow.
+/// Step and offset that hold coordinates between two ends (m) so that the middle of what is `finest` long stays inside; `None`
+/// if 32 bits do not hold them. The step is a power of ten: fine enough, or as fine as the ends allow.
 fn transform_of([least, greatest]: [f64; 2], finest: f64) -> Option<las::Transform> {
     let wanted = (finest / 2.0).min(COARSEST_STEP_M).log10().floor();
     let reached = ((greatest - least) / MOST_STEPS).log10().ceil();
     let scale: f64 = format!("1e{}", wanted.max(reached)).parse().ok()?;
     let round = ROUND_STEPS * scale;
     let offset = ((least + greatest) / 2.0 / round).round() * round;
-    (scale <= finest).then_some(las::Transform { scale, offset })
+    (scale <= finest / 2.0).then_some(las::Transform { scale, offset })
 }
