@@ -269,6 +269,13 @@ fn classes_systems_and_layouts_of_text_are_understood_and_said() {
     e57(&at("d.e57"), &[Cloud { points: &all, form: E57::Double, posed: false, mixed: false }], Some(wkt));
     let set = InputSet::open(&[at("d.e57")], InputOptions::default(), &NoMonitor).unwrap();
     assert_eq!(set.crs(), Some(wkt));
+    assert!(read(&[at("d.e57")], InputOptions::default()).unwrap().2.is_empty());
+    for wkt in [wkt.replace("\"metre\",1", "\"foot\",0.3048"), wkt.replace("PROJCS", "GEOGCS"), "EPSG:2229".into()] {
+        e57(&at("f.e57"), &[Cloud { points: &all, form: E57::Double, posed: false, mixed: false }], Some(&wkt));
+        let (found, _, said) = read(&[at("f.e57")], InputOptions::default()).unwrap();
+        assert_eq!(found, read(&[at("d.e57")], InputOptions::default()).unwrap().0, "metres, by the standard");
+        assert!(said.len() == 1 && said[0].contains("metres are taken"), "{wkt}: {said:?}");
+    }
     let other = InputOptions { epsg: Some(25833), ..InputOptions::default() };
     assert!(InputSet::open(&[at("d.e57")], other, &NoMonitor).unwrap_err().to_string().contains("expected EPSG:25833"));
     let set = InputSet::open(&[at("c.xyz")], other, &NoMonitor).unwrap();

@@ -74,6 +74,29 @@ fn the_unit_applied_is_recorded_and_said() {
 }
 
 #[test]
+fn heights_are_in_the_unit_that_the_vertical_axis_states() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let feet = r#"UNIT["Foot_US",0.3048006096012192]"#;
+    for (number, wkt) in [
+        format!(r#"{METRES},VERTCS["V",VDATUM["D"],PARAMETER["Direction",1.0],{feet}]"#),
+        format!(r#"COMPD_CS["C",{METRES}],VERT_CS["V",VERT_DATUM["D",2005],{feet},AXIS["Up",UP]]]"#),
+        r#"PROJCRS["P",CS[Cartesian,3],AXIS["E",east,LENGTHUNIT["metre",1]],AXIS["N",north,LENGTHUNIT["metre",1]],
+           AXIS["h",up,LENGTHUNIT["US survey foot",0.304800609601219]]]"#
+            .into(),
+    ]
+    .iter()
+    .enumerate()
+    {
+        let name = format!("{number}.las");
+        scan(at, &name, wkt, 0.0);
+        converts(at, &[&[&name[..]], &OPTIONS[..], &["a.slices"]].concat());
+        let vertical = json!({ "name": "us-ft", "factor": US_SURVEY_FOOT_M });
+        assert_eq!(unit_of(at, "a.slices"), json!({ "name": "m", "factor": 1.0, "vertical": vertical }), "{wkt}");
+    }
+}
+
+#[test]
 fn parts_and_extracts_keep_the_unit() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
@@ -145,7 +168,16 @@ fn a_given_reference_system_completes_scans_that_state_none_and_contradicts_no_o
     assert!(!said.contains("no unit of length"), "the system has one: {said}");
     let (crs, unit, _) = run(&["plain.las"], "epsg:2277");
     assert_eq!((&crs[..], &unit[..]), ("EPSG:2277", "us-ft"));
-    assert!(run(&["plain.las"], "EPSG:4326").2.contains("longitude and latitude"));
+    let few = points(200).iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect::<String>();
+    fs::write(at.join("plain.xyz"), few).unwrap();
+    for geographic in ["EPSG:4326", "EPSG:4167", "EPSG:4674", "EPSG:4759", "EPSG:4979", "EPSG:7844", "EPSG:9518"] {
+        for name in ["plain.las", "plain.xyz"] {
+            let said = run(&[name], geographic).2;
+            assert!(said.contains("longitude and latitude"), "{name}, {geographic}: {said}");
+        }
+    }
+    let said = run(&["plain.xyz"], "EPSG:900913").2;
+    assert!(said.contains("the unit of EPSG:900913 is unknown") && said.contains("no unit of length"), "{said}");
     assert_eq!(run(&["floor.obj"], "EPSG:25832").0, "EPSG:25832");
     // The scan's own text is kept where it says the same, or nothing that can be compared.
     let (crs, _, said) = run(&["plain.las", "coded.las"], "EPSG:32633");

@@ -1,17 +1,19 @@
 //! Reference system of a file: its name, and how long its units are.
 //!
-//! In: the projection records. Out: [`Georeference`]. Well-known text (WKT 1 and 2) is read as a tree of brackets, not
-//! by searching for words, since the unit of the angles, of the ellipsoid and of the axes stand in the same text. GeoTIFF
+//! In: the projection records. Out: [`Georeference`]. Well-known text (WKT 1 and 2, by GDAL or ESRI) is read as trees of
+//! brackets, not by searching for words, since the unit of the angles, of the ellipsoid and of the axes stand in the same text.
+//! Programs leave out brackets or write too many: where a system cannot be part of another one, it stands beside it. GeoTIFF
 //! keys follow the GeoTIFF specification 1.0, section 2.7. Memory: some multiple of the text, at most 1 MiB each.
 //!
 //! Small case: `PROJCS["P",GEOGCS["G",UNIT["degree",0.0174]],UNIT["foot",0.3048]]`: the child `UNIT` of `PROJCS` counts
 //! (0.3048), the one within `GEOGCS` does not.
 
-use super::epsg::{self, FOOT, US_SURVEY_FOOT};
+use super::epsg::{self, FOOT, Ground, US_SURVEY_FOOT};
 use super::header::{f64_at, u16_at};
 use super::records::{GEO_DOUBLES, GEO_KEYS, GEO_TEXT, MOST_TEXT, Records, WKT};
 use super::{ScanFile, Those};
 use crate::Monitor;
+use crate::text::number;
 
 /// What a file says about its coordinates.
 #[derive(Debug, Default, Clone, PartialEq)]
@@ -33,6 +35,10 @@ pub(super) struct Georeference {
 /// Units that are believed (m): scans come in units from the millimetre to the mile, and a size beyond an order of
 /// magnitude more is damage that would crush the scene to a point or blow it up.
 const BELIEVED_M: std::ops::RangeInclusive<f64> = 1e-3..=1e4;
+/// Said of a system whose axes start in the middle of the Earth.
+const GEOCENTRIC: &str = "its reference system is geocentric: its z axis does not point up";
+/// Said of a system of depths.
+const DOWNWARD: &str = "its reference system counts depths, downwards; z is taken as height";
 
 impl Georeference {
     /// A stated unit that cannot be meant.
@@ -45,9 +51,10 @@ impl Georeference {
     pub(super) fn complete(&mut self, code: u32) -> Result<Option<String>, String> {
         match &self.text {
             None => {
-                self.degrees |= epsg::is_geographic(code);
-                let unit = u16::try_from(code).ok().filter(|_| !self.degrees).and_then(epsg::projected);
-                self.horizontal = self.horizontal.or(unit);
+                if epsg::system(code).is_none() {
+                    return Ok(Some(format!("the unit of EPSG:{code} is unknown; set it with --units")));
+                }
+                self.take_code(code);
             }
             Some(_) if self.codes.contains(&code) => {}
             Some(text) if self.codes.is_empty() => {
@@ -66,60 +73,132 @@ impl Georeference {
         Ok(None)
     }
 
-    pub(super) fn read(records: &Records, says_wkt: bool) -> Self {
-        let wkt = records.projection(WKT).and_then(clean_text);
-        let keys = records.projection(GEO_KEYS).map(|keys| Self::from_keys(keys, records));
-        let keys = keys.filter(|k| *k != Self::default());
-        match (wkt, keys) {
-            // A file that has both and does not say which counts: the keys did, before LAS 1.4.
-            (Some(wkt), Some(keys)) if !says_wkt => Self { text: Some(wkt), ..keys },
-            (Some(wkt), _) => Self::from_wkt(wkt),
-            (None, keys) => keys.unwrap_or_default(),
+    /// Adds the units of system `code` to those that are stated otherwise.
+    fn take_code(&mut self, code: u32) {
+        let Some(system) = epsg::system(code) else { return };
+        match system.ground {
+            Ground::Length(unit) => self.horizontal = self.horizontal.or(Some(unit)),
+            Ground::Angles => self.degrees |= self.horizontal.is_none(),
+            Ground::Geocentric => {
+                self.horizontal = self.horizontal.or(Some(1.0));
+                self.note(GEOCENTRIC);
+            }
+            Ground::None => {}
+        }
+        if system.up.is_some_and(|unit| unit < 0.0) {
+            self.note(DOWNWARD);
+        }
+        self.vertical = self.vertical.or(system.up.map(f64::abs));
+    }
+
+    fn note(&mut self, text: &str) {
+        if !self.notes.iter().any(|note| note == text) {
+            self.notes.push(text.into());
         }
     }
 
-    /// Of a file that states its system as text alone.
+    pub(super) fn read(records: &Records, says_wkt: bool) -> Self {
+        let wkt = records.projection(WKT).and_then(clean_text).map(Self::of_text);
+        let keys = records.projection(GEO_KEYS).map(|keys| Self::from_keys(keys, records));
+        let keys = keys.filter(|k| *k != Self::default());
+        match (wkt, keys) {
+            (Some(wkt), Some(keys)) if says_wkt => wkt.or(keys),
+            // A file that has both and does not say which counts: the keys did, before LAS 1.4.
+            (Some(wkt), Some(keys)) => Self { text: wkt.text.clone(), ..keys.or(wkt) },
+            (wkt, keys) => wkt.or(keys).unwrap_or_default(),
+        }
+    }
+
+    /// What this one does not state, by `other`; what they state differently is noted.
+    fn or(mut self, other: Self) -> Self {
+        let mut differ = |counts: Option<f64>, other: Option<f64>, axes: &str| {
+            if let (Some(counts), Some(other)) = (counts, other)
+                && counts != other
+            {
+                let (counts, other) = (number(counts), number(other));
+                self.notes.push(format!("it states two units for {axes}: {counts} m, which counts, and {other} m"));
+            }
+        };
+        differ(self.horizontal, other.horizontal, "x and y");
+        differ(self.vertical, other.vertical, "heights");
+        if !self.degrees && self.horizontal.is_none() {
+            (self.degrees, self.horizontal) = (other.degrees, other.horizontal);
+        }
+        self.vertical = self.vertical.or(other.vertical);
+        if self.codes.is_empty() {
+            self.codes = other.codes;
+        }
+        other.notes.iter().for_each(|note| self.note(note));
+        self
+    }
+
+    /// Of a file that states its system as text alone: well-known text, or a code such as `EPSG:25832+5783`.
     pub(super) fn of_text(text: String) -> Self {
         if text.len() as u64 > MOST_TEXT {
             let note = format!("its reference system is {} bytes long; it is passed over", text.len());
             return Self { notes: vec![note], ..Self::default() };
         }
-        if text.contains(['[', '(']) { Self::from_wkt(text) } else { Self { text: Some(text), ..Self::default() } }
+        if text.contains(['[', '(']) {
+            return Self::from_wkt(text);
+        }
+        let mut found = Self { codes: codes(&text), ..Self::default() };
+        found.codes.clone().into_iter().for_each(|code| found.take_code(code));
+        found.text = Some(text);
+        found
     }
 
     fn from_wkt(text: String) -> Self {
         let mut found = Self::default();
-        match Node::parse(&text) {
-            Some(root) => found.take(&root),
-            None => found.notes.push("the well-known text of its reference system is damaged".into()),
+        let (roots, is_whole) = Node::parse(&text);
+        roots.iter().for_each(|root| found.take(root));
+        // What a text leaves to codes; the vertical system comes last.
+        found.codes.clone().into_iter().rev().for_each(|code| found.take_code(code));
+        if !is_whole || roots.is_empty() {
+            found.note("the well-known text of its reference system is damaged");
         }
         found.text = Some(text);
         found
     }
 
+    /// Adds what the system `node` states.
     fn take(&mut self, node: &Node) {
-        if node.word.ends_with("CS") || node.word.ends_with("CRS") {
+        let kind = Kind::of(&node.word);
+        if kind.is_some() {
             self.codes.extend(node.epsg_code());
         }
-        match node.word.as_str() {
-            "PROJCS" | "PROJCRS" | "PROJECTEDCRS" => {
-                self.horizontal = self.horizontal.or(node.length_unit());
+        match kind {
+            Some(Kind::Projected | Kind::Local) => {
+                self.horizontal = self.horizontal.or_else(|| node.ground_unit(&mut self.notes));
+                self.take_height(node);
             }
-            "GEOCCS" | "GEOCENTRICCRS" => {
-                self.horizontal = self.horizontal.or(node.length_unit());
-                self.notes.push("its reference system is geocentric: its z axis does not point up".into());
+            Some(Kind::Geographic) if node.is_geocentric() => self.take_geocentric(node),
+            Some(Kind::Geographic) => {
+                self.degrees |= self.horizontal.is_none();
+                self.take_height(node);
             }
-            "GEOGCS" | "GEOGCRS" | "GEOGRAPHICCRS" | "GEODCRS" | "GEODETICCRS" => {
-                self.degrees = true;
-                // A third axis of its own unit: ellipsoidal heights.
-                self.vertical = self.vertical.or(node.axis_unit("up"));
+            Some(Kind::Geocentric) => self.take_geocentric(node),
+            Some(Kind::Vertical) => {
+                self.vertical = node.height_unit(&mut self.notes).or(self.vertical);
+                if node.points_down() {
+                    self.note(DOWNWARD);
+                }
             }
-            "VERT_CS" | "VERTCRS" | "VERTICALCRS" => self.vertical = self.vertical.or(node.length_unit()),
-            "LOCAL_CS" | "ENGCRS" | "ENGINEERINGCRS" => {
-                self.horizontal = self.horizontal.or(node.length_unit());
-            }
-            "COMPD_CS" | "COMPOUNDCRS" | "BOUNDCRS" | "SOURCECRS" => node.children.iter().for_each(|c| self.take(c)),
-            _ => {}
+            Some(Kind::Several) => node.children.iter().for_each(|child| self.take(child)),
+            None => {}
+        }
+    }
+
+    fn take_geocentric(&mut self, node: &Node) {
+        self.horizontal = self.horizontal.or_else(|| node.ground_unit(&mut self.notes));
+        self.note(GEOCENTRIC);
+    }
+
+    /// Adds the unit of a third axis: ellipsoidal heights, or those of a site.
+    fn take_height(&mut self, node: &Node) {
+        let up = node.axes().find(|axis| axis.is_vertical());
+        self.vertical = self.vertical.or_else(|| up?.unit(&mut self.notes));
+        if node.points_down() {
+            self.note(DOWNWARD);
         }
     }
 
@@ -143,54 +222,102 @@ impl Georeference {
             let from = usize::from(e[3]);
             clean_text(text.get(from..(from + usize::from(e[2])).min(text.len()))?)
         };
-        found.degrees = code(1024) == Some(2);
-        let projected = code(3072).filter(|&c| epsg::projected(c).is_some());
-        let geographic = code(2048).filter(|&c| c != 0 && c < 32767);
-        let named = if found.degrees { geographic } else { projected.or(geographic) };
-        found.codes.extend(named.map(u32::from));
+        let is_code = |code: &u16| *code != 0 && *code < USER_DEFINED;
+        let ground = |code: u16| epsg::system(code.into()).map(|system| system.ground);
+        let projected = code(3072).filter(is_code);
+        let geographic = code(2048).filter(is_code);
+        let model = code(1024).filter(is_code);
+        // Some programs put the code of a geographic system where that of a projected one belongs.
+        let misplaced = projected.filter(|&code| ground(code) == Some(Ground::Angles));
+        found.degrees = model == Some(2)
+            || misplaced.is_some()
+            || model.is_none() && code(3072).is_none() && code(3076).is_none() && geographic.is_some();
+        let named = if found.degrees { misplaced.or(geographic).or(projected) } else { projected.or(geographic) }
+            .map(u32::from);
+        found.codes.extend(named);
         let cited = citation(3073).or_else(|| citation(1026));
         found.text = named.map(|n| format!("EPSG:{n}")).or_else(|| cited.clone());
-        if !found.degrees {
-            let stated = match code(3076) {
-                Some(32767) => double(3077),
-                Some(unit) => {
-                    let length = epsg::unit(unit);
-                    if length.is_none() {
-                        found.notes.push(format!("its GeoTIFF keys name {unit} as unit of length, which is none"));
-                    }
-                    length
+        let mut stated = |id, size: Option<u16>| match code(id) {
+            Some(USER_DEFINED) => size.and_then(double),
+            Some(0) | None => None,
+            Some(unit) => {
+                let length = epsg::unit(unit);
+                if length.is_none() {
+                    found.notes.push(format!("its GeoTIFF keys name {unit} as unit of length, which is none"));
                 }
-                None => None,
-            };
-            found.horizontal = stated
-                .or_else(|| projected.and_then(epsg::projected))
-                .or_else(|| cited.as_deref().and_then(unit_in_words));
+                length
+            }
+        };
+        let (horizontal, vertical) = (stated(3076, Some(3077)), stated(4099, None));
+        if !found.degrees {
+            found.horizontal = horizontal;
+            if model == Some(3) {
+                found.note(GEOCENTRIC);
+            }
         }
-        found.vertical =
-            code(4099).and_then(epsg::unit).or_else(|| code(4096).filter(|&c| c > 5100).and_then(epsg::vertical));
+        found.vertical = vertical;
+        // Vertical systems are named by codes of their own, or by that of a geographic one of three axes.
+        if let Some(code) = code(4096).filter(is_code)
+            && let Some(epsg::System { ground: Ground::None | Ground::Angles, up: Some(up), .. }) =
+                epsg::system(code.into())
+        {
+            found.codes.push(code.into());
+            found.vertical = found.vertical.or(Some(up.abs()));
+            if up < 0.0 {
+                found.note(DOWNWARD);
+            }
+        }
+        if !found.degrees {
+            projected.into_iter().for_each(|code| found.take_code(code.into()));
+        } else if let Some(code) = named {
+            found.take_code(code);
+        }
+        // The last resort: words such as "NAD83 / Texas Central (ftUS) + NAVD88 height (ftUS)".
+        let (on_ground, above) =
+            cited.as_deref().map(|text| text.split_once('+').unwrap_or((text, ""))).unwrap_or_default();
+        if !found.degrees {
+            found.horizontal = found.horizontal.or_else(|| unit_in_words(on_ground));
+        }
+        let of_heights = citation(4097);
+        found.vertical = found.vertical.or_else(|| unit_in_words(of_heights.as_deref().unwrap_or(above)));
         found
     }
 }
 
+/// A GeoTIFF key whose value is not one of the listed ones.
+const USER_DEFINED: u16 = 32767;
+
 /// EPSG code of the projected system in what an archive says of its reference system: `EPSG:n`, or well-known text.
 pub fn projected_epsg(text: &str) -> Option<u16> {
     fn find(node: &Node) -> Option<u32> {
-        match node.word.as_str() {
-            "PROJCS" | "PROJCRS" | "PROJECTEDCRS" => node.epsg_code(),
-            "COMPD_CS" | "COMPOUNDCRS" | "BOUNDCRS" | "SOURCECRS" => node.children.iter().find_map(find),
+        match Kind::of(&node.word)? {
+            Kind::Projected => node.epsg_code(),
+            Kind::Several => node.children.iter().find_map(find),
             _ => None,
         }
     }
-    let code = match text.strip_prefix("EPSG:") {
-        Some(code) => code.parse().ok().filter(|code| !epsg::is_geographic(*code)),
-        None => find(&Node::parse(text)?),
+    let code = match text.contains(['[', '(']) {
+        false => codes(text).first().copied(),
+        true => Node::parse(text).0.iter().find_map(find),
     };
-    code.and_then(|code| u16::try_from(code).ok()).filter(|code| epsg::projected(*code).is_some())
+    let is_projected = |code: &u32| {
+        epsg::system(*code).is_none_or(|system| matches!(system.ground, Ground::Length(_)) && !system.is_compound)
+    };
+    code.filter(is_projected).and_then(|code| u16::try_from(code).ok()).filter(|code| (1..USER_DEFINED).contains(code))
 }
 
-/// Text of a record without its terminator; `None` when nothing is left.
+/// The codes in `EPSG:n`, `EPSG:n+m` or `urn:ogc:def:crs:EPSG::n`; none of other text.
+fn codes(text: &str) -> Vec<u32> {
+    let text = text.trim().to_ascii_uppercase();
+    let code = |part: &str| part.rsplit(':').next()?.parse().ok();
+    let is_epsg = text.starts_with("EPSG:") || text.starts_with("URN:OGC:DEF:CRS:EPSG:");
+    let found = is_epsg.then(|| text.split('+').map(code).collect::<Option<Vec<u32>>>());
+    found.flatten().unwrap_or_default()
+}
+
+/// Text of a record without the zeros around it; `None` when nothing is left.
 fn clean_text(bytes: &[u8]) -> Option<String> {
-    let text = bytes.split(|&b| b == 0).next().unwrap_or_default();
+    let text = bytes.split(|&b| b == 0).find(|text| !text.trim_ascii().is_empty())?;
     let text = String::from_utf8_lossy(text);
     let text = text.trim().trim_end_matches('|').trim();
     (!text.is_empty()).then(|| text.to_string())
@@ -251,7 +378,7 @@ fn short_name(text: &str) -> String {
 fn unit_in_words(text: &str) -> Option<f64> {
     let text = text.to_ascii_lowercase();
     let any = |words: &[&str]| words.iter().any(|w| text.contains(w));
-    if any(&["ftus", "us survey f", "us-ft", "us_survey_f", "foot_us"]) {
+    if any(&["ftus", "us survey f", "us-ft", "us_survey_f", "foot_us", "usft"]) {
         Some(US_SURVEY_FOOT)
     } else if any(&["(ft)", "international f", "foot", "feet"]) {
         Some(FOOT)
@@ -260,73 +387,152 @@ fn unit_in_words(text: &str) -> Option<f64> {
     }
 }
 
+/// The length that the name of a unit in well-known text means, of those that scans come in.
+fn unit_named(name: &str) -> Option<f64> {
+    let name = name.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
+    match name.as_str() {
+        "m" | "metre" | "meter" | "metres" | "meters" => Some(1.0),
+        "ft" | "foot" | "feet" | "internationalfoot" | "internationalfeet" | "footintl" | "footinternational" => {
+            Some(FOOT)
+        }
+        "ftus" | "usft" | "footus" | "usfoot" | "ussurveyfoot" | "ussurveyfeet" | "surveyfoot" => Some(US_SURVEY_FOOT),
+        _ => None,
+    }
+}
+
 /// Replaces a printed conversion factor by the metre or the exact foot that it stands for.
 fn exact(factor: f64) -> f64 {
-    let near = |exact: &f64| (factor - exact).abs() <= 1e-9 * exact;
+    let near = |exact: &f64| (factor - exact).abs() <= 1e-7 * exact;
     [1.0, FOOT, US_SURVEY_FOOT].into_iter().find(near).unwrap_or(factor)
+}
+
+/// What a word of well-known text stands for, of those that are reference systems.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Projected,
+    Geographic,
+    Geocentric,
+    /// The axes of a site.
+    Local,
+    Vertical,
+    /// Holds others.
+    Several,
+}
+
+impl Kind {
+    fn of(word: &str) -> Option<Kind> {
+        Some(match word {
+            "PROJCS" | "PROJCRS" | "PROJECTEDCRS" | "DERIVEDPROJCRS" => Self::Projected,
+            "GEOGCS" | "GEOGCRS" | "GEOGRAPHICCRS" | "GEODCRS" | "GEODETICCRS" => Self::Geographic,
+            "GEOCCS" | "GEOCENTRICCRS" => Self::Geocentric,
+            "LOCAL_CS" | "ENGCRS" | "ENGINEERINGCRS" => Self::Local,
+            "VERT_CS" | "VERTCS" | "VERTCRS" | "VERTICALCRS" => Self::Vertical,
+            "COMPD_CS" | "COMPOUNDCRS" | "BOUNDCRS" | "SOURCECRS" | "FITTED_CS" | "COORDINATEMETADATA" => Self::Several,
+            _ => return None,
+        })
+    }
 }
 
 /// One bracketed word of well-known text.
 #[derive(Debug, Default)]
 struct Node {
     word: String,
+    /// The first quoted text.
+    name: Option<String>,
     numbers: Vec<f64>,
     /// Bare words such as axis directions, in lower case.
     bare: Vec<String>,
-    /// Whether a quoted text in it is `EPSG`, and the last quoted text that is a number: `AUTHORITY["EPSG","25832"]`.
-    is_epsg: bool,
+    /// The last quoted text that is a number: `AUTHORITY["EPSG","25832"]`.
     quoted_number: Option<u32>,
     children: Vec<Node>,
 }
 
-/// Longest EPSG code (digits).
-const LONGEST_CODE: usize = 8;
+/// Longest part of a quoted text that is kept (characters).
+const LONGEST_NAME: usize = 64;
 /// Deepest nesting that is followed; real texts have about eight.
 const DEEPEST: usize = 48;
 
 impl Node {
-    fn parse(text: &str) -> Option<Node> {
-        let mut open: Vec<Node> = Vec::new();
-        let mut token = String::new();
-        let mut characters = text.chars();
+    /// The words of `text` that lie in no other, and whether it is whole. Brackets that are too few are closed where a system
+    /// begins that cannot be part of the one before, or at the end; those that are too many are passed over.
+    fn parse(text: &str) -> (Vec<Node>, bool) {
+        // Some programs double each quote, or put a backslash before it.
+        let text = text.replace("\\\"", "\"").replace(['\u{201c}', '\u{201d}'], "\"");
+        let is_doubled = ["[\"\"", "(\"\""].iter().any(|start| {
+            text.find(start).and_then(|at| text[at + start.len()..].chars().next()).is_some_and(char::is_alphanumeric)
+        });
+        let text = if is_doubled { text.replace("\"\"", "\"") } else { text };
+        let (mut roots, mut open, mut token) = (Vec::new(), Vec::<Node>::new(), String::new());
+        let mut is_whole = true;
+        let mut characters = text.chars().peekable();
         while let Some(c) = characters.next() {
             match c {
                 '"' => {
-                    // Content of quotes may hold brackets; only that of an EPSG code is needed.
+                    // Content of quotes may hold brackets, and quotes that are doubled.
                     let mut quoted = String::new();
                     loop {
-                        match characters.next()? {
-                            '"' => break,
-                            c if quoted.len() <= LONGEST_CODE => quoted.push(c),
-                            _ => {}
+                        match characters.next() {
+                            Some('"') if characters.next_if_eq(&'"').is_none() => break,
+                            Some(c) if quoted.len() < LONGEST_NAME => quoted.push(c),
+                            Some(_) => {}
+                            None => {
+                                is_whole = false;
+                                break;
+                            }
                         }
                     }
                     if let Some(node) = open.last_mut() {
-                        node.is_epsg |= quoted.eq_ignore_ascii_case("EPSG");
                         node.quoted_number = quoted.parse().ok().or(node.quoted_number);
+                        node.name.get_or_insert(quoted);
                     }
                 }
                 '[' | '(' => {
-                    if open.len() == DEEPEST {
-                        return None;
-                    }
                     let word = std::mem::take(&mut token).to_ascii_uppercase();
+                    while open.last().is_some_and(|parent| !parent.may_hold(&word)) {
+                        close(&mut open, &mut roots);
+                    }
+                    if open.len() == DEEPEST {
+                        return (Vec::new(), false);
+                    }
                     open.push(Node { word, ..Node::default() });
                 }
                 ']' | ')' => {
-                    let mut done = open.pop()?;
-                    done.give(std::mem::take(&mut token));
-                    match open.last_mut() {
-                        Some(parent) => parent.children.push(done),
-                        None => return Some(done),
+                    let token = std::mem::take(&mut token);
+                    if let Some(node) = open.last_mut() {
+                        node.give(token);
+                        close(&mut open, &mut roots);
                     }
                 }
-                ',' => open.last_mut()?.give(std::mem::take(&mut token)),
+                ',' | ';' => {
+                    let token = std::mem::take(&mut token);
+                    if let Some(node) = open.last_mut() {
+                        node.give(token);
+                    }
+                }
                 c if c.is_whitespace() => {}
                 c => token.push(c),
             }
         }
-        None
+        is_whole &= token.is_empty();
+        while !open.is_empty() {
+            close(&mut open, &mut roots);
+        }
+        (roots, is_whole)
+    }
+
+    /// Whether `word` may stand in this one: systems stand beside each other, but for a geographic one in a projected one, of
+    /// which the projection is no part.
+    fn may_hold(&self, word: &str) -> bool {
+        let own = Kind::of(&self.word);
+        let holds_any = own == Some(Kind::Several) || own.is_none() && self.word.ends_with("CRS");
+        match Kind::of(word) {
+            Some(Kind::Geographic) => holds_any || own == Some(Kind::Projected),
+            Some(_) => holds_any,
+            None if matches!(word, "PROJECTION" | "CONVERSION") => {
+                own != Some(Kind::Geographic) && !self.word.starts_with("BASEGEO")
+            }
+            None => true,
+        }
     }
 
     fn give(&mut self, token: String) {
@@ -339,24 +545,87 @@ impl Node {
 
     /// Its own EPSG code: `AUTHORITY["EPSG","25832"]` (WKT 1) or `ID["EPSG",25832]` (WKT 2).
     fn epsg_code(&self) -> Option<u32> {
-        let id = self.children.iter().find(|c| c.is_epsg && (c.word == "AUTHORITY" || c.word == "ID"))?;
+        let is_epsg = |node: &&Node| node.name.as_ref().is_some_and(|name| name.eq_ignore_ascii_case("EPSG"));
+        let id = self.children.iter().filter(|c| c.word == "AUTHORITY" || c.word == "ID").find(is_epsg)?;
         let number = || id.numbers.first().filter(|number| (1.0..=1e6).contains(*number)).map(|&number| number as u32);
         id.quoted_number.or_else(number)
     }
 
-    fn unit(&self) -> Option<f64> {
-        let unit = self.children.iter().find(|c| c.word == "UNIT" || c.word == "LENGTHUNIT")?;
-        unit.numbers.first().map(|&factor| exact(factor))
+    fn axes(&self) -> impl Iterator<Item = &Node> {
+        self.children.iter().filter(|child| child.word == "AXIS")
     }
 
-    /// Unit of the system, or (WKT 2 may state it so) of its first axis that has one.
-    fn length_unit(&self) -> Option<f64> {
-        self.unit().or_else(|| self.children.iter().filter(|c| c.word == "AXIS").find_map(Node::unit))
+    fn is_vertical(&self) -> bool {
+        self.bare.iter().any(|word| word == "up" || word == "down")
     }
 
-    fn axis_unit(&self, direction: &str) -> Option<f64> {
-        let axis = |c: &&Node| c.word == "AXIS" && c.bare.iter().any(|b| b == direction);
-        self.children.iter().find(axis).and_then(Node::unit)
+    /// Whether its heights grow downwards: by its axis, or (ESRI) by a parameter.
+    fn points_down(&self) -> bool {
+        let direction = |child: &Node| {
+            child.word == "PARAMETER"
+                && child.name.as_deref() == Some("Direction")
+                && child.numbers.first() == Some(&-1.0)
+        };
+        self.axes().any(|axis| axis.bare.iter().any(|word| word == "down")) || self.children.iter().any(direction)
+    }
+
+    fn is_geocentric(&self) -> bool {
+        let is_cartesian =
+            |child: &Node| child.word == "CS" && child.bare.first().is_some_and(|kind| kind == "cartesian");
+        self.children.iter().any(is_cartesian)
+    }
+
+    /// Length of its own unit, by its factor or else by its name or code.
+    fn unit(&self, notes: &mut Vec<String>) -> Option<f64> {
+        let unit = self.children.iter().find(|child| child.word == "UNIT" || child.word == "LENGTHUNIT")?;
+        let name = unit.name.as_deref().unwrap_or_default();
+        let is_angle = ["deg", "grad", "rad", "gon"].iter().any(|word| name.to_ascii_lowercase().starts_with(word));
+        if is_angle && unit.word == "UNIT" {
+            return None;
+        }
+        let coded = || unit.epsg_code().and_then(|code| epsg::unit(code.try_into().ok()?));
+        let meant = unit_named(name).or_else(coded);
+        match (unit.numbers.first().map(|&factor| exact(factor)), meant) {
+            (Some(1.0), Some(meant)) if meant != 1.0 => {
+                notes.push(format!(
+                    "its reference system states 1 m as length of the unit {name}; {} m counts",
+                    number(meant)
+                ));
+                Some(meant)
+            }
+            (factor, meant) => factor.or(meant),
+        }
+    }
+
+    /// Unit of its axes on the ground: of the system, or (WKT 2 may state it so) of the first one that has one, or that of the
+    /// system from which it is derived.
+    fn ground_unit(&self, notes: &mut Vec<String>) -> Option<f64> {
+        let own = self
+            .unit(notes)
+            .or_else(|| self.axes().filter(|axis| !axis.is_vertical()).find_map(|axis| axis.unit(notes)));
+        let is_base = |child: &&Node| matches!(child.word.as_str(), "BASEPROJCRS" | "BASEENGCRS");
+        own.or_else(|| self.children.iter().find(is_base)?.ground_unit(notes))
+    }
+
+    /// Unit of a vertical system, likewise.
+    fn height_unit(&self, notes: &mut Vec<String>) -> Option<f64> {
+        let own = self.unit(notes).or_else(|| self.axes().find_map(|axis| axis.unit(notes)));
+        own.or_else(|| self.children.iter().find(|child| child.word == "BASEVERTCRS")?.height_unit(notes))
+    }
+}
+
+/// Closes the innermost open word. One that belongs to a system which a bracket too many closed before is given to that.
+fn close(open: &mut Vec<Node>, roots: &mut Vec<Node>) {
+    let Some(node) = open.pop() else { return };
+    let siblings = match open.last_mut() {
+        Some(parent) if Kind::of(&parent.word) != Some(Kind::Several) => return parent.children.push(node),
+        Some(parent) => &mut parent.children,
+        None => roots,
+    };
+    let is_part = matches!(node.word.as_str(), "UNIT" | "LENGTHUNIT" | "AXIS");
+    match siblings.iter_mut().rev().find(|before| is_part && Kind::of(&before.word).is_some()) {
+        Some(system) => system.children.push(node),
+        None => siblings.push(node),
     }
 }
 
@@ -386,6 +655,222 @@ mod tests {
             r#"COMPOUNDCRS["C",PROJCRS["P",BASEGEOGCRS["G",UNIT["degree",0.0174]],CONVERSION["c",PARAMETER["x",1,LENGTHUNIT["metre",1]]],CS[Cartesian,2],AXIS["(E)",east,ORDER[1],LENGTHUNIT["foot",0.3048]],AXIS["(N)",north,LENGTHUNIT["foot",0.3048]]],VERTCRS["V",VDATUM["D"],CS[vertical,1],AXIS["H",up,LENGTHUNIT["metre",1]]]]"#,
         );
         assert_eq!((found.horizontal, found.vertical), (Some(FOOT), Some(1.0)));
+    }
+
+    /// Metres per unit of x and y and of heights.
+    fn units(text: &str) -> (Option<f64>, Option<f64>) {
+        let found = wkt(text);
+        assert!(!found.notes.iter().any(|note| note.contains("damaged")), "{text}: {:?}", found.notes);
+        (found.horizontal, found.vertical)
+    }
+
+    const GEOGRAPHIC: &str = r#"GEOGCS["G",DATUM["D",SPHEROID["S",6378137,298.25]],PRIMEM["Greenwich",0],UNIT["Degree",0.0174532925199433]]"#;
+
+    #[test]
+    fn systems_stand_side_by_side_in_each_other_or_behind_too_many_brackets() {
+        let feet = r#"UNIT["Foot_US",0.3048006096012192]"#;
+        let ground = format!(r#"PROJCS["P",{GEOGRAPHIC},PROJECTION["Albers"],PARAMETER["x",0],UNIT["Meter",1.0]"#);
+        for word in ["VERT_CS", "VERTCS", "VERTCRS", "VERTICALCRS", "vert_cs"] {
+            let heights = format!(r#"{word}["V",VDATUM["D"],PARAMETER["Direction",1.0],{feet}"#);
+            for text in [
+                format!("{ground}],{heights}]"),
+                format!("{ground}]{heights}]"),
+                format!("{ground}] \n {heights}]"),
+                format!("{ground},{heights}]]"),
+                format!("{ground},{heights}],AUTHORITY[\"EPSG\",\"2903\"]]"),
+                format!("{heights}],{ground}]"),
+                format!("COMPD_CS[\"C\",{ground}],{heights}]]"),
+                format!("COMPD_CS[\"C\",{ground}]],{heights}]]"),
+                format!("COMPD_CS[\"C\",{ground}],{heights}"),
+                format!("COMPD_CS[\"C\",{ground},{heights}]]"),
+                format!("COMPD_CS[\"C\",{ground}]]],{heights}]]]"),
+            ] {
+                for text in [text.clone(), text.replace('[', "(").replace(']', ")"), text.to_lowercase()] {
+                    assert_eq!(units(&text), (Some(1.0), Some(US_SURVEY_FOOT)), "{text}");
+                }
+            }
+        }
+        // A bracket too many or too few before the unit of the map itself.
+        let map = r#"PROJECTION["Albers"],UNIT["foot",0.3048]"#;
+        let heights = r#"VERT_CS["V",VERT_DATUM["D",2005],UNIT["metre",1],AXIS["Up",UP]]"#;
+        let open = &GEOGRAPHIC[..GEOGRAPHIC.len() - 1];
+        for text in [
+            format!("PROJCS[\"P\",{GEOGRAPHIC}],{map}],{heights}"),
+            format!("PROJCS[\"P\",{open},{map}]],{heights}"),
+            format!("COMPD_CS[\"C\",PROJCS[\"P\",{GEOGRAPHIC}],{map}],{heights}]"),
+            format!("COMPD_CS[\"C\",PROJCS[\"P\",{open},{map}],{heights}]]"),
+            format!("PROJCS[\"P\",{GEOGRAPHIC},{map}],{}]", heights.replace(",UNIT", "],UNIT")),
+        ] {
+            assert_eq!(units(&text), (Some(FOOT), Some(1.0)), "{text}");
+        }
+    }
+
+    #[test]
+    fn text_of_the_second_kind_states_units_by_system_by_axis_or_by_what_it_is_derived_from() {
+        let foot = r#"LENGTHUNIT["US survey foot",0.304800609601219]"#;
+        let metre = r#"LENGTHUNIT["metre",1]"#;
+        let base = r#"BASEGEOGCRS["G",DATUM["D",ELLIPSOID["E",6378137,298.25,LENGTHUNIT["metre",1]]]],CONVERSION["c",METHOD["m"]]"#;
+        let projected = |axes: &str| format!(r#"PROJCRS["P",{base},{axes}]"#);
+        let feet = Some(US_SURVEY_FOOT);
+        for (axes, expected) in [
+            (
+                format!(r#"CS[Cartesian,3],AXIS["E",east,{metre}],AXIS["N",north,{metre}],AXIS["h",up,{foot}]"#),
+                (Some(1.0), feet),
+            ),
+            (
+                format!(r#"CS[Cartesian,3],AXIS["h",up,{foot}],AXIS["E",east,{metre}],AXIS["N",north,{metre}]"#),
+                (Some(1.0), feet),
+            ),
+            (
+                format!(r#"CS[Cartesian,3],AXIS["E",east],AXIS["N",north],AXIS["h",up,{metre}],{foot}"#),
+                (feet, Some(1.0)),
+            ),
+            (format!(r#"CS[Cartesian,3],AXIS["E",east],AXIS["N",north],AXIS["h",up],{foot}"#), (feet, None)),
+            (format!(r#"CS[Cartesian,2],AXIS["E",east],AXIS["N",north],{foot},ID["EPSG",26915]"#), (feet, None)),
+        ] {
+            assert_eq!(units(&projected(&axes)), expected, "{axes}");
+            let vertical = format!(r#"VERTCRS["V",VDATUM["D"],CS[vertical,1],AXIS["H",up],{foot}]"#);
+            let joined = format!(r#"COMPOUNDCRS["C",{},{vertical}]"#, projected(&axes));
+            assert_eq!(units(&joined), (expected.0, feet), "{joined}");
+            let bound = format!(r#"BOUNDCRS[SOURCECRS[{joined}],TARGETCRS[GEOGCRS["WGS 84",CS[ellipsoidal,3]]]]"#);
+            assert_eq!((units(&bound), wkt(&bound).degrees), ((expected.0, feet), false), "{bound}");
+            let dated = format!(r#"COORDINATEMETADATA[{joined},EPOCH[2020]]"#);
+            assert_eq!(units(&dated), (expected.0, feet), "{dated}");
+        }
+        let axes = format!(r#"CS[Cartesian,2],AXIS["E",east],AXIS["N",north],{foot}"#);
+        let of_base = format!(r#"BASEPROJCRS["P",{base},{axes}],DERIVINGCONVERSION["d",METHOD["Affine"]]"#);
+        assert_eq!(units(&format!(r#"DERIVEDPROJCRS["S",{of_base},{axes}]"#)), (feet, None));
+        assert_eq!(units(&format!(r#"DERIVEDPROJCRS["S",{of_base},CS[Cartesian,2]]"#)), (feet, None));
+        assert_eq!(units(&format!(r#"DERIVEDPROJCRS["S",{of_base},CS[Cartesian,2],{metre}]"#)), (Some(1.0), None));
+        let of_base = format!(r#"BASEVERTCRS["V",VDATUM["D"],CS[vertical,1],{foot}]"#);
+        assert_eq!(units(&format!(r#"VERTCRS["W",{of_base},DERIVINGCONVERSION["d",METHOD["m"]]]"#)), (None, feet));
+        assert_eq!(
+            units(&format!(
+                r#"ENGCRS["S",EDATUM["D"],CS[Cartesian,3],AXIS["x",east],AXIS["y",north],AXIS["z",up,{metre}],{foot}]"#
+            )),
+            (feet, Some(1.0))
+        );
+        assert_eq!(units(r#"LOCAL_CS["S",LOCAL_DATUM["D",1],UNIT["foot",0.3048],AXIS["x",EAST]]"#), (Some(FOOT), None));
+        let ellipsoidal = format!(
+            r#"GEOGCRS["G",DATUM["D"],CS[ellipsoidal,3],AXIS["lat",north,ANGLEUNIT["degree",0.0174]],AXIS["h",up,{foot}]]"#
+        );
+        assert_eq!((units(&ellipsoidal), wkt(&ellipsoidal).degrees), ((None, feet), true));
+        let geocentric = format!(r#"GEODCRS["G",DATUM["D"],CS[Cartesian,3],AXIS["X",geocentricX],{metre}]"#);
+        let geocentric = wkt(&geocentric);
+        assert_eq!((geocentric.degrees, geocentric.notes.as_slice()), (false, [GEOCENTRIC.to_owned()].as_slice()));
+    }
+
+    #[test]
+    fn units_without_a_sound_factor_go_by_their_name_or_code_and_systems_without_units_by_theirs() {
+        for (unit, expected) in [
+            (r#"UNIT["US survey foot",1.0]"#, Some(US_SURVEY_FOOT)), // as some programs write it
+            (r#"UNIT["Foot_US"]"#, Some(US_SURVEY_FOOT)),
+            (r#"UNIT["Foot_US",0.3048006]"#, Some(US_SURVEY_FOOT)),
+            (r#"UNIT["their foot",0.31]"#, Some(0.31)),
+            (r#"UNIT["their foot",AUTHORITY["EPSG","9002"]]"#, Some(FOOT)),
+            (r#"UNIT["metre",1,AUTHORITY["EPSG","9001"]]"#, Some(1.0)),
+            (r#"UNIT["Degree",0.0174532925199433]"#, None),
+            (r#"AUTHORITY["EPSG","2229"]"#, Some(US_SURVEY_FOOT)),
+        ] {
+            assert_eq!(units(&format!(r#"PROJCS["P",{GEOGRAPHIC},{unit}]"#)).0, expected, "{unit}");
+        }
+        assert_eq!(
+            units(r#"PROJCS["P",UNIT["metre",1]],VERT_CS["V",AUTHORITY["EPSG","6360"]]"#).1,
+            Some(US_SURVEY_FOOT)
+        );
+        let joined =
+            r#"COMPD_CS["C",PROJCS["P",UNIT["metre",1]],VERT_CS["V",VERT_DATUM["D",2005]],AUTHORITY["EPSG","8720"]]"#;
+        assert_eq!(units(joined).1, epsg::system(8720).and_then(|system| system.up));
+        // Each quote doubled, a quote in a name, a backslash before each.
+        let text = r#"PROJCS["P ""[old]"" one",UNIT["Foot_US",0.3048006096012192]]"#;
+        assert_eq!(units(text).0, Some(US_SURVEY_FOOT));
+        let text = r#"PROJCS["P [ftUS]",UNIT["Foot_US",0.3048006096012192]]"#;
+        for text in [text.replace('"', "\"\""), text.replace('"', "\\\""), text.replacen('"', "\u{201c}", 1)] {
+            assert_eq!(units(&text).0, Some(US_SURVEY_FOOT), "{text}");
+        }
+    }
+
+    #[test]
+    fn depths_are_noted() {
+        for text in [
+            r#"VERT_CS["V",UNIT["metre",1],AXIS["Depth",DOWN]]"#,
+            r#"VERTCS["V",PARAMETER["Direction",-1.0],UNIT["Meter",1.0]]"#,
+            r#"VERTCRS["V",ID["EPSG",5715]]"#,
+        ] {
+            assert_eq!(wkt(text).notes, [DOWNWARD], "{text}");
+        }
+    }
+
+    #[test]
+    fn a_text_and_keys_complete_each_other_and_the_one_that_counts_is_followed() {
+        let records = |wkt: &str, entries: &[[u16; 4]]| {
+            let mut records = key_records(entries, "", &[]);
+            records.keep(WKT, wkt.as_bytes().iter().copied().chain([0, 0]).collect());
+            records
+        };
+        let text = format!(r#"PROJCS["P",{GEOGRAPHIC},UNIT["Meter",1.0]]"#);
+        let keys = [[1024, 0, 1, 1], [3072, 0, 1, 5070], [4096, 0, 1, 6360], [4099, 0, 1, 9003]];
+        for says_wkt in [true, false] {
+            let found = Georeference::read(&records(&text, &keys), says_wkt);
+            assert_eq!((found.horizontal, found.vertical), (Some(1.0), Some(US_SURVEY_FOOT)));
+            assert_eq!((found.text.as_deref(), found.notes.len()), (Some(text.as_str()), 0));
+            let feet = [[1024, 0, 1, 1], [3072, 0, 1, 2229]];
+            let found = Georeference::read(&records(&text, &feet), says_wkt);
+            let counts = if says_wkt { 1.0 } else { US_SURVEY_FOOT };
+            assert_eq!((found.horizontal, found.notes.len()), (Some(counts), 1), "{:?}", found.notes);
+        }
+        let heights = r#"VERTCS["V",UNIT["foot",0.3048]]"#;
+        let found = Georeference::read(&records(&format!("{text},{heights}"), &keys), true);
+        assert_eq!((found.vertical, found.notes.len()), (Some(FOOT), 1));
+    }
+
+    #[test]
+    fn keys_name_the_unit_of_heights_by_code_by_system_or_in_words() {
+        let vertical = |entries: &[[u16; 4]], text: &str| keys(entries, text, &[]).vertical;
+        let feet = [3072, 0, 1, 2229];
+        assert_eq!(vertical(&[feet, [4099, 0, 1, 9001]], ""), Some(1.0));
+        assert_eq!(vertical(&[feet, [4096, 0, 1, 5703]], ""), Some(1.0));
+        assert_eq!(vertical(&[feet, [4096, 0, 1, 6360], [4099, 0, 1, 9002]], ""), Some(FOOT));
+        assert_eq!(vertical(&[feet, [4096, 0, 1, 4979]], ""), Some(1.0));
+        assert_eq!(vertical(&[feet, [4096, 0, 1, 32767], [4099, 0, 1, 0]], ""), None);
+        assert_eq!(vertical(&[[3072, 0, 1, 26915], [4097, GEO_TEXT, 13, 0]], "NAVD88 (ftUS)|"), Some(US_SURVEY_FOOT));
+        let both = "Somewhere (m) + height (ftUS)|";
+        let found = keys(&[[3073, GEO_TEXT, 30, 0], [3076, 0, 1, 9001]], both, &[]);
+        assert_eq!((found.horizontal, found.vertical), (Some(1.0), Some(US_SURVEY_FOOT)));
+        let degrees = keys(&[[3072, 0, 1, 4326]], "", &[]);
+        assert!(degrees.degrees && degrees.horizontal.is_none());
+        assert!(keys(&[[2048, 0, 1, 4759]], "", &[]).degrees);
+        assert_eq!(keys(&[[1024, 0, 1, 3], [2048, 0, 1, 4978]], "", &[]).notes, [GEOCENTRIC]);
+    }
+
+    #[test]
+    fn a_code_alone_gives_the_axes_of_its_system() {
+        let of = |code| {
+            let mut found = Georeference::default();
+            let note = found.complete(code).unwrap();
+            (found.degrees, found.horizontal, found.vertical, note.is_some())
+        };
+        for degrees in [4167, 4258, 4326, 4674, 4759, 4807, 9000] {
+            assert_eq!(of(degrees), (true, None, None, false), "{degrees}");
+        }
+        assert_eq!(of(4979), (true, None, Some(1.0), false));
+        assert_eq!(of(2229), (false, Some(US_SURVEY_FOOT), None, false));
+        assert_eq!(of(5555), (false, Some(1.0), Some(1.0), false));
+        assert_eq!(of(6360), (false, None, Some(US_SURVEY_FOOT), false));
+        assert_eq!(of(900_913), (false, None, None, true));
+        let text = |text: &str| Georeference::of_text(text.to_owned());
+        assert_eq!(text("EPSG:2229+5703").codes, [2229, 5703]);
+        assert_eq!(
+            (text("EPSG:2229+5703").horizontal, text("EPSG:2229+5703").vertical),
+            (Some(US_SURVEY_FOOT), Some(1.0))
+        );
+        assert!(text("urn:ogc:def:crs:EPSG::4674").degrees);
+        assert_eq!(text("a site of ours").codes, [0; 0]);
+        assert_eq!(["EPSG:5555", "EPSG:4979", "EPSG:25832"].map(projected_epsg), [None, None, Some(25832)]);
+        assert_eq!(
+            projected_epsg(r#"PROJCS["P",AUTHORITY["EPSG","25832"]],VERTCS["V",AUTHORITY["EPSG","5783"]]"#),
+            Some(25832)
+        );
     }
 
     #[test]
@@ -421,7 +906,7 @@ mod tests {
         }
     }
 
-    fn keys(entries: &[[u16; 4]], text: &str, doubles: &[f64]) -> Georeference {
+    fn key_records(entries: &[[u16; 4]], text: &str, doubles: &[f64]) -> Records {
         let mut directory = vec![1u16, 1, 0, entries.len() as u16];
         directory.extend(entries.iter().flatten());
         let bytes = |words: Vec<u16>| words.iter().flat_map(|w| w.to_le_bytes()).collect::<Vec<u8>>();
@@ -429,7 +914,11 @@ mod tests {
         records.keep(GEO_KEYS, bytes(directory));
         records.keep(GEO_TEXT, text.as_bytes().to_vec());
         records.keep(GEO_DOUBLES, doubles.iter().flat_map(|d| d.to_le_bytes()).collect());
-        Georeference::read(&records, false)
+        records
+    }
+
+    fn keys(entries: &[[u16; 4]], text: &str, doubles: &[f64]) -> Georeference {
+        Georeference::read(&key_records(entries, text, doubles), false)
     }
 
     #[test]

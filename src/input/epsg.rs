@@ -1,156 +1,78 @@
-//! Length units of coordinate reference systems that a file names by their EPSG code alone.
+//! Units of reference systems that a file or an option names by their EPSG code alone.
 //!
-//! In: a code. Out: metres per unit. GeoTIFF keys may leave the unit to the code (`ProjLinearUnits` is optional), and
-//! then nothing in the file says "feet". The tables list the codes whose axes are in feet, as inclusive ranges over the
-//! projected systems of EPSG data set 12 (read out with pyproj 3.7); a code between two entries of one range is
-//! either unassigned or no projected system. Every other projected code is taken as metres, except the few listed in
-//! [`projected`] (British chains rounded to the nearest millimetre).
+//! In: a code. Out: what its axes mean. GeoTIFF keys may leave the unit to the code (`ProjLinearUnits` is optional), and then
+//! nothing in the file says "feet". A code that the table lacks has no unit: none is guessed.
 
+use super::epsg_table::{KINDS, RUNS, UNITS};
 pub(super) use crate::unit::{FOOT_M as FOOT, US_SURVEY_FOOT_M as US_SURVEY_FOOT};
 
-/// Metres per unit of the axes of projected system `code`; `None` for codes that are no EPSG code (0, 32767 and above).
-pub(super) fn projected(code: u16) -> Option<f64> {
-    match code {
-        0 | 32767.. => None,
-        2066 | 30200 => Some(0.201166195164),
-        2136 | 2159 | 2160 => Some(0.3047997101815088),
-        2314 | 3407 | 5589 | 24100 => Some(0.3047972654),
-        3139 | 3140 => Some(0.201168),
-        22300 => Some(1000.0),
-        24370..=24374 | 24382 => Some(0.9143985307444408),
-        29371 | 29373 | 29375 | 29377 | 29379 | 29381 | 29383 | 29385 => Some(1.0000135965),
-        5472 => Some(0.9143917962),
-        27291 | 27292 => Some(0.9143984146160287),
-        29872 => Some(0.3047994715386762),
-        3167 | 24571 | 29871 => Some(20.1168),
-        _ if holds(US_SURVEY_FEET, code) => Some(US_SURVEY_FOOT),
-        _ if holds(FEET, code) => Some(FOOT),
-        _ => Some(1.0),
-    }
+/// Axes of a reference system.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct System {
+    /// x and y.
+    pub ground: Ground,
+    /// Metres per unit of z, if the system has a vertical axis; negative if that points down.
+    pub up: Option<f64>,
+    /// It joins two systems, whose codes are others.
+    pub is_compound: bool,
 }
 
-/// Whether `code` is a well-known geographic system, whose coordinates are degrees. Others are taken as projected.
-pub(super) fn is_geographic(code: u32) -> bool {
-    matches!(code, 4171 | 4258 | 4267 | 4269 | 4283 | 4326 | 4490 | 4612 | 4937 | 4979 | 6318 | 6668 | 7844)
+/// Axes on the ground.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Ground {
+    /// Metres per unit.
+    Length(f64),
+    /// Longitude and latitude.
+    Angles,
+    /// Three axes from the middle of the Earth, in metres.
+    Geocentric,
+    /// A vertical system has none.
+    None,
 }
 
-/// Metres per unit of vertical system `code`; `None` for codes that are no EPSG code.
-pub(super) fn vertical(code: u16) -> Option<f64> {
-    match code {
-        0 | 32767.. => None,
-        5702 | 6358..=6360 | 8052 | 8053 => Some(US_SURVEY_FOOT),
-        5614 | 6130..=6132 | 8050 | 8051 | 8228 | 8897 => Some(FOOT),
-        _ => Some(1.0),
-    }
+/// The system `code`; `None` if the table has none.
+pub(super) fn system(code: u32) -> Option<System> {
+    let code = u16::try_from(code).ok()?;
+    let after = RUNS.partition_point(|&(first, _)| first <= code);
+    let kind = RUNS[after.checked_sub(1)?].1;
+    KINDS.get(usize::from(kind).checked_sub(1)?).copied()
 }
 
 /// Metres per unit of EPSG unit of measure `code`, as `ProjLinearUnits` and `VerticalUnits` hold it.
 pub(super) fn unit(code: u16) -> Option<f64> {
-    Some(match code {
-        9001 => 1.0,
-        9002 => FOOT,
-        9003 => US_SURVEY_FOOT,
-        9005 => 0.3047972654,
-        9014 => 1.8288,
-        9030 => 1852.0,
-        9031 => 1.0000135965,
-        9036 => 1000.0,
-        9093 => 1609.344,
-        9096 => 0.9144,
-        9097 => 20.1168,
-        9098 => 0.201168,
-        1025 => 0.001,
-        1033 => 0.01,
-        _ => return None,
-    })
+    UNITS.binary_search_by_key(&code, |unit| unit.0).ok().map(|at| UNITS[at].1)
 }
-
-fn holds(ranges: &[(u16, u16)], code: u16) -> bool {
-    let after = ranges.partition_point(|&(first, _)| first <= code);
-    after > 0 && code <= ranges[after - 1].1
-}
-
-/// Projected systems in US survey feet.
-#[rustfmt::skip]
-const US_SURVEY_FEET: &[(u16, u16)] = &[
-    (2155, 2155), (2194, 2194), (2204, 2204), (2225, 2250), (2254, 2255), (2257, 2264), (2267, 2268), (2271, 2272),
-    (2274, 2279), (2283, 2289), (2870, 2895), (2899, 2900), (2902, 2908), (2911, 2912), (2915, 2920), (2924, 2930),
-    (2964, 2968), (3089, 3089), (3091, 3091), (3102, 3102), (3363, 3363), (3365, 3365), (3404, 3404), (3417, 3438),
-    (3441, 3446), (3451, 3459), (3485, 3485), (3487, 3487), (3490, 3490), (3492, 3492), (3494, 3494), (3496, 3496),
-    (3498, 3498), (3500, 3500), (3502, 3502), (3504, 3504), (3506, 3506), (3508, 3508), (3510, 3510), (3512, 3512),
-    (3515, 3515), (3517, 3517), (3519, 3519), (3521, 3521), (3523, 3523), (3525, 3525), (3527, 3527), (3529, 3529),
-    (3531, 3531), (3533, 3533), (3535, 3535), (3537, 3537), (3539, 3539), (3541, 3541), (3543, 3543), (3545, 3545),
-    (3547, 3547), (3549, 3549), (3551, 3551), (3553, 3553), (3560, 3570), (3582, 3582), (3584, 3584), (3586, 3586),
-    (3598, 3598), (3600, 3600), (3608, 3608), (3610, 3610), (3612, 3612), (3614, 3614), (3616, 3616), (3618, 3618),
-    (3620, 3620), (3622, 3622), (3624, 3624), (3626, 3626), (3628, 3628), (3630, 3630), (3632, 3632), (3640, 3640),
-    (3642, 3642), (3650, 3650), (3652, 3652), (3654, 3654), (3658, 3658), (3660, 3660), (3662, 3662), (3664, 3664),
-    (3668, 3668), (3670, 3670), (3672, 3672), (3674, 3674), (3677, 3677), (3680, 3680), (3683, 3683), (3686, 3686),
-    (3688, 3688), (3690, 3690), (3692, 3692), (3696, 3696), (3698, 3698), (3700, 3700), (3728, 3739), (3753, 3760),
-    (3991, 3992), (4217, 4217), (4399, 4413), (4418, 4433), (4438, 4457), (5623, 5625), (5646, 5646), (5654, 5655),
-    (6200, 6202), (6411, 6411), (6413, 6413), (6416, 6416), (6418, 6418), (6420, 6420), (6422, 6422), (6424, 6424),
-    (6426, 6426), (6428, 6428), (6430, 6430), (6432, 6432), (6434, 6434), (6436, 6436), (6438, 6438), (6441, 6441),
-    (6443, 6443), (6445, 6445), (6447, 6447), (6449, 6449), (6451, 6451), (6453, 6453), (6455, 6455), (6457, 6457),
-    (6459, 6459), (6461, 6461), (6463, 6463), (6465, 6465), (6467, 6467), (6469, 6469), (6471, 6471), (6473, 6473),
-    (6475, 6475), (6477, 6477), (6479, 6479), (6484, 6484), (6486, 6486), (6488, 6488), (6490, 6490), (6492, 6492),
-    (6501, 6501), (6503, 6503), (6505, 6505), (6507, 6507), (6510, 6510), (6517, 6517), (6519, 6519), (6521, 6521),
-    (6523, 6523), (6525, 6525), (6527, 6527), (6529, 6529), (6531, 6531), (6533, 6533), (6535, 6535), (6537, 6537),
-    (6539, 6539), (6541, 6541), (6543, 6543), (6549, 6549), (6551, 6551), (6553, 6553), (6555, 6555), (6563, 6563),
-    (6565, 6565), (6568, 6568), (6572, 6572), (6574, 6574), (6576, 6576), (6578, 6578), (6582, 6582), (6584, 6584),
-    (6586, 6586), (6588, 6588), (6590, 6590), (6593, 6593), (6595, 6595), (6597, 6597), (6599, 6599), (6601, 6601),
-    (6603, 6603), (6605, 6605), (6607, 6607), (6609, 6609), (6612, 6612), (6614, 6614), (6616, 6616), (6618, 6618),
-    (6625, 6627), (6633, 6633), (6880, 6880), (6923, 6923), (6925, 6925), (6966, 6966), (6997, 6997), (7057, 7070),
-    (7128, 7128), (7132, 7132), (7258, 7258), (7260, 7260), (7262, 7262), (7264, 7264), (7266, 7266), (7268, 7268),
-    (7270, 7270), (7272, 7272), (7274, 7274), (7276, 7276), (7278, 7278), (7280, 7280), (7282, 7282), (7284, 7284),
-    (7286, 7286), (7288, 7288), (7290, 7290), (7292, 7292), (7294, 7294), (7296, 7296), (7298, 7298), (7300, 7300),
-    (7302, 7302), (7304, 7304), (7306, 7306), (7308, 7308), (7310, 7310), (7312, 7312), (7314, 7314), (7316, 7316),
-    (7318, 7318), (7320, 7320), (7322, 7322), (7324, 7324), (7326, 7326), (7328, 7328), (7330, 7330), (7332, 7332),
-    (7334, 7334), (7336, 7336), (7338, 7338), (7340, 7340), (7342, 7342), (7344, 7344), (7346, 7346), (7348, 7348),
-    (7350, 7350), (7352, 7352), (7354, 7354), (7356, 7356), (7358, 7358), (7360, 7360), (7362, 7362), (7364, 7364),
-    (7366, 7366), (7368, 7368), (7370, 7370), (7587, 7645), (8035, 8036), (8091, 8091), (8093, 8093), (8096, 8096),
-    (8098, 8098), (8100, 8100), (8102, 8102), (8104, 8104), (8106, 8106), (8108, 8108), (8110, 8110), (8112, 8112),
-    (8114, 8114), (8116, 8116), (8118, 8118), (8120, 8120), (8122, 8122), (8124, 8124), (8126, 8126), (8128, 8128),
-    (8130, 8130), (8132, 8132), (8134, 8134), (8136, 8136), (8138, 8138), (8140, 8140), (8142, 8142), (8144, 8144),
-    (8146, 8146), (8148, 8148), (8150, 8150), (8152, 8152), (8154, 8154), (8156, 8156), (8158, 8158), (8160, 8160),
-    (8162, 8162), (8164, 8164), (8166, 8166), (8168, 8168), (8170, 8170), (8172, 8172), (8177, 8177), (8180, 8180),
-    (8182, 8182), (8185, 8185), (8189, 8189), (8193, 8193), (8197, 8197), (8200, 8200), (8202, 8202), (8204, 8204),
-    (8206, 8206), (8208, 8208), (8210, 8210), (8213, 8213), (8216, 8216), (8220, 8220), (8224, 8224), (8226, 8226),
-    (8380, 8380), (8382, 8382), (8384, 8384), (8387, 8387), (8518, 8540), (9748, 9749), (10481, 10516), (10622,
-    10622), (23301, 23333), (26729, 26813), (26847, 26870), (32001, 32058), (32064, 32077), (32099, 32099), (32164,
-    32167), (32664, 32667),
-];
-
-/// Projected systems in international feet.
-#[rustfmt::skip]
-const FEET: &[(u16, u16)] = &[
-    (2222, 2224), (2251, 2253), (2256, 2256), (2265, 2266), (2269, 2270), (2273, 2273), (2280, 2282), (2867, 2869),
-    (2896, 2898), (2901, 2901), (2909, 2910), (2913, 2914), (2921, 2923), (2992, 2992), (2994, 2994), (3080, 3080),
-    (3359, 3359), (3361, 3361), (3479, 3479), (3481, 3481), (3483, 3483), (3588, 3588), (3590, 3590), (3593, 3593),
-    (3605, 3605), (3634, 3634), (3636, 3636), (3644, 3644), (3646, 3646), (3648, 3648), (3656, 3656), (3676, 3676),
-    (3679, 3679), (3682, 3682), (5588, 5588), (6128, 6141), (6391, 6391), (6405, 6405), (6407, 6407), (6409, 6409),
-    (6494, 6494), (6496, 6496), (6499, 6499), (6515, 6515), (6545, 6545), (6547, 6547), (6557, 6557), (6559, 6559),
-    (6561, 6561), (6570, 6570), (6785, 6785), (6787, 6787), (6789, 6789), (6791, 6791), (6793, 6793), (6795, 6795),
-    (6797, 6797), (6799, 6799), (6801, 6801), (6803, 6803), (6805, 6805), (6807, 6807), (6809, 6809), (6811, 6811),
-    (6813, 6813), (6815, 6815), (6817, 6817), (6819, 6819), (6821, 6821), (6823, 6823), (6825, 6825), (6827, 6827),
-    (6829, 6829), (6831, 6831), (6833, 6833), (6835, 6835), (6837, 6837), (6839, 6839), (6841, 6841), (6843, 6843),
-    (6845, 6845), (6847, 6847), (6849, 6849), (6851, 6851), (6853, 6853), (6855, 6855), (6857, 6857), (6859, 6859),
-    (6861, 6861), (6863, 6863), (6868, 6868), (6885, 6885), (6887, 6887), (7119, 7127), (8065, 8068), (8312, 8312),
-    (8314, 8314), (8316, 8316), (8318, 8318), (8320, 8320), (8322, 8322), (8324, 8324), (8326, 8326), (8328, 8328),
-    (8330, 8330), (8332, 8332), (8334, 8334), (8336, 8336), (8338, 8338), (8340, 8340), (8342, 8342), (8344, 8344),
-    (8346, 8346), (8348, 8348), (20050, 20050),
-];
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn state_planes_are_in_the_foot_that_their_code_means() {
-        assert_eq!(projected(2229), Some(US_SURVEY_FOOT)); // NAD83 / California zone 5 (ftUS)
-        assert_eq!(projected(2992), Some(FOOT)); // NAD83 / Oregon GIC Lambert (ft)
-        assert_eq!(projected(2991), Some(1.0)); // NAD83 / Oregon LCC (m)
-        assert_eq!(projected(32633), Some(1.0)); // WGS 84 / UTM zone 33N
-        assert_eq!(projected(32767), None);
-        assert_eq!(vertical(6360), Some(US_SURVEY_FOOT));
-        assert!([US_SURVEY_FEET, FEET].iter().all(|t| t.windows(2).all(|w| w[0].1 < w[1].0)));
+    fn each_kind_of_system_has_the_axes_that_its_code_means() {
+        let axes = |code| system(code).map(|system| (system.ground, system.up));
+        assert_eq!(axes(2229), Some((Ground::Length(US_SURVEY_FOOT), None))); // NAD83 / California zone 5 (ftUS)
+        assert_eq!(axes(2992), Some((Ground::Length(FOOT), None))); // NAD83 / Oregon GIC Lambert (ft)
+        assert_eq!(axes(2991), Some((Ground::Length(1.0), None))); // NAD83 / Oregon LCC (m)
+        assert_eq!(axes(32633), Some((Ground::Length(1.0), None))); // WGS 84 / UTM zone 33N
+        for degrees in [4167, 4326, 4674, 4759, 4807] {
+            assert_eq!(axes(degrees), Some((Ground::Angles, None)), "{degrees}");
+        }
+        assert_eq!(axes(4979), Some((Ground::Angles, Some(1.0)))); // WGS 84, three axes
+        assert_eq!(axes(4978), Some((Ground::Geocentric, None)));
+        assert_eq!(axes(6360), Some((Ground::None, Some(US_SURVEY_FOOT)))); // NAVD88 height (ftUS)
+        assert_eq!(axes(5715), Some((Ground::None, Some(-1.0)))); // MSL depth
+        assert_eq!(axes(5555), Some((Ground::Length(1.0), Some(1.0)))); // ETRS89 / UTM zone 32N + DHHN92 height
+        for none in [0, 1, 1999, 32767, 65535, 65536, 900_913, u32::MAX] {
+            assert_eq!(axes(none), None, "{none}");
+        }
+    }
+
+    #[test]
+    fn the_table_is_in_order_and_names_kinds_that_exist() {
+        assert!(RUNS.windows(2).all(|pair| pair[0].0 < pair[1].0 && pair[0].1 != pair[1].1));
+        assert!(RUNS.iter().all(|run| usize::from(run.1) <= KINDS.len()));
+        assert!(UNITS.windows(2).all(|pair| pair[0].0 < pair[1].0));
+        assert_eq!((unit(9001), unit(9002), unit(9003)), (Some(1.0), Some(FOOT), Some(US_SURVEY_FOOT)));
+        assert_eq!((unit(0), unit(9102), unit(32767)), (None, None, None));
     }
 }

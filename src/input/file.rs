@@ -182,8 +182,7 @@ impl ScanFile {
         options: &InputOptions,
         findings: &mut Findings,
     ) -> Result<(Self, Reference)> {
-        let Opened { cloud, mut georeference, said } = opened;
-        findings.notes.append(&mut georeference.notes);
+        let Opened { cloud, georeference, said } = opened;
         let (mut reference, unit) = settle(source.path(), georeference, options, findings)?;
         reference.said = said;
         if cloud.points_expected() == 0 {

@@ -19,6 +19,7 @@ mod convert;
 mod crs;
 mod decode;
 mod epsg;
+mod epsg_table;
 mod expand;
 mod file;
 mod header;
