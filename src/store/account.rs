@@ -26,6 +26,12 @@ impl Account {
         Some(Room { account: self.clone(), bytes })
     }
 
+    /// All that is left.
+    #[cfg(test)]
+    pub fn take_rest(self: &Arc<Self>) -> Room {
+        self.take(self.budget - self.used()).expect("nobody else takes")
+    }
+
     pub fn budget(&self) -> usize {
         self.budget
     }

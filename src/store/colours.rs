@@ -1,7 +1,8 @@
 //! Colours of pages that are in memory, for whoever draws them: a state machine beside a [`Loader`], for when it has nothing to do.
 //!
-//! In: pages by urgency, fetched bytes. Out: colours, one page at a time. Memory: bytes on their way and the colour leaves in
-//! use, in the loader's budget; colours that were handed out belong to their new owner.
+//! In: pages by urgency, fetched bytes. Out: colours, one page at a time. Memory: bytes on their way, the colour leaves in use and
+//! the scratch of decoding, in a share of the loader's budget that is set aside, since pages fill all the rest of it; colours that
+//! were handed out belong to their new owner.
 
 use super::account::{Account, Room};
 use super::by_id::ById;
@@ -25,6 +26,11 @@ const RAW_ENTRY: usize = 16;
 /// Bytes that decoding needs for the voxels of a page besides each voxel's, and for each.
 const PAGE_SCRATCH: usize = 64 << 10;
 const VOXEL_SCRATCH: usize = 16;
+/// Share of the budget that is set aside for colours, its least size while that is a quarter at most, and what suffices for a page
+/// whose voxels are all solid.
+const SHARE: usize = 8;
+const LEAST_SHARE: usize = 512 << 10;
+const FULL_SHARE: usize = (4 << 20) + LEAST_SHARE;
 
 /// Brings colours of pages in memory; see [`Loader::colours`].
 ///
@@ -36,6 +42,9 @@ pub struct ColourLoader {
     catalog: Arc<Catalog>,
     index: Arc<Index>,
     account: Arc<Account>,
+    /// What is set aside, in use or not.
+    own: Arc<Account>,
+    _share: Option<Room>,
     table: Option<ColourTable>,
     leaves: ById<usize, Leaf>,
     /// Pages by number, most urgent first.
@@ -80,7 +89,8 @@ struct Here {
 
 impl Loader {
     /// Colours of the pages that this loader brings, within its budget; `None` until the directory is there, and for an archive
-    /// or overview level without colours.
+    /// or overview level without colours. Sets an eighth of the budget aside for them, if that has room: to be called before pages
+    /// fill it.
     pub fn colours(&self) -> Option<ColourLoader> {
         let (catalog, index) = (self.shared_catalog()?, self.cache.as_ref()?.index().clone());
         // Inferred matter has no colours, but its voxels are counted.
@@ -90,10 +100,14 @@ impl Loader {
         if catalog.colours_section().is_none() && catalog.level_colours_range().is_none() {
             return None;
         }
+        let budget = self.account().budget();
+        let share = self.account().take((budget / SHARE).max(LEAST_SHARE.min(budget / 4)).min(FULL_SHARE));
         Some(ColourLoader {
             catalog,
             index,
             account: self.account().clone(),
+            own: Account::new(share.as_ref().map_or(0, Room::bytes)),
+            _share: share,
             table: None,
             leaves: ById::new(),
             wanted: Vec::new(),
@@ -164,10 +178,6 @@ impl ColourLoader {
                 let range = self.table.as_ref()?.leaf_range(number);
                 let entries = self.catalog.leaf_entries(number) as usize;
                 let bytes = (range.end - range.start) as usize + entries * (RAW_ENTRY + size_of::<ColourEntry>());
-                // Leaves in use are few, and they come again.
-                if self.account.budget() - self.account.used().min(self.account.budget()) < bytes {
-                    self.leaves = ById::new();
-                }
                 return self.launch(range, What::Leaf(number), bytes);
             };
             let first: u32 = (0..number).map(|before| self.catalog.leaf_entries(before)).sum();
@@ -193,9 +203,18 @@ impl ColourLoader {
 
     /// Notes a fetch if the budget has room for it and what comes of it.
     fn launch(&mut self, range: Range<u64>, what: What, bytes: usize) -> Option<Range<u64>> {
-        let room = self.account.take(bytes)?;
+        let room = self.room(bytes)?;
         self.flight = Some(Flight { range: range.clone(), what, room });
         Some(range)
+    }
+
+    /// Room in the share, or else in the whole budget; leaves make room, since they are few and come again.
+    fn room(&mut self, bytes: usize) -> Option<Room> {
+        let take = |own: &Arc<Account>, shared: &Arc<Account>| own.take(bytes).or_else(|| shared.take(bytes));
+        take(&self.own, &self.account).or_else(|| {
+            self.leaves = ById::new();
+            take(&self.own, &self.account)
+        })
     }
 
     /// The bytes of the fetch came. Fails where they break a rule: the colours that they say something of never come.
@@ -254,18 +273,18 @@ impl ColourLoader {
     }
 
     /// The colours of the next page whose bytes are there: about 0.3 ms. Pages that are no longer in memory are passed over.
-    /// Damage is an error of that page alone.
+    /// Damage is an error of that page alone. `None` with [`has_decodable`](Self::has_decodable): until the budget has room.
     pub fn decode(&mut self, view: &View) -> Option<(PageKey, Result<Colours>)> {
         loop {
-            let here = self.here.as_mut()?;
-            let Some(&(number, entry)) = here.pages.last() else {
+            let Some(&(number, entry)) = self.here.as_ref()?.pages.last() else {
                 self.here = None;
                 return None;
             };
             let key = self.index.key(number);
             let page = loaded(view, key);
             let scratch = page.map_or(0, |page| PAGE_SCRATCH + VOXEL_SCRATCH * Occupancy::of(page).len());
-            let _room = self.account.take(scratch)?;
+            let _room = self.room(scratch)?;
+            let here = self.here.as_mut()?;
             here.pages.pop();
             if let Some(page) = page {
                 let from = (entry.offset - here.start) as usize;
@@ -273,6 +292,14 @@ impl ColourLoader {
                 return Some((key, entry.decode(key, page, bytes)));
             }
         }
+    }
+}
+
+#[cfg(test)]
+impl ColourLoader {
+    /// All room that is set aside.
+    pub(super) fn take_rest(&self) -> Room {
+        self.own.take_rest()
     }
 }
 
@@ -501,6 +528,49 @@ mod tests {
             assert!(matches!(&errors[0], Error::Format { rule, .. } if rule.starts_with('K')), "{}", errors[0]);
             assert_eq!((colours.poll(Time::ZERO), colours.is_fetching()), (None, false));
         }
+    }
+
+    #[test]
+    fn colours_come_while_pages_fill_the_budget_and_no_thread_spins() {
+        let bytes = archive(false);
+        let all = keys(&Archive::from_bytes(bytes.clone()).unwrap());
+        for budget in [1100 << 10, 1400 << 10, 2 << 20] {
+            for prefetch in [Prefetch::Manual, Prefetch::Thread] {
+                let options = StreamOptions { prefetch, ..StreamOptions::new(budget) };
+                let stream = Stream::open(Archive::from_bytes(bytes.clone()).unwrap(), options).unwrap();
+                stream.load(&all, all[0]).unwrap();
+                let resident: Vec<_> =
+                    all.iter().copied().filter(|key| loaded(&stream.view(), *key).is_some()).collect();
+                assert!(resident.len() > 8, "{budget}: {} pages", resident.len());
+                stream.want_colours(&resident);
+                let start = std::time::Instant::now();
+                let mut found = 0;
+                while found < resident.len() {
+                    assert!(start.elapsed().as_secs() < 60, "{budget}: {found} of {} pages", resident.len());
+                    stream.step();
+                    found += stream.take_colours().into_iter().filter(|(_, colours)| colours.is_ok()).count();
+                }
+                assert!(stream.counters().peak_bytes <= budget);
+            }
+        }
+        // Without room for a share there is nothing to do until there is room.
+        let options = StreamOptions { prefetch: Prefetch::Manual, ..StreamOptions::new(64 << 20) };
+        let stream = Stream::open(Archive::from_bytes(bytes.clone()).unwrap(), options).unwrap();
+        stream.load(&all, all[0]).unwrap();
+        stream.want_colours(&all);
+        while stream.take_colours().is_empty() {
+            assert_eq!(stream.step(), Step::Coloured);
+        }
+        let taken = stream.fill_the_budget();
+        for _ in 0..100 {
+            stream.take_colours();
+            if stream.step() == Step::Idle {
+                break;
+            }
+        }
+        assert_eq!((stream.step(), stream.take_colours().len()), (Step::Idle, 0));
+        drop(taken);
+        assert_eq!(stream.step(), Step::Coloured);
     }
 
     #[test]

@@ -36,12 +36,14 @@ pub enum Prefetch {
 
 /// Colours that wait to be taken, at most.
 const COLOURED: usize = 16;
+/// When to look again whether there is room to decode colours.
+const ROOM_AGAIN: Duration = Duration::from_millis(100);
 
 /// How a [`Stream`] works.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamOptions {
     /// Most bytes in memory at any moment: the table of pages (about 100 bytes each), pages, those that views still hold,
-    /// bytes being read, and the scratch memory of decoding them.
+    /// bytes being read, and the scratch memory of decoding them. Of an archive with colours an eighth is for these.
     pub budget_bytes: usize,
     /// Who loads pages ahead.
     pub prefetch: Prefetch,
@@ -436,7 +438,11 @@ impl Shared {
                     *lock(&self.rested) = *lock(&self.desk);
                     self.rest.notify_all();
                     // Whatever happens meanwhile has left its token, and ends this at once.
-                    let colours = lock(&self.colours).as_ref().and_then(ColourLoader::retry_at);
+                    let colours = lock(&self.colours).as_ref().and_then(|colours| {
+                        // Nobody says when the budget has room.
+                        let room = colours.has_decodable().then(|| self.now() + ROOM_AGAIN);
+                        [colours.retry_at(), room].into_iter().flatten().min()
+                    });
                     let again = [lock(&self.loader).retry_at(), colours].into_iter().flatten().min();
                     match again {
                         Some(at) => park_timeout(at.saturating_sub(self.now())),
@@ -479,9 +485,10 @@ impl Shared {
             lock(&self.coloured).push(coloured);
             return Step::Coloured;
         }
+        let lacks_room = loader.has_decodable();
         let Some(range) = loader.poll(self.now()) else {
             // Pages without a colour are there without a fetch.
-            return if loader.has_decodable() { Step::Coloured } else { nothing };
+            return if loader.has_decodable() && !lacks_room { Step::Coloured } else { nothing };
         };
         drop(colours);
         let mut bytes = vec![0; (range.end - range.start) as usize];
@@ -559,6 +566,16 @@ impl Shared {
 
     fn index(&self) -> &Index {
         &self.views.index
+    }
+}
+
+#[cfg(test)]
+impl Stream {
+    /// Takes all room, that for colours too.
+    pub(super) fn fill_the_budget(&self) -> Vec<super::account::Room> {
+        let shared = lock(&self.shared.loader).account().take_rest();
+        let own = lock(&self.shared.colours).as_ref().map(ColourLoader::take_rest);
+        own.into_iter().chain([shared]).collect()
     }
 }
 
