@@ -41,7 +41,7 @@ class Constants:
 
     points_a_second: float = 1.24e6
     """Points of LAZ that one thread converts in a second."""
-    spilled_bytes_a_point: float = 8.0
+    spilled_bytes_a_point: float = 9.0
     """Temporary bytes a point of a part that does not fit its memory."""
     archive_bytes_a_m2: float = 10.4
     """Archive bytes a square metre at the survey's pixel size."""
