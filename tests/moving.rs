@@ -387,8 +387,6 @@ fn tables_that_are_wrong_and_options_that_do_not_go_together_are_refused() {
         (&["--remove-moving"][..], 2),
         (&["--stations", "s.csv"], 2),
         (&["--removed", "r.las"], 2),
-        (&["--remove-moving", "--stations", "s.csv", "--shard", "1/2"], 2),
-        (&["--remove-moving", "--stations", "s.csv", "--resume"], 2),
         (&["--remove-moving", "--stations", "none.csv"], 1),
     ] {
         refuses(at, &[&names[..], &OPTIONS, options].concat(), code);

@@ -30,13 +30,14 @@ pub(crate) struct Chosen {
 
 impl Chosen {
     /// Of a part whose plan says enough; `None` where all inputs are to be opened: without a plan, with one of an earlier build,
-    /// with colours (what values mean may follow from all files), and where incomplete input is allowed.
+    /// with colours (what values mean may follow from all files), where stations see through all files, and where incomplete
+    /// input is allowed.
     ///
     /// Cost: the names and lengths of all inputs. Memory: the list of paths and 10 bytes a file of the plan.
     pub fn of(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Option<Self>> {
         let (Some(wanted), Some(file)) = (options.shard, &options.plan_file) else { return Ok(None) };
         let Some(stated) = &file.stated else { return Ok(None) };
-        if file.colour.is_some() || options.allow_incomplete {
+        if file.colour.is_some() || file.plan.options.remove_moving || options.allow_incomplete {
             return Ok(None);
         }
         let shard = file.shard(wanted.index, wanted.count)?;

@@ -251,15 +251,6 @@ impl ConvertOptions {
             let reason = "a table of stations changes nothing unless moving points are to be removed";
             return Err(Error::parameter(Parameter::Stations, reason));
         }
-        if self.plan.remove_moving && self.shard.is_some() {
-            let reason = "moving points are removed by what stations saw anywhere in the scan, which no part knows; convert \
-                          the whole at once";
-            return Err(Error::parameter(Parameter::Shard, reason));
-        }
-        if self.plan.remove_moving && self.resume {
-            let reason = "what stations saw is not kept with temporary data; begin anew without resuming";
-            return Err(Error::parameter(Parameter::Resume, reason));
-        }
         if self.resume && crate::bytes::address(&self.output).is_some() {
             let reason = "an archive that is written to an address is made anew; leave it out, or write a file";
             return Err(Error::parameter(Parameter::Resume, reason));
@@ -342,18 +333,19 @@ pub(crate) fn convert_within(options: &ConvertOptions, limits: Limits, monitor: 
         let error = Error::limit("different units of inputs", units.len(), MAX_UNITS);
         return Err(error.with_way_out(Parameter::Units));
     }
-    let scope = scope(options, &set, &plan, colours, chosen.as_ref(), monitor)?;
+    let mut scope = scope(options, &set, &plan, colours, chosen.as_ref(), monitor)?;
     drop(chosen);
-    let shard = scope.as_ref().map(|scope| scope.shard);
     let seeing = match plan.options.remove_moving {
         true => {
             let Stations { stations, of_cloud, tag } = Stations::find(options.stations.as_deref(), &set)?;
             set.set_tag(tag);
+            scope.iter_mut().for_each(|scope| scope.sees_from(&stations));
             Some(Seeing { views: Views::new(&stations, plan.frame, limits.views_bytes)?, of_cloud })
         }
         false => None,
     };
     let seeing = seeing.as_ref();
+    let shard = scope.as_ref().map(|scope| scope.shard);
     let mut writer = ArchiveWriter::on(output, &plan)?;
     if options.levels {
         writer.set_levels();

@@ -9,7 +9,7 @@ use crate::colour::ColourSource;
 use crate::convert::ShardScope;
 use crate::frame::Frame;
 use crate::input::scenes::Scene;
-use crate::input::{InputSet, PointBatch, PointCounts, PointDecoder, ScanFile};
+use crate::input::{InputSet, PointBatch, PointChunk, PointCounts, PointDecoder, ScanFile};
 use crate::plan::Plan;
 use crate::unit::LengthUnit;
 use crate::voxel::colours::values_of;
@@ -164,10 +164,11 @@ pub(super) fn read_points(
     monitor.stage("reading points", set.points_stated(), "points");
     monitor.advance(progress.read.counts.read);
     let recorder = Recorder::new(plan.frame);
-    let needed = set
-        .chunks()
-        .zip(0u64..)
-        .filter(|(chunk, number)| scope.is_none_or(|scope| scope.reads(chunk.file())) && !progress.is_done(*number));
+    let is_needed = |chunk: &PointChunk, number: u64| {
+        scope.is_none_or(|scope| scope.reads(chunk.file())) && !progress.is_done(number)
+    };
+    // Stations see with all points, those too that other parts or runs have.
+    let needed = set.chunks().zip(0u64..).filter(|(chunk, number)| seeing.is_some() || is_needed(chunk, *number));
     let chunks = Mutex::new(needed);
     let next_chunk = || chunks.lock().unwrap_or_else(std::sync::PoisonError::into_inner).next();
     // What one worker cannot do ends the work of all, not only its own.
@@ -191,14 +192,23 @@ pub(super) fn read_points(
                 .map(|(source, found, builder)| (source, found, builder.covering(move |out| put_reads(&log, out))));
         }
         let mut read = Read::NOTHING;
+        let mut looking = PointDecoder::new();
+        let is_stopped = || monitor.cancelled() || failed.load(Ordering::Relaxed);
         while let Some((chunk, number)) = next_chunk() {
+            if let Some(seeing) = seeing.filter(|_| !is_needed(&chunk, number)) {
+                looking.decode(set, &chunk, &mut |batch| match is_stopped() {
+                    true => Err(Error::Interrupted),
+                    false => seeing.add(batch, &set.files()[chunk.file()], &seeing.of_cloud[chunk.file()]),
+                })?;
+                continue;
+            }
             let mut of_chunk = Read::NOTHING;
             let (covered, mut at) = (progress.of_chunk(number), 0);
             builder.begin_chunk(number);
             values.iter_mut().for_each(|(_, _, builder)| builder.begin_chunk(number));
             of_chunk.counts = decoder.decode(set, &chunk, &mut |batch| {
                 // A chunk may be a whole file, so one look per chunk would be too few.
-                if monitor.cancelled() || failed.load(Ordering::Relaxed) {
+                if is_stopped() {
                     return Err(Error::Interrupted);
                 }
                 if batch.is_empty() {

@@ -12,9 +12,11 @@ use crate::frame::{Frame, TILE_PIXELS, morton};
 use crate::input::{InputSet, PointBatch, ScanFile, StatedBounds};
 use crate::plan::Plan;
 use crate::voxel::record::{ColumnIndex, HALO_PIXELS};
+use crate::voxel::views::Station;
 use crate::{Error, Monitor, Result};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
+use xxhash_rust::xxh3::xxh3_128;
 
 /// A part of a conversion and how it treats each file.
 pub(crate) struct ShardScope {
@@ -142,6 +144,15 @@ impl ShardScope {
         }
         let reads_all = all && roles.iter().all(|role| role.reads);
         Ok(Self { shard, roles, reads_all, frame: file.plan.frame, reach: reach(&file.plan) })
+    }
+
+    /// Makes the part one of a conversion with these stations: it fits no part with others.
+    pub fn sees_from(&mut self, stations: &[Station]) {
+        let bits = |station: &Station| [&station.at[..], &[station.within_m]].concat().into_iter().map(f64::to_bits);
+        let hash = |station: &Station| xxh3_128(&bits(station).flat_map(u64::to_le_bytes).collect::<Vec<u8>>());
+        // In any order: it follows from where the files lie.
+        let all = stations.iter().map(hash).fold(0, u128::wrapping_add);
+        self.shard.plan_file = self.shard.plan_file.wrapping_add(all);
     }
 
     /// Whether the part needs the records of a tile column: one of its own, or one within reach.

@@ -172,6 +172,49 @@ fn parts_of_a_conversion_go_on_and_merge_to_the_same_bytes() {
     assert!(fs::read(&output).unwrap() == job.new);
 }
 
+/// Removes what moved, of a job with a station beside each scan.
+fn moving(job: &mut Job) {
+    let table = job.folder.path().join("stations.csv");
+    fs::write(&table, "file,x,y,z\nplain.las,2,2,1\npacked.laz,7,7,1\n").unwrap();
+    job.options.plan.remove_moving = true;
+    job.options.stations = Some(table);
+    let report = convert(&job.options, &NoMonitor).unwrap();
+    assert!(report.points_moving > 20, "{}", report.points_moving);
+    job.new = fs::read(&job.options.output).unwrap();
+}
+
+#[test]
+fn moving_points_are_removed_alike_by_runs_that_go_on_and_by_parts() {
+    let mut job = Job::new();
+    moving(&mut job);
+    let limits = Limits { views_bytes: 16 << 20, ..Job::limits() };
+    let run = |job: &Job, monitor: &dyn Monitor| {
+        convert_within(&ConvertOptions { resume: true, ..job.options.clone() }, limits, monitor)
+    };
+    for points in (1..=4).map(|fifths| fifths * 2 * POINTS as u64 / 5) {
+        assert!(run(&job, &Stops::after(points)).is_err());
+    }
+    assert!(run(&job, &InSecondPass(Stops::after(0))).is_err());
+    assert!(run(&job, &NoMonitor).unwrap().resumed.is_some_and(|resumed| resumed.points > 0));
+    assert!(fs::read(&job.options.output).unwrap() == job.new);
+
+    let (mut parts, mut moved) = (Vec::new(), 0);
+    for index in 1..=3 {
+        job.options.shard = Some(ShardOptions { index, count: 3 });
+        job.options.output = job.folder.path().join(format!("part{index}.slices"));
+        assert!(run(&job, &InSecondPass(Stops::after(0))).is_err());
+        moved += run(&job, &NoMonitor).unwrap().points_moving;
+        parts.push(job.options.output.clone());
+    }
+    let output = job.folder.path().join("whole.slices");
+    crate::archive::merge(&parts, &output, false, &NoMonitor).unwrap();
+    assert!(fs::read(&output).unwrap() == job.new && moved > 20, "{moved}");
+    // A part with other stations fits no other.
+    fs::write(job.options.stations.as_ref().unwrap(), "file,x,y,z\nplain.las,2,2,1\npacked.laz,7,7,2\n").unwrap();
+    run(&job, &NoMonitor).unwrap();
+    assert!(crate::archive::merge(&parts, &output, true, &NoMonitor).is_err());
+}
+
 #[test]
 fn a_kill_costs_no_more_than_256_mib_of_runs_whatever_the_budget() {
     for memory_bytes in [64 << 20, 128 << 20, 512 << 20, 1 << 30, 4 << 30, 64u64 << 30] {

@@ -322,3 +322,9 @@ fn one_station_alone_takes_nothing_for_moving_and_memory_is_limited() {
     let refused = Views::new(&[stood([0.0; 3]); 2], frame(), stood([0.0; 3]).bytes()).unwrap_err();
     assert_eq!(refused.way_out(), Some(&Parameter::Memory));
 }
+
+#[test]
+fn a_way_of_some_metres_fits_the_least_memory() {
+    let stations = vec![Station { at: [0.0; 3], within_m: 0.1 }; 266];
+    assert!(Views::new(&stations, frame(), 16 << 20).is_ok());
+}

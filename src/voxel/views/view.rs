@@ -7,8 +7,9 @@ use std::sync::atomic::{AtomicU16, Ordering};
 pub(super) const FARTHEST_CM: u16 = u16::MAX - 1;
 /// Of a cell and the eight around it, so many must have a distance.
 pub(super) const LEAST_SEEN: usize = 5;
-/// First image of a station that moves: rays from elsewhere make finer ones useless.
-const FIRST_MOVING: usize = 2;
+/// First image of a station that moves: finer ones, of four times the size each, could be asked beyond 14 m only. A way has some
+/// twenty stations a metre.
+const FIRST_MOVING: usize = 3;
 /// Least angle of a cell, in the corners of a face, times the number of cells along its edge.
 pub(super) const CELL_ANGLE: f64 = 0.9;
 /// Nearer points are never judged (m): the scanner's own legs.
