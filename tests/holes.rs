@@ -197,6 +197,21 @@ fn every_hole_up_to_the_width_is_closed_and_none_wider_and_a_walker_crosses() {
 }
 
 #[test]
+fn what_was_scanned_is_what_it_is_without_closed_holes_at_any_tolerance() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    scans::write(&at.join("hall.las"), &points(4));
+    for tolerance in ["0.002", "0.02", "0.1", "0.3"] {
+        let loose = ["--tolerance", tolerance];
+        let plain = convert(at, &["hall.las"], &loose, "plain.slices");
+        let filled = convert(at, &["hall.las"], &[&FILL[..], &loose].concat(), "filled.slices");
+        assert!(filled.header().voxels.inferred > 300, "{tolerance}");
+        assert!(pages(&filled) != pages(&plain));
+        assert!(pages(&filled.ignoring_inferred()) == pages(&plain), "{tolerance}");
+    }
+}
+
+#[test]
 fn order_threads_memory_and_parts_change_no_byte_and_marks_outlive_what_makes_archives_of_archives() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();

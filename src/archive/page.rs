@@ -236,8 +236,8 @@ impl PageEncoder {
     /// become one: the page as it was encoded comes with it. It must hold matter.
     pub fn encode_loose(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> (EncodedPage, Page) {
         let mut bytes = leader(self.magic, key);
-        let page = self.encoder.encode_loose(page, inferred, &mut bytes);
-        let encoded = self.without_bytes(key, &page, inferred);
+        let (page, inferred) = self.encoder.encode_loose(page, inferred, &mut bytes);
+        let encoded = self.without_bytes(key, &page, &inferred);
         (if encoded.uniform.is_some() { encoded } else { encoded.with_bytes(bytes) }, page)
     }
 

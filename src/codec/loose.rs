@@ -14,7 +14,7 @@ use super::adaptive::{Candidates, Given, PIXELS, Rows, SLICE, Scratch, Traversal
 use super::lattice::{End, HeightsOf, LEAST_HEIGHTS, Lattice, ONE};
 use super::rans::{Coder, RansEncoder};
 use crate::frame::{Frame, PAGE_QUANTA};
-use crate::slice::{Page, RowBuilder, Span};
+use crate::slice::{Inferred, Page, PageBuilder, RowBuilder, Span};
 
 /// Phases of steps that are compared.
 const PHASES: u64 = 8;
@@ -83,15 +83,15 @@ impl Default for Tried {
 
 impl Loose {
     /// A page that takes few bytes and holds all matter of `page`: bottoms are up to `tolerance` (quanta) lower, tops as much
-    /// higher. If `merges` says so, spans of one kind between which no gap is left become one. Returns the way it is encoded, too.
+    /// higher. Spans of one kind between which no gap is left become one. Returns the way it is encoded, too.
     pub fn simplify(
         &mut self,
         (of, steps): (&HeightsOf, &[u64]),
-        (page, tolerance, merges): (&Page, u32, bool),
+        (page, tolerance): (&Page, u32),
         scratch: &mut Scratch,
         builder: &mut RowBuilder,
     ) -> (Page, &mut Tried) {
-        self.set(page, tolerance, merges);
+        self.set(page, tolerance);
         let mut shortest: Option<(u64, RowCosts)> = None;
         for lattice in self.lattices(of, tolerance) {
             let before = shortest.as_ref().filter(|_| !self.is_cut);
@@ -144,7 +144,7 @@ impl Loose {
         builder.build()
     }
 
-    fn set(&mut self, page: &Page, tolerance: u32, merges: bool) {
+    fn set(&mut self, page: &Page, tolerance: u32) {
         let Self { blocks, first, spans, room, is_close, is_cut, heights, .. } = self;
         *blocks = Rows::of(page).blocks();
         *is_close = false;
@@ -164,7 +164,7 @@ impl Loose {
                 if let Some((below, below_room)) = below.filter(|(_, room)| room.top.1 >= own.bottom.0) {
                     let is_same = below.is_obstacle() == span.is_obstacle();
                     let both = Span::new(below.bottom(), span.top(), span.is_obstacle());
-                    if let Some(both) = both.filter(|_| is_same && merges) {
+                    if let Some(both) = both.filter(|_| is_same) {
                         *below = both;
                         below_room.top = own.top;
                         continue;
@@ -254,6 +254,52 @@ impl Loose {
         }
         pairs
     }
+}
+
+/// The `scanned` page, whose heights were chosen on a lattice, with the inferred spans of the `exact` one: on the lattice too,
+/// but where scanned matter has come to lie. One that this covers is left out.
+pub fn with_inferred(
+    (scanned, lattice): (&Page, Lattice),
+    (exact, inferred): (&Page, &Inferred),
+    tolerance: u32,
+    builder: &mut PageBuilder,
+) -> (Page, Inferred) {
+    builder.clear();
+    let mut marks = Inferred::new();
+    for (px, py, spans) in scanned.columns().filter(|&(px, py, _)| inferred.of(px, py) == 0) {
+        let taken = builder.set_column(px, py, spans);
+        debug_assert!(taken, "spans of a page");
+    }
+    let mut column: Vec<(Span, bool)> = Vec::new();
+    for (px, py, mask) in inferred.pixels() {
+        column.clear();
+        column.extend(scanned.column(px, py).iter().map(|&span| (span, false)));
+        let own = exact.column(px, py).iter().enumerate().filter(|(at, _)| mask >> (at & 63) & 1 == 1);
+        for span in own.map(|(_, span)| *span) {
+            let at = column.partition_point(|(other, _)| other.bottom() <= span.bottom());
+            let least = at.checked_sub(1).map_or(0, |below| column[below].0.top() + 1);
+            let most = column.get(at).map_or(PAGE_QUANTA as u32, |above| above.0.bottom().saturating_sub(1));
+            if least > span.top() || most < span.bottom() {
+                continue;
+            }
+            let lower =
+                lattice.at_or_above(span.bottom() + 1).checked_sub(1).map(|step| lattice.usual(step, End::Bottom));
+            let upper = lattice.usual(lattice.at_or_above(span.top().saturating_sub(1)), End::Top);
+            let within =
+                |height: i32, exact: u32| height as u32 + tolerance >= exact && height as u32 <= exact + tolerance;
+            let bottom =
+                lower.filter(|&height| within(height, span.bottom())).map_or(span.bottom(), |height| height as u32);
+            let top = if within(upper, span.top()) { (upper as u32).max(span.top()) } else { span.top() };
+            let span = Span::new(bottom.min(span.bottom()).max(least), top.min(most), false);
+            column.extend(span.map(|span| (span, true)));
+            column.sort_unstable_by_key(|(span, _)| (span.bottom(), span.top()));
+        }
+        let mask = column.iter().enumerate().fold(0, |mask, (at, (_, new))| mask | u64::from(*new) << (at & 63));
+        let spans: Vec<Span> = column.iter().map(|(span, _)| *span).collect();
+        let taken = spans.is_empty() || builder.set_column(px, py, &spans) && marks.push(px, py, mask);
+        debug_assert!(taken, "spans that are apart");
+    }
+    (builder.build(), marks)
 }
 
 /// How far two spans differ on steps, in bits about.
@@ -418,7 +464,6 @@ mod tests {
     use crate::codec::adaptive::tests::pages;
     use crate::codec::{Decoder, Encoder, MAX_BODY};
     use crate::plan::Coding;
-    use crate::slice::{Inferred, PageBuilder};
     use proptest::prelude::*;
 
     fn frame() -> Frame {
@@ -426,12 +471,12 @@ mod tests {
     }
 
     /// Encodes `page` loosely, and requires that the result holds its matter and no more than the tolerance allows, in either coding.
-    fn check(page: &Page, tolerance: u32, inferred: &Inferred) -> (Page, usize) {
+    fn check(page: &Page, tolerance: u32) -> (Page, usize) {
         let coded = [Coding::Adaptive, Coding::Braided].map(|coding| {
             let mut encoder = Encoder::new(frame(), tolerance).with_coding(coding);
             let (mut body, mut again) = (Vec::new(), Vec::new());
-            let loose = encoder.encode_loose(page, inferred, &mut body);
-            encoder.encode_inferred(&loose, inferred, &mut again);
+            let (loose, _) = encoder.encode_loose(page, &Inferred::NONE, &mut body);
+            encoder.encode(&loose, &mut again);
             assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
             assert_eq!(Decoder::default().decode_as(Some(coding), &body).unwrap(), loose);
             (loose, body.len())
@@ -451,7 +496,7 @@ mod tests {
                 // A span of another kind and no height may lie on the slice boundary where this one ends; it is not in it.
                 let is_in = |next: &&Span| next.top() <= span.top() && next.is_obstacle() == first.is_obstacle();
                 while let Some(next) = exact.next_if(is_in) {
-                    assert!(inferred.is_empty() && next.bottom() - last.top() <= 2 * tolerance, "{last:?} {next:?}");
+                    assert!(next.bottom() - last.top() <= 2 * tolerance, "{last:?} {next:?}");
                     last = next;
                 }
                 assert!(last.top() <= span.top() && span.top() <= last.top() + tolerance, "{last:?} {span:?}");
@@ -479,16 +524,50 @@ mod tests {
         #[test]
         fn loose_pages_hold_all_matter_within_the_tolerance_in_the_one_encoding(
             page in pages(), tolerance in prop_oneof![1u32..4, 1u32..256, Just(21), Just(255)], step in prop_oneof![Just(1u32), Just(17)],
-            holes: bool
+        ) {
+            let page = if step > 1 { in_steps(&page, step) } else { page };
+            prop_assume!(page.span_count() > 0);
+            check(&page, tolerance);
+        }
+
+        #[test]
+        fn loose_pages_without_their_inferred_spans_are_those_that_never_had_any(
+            page in pages(), tolerance in prop_oneof![1u32..4, 1u32..256, Just(21), Just(255)], step in prop_oneof![Just(1u32), Just(17)],
+            every in 1usize..9,
         ) {
             let page = if step > 1 { in_steps(&page, step) } else { page };
             prop_assume!(page.span_count() > 0);
             let mut inferred = Inferred::new();
-            let first_floor = page.columns().find(|(_, _, spans)| !spans[0].is_obstacle());
-            if let Some((px, py, _)) = first_floor.filter(|_| holes) {
-                prop_assert!(inferred.push(px, py, 1));
+            for (number, (px, py, spans)) in page.columns().enumerate() {
+                let floors = spans.iter().enumerate().filter(|(at, span)| !span.is_obstacle() && (number + at) % every == 0);
+                prop_assert!(inferred.push(px, py, floors.fold(0, |mask, (at, _)| mask | 1 << (at & 63))));
             }
-            check(&page, tolerance, &inferred);
+            let mut builder = PageBuilder::default();
+            let scanned = inferred.without(&page, &mut builder);
+            for coding in [Coding::Adaptive, Coding::Braided] {
+                let mut encoder = Encoder::new(frame(), tolerance).with_coding(coding);
+                let (mut body, mut again) = (Vec::new(), Vec::new());
+                let (loose, marks) = encoder.encode_loose(&page, &inferred, &mut body);
+                encoder.encode_inferred(&loose, &marks, &mut again);
+                prop_assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
+                let mut decoder = Decoder::default();
+                prop_assert_eq!(&decoder.decode_as(Some(coding), &body).unwrap(), &loose);
+                prop_assert_eq!(decoder.inferred(), &marks);
+                let alone = match scanned.span_count() {
+                    0 => scanned.clone(),
+                    _ => encoder.encode_loose(&scanned, &Inferred::NONE, &mut again).0,
+                };
+                prop_assert_eq!(marks.without(&loose, &mut builder), alone);
+                // Inferred matter lies in that of the page, or within the tolerance of where it was.
+                for (px, py, mask) in inferred.pixels() {
+                    let own = page.column(px, py).iter().enumerate().filter(|(at, _)| mask >> (at & 63) & 1 == 1);
+                    for (_, span) in own {
+                        let meets = |other: &&Span| other.meets(span.bottom(), span.top());
+                        prop_assert!(loose.column(px, py).iter().any(|other| meets(&other)), "{span:?}");
+                    }
+                }
+                prop_assert!(loose.span_count() <= page.span_count());
+            }
         }
     }
 
@@ -513,9 +592,9 @@ mod tests {
     #[test]
     fn a_quarter_of_a_pixel_saves_most_of_the_bits_below_it() {
         let page = floor(1, 40);
-        let (exact, (_, loose)) = (exact_len(&page), check(&page, 21, &Inferred::NONE));
+        let (exact, (_, loose)) = (exact_len(&page), check(&page, 21));
         assert!(loose * 5 < exact * 2, "{loose} of {exact} bytes");
-        let (_, wider) = check(&page, 85, &Inferred::NONE);
+        let (_, wider) = check(&page, 85);
         assert!(wider * 2 < loose, "{wider} and {loose} bytes");
     }
 
@@ -531,7 +610,7 @@ mod tests {
             builder.build()
         };
         for tolerance in [21, 85, 170] {
-            let [free, cut] = [at(2000), at(0)].map(|page| check(&page, tolerance, &Inferred::NONE).1);
+            let [free, cut] = [at(2000), at(0)].map(|page| check(&page, tolerance).1);
             assert!(cut < free + 128, "{cut} and {free} bytes at {tolerance}");
         }
     }
@@ -539,7 +618,7 @@ mod tests {
     #[test]
     fn steps_of_a_scan_are_taken_together() {
         let page = floor(17, 200);
-        let (loose, len) = check(&page, 21, &Inferred::NONE);
+        let (loose, len) = check(&page, 21);
         let exact = exact_len(&page);
         assert!(len * 8 < exact * 7, "{len} of {exact} bytes");
         assert!(loose.columns().flat_map(|(_, _, spans)| spans).all(|span| span.bottom() % 17 == 0));
@@ -555,7 +634,7 @@ mod tests {
             let column = if is_shared { vec![span(300, 400, true), floor] } else { vec![span(300, 800, true)] };
             assert!(builder.set_column(pixel % 64, pixel / 64, &column));
         }
-        let (loose, _) = check(&builder.build(), 255, &Inferred::NONE);
+        let (loose, _) = check(&builder.build(), 255);
         assert_eq!(loose.column(1, 0)[0].top(), 2 * SLICE);
     }
 
@@ -567,7 +646,7 @@ mod tests {
         };
         let mut builder = PageBuilder::default();
         assert!((0..PIXELS as u32).all(|pixel| builder.set_column(pixel % 64, pixel / 64, &column(pixel))));
-        let (loose, _) = check(&builder.build(), 85, &Inferred::NONE);
+        let (loose, _) = check(&builder.build(), 85);
         assert_eq!((loose.column(0, 0).len(), loose.column(1, 0).len()), (2, 3));
     }
 }

@@ -175,18 +175,29 @@ impl Encoder {
 
     /// As [`encode_inferred`](Self::encode_inferred), of a page that takes fewer bytes and holds all matter of `page`, which is
     /// returned: bottoms are up to the tolerance lower, tops as much higher. Spans of one kind between which that leaves no gap
-    /// become one, but in pages with inferred ones.
-    pub fn encode_loose(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) -> Page {
+    /// become one. Without its inferred spans, which come with it, the page is what it would be if there had been none.
+    pub fn encode_loose(&mut self, page: &Page, inferred: &Inferred, out: &mut Vec<u8>) -> (Page, Inferred) {
         let Self { coding, of, tolerance, steps, adaptive, loose, builder, .. } = self;
         let adaptive = adaptive.get_or_insert_default();
-        let wanted = (page, *tolerance, inferred.is_empty());
-        let (page, tried) = loose.simplify((of, steps), wanted, adaptive, builder);
-        put_model(*coding, &page, inferred, out);
-        match coding {
-            Coding::Adaptive => adaptive::encode_chosen(of, steps, &page, tried, adaptive, out),
-            Coding::Braided => self.encode_spans(Coding::Braided, &page, out),
+        if inferred.is_empty() {
+            let (page, tried) = loose.simplify((of, steps), (page, *tolerance), adaptive, builder);
+            put_model(*coding, &page, inferred, out);
+            match coding {
+                Coding::Adaptive => adaptive::encode_chosen(of, steps, &page, tried, adaptive, out),
+                Coding::Braided => self.encode_spans(Coding::Braided, &page, out),
+            }
+            return (page, Inferred::NONE);
         }
-        page
+        let mut plain = PageBuilder::default();
+        let mut scanned = (inferred.without(page, &mut plain), Lattice::QUANTA);
+        if scanned.0.span_count() > 0 {
+            let (page, tried) = loose.simplify((of, steps), (&scanned.0, *tolerance), adaptive, builder);
+            scanned = (page, tried.lattice);
+        }
+        let (page, inferred) = loose::with_inferred((&scanned.0, scanned.1), (page, inferred), *tolerance, &mut plain);
+        put_model(self.coding, &page, &inferred, out);
+        self.encode_spans(self.coding, &page, out);
+        (page, inferred)
     }
 }
 
