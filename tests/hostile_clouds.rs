@@ -159,7 +159,7 @@ fn forged_counts_endless_lines_and_bombs_take_little_memory() {
         ("blank.xyz", vec![b'\n'; 32 << 20], ""),
         (
             "width.pcd",
-            text(pcd(&points, Pcd::Text)).replacen("POINTS 20000", "POINTS 9223372036854775807", 1).into_bytes(),
+            text(pcd(&points, Pcd::Text)).replace(" 20000\n", " 9223372036854775807\n").into_bytes(),
             "20000 lines follow",
         ),
         (

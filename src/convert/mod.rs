@@ -527,7 +527,8 @@ impl Conversion<'_> {
             refuse_unusable(set, &read.counts)?;
         }
         set.check_complete(monitor)?;
-        let points_not_finite = read.own.left_out.not_finite;
+        let PointCounts { not_finite: points_not_finite, missing, .. } = read.own.left_out;
+        let points_missing = set.points_missing().saturating_add(missing);
         let colouring = colours.filter(|_| meshes.has_paint());
         let colouring = colouring.map(|ColourPlan { scale, .. }| Colouring { scale, with_points: seeing.is_some() });
         let reading = MeshReading { build_bytes, scope, colouring };
@@ -577,6 +578,7 @@ impl Conversion<'_> {
             temp_bytes: 0,
             resumed: None,
             points_not_finite,
+            points_missing,
             points_moving,
             complete,
             triangles: mesh_read.triangles,

@@ -33,6 +33,8 @@ pub struct Report {
     pub resumed: Option<Resumed>,
     /// Points left out because a coordinate was not finite.
     pub points_not_finite: u64,
+    /// Points that the input states and that could not be read: 0, unless incomplete input is allowed.
+    pub points_missing: u64,
     /// Points removed because other stations of the scan saw through their places.
     pub points_moving: u64,
     /// Whether all of the input was read: always so, unless incomplete input is allowed.
@@ -52,6 +54,7 @@ impl Report {
         let mut facts = header_info(&self.header, &self.crs, &self.units);
         facts["input_quantum"] = INPUT_QUANTUM_M.into();
         facts["points_not_finite"] = self.points_not_finite.into();
+        facts["points_missing"] = self.points_missing.into();
         facts["points_moving"] = self.points_moving.into();
         facts["complete"] = self.complete.into();
         facts["triangles_read"] = self.triangles.read.into();

@@ -157,6 +157,7 @@ impl PointWriter {
             resumed: None,
             temp_bytes: self.store.temp_bytes(),
             points_not_finite: own.left_out.not_finite,
+            points_missing: 0,
             complete: true,
             triangles: MeshCounts::default(),
             points_made: 0,

@@ -147,7 +147,13 @@ impl PointDecoder {
                 Err(error) if !taker.refused => taker.flush().and(Err(error)),
                 Err(error) => Err(error),
             };
-            let (counts, refused) = (taker.counts(), taker.refused);
+            let (counts, refused, broken) = (taker.counts(), taker.refused, taker.broken());
+            if let Some((records, reason)) = broken {
+                set.losses.add(piece.file, |loss| {
+                    loss.unread += records;
+                    loss.reason.get_or_insert(reason);
+                });
+            }
             return self.settle(set, piece, outcome.map(|missing| (missing, 0)), counts, refused);
         }
         let colour = set.options.colour;
@@ -215,29 +221,30 @@ impl PointDecoder {
         mut counts: PointCounts,
         refused: bool,
     ) -> Result<PointCounts> {
+        // Single records that could not be read are among the missing already.
+        let broken = counts.missing;
+        self.lost = broken > 0;
         match outcome {
             Ok((missing, left)) => {
-                counts.missing = missing;
-                if counts.missing + counts.not_finite > 0 || left > 0 {
+                counts.missing += missing;
+                if missing + counts.not_finite > 0 || left > 0 {
                     self.lost = true;
                     set.losses.add(piece.file, |loss| {
-                        loss.missing += counts.missing;
+                        loss.missing += missing;
                         loss.not_finite += counts.not_finite;
                         loss.uneven += u64::from(left > 0);
                     });
                 }
             }
             Err(error @ (Error::Input { .. } | Error::Io { .. })) if !refused && set.options.allow_incomplete => {
-                counts.missing = piece.points.saturating_sub(counts.read);
+                let unread = piece.points.saturating_sub(counts.read + broken);
+                counts.missing += unread;
                 self.lost = true;
                 set.losses.add(piece.file, |loss| {
                     loss.not_finite += counts.not_finite;
+                    loss.unread += unread;
                     loss.damaged += 1;
-                    let without_path = match error {
-                        Error::Input { at, reason, .. } => format!("{at}: {reason}"),
-                        other => other.to_string(),
-                    };
-                    loss.reason.get_or_insert(without_path);
+                    loss.reason.get_or_insert(without_path(error));
                 });
             }
             Err(error) => return Err(error),
@@ -246,6 +253,14 @@ impl PointDecoder {
             set.add_hash(piece.file, self.log.hash());
         }
         Ok(counts)
+    }
+}
+
+/// An error about a file whose name is told beside it.
+pub(super) fn without_path(error: Error) -> String {
+    match error {
+        Error::Input { at, reason, .. } => format!("{at}: {reason}"),
+        other => other.to_string(),
     }
 }
 

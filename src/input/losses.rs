@@ -8,7 +8,7 @@ use crate::{Error, Monitor, Parameter, Result};
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// What a user can do about incomplete input.
@@ -30,8 +30,9 @@ pub(super) struct Findings<'a> {
     pub allow_incomplete: bool,
     /// Soft problems, for the monitor.
     pub notes: Vec<String>,
-    /// Points that are known to be lost.
+    /// What is known to be lost, and how many points that is.
     pub lost: Vec<String>,
+    pub points: u64,
 }
 
 impl Findings<'_> {
@@ -49,6 +50,13 @@ impl Findings<'_> {
         self.lost.push(text);
         Ok(())
     }
+
+    /// So many points cannot be read.
+    pub fn lose_points(&mut self, points: u64, text: impl Into<String>) -> Result<()> {
+        self.lose(text)?;
+        self.points = self.points.saturating_add(points);
+        Ok(())
+    }
 }
 
 /// What decoding lost of one file.
@@ -58,7 +66,8 @@ pub(super) struct Loss {
     pub missing: u64,
     /// LAZ chunks that hold more than their points.
     pub uneven: u64,
-    /// Pieces that could not be read to their end, and the reason of one.
+    /// Points in what cannot be read (pieces from their damage on, single records), pieces among that, and the reason of one.
+    pub unread: u64,
     pub damaged: u64,
     pub reason: Option<String>,
     pub changed: bool,
@@ -76,7 +85,8 @@ impl Loss {
         if let Some(reason) = &self.reason {
             let more =
                 if self.damaged > 1 { format!(" (and {} pieces more)", self.damaged - 1) } else { String::new() };
-            texts.push(format!("{reason}{more}"));
+            let lost = crate::text::counted(self.unread, "point");
+            texts.push(format!("{reason}{more}; {lost} could not be read"));
         }
         if self.changed {
             texts.push("it was written to, cut or replaced while it was read".into());
@@ -91,6 +101,8 @@ pub(super) struct Losses {
     by_file: Mutex<BTreeMap<usize, Loss>>,
     /// Whether anything was lost and told.
     any: AtomicBool,
+    /// Points lost before any point was decoded.
+    points: AtomicU64,
 }
 
 impl Losses {
@@ -101,6 +113,16 @@ impl Losses {
     /// Something was lost before any point was decoded.
     pub fn note(&self) {
         self.any.store(true, Ordering::Relaxed);
+    }
+
+    /// So many points were lost before any point was decoded.
+    pub fn note_points(&self, points: u64) {
+        self.points.fetch_add(points, Ordering::Relaxed);
+    }
+
+    /// Points lost before any point was decoded.
+    pub fn points(&self) -> u64 {
+        self.points.load(Ordering::Relaxed)
     }
 
     pub fn any(&self) -> bool {

@@ -205,7 +205,7 @@ pub struct PointCounts {
     pub excluded: u64,
     /// Of these, left out because a coordinate is not finite or beyond 10¹² m.
     pub not_finite: u64,
-    /// Points that were expected but not there (not among `read`).
+    /// Points that were expected but not there, or could not be read (not among `read`).
     pub missing: u64,
 }
 
@@ -344,9 +344,9 @@ impl InputSet {
         let (mut left_out, mut said) = (None, BTreeMap::<String, Those>::new());
         let allow_incomplete = options.allow_incomplete;
         let open = |path: &PathBuf| {
-            let mut findings = Findings { path, allow_incomplete, notes: Vec::new(), lost: Vec::new() };
+            let mut findings = Findings { path, allow_incomplete, notes: Vec::new(), lost: Vec::new(), points: 0 };
             let opened = ScanFile::open(path, &options, &common, &mut findings, monitor);
-            (findings.notes, findings.lost, opened)
+            (findings.notes, (findings.lost, findings.points), opened)
         };
         let stops = |opened: &Result<_>| opened.as_ref().is_err_and(|error| !allow_incomplete || !is_of_input(error));
         let blocks = paths.chunks(OPENED_AT_ONCE);
@@ -356,7 +356,7 @@ impl InputSet {
             paths.iter().zip(found)
         });
         let mut count = 0;
-        for (path, (notes, lost, opened)) in opened {
+        for (path, (notes, (lost, points), opened)) in opened {
             if monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
@@ -365,6 +365,7 @@ impl InputSet {
             lost.iter().for_each(|lost| warn_incomplete(path, lost, monitor));
             if !lost.is_empty() {
                 losses.note();
+                losses.note_points(points);
             }
             match opened {
                 Ok((file, reference)) => {
@@ -473,6 +474,11 @@ impl InputSet {
     /// Whether nothing is known to be missing: always so, unless incomplete input is allowed.
     pub fn is_complete(&self) -> bool {
         !self.losses.any()
+    }
+
+    /// Points that are known to be missing since the files were opened; those that decoding misses come on top.
+    pub(crate) fn points_missing(&self) -> u64 {
+        self.losses.points()
     }
 
     /// Hash of all that was decoded of a file, whatever the order; 0 unless the options ask for hashes.

@@ -1,4 +1,4 @@
-//! Numbers of binary formats.
+//! Numbers of files, binary and as text.
 
 /// How a number is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,6 +47,42 @@ impl Number {
             Self::U64 => u64::from_le_bytes(value) as f64,
             Self::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
             Self::F64 => f64::from_le_bytes(value),
+        }
+    }
+}
+
+/// The number that a word of text is, also in the spellings of C libraries: `nan(ind)`, `1.#QNAN`, `-1.#IND`, `1.#INF`.
+pub(crate) fn decimal(word: &[u8]) -> Option<f64> {
+    let text = std::str::from_utf8(word).ok()?;
+    text.parse().ok().or_else(|| {
+        let lower = text.strip_prefix(['+', '-']).unwrap_or(text).to_ascii_lowercase();
+        let infinite = if text.starts_with('-') { f64::NEG_INFINITY } else { f64::INFINITY };
+        match lower.strip_prefix("1.#") {
+            Some(rest) if rest.starts_with("inf") => Some(infinite),
+            Some(_) => Some(f64::NAN),
+            None => (lower.starts_with("nan(") && lower.ends_with(')')).then_some(f64::NAN),
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::decimal;
+
+    #[test]
+    fn numbers_are_read_in_every_spelling_of_c() {
+        for text in ["nan", "-nan", "NaN", "nan(ind)", "-nan(ind)", "-NAN(SNAN)", "1.#QNAN", "1.#QNAN0", "-1.#IND00"] {
+            assert!(decimal(text.as_bytes()).is_some_and(f64::is_nan), "{text}");
+        }
+        let infinite = ["inf", "-inf", "+Infinity", "1.#INF", "-1.#INF00"].map(|text| decimal(text.as_bytes()));
+        assert_eq!(
+            infinite.map(|v| v.map(|v| v > 0.0)),
+            [Some(true), Some(false), Some(true), Some(true), Some(false)]
+        );
+        assert!(infinite.iter().flatten().all(|v| v.is_infinite()));
+        assert_eq!(decimal(b"-1.5e3"), Some(-1500.0));
+        for text in ["", "nand", "nan(", "1.#", "1,5", "0x10", "one"] {
+            assert!(decimal(text.as_bytes()).is_none_or(|v| text == "1.#" && v.is_nan()), "{text}");
         }
     }
 }

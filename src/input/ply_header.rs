@@ -7,6 +7,8 @@ use crate::text::shown;
 
 /// Longest header (bytes).
 pub(crate) const MOST_HEADER: usize = 1 << 20;
+/// What some editors put before text in UTF-8.
+pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 /// Most elements, and most properties of one.
 const MOST_PARTS: usize = 1024;
 
@@ -42,6 +44,27 @@ pub(crate) struct Element {
 pub(crate) struct Header {
     pub encoding: Encoding,
     pub elements: Vec<Element>,
+}
+
+impl Header {
+    /// Whether the rows of its elements can be told apart, and which are the points; else why not.
+    pub fn check(&self) -> Result<(), String> {
+        if self.elements.iter().filter(|element| element.name == "vertex").count() > 1 {
+            return Err("it has the element \"vertex\" more than once; write it once".into());
+        }
+        for (number, element) in self.elements.iter().enumerate() {
+            if element.properties.is_empty() && element.count > 0 {
+                return Err(format!("element {} has no properties", number + 1));
+            }
+            let of_name = |name: &str| element.properties.iter().filter(|p| p.name.eq_ignore_ascii_case(name)).count();
+            if element.name == "vertex"
+                && let Some(twice) = ["x", "y", "z"].into_iter().find(|axis| of_name(axis) > 1)
+            {
+                return Err(format!("the element \"vertex\" has the property {twice} more than once; write it once"));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Takes a header line by line.

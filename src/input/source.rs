@@ -146,6 +146,7 @@ impl Source {
 ///
 /// Layers that the decoder skips by seeking are never read from the disk; the last byte of the window is its end of
 /// file, so damage in one LAZ chunk cannot run into the next.
+#[derive(Clone)]
 pub(super) struct Window<'a> {
     source: &'a Source,
     start: u64,

@@ -89,6 +89,9 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
         let left_out = things(points_read - points_kept);
         say(&format!("left out: {left_out} ({})", reasons.collect::<Vec<_>>().join(", ")));
     }
+    if report.points_missing > 0 {
+        say(&format!("incomplete: {} could not be read", counted(report.points_missing, "point")));
+    }
     if report.voxels_dropped > 0 {
         let dropped = counted(report.voxels_dropped, "voxel");
         say(&format!("dropped: {dropped} with too few points or without neighbours, and their points"));

@@ -10,6 +10,7 @@
 //!
 //! Memory of one piece: a block of the file of at most 1 MiB and a batch; each format states what it holds beyond that.
 
+mod body;
 mod e57;
 mod pcd;
 mod ply;
@@ -18,13 +19,14 @@ mod text;
 mod values;
 
 use super::crs::Georeference;
+use super::decode::without_path;
 use super::losses::Findings;
 use super::source::Source;
 use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts};
 use crate::colour::ColourSource;
 use crate::plan::{ClassSet, Up};
 use crate::text::shown;
-use crate::{Error, Monitor, Result};
+use crate::{Error, Monitor, Parameter, Result};
 use std::fmt::Debug;
 use std::path::Path;
 
@@ -203,6 +205,9 @@ pub(super) struct Taker<'a> {
     colour: Option<ColourSource>,
     /// What values are multiplied by.
     widen: u16,
+    allow_incomplete: bool,
+    /// What is wrong with the first record that was left out.
+    reason: Option<String>,
 }
 
 impl<'a> Taker<'a> {
@@ -216,8 +221,9 @@ impl<'a> Taker<'a> {
         batch.cloud = 0;
         let exclude = Some(&options.exclude_classes).filter(|classes| !classes.is_empty());
         let counts = PointCounts::default();
-        let colour = options.colour;
-        Self { unit, up: options.up, exclude, batch, counts, since: 0, sink, refused: false, colour, widen: 1 }
+        let InputOptions { up, colour, allow_incomplete, .. } = *options;
+        let (refused, reason) = (false, None);
+        Self { unit, up, exclude, batch, counts, since: 0, sink, refused, colour, widen: 1, allow_incomplete, reason }
     }
 
     /// Makes values of 8 bits those of 16.
@@ -294,6 +300,22 @@ impl<'a> Taker<'a> {
         self.counts.read += 1;
         self.counts.withheld += 1;
         self.step()
+    }
+
+    /// So many records cannot be read: an error, unless they may be left out.
+    #[cold]
+    pub fn leave_out(&mut self, records: u64, error: Error) -> Result<()> {
+        if !self.allow_incomplete {
+            return Err(error.with_way_out(Parameter::Incomplete));
+        }
+        self.counts.missing += records;
+        self.reason.get_or_insert_with(|| without_path(error));
+        Ok(())
+    }
+
+    /// How many records were left out so, and why the first was.
+    pub fn broken(&mut self) -> Option<(u64, String)> {
+        self.reason.take().map(|reason| (self.counts.missing, reason))
     }
 
     #[inline]

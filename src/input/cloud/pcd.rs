@@ -3,17 +3,20 @@
 //! Fields may come in any order and of any type; x, y and z are needed. NaN marks a pixel of an organised cloud without a
 //! return. The viewpoint is not applied: by the library's own habit coordinates are used as they are stored.
 //!
-//! Compressed data hold one column of numbers after the other, up to 4 GiB unpacked. Three to seven decoders (with
-//! classes and colours) walk through it, one for each column, with a window of 8 KiB each: memory does not depend on the file.
+//! Compressed data hold one column of numbers after the other, up to 4 GiB unpacked. One decoder walks up to the last needed
+//! column and leaves a copy of itself at the start of each: three to seven (with classes and colours), which go on side by
+//! side, with 104 KiB each. So memory does not depend on the file, and nothing is unpacked more than twice.
 //!
 //! Sources: "The PCD (Point Cloud Data) file format" (pointclouds.org); LZF as in liblzf 3.6.
 
+use super::body::{Body, Form, RgbPlaces, look_behind};
 use super::records::{Field, MOST_BYTES, Records, Rgb, Values, bits_of};
-use super::text::{Lines, Places, RgbPlaces, RowLayout, Rows, Separator};
+use super::text::Lines;
 use super::values::{SAMPLE_POINTS, Sample};
-use super::{Cloud, Depth, Format, Opened, Opening, Piece, Source, Taker, shown};
+use super::{Cloud, Depth, Opened, Opening, Piece, Source, Taker, shown};
 use crate::colour::ColourSource;
 use crate::input::number::Number;
+use crate::input::ply_header::BYTE_ORDER_MARK;
 use crate::input::source::Window;
 use crate::{Error, Result};
 use std::io::{self, Read};
@@ -40,6 +43,8 @@ struct PcdField {
 struct Header {
     fields: Vec<PcdField>,
     points: u64,
+    /// Width and height, where these make another number of points.
+    grid: Option<(u64, u64)>,
     data: String,
     moved: bool,
     end: u64,
@@ -50,7 +55,8 @@ impl Header {
     fn parse(start: &[u8]) -> Result<Self, (usize, String)> {
         let (mut fields, mut sizes, mut types, mut counts) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let (mut width, mut height, mut points, mut moved) = (None, 1u64, None, false);
-        let (mut at, mut number) = (0, 0);
+        let mark = if start.starts_with(BYTE_ORDER_MARK) { BYTE_ORDER_MARK.len() } else { 0 };
+        let (mut at, mut number) = (mark, 0);
         let data = loop {
             number += 1;
             let wrong = |reason: String| (number, reason);
@@ -132,9 +138,14 @@ impl Header {
         if byte > MOST_BYTES {
             return Err(wrong(format!("a point of {byte} bytes; at most {MOST_BYTES} are read")));
         }
+        let twice = |axis: &&str| described.iter().filter(|field| field.name.eq_ignore_ascii_case(axis)).count() > 1;
+        if let Some(axis) = ["x", "y", "z"].into_iter().find(twice) {
+            return Err(wrong(format!("the field {axis} is there more than once; write it once")));
+        }
         let of_grid = width.and_then(|width| width.checked_mul(height));
+        let grid = width.filter(|_| points.is_some() && points != of_grid).map(|width| (width, height));
         let points = points.or(of_grid).ok_or_else(|| wrong("the header states no number of points".into()))?;
-        Ok(Self { fields: described, points, data, moved, end: at as u64 })
+        Ok(Self { fields: described, points, grid, data, moved, end: at as u64 })
     }
 
     fn field(&self, names: &[&str]) -> Option<&PcdField> {
@@ -146,7 +157,15 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let mut start = vec![0; opening.bytes.min(MOST_HEADER as u64) as usize];
     let got = opening.source.read_at(&mut start, 0)?;
     start.truncate(got);
-    let header = Header::parse(&start).map_err(|(line, reason)| opening.error(format!("line {line}"), reason))?;
+    let mut header = Header::parse(&start).map_err(|(line, reason)| opening.error(format!("line {line}"), reason))?;
+    if let Some((width, height)) = header.grid {
+        let points = header.points;
+        let text = format!("the header states {points} points, but a width of {width} and a height of {height}");
+        opening.findings.lose(text)?;
+        // All that one of the two speaks of.
+        header.points = points.max(width.saturating_mul(height));
+    }
+    let header = header;
     let names = || header.fields.iter().map(|field| field.name.as_str()).collect::<Vec<_>>().join(" ");
     let (Some(x), Some(y), Some(z)) = (header.field(&["x"]), header.field(&["y"]), header.field(&["z"])) else {
         let reason = format!("expected the fields x, y and z, found {}: it holds no points", shown(names().as_bytes()));
@@ -178,21 +197,24 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
                 Some(Number::F32) => RgbPlaces::Float(field.column),
                 _ => RgbPlaces::Whole(field.column),
             };
-            let places = Places {
+            let lines = Lines::begin(opening.source, header.end);
+            let form = Form {
+                format: "PCD",
+                commas: lines.peek()?.is_some_and(|row| row.contains(&b',')),
+                words: header.fields.iter().map(|field| field.count).sum(),
                 axes: axes.map(|field| field.column),
                 class: class.map(|field| field.column),
                 rgb: packed.map(of_packed).or(each.map(|each| RgbPlaces::Each(each.map(|field| field.column)))),
                 intensity: intensity.map(|field| field.column),
+                channels: values.channels,
             };
-            let lines = Lines::begin(opening.source, header.end);
-            let first = lines.peek()?.unwrap_or_default();
-            let separator = if first.contains(&b',') { Separator::Byte(b',') } else { Separator::Blanks };
-            let layout = (RowLayout::new(places, separator, false), values.channels);
-            let lines = Lines::begin(opening.source, header.end);
-            Ok(Opened::new(Rows::counted(opening, Format::Pcd, layout, lines, header.points)?))
+            Ok(Opened::new(Body::open(opening, form, lines, header.points, &[])?))
         }
         "binary" => {
             let points = Records::held(opening, header.end, stride, header.points)?;
+            if points == header.points {
+                look_behind(opening, header.end + points * stride as u64, stride, points)?;
+            }
             Ok(Opened::new(Records {
                 format: "PCD",
                 start: header.end,
@@ -222,6 +244,7 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
 struct Packed {
     start: u64,
     len: u64,
+    unpacked: u64,
     points: u64,
     /// Of each needed column, bytes of a record before it; x, y, z, and classes if there are any.
     columns: Vec<Field>,
@@ -241,7 +264,7 @@ fn open_packed(
     let size = |at: usize| u64::from(u32::from_le_bytes([sizes[at], sizes[at + 1], sizes[at + 2], sizes[at + 3]]));
     let (packed, unpacked) = (size(0), size(4));
     let expected = header.points.checked_mul(stride as u64);
-    if expected != Some(unpacked) {
+    if expected != Some(unpacked) || stride == 0 {
         let reason = format!(
             "the header states {} points of {stride} bytes, the data {unpacked} unpacked bytes: one of the two is damaged",
             header.points
@@ -253,15 +276,18 @@ fn open_packed(
     let mut points = header.points;
     if held < packed {
         let reason = format!("its compressed data have {packed} bytes, the file holds {held} of them");
-        opening.findings.lose(reason)?;
+        opening.findings.lose_points(points, reason)?;
         points = 0;
+    } else {
+        look_behind(opening, start + packed, stride, points)?;
     }
     // A reference makes at most 264 bytes of three.
     if unpacked / 88 > packed + 1 {
         let reason = format!("{packed} compressed bytes cannot hold {unpacked} unpacked ones: it is damaged");
         return Err(opening.error(format!("byte {}", header.end), reason));
     }
-    Ok(Packed { start, len: packed, points, columns: axes.into_iter().chain(class).collect(), values })
+    let columns = axes.into_iter().chain(class).collect();
+    Ok(Packed { start, len: packed, unpacked, points, columns, values })
 }
 
 /// A column as it is unpacked.
@@ -275,22 +301,29 @@ fn damaged_data(error: io::Error, source: &Source) -> Error {
 }
 
 impl Packed {
-    /// The numbers of a field from the first point on.
-    fn column<'a>(&self, field: Field, source: &'a Source) -> Result<Lzf<Window<'a>>> {
-        let mut lzf = Lzf::new(Window::new(source, self.start, self.len));
-        // Columns of the whole cloud follow each other.
-        lzf.skip(self.points * field.at as u64).map_err(|error| damaged_data(error, source))?;
-        Ok(lzf)
+    /// The columns of fields, each from the first point on, in the order of the file.
+    fn unpack<'a>(&self, mut fields: Vec<Field>, source: &'a Source) -> Result<Vec<Unpacked<'a>>> {
+        fields.sort_by_key(|field| field.at);
+        fields.dedup();
+        let mut walk = Lzf::new(Window::new(source, self.start, self.len), self.unpacked);
+        let mut at = 0;
+        let columns = fields.into_iter().map(|field| {
+            // Columns of the whole cloud follow each other.
+            let begin = self.points * field.at as u64;
+            walk.skip(begin - at).map_err(|error| damaged_data(error, source))?;
+            at = begin;
+            Ok((walk.clone(), field))
+        });
+        columns.collect()
     }
+}
 
-    /// The columns of values.
-    fn unpack<'a>(&self, fields: &Option<Rgb>, source: &'a Source) -> Result<Vec<Unpacked<'a>>> {
-        let fields = match fields {
-            None => Vec::new(),
-            Some(Rgb::Fields(fields)) => fields.to_vec(),
-            Some(Rgb::Bytes(field)) => vec![*field],
-        };
-        fields.into_iter().map(|field| Ok((self.column(field, source)?, field))).collect()
+/// The fields of values.
+fn fields_of(rgb: Option<Rgb>) -> Vec<Field> {
+    match rgb {
+        None => Vec::new(),
+        Some(Rgb::Fields(fields)) => fields.to_vec(),
+        Some(Rgb::Bytes(field)) => vec![field],
     }
 }
 
@@ -315,7 +348,7 @@ impl Cloud for Packed {
         let mut sample = Sample::NOTHING;
         if self.values.channels.is_open(source) {
             let points = self.points.min(16 * SAMPLE_POINTS as u64);
-            let mut columns = self.unpack(&self.values.fields(source), file)?;
+            let mut columns = self.unpack(fields_of(self.values.fields(source)), file)?;
             for _ in 0..points {
                 for (lzf, field) in &mut columns {
                     let mut value = [0; 8];
@@ -341,11 +374,8 @@ impl Cloud for Packed {
     fn decode(&self, piece: &Piece, source: &Source, scratch: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
         let needed = if taker.wants_classes() { self.columns.len() } else { 3 };
         let wanted = taker.wanted().and_then(|wanted| Some((wanted, self.values.fields(wanted)?)));
-        let mut columns = Vec::with_capacity(needed + 3);
-        for field in &self.columns[..needed] {
-            columns.push((self.column(*field, source)?, *field));
-        }
-        columns.append(&mut self.unpack(&wanted.map(|(_, fields)| fields), source)?);
+        let of_value = fields_of(wanted.map(|(_, fields)| fields));
+        let mut columns = self.unpack([&self.columns[..needed], &of_value].concat(), source)?;
         let at_once = piece.end.clamp(1, 1 << 13) as usize;
         scratch.resize(at_once * 8 * 7, 0);
         let mut next = 0;
@@ -363,17 +393,21 @@ impl Cloud for Packed {
                 let (bytes, Field { number, .. }): (&[u8], Field) = filled[column];
                 number.read(&bytes[row * number.bytes()..], false)
             };
+            let of_field = |field: Field| filled.iter().position(|filled| filled.1 == field).unwrap_or(0);
+            let axes = [0, 1, 2].map(|axis| of_field(self.columns[axis]));
+            let class = self.columns[3..needed].first().map(|class| of_field(*class));
             for row in 0..count {
-                let of_field = |field: Field| filled[needed..].iter().position(|filled| filled.1 == field).unwrap_or(0);
                 let colour = wanted.and_then(|(source, _)| {
-                    let number = |field: Field| value(needed + of_field(field), row);
-                    let bits = |field: Field| bits_of(&filled[needed + of_field(field)].0[4 * row..], false);
+                    let number = |field: Field| value(of_field(field), row);
+                    let bits = |field: Field| bits_of(&filled[of_field(field)].0[4 * row..], false);
                     self.values.of(source, number, bits)
                 });
-                let class = (needed > 3).then(|| value(3, row));
-                taker.push([0, 1, 2].map(|axis| value(axis, row)), class, colour)?;
+                taker.push(axes.map(|axis| value(axis, row)), class.map(|class| value(class, row)), colour)?;
             }
             next += count as u64;
+        }
+        if let Some((last, _)) = columns.last_mut() {
+            last.finish().map_err(|error| damaged_data(error, source))?;
         }
         Ok(0)
     }
@@ -384,64 +418,122 @@ impl Cloud for Packed {
     }
 }
 
-/// Farthest that a reference of LZF reaches back (bytes).
+/// Farthest that a reference of LZF reaches back, and bytes made at once.
 const FARTHEST_BACK: usize = 1 << 13;
+const AT_ONCE: usize = 1 << 15;
 
 /// Unpacks LZF as a stream, with the last 8 KiB at hand.
 ///
 /// A control byte below 32 is followed by so many bytes and one more, as they are; another by a reference: its upper three
 /// bits are the length less 2 (7: a byte follows that is added), its lower five and one more byte the distance less 1.
+#[derive(Clone)]
 struct Lzf<R> {
     packed: R,
-    ring: Box<[u8; FARTHEST_BACK]>,
-    /// Bytes made so far.
-    made: u64,
-    /// What remains of the control at hand: bytes to copy, and how far back (0: from the packed stream).
-    left: usize,
-    back: usize,
+    /// Bytes made: some that were handed out, and from `next` on those to come.
+    made: Vec<u8>,
+    next: usize,
+    /// Bytes that are still to be made.
+    left: u64,
 }
 
 impl<R: Read> Lzf<R> {
-    fn new(packed: R) -> Self {
-        Self { packed, ring: Box::new([0; FARTHEST_BACK]), made: 0, left: 0, back: 0 }
+    /// Unpacks to so many bytes.
+    fn new(packed: R, bytes: u64) -> Self {
+        Self { packed, made: Vec::new(), next: 0, left: bytes }
     }
 
-    fn byte(&mut self) -> io::Result<u8> {
-        let mut byte = [0];
-        self.packed.read_exact(&mut byte).map_err(|error| match error.kind() {
+    fn packed(&mut self, out: &mut [u8]) -> io::Result<()> {
+        self.packed.read_exact(out).map_err(|error| match error.kind() {
             io::ErrorKind::UnexpectedEof => damaged("the data end too early"),
             _ => error,
-        })?;
-        Ok(byte[0])
+        })
     }
 
-    fn control(&mut self) -> io::Result<()> {
-        let control = usize::from(self.byte()?);
+    fn byte(&mut self) -> io::Result<usize> {
+        let mut byte = [0];
+        self.packed(&mut byte)?;
+        Ok(byte[0].into())
+    }
+
+    /// Follows one control byte.
+    #[inline]
+    fn follow(&mut self) -> io::Result<()> {
+        let (control, begin) = (self.byte()?, self.made.len());
         if control < 32 {
-            (self.left, self.back) = (control + 1, 0);
-            return Ok(());
+            let mut bytes = [0; 32];
+            let bytes = &mut bytes[..=control];
+            self.packed(bytes)?;
+            self.made.extend_from_slice(bytes);
+        } else {
+            let mut len = (control >> 5) + 2;
+            if len == 9 {
+                len += self.byte()?;
+            }
+            let back = ((control & 31) << 8 | self.byte()?) + 1;
+            let Some(from) = begin.checked_sub(back) else {
+                return Err(damaged("a reference to before the first byte"));
+            };
+            if back >= len {
+                self.made.extend_from_within(from..from + len);
+            } else {
+                // The bytes between are repeated.
+                let mut missing = len;
+                while missing > 0 {
+                    let now = missing.min(self.made.len() - from);
+                    self.made.extend_from_within(from..from + now);
+                    missing -= now;
+                }
+            }
         }
-        let mut len = control >> 5;
-        if len == 7 {
-            len += usize::from(self.byte()?);
-        }
-        let back = ((control & 31) << 8 | usize::from(self.byte()?)) + 1;
-        if back as u64 > self.made {
-            return Err(damaged("a reference to before the first byte"));
-        }
-        (self.left, self.back) = (len + 2, back);
+        let left = self.left.checked_sub((self.made.len() - begin) as u64);
+        self.left = left.ok_or_else(|| damaged("more bytes than it states"))?;
         Ok(())
     }
 
-    /// Makes bytes and forgets them.
+    /// Bytes that come next, at least one.
+    fn ahead(&mut self) -> io::Result<&[u8]> {
+        if self.next == self.made.len() {
+            self.made.drain(..self.next.saturating_sub(FARTHEST_BACK));
+            self.next = self.made.len();
+            while self.made.len() < self.next + AT_ONCE && self.left > 0 {
+                self.follow()?;
+            }
+            if self.next == self.made.len() {
+                return Err(damaged("fewer bytes than it states"));
+            }
+        }
+        Ok(&self.made[self.next..])
+    }
+
+    /// Passes over bytes.
     fn skip(&mut self, mut count: u64) -> io::Result<()> {
-        let mut scrap = [0; 4096];
         while count > 0 {
-            let now = count.min(scrap.len() as u64) as usize;
-            self.read_exact(&mut scrap[..now])?;
-            count -= now as u64;
+            let now = (self.ahead()?.len() as u64).min(count);
+            self.next += now as usize;
+            count -= now;
         }
         Ok(())
+    }
+
+    fn read_exact(&mut self, mut out: &mut [u8]) -> io::Result<()> {
+        while !out.is_empty() {
+            let ahead = self.ahead()?;
+            let now = ahead.len().min(out.len());
+            let (filled, rest) = out.split_at_mut(now);
+            filled.copy_from_slice(&ahead[..now]);
+            out = rest;
+            self.next += now;
+        }
+        Ok(())
+    }
+
+    /// Unpacks what is left; the packed bytes must end there.
+    fn finish(&mut self) -> io::Result<()> {
+        self.skip((self.made.len() - self.next) as u64 + self.left)?;
+        match self.packed.read(&mut [0])? {
+            0 => Ok(()),
+            _ => Err(damaged("the data go on behind their last byte")),
+        }
     }
 }
 
@@ -449,46 +541,14 @@ fn damaged(reason: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, format!("LZF: {reason}"))
 }
 
-impl<R: Read> Read for Lzf<R> {
-    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        let mut filled = 0;
-        while filled < out.len() {
-            if self.left == 0 {
-                self.control()?;
-            }
-            let now = self.left.min(out.len() - filled);
-            let to = &mut out[filled..filled + now];
-            if self.back == 0 {
-                self.packed.read_exact(to).map_err(|error| match error.kind() {
-                    io::ErrorKind::UnexpectedEof => damaged("the data end too early"),
-                    _ => error,
-                })?;
-                for (at, &byte) in to.iter().enumerate() {
-                    self.ring[(self.made as usize + at) % FARTHEST_BACK] = byte;
-                }
-            } else {
-                for (at, out) in to.iter_mut().enumerate() {
-                    let here = self.made as usize + at;
-                    let byte = self.ring[here.wrapping_sub(self.back) % FARTHEST_BACK];
-                    self.ring[here % FARTHEST_BACK] = byte;
-                    *out = byte;
-                }
-            }
-            self.made += now as u64;
-            self.left -= now;
-            filled += now;
-        }
-        Ok(filled)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn unpack(packed: &[u8], len: usize) -> io::Result<Vec<u8>> {
-        let mut out = vec![0; len];
-        Lzf::new(packed).read_exact(&mut out).map(|()| out)
+        let (mut lzf, mut out) = (Lzf::new(packed, len as u64), vec![0; len]);
+        lzf.read_exact(&mut out)?;
+        lzf.finish().map(|()| out)
     }
 
     #[test]
@@ -506,6 +566,14 @@ mod tests {
         let unpacked = unpack(&packed, FARTHEST_BACK + 3).unwrap();
         assert_eq!(unpacked[..FARTHEST_BACK], plain);
         assert_eq!(unpacked[FARTHEST_BACK..], plain[..3]);
+        // Also where what was handed out long ago is forgotten.
+        let packed: Vec<u8> = packed.repeat(40).into_iter().collect();
+        let unpacked = unpack(&packed, 40 * (FARTHEST_BACK + 3)).unwrap();
+        assert!(
+            unpacked
+                .chunks(FARTHEST_BACK + 3)
+                .all(|again| again[..FARTHEST_BACK] == plain && again[FARTHEST_BACK..] == plain[..3])
+        );
     }
 
     #[test]
@@ -515,13 +583,24 @@ mod tests {
         }
         let packed = [2, b'a', b'b', b'c', 7 << 5, 100, 1, 0, b'z'];
         let whole = unpack(&packed, 113).unwrap();
-        let mut lzf = Lzf::new(&packed[..]);
+        for (len, reason) in [(112, "go on behind"), (111, "more bytes"), (114, "end too early")] {
+            assert!(unpack(&packed, len).unwrap_err().to_string().contains(reason), "{len}");
+        }
+        let mut lzf = Lzf::new(&packed[..], 113);
         let mut pieces = Vec::new();
-        for len in [1, 0, 5, 60, 47] {
+        for len in [1, 0, 5, 60] {
             let mut piece = vec![0; len];
             lzf.read_exact(&mut piece).unwrap();
             pieces.extend(piece);
         }
+        let mut other = lzf.clone();
+        lzf.skip(46).unwrap();
+        let mut piece = [0];
+        lzf.read_exact(&mut piece).unwrap();
+        assert_eq!(piece[0], whole[112]);
+        let mut rest = [0; 47];
+        other.read_exact(&mut rest).unwrap();
+        pieces.extend(rest);
         assert_eq!(pieces, whole);
     }
 }

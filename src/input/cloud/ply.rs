@@ -1,14 +1,17 @@
 //! PLY without faces: points, as text or binary of either byte order.
 //!
-//! Only the element `vertex` counts; those before it are passed over, those behind it never read. Its properties may
-//! come in any order and of any type, but for lists. Memory: the header, at most 1 MiB.
+//! Only the element `vertex` counts; the others are passed over, also those behind it: what follows them would be points that
+//! the header does not state. Its properties may come in any order and of any type, but for lists. Memory: the header, at
+//! most 1 MiB.
 
+use super::body::{self, Body, Form, RgbPlaces};
 use super::records::{Field, MOST_BYTES, Records, Rgb, Values, kind_of};
-use super::text::{Lines, Places, RgbPlaces, RowLayout, Rows, Separator};
+use super::text::Lines;
 use super::values::Channels;
-use super::{Format, Opened, Opening, SPLATS, shown};
+use super::{Opened, Opening, SPLATS, shown};
 use crate::bytes::Input;
-use crate::input::ply_header::{Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
+use crate::input::decode::without_path;
+use crate::input::ply_header::{BYTE_ORDER_MARK, Element, Encoding, Header, HeaderReader, MOST_HEADER, Property};
 use crate::{Error, Result};
 use std::io::Read;
 use std::path::Path;
@@ -25,7 +28,8 @@ struct Start {
 impl Start {
     /// From the first bytes of a file; else the line and what is wrong with it.
     fn parse(start: &[u8]) -> Result<Self, (usize, String)> {
-        let (mut reader, mut at, mut number) = (HeaderReader::default(), 0, 0);
+        let mark = if start.starts_with(BYTE_ORDER_MARK) { BYTE_ORDER_MARK.len() } else { 0 };
+        let (mut reader, mut at, mut number) = (HeaderReader::default(), mark, 0);
         loop {
             number += 1;
             let Some(len) = memchr::memchr(b'\n', &start[at..]) else {
@@ -76,7 +80,9 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let Some(number) = header.elements.iter().position(|element| element.name == "vertex") else {
         return Err(opening.error("header", "it has no element \"vertex\": there are no points in it"));
     };
-    let vertex = &header.elements[number];
+    let (before, from) = header.elements.split_at(number);
+    let [vertex, behind @ ..] = from else { return Err(opening.error("header", "it has no element \"vertex\"")) };
+    header.check().map_err(|reason| opening.error("header", reason))?;
     let find = |names: &[&str]| {
         let is_named = |p: &Property| names.iter().any(|name| p.name.eq_ignore_ascii_case(name));
         vertex.properties.iter().position(is_named)
@@ -99,17 +105,15 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
             kind_of(&columns.iter().map(|&column| vertex.properties[column].number).collect::<Vec<_>>())
         };
         let channels = Channels::new(rgb.map(|rgb| kind(&rgb)), intensity.map(|column| kind(&[column])));
-        let places = Places { axes: [x, y, z], class, rgb: rgb.map(RgbPlaces::Each), intensity };
-        let rows_before = header.elements[..number].iter().fold(0u64, |sum, e| sum.saturating_add(e.count));
-        let layout = RowLayout::new(places, Separator::Blanks, false);
+        let (axes, words, rgb) = ([x, y, z], vertex.properties.len(), rgb.map(RgbPlaces::Each));
+        let form = Form { format: "PLY", commas: false, words, axes, class, rgb, intensity, channels };
         let mut lines = Lines::begin(opening.source, end);
-        lines.skip_rows(rows_before, opening.monitor)?;
-        let rows = Rows::counted(opening, Format::Ply, (layout, channels), lines, vertex.count)?;
-        return Ok(Opened::new(rows));
+        body::pass(&mut lines, before, opening.monitor)?.map_err(|reason| lines.error(reason))?;
+        return Ok(Opened::new(Body::open(opening, form, lines, vertex.count, behind)?));
     }
     let big = header.encoding == Encoding::Big;
     let mut at = end;
-    for element in &header.elements[..number] {
+    for element in before {
         at = skip(opening, element, at, big)?;
     }
     let mut stride = 0;
@@ -126,6 +130,19 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     }
     let field = |number: usize| Field { at: offsets[number], number: vertex.properties[number].number };
     let points = Records::held(opening, at, stride, vertex.count)?;
+    if points == vertex.count {
+        let mut end = Ok(at + points * stride as u64);
+        for element in behind {
+            end = end.and_then(|end| skip(opening, element, end, big));
+        }
+        match end {
+            Ok(end) => body::look_behind(opening, end, stride, vertex.count)?,
+            Err(error @ Error::Input { .. }) => {
+                opening.findings.note(format!("behind its points: {}", without_path(error)));
+            }
+            Err(error) => return Err(error),
+        }
+    }
     Ok(Opened::new(Records {
         format: "PLY",
         start: at,
@@ -163,7 +180,7 @@ fn skip(opening: &Opening<'_, '_>, element: &Element, start: u64, big: bool) -> 
                     let value = &mut value[..number.bytes()];
                     window.read_exact(value).map_err(|_| cut(opening))?;
                     let count = number.read(value, big);
-                    if !(0.0..=MOST_IN_LIST).contains(&count) {
+                    if !(0.0..=MOST_IN_LIST).contains(&count) || count.fract() != 0.0 {
                         let reason = format!("a list of {count} numbers; expected 0 to {MOST_IN_LIST}");
                         return Err(opening.error(format!("byte {}", start + window.position()), reason));
                     }

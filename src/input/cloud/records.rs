@@ -119,7 +119,8 @@ impl Records {
     pub fn held(opening: &mut Opening<'_, '_>, start: u64, stride: usize, stated: u64) -> Result<u64> {
         let room = opening.bytes.saturating_sub(start) / stride as u64;
         if room < stated {
-            opening.findings.lose(format!("the header states {stated} points, the file holds {room} whole ones"))?;
+            let text = format!("the header states {stated} points, the file holds {room} whole ones");
+            opening.findings.lose_points(stated - room, text)?;
         }
         Ok(stated.min(room))
     }

@@ -1,16 +1,27 @@
 //! Lines and words of text formats, of bounded length.
 
 use super::watch::{Digest, MeshSource};
+use crate::input::number::decimal;
+pub(super) use crate::input::ply_header::BYTE_ORDER_MARK;
 use crate::text::shown;
 use crate::{Error, Result};
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 /// Longest line (bytes).
 const MOST_BYTES: u64 = 1 << 20;
 
-/// What some editors put before text in UTF-8.
-pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
+/// Whether all that follows is zeros and blanks.
+pub(super) fn only_padding(reader: &mut impl BufRead) -> io::Result<bool> {
+    loop {
+        let bytes = reader.fill_buf()?;
+        let len = bytes.len();
+        if len == 0 || !bytes.iter().all(|byte| *byte == 0 || byte.is_ascii_whitespace()) {
+            return Ok(len == 0);
+        }
+        reader.consume(len);
+    }
+}
 
 /// Reads a file line by line; knows which line it is at.
 pub(super) struct Lines {
@@ -73,6 +84,23 @@ impl Lines {
         &self.line
     }
 
+    /// The number of the line.
+    pub(super) fn number_of_line(&self) -> u64 {
+        self.number
+    }
+
+    /// Whether nothing follows the line.
+    pub(super) fn is_at_end(&mut self) -> Result<bool> {
+        let left = self.reader.fill_buf().map_err(|e| Error::io(&self.path, "read a line", e))?;
+        Ok(left.is_empty())
+    }
+
+    /// The words of the line that were not asked for as numbers.
+    pub(super) fn rest(&self) -> impl Iterator<Item = &[u8]> {
+        let rest = self.line.get(self.at..).unwrap_or_default();
+        rest.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
+    }
+
     /// The words of the line.
     pub(super) fn words(&self) -> impl Iterator<Item = &[u8]> {
         self.line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
@@ -101,8 +129,7 @@ impl Lines {
     /// A word of the line as a number.
     pub(super) fn number(&self, word: Option<&[u8]>) -> Result<f64> {
         let word = word.ok_or_else(|| self.error("expected a number, found the end of the line"))?;
-        let parsed = std::str::from_utf8(word).ok().and_then(|text| text.parse().ok());
-        parsed.ok_or_else(|| self.error(format!("expected a number, found {}", shown(word))))
+        decimal(word).ok_or_else(|| self.error(format!("expected a number, found {}", shown(word))))
     }
 
     /// Three words of the line as a corner.

@@ -15,7 +15,7 @@ const MOST_DIGITS: usize = 19;
 /// The number that `text` begins with, and its length, if it is short: a sign, digits, and maybe `point` and more digits. What
 /// follows may make it another number; that is for the caller to see.
 #[inline]
-pub(super) fn short(text: &[u8], point: u8) -> Option<(f64, usize)> {
+pub(in crate::input::cloud) fn short(text: &[u8], point: u8) -> Option<(f64, usize)> {
     let signed = matches!(text.first(), Some(b'-' | b'+'));
     let digits = &text[usize::from(signed)..];
     let (mut whole, mut at) = (0u64, 0);

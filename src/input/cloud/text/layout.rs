@@ -1,7 +1,7 @@
 //! What a row of text holds: separators, decimal commas, columns.
 
 use super::super::shown;
-use super::super::values::{Sample, Scale, bytes_of};
+use super::super::values::{Sample, Scale};
 use super::decimal::short;
 use crate::colour::ColourSource;
 use crate::input::Columns;
@@ -51,10 +51,6 @@ pub(in crate::input::cloud) type Parsed<V> = Result<([f64; 3], Option<f64>, Opti
 pub(in crate::input::cloud) enum RgbPlaces {
     /// In a column each.
     Each([usize; 3]),
-    /// In the bytes of a whole number.
-    Whole(usize),
-    /// In those of a number of 32 bits that is written as floating point.
-    Float(usize),
 }
 
 /// Columns of a row, from 0 on, no two of them the same.
@@ -117,9 +113,6 @@ impl RowLayout {
         match (source, self.places.rgb, self.places.intensity) {
             (ColourSource::Rgb, Some(RgbPlaces::Each(places)), _) => {
                 places.into_iter().enumerate().for_each(|(channel, place)| put(&mut roles, place, RED + channel));
-            }
-            (ColourSource::Rgb, Some(RgbPlaces::Whole(place) | RgbPlaces::Float(place)), _) => {
-                put(&mut roles, place, RED);
             }
             (ColourSource::Intensity, _, Some(place)) => put(&mut roles, place, INTENSITY),
             _ => return None,
@@ -265,10 +258,8 @@ impl ValueLayout<'_> {
     /// The value of such numbers.
     #[inline]
     pub fn value(&self, row: &Row, scale: &Scale) -> [u16; 3] {
-        match (self.source, self.layout.places.rgb) {
-            (ColourSource::Rgb, Some(RgbPlaces::Whole(_))) => bytes_of(row[RED] as u32),
-            (ColourSource::Rgb, Some(RgbPlaces::Float(_))) => bytes_of((row[RED] as f32).to_bits()),
-            (ColourSource::Rgb, _) => [0, 1, 2].map(|channel| scale.of(row[RED + channel])),
+        match self.source {
+            ColourSource::Rgb => [0, 1, 2].map(|channel| scale.of(row[RED + channel])),
             _ => [scale.of(row[INTENSITY]), 0, 0],
         }
     }
@@ -426,12 +417,6 @@ mod tests {
             assert!(values.parse(&of("1 20 2")).unwrap_err().contains("expected 4 columns"));
             assert!(values.parse(&of("1 20 2 3 10 0.5 red")).unwrap_err().contains("a number in column 7"));
             assert!(layout.with_values(ColourSource::Class).is_none());
-        }
-        for (rgb, text) in [(RgbPlaces::Whole(3), "1 2 3 66051"), (RgbPlaces::Float(3), "1 2 3 9.2557e-41")] {
-            let layout = RowLayout::new(Places { rgb: Some(rgb), ..Places::of([0, 1, 2]) }, Separator::Blanks, false);
-            let values = layout.with_values(ColourSource::Rgb).unwrap();
-            let row = values.parse(text.as_bytes()).unwrap().2.unwrap();
-            assert_eq!(values.value(&row, &Scale::WHOLE), [1, 2, 3], "{text}");
         }
     }
 }

@@ -187,11 +187,6 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Passes over so many rows, or as many as there are.
-    pub fn skip_rows(&mut self, rows: u64, monitor: &dyn Monitor) -> Result<()> {
-        self.count_rows(rows, false, monitor).map(drop)
-    }
-
     /// Passes over up to `most` rows and, if asked for, stops before one of a single word; returns how many there were.
     pub fn count_rows(&mut self, most: u64, stop_at_word: bool, monitor: &dyn Monitor) -> Result<u64> {
         let mut rows = 0u64;

@@ -1,4 +1,4 @@
-//! Clouds as text: XYZ, CSV, PTS, PTX, and the bodies of PLY and PCD.
+//! Clouds as text: XYZ, CSV, PTS, PTX.
 //!
 //! A [`Rows`] is a list of segments of rows. Plain text is cut into pieces of 4 MiB at line ends, which any number of
 //! threads parse; compressed text (gzip, zstd) is read by one. Formats that state how many rows belong to a cloud are read
@@ -15,10 +15,10 @@ use super::values::{Channels, Kind, SAMPLE_PLACES, SAMPLE_POINTS, Sample, Scale}
 use super::{Cloud, Depth, Format, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::colour::ColourSource;
 use crate::{Error, Parameter, Result};
-use layout::{Parsed, ValueLayout, columns, is_numeric, names, recognise};
+use layout::{Parsed, Places, RgbPlaces, RowLayout, ValueLayout, columns, is_numeric, names, recognise};
 use lines::is_word;
 
-pub(super) use layout::{Places, RgbPlaces, RowLayout, Separator};
+pub(super) use decimal::short;
 pub(super) use lines::Lines;
 pub(super) use lines::Packing;
 pub(in crate::input) use lines::unpacked_name;
@@ -83,24 +83,6 @@ impl Reading<'_> {
 }
 
 impl Rows {
-    /// The next `stated` rows of `lines`; fewer are a loss.
-    pub fn counted(
-        opening: &mut Opening<'_, '_>,
-        format: Format,
-        (layout, channels): (RowLayout, Channels),
-        mut lines: Lines<'_>,
-        stated: u64,
-    ) -> Result<Self> {
-        let start = lines.position();
-        let rows = lines.count_rows(stated, false, opening.monitor)?;
-        if rows < stated {
-            opening.findings.lose(format!("the header states {stated} points, {rows} lines follow"))?;
-        }
-        let segments = vec![Segment::plain(start, lines.position(), rows)];
-        let format = if format == Format::Ply { "PLY" } else { "PCD" };
-        Ok(Self { format, packing: Packing::Plain, layout, channels, segments, zero_is_absent: false, stated })
-    }
-
     #[inline]
     fn take(
         &self,
