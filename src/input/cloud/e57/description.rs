@@ -78,12 +78,18 @@ pub(super) enum Limits {
 }
 
 /// What the XML says.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(super) struct Contents {
-    pub clouds: Vec<Description>,
+    pub clouds: Vec<Result<Description, Undescribed>>,
     pub images: usize,
     /// Text of the reference system.
     pub system: Option<String>,
+}
+
+/// A cloud that is not described so that it could be read, and the points that it states.
+pub(super) struct Undescribed {
+    pub wrong: Wrong,
+    pub points: u64,
 }
 
 /// What is wrong.
@@ -135,10 +141,13 @@ impl Contents {
             let of_name = move |node: &Node| node.is_element() && node.tag_name().name() == name;
             root.children().filter(of_name).flat_map(|node| node.children()).filter(|node: &Node| node.is_element())
         };
-        let clouds = elements("data3D").enumerate().map(|(number, node)| Description::read(number, node));
+        let clouds = elements("data3D").enumerate().map(|(number, node)| {
+            let points = child(node, "points").and_then(|points| points.attribute("recordCount")?.trim().parse().ok());
+            Description::read(number, node).map_err(|wrong| Undescribed { wrong, points: points.unwrap_or(0) })
+        });
         let system = child(root, "coordinateMetadata").and_then(|node| node.text()).map(str::trim);
         Ok(Self {
-            clouds: clouds.collect::<Result<_, _>>()?,
+            clouds: clouds.collect(),
             images: elements("images2D").count(),
             system: system.filter(|text| !text.is_empty()).map(str::to_owned),
         })
@@ -272,6 +281,8 @@ fn read_pose(node: Node<'_, '_>) -> Result<Pose, String> {
     };
     let q = read(child(node, "rotation"), &["w", "x", "y", "z"], &[1.0, 0.0, 0.0, 0.0])?;
     let t = read(child(node, "translation"), &["x", "y", "z"], &[0.0; 3])?;
+    // Some write zeros for no rotation.
+    let q = if q == [0.0; 4] { vec![1.0, 0.0, 0.0, 0.0] } else { q };
     let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
     if !(1e-3..=1e3).contains(&length) {
         return Err(format!("its pose has a quaternion of length {length}; expected 1"));

@@ -19,8 +19,10 @@ use super::values::{SAMPLE_POINTS, Sample, Scale};
 use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::colour::ColourSource;
 use crate::input::crs::Georeference;
-use crate::{Error, Result};
-use description::{CHANNELS, Contents, Description, Kind, Limits, MOST_BYTES, Wrong};
+use crate::input::decode::without_path;
+use crate::text::counted;
+use crate::{Error, Parameter, Result};
+use description::{CHANNELS, Contents, Description, Kind, Limits, MOST_BYTES, Undescribed, Wrong};
 use pages::{PAGE, Pages, logical, physical};
 
 /// Points of a piece.
@@ -143,19 +145,37 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     pages.read(&mut xml, xml_at, true)?;
     let xml =
         String::from_utf8(xml).map_err(|_| opening.error("XML", "it is no text in UTF-8; write the file again"))?;
-    let contents = Contents::parse(&xml).map_err(|wrong| match wrong {
-        Wrong::Damaged(at, reason) => opening.error(at, reason),
+    let error_of = |wrong: Wrong| match wrong {
+        Wrong::Damaged(at, reason) => Error::input(path, at, reason),
         Wrong::Unsupported(what) => unsupported(path, what),
-    })?;
+    };
+    let contents = Contents::parse(&xml).map_err(error_of)?;
     drop(xml);
     if contents.clouds.is_empty() && contents.images > 0 {
         let reason = format!("it holds {} images and no cloud of points; export the scans themselves", contents.images);
         return Err(opening.error("data3D", reason));
     }
     let (mut scans, mut stated) = (Vec::with_capacity(contents.clouds.len()), 0u64);
+    let (others, mut left_out) = (contents.clouds.len() > 1, None);
     for cloud in contents.clouds {
-        stated = stated.saturating_add(cloud.records);
-        scans.push(Scan::open(cloud, &mut pages, opening)?);
+        let points = cloud.as_ref().map_or_else(|wrong| wrong.points, |cloud| cloud.records);
+        stated = stated.saturating_add(points);
+        let scan = cloud.map_err(|Undescribed { wrong, .. }| error_of(wrong));
+        match scan.and_then(|cloud| Scan::open(cloud, &mut pages, opening)) {
+            Ok(scan) => scans.push(scan),
+            Err(error @ (Error::Input { .. } | Error::Unsupported { .. })) if others => {
+                if !opening.findings.allow_incomplete {
+                    return Err(error.with_way_out(Parameter::Incomplete));
+                }
+                let text = format!("{} left out: {error}", counted(points, "point"));
+                opening.findings.lose_points(points, text)?;
+                left_out = Some(error);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    if let Some(error) = left_out.filter(|_| scans.is_empty()) {
+        return Err(error);
     }
     let mut georeference = contents.system.map(Georeference::of_text).unwrap_or_default();
     let units = [georeference.horizontal, georeference.vertical];
@@ -289,12 +309,21 @@ impl Scan {
         let mut lens = Vec::new();
         // Points whose columns all have come.
         let mut held = 0;
+        let mut damage = String::new();
         while held < records && packet < end {
             if number.is_multiple_of(1024) && opening.monitor.cancelled() {
                 return Err(Error::Interrupted);
             }
             number += 1;
-            let Packet { len, is_data } = self.head(pages, source, packet, &mut lens)?;
+            let Packet { len, is_data } = match self.head(pages, source, packet, &mut lens) {
+                Ok(packet) => packet,
+                // The points before the damage are whole.
+                Err(error @ Error::Input { .. }) if held > 0 && opening.findings.allow_incomplete => {
+                    damage = format!("; {}", without_path(error));
+                    break;
+                }
+                Err(error) => return Err(error),
+            };
             if is_data {
                 let mut after = before;
                 for (after, column) in after.iter_mut().zip(&self.needed) {
@@ -329,8 +358,8 @@ impl Scan {
             packet += len;
         }
         if held < records {
-            let text = format!("{}: it states {records} points, its packets hold {held} whole ones", self.name);
-            opening.findings.lose(text)?;
+            let text = format!("{}: it states {records} points, its packets hold {held} whole ones{damage}", self.name);
+            opening.findings.lose_points(records - held, text)?;
         }
         self.records = held;
         // Values may end before the points do.
@@ -409,7 +438,12 @@ impl Scan {
         let piece = Piece { points: end, part: 0, first: 0, end };
         let mut pages = Pages::new(source, source.stamp().len());
         let mut sample = Sample::NOTHING;
-        if let Some(column) = self.gather(&piece, &[at], &mut pages, source)?.get(self.of_place) {
+        // What is damaged is told where it is read in full.
+        let columns = match self.gather(&piece, &[at], &mut pages, source) {
+            Err(Error::Input { .. }) => Vec::new(),
+            columns => columns?,
+        };
+        if let Some(column) = columns.get(self.of_place) {
             (0..end as usize).for_each(|number| sample.add(column.value(number)));
         }
         if let Some(values) = &mut self.intensity {
