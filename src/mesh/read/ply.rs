@@ -1,23 +1,28 @@
-//! PLY, text and binary of either byte order: the elements `vertex` (x, y, z) and `face` (a list of corners), and the colours of both;
-//! others are passed over.
+//! PLY, text and binary of either byte order: the elements `vertex` (x, y, z), `face` (a list of corners) and `tristrips` (lists of
+//! corners, each of which makes a triangle with the two before it; −1 ends a strip), and the colours of the first two. Others are
+//! passed over. Behind the last nothing may follow.
+//!
+//! In text an element begins and ends where a line does; one that takes several lines is read too.
 //!
 //! Source: Greg Turk, "The PLY Polygon File Format", 1994.
 
 use super::polygon::Polygon;
-use super::text::Lines;
+use super::text::{Lines, only_padding};
 use super::vertices::Vertices;
 use super::watch::{Digest, MeshSource, Watch};
 use super::{BATCH_TRIANGLES, MeshBatch, MeshOptions, Triangles, Wants};
 use crate::input::number::Number;
 use crate::input::ply_header::{Element, Encoding, Header, HeaderReader, Property};
 use crate::mesh::paint::Paint;
+use crate::text::shown;
 use crate::{Error, Result};
 use std::io::{BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-/// Most numbers in a list, of which a face has one.
+/// Most numbers in a list, of which a face has one; strips have as many as they like.
 const MOST_IN_LIST: f64 = 65_536.0;
-/// Faces read for one batch.
+const CUT: &str = "the file ends before the elements that its header states: it is cut; fetch it again";
+/// Faces, or numbers of strips, read for one batch.
 const FACES: u64 = 512;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,7 +47,7 @@ struct Column {
 
 impl Column {
     fn all_of(element: &Element) -> Vec<Self> {
-        let of_face = element.name == "face";
+        let of_face = is_surface(element);
         let column = |Property { name, list, number }: &Property| {
             let role = match (&name[..], list) {
                 ("x", None) => Role::Axis(0),
@@ -59,6 +64,11 @@ impl Column {
         };
         element.properties.iter().map(column).collect()
     }
+}
+
+/// Whether an element has corners of triangles.
+fn is_surface(element: &Element) -> bool {
+    element.name == "face" || element.name == "tristrips"
 }
 
 /// The channel of a colour that a property is.
@@ -88,47 +98,110 @@ fn has_colour(columns: &[Column]) -> bool {
 
 /// The numbers of the body, one after the other.
 enum Body {
-    Text(Lines),
-    Binary { reader: BufReader<MeshSource>, path: PathBuf, big: bool, at: u64 },
+    /// `begun`: the line on which the element at hand begins.
+    Text {
+        lines: Lines,
+        begun: u64,
+    },
+    Binary {
+        reader: BufReader<MeshSource>,
+        path: PathBuf,
+        big: bool,
+        at: u64,
+    },
 }
 
 impl Body {
     fn error(&self, reason: impl Into<String>) -> Error {
         match self {
-            Self::Text(lines) => lines.error(reason),
+            Self::Text { lines, .. } => lines.error(reason),
             Self::Binary { path, at, .. } => Error::input(path, format!("byte {at} of the body"), reason),
         }
     }
 
-    /// Goes to the next element: in text each has a line.
-    fn begin(&mut self) -> Result<()> {
-        let Self::Text(lines) = self else { return Ok(()) };
-        // Blank lines carry nothing.
+    /// Goes to the next line that holds something; false at the end of the file.
+    fn next_line(lines: &mut Lines) -> Result<bool> {
         while lines.next()? {
             if lines.words().next().is_some() {
-                return Ok(());
+                return Ok(true);
             }
         }
-        Err(lines.error("the file ends before the elements that its header states: it is cut; fetch it again"))
+        Ok(false)
+    }
+
+    /// Goes to the next element: in text it begins a line.
+    fn begin(&mut self) -> Result<()> {
+        let Self::Text { lines, begun } = self else { return Ok(()) };
+        if !Self::next_line(lines)? {
+            return Err(lines.error(CUT));
+        }
+        *begun = lines.number_of_line();
+        Ok(())
+    }
+
+    /// Whether there is nothing left to read.
+    fn is_at_end(&mut self) -> Result<bool> {
+        match self {
+            Self::Text { lines, .. } => lines.is_at_end(),
+            Self::Binary { .. } => Ok(true),
+        }
+    }
+
+    /// Ends an element: in text nothing may follow it in its line.
+    fn finish(&self) -> Result<()> {
+        let Self::Text { lines, begun } = self else { return Ok(()) };
+        lines.rest().next().map_or(Ok(()), |word| {
+            Err(lines.error(format!(
+                "expected the end of the line behind the element that begins in line {begun}, found {}",
+                shown(word)
+            )))
+        })
     }
 
     /// The next number, which a binary body holds in the form `number`.
     fn number(&mut self, number: Number) -> Result<f64> {
         match self {
-            Self::Text(lines) => lines.next_number(),
+            Self::Text { lines, .. } => {
+                if lines.rest().next().is_none() && !Self::next_line(lines)? {
+                    return Err(lines.error(CUT));
+                }
+                lines.next_number()
+            }
             Self::Binary { reader, path, big, at } => {
                 let mut value = [0; 8];
                 let bytes = &mut value[..number.bytes()];
                 reader.read_exact(bytes).map_err(|e| match e.kind() {
-                    ErrorKind::UnexpectedEof => Error::input(
-                        &*path,
-                        format!("byte {at} of the body"),
-                        "the file ends before the elements that its header states: it is cut; fetch it again",
-                    ),
+                    ErrorKind::UnexpectedEof => Error::input(&*path, format!("byte {at} of the body"), CUT),
                     _ => Error::io(&*path, format!("read byte {at} of the body"), e),
                 })?;
                 *at += bytes.len() as u64;
                 Ok(number.read(bytes, *big))
+            }
+        }
+    }
+
+    /// The length of a list, which is at most `most`.
+    fn length(&mut self, number: Number, most: f64) -> Result<u64> {
+        let length = self.number(number)?;
+        if !(0.0..=most).contains(&length) || length.fract() != 0.0 {
+            return Err(self.error(format!("a list of {length} numbers; expected 0 to {most}")));
+        }
+        Ok(length as u64)
+    }
+
+    /// Fails if more than padding follows the last element.
+    fn end(&mut self) -> Result<()> {
+        match self {
+            Self::Text { lines, .. } => match Self::next_line(lines)? {
+                true => Err(lines.error("more lines follow than the header states; write the file again")),
+                false => Ok(()),
+            },
+            Self::Binary { reader, path, at, .. } => {
+                let failed = |e| Error::io(&*path, format!("read byte {at} of the body"), e);
+                only_padding(reader).map_err(failed)?.then_some(()).ok_or_else(|| {
+                    let reason = "more bytes follow than the header states; write the file again";
+                    Error::input(&*path, format!("byte {at} of the body"), reason)
+                })
             }
         }
     }
@@ -138,28 +211,52 @@ impl Body {
         self.begin()?;
         for column in columns {
             let count = match column.list {
-                None => 1.0,
-                Some(count) => self.number(count)?,
+                None => 1,
+                Some(count) => self.length(count, MOST_IN_LIST)?,
             };
-            if !(0.0..=MOST_IN_LIST).contains(&count) {
-                return Err(self.error(format!("a list of {count} numbers; expected 0 to {MOST_IN_LIST}")));
-            }
-            for _ in 0..count as u32 {
+            for _ in 0..count {
                 give(column.role, self.number(column.number)?);
             }
         }
-        Ok(())
+        self.finish()
     }
+}
+
+/// What the elements at hand are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Kind {
+    Faces,
+    Strips,
+    Other,
+}
+
+/// A corner: its number, place and colour.
+type Corner = (u64, [f64; 3], Option<[u8; 3]>);
+
+/// Where the reading of an element with strips is.
+#[derive(Debug, Default)]
+struct Strip {
+    /// Properties that were begun.
+    columns: usize,
+    /// Numbers to come of the last of them.
+    left: u64,
+    /// The two corners before.
+    before: [Option<Corner>; 2],
 }
 
 pub(super) struct PlyReader {
     body: Body,
     vertices: Vertices,
+    /// What follows the elements at hand.
+    elements: std::vec::IntoIter<Element>,
+    kind: Kind,
     columns: Vec<Column>,
-    faces_left: u64,
+    left: u64,
+    strip: Strip,
     corners: Vec<f64>,
     polygon: Polygon,
-    /// Colours of the corners, if they are wanted and there are some.
+    /// Whether colours are wanted, and those of the corners, if there are some.
+    coloured: bool,
     colours: Option<Vertices>,
     /// Colours of the corners of the face at hand.
     at_corners: Vec<[u8; 3]>,
@@ -170,85 +267,110 @@ pub(super) struct PlyReader {
 impl PlyReader {
     pub(super) fn open(path: &Path, options: &MeshOptions, wants: Wants<'_>, watch: &mut Watch) -> Result<Self> {
         let (mut body, elements) = open_body(path, wants.digest)?;
+        let mut elements = elements.into_iter();
         let coloured = wants.colours.is_some();
         let share = MeshOptions { memory_bytes: options.memory_bytes / 2, ..options.clone() };
         let mut vertices = Vertices::new(if coloured { &share } else { options });
-        let (mut colours, mut faces_have) = (None, false);
-        let mut faces = None;
-        for element in elements {
+        let mut colours = None;
+        for element in elements.by_ref() {
             let columns = Column::all_of(&element);
-            let has = |role: Role| columns.iter().any(|column| column.role == role);
-            if element.name == "vertex" {
-                if !(0..3).all(|axis| has(Role::Axis(axis))) {
-                    return Err(Error::input(path, "header", "the element \"vertex\" has no properties x, y and z"));
-                }
-                let mut own = (coloured && has_colour(&columns)).then(|| Vertices::new(&share));
-                for _ in 0..element.count {
-                    watch.step()?;
-                    let (mut vertex, mut colour) = ([f64::NAN; 3], [0.0; 3]);
-                    body.element(&columns, |role, value| match role {
-                        Role::Axis(axis) => vertex[axis] = value,
-                        Role::Channel(channel, white) => colour[channel] = f64::from(byte_of(value, white)),
-                        Role::Corners | Role::Other => {}
-                    })?;
-                    vertices.push(vertex)?;
-                    if let Some(own) = &mut own {
-                        own.push(colour)?;
-                    }
-                }
-                colours = own;
-            } else if element.name == "face" {
-                if !has(Role::Corners) {
-                    return Err(Error::input(path, "header", "the element \"face\" has no list \"vertex_indices\""));
-                }
-                faces_have = coloured && has_colour(&columns);
-                faces = Some((columns, element.count));
-                break;
-            } else {
+            if element.name != "vertex" {
                 for _ in 0..element.count {
                     watch.step()?;
                     body.element(&columns, |_, _| ())?;
                 }
+                continue;
             }
+            let has = |role: Role| columns.iter().any(|column| column.role == role);
+            if !(0..3).all(|axis| has(Role::Axis(axis))) {
+                return Err(Error::input(path, "header", "the element \"vertex\" has no properties x, y and z"));
+            }
+            colours = (coloured && has_colour(&columns)).then(|| Vertices::new(&share));
+            for _ in 0..element.count {
+                watch.step()?;
+                let (mut vertex, mut colour) = ([f64::NAN; 3], [0.0; 3]);
+                body.element(&columns, |role, value| match role {
+                    Role::Axis(axis) => vertex[axis] = value,
+                    Role::Channel(channel, white) => colour[channel] = f64::from(byte_of(value, white)),
+                    Role::Corners | Role::Other => {}
+                })?;
+                vertices.push(vertex)?;
+                if let Some(colours) = &mut colours {
+                    colours.push(colour)?;
+                }
+            }
+            break;
         }
         vertices.flush()?;
         colours.as_mut().map(Vertices::flush).transpose()?;
-        let (columns, faces_left) = faces.unwrap_or_default();
-        let (corners, at_corners, polygon) = (Vec::new(), Vec::new(), Polygon::default());
-        Ok(Self { body, vertices, columns, faces_left, corners, polygon, colours, at_corners, faces_have })
+        Ok(Self {
+            body,
+            vertices,
+            elements,
+            kind: Kind::Other,
+            columns: Vec::new(),
+            left: 0,
+            strip: Strip::default(),
+            corners: Vec::new(),
+            polygon: Polygon::default(),
+            coloured,
+            colours,
+            at_corners: Vec::new(),
+            faces_have: false,
+        })
     }
-}
 
-impl PlyReader {
+    /// Goes on to the next elements; false behind the last.
+    fn next_elements(&mut self) -> bool {
+        let Some(element) = self.elements.next() else { return false };
+        self.columns = Column::all_of(&element);
+        self.left = element.count;
+        self.kind = match &element.name[..] {
+            "face" => Kind::Faces,
+            "tristrips" => Kind::Strips,
+            _ => Kind::Other,
+        };
+        self.faces_have = self.coloured && self.kind == Kind::Faces && has_colour(&self.columns);
+        self.strip = Strip::default();
+        true
+    }
+
+    /// The place and colour of a corner that a list names; the inner error: there is none.
+    fn corner(&mut self, index: f64) -> Result<Result<Corner>> {
+        // A whole number below 2⁵³, or no corner has it.
+        let number = (index >= 0.0 && index.fract() == 0.0).then_some(index as u64);
+        let place = number.map(|number| self.vertices.get(number)).transpose()?.flatten();
+        let (Some(number), Some(place)) = (number, place) else {
+            let all = self.vertices.len();
+            return Ok(Err(self.body.error(format!("there is no corner {index}: it has {all}"))));
+        };
+        let colour = self.colours.as_mut().map(|colours| colours.get(number)).transpose()?.flatten();
+        Ok(Ok((number, place, colour.map(|colour| colour.map(|value| value as u8)))))
+    }
+
     /// The corners of the next face, and its triangles; the inner error leaves the place of the next face known.
     fn face(&mut self, out: &mut MeshBatch, watch: &Watch) -> Result<Result<()>> {
-        let Self { body, vertices, columns, corners, polygon, colours, at_corners, faces_have, .. } = self;
+        let (mut corners, mut flat) = (std::mem::take(&mut self.corners), [0; 3]);
         corners.clear();
-        let mut flat = [0; 3];
-        body.element(columns, |role, value| match role {
+        self.body.element(&self.columns, |role, value| match role {
             Role::Corners => corners.push(value),
             Role::Channel(channel, white) => flat[channel] = byte_of(value, white),
             Role::Axis(_) | Role::Other => {}
         })?;
-        polygon.clear();
-        at_corners.clear();
-        for &index in &*corners {
-            // A whole number below 2⁵³, or no corner has it.
-            let number = (index >= 0.0 && index.fract() == 0.0).then_some(index as u64);
-            let corner = match number {
-                Some(number) => vertices.get(number)?,
-                None => None,
-            };
-            let Some(corner) = corner else {
-                let all = vertices.len();
-                return Ok(Err(body.error(format!("there is no corner {index}: it has {all}"))));
-            };
-            polygon.push(corner);
-            if let (Some(colours), Some(number)) = (colours.as_mut(), number) {
-                at_corners.push(colours.get(number)?.unwrap_or_default().map(|value| value as u8));
+        self.polygon.clear();
+        self.at_corners.clear();
+        for &index in &corners {
+            match self.corner(index)? {
+                Ok((_, place, colour)) => {
+                    self.polygon.push(place);
+                    self.at_corners.extend(colour);
+                }
+                Err(error) => return Ok(Err(error)),
             }
         }
-        let (mut found, colours) = (Vec::new(), at_corners);
+        self.corners = corners;
+        let Self { body, polygon, at_corners: colours, faces_have, .. } = self;
+        let mut found = Vec::new();
         let cut = polygon.triangles(|numbers| found.push(numbers), &|| watch.go_on())?;
         for numbers in found {
             let paint = match numbers.map(|number| colours.get(number)) {
@@ -260,25 +382,90 @@ impl PlyReader {
         }
         Ok(cut.map_err(|reason| body.error(reason)))
     }
+
+    /// Some numbers of an element with strips; whether it ends there.
+    fn strip(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
+        if self.strip.columns == 0 {
+            self.body.begin()?;
+        }
+        for _ in 0..FACES {
+            if self.strip.left == 0 {
+                let Some(column) = self.columns.get(self.strip.columns) else {
+                    self.strip = Strip::default();
+                    return self.body.finish().map(|()| true);
+                };
+                let columns = self.strip.columns + 1;
+                let left = column.list.map_or(Ok(1), |number| self.body.length(number, f64::from(u32::MAX)))?;
+                self.strip = Strip { columns, left, before: [None; 2] };
+                continue;
+            }
+            self.strip.left -= 1;
+            let Column { role, number, .. } = self.columns[self.strip.columns - 1];
+            let index = self.body.number(number)?;
+            if role != Role::Corners {
+                continue;
+            }
+            // −1 where the type has no sign.
+            let ends = index == -1.0 || number == Number::U32 && index == f64::from(u32::MAX);
+            let corner = match ends {
+                true => None,
+                false => self.corner(index)?.map(Some).or_else(|error| watch.lose(1, error).map(|()| None))?,
+            };
+            // One that is named twice joins strips, and makes no triangle.
+            if let ([Some(a), Some(b)], Some(c)) = (self.strip.before, corner)
+                && a.0 != b.0
+                && b.0 != c.0
+                && a.0 != c.0
+            {
+                let paint = match (a.2, b.2, c.2) {
+                    (Some(a), Some(b), Some(c)) => Paint::Corners([a, b, c]),
+                    _ => Paint::None,
+                };
+                out.push([a.1, b.1, c.1], paint);
+            }
+            self.strip.before = if corner.is_some() { [self.strip.before[1], corner] } else { [None; 2] };
+        }
+        Ok(false)
+    }
 }
 
 impl Triangles for PlyReader {
     fn read(&mut self, out: &mut MeshBatch, watch: &mut Watch) -> Result<bool> {
-        for _ in 0..FACES.min(self.faces_left) {
+        for _ in 0..FACES {
             if out.len() >= BATCH_TRIANGLES {
                 break;
             }
             watch.step()?;
-            match self.face(out, watch) {
-                Ok(face) => face.or_else(|error| watch.lose(1, error))?,
+            if self.left == 0 {
+                if self.next_elements() {
+                    continue;
+                }
+                self.body.end().or_else(|error| watch.lose(0, error))?;
+                return Ok(false);
+            }
+            let ended = match self.kind {
+                Kind::Faces => self.face(out, watch).map(|face| (true, face)),
+                Kind::Strips => self.strip(out, watch).map(|ended| (ended, Ok(()))),
+                Kind::Other => self.body.element(&self.columns, |_, _| ()).map(|()| (true, Ok(()))),
+            };
+            match ended {
+                Ok((ended, outcome)) => {
+                    outcome.or_else(|error| watch.lose(1, error))?;
+                    self.left -= u64::from(ended);
+                }
+                // The next element begins with the next line.
+                Err(error) if matches!(self.body, Body::Text { .. }) && !self.body.is_at_end()? => {
+                    watch.lose(1, error)?;
+                    self.strip = Strip::default();
+                    self.left -= 1;
+                }
                 Err(error) => {
-                    watch.lose(self.faces_left, error)?;
+                    watch.lose(self.left, error)?;
                     return Ok(false);
                 }
             }
-            self.faces_left -= 1;
         }
-        Ok(self.faces_left > 0)
+        Ok(true)
     }
 }
 
@@ -291,17 +478,24 @@ fn open_body(path: &Path, digest: &Digest) -> Result<(Body, Vec<Element>)> {
             break header;
         }
     };
-    let place = |name: &str| elements.iter().position(|element| element.name == name);
-    if let (Some(faces), Some(corners)) = (place("face"), place("vertex"))
-        && faces < corners
-    {
-        return Err(Error::input(path, "header", "faces come before their corners; write the file with corners first"));
+    let wrong = |reason: String| Err(Error::input(path, "header", reason));
+    let header = Header { encoding, elements };
+    if let Err(reason) = header.check() {
+        return wrong(reason);
     }
-    if let Some(empty) = elements.iter().position(|element| element.properties.is_empty() && element.count > 0) {
-        return Err(Error::input(path, "header", format!("element {} has no properties", empty + 1)));
+    let elements = header.elements;
+    let Some(corners) = elements.iter().position(|element| element.name == "vertex") else {
+        return wrong("it has no element \"vertex\"".into());
+    };
+    if elements[..corners].iter().any(|element| is_surface(element) && element.count > 0) {
+        return wrong("faces come before their corners; write the file with corners first".into());
+    }
+    let has_corners = |element: &&Element| Column::all_of(element).iter().any(|column| column.role == Role::Corners);
+    if let Some(none) = elements[corners..].iter().find(|element| is_surface(element) && !has_corners(element)) {
+        return wrong(format!("the element {} has no list \"vertex_indices\"", shown(none.name.as_bytes())));
     }
     let body = match encoding {
-        Encoding::Text => Body::Text(lines),
+        Encoding::Text => Body::Text { lines, begun: 0 },
         Encoding::Little | Encoding::Big => Body::Binary {
             reader: lines.into_reader(),
             path: path.to_path_buf(),

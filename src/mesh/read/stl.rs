@@ -1,9 +1,10 @@
 //! STL: the binary form (80 bytes, a count, 50 bytes a triangle) and the text form.
 //!
 //! Source: "StereoLithography Interface Specification", 3D Systems, 1989. Many binary files begin with "solid" as the
-//! text form does; so a file whose length is that of its count is binary, and so is one whose first bytes are no text.
+//! text form does; so a file whose length is that of its count is binary, and so is one whose first bytes are no text. Words of the
+//! text form may be in upper case, names of solids in any encoding.
 
-use super::text::{BYTE_ORDER_MARK, Lines};
+use super::text::{BYTE_ORDER_MARK, Lines, only_padding};
 use super::watch::{Digest, MeshSource, Watch};
 use super::{MeshBatch, Triangles};
 use crate::mesh::paint::Paint;
@@ -33,8 +34,10 @@ impl StlReader {
         let count = head.last_chunk().filter(|_| head.len() as u64 == HEAD_BYTES).map(|b| u32::from_le_bytes(*b));
         let expected = count.map(|count| HEAD_BYTES + u64::from(count) * TRIANGLE_BYTES as u64);
         let start = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&head);
-        let is_text = start.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace());
-        if start.trim_ascii_start().starts_with(b"solid") && is_text && expected != Some(bytes) {
+        // A count below 16,777,216 has a byte 0.
+        let is_text = start.iter().all(|byte| !byte.is_ascii_control() || byte.is_ascii_whitespace());
+        let begins = start.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
+        if begins && is_text && expected != Some(bytes) {
             reader.rewind().map_err(io("read the header"))?;
             return Ok(Self::Text { lines: Lines::new(reader, path, false), corners: Vec::new(), open: false });
         }
@@ -74,7 +77,14 @@ impl Triangles for StlReader {
                     out.push(corners, Paint::None);
                     *left -= 1;
                 }
-                Ok(*left > 0)
+                if *left > 0 {
+                    return Ok(true);
+                }
+                if !only_padding(reader).map_err(|e| Error::io(&path, "read what follows the triangles", e))? {
+                    let reason = format!("it states {all} triangles of 50 bytes, and more bytes follow them");
+                    watch.lose(0, Error::input(&path, "header, byte 80", reason))?;
+                }
+                Ok(false)
             }
             Self::Text { lines, corners, open } => {
                 for _ in 0..BATCH {
@@ -86,7 +96,7 @@ impl Triangles for StlReader {
                         return Ok(false);
                     }
                     let mut words = lines.words();
-                    match words.next() {
+                    match words.next().map(<[u8]>::to_ascii_lowercase).as_deref() {
                         Some(b"vertex") => corners.push(lines.corner(&mut words)?),
                         Some(b"endloop") => {
                             match corners[..] {

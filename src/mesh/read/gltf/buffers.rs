@@ -53,7 +53,9 @@ impl Buffers {
         let (open, all) = (vec![(0, file)], Vec::with_capacity(buffers.len()));
         let mut found = Self { files, open, all, cache: Blocks::new(), digest: digest.clone() };
         for (number, buffer) in buffers.iter().enumerate() {
-            let data = found.find(buffer, binary).map_err(|reason| error(path, number, reason))?;
+            // The binary part of a file is its first buffer.
+            let data =
+                found.find(buffer, binary.filter(|_| number == 0)).map_err(|reason| error(path, number, reason))?;
             let (stated, there) = (buffer.byte_length, data.len());
             if there < stated {
                 let reason = format!("it should have {stated} bytes and has {there}: it is cut");
@@ -66,6 +68,12 @@ impl Buffers {
 
     fn find(&mut self, buffer: &Buffer, binary: Option<BinaryPart>) -> Result<Data, String> {
         let Some(uri) = buffer.uri.as_deref() else {
+            if buffer.extensions.is_meshopt {
+                return Err(
+                    "its values are there compressed by EXT_meshopt_compression only; export the file without it"
+                        .into(),
+                );
+            }
             let (start, len) = binary.ok_or("it should lie in this file, which has no binary part")?;
             return Ok(Data::File { file: 0, start, len });
         };

@@ -4,8 +4,8 @@
 //! Materials, their textures and the colours of corners are read where colours are wanted ([`materials`]).
 //!
 //! What is used of the structure is held in memory and checked here; buffers are read piece by piece, and the places of
-//! parts follow from a walk through the nodes while they are read. Skins and morph targets stay at rest. Source: "glTF 2.0
-//! Specification", Khronos Group, chapters 3.5 to 3.7.
+//! parts follow from a walk through the nodes while they are read. Skins and morph targets stay at rest. Sources: "glTF 2.0
+//! Specification", Khronos Group, chapters 3.5 to 3.7; `KHR_mesh_quantization`; `EXT_mesh_gpu_instancing`.
 
 mod buffers;
 mod materials;
@@ -13,7 +13,7 @@ mod structure;
 
 use self::buffers::{BinaryPart, Buffers};
 use self::materials::{Coat, Materials};
-use self::structure::{Accessor, AccessorShape, NodeTransform, Primitive, SPLATS, Structure};
+use self::structure::{Accessor, AccessorShape, Instances, NodeTransform, Primitive, SPLATS, Sparse, Structure};
 use super::text::BYTE_ORDER_MARK;
 use super::texture::Textures;
 use super::watch::{Digest, MeshSource, Watch};
@@ -23,6 +23,7 @@ use crate::mesh::paint::{Paint, WHITE};
 use crate::{Error, Parameter, Result};
 use bitvec::vec::BitVec;
 use nalgebra::{Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
+use std::cmp::Ordering;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -40,7 +41,9 @@ const STRIP: u8 = 5;
 const FAN: u8 = 6;
 
 /// Types of components.
+const I8: u32 = 5120;
 const U8: u32 = 5121;
+const I16: u32 = 5122;
 const U16: u32 = 5123;
 const U32: u32 = 5125;
 const F32: u32 = 5126;
@@ -48,13 +51,32 @@ const F32: u32 = 5126;
 /// Equally typed values in a buffer.
 #[derive(Debug, Clone, Copy)]
 struct Values {
+    /// Zeros, if there are none.
+    place: Option<ValuePlace>,
+    count: u64,
+    /// Type of a component, its bytes, and whether whole numbers stand for shares of the greatest.
+    kind: u32,
+    size: usize,
+    normalized: bool,
+    /// Values that differ: their number, their indices in rising order, and they.
+    sparse: Option<(u64, (ValuePlace, usize), ValuePlace)>,
+}
+
+/// Where values lie, one every `stride` bytes.
+#[derive(Debug, Clone, Copy)]
+struct ValuePlace {
     buffer: usize,
     start: u64,
     stride: u64,
+}
+
+/// Where a node repeats its mesh.
+#[derive(Debug, Clone, Copy)]
+struct Copies {
+    translation: Option<Values>,
+    rotation: Option<Values>,
+    scale: Option<Values>,
     count: u64,
-    /// Type of a component, and its bytes.
-    kind: u32,
-    size: usize,
 }
 
 /// A part of a mesh in its place.
@@ -112,9 +134,13 @@ struct Level {
 #[derive(Default)]
 struct Traversal {
     levels: Vec<Level>,
-    /// Primitives of the node at hand that are still to come, and its place.
+    /// Primitives of the node at hand that are still to come, and their place.
     primitives: std::ops::Range<usize>,
     place: Matrix4<f64>,
+    /// All its primitives and its place, the copies of these that are still to come, and the first of them.
+    node: (std::ops::Range<usize>, Matrix4<f64>),
+    copies: Option<Copies>,
+    copy: u64,
 }
 
 pub(super) struct GltfReader {
@@ -141,14 +167,16 @@ impl GltfReader {
         if !structure.version.starts_with("2.") {
             return wrong(format!("expected glTF of version 2, found {:?}", structure.version));
         }
-        if structure.extension_required.as_ref().is_some_and(|extension| extension.contains(SPLATS)) {
+        if structure.extension_needed.as_ref().is_some_and(|extension| extension.contains(SPLATS)) {
             return wrong(
                 "it holds Gaussian splats, which are no mesh; convert the scan that they were made from, or their mesh"
                     .into(),
             );
         }
-        if let Some(extension) = &structure.extension_required {
-            return wrong(format!("it requires the extension {extension:?}; export the file without it"));
+        if let Some(extension) = &structure.extension_needed {
+            return wrong(format!(
+                "it needs the extension {extension:?}, which is not read; export the file without it"
+            ));
         }
         let buffers = Buffers::open(path, &structure.buffers, binary, digest)?;
         let textures = |alive| Textures::new(path, options.texture_bytes, digest, alive);
@@ -211,7 +239,9 @@ impl Checked {
             }
             if let Some(mesh) = node.mesh() {
                 let primitives = self.structure.mesh(mesh).ok_or_else(|| self.missing("mesh", mesh))?;
-                parts += primitives.len() as u64;
+                let copies = node.instances().map(|number| self.copies(number)).transpose()?;
+                let copies = copies.map_or(1, |copies| copies.count);
+                parts = parts.saturating_add(copies.saturating_mul(primitives.len() as u64));
                 for number in primitives.filter(|&number| !checked.replace(number, true)) {
                     watch.step()?;
                     let primitive = self.structure.primitives[number];
@@ -240,10 +270,20 @@ impl Checked {
     /// A primitive in its place; `None` if it has no triangles.
     fn part(&self, number: usize, place: Matrix4<f64>) -> Result<Option<PlacedPrimitive>> {
         let primitive = &self.structure.primitives[number];
+        if primitive.mode > FAN {
+            return Err(
+                self.error("structure", format!("a part of a mesh has the mode {}; expected 0 to 6", primitive.mode))
+            );
+        }
         let (TRIANGLES | STRIP | FAN, Some(positions)) = (primitive.mode, primitive.positions()) else {
             return Ok(None);
         };
-        let positions = self.values(positions, AccessorShape::Vec3, &[F32])?;
+        if primitive.is_draco && self.structure.accessors.get(positions).is_some_and(|of| of.buffer_view.is_none()) {
+            let reason =
+                "its parts are there compressed by KHR_draco_mesh_compression only; export the file without it";
+            return Err(self.error("structure", reason));
+        }
+        let positions = self.values(positions, AccessorShape::Vec3, &[F32, I8, U8, I16, U16])?;
         let indices =
             primitive.indices().map(|of| self.values(of, AccessorShape::Scalar, &[U8, U16, U32])).transpose()?;
         Ok(Some(PlacedPrimitive { place, mode: primitive.mode, positions, indices, number }))
@@ -258,17 +298,7 @@ impl Checked {
             let found = format!("{:?} of type {component_type}", accessor.shape);
             return Err(self.error(at(), format!("expected {shape:?} of type {kinds:?}, found {found}")));
         }
-        let (Some(view), false) = (accessor.buffer_view, accessor.sparse) else {
-            return Err(self.error(at(), "sparse values are not supported; export the file without them"));
-        };
-        let view = self.structure.views.get(view as usize).ok_or_else(|| self.missing("view", view))?;
-        let buffer = view.buffer as usize;
-        let bytes = self.buffers.len(buffer).ok_or_else(|| self.missing("buffer", buffer))?;
-        let size = match component_type {
-            U8 => 1,
-            U16 => 2,
-            _ => 4,
-        };
+        let size = size_of_kind(component_type);
         let whole = size as u64
             * match shape {
                 AccessorShape::Vec2 => 2,
@@ -276,51 +306,129 @@ impl Checked {
                 AccessorShape::Vec4 => 4,
                 AccessorShape::Scalar | AccessorShape::Other => 1,
             };
+        let place =
+            |view, offset, count, whole| self.place(view, offset, count, whole).map_err(|e| self.error(at(), e));
+        let sparse = match accessor.sparse {
+            None => None,
+            Some(Sparse { count: some, indices, values }) => {
+                let kind = indices.component_type;
+                if ![U8, U16, U32].contains(&kind) || some > count {
+                    return Err(self.error(at(), format!("{some} sparse values with indices of type {kind}")));
+                }
+                let size = size_of_kind(kind);
+                let of_indices = place(indices.buffer_view, indices.byte_offset, some, size as u64)?;
+                Some((some, (of_indices, size), place(values.buffer_view, values.byte_offset, some, whole)?))
+            }
+        };
+        let place = match accessor.buffer_view {
+            Some(view) => Some(place(view, accessor.byte_offset, count, whole)?),
+            None if sparse.is_some() => None,
+            None => return Err(self.error(at(), "it has no values")),
+        };
+        Ok(Values { place, count, kind: component_type, size, normalized: accessor.normalized, sparse })
+    }
+
+    /// Where `count` values of so many bytes lie, all of them within their view and their buffer.
+    fn place(&self, view: u32, offset: u64, count: u64, whole: u64) -> Result<ValuePlace, String> {
+        let of_number = self.structure.views.get(view as usize);
+        let view = of_number.ok_or_else(|| format!("there is no view {view}"))?;
+        let buffer = view.buffer as usize;
+        let bytes = self.buffers.len(buffer).ok_or_else(|| format!("there is no buffer {buffer}"))?;
         // Zero stands for no gaps.
         let stride = view.byte_stride.map_or(0, u64::from);
         let stride = if stride == 0 { whole } else { stride };
-        let start = view.byte_offset.checked_add(accessor.byte_offset);
+        let start = view.byte_offset.checked_add(offset);
         let needed = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(whole));
         let end = start.zip(needed).and_then(|(start, needed)| start.checked_add(needed));
         let limit = view.byte_offset.saturating_add(view.byte_length).min(bytes);
         match (start, end) {
-            (Some(start), Some(end)) if end <= limit => {
-                Ok(Values { buffer, start, stride, count, kind: component_type, size })
-            }
-            _ => Err(self.error(at(), format!("its {count} values reach beyond the {limit} bytes that hold them"))),
+            (Some(start), Some(end)) if end <= limit => Ok(ValuePlace { buffer, start, stride }),
+            _ => Err(format!("its {count} values reach beyond the {limit} bytes that hold them")),
         }
+    }
+
+    /// Reads from a place; zeros where there is none.
+    fn read_at(&mut self, place: Option<ValuePlace>, number: u64, out: &mut [u8]) -> Result<()> {
+        match place {
+            Some(ValuePlace { buffer, start, stride }) => self.buffers.read(buffer, start + number * stride, out),
+            None => {
+                out.fill(0);
+                Ok(())
+            }
+        }
+    }
+
+    /// The bytes of value `number`, which there must be.
+    fn read(&mut self, values: &Values, number: u64, out: &mut [u8]) -> Result<()> {
+        let Some((count, (indices, size), others)) = values.sparse else {
+            return self.read_at(values.place, number, out);
+        };
+        let (mut first, mut end) = (0, count);
+        while first < end {
+            let middle = first + (end - first) / 2;
+            let mut index = [0; 4];
+            self.read_at(Some(indices), middle, &mut index[..size])?;
+            match u64::from(u32::from_le_bytes(index)).cmp(&number) {
+                Ordering::Equal => return self.read_at(Some(others), middle, out),
+                Ordering::Less => first = middle + 1,
+                Ordering::Greater => end = middle,
+            }
+        }
+        self.read_at(values.place, number, out)
     }
 
     fn index(&mut self, values: &Values, number: u64) -> Result<u64> {
         let mut bytes = [0; 4];
-        self.buffers.read(values.buffer, values.start + number * values.stride, &mut bytes[..values.size])?;
+        self.read(values, number, &mut bytes[..values.size])?;
         Ok(u64::from(u32::from_le_bytes(bytes)))
+    }
+
+    /// The components of a value, which there must be.
+    fn numbers<const N: usize>(&mut self, values: &Values, number: u64) -> Result<[f64; N]> {
+        let mut bytes = [0; 16];
+        let size = values.size;
+        self.read(values, number, &mut bytes[..N * size])?;
+        let (kind, normalized) = (values.kind, values.normalized);
+        Ok(std::array::from_fn(|k| component(kind, normalized, &bytes[k * size..(k + 1) * size])))
     }
 
     fn position(&mut self, values: &Values, number: u64) -> Result<[f64; 3]> {
         if number >= values.count {
             return Err(self.error("indices", format!("there is no corner {number}: the part has {}", values.count)));
         }
-        let mut bytes = [0; 12];
-        self.buffers.read(values.buffer, values.start + number * values.stride, &mut bytes)?;
-        let (numbers, _) = bytes.as_chunks::<4>();
-        Ok([0, 1, 2].map(|axis| f64::from(f32::from_le_bytes(numbers[axis]))))
+        self.numbers(values, number)
     }
 
-    /// Some components of a value, those that are no floats as shares of the greatest; `None` where there is no such value.
+    /// The same of a value for colours; `None` where there is no such value.
     fn shares<const N: usize>(&mut self, values: &Values, number: u64) -> Result<Option<[f32; N]>> {
         if number >= values.count {
             return Ok(None);
         }
-        let (mut bytes, at) = ([0; 16], values.start + number * values.stride);
-        let size = values.size;
-        self.buffers.read(values.buffer, at, &mut bytes[..N * size])?;
-        let bits = |k: usize| (0..size).fold(0, |bits, byte| bits | u32::from(bytes[k * size + byte]) << (8 * byte));
-        Ok(Some(std::array::from_fn(|k| match values.kind {
-            U8 => bits(k) as f32 / 255.0,
-            U16 => bits(k) as f32 / 65535.0,
-            _ => f32::from_bits(bits(k)),
-        })))
+        self.numbers(values, number).map(|numbers| Some(numbers.map(|value| value as f32)))
+    }
+
+    /// Where a node repeats its mesh.
+    fn copies(&self, number: usize) -> Result<Copies> {
+        let Instances { translation, rotation, scale } = self.structure.instances[number];
+        let values = |of: Option<u32>, shape, kinds| of.map(|of| self.values(of as usize, shape, kinds)).transpose();
+        let translation = values(translation, AccessorShape::Vec3, &[F32])?;
+        let rotation = values(rotation, AccessorShape::Vec4, &[F32, I8, I16])?;
+        let scale = values(scale, AccessorShape::Vec3, &[F32])?;
+        let mut counts = [translation, rotation, scale].into_iter().flatten().map(|values| values.count);
+        let count = counts.next().unwrap_or(0);
+        if counts.any(|other| other != count) {
+            return Err(self.error("structure", "places, turns and sizes of the instances of a node differ in number"));
+        }
+        Ok(Copies { translation, rotation, scale, count })
+    }
+
+    /// Where one of the copies lies in its node.
+    fn copy(&mut self, copies: &Copies, number: u64) -> Result<Matrix4<f64>> {
+        let mut part = |values: Option<Values>| values.map(|values| self.numbers::<3>(&values, number)).transpose();
+        let (translation, scale) = (part(copies.translation)?, part(copies.scale)?);
+        let rotation = copies.rotation.map(|values| self.numbers::<4>(&values, number)).transpose()?;
+        let rotation = rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]);
+        Ok(placed(translation.unwrap_or_default(), rotation, scale.unwrap_or([1.0; 3])))
     }
 
     /// A triangle, and what colours it.
@@ -374,13 +482,16 @@ impl Checked {
             return Ok(None);
         }
         let coat = coat.unwrap_or(Coat::of_factor(WHITE));
-        let kinds = [F32, U8, U16];
+        let kinds = [F32, U8, U16, I8, I16];
         let places = primitive.places(coat.set).map(|of| self.values(of, AccessorShape::Vec2, &kinds)).transpose()?;
+        let kinds = [F32, U8, U16];
         let of_corners = |of: usize| match self.structure.accessors.get(of).map(|accessor| accessor.shape) {
             Some(AccessorShape::Vec4) => self.values(of, AccessorShape::Vec4, &kinds),
             _ => self.values(of, AccessorShape::Vec3, &kinds),
         };
         let colours = primitive.colours().map(of_corners).transpose()?;
+        // Whether they say so or not.
+        let colours = colours.map(|values| Values { normalized: true, ..values });
         Ok(Some(PartColours { coat, places, colours }))
     }
 
@@ -390,15 +501,41 @@ impl Checked {
             None => Matrix4::identity(),
             Some(NodeTransform::Matrix(matrix)) => Matrix4::from_iterator(matrix.into_iter().map(f64::from)),
             Some(NodeTransform::Parts { translation, rotation, scale }) => {
-                let wide = |v: [f32; 3]| Vector3::from(v.map(f64::from));
-                let [x, y, z, w] = rotation.map(f64::from);
-                let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-                Matrix4::new_translation(&wide(translation))
-                    * turn.to_homogeneous()
-                    * Matrix4::new_nonuniform_scaling(&wide(scale))
+                placed(translation.map(f64::from), rotation.map(f64::from), scale.map(f64::from))
             }
         }
     }
+}
+
+/// Bytes of a component.
+fn size_of_kind(kind: u32) -> usize {
+    match kind {
+        I8 | U8 => 1,
+        I16 | U16 => 2,
+        _ => 4,
+    }
+}
+
+/// A component; whole numbers that are normalized stand for shares of the greatest (glTF 2.0, section 3.6.2.2).
+fn component(kind: u32, normalized: bool, bytes: &[u8]) -> f64 {
+    let bits = bytes.iter().rev().fold(0, |bits, byte| bits << 8 | u32::from(*byte));
+    let (value, greatest) = match kind {
+        I8 => (f64::from(bits as u8 as i8), 127.0),
+        U8 => (f64::from(bits), 255.0),
+        I16 => (f64::from(bits as u16 as i16), 32_767.0),
+        U16 => (f64::from(bits), 65_535.0),
+        U32 => return f64::from(bits),
+        _ => return f64::from(f32::from_bits(bits)),
+    };
+    if normalized { (value / greatest).max(-1.0) } else { value }
+}
+
+/// Scaled, turned, then moved.
+fn placed(translation: [f64; 3], [x, y, z, w]: [f64; 4], scale: [f64; 3]) -> Matrix4<f64> {
+    let turn = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    Matrix4::new_translation(&Vector3::from(translation))
+        * turn.to_homogeneous()
+        * Matrix4::new_nonuniform_scaling(&Vector3::from(scale))
 }
 
 impl Traversal {
@@ -408,8 +545,7 @@ impl Traversal {
     }
 
     /// The next part, through nodes that were checked; `None` after the last.
-    fn next(&mut self, checked: &Checked, watch: &mut Watch) -> Result<Option<PlacedPrimitive>> {
-        let Structure { nodes, children, .. } = &checked.structure;
+    fn next(&mut self, checked: &mut Checked, watch: &mut Watch) -> Result<Option<PlacedPrimitive>> {
         loop {
             watch.step()?;
             if let Some(number) = self.primitives.next() {
@@ -418,6 +554,13 @@ impl Traversal {
                     None => continue,
                 }
             }
+            if let Some(copies) = self.copies.filter(|copies| self.copy < copies.count) {
+                self.place = self.node.1 * checked.copy(&copies, self.copy)?;
+                self.primitives = self.node.0.clone();
+                self.copy += 1;
+                continue;
+            }
+            let Structure { nodes, children, .. } = &checked.structure;
             let depth = self.levels.len();
             let Some(level) = self.levels.last_mut() else { return Ok(None) };
             let list = if depth == 1 { &checked.roots[..] } else { children.numbers() };
@@ -429,6 +572,10 @@ impl Traversal {
             self.place = level.above * checked.matrix(node.transform());
             self.primitives = node.mesh().and_then(|mesh| checked.structure.mesh(mesh)).unwrap_or_default();
             self.levels.push(Level { nodes: children.range(number), above: self.place });
+            (self.copies, self.copy) = (node.instances().map(|of| checked.copies(of)).transpose()?, 0);
+            if self.copies.is_some() {
+                self.node = (std::mem::take(&mut self.primitives), self.place);
+            }
         }
     }
 }
@@ -439,7 +586,7 @@ impl Triangles for GltfReader {
             let part = match &self.primitive {
                 Some(part) if self.triangle < part.len() => *part,
                 _ => {
-                    (self.primitive, self.triangle) = (self.traversal.next(&self.checked, watch)?, 0);
+                    (self.primitive, self.triangle) = (self.traversal.next(&mut self.checked, watch)?, 0);
                     if let Some(part) = &self.primitive {
                         let materials = self.materials.as_mut();
                         let colours = materials.map(|all| self.checked.colours(part.number, all, watch)).transpose()?;

@@ -8,8 +8,32 @@ use std::borrow::Cow;
 use std::cell::Cell;
 use std::marker::PhantomData;
 
-/// The one extension that may be required.
-const TEXTURE_TRANSFORM: &str = "KHR_texture_transform";
+/// Extensions that are read, and such that move no triangle and add none: looks, lights, texts about parts, animations (which
+/// rest) and coarser copies. A file may require them. Names that end in `_` stand for all that begin so.
+const HARMLESS: [&str; 20] = [
+    "KHR_mesh_quantization",
+    "EXT_mesh_gpu_instancing",
+    "KHR_materials_",
+    "EXT_materials_",
+    "ADOBE_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "MSFT_texture_dds",
+    "KHR_lights_",
+    "EXT_lights_",
+    "KHR_xmp",
+    "KHR_xmp_json_ld",
+    "KHR_animation_pointer",
+    "KHR_node_hoverability",
+    "KHR_node_selectability",
+    "EXT_mesh_features",
+    "EXT_instance_features",
+    "EXT_structural_metadata",
+    "CESIUM_primitive_outline",
+    "MSFT_lod",
+];
+/// Extensions that move triangles and are not read: files that use them are refused, whether they require them or not.
+const MOVING: [&str; 1] = ["CESIUM_RTC"];
 /// No number.
 const NONE: u32 = u32::MAX;
 /// What names of extensions for Gaussian splats hold.
@@ -60,12 +84,27 @@ pub enum NodeTransform {
 pub struct Node {
     mesh: u32,
     transform: u32,
+    instances: u32,
+}
+
+/// Accessors of the places in which a node repeats its mesh.
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+#[serde(default, rename_all = "UPPERCASE")]
+pub struct Instances {
+    pub translation: Option<u32>,
+    pub rotation: Option<u32>,
+    pub scale: Option<u32>,
 }
 
 impl Node {
     /// Number of its mesh.
     pub fn mesh(&self) -> Option<usize> {
         (self.mesh != NONE).then_some(self.mesh as usize)
+    }
+
+    /// Number of its instances.
+    pub fn instances(&self) -> Option<usize> {
+        some(self.instances)
     }
 
     /// Number of its transform.
@@ -84,6 +123,8 @@ pub struct Primitive {
     /// Places in textures, of the first two sets.
     places: [u32; 2],
     pub mode: u8,
+    /// Whether it is compressed by Draco; it may be there as it is too.
+    pub is_draco: bool,
 }
 
 fn some(number: u32) -> Option<usize> {
@@ -138,8 +179,30 @@ pub struct Accessor {
     pub count: u64,
     #[serde(rename = "type", deserialize_with = "shape")]
     pub shape: AccessorShape,
-    #[serde(default, deserialize_with = "is_there")]
-    pub sparse: bool,
+    #[serde(default)]
+    pub normalized: bool,
+    pub sparse: Option<Sparse>,
+}
+
+/// Values of an accessor that differ from those in its view.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct Sparse {
+    pub count: u64,
+    pub indices: SparsePart,
+    pub values: SparsePart,
+}
+
+/// Where their indices are, or the values.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub struct SparsePart {
+    pub buffer_view: u32,
+    #[serde(default)]
+    pub byte_offset: u64,
+    /// Of indices.
+    #[serde(default)]
+    pub component_type: u32,
 }
 
 /// A piece of a buffer.
@@ -160,6 +223,16 @@ pub struct Buffer<'a> {
     pub byte_length: u64,
     #[serde(borrow)]
     pub uri: Option<Cow<'a, str>>,
+    #[serde(default)]
+    pub extensions: BufferExtensions,
+}
+
+/// Whether a buffer stands in for one that is compressed.
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+#[serde(default)]
+pub struct BufferExtensions {
+    #[serde(rename = "EXT_meshopt_compression", alias = "KHR_meshopt_compression", deserialize_with = "is_there")]
+    pub is_meshopt: bool,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -172,8 +245,8 @@ struct Asset<'a> {
 #[derive(Debug, Default)]
 pub struct Structure<'a> {
     pub version: Cow<'a, str>,
-    /// One that is not supported: of splats, else the first.
-    pub extension_required: Option<Cow<'a, str>>,
+    /// An extension without which its triangles are not those that it means: of splats, else the first.
+    pub extension_needed: Option<Cow<'a, str>>,
     pub scene: Option<u32>,
     /// Root nodes by scene.
     pub scenes: Lists,
@@ -181,6 +254,7 @@ pub struct Structure<'a> {
     /// Children by node.
     pub children: Lists,
     pub transforms: Vec<NodeTransform>,
+    pub instances: Vec<Instances>,
     /// By primitive; `meshes` says which are those of a mesh.
     pub primitives: Vec<Primitive>,
     meshes: Vec<u32>,
@@ -302,16 +376,17 @@ impl<'a> Structure<'a> {
     /// The same without what it borrows from the text: version, extension, buffers and images.
     pub fn without_text(self) -> Structure<'static> {
         let Self { scene, scenes, nodes, children, transforms, primitives, meshes, accessors, views, .. } = self;
-        let Self { materials, textures, samplers, .. } = self;
-        let (version, extension_required, buffers, images) = Default::default();
+        let Self { instances, materials, textures, samplers, .. } = self;
+        let (version, extension_needed, buffers, images) = Default::default();
         Structure {
             version,
-            extension_required,
+            extension_needed,
             scene,
             scenes,
             nodes,
             children,
             transforms,
+            instances,
             primitives,
             meshes,
             accessors,
@@ -439,6 +514,20 @@ struct NodeText {
     translation: Option<[f32; 3]>,
     rotation: Option<[f32; 4]>,
     scale: Option<[f32; 3]>,
+    #[serde(default)]
+    extensions: NodeExtensions,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct NodeExtensions {
+    #[serde(rename = "EXT_mesh_gpu_instancing")]
+    instancing: Option<InstancingText>,
+}
+
+#[derive(Deserialize)]
+struct InstancingText {
+    attributes: Instances,
 }
 
 impl NodeText {
@@ -470,6 +559,15 @@ struct PrimitiveText {
     mode: u8,
     #[serde(default = "no_number")]
     material: u32,
+    #[serde(default)]
+    extensions: PrimitiveExtensions,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(default)]
+struct PrimitiveExtensions {
+    #[serde(rename = "KHR_draco_mesh_compression", deserialize_with = "is_there")]
+    is_draco: bool,
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -489,6 +587,7 @@ struct Attributes {
 enum Key {
     Asset,
     ExtensionsRequired,
+    ExtensionsUsed,
     Scene,
     Scenes,
     Nodes,
@@ -524,16 +623,12 @@ impl<'de> Visitor<'de> for Root<'_> {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
         let (Self(budget, colours), mut all) = (self, Structure::default());
-        let mut version = None;
+        let (mut version, mut required, mut used) = (None, Vec::<Cow<str>>::new(), Vec::<Cow<str>>::new());
         while let Some(key) = map.next_key()? {
             match key {
                 Key::Asset => version = Some(map.next_value::<Asset>()?.version),
-                Key::ExtensionsRequired => {
-                    let mut required = map.next_value::<Bounded<Cow<str>>>()?.0;
-                    required.retain(|name| name != TEXTURE_TRANSFORM);
-                    let splats = required.iter().position(|name| name.contains(SPLATS));
-                    all.extension_required = required.into_iter().nth(splats.unwrap_or(0));
-                }
+                Key::ExtensionsRequired => required = map.next_value::<Bounded<Cow<str>>>()?.0,
+                Key::ExtensionsUsed => used = map.next_value::<Bounded<Cow<str>>>()?.0,
                 Key::Scene => all.scene = Some(map.next_value()?),
                 Key::Scenes => {
                     let scenes = &mut all.scenes;
@@ -554,6 +649,13 @@ impl<'de> Visitor<'de> for Root<'_> {
             }
         }
         all.version = version.ok_or_else(|| A::Error::missing_field("asset"))?;
+        let is_harmless = |name: &Cow<str>| {
+            HARMLESS.iter().any(|of| if of.ends_with('_') { name.starts_with(of) } else { name == of })
+        };
+        required.retain(|name| !is_harmless(name));
+        required.extend(used.into_iter().filter(|name| MOVING.contains(&&**name)));
+        let splats = required.iter().position(|name| name.contains(SPLATS));
+        all.extension_needed = required.into_iter().nth(splats.unwrap_or(0));
         Ok(all)
     }
 }
@@ -576,17 +678,24 @@ impl Structure<'_> {
             transform = self.transforms.len() as u32;
             self.transforms.push(of_node);
         }
-        self.nodes.push(Node { mesh: node.mesh, transform });
+        let mut instances = NONE;
+        if let Some(of_node) = &node.extensions.instancing {
+            budget.take::<Instances>()?;
+            instances = self.instances.len() as u32;
+            self.instances.push(of_node.attributes);
+        }
+        self.nodes.push(Node { mesh: node.mesh, transform, instances });
         self.children.add(&node.children.0, budget)
     }
 
     fn add_mesh(&mut self, mesh: &MeshText, budget: &Budget) -> Result<(), Refusal> {
         budget.take::<u32>()?;
-        for &PrimitiveText { attributes, indices, mode, material } in &mesh.primitives.0 {
+        for &PrimitiveText { attributes, indices, mode, material, extensions } in &mesh.primitives.0 {
             budget.take::<Primitive>()?;
             let Attributes { position: positions, colour: colours, first_places, second_places } = attributes;
             let places = [first_places, second_places];
-            self.primitives.push(Primitive { positions, indices, material, colours, places, mode });
+            let PrimitiveExtensions { is_draco } = extensions;
+            self.primitives.push(Primitive { positions, indices, material, colours, places, mode, is_draco });
         }
         self.meshes.push(self.primitives.len() as u32);
         Ok(())
@@ -603,10 +712,11 @@ mod tests {
             "nodes":[{},{"mesh":3,"children":[0],"scale":[1,2,3],"extras":{}},{"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}],
             "meshes":[{"primitives":[]},{"primitives":[{"attributes":{"POSITION":7,"NORMAL":8},"material":1},
             {"attributes":{},"indices":2,"mode":5}]}],"bufferViews":[{"buffer":0,"byteLength":9}],
-            "accessors":[{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3","sparse":{}}],
+            "accessors":[{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3","sparse":{"count":1,
+            "indices":{"bufferView":1,"componentType":5123},"values":{"bufferView":2,"byteOffset":4}}}],
             "buffers":[{"byteLength":9,"uri":"a\u0041"}]}"#;
         let all = Structure::parse(json, 1 << 20, true).unwrap();
-        assert_eq!((&*all.version, all.scene, all.extension_required.is_some()), ("2.0", Some(1), false));
+        assert_eq!((&*all.version, all.scene, all.extension_needed.is_some()), ("2.0", Some(1), false));
         assert_eq!(&all.scenes.numbers()[all.scenes.range(1)], [1, 0]);
         assert_eq!((all.scenes.len(), all.scenes.range(0).len(), all.children.range(1)), (2, 0, 0..1));
         assert_eq!((all.nodes[1].mesh(), all.nodes[0].mesh(), all.nodes[2].transform()), (Some(3), None, Some(1)));
@@ -615,7 +725,9 @@ mod tests {
         let [one, other] = all.primitives[..] else { panic!() };
         assert_eq!((one.positions(), one.indices(), one.mode), (Some(7), None, 4));
         assert_eq!((other.positions(), other.indices(), other.mode), (None, Some(2), 5));
-        assert!(all.accessors[0].sparse && all.accessors[0].shape == AccessorShape::Vec3);
+        let sparse = all.accessors[0].sparse.unwrap();
+        assert_eq!((sparse.count, sparse.indices.component_type, sparse.values.byte_offset), (1, 5123, 4));
+        assert!(all.accessors[0].shape == AccessorShape::Vec3);
         assert_eq!(all.buffers[0].uri.as_deref(), Some("aA"));
     }
 
