@@ -4,6 +4,7 @@ use super::cloud;
 use super::convert::{self, Extras, TagField};
 use super::file::Content;
 use super::laz::{Chunking, PackedPoints, Wanted};
+use super::losses::without_path;
 use super::source::{ReadLog, Source};
 use super::{BATCH_POINTS, InputSet, PointBatch, PointCounts, las};
 use crate::colour::ColourSource;
@@ -253,14 +254,6 @@ impl PointDecoder {
             set.add_hash(piece.file, self.log.hash());
         }
         Ok(counts)
-    }
-}
-
-/// An error about a file whose name is told beside it.
-pub(super) fn without_path(error: Error) -> String {
-    match error {
-        Error::Input { at, reason, .. } => format!("{at}: {reason}"),
-        other => other.to_string(),
     }
 }
 

@@ -24,6 +24,14 @@ pub(crate) fn warn_incomplete(path: &Path, what: impl Display, monitor: &dyn Mon
     monitor.warn(&format!("{}: incomplete: {what}", path.display()).into());
 }
 
+/// An error about a file whose name is told beside it.
+pub(super) fn without_path(error: Error) -> String {
+    match error {
+        Error::Input { at, reason, .. } => format!("{at}: {reason}"),
+        other => other.to_string(),
+    }
+}
+
 /// What opening a file finds wrong.
 pub(super) struct Findings<'a> {
     pub path: &'a Path,

@@ -7,7 +7,7 @@ use super::text::{Lines, short};
 use super::values::{Channels, SAMPLE_PLACES, SAMPLE_POINTS, Sample, bytes_of};
 use super::{Cloud, Depth, Opening, Piece, Source, Taker, shown};
 use crate::colour::ColourSource;
-use crate::input::decode::without_path;
+use crate::input::losses::without_path;
 use crate::input::number::decimal;
 use crate::input::ply_header::{Element, Property};
 use crate::text::counted;
@@ -81,7 +81,8 @@ impl Fold {
         let missing = form.words - self.words;
         if found > missing {
             let of = if self.words > 0 { " to complete the point" } else { "" };
-            return Err(format!("expected {missing} values{of}, found {found}: {}", shown(line.trim_ascii())));
+            let expected = counted(missing as u64, "value");
+            return Err(format!("expected {expected}{of}, found {found}: {}", shown(line.trim_ascii())));
         }
         self.row.extend(line);
         self.row.push(b' ');
@@ -266,7 +267,8 @@ impl Body {
         let end = lines.position();
         let more = lines.count_rows(u64::MAX, false, opening.monitor)?;
         let behind = tail.iter().fold(0u64, |sum, element| sum.saturating_add(element.count));
-        if in_rows && held == stated && more == behind {
+        let as_many = held == stated && more == behind;
+        if in_rows && as_many {
             return Ok(Self { form, start, end, points: held, stated, folded: false });
         }
         let walk = form.walk(opening, start, stated, tail)?;
@@ -274,7 +276,7 @@ impl Body {
         if walk.wrong.is_none() {
             return Ok(Self { form, start, end: walk.end, points: stated, stated, folded });
         }
-        if !in_rows {
+        if !in_rows && !as_many {
             let (words, held) = (form.words, walk.held);
             let reason = walk.wrong.map(without_path).unwrap_or_default();
             let text = format!("the header states {stated} points of {words} values, {held} follow: {reason}");
@@ -285,10 +287,12 @@ impl Body {
             let text = format!("the header states {stated} points, {held} lines follow");
             opening.findings.lose_points(stated - held, text)?;
         } else if more > behind {
-            let extra = counted(more - behind, "more line");
-            let text = format!("the header states {stated} points, {extra} than that follow");
+            let extra = more - behind;
+            let text = format!("the header states {stated} points, {} lines follow", held + extra);
             opening.findings.lose_points(more - behind, text)?;
-        } else if let Some(error) = walk.wrong {
+        } else if more < behind
+            && let Some(error) = walk.wrong
+        {
             opening.findings.note(format!("behind its points: {}", without_path(error)));
         }
         Ok(Self { form, start, end, points: held, stated, folded: false })
@@ -425,8 +429,7 @@ pub(super) fn look_behind(opening: &mut Opening<'_, '_>, end: u64, stride: usize
         let is_padding = |byte: &u8| *byte == 0 || byte.is_ascii_whitespace();
         if !block[..got].iter().all(is_padding) {
             let more = opening.bytes - end;
-            let text =
-                format!("the header states {stated} points, behind its data {} more follow", counted(more, "byte"));
+            let text = format!("the header states {stated} points, but {} more follow its data", counted(more, "byte"));
             return opening.findings.lose_points(more / stride as u64, text);
         }
         if got == 0 {

@@ -19,8 +19,7 @@ mod text;
 mod values;
 
 use super::crs::Georeference;
-use super::decode::without_path;
-use super::losses::Findings;
+use super::losses::{Findings, without_path};
 use super::source::Source;
 use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts};
 use crate::colour::ColourSource;

@@ -8,7 +8,7 @@ use super::text::{BYTE_ORDER_MARK, Lines, only_padding};
 use super::watch::{Digest, MeshSource, Watch};
 use super::{MeshBatch, Triangles};
 use crate::mesh::paint::Paint;
-use crate::text::shown;
+use crate::text::{counted, shown};
 use crate::{Error, Result};
 use std::io::{BufReader, Read, Seek};
 use std::path::{Path, PathBuf};
@@ -81,7 +81,7 @@ impl Triangles for StlReader {
                     return Ok(true);
                 }
                 if !only_padding(reader).map_err(|e| Error::io(&path, "read what follows the triangles", e))? {
-                    let reason = format!("it states {all} triangles of 50 bytes, and more bytes follow them");
+                    let reason = format!("it states {} of 50 bytes, and more bytes follow", counted(*all, "triangle"));
                     watch.lose(0, Error::input(&path, "header, byte 80", reason))?;
                 }
                 Ok(false)

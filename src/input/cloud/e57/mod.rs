@@ -19,7 +19,7 @@ use super::values::{SAMPLE_POINTS, Sample, Scale};
 use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::colour::ColourSource;
 use crate::input::crs::Georeference;
-use crate::input::decode::without_path;
+use crate::input::losses::without_path;
 use crate::text::counted;
 use crate::{Error, Parameter, Result};
 use description::{CHANNELS, Contents, Description, Kind, Limits, MOST_BYTES, Undescribed, Wrong};

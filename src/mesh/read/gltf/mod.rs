@@ -174,9 +174,7 @@ impl GltfReader {
             );
         }
         if let Some(extension) = &structure.extension_needed {
-            return wrong(format!(
-                "it needs the extension {extension:?}, which is not read; export the file without it"
-            ));
+            return wrong(format!("it requires the extension {extension:?}; export the file without it"));
         }
         let buffers = Buffers::open(path, &structure.buffers, binary, digest)?;
         let textures = |alive| Textures::new(path, options.texture_bytes, digest, alive);
