@@ -69,6 +69,9 @@ fn points(count: usize) -> Vec<Point> {
     (0..count).map(|n| [n as f64 * 0.5, (n % 7) as f64, (n % 3) as f64 + 0.25]).collect()
 }
 
+/// A file, by its name.
+type Named = (String, Vec<u8>);
+
 const XYZ: &str = "property float x\nproperty float y\nproperty float z\n";
 
 /// A text PLY of points with a normal, written by `row`.
@@ -133,7 +136,7 @@ fn rows_and_counts_other_than_stated_are_refused_and_the_others_kept_where_allow
     let more = |name: &str, bytes: Vec<u8>, extra: &[u8]| (name.to_owned(), [&bytes[..], extra].concat());
     let binary = pcd(&all, Pcd::Binary);
     // Name and bytes; what is said; points that are left, and points that are missing.
-    let cases: [((String, Vec<u8>), &str, usize, u64); 14] = [
+    let cases: [(Named, &str, usize, u64); 14] = [
         (("a.ply".into(), with(9, "1 2 3 0 0\n").into()), "line 20: expected 6 values, found 5", 299, 1),
         (("a.ply".into(), with(9, "1 2 3 0 0 1 7\n").into()), "line 20: expected 6 values, found 7", 299, 1),
         (("a.ply".into(), with(9, "1 2 three 0 0 1\n").into()), "line 20: value 3: expected a number", 299, 1),
