@@ -69,6 +69,12 @@ fn points(count: usize) -> Vec<Point> {
     (0..count).map(|n| [n as f64 * 0.5, (n % 7) as f64, (n % 3) as f64 + 0.25]).collect()
 }
 
+/// The bytes with others in place of some of them.
+fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
+    let place = bytes.windows(from.len()).position(|of| of == from).unwrap();
+    [&bytes[..place], to, &bytes[place + from.len()..]].concat()
+}
+
 /// A file, by its name.
 type Named = (String, Vec<u8>);
 
@@ -136,7 +142,7 @@ fn rows_and_counts_other_than_stated_are_refused_and_the_others_kept_where_allow
     let more = |name: &str, bytes: Vec<u8>, extra: &[u8]| (name.to_owned(), [&bytes[..], extra].concat());
     let binary = pcd(&all, Pcd::Binary);
     // Name and bytes; what is said; points that are left, and points that are missing.
-    let cases: [(Named, &str, usize, u64); 14] = [
+    let cases: [(Named, &str, usize, u64); 15] = [
         (("a.ply".into(), with(9, "1 2 3 0 0\n").into()), "line 20: expected 6 values, found 5", 299, 1),
         (("a.ply".into(), with(9, "1 2 3 0 0 1 7\n").into()), "line 20: expected 6 values, found 7", 299, 1),
         (("a.ply".into(), with(9, "1 2 three 0 0 1\n").into()), "line 20: value 3: expected a number", 299, 1),
@@ -170,6 +176,12 @@ fn rows_and_counts_other_than_stated_are_refused_and_the_others_kept_where_allow
         (
             ("a.pcd".into(), pcd_text.replacen("WIDTH 300", "WIDTH 200", 1).into()),
             "states 300 points, but a width of 200 and a height of 1",
+            300,
+            0,
+        ),
+        (
+            ("d.pcd".into(), replaced(&pcd(&all, Pcd::Packed), b"WIDTH 300", b"WIDTH 400")),
+            "states 300 points, but a width of 400",
             300,
             0,
         ),

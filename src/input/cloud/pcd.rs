@@ -45,6 +45,8 @@ struct Header {
     points: u64,
     /// Width and height, where these make another number of points.
     grid: Option<(u64, u64)>,
+    /// Another number of points that it may be.
+    other: u64,
     data: String,
     moved: bool,
     end: u64,
@@ -145,7 +147,7 @@ impl Header {
         let of_grid = width.and_then(|width| width.checked_mul(height));
         let grid = width.filter(|_| points.is_some() && points != of_grid).map(|width| (width, height));
         let points = points.or(of_grid).ok_or_else(|| wrong("the header states no number of points".into()))?;
-        Ok(Self { fields: described, points, grid, data, moved, end: at as u64 })
+        Ok(Self { fields: described, points, grid, other: points, data, moved, end: at as u64 })
     }
 
     fn field(&self, names: &[&str]) -> Option<&PcdField> {
@@ -162,8 +164,9 @@ pub(super) fn open(opening: &mut Opening<'_, '_>) -> Result<Opened> {
         let points = header.points;
         let text = format!("the header states {points} points, but a width of {width} and a height of {height}");
         opening.findings.lose(text)?;
-        // All that one of the two speaks of.
-        header.points = points.max(width.saturating_mul(height));
+        // Packed data say which of the two is right; of others all is read that one of the two speaks of.
+        let grid = width.saturating_mul(height);
+        (header.points, header.other) = (points.max(grid), points.min(grid));
     }
     let header = header;
     let names = || header.fields.iter().map(|field| field.name.as_str()).collect::<Vec<_>>().join(" ");
@@ -263,17 +266,16 @@ fn open_packed(
     };
     let size = |at: usize| u64::from(u32::from_le_bytes([sizes[at], sizes[at + 1], sizes[at + 2], sizes[at + 3]]));
     let (packed, unpacked) = (size(0), size(4));
-    let expected = header.points.checked_mul(stride as u64);
-    if expected != Some(unpacked) || stride == 0 {
+    let fits = |points: &u64| points.checked_mul(stride as u64) == Some(unpacked);
+    let Some(mut points) = [header.points, header.other].into_iter().find(fits) else {
         let reason = format!(
             "the header states {} points of {stride} bytes, the data {unpacked} unpacked bytes: one of the two is damaged",
             header.points
         );
         return Err(opening.error(format!("byte {}", header.end + 4), reason));
-    }
+    };
     let start = header.end + 8;
     let held = opening.bytes.saturating_sub(start);
-    let mut points = header.points;
     if held < packed {
         let reason = format!("its compressed data have {packed} bytes, the file holds {held} of them");
         opening.findings.lose_points(points, reason)?;
