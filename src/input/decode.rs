@@ -217,11 +217,12 @@ impl PointDecoder {
     ) -> Result<PointCounts> {
         match outcome {
             Ok((missing, left)) => {
-                counts.missing = missing;
+                // Beside records that cannot be read, which the file tells of.
+                counts.missing += missing;
                 if counts.missing + counts.not_finite > 0 || left > 0 {
                     self.lost = true;
                     set.losses.add(piece.file, |loss| {
-                        loss.missing += counts.missing;
+                        loss.missing += missing;
                         loss.not_finite += counts.not_finite;
                         loss.uneven += u64::from(left > 0);
                     });

@@ -61,6 +61,8 @@ pub(super) struct Loss {
     /// Pieces that could not be read to their end, and the reason of one.
     pub damaged: u64,
     pub reason: Option<String>,
+    /// What the format found out, in words.
+    pub told: Vec<String>,
     pub changed: bool,
 }
 
@@ -78,6 +80,7 @@ impl Loss {
                 if self.damaged > 1 { format!(" (and {} pieces more)", self.damaged - 1) } else { String::new() };
             texts.push(format!("{reason}{more}"));
         }
+        texts.extend_from_slice(&self.told);
         if self.changed {
             texts.push("it was written to, cut or replaced while it was read".into());
         }

@@ -20,7 +20,7 @@ mod values;
 use super::crs::Georeference;
 use super::losses::Findings;
 use super::source::Source;
-use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts};
+use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts, TextLayout};
 use crate::colour::ColourSource;
 use crate::plan::{ClassSet, Up};
 use crate::text::shown;
@@ -59,6 +59,11 @@ pub(super) trait Cloud: Debug + Send + Sync {
     /// Hands the points of a piece to `taker`; returns how many are missing. The same points in the same order each time.
     fn decode(&self, piece: &Piece, source: &Source, scratch: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64>;
 
+    /// Checks what only all decoded pieces together tell, and forgets it. Cost: reads pieces that were not decoded, if need be.
+    fn check(&self, _findings: &mut Findings<'_>, _monitor: &dyn Monitor) -> Result<()> {
+        Ok(())
+    }
+
     /// All that decides, beside the bytes of the points, which pieces and coordinates these make.
     fn state(&self) -> Vec<u8>;
 
@@ -96,11 +101,13 @@ pub(super) struct Opened {
     pub georeference: Georeference,
     /// How the file was understood, where that takes guessing.
     pub said: Option<String>,
+    /// Columns and first points of text.
+    pub text: Option<TextLayout>,
 }
 
 impl Opened {
     fn new(cloud: impl Cloud + 'static) -> Self {
-        Self { cloud: Box::new(cloud), georeference: Georeference::default(), said: None }
+        Self { cloud: Box::new(cloud), georeference: Georeference::default(), said: None, text: None }
     }
 }
 
@@ -200,6 +207,7 @@ pub(super) struct Taker<'a> {
     sink: &'a mut dyn FnMut(&PointBatch) -> Result<()>,
     /// The error came from whoever takes the batches.
     pub refused: bool,
+    allow_incomplete: bool,
     colour: Option<ColourSource>,
     /// What values are multiplied by.
     widen: u16,
@@ -217,7 +225,8 @@ impl<'a> Taker<'a> {
         let exclude = Some(&options.exclude_classes).filter(|classes| !classes.is_empty());
         let counts = PointCounts::default();
         let colour = options.colour;
-        Self { unit, up: options.up, exclude, batch, counts, since: 0, sink, refused: false, colour, widen: 1 }
+        let (up, allow_incomplete) = (options.up, options.allow_incomplete);
+        Self { unit, up, exclude, batch, counts, since: 0, sink, refused: false, allow_incomplete, colour, widen: 1 }
     }
 
     /// Makes values of 8 bits those of 16.
@@ -294,6 +303,15 @@ impl<'a> Taker<'a> {
         self.counts.read += 1;
         self.counts.withheld += 1;
         self.step()
+    }
+
+    /// A record that cannot be read: counted as missing where that is allowed; whether it is.
+    pub fn lose(&mut self) -> Result<bool> {
+        if self.allow_incomplete {
+            self.counts.missing += 1;
+            self.step()?;
+        }
+        Ok(self.allow_incomplete)
     }
 
     #[inline]
