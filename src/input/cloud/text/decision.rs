@@ -5,7 +5,8 @@
 //!   or a column is always empty and has no name.
 //! - The number of cells of a row is that of most rows. Each row must have it; empty cells at its end do not count.
 //! - Names come from the line before the rows that is none, else from the comment nearest to the rows that names x, y and z.
-//!   They fit if there are as many as cells. One fewer fits if the first column is no number or counts up: names of rows.
+//!   They fit if there are as many as cells. One fewer fits if the first column holds names of rows (it is in quotes, or text or
+//!   a number that counts up before the first coordinate), or if a blank parts dates from times.
 //!   More fit, where blanks separate them, if they can be joined in one way only: `Point ID X Y Z`. A comment may have other
 //!   words before and behind. Anything else is refused, but a comment whose first names are x, y and z, which says what holds
 //!   without one.
@@ -20,8 +21,10 @@ use super::heading::{NameUnit, NoAxes, axes, is_neutral, places, unit_of};
 use super::layout::{Cell, Places, RgbPlaces, RowLayout, Separator, unquoted};
 use crate::input::Columns;
 
-/// Most words of a header that are joined to names.
+/// Most names of a header that are looked at, most words that are joined to names, and by how much fewer.
+const MOST_NAMES: usize = 4096;
 const MOST_WORDS: usize = 256;
+const MOST_JOINED: usize = 16;
 
 /// What columns hold that no header names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -112,9 +115,11 @@ fn names(header: &[u8], separator: Separator) -> Vec<String> {
         // Only a blank parts a mark from names: a tab behind it is an empty name.
         begin = behind.strip_prefix(b" ").unwrap_or(behind);
     }
-    let text = |cell: &[u8]| String::from_utf8_lossy(unquoted(cell)).into_owned();
+    // Older programs write Latin-1.
+    let latin = |cell: &[u8]| cell.iter().map(|&byte| char::from(byte)).collect();
+    let text = |cell: &[u8]| std::str::from_utf8(unquoted(cell)).map_or_else(|_| latin(unquoted(cell)), str::to_owned);
     let mut names: Vec<String> =
-        separator.cells(begin).unwrap_or_default().iter().take(MOST_WORDS).map(|cell| text(cell)).collect();
+        separator.cells(begin).unwrap_or_default().iter().take(MOST_NAMES).map(|cell| text(cell)).collect();
     if separator == Separator::Blanks {
         // A unit in brackets belongs to the name before it.
         let mut joined: Vec<String> = Vec::new();
@@ -218,6 +223,15 @@ impl<'a> Table<'a> {
         self.mostly(column, |cell| !is_number(cell))
     }
 
+    /// Whether a date stands there and a time behind it, parted by a blank.
+    fn is_time(&self, column: usize) -> bool {
+        let has =
+            |cell: &[u8], byte| cell.iter().filter(|other| **other == byte).count() >= 1 && cell[0].is_ascii_digit();
+        let is_date = |cell: &[u8]| has(cell, b'-') || has(cell, b'/') || has(cell, b'.');
+        let is_date = self.is_text(column) && self.mostly(column, is_date);
+        self.separator == Separator::Blanks && is_date && self.mostly(column + 1, |cell| has(cell, b':'))
+    }
+
     /// Whether this column alone stands in quotes.
     fn is_quoted(&self, column: usize) -> bool {
         let is_quoted = |column| self.mostly(column, |cell| cell.starts_with(b"\""));
@@ -246,9 +260,14 @@ impl<'a> Table<'a> {
         if (self.least..=self.most).contains(&names.len()) && has_axes(names) {
             return Some(names.to_vec());
         }
-        let of_rows = self.is_text(0) || self.is_quoted(0) || self.counts_up();
-        if (self.least..=self.most).contains(&(names.len() + 1)) && of_rows && has_axes(names) {
-            return Some([&[String::new()], names].concat());
+        if (self.least..=self.most).contains(&(names.len() + 1)) && has_axes(names) {
+            let begins_with_axis = axes(names).is_ok_and(|axes| axes.contains(&0));
+            if self.is_quoted(0) || begins_with_axis && (self.is_text(0) || self.counts_up()) {
+                return Some([&[String::new()], names].concat());
+            }
+            if let Some(date) = (0..names.len()).find(|&column| self.is_time(column)) {
+                return Some([&names[..=date], &[String::new()], &names[date + 1..]].concat());
+            }
         }
         if separator != Separator::Blanks || names.len() <= self.most {
             return None;
@@ -315,6 +334,14 @@ impl<'a> Table<'a> {
         }
     }
 
+    /// Places without those of class, colours and intensity that hold text: names of classes are no numbers.
+    fn without_text(&self, places: Places) -> Places {
+        let is_number = |column: &usize| !self.is_text(*column);
+        let each = |rgb: &RgbPlaces| matches!(rgb, RgbPlaces::Each(each) if each.iter().all(is_number));
+        let (class, intensity) = (places.class.filter(is_number), places.intensity.filter(is_number));
+        Places { class, intensity, rgb: places.rgb.filter(each), ..places }
+    }
+
     /// Whether numbers in these columns have decimal commas; the coordinates must agree.
     fn decimal_comma(&self, places: &Places) -> Result<bool> {
         let has = |column: usize, byte: u8| {
@@ -373,7 +400,7 @@ fn joined_between(words: &[String], width: usize) -> Option<Vec<String>> {
     let [a, b, c] = ends;
     let runs = [&words[..a], &words[a + 1..b], &words[b + 1..c], &words[c + 1..]];
     let room = runs.map(|run| run.len().saturating_sub(1));
-    let more = words.len().checked_sub(width)?;
+    let more = words.len().checked_sub(width).filter(|&more| words.len() <= MOST_WORDS && more <= MOST_JOINED)?;
     let mut ways = Vec::new();
     for first in 0..=room[0].min(more) {
         for second in 0..=room[1].min(more - first) {
@@ -453,7 +480,7 @@ pub(super) fn decide(beginning: &Beginning<'_>, columns: Option<Columns>, custom
         }
         None => {
             let found = axes(&named).map_err(|_| Refusal::of_header("expected columns named x, y and z"))?;
-            (places(&named, found), Some(named.len().max(table.least)))
+            (table.without_text(places(&named, found)), Some(named.len().max(table.least)))
         }
     };
     for (&column, axis) in places.axes.iter().zip(["x", "y", "z"]) {
@@ -544,6 +571,9 @@ mod tests {
             "Local X Local Y Local Z\n1 2.5 -3",
             "x y z\n\"1\" 1 2.5 -3",
             "x y z\nP0 1 2.5 -3",
+            "time x y z\n2026-01-01 12:00:00 1 2.5 -3",
+            "x y time z\n1 2.5 01.02.2026 12:00 -3",
+            "x y z class\n1 2.5 -3 ground",
             "x y z\n1 7 8 9\n2 6 7 8\n3 1 2.5 -3",
             "x,y,z\nP0,1,2.5,-3",
         ] {
@@ -579,6 +609,7 @@ mod tests {
             ("x,y,z\n1,5,2,5,3,5", "it names 3 columns, the rows have 6"),
             ("Point ID X Y Z Scan Angle\n0 1 2.5 -3 77 9", "it names 7 columns, the rows have 6"),
             ("# y x z\n1 2 3 4", "it names 3 columns, the rows have 4"),
+            ("id x y z note\nP1 1 2.5 -3 4 5", "it names 5 columns, the rows have 6"),
             ("X (mm),Y (m),Z (m)\n1,2,3", "different units"),
             ("name,x,y,z\n1,P0,2,3,\n", "found \"P0\""),
         ] {
@@ -591,6 +622,9 @@ mod tests {
     fn names_state_units_and_channels() {
         let found = decided("X (mm),Y (mm),Z (mm),Rf,Gf,Bf,Intensity,Class\n1,2,3,0,0,0,5,2", None).unwrap();
         assert_eq!(found.units, [Some(NameUnit::Metres(0.001)); 3]);
+        let latin = [&b"Rechtswert;Hochwert;H\xF6he"[..], b"1;2;3"];
+        let beginning = Beginning { comments: &[], header: Some(latin[0]), rows: &[latin[1].to_vec()] };
+        assert_eq!(decide(&beginning, None, Custom::Xyz).unwrap().names[2], "Höhe");
         let Places { rgb, intensity, class, .. } = found.places;
         assert_eq!((rgb, intensity, class), (Some(RgbPlaces::Each([3, 4, 5])), Some(6), Some(7)));
     }

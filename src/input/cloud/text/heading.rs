@@ -28,9 +28,9 @@ const HEIGHTS: [&[&str]; 6] = [
 /// Rank of an elevation among them.
 const ELEVATION: usize = 2;
 /// Names of angles and the like that stand beside an elevation angle.
-const ANGLES: [&str; 6] = ["azimuth", "azi", "bearing", "zenith", "inclination", "angle"];
+const ANGLES: [&str; 5] = ["azimuth", "azi", "bearing", "zenith", "inclination"];
 /// Words beside the name of an axis that change nothing.
-const NEUTRAL: [&str; 44] = [
+const NEUTRAL: [&str; 43] = [
     "coord",
     "coords",
     "coordinate",
@@ -71,11 +71,13 @@ const NEUTRAL: [&str; 44] = [
     "msl",
     "amsl",
     "asl",
-    "navd88",
     "nhn",
     "abs",
     "absolute",
 ];
+
+/// Names of systems that a number follows.
+const SYSTEMS: [&str; 9] = ["utm", "etrs", "wgs", "lv", "epsg", "navd", "dhhn", "nad", "osgb"];
 
 /// A unit that a name states.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -132,7 +134,7 @@ impl Name {
     /// Whether it is one of `wanted`, and if so, whether other words stand beside it.
     fn is_one_of(&self, wanted: &[&str]) -> Option<bool> {
         let is_wanted = |word: &&String| wanted.contains(&word.as_str());
-        let others = |word: &&String| !NEUTRAL.contains(&word.as_str());
+        let others = |word: &&String| !is_neutral_word(word);
         let named = self.words.iter().filter(is_wanted).count() == 1;
         let plain = self.words.iter().filter(|word| !is_wanted(word)).filter(others).count() == 0;
         (named && plain && self.unit() != Some(NameUnit::Angle)).then_some(self.words.len() > 1)
@@ -170,7 +172,13 @@ pub(super) fn unit_of(name: &str) -> Option<NameUnit> {
 /// Whether a word says nothing but what another names, as `coordinate` and `[m]` do.
 pub(super) fn is_neutral(word: &str) -> bool {
     let name = Name::of(word);
-    name.words.iter().all(|word| NEUTRAL.contains(&word.as_str()))
+    name.words.iter().all(|word| is_neutral_word(word))
+}
+
+/// Whether a word says nothing of what a column holds; systems have numbers, as `utm32` does.
+fn is_neutral_word(word: &str) -> bool {
+    let system = word.trim_end_matches(|c: char| c.is_ascii_digit());
+    NEUTRAL.contains(&word) || system.len() < word.len() && SYSTEMS.contains(&system)
 }
 
 /// The column of these names that is one of `wanted`; `None` if none is.
@@ -258,6 +266,8 @@ mod tests {
             ("Rechtswert,Hochwert,Höhe", [0, 1, 2]),
             ("P,N,E,Z,D", [2, 1, 3]),
             ("X,Y,Altitude (m)", [0, 1, 2]),
+            ("X_UTM32,Y_UTM32,Z_DHHN2016", [0, 1, 2]),
+            ("X,Y,Elevation,ScanAngleRank", [0, 1, 2]),
             ("x,y,z,z_std,dz,x_error", [0, 1, 2]),
         ] {
             assert_eq!(of(names), Ok(found), "{names}");
