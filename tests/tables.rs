@@ -307,6 +307,17 @@ fn numbers_of_points_are_checked_while_rows_are_read() {
             Err(error) => assert!(!words.is_empty() && error.to_string().contains(words), "{error}"),
         }
     }
+    // What is left of a packed text that is cut, and no more of a count that is 0.
+    let cut = gzip(format!("250000\n{text}").as_bytes());
+    fs::write(at("cut.xyz.gz"), &cut[..cut.len() / 2]).unwrap();
+    let (found, _, said) = read_rest(&at("cut.xyz.gz"));
+    assert!(
+        found.len() > 50_000 && said.contains("cannot be unpacked") && said.contains("states 250000 points"),
+        "{said}"
+    );
+    fs::write(at("zero.pts"), "0\n1 2 3\n").unwrap();
+    let (found, _, said) = read(&at("zero.pts")).unwrap();
+    assert!(found.len() == 1 && said.iter().any(|said| said.contains("states 0 points, 1 line follows")), "{said:?}");
     fs::write(at("none.xyz"), "5\n").unwrap();
     assert!(read(&at("none.xyz")).unwrap_err().to_string().contains("states 5 points, no lines follow"));
     // A run that goes on from an earlier one checks all, too.
@@ -401,7 +412,7 @@ fn packed_text_without_rows_can_be_interrupted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.xyz.gz");
     let empty = vec![b'\n'; 64 << 20];
-    let open = |monitor: &dyn Monitor| InputSet::open(&[path.clone()], InputOptions::default(), monitor);
+    let open = |monitor: &dyn Monitor| InputSet::open(std::slice::from_ref(&path), InputOptions::default(), monitor);
     fs::write(&path, gzip(&empty)).unwrap();
     assert!(matches!(open(&Impatient(AtomicU64::new(0), 20)), Err(Error::Interrupted)));
     // Rows, and then none: whoever takes the points is asked at least once a MiB.

@@ -65,6 +65,9 @@ pub(in crate::input::cloud) enum Step {
     Pause,
 }
 
+/// A line: its place in the text, and its bytes; `None` in place of too many.
+type Line<'a> = (u64, Option<&'a [u8]>);
+
 /// Hands out line after line.
 pub(in crate::input::cloud) struct Lines<'a> {
     source: &'a Source,
@@ -237,10 +240,10 @@ impl<'a> Lines<'a> {
         }
     }
 
-    /// Goes to the next line: its place in the text, and its bytes.
-    pub fn next(&mut self) -> Result<Option<(u64, &[u8])>> {
-        let Some(line) = self.find()? else { return Ok(None) };
-        Ok(Some((self.at + line.start as u64, &self.block[line])))
+    /// Goes to the next line.
+    pub fn next(&mut self) -> Result<Option<Line<'_>>> {
+        let Some((line, is_whole)) = self.find_any()? else { return Ok(None) };
+        Ok(Some((self.at + line.start as u64, is_whole.then_some(&self.block[line]))))
     }
 
     /// Goes to the next line that is neither empty nor a comment.
@@ -427,7 +430,7 @@ mod tests {
     fn all(mut lines: Lines<'_>) -> Result<Vec<(u64, String)>> {
         let mut found = Vec::new();
         while let Some((at, line)) = lines.next()? {
-            found.push((at, String::from_utf8_lossy(line).into_owned()));
+            found.push((at, String::from_utf8_lossy(line.unwrap()).into_owned()));
         }
         Ok(found)
     }

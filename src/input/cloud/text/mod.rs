@@ -43,6 +43,8 @@ const MOST_CLOUDS: usize = 1 << 16;
 const LOOKED_AT: usize = 256;
 /// Comments before them.
 const MOST_COMMENTS: usize = 64;
+/// Name of the format of tables whose columns a user may name.
+const TABLE: &str = "text";
 /// Points that people are shown.
 const SHOWN_POINTS: usize = 3;
 
@@ -157,6 +159,17 @@ impl Rows {
             return None;
         }
         Some((of.pose.map_or(at, |pose| pose.apply(at)), class, value))
+    }
+
+    /// An error at the row that `lines` handed out last.
+    #[cold]
+    fn row_error(&self, fault: Fault, lines: &Lines<'_>) -> Error {
+        match fault.is_width && self.format == TABLE {
+            true => lines.error(fault.reason).with_way_out(Parameter::Columns),
+            false => {
+                lines.error(format!("{}; fetch or write it again", fault.reason)).with_way_out(Parameter::Incomplete)
+            }
+        }
     }
 
     /// Whether a row states a number of points, as a PTS may do before each cloud.
@@ -298,7 +311,7 @@ impl Cloud for Rows {
         let (layout, scale) = (&self.layout, self.channels.scale());
         let reading = Reading { layout, values: taker.wanted().and_then(|source| layout.with_values(source)), scale };
         let mut tally = Tally::default();
-        self.each_row(piece, source, |at, part, next, lines| {
+        let done = self.each_row(piece, source, |at, part, next, lines| {
             taker.begin_cloud(part)?;
             let segment = &self.segments[part];
             let fault = match next {
@@ -325,13 +338,14 @@ impl Cloud for Rows {
             };
             tally.add_row();
             if !taker.lose()? {
-                return Err(row_error(fault, lines));
+                return Err(self.row_error(fault, lines));
             }
             tally.add_fault(at, fault.reason);
             Ok(true)
-        })?;
+        });
+        // Also of what comes before damage.
         self.found.lock().unwrap_or_else(PoisonError::into_inner).insert(piece.first, tally);
-        Ok(0)
+        done.map(|()| 0)
     }
 
     fn check(&self, findings: &mut Findings<'_>, monitor: &dyn Monitor) -> Result<()> {
@@ -377,14 +391,6 @@ impl Cloud for Rows {
             None => Standpoint::Unknown(format!("{} does not say where the scanner stood", self.format)),
         };
         self.segments.iter().enumerate().map(of_segment).collect()
-    }
-}
-
-/// An error at the row that `lines` handed out last.
-fn row_error(fault: Fault, lines: &Lines<'_>) -> Error {
-    match fault.is_width {
-        true => lines.error(fault.reason).with_way_out(Parameter::Columns),
-        false => lines.error(format!("{}; fetch or write it again", fault.reason)).with_way_out(Parameter::Incomplete),
     }
 }
 
@@ -441,6 +447,13 @@ impl Start {
                 start.is_whole = true;
                 break;
             };
+            let Some(line) = line else {
+                // Behind the first row it is a bad row as any other.
+                if start.first.is_none() {
+                    return Err(lines.error(Fault::too_long().reason));
+                }
+                continue;
+            };
             let text = line.trim_ascii();
             let is_comment = text.starts_with(b"#") || text.starts_with(b"//");
             if text.is_empty() || is_comment && start.first.is_some() {
@@ -482,7 +495,7 @@ impl Start {
 fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
     let (mut lines, packing) = begin(opening)?;
     let Start { comments, header, count, first, rows, is_whole } = Start::read(&mut lines, custom)?;
-    let format = if custom == Custom::Pts { "PTS" } else { "text" };
+    let format = if custom == Custom::Pts { "PTS" } else { TABLE };
     let Some((start, first_line)) = first else {
         if let Some(count) = count.filter(|&count| count > 0) {
             opening.findings.lose(format!("its first line states {count} points, no lines follow"))?;
@@ -500,7 +513,14 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
         Beginning { comments: &comments, header: header.as_ref().map(|(header, _)| &header[..]), rows: &rows };
     let decided = decide(&beginning, columns, custom).map_err(|refusal| {
         let line = header.as_ref().filter(|_| refusal.is_of_header).map_or(first_line, |header| header.1);
-        opening.error(format!("line {line}"), refusal.reason).with_way_out(Parameter::Columns)
+        let at = format!("line {line}");
+        match custom {
+            Custom::Pts => {
+                let way_out = "give it the ending .txt and name its columns";
+                opening.error(at, format!("{}; {way_out}", refusal.reason))
+            }
+            _ => opening.error(at, refusal.reason).with_way_out(Parameter::Columns),
+        }
     })?;
     let Decision { layout, places, cells, names, units } = decided;
     let kind = if custom == Custom::Pts && names.is_empty() { Kind::Custom } else { Kind::Any };
@@ -510,7 +530,7 @@ fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
     let guess = if is_whole { rows.len() as u64 } else { opening.bytes / mean.max(1) };
     // Of packed text and of several clouds, the first line or the guess may be far off.
     let near = count.filter(|count| (guess / 2..=guess.saturating_mul(2)).contains(count));
-    let segment = Segment { cells, ..Segment::plain(start, end, near.unwrap_or(guess)) };
+    let segment = Segment { cells, ..Segment::plain(start, end, near.unwrap_or(guess).max(1)) };
     let text = text_layout(&layout, &places, &names, &rows, |row| layout.parse(row, cells).ok().map(|row| row.0));
     let is_said = custom != Custom::Pts || !names.is_empty();
     let said = is_said.then(|| format!("read as text: {text}"));

@@ -42,7 +42,9 @@ impl Uneven {
     fn text(&self, may_repeat: bool) -> String {
         let Self { cloud, stated, rows } = self;
         let cloud = if may_repeat { format!("cloud {}: ", cloud + 1) } else { String::new() };
-        format!("{cloud}its first line states {stated} points, {rows} lines follow")
+        let points = if *stated == 1 { "point" } else { "points" };
+        let follow = if *rows == 1 { "line follows" } else { "lines follow" };
+        format!("{cloud}its first line states {stated} {points}, {rows} {follow}")
     }
 }
 
@@ -154,7 +156,7 @@ mod tests {
         assert_eq!(check(Some(5), &[piece(&[(None, 2)]), piece(&[]), piece(&[(None, 3)])]), nothing);
         assert_eq!(check(None, &[piece(&[(None, 2), (Some(1), 1)])]), nothing);
         let two = [piece(&[(None, 2), (Some(7), 3)]), piece(&[(None, 4), (Some(0), 0), (Some(2), 1)])];
-        assert_eq!(check(Some(2), &two), ["cloud 4: its first line states 2 points, 1 lines follow"]);
+        assert_eq!(check(Some(2), &two), ["cloud 4: its first line states 2 points, 1 line follows"]);
         let two = [piece(&[(None, 2), (Some(7), 3)]), piece(&[(None, 3), (Some(1), 1), (Some(2), 4)])];
         let found = check(Some(2), &two);
         assert_eq!(found[0], "cloud 2: its first line states 7 points, 6 lines follow");
