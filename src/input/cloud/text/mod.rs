@@ -324,6 +324,13 @@ impl Cloud for Rows {
                         }
                         return Ok(true);
                     }
+                    // Rows without a return may end before the colours.
+                    Err(_)
+                        if self.zero_is_absent && self.layout.parse(row, None).is_ok_and(|row| row.0 == [0.0; 3]) =>
+                    {
+                        tally.add_row();
+                        return taker.absent().map(|()| true);
+                    }
                     Err(fault) => match self.count_in(row) {
                         Some(stated) => {
                             tally.add_count(stated);
