@@ -158,6 +158,19 @@ pub fn finite_number(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| "expected a number".into())
 }
 
+/// Length of the quoted text that `text` begins with, its quotes included; a quote inside is doubled. `None`: it does not end.
+#[cfg(feature = "convert")]
+pub(crate) fn quoted_len(text: &[u8]) -> Option<usize> {
+    let mut at = 1;
+    loop {
+        at += memchr::memchr(b'"', text.get(at..)?)? + 1;
+        if text.get(at) != Some(&b'"') {
+            return Some(at);
+        }
+        at += 1;
+    }
+}
+
 /// A word of a file for an error message: short, on one line.
 #[cfg(feature = "convert")]
 pub(crate) fn shown(word: &[u8]) -> String {

@@ -258,7 +258,9 @@ fn classes_systems_and_layouts_of_text_are_understood_and_said() {
     let (found, _, said) = read(&[at("b.txt")], columns).unwrap();
     assert_eq!(found, [[4.0, 5.0, 6.0]]);
     assert!(
-        said.iter().any(|line| line.contains("columns \"-\" \"x\" \"y\" \"z\" \"class\", separated by blanks")),
+        said.iter()
+            .any(|line| line
+                .contains("x is column 2, y is column 3, z is column 4, class is column 5, separated by blanks")),
         "{said:?}"
     );
     // A number of points before rows of XYZ, and comments between them.
@@ -348,7 +350,7 @@ fn what_is_broken_is_refused_in_one_line_that_names_the_place() {
         ("a.pcd", with_size(4, u32::MAX), &["4294967295 unpacked bytes"]),
         ("a.pcd", lzf, &["LZF"]),
         ("a.xyz", b"1 2 3\n4 five 6\n".to_vec(), &["line 2", "column 2", "five"]),
-        ("a.xyz", b"1 2 3\n4 5\n".to_vec(), &["line 2", "3 columns or more, found 2"]),
+        ("a.xyz", b"1 2 3\n4 5\n".to_vec(), &["line 2", "expected 3 columns, found 2", "--columns"]),
         ("a.xyz", b"\xFF\xFE1\x00".to_vec(), &["UTF-16"]),
         ("a.xyz", vec![], &["the file is empty"]),
         ("a.xyz", vec![b'1'; 1 << 20], &["line 1", "a line of more than"]),

@@ -46,7 +46,7 @@ use crate::disk::Files;
 use crate::frame::{Frame, MAX_CELL_M};
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::{Spacing, Survey};
-use crate::input::{InputOptions, InputSet, PointCounts, ScanFile};
+use crate::input::{InputOptions, InputSet, PointCounts, ScanFile, TextLayout};
 use crate::mesh::{MeshOptions, MeshSet};
 use crate::output::{Existing, Output, OutputKind, Protected};
 use crate::plan::{Noise, Plan, PlanOptions};
@@ -574,6 +574,7 @@ impl Conversion<'_> {
             units,
             noise,
             spacing: None,
+            texts: texts(set),
             input_bytes: set.bytes().saturating_add(meshes.bytes()),
             temp_bytes: 0,
             resumed: None,
@@ -586,6 +587,12 @@ impl Conversion<'_> {
             voxels_dropped,
         })
     }
+}
+
+/// Scans in text and how their columns were understood.
+fn texts(set: &InputSet) -> Vec<(PathBuf, TextLayout)> {
+    let of_file = |file: &ScanFile| Some((file.path().to_path_buf(), file.text_layout()?.clone()));
+    set.files().iter().filter_map(of_file).collect()
 }
 
 /// `value` to so many significant decimal digits.

@@ -7,7 +7,7 @@ use crate::archive::Bounds;
 use crate::disk::Files;
 use crate::input::scenes::{Scene, far_apart};
 use crate::input::spacing::Spacing;
-use crate::input::{ScanFile, StatedBounds};
+use crate::input::{ScanFile, StatedBounds, TextLayout};
 use crate::output::{Existing, OutputKind, check};
 use crate::plan::{Noise, Plan};
 use crate::unit::LengthUnit;
@@ -44,6 +44,8 @@ pub struct PreviewInput {
     pub bytes: u64,
     /// Points that it states; `None` for a mesh.
     pub points: Option<u64>,
+    /// How its columns were understood, of a scan in text.
+    pub text: Option<TextLayout>,
 }
 
 /// Finds out what [`convert`](super::convert()) would do with these options. Writes nothing, and fails where a conversion
@@ -74,11 +76,12 @@ pub fn preview(options: &ConvertOptions, monitor: &dyn Monitor) -> Result<Previe
         (axes(f64::min, min, other_min), axes(f64::max, max, other_max))
     });
     let scans = set.files().iter().map(|file| {
-        Ok(PreviewInput { path: file.path().into(), bytes: file.bytes(), points: Some(file.points_expected()) })
+        let (points, text) = (Some(file.points_expected()), file.text_layout().cloned());
+        Ok(PreviewInput { path: file.path().into(), bytes: file.bytes(), points, text })
     });
     let of_mesh = |path: &PathBuf| {
         let about = path.metadata().map_err(|error| Error::io(path, "read its length", error))?;
-        Ok(PreviewInput { path: path.clone(), bytes: about.len(), points: None })
+        Ok(PreviewInput { path: path.clone(), bytes: about.len(), points: None, text: None })
     };
     Ok(Preview {
         plan,

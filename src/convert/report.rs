@@ -3,11 +3,13 @@
 use super::Resumed;
 use crate::archive::{Header, Shard};
 use crate::info::{INPUT_QUANTUM_M, header_info, noise_info, shard_info};
+use crate::input::TextLayout;
 use crate::input::spacing::Spacing;
 use crate::mesh::MeshCounts;
 use crate::plan::Noise;
 use crate::unit::LengthUnit;
 use serde_json::Value;
+use std::path::PathBuf;
 
 /// What a conversion did.
 #[derive(Debug, Clone)]
@@ -25,6 +27,8 @@ pub struct Report {
     pub crs: String,
     /// Units in which the inputs came, each once.
     pub units: Vec<LengthUnit>,
+    /// Scans in text and how their columns were understood.
+    pub texts: Vec<(PathBuf, TextLayout)>,
     /// Length of all input files (bytes).
     pub input_bytes: u64,
     /// Bytes of temporary data written to disk.
@@ -61,6 +65,12 @@ impl Report {
         facts["triangles_left_out"] = self.triangles.left_out.into();
         facts["points_made"] = self.points_made.into();
         facts["voxels_dropped"] = self.voxels_dropped.into();
+        let of_text = |(path, layout): &(PathBuf, TextLayout)| {
+            let mut facts = layout.info();
+            facts["path"] = path.to_string_lossy().into();
+            facts
+        };
+        facts["texts"] = self.texts.iter().map(of_text).collect();
         facts["input_bytes"] = self.input_bytes.into();
         facts["temp_bytes"] = self.temp_bytes.into();
         facts["points_resumed"] = self.resumed.map_or(0, |resumed| resumed.points).into();

@@ -5,8 +5,8 @@
 //! each of them a station.
 
 use crate::bytes::open_regular;
-use crate::input::{InputSet, ScanFile, Standpoint, Tag};
-use crate::text::number;
+use crate::input::{FARTHEST_M, InputSet, ScanFile, Standpoint, Tag};
+use crate::text::{self, number, quoted_len};
 use crate::voxel::views::Station;
 use crate::{Error, Parameter, Result};
 use std::collections::{BTreeMap, HashMap};
@@ -200,7 +200,7 @@ impl Stations {
                         let reason = format!("{at_origin} clouds state the origin as the place of their scanner");
                         return Err(unknown(table, file, &reason));
                     }
-                    (None, Standpoint::At(at)) => match file.place_of(at) {
+                    (None, Standpoint::At(at)) => match place_of(file, at) {
                         Some(place) => Measured::From(known.stood(place)),
                         None => return Err(unknown(table, file, "its scanner stood beyond all coordinates")),
                     },
@@ -211,6 +211,32 @@ impl Stations {
             of_cloud.push(own);
         }
         Ok(Self { stations: known.stations, of_cloud, tag })
+    }
+}
+
+/// Where a place in the coordinates of a file lies (m, z up); `None` beyond those of any point.
+fn place_of(file: &ScanFile, at: Place) -> Option<Place> {
+    file.place_of(at).filter(|place| place.iter().all(|v| v.abs() <= FARTHEST_M))
+}
+
+/// The fields of a line, without the quotes around some of them, which may hold commas; else what is wrong with it.
+fn fields(line: &str) -> std::result::Result<Vec<String>, String> {
+    let (mut fields, mut rest) = (Vec::new(), line.trim());
+    loop {
+        let len = match rest.starts_with('"') {
+            true => quoted_len(rest.as_bytes()).ok_or_else(|| format!("an opening quote without its end: {rest:?}"))?,
+            false => rest.find(',').unwrap_or(rest.len()),
+        };
+        let (field, behind) = rest.split_at(len);
+        let quoted = field.strip_prefix('"').and_then(|field| field.strip_suffix('"'));
+        fields.push(quoted.map_or_else(|| field.trim().to_owned(), |field| field.replace("\"\"", "\"")));
+        match behind.trim_start() {
+            "" => return Ok(fields),
+            behind => {
+                let behind = behind.strip_prefix(',');
+                rest = behind.ok_or_else(|| format!("text behind a closing quote: {rest:?}"))?.trim_start();
+            }
+        }
     }
 }
 
@@ -236,8 +262,12 @@ struct Columns {
 
 impl Columns {
     fn of(head: &str) -> std::result::Result<Self, String> {
-        let names: Vec<&str> = head.split(',').map(str::trim).collect();
-        let column = |name: &str| names.iter().position(|&column| column == name);
+        let names = fields(head)?;
+        if let Some(twice) = names.iter().enumerate().find(|(at, name)| !name.is_empty() && names[..*at].contains(name))
+        {
+            return Err(format!("two columns are named {:?}", twice.1));
+        }
+        let column = |name: &str| names.iter().position(|column| column == name);
         let (Some(file), Some(x), Some(y), Some(z)) = (column("file"), column("x"), column("y"), column("z")) else {
             return Err(format!("expected the columns file,x,y,z, found {:?}", names.join(",")));
         };
@@ -260,15 +290,16 @@ fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
         let what = format!("bytes of the stations {}", path.display());
         return Err(Error::limit(what, about.len(), MOST_BYTES));
     }
-    let mut text = String::new();
-    file.read_to_string(&mut text).map_err(|error| Error::io(path, "read", error))?;
+    let mut table = String::new();
+    file.read_to_string(&mut table).map_err(|error| Error::io(path, "read", error))?;
     let wrong = |line: usize, reason: String| Error::input(path, format!("line {line}"), reason);
-    let mut lines = text.trim_start_matches('\u{feff}').lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let mut lines =
+        table.trim_start_matches('\u{feff}').lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
     let columns = Columns::of(lines.next().map_or("", |(_, line)| line)).map_err(|reason| wrong(1, reason))?;
     let mut named = vec![Named::default(); files.len()];
-    let mut called: HashMap<&str, Vec<usize>> = HashMap::new();
-    for (line, text) in lines.map(|(number, text)| (number + 1, text)) {
-        let fields: Vec<&str> = text.split(',').map(str::trim).collect();
+    let mut called: HashMap<String, Vec<usize>> = HashMap::new();
+    for (line, row) in lines.map(|(number, row)| (number + 1, row)) {
+        let fields = fields(row).map_err(|reason| wrong(line, reason))?;
         if fields.len() != columns.names {
             return Err(wrong(line, format!("expected {} fields, found {}", columns.names, fields.len())));
         }
@@ -278,17 +309,17 @@ fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
         };
         let [x, y, z] = columns.place;
         let at = [value(x)?, value(y)?, value(z)?];
-        let name = fields[columns.file].trim_matches('"');
+        let name = &fields[columns.file];
         let ends_so = |number: &usize| files[*number].path().ends_with(name);
-        let own = called.entry(name).or_insert_with(|| (0..files.len()).filter(ends_so).collect());
+        let own = called.entry(name.clone()).or_insert_with(|| (0..files.len()).filter(ends_so).collect());
         if own.is_empty() {
             return Err(wrong(line, format!("no input is called {name:?}; give the file's name as in its path")));
         }
         for &mut number in own {
             let file = &files[number];
             let shown = file.path().display();
-            let place =
-                file.place_of(at).ok_or_else(|| wrong(line, format!("{at:?} is beyond the coordinates of {name}")))?;
+            let place = place_of(file, at)
+                .ok_or_else(|| wrong(line, format!("{} is beyond the coordinates of {name}", text::place(at))))?;
             let twice = |what: String| wrong(line, format!("{shown} has a station {what}already"));
             match columns.tag {
                 None if matches!(named[number], Named::Not) => named[number] = Named::At(place),
@@ -308,7 +339,7 @@ fn read(path: &Path, files: &[ScanFile]) -> Result<(Vec<Named>, Option<Tag>)> {
                                 }
                             } else {
                                 let id = fields[column].parse::<u16>().map_err(|_| {
-                                    let found = fields[column];
+                                    let found = &fields[column];
                                     wrong(
                                         line,
                                         format!("expected a source id (0 to 65535) or nothing, found {found:?}"),
@@ -409,6 +440,25 @@ mod tests {
             assert!(measured.station(time).is_err());
         }
         assert!(known.stations.len() < 25, "{}", known.stations.len());
+    }
+
+    #[test]
+    fn fields_may_stand_in_quotes() {
+        for (line, expected) in [
+            ("a.las, 1,2 ,3", Ok(vec!["a.las", "1", "2", "3"])),
+            ("\"a, \"\"b\"\".las\" ,1,", Ok(vec!["a, \"b\".las", "1", ""])),
+            ("", Ok(vec![""])),
+            ("\"a.las,1,2,3", Err("an opening quote without its end")),
+            ("a.las,1,2,\"3", Err("an opening quote without its end")),
+            ("\"a.las\"x,1,2,3", Err("text behind a closing quote")),
+        ] {
+            match (fields(line), expected) {
+                (Ok(found), Ok(expected)) => assert_eq!(found, expected, "{line}"),
+                (Err(found), Err(expected)) => assert!(found.starts_with(expected), "{line}: {found}"),
+                (found, _) => panic!("{line}: {found:?}"),
+            }
+        }
+        assert!(Columns::of("file,x,y,z,x").is_err());
     }
 
     #[test]

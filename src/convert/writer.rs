@@ -153,6 +153,7 @@ impl PointWriter {
             noise: None,
             crs: self.crs,
             units,
+            texts: Vec::new(),
             input_bytes: 0,
             resumed: None,
             temp_bytes: self.store.temp_bytes(),

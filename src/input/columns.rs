@@ -1,5 +1,7 @@
 //! Which column of a text is which.
 
+use crate::text::shown;
+use serde_json::{Value, json};
 use std::fmt::{Display, Formatter};
 use std::str::FromStr;
 
@@ -62,6 +64,60 @@ impl Display for Columns {
             write!(f, "{}{name}", if place > 0 { "," } else { "" })?;
         }
         Ok(())
+    }
+}
+
+/// How a scan in text was understood, so that a person sees a wrong guess.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct TextLayout {
+    /// What separates columns: blanks, commas, semicolons or tabs.
+    pub separator: &'static str,
+    /// Whether numbers have decimal commas.
+    pub decimal_comma: bool,
+    /// The columns that are read: those of x, y and z, and of class, intensity, red, green and blue as far as there are such.
+    pub columns: Vec<TextColumn>,
+    /// The first points, at most three, in the file's own coordinates.
+    pub first_points: Vec<[f64; 3]>,
+}
+
+/// A column of a text that is read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct TextColumn {
+    /// What it holds: `x`, `y`, `z`, `class`, `intensity`, `red`, `green`, `blue`, or `rgb` for colours in one number.
+    pub holds: &'static str,
+    /// Its number, from 1 on.
+    pub number: usize,
+    /// Its name in the header, if that has one.
+    pub name: Option<String>,
+}
+
+impl TextLayout {
+    /// Its facts as JSON: `separator`, `decimal_comma`, `columns` (each with `holds`, `number` and `name`) and `first_points`.
+    pub fn info(&self) -> Value {
+        let column =
+            |TextColumn { holds, number, name }: &TextColumn| json!({ "holds": holds, "number": number, "name": name });
+        json!({
+            "separator": self.separator,
+            "decimal_comma": self.decimal_comma,
+            "columns": self.columns.iter().map(column).collect::<Vec<_>>(),
+            "first_points": self.first_points,
+        })
+    }
+}
+
+/// In words: `x is column 2 "X", y is column 3 "Y", z is column 4 "Z", separated by commas`.
+impl Display for TextLayout {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        for TextColumn { holds, number, name } in &self.columns {
+            write!(f, "{holds} is column {number}")?;
+            if let Some(name) = name {
+                write!(f, " {}", shown(name.as_bytes()))?;
+            }
+            f.write_str(", ")?;
+        }
+        write!(f, "separated by {}{}", self.separator, if self.decimal_comma { ", decimal commas" } else { "" })
     }
 }
 

@@ -11,7 +11,7 @@ use super::losses::Findings;
 use super::records::Records;
 use super::scenes::Scene;
 use super::source::Source;
-use super::{InputOptions, StatedBounds, Tag, Units, las};
+use super::{InputOptions, StatedBounds, Tag, TextLayout, Units, las};
 use crate::bytes::Stamp;
 use crate::colour::ColourSource;
 use crate::{Error, Monitor, Parameter, Result};
@@ -37,6 +37,7 @@ pub struct ScanFile {
     pub(super) content: Content,
     /// Its red, green and blue are of 8 bits and become those of 16.
     pub(super) widen: bool,
+    text: Option<Box<TextLayout>>,
 }
 
 #[derive(Debug)]
@@ -160,6 +161,7 @@ impl ScanFile {
             transform,
             content,
             widen: false,
+            text: None,
         };
         if file.points_expected() == 0 && file.points_stated == 0 {
             findings.note("it holds no points");
@@ -182,7 +184,7 @@ impl ScanFile {
         options: &InputOptions,
         findings: &mut Findings,
     ) -> Result<(Self, Reference)> {
-        let Opened { cloud, georeference, said } = opened;
+        let Opened { cloud, georeference, said, text } = opened;
         let (mut reference, unit) = settle(source.path(), georeference, options, findings)?;
         reference.said = said;
         if cloud.points_expected() == 0 {
@@ -200,6 +202,7 @@ impl ScanFile {
             transform: Transform { scale: [1.0; 3], offset: [0.0; 3], unit, up: options.up },
             content: Content::Cloud(cloud),
             widen: false,
+            text: text.map(Box::new),
         };
         Ok((file, reference))
     }
@@ -251,6 +254,19 @@ impl ScanFile {
             Content::Plain { .. } => "LAS",
             Content::Packed { .. } => "LAZ",
             Content::Cloud(cloud) => cloud.format(),
+        }
+    }
+
+    /// How its columns were understood, of XYZ, CSV, PTS and PTX.
+    pub fn text_layout(&self) -> Option<&TextLayout> {
+        self.text.as_deref()
+    }
+
+    /// Checks what only all decoded pieces together tell.
+    pub(super) fn check(&self, findings: &mut Findings<'_>, monitor: &dyn Monitor) -> Result<()> {
+        match &self.content {
+            Content::Cloud(cloud) => cloud.check(findings, monitor),
+            _ => Ok(()),
         }
     }
 

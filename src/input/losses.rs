@@ -78,6 +78,8 @@ pub(super) struct Loss {
     pub unread: u64,
     pub damaged: u64,
     pub reason: Option<String>,
+    /// What the format found out, in words.
+    pub told: Vec<String>,
     pub changed: bool,
 }
 
@@ -96,6 +98,7 @@ impl Loss {
             let lost = crate::text::counted(self.unread, "point");
             texts.push(format!("{reason}{more}; {lost} could not be read"));
         }
+        texts.extend_from_slice(&self.told);
         if self.changed {
             texts.push("it was written to, cut or replaced while it was read".into());
         }

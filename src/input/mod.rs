@@ -52,7 +52,7 @@ use crate::unit::{FOOT_M, LengthUnit, UNIT_RANGE_M, US_SURVEY_FOOT_M};
 use crate::{Error, Monitor, Parameter, Result, Warning};
 
 pub(crate) use self::cloud::{Depth, Standpoint};
-pub use self::columns::Columns;
+pub use self::columns::{Columns, TextColumn, TextLayout};
 pub(crate) use self::convert::FARTHEST_M;
 pub use self::crs::projected_epsg;
 pub use self::decode::{PointChunk, PointDecoder};
@@ -313,7 +313,7 @@ impl InputSet {
     /// Fails with one line on the first file that cannot be read in full; where incomplete input is allowed, such a file is
     /// read as far as possible or left out, and `monitor` is told. Wrong counts, unknown units and the like are told to
     /// `monitor` too. Cost: a few small reads a file, and its chunk table; of text that states how many lines belong to a cloud
-    /// (PTS, PTX, PLY, PCD) all lines, of E57 the heads of all packets.
+    /// (PTX, PLY, PCD) all lines, of E57 the heads of all packets.
     pub fn open(inputs: &[PathBuf], options: InputOptions, monitor: &dyn Monitor) -> Result<Self> {
         let losses = Losses::default();
         let paths = expand::expand(inputs, options.allow_incomplete.then_some(&losses), monitor)?;
@@ -466,6 +466,14 @@ impl InputSet {
             }
             if !file.stamp.is_of(file.path()) {
                 self.losses.add(number, |loss| loss.changed = true);
+            }
+            let path = file.path();
+            let (notes, lost) = (Vec::new(), Vec::new());
+            let mut findings = Findings { path, allow_incomplete: true, notes, lost, points: 0 };
+            file.check(&mut findings, monitor)?;
+            findings.notes.iter().for_each(|note| monitor.warn(&format!("{}: {note}", path.display()).into()));
+            if !findings.lost.is_empty() {
+                self.losses.add(number, |loss| loss.told.append(&mut findings.lost));
             }
         }
         self.losses.settle(&self.files, self.options.allow_incomplete, monitor)

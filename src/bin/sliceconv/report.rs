@@ -7,10 +7,12 @@ use slicewalk::convert::{PlanFile, Preview, Report};
 use slicewalk::info::{
     colour_words, crs_name, noise_in_words, noise_info, plan_info, slice_count, unit_info, units_in_words,
 };
+use slicewalk::input::TextLayout;
 use slicewalk::input::spacing::Spacing;
 use slicewalk::plan::{Noise, Plan};
 use slicewalk::terminal::say;
-use slicewalk::text::{counted, extent, file_size, grouped, lines, memory_size, number, one_line, rounded};
+use slicewalk::text::{counted, extent, file_size, grouped, lines, memory_size, number, one_line, place, rounded};
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::io::{BufWriter, Write};
 
@@ -117,6 +119,14 @@ fn summary(arguments: &Arguments, report: &Report, seconds: f64) {
         let (points, bytes) = (counted(resumed.points, "point"), file_size(resumed.bytes));
         say(&format!("resumed: {points} from {bytes} of temporary data"));
     }
+    let mut texts = BTreeMap::<String, (String, u64)>::new();
+    for (path, layout) in &report.texts {
+        texts.entry(layout.to_string()).or_insert_with(|| (path.display().to_string(), 0)).1 += 1;
+    }
+    for (layout, (first, files)) in texts.iter().take(MOST_LISTED) {
+        let more = if *files > 1 { format!(" and {} more", grouped(files - 1)) } else { String::new() };
+        say(&format!("columns of {first}{more}: {layout}"));
+    }
     say(&format!("unit of the source: {}; the archive is in metres", units_in_words(&report.units)));
     // A part reads only some of the input.
     let sizes = match report.shard {
@@ -141,7 +151,8 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
     if arguments.json {
         let mut facts = json!({ "dry_run": true });
         let inputs = preview.inputs.iter().map(|input| {
-            json!({ "path": input.path.to_string_lossy(), "bytes": input.bytes, "points_stated": input.points })
+            let text = input.text.as_ref().map(TextLayout::info);
+            json!({ "path": input.path.to_string_lossy(), "bytes": input.bytes, "points_stated": input.points, "text": text })
         });
         facts["inputs"] = inputs.collect();
         facts["input_bytes"] = bytes.into();
@@ -171,6 +182,11 @@ pub fn of_preview(arguments: &Arguments, preview: &Preview) {
     for input in preview.inputs.iter().take(MOST_LISTED) {
         let holds = input.points.map_or("a mesh".into(), |points| counted(points, "point"));
         rows.push(("", format!("{}: {holds}, {}", input.path.display(), file_size(input.bytes))));
+        if let Some(text) = &input.text {
+            let points = text.first_points.iter().map(|point| place(*point)).collect::<Vec<_>>();
+            rows.push(("", format!("  {text}")));
+            rows.push(("", format!("  first points: {}", points.join(", "))));
+        }
     }
     if files > MOST_LISTED {
         rows.push(("", format!("and {} more", grouped((files - MOST_LISTED) as u64))));

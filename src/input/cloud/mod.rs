@@ -21,7 +21,7 @@ mod values;
 use super::crs::Georeference;
 use super::losses::{Findings, without_path};
 use super::source::Source;
-use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts};
+use super::{BATCH_POINTS, Columns, FARTHEST_M, InputOptions, PointBatch, PointCounts, TextLayout};
 use crate::colour::ColourSource;
 use crate::plan::{ClassSet, Up};
 use crate::text::shown;
@@ -60,6 +60,11 @@ pub(super) trait Cloud: Debug + Send + Sync {
     /// Hands the points of a piece to `taker`; returns how many are missing. The same points in the same order each time.
     fn decode(&self, piece: &Piece, source: &Source, scratch: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64>;
 
+    /// Checks what only all decoded pieces together tell, and forgets it. Cost: reads pieces that were not decoded, if need be.
+    fn check(&self, _findings: &mut Findings<'_>, _monitor: &dyn Monitor) -> Result<()> {
+        Ok(())
+    }
+
     /// All that decides, beside the bytes of the points, which pieces and coordinates these make.
     fn state(&self) -> Vec<u8>;
 
@@ -97,11 +102,13 @@ pub(super) struct Opened {
     pub georeference: Georeference,
     /// How the file was understood, where that takes guessing.
     pub said: Option<String>,
+    /// Columns and first points of text.
+    pub text: Option<TextLayout>,
 }
 
 impl Opened {
     fn new(cloud: impl Cloud + 'static) -> Self {
-        Self { cloud: Box::new(cloud), georeference: Georeference::default(), said: None }
+        Self { cloud: Box::new(cloud), georeference: Georeference::default(), said: None, text: None }
     }
 }
 
@@ -315,6 +322,15 @@ impl<'a> Taker<'a> {
     /// How many records were left out so, and why the first was.
     pub fn broken(&mut self) -> Option<(u64, String)> {
         self.reason.take().map(|reason| (self.counts.missing, reason))
+    }
+
+    /// A record that cannot be read, which the format reports: counted as missing where that is allowed; whether it is.
+    pub fn lose(&mut self) -> Result<bool> {
+        if self.allow_incomplete {
+            self.counts.missing += 1;
+            self.step()?;
+        }
+        Ok(self.allow_incomplete)
     }
 
     #[inline]

@@ -1,10 +1,15 @@
-//! What a row of text holds: separators, decimal commas, columns.
+//! How a row of text is read: its cells, which of them are coordinates, and the numbers in them.
+//!
+//! A cell may stand in quotes, which may hold the separator; a quote inside is doubled. A coordinate that is empty, or a word
+//! for no number ([`is_missing`]), is NaN: the row has no return.
 
 use super::super::shown;
 use super::super::values::{Sample, Scale};
 use super::decimal::short;
+use super::lines::MOST_LINE;
 use crate::colour::ColourSource;
 use crate::input::Columns;
+use crate::text::quoted_len;
 
 /// What stands between two columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,20 +21,162 @@ pub(in crate::input::cloud) enum Separator {
 }
 
 impl Separator {
-    /// Columns of a row.
-    pub fn count(self, row: &[u8]) -> usize {
-        match self {
-            Self::Blanks => row.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count(),
-            Self::Byte(byte) => row.split(|&other| other == byte).count(),
-        }
-    }
-
-    fn name(self) -> &'static str {
+    /// As people call it.
+    pub fn name(self) -> &'static str {
         match self {
             Self::Blanks => "blanks",
             Self::Byte(b',') => "commas",
+            Self::Byte(b'\t') => "tabs",
             Self::Byte(_) => "semicolons",
         }
+    }
+
+    /// Whether a byte beside a cell means nothing.
+    #[inline(always)]
+    fn is_gap(self, byte: u8) -> bool {
+        match self {
+            Self::Blanks => byte.is_ascii_whitespace(),
+            Self::Byte(own) => byte != own && byte.is_ascii_whitespace(),
+        }
+    }
+
+    /// `text` without gaps at its beginning.
+    #[inline(always)]
+    fn trim_start(self, text: &[u8]) -> &[u8] {
+        let mut rest = text;
+        while let [first, behind @ ..] = rest
+            && self.is_gap(*first)
+        {
+            rest = behind;
+        }
+        rest
+    }
+
+    /// Length of the cell that `rest` begins with.
+    #[inline]
+    fn cell_len(self, rest: &[u8]) -> Result<usize, Fault> {
+        if rest.first() == Some(&b'"') {
+            return self.quoted_cell_len(rest);
+        }
+        let end = match self {
+            Self::Blanks => rest.iter().position(u8::is_ascii_whitespace),
+            Self::Byte(byte) => memchr::memchr(byte, rest),
+        };
+        Ok(end.unwrap_or(rest.len()))
+    }
+
+    #[inline(never)]
+    fn quoted_cell_len(self, rest: &[u8]) -> Result<usize, Fault> {
+        let fault = |what| Fault::cell(format!("{what}: {}", shown(rest)));
+        let len = quoted_len(rest).ok_or_else(|| fault("an opening quote without its end"))?;
+        let behind = self.trim_start(&rest[len..]);
+        let is_end = match self {
+            Self::Blanks => behind.len() < rest.len() - len || behind.is_empty(),
+            Self::Byte(byte) => behind.first().is_none_or(|first| *first == byte),
+        };
+        match (is_end, self) {
+            (true, Self::Blanks) => Ok(len),
+            (true, Self::Byte(_)) => Ok(rest.len() - behind.len()),
+            (false, _) => Err(fault("text behind a closing quote")),
+        }
+    }
+
+    /// The cells of a row, without the gaps around them.
+    pub fn cells(self, row: &[u8]) -> Result<Vec<&[u8]>, Fault> {
+        let (mut cells, mut rest) = (Vec::new(), self.trim_start(row));
+        if self == Self::Blanks && rest.is_empty() {
+            return Ok(cells);
+        }
+        loop {
+            let (cell, behind) = rest.split_at(self.cell_len(rest)?);
+            cells.push(cell.trim_ascii_end());
+            rest = match (self, behind) {
+                (Self::Byte(_), [_, behind @ ..]) => self.trim_start(behind),
+                (Self::Blanks, _) if !self.trim_start(behind).is_empty() => self.trim_start(behind),
+                _ => return Ok(cells),
+            };
+        }
+    }
+}
+
+/// A cell without its quotes.
+pub(super) fn unquoted(cell: &[u8]) -> &[u8] {
+    let cell = cell.trim_ascii();
+    cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).map_or(cell, <[u8]>::trim_ascii)
+}
+
+/// What a cell holds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Cell {
+    Number(f64),
+    /// Nothing, or a word for no number.
+    Missing,
+    Text,
+}
+
+impl Cell {
+    /// What a cell holds, quoted or not, with points or commas in its numbers.
+    #[inline(never)]
+    pub fn of(cell: &[u8], decimal_comma: bool) -> Self {
+        let cell = unquoted(cell);
+        if is_missing(cell) {
+            return Self::Missing;
+        }
+        let mut points = [0; 64];
+        let cell = match (decimal_comma, points.get_mut(..cell.len())) {
+            (false, _) => cell,
+            // A point among numbers with commas parts thousands.
+            (true, Some(points)) if !cell.contains(&b'.') => {
+                points.copy_from_slice(cell);
+                points.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
+                points
+            }
+            (true, _) => return Self::Text,
+        };
+        match std::str::from_utf8(cell).ok().and_then(|cell| cell.parse().ok()) {
+            Some(value) => Self::Number(value),
+            None => Self::Text,
+        }
+    }
+}
+
+/// Whether a cell is empty or a word for no number: `nan` or `inf` as C libraries write them, and what databases and statistics
+/// programs write for no value.
+fn is_missing(cell: &[u8]) -> bool {
+    const WORDS: [&str; 14] =
+        ["nan", "nanq", "nans", "qnan", "snan", "inf", "infinity", "na", "n/a", "#n/a", "<na>", "null", "none", "nil"];
+    let word = cell.strip_prefix(b"-").or(cell.strip_prefix(b"+")).unwrap_or(cell);
+    match word {
+        [] => cell.is_empty(),
+        // Of Microsoft's C: 1.#QNAN, 1.#IND00, 1.#J, 1.$.
+        [b'1', b'.' | b',', b'#' | b'$', ..] => true,
+        [b'n' | b'N', b'a' | b'A', b'n' | b'N', b'(', .., b')'] => true,
+        _ => WORDS.iter().any(|other| word.eq_ignore_ascii_case(other.as_bytes())),
+    }
+}
+
+/// What is wrong with a row.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::input::cloud) struct Fault {
+    pub reason: String,
+    /// Its number of cells, and not a cell.
+    pub is_width: bool,
+}
+
+impl Fault {
+    #[cold]
+    fn cell(reason: String) -> Self {
+        Self { reason, is_width: false }
+    }
+
+    /// A row that no buffer holds.
+    pub fn too_long() -> Self {
+        Self::cell(format!("a line of more than {MOST_LINE} bytes: this is no text, or damaged"))
+    }
+
+    #[cold]
+    fn width(reason: String) -> Self {
+        Self { reason, is_width: true }
     }
 }
 
@@ -44,7 +191,7 @@ const ROLES: usize = 8;
 pub(in crate::input::cloud) type Row = [f64; ROLES];
 
 /// Coordinates, class and value of a row; else what is wrong with it.
-pub(in crate::input::cloud) type Parsed<V> = Result<([f64; 3], Option<f64>, Option<V>), String>;
+pub(in crate::input::cloud) type Parsed<V> = Result<([f64; 3], Option<f64>, Option<V>), Fault>;
 
 /// Where red, green and blue stand.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,6 +250,14 @@ impl RowLayout {
         Self { separator, decimal_comma, places, roles }
     }
 
+    pub fn separator(&self) -> Separator {
+        self.separator
+    }
+
+    pub fn decimal_comma(&self) -> bool {
+        self.decimal_comma
+    }
+
     pub fn has_class(&self) -> bool {
         self.places.class.is_some()
     }
@@ -120,11 +275,11 @@ impl RowLayout {
         Some(ValueLayout { layout: self, roles, source })
     }
 
-    /// The coordinates of a row, and its class if there is one; else what is wrong with it.
+    /// The coordinates of a row of so many cells, if they are counted, and its class if there is one; else what is wrong with it.
     #[inline]
-    pub fn parse(&self, row: &[u8]) -> Result<([f64; 3], Option<f64>), String> {
+    pub fn parse(&self, row: &[u8], cells: Option<usize>) -> Result<([f64; 3], Option<f64>), Fault> {
         let mut found = [0.0; ROLES];
-        self.scan(row, &self.roles, &mut found)?;
+        self.scan(row, cells, &self.roles, &mut found)?;
         Ok(self.split(&found))
     }
 
@@ -132,109 +287,127 @@ impl RowLayout {
         ([found[0], found[1], found[2]], self.places.class.map(|_| found[CLASS]))
     }
 
-    /// Puts numbers by their roles into `found`; whether all columns are there. Those of place and class must be.
+    /// Puts numbers by their roles into `found`; whether all values are there. Columns of place and class must be.
     #[inline(always)]
-    fn scan(&self, row: &[u8], roles: &[u8], found: &mut Row) -> Result<bool, String> {
-        let point = if self.decimal_comma { b',' } else { b'.' };
-        let mut rest = row;
+    fn scan(&self, row: &[u8], cells: Option<usize>, roles: &[u8], found: &mut Row) -> Result<bool, Fault> {
+        // Commas between columns are none of numbers, but where these stand in quotes.
+        let point = if self.decimal_comma && self.separator != Separator::Byte(b',') { b',' } else { b'.' };
+        let (mut rest, mut is_whole) = (row, true);
         for (column, &role) in roles.iter().enumerate() {
             let is_needed = column < self.roles.len();
-            if column > 0
-                && let Separator::Byte(_) = self.separator
-            {
-                match rest.split_first() {
-                    Some((_, behind)) => rest = behind,
-                    None if is_needed => return Err(self.too_few(column, row)),
-                    None => return Ok(false),
+            let is_end = match self.separator {
+                Separator::Byte(_) if column > 0 => match rest.split_first() {
+                    Some((_, behind)) => {
+                        rest = self.separator.trim_start(behind);
+                        false
+                    }
+                    None => true,
+                },
+                separator => {
+                    rest = separator.trim_start(rest);
+                    rest.is_empty() && separator == Separator::Blanks
                 }
-            }
-            rest = rest.trim_ascii_start();
-            if rest.is_empty() && self.separator == Separator::Blanks {
-                if is_needed {
-                    return Err(self.too_few(column, row));
-                }
-                return Ok(false);
+            };
+            if is_end {
+                let may_end = !is_needed && cells.is_none_or(|cells| cells == column);
+                return if may_end { Ok(false) } else { Err(self.too_few(column, cells, row)) };
             }
             if role == OTHER {
-                rest = &rest[self.word_len(rest)..];
+                rest = &rest[self.separator.cell_len(rest)?..];
                 continue;
             }
             let value = match short(rest, point) {
-                Some((value, len)) if self.ends_word(&mut rest, len) => value,
+                Some((value, len)) if self.ends_cell(&mut rest, len) => value,
                 _ => {
-                    let (word, behind) = rest.split_at(self.word_len(rest));
+                    let (cell, behind) = rest.split_at(self.separator.cell_len(rest)?);
                     rest = behind;
-                    match self.number(word) {
-                        Some(value) => value,
-                        // A value that is left out.
-                        None if !is_needed && word.trim_ascii().is_empty() => return Ok(false),
-                        None => {
-                            let word = shown(word.trim_ascii());
-                            return Err(format!("expected a number in column {}, found {word}", column + 1));
+                    match Cell::of(cell, self.decimal_comma) {
+                        Cell::Number(value) => value,
+                        Cell::Missing => {
+                            is_whole &= is_needed;
+                            f64::NAN
+                        }
+                        Cell::Text => {
+                            let found = shown(cell.trim_ascii());
+                            return Err(Fault::cell(format!(
+                                "expected a number in column {}, found {found}",
+                                column + 1
+                            )));
                         }
                     }
                 }
             };
             found[usize::from(role)] = value;
         }
-        Ok(true)
-    }
-
-    /// Length of the word that `rest` begins with.
-    #[inline]
-    fn word_len(&self, rest: &[u8]) -> usize {
-        match self.separator {
-            Separator::Blanks => rest.iter().position(u8::is_ascii_whitespace),
-            Separator::Byte(byte) => memchr::memchr(byte, rest),
+        if let Some(cells) = cells {
+            self.check_width(rest, roles.len(), cells, row)?;
         }
-        .unwrap_or(rest.len())
+        Ok(is_whole)
     }
 
-    /// Whether a word ends behind `len` bytes; if so, goes on to what separates it from the next.
+    /// Whether a cell ends behind `len` bytes; if so, goes on to what separates it from the next.
     #[inline]
-    fn ends_word(&self, rest: &mut &[u8], len: usize) -> bool {
+    fn ends_cell(&self, rest: &mut &[u8], len: usize) -> bool {
         let behind = &rest[len..];
         let ended = match self.separator {
             Separator::Blanks => behind.first().is_none_or(u8::is_ascii_whitespace).then_some(behind),
             Separator::Byte(byte) if behind.first() == Some(&byte) => Some(behind),
-            Separator::Byte(byte) => {
-                Some(behind.trim_ascii_start()).filter(|behind| behind.first().is_none_or(|first| *first == byte))
+            separator @ Separator::Byte(byte) => {
+                Some(separator.trim_start(behind)).filter(|behind| behind.first().is_none_or(|first| *first == byte))
             }
         };
         ended.inspect(|behind| *rest = behind).is_some()
     }
 
-    #[cold]
-    fn too_few(&self, found: usize, row: &[u8]) -> String {
-        format!("expected {} columns or more, found {found}: {}", self.roles.len(), shown(row.trim_ascii()))
-    }
-
-    /// Any number, long or in quotes.
-    #[inline(never)]
-    fn number(&self, word: &[u8]) -> Option<f64> {
-        let word = word.trim_ascii();
-        let word = word.strip_prefix(b"\"").and_then(|word| word.strip_suffix(b"\"")).unwrap_or(word);
-        let mut points = [0; 64];
-        let word = match self.decimal_comma {
-            false => word,
-            true => {
-                let points = points.get_mut(..word.len())?;
-                points.copy_from_slice(word);
-                points.iter_mut().filter(|byte| **byte == b',').for_each(|byte| *byte = b'.');
-                points
+    /// Checks that `rest`, behind so many columns, ends with cell number `cells`; empty cells behind that do not count.
+    #[inline]
+    fn check_width(&self, rest: &[u8], columns: usize, cells: usize, row: &[u8]) -> Result<(), Fault> {
+        let (mut all, mut filled) = (columns, columns);
+        match self.separator {
+            Separator::Blanks => {
+                let (mut is_blank, mut is_quoted) = (true, false);
+                for byte in rest {
+                    let next = byte.is_ascii_whitespace();
+                    all += usize::from(is_blank & !next);
+                    is_blank = next;
+                    is_quoted |= *byte == b'"';
+                }
+                if is_quoted {
+                    all = columns + self.separator.cells(rest)?.len();
+                }
+                filled = all;
             }
-        };
-        std::str::from_utf8(word).ok()?.parse().ok()
+            separator @ Separator::Byte(_) => {
+                let mut rest = rest;
+                while let [_, behind @ ..] = rest {
+                    let cell = separator.trim_start(behind);
+                    rest = &cell[separator.cell_len(cell)?..];
+                    all += 1;
+                    if rest.len() < cell.len() {
+                        filled = all;
+                    }
+                }
+            }
+        }
+        match filled <= cells && cells <= all {
+            true => Ok(()),
+            false if filled > cells => Err(self.too_many(filled, cells, row)),
+            false => Err(self.too_few(all, Some(cells), row)),
+        }
     }
 
-    /// As the user is told of it.
-    pub fn describe(&self, names: &[String]) -> String {
-        let columns = match names {
-            [] => "x y z".into(),
-            names => names.iter().take(8).map(|name| shown(name.as_bytes())).collect::<Vec<_>>().join(" "),
-        };
-        let commas = if self.decimal_comma { ", decimal commas" } else { "" };
-        format!("columns {columns}, separated by {}{commas}", self.separator.name())
+    #[cold]
+    fn too_few(&self, found: usize, cells: Option<usize>, row: &[u8]) -> Fault {
+        let row = shown(row.trim_ascii());
+        Fault::width(match cells {
+            Some(cells) => format!("expected {cells} columns, found {found}: {row}"),
+            None => format!("expected {} columns or more, found {found}: {row}", self.roles.len()),
+        })
+    }
+
+    #[cold]
+    fn too_many(&self, found: usize, cells: usize, row: &[u8]) -> Fault {
+        Fault::width(format!("expected {cells} columns, found {found}: {}", shown(row.trim_ascii())))
     }
 
     pub fn bytes(&self) -> impl Iterator<Item = u8> + '_ {
@@ -247,10 +420,10 @@ impl RowLayout {
 }
 
 impl ValueLayout<'_> {
-    /// As [`RowLayout::parse`], and the numbers of the row's value; `None` where the row ends before them.
-    pub fn parse(&self, row: &[u8]) -> Parsed<Row> {
+    /// As [`RowLayout::parse`], and the numbers of the row's value; `None` where it has none.
+    pub fn parse(&self, row: &[u8], cells: Option<usize>) -> Parsed<Row> {
         let mut found = [0.0; ROLES];
-        let whole = self.layout.scan(row, &self.roles, &mut found)?;
+        let whole = self.layout.scan(row, cells, &self.roles, &mut found)?;
         let (at, class) = self.layout.split(&found);
         Ok((at, class, whole.then_some(found)))
     }
@@ -271,65 +444,6 @@ impl ValueLayout<'_> {
     }
 }
 
-/// What separates the columns of these rows, and whether they have decimal commas; else why that is not clear.
-pub(super) fn recognise(rows: &[Vec<u8>]) -> Result<(Separator, bool), String> {
-    let has = |byte: u8| rows.iter().any(|row| row.contains(&byte));
-    if has(b';') {
-        return Ok((Separator::Byte(b';'), has(b',')));
-    }
-    if !has(b',') {
-        return Ok((Separator::Blanks, false));
-    }
-    let words = || rows.iter().flat_map(|row| row.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()));
-    let inner = |word: &[u8]| word[..word.len() - 1].contains(&b',');
-    let enough = rows.iter().all(|row| row.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).count() >= 3);
-    let ends = words().any(|word| word.ends_with(b","));
-    let single = words().all(|word| word.iter().filter(|&&byte| byte == b',').count() <= 1);
-    if enough && !ends && single && !has(b'.') {
-        return Ok((Separator::Blanks, true));
-    }
-    if enough && ends && words().any(|word| word.ends_with(b",") && inner(word)) && !has(b'.') {
-        return Err("commas stand both within numbers and between them; write decimal points, or semicolons between \
-                    columns"
-            .into());
-    }
-    Ok((Separator::Byte(b','), false))
-}
-
-/// Names in a header, as they stand there.
-pub(super) fn names(header: &[u8]) -> Vec<String> {
-    let text = String::from_utf8_lossy(header);
-    let text = text.trim().trim_start_matches('\u{feff}').trim_start_matches(['#', '/']).trim();
-    let clean = |name: &str| name.trim().trim_matches('"').trim().to_owned();
-    match [';', ',', '\t'].into_iter().find(|&separator| text.contains(separator)) {
-        Some(separator) => text.split(separator).map(clean).collect(),
-        None => text.split_whitespace().map(clean).collect(),
-    }
-}
-
-/// What columns hold, by the names of a header.
-pub(super) fn columns(names: &[String]) -> Option<Places> {
-    let find = |wanted: &[&str]| {
-        let plain = |name: &String| {
-            let name = name.split(['(', '[']).next().unwrap_or_default().trim().to_ascii_lowercase();
-            wanted.contains(&name.as_str())
-        };
-        names.iter().position(plain)
-    };
-    let axes = [
-        find(&["x", "easting", "east"])?,
-        find(&["y", "northing", "north"])?,
-        find(&["z", "height", "elevation", "elev"])?,
-    ];
-    let rgb = [&["r", "red", "rf"][..], &["g", "green", "gf"], &["b", "blue", "bf"]].map(find);
-    let rgb = match rgb {
-        [Some(r), Some(g), Some(b)] => Some(RgbPlaces::Each([r, g, b])),
-        _ => None,
-    };
-    let intensity = find(&["intensity", "i", "scalar_intensity", "reflectance", "scalar_reflectance"]);
-    Some(Places { axes, class: find(&["classification", "class", "scalar_classification"]), rgb, intensity })
-}
-
 impl Columns {
     pub(super) fn places(self) -> Places {
         Places {
@@ -341,60 +455,103 @@ impl Columns {
     }
 }
 
-/// Whether a row begins with a number.
-pub(super) fn is_numeric(row: &[u8]) -> bool {
-    let word = row.trim_ascii().split(|byte| byte.is_ascii_whitespace() || matches!(byte, b',' | b';')).next();
-    let word = word.unwrap_or_default();
-    let word = word.strip_prefix(b"\"").and_then(|word| word.strip_suffix(b"\"")).unwrap_or(word);
-    std::str::from_utf8(word).is_ok_and(|word| word.parse::<f64>().is_ok())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn rows(text: &str) -> Vec<Vec<u8>> {
-        text.lines().map(|line| line.as_bytes().to_vec()).collect()
-    }
-
     #[test]
-    fn separators_and_decimal_commas_are_recognised() {
-        for (text, expected, at) in [
-            ("1 2.5 3\n4 5 6", (Separator::Blanks, false), [1.0, 2.5, 3.0]),
-            (" 1\t2,5\t-3 \n", (Separator::Blanks, true), [1.0, 2.5, -3.0]),
-            ("1,5 2,5 3,25 7", (Separator::Blanks, true), [1.5, 2.5, 3.25]),
-            ("1,2.5,3", (Separator::Byte(b','), false), [1.0, 2.5, 3.0]),
-            ("1,2,3", (Separator::Byte(b','), false), [1.0, 2.0, 3.0]),
-            ("1, 2, 3", (Separator::Byte(b','), false), [1.0, 2.0, 3.0]),
-            (".5, .5, 1e1\r", (Separator::Byte(b','), false), [0.5, 0.5, 10.0]),
-            ("1.5; 2; 3", (Separator::Byte(b';'), false), [1.5, 2.0, 3.0]),
-            ("1,5;2,25;+3", (Separator::Byte(b';'), true), [1.5, 2.25, 3.0]),
-            ("\"1\",\"2\",\"3\"", (Separator::Byte(b','), false), [1.0, 2.0, 3.0]),
-        ] {
-            let rows = rows(text);
-            let found = recognise(&rows).unwrap();
-            assert_eq!(found, expected, "{text}");
-            let layout = RowLayout::new(Places::of([0, 1, 2]), found.0, found.1);
-            assert_eq!(layout.parse(&rows[0]).unwrap(), (at, None), "{text}");
+    fn cells_are_numbers_no_numbers_or_text() {
+        let missing = [
+            "",
+            "nan",
+            "NaN",
+            "-nan",
+            "+NAN",
+            "nan(ind)",
+            "-nan(ind)",
+            "nan(snan)",
+            "-nan(0x8000000000000)",
+            "NANQ",
+            "1.#QNAN",
+            "1.#QNAN0",
+            "-1.#IND",
+            "-1.#IND00",
+            "1.#INF",
+            "1.#INFe+000",
+            "1.#J",
+            "-1.$",
+            "1,#QNAN",
+            "inf",
+            "-inf",
+            "Infinity",
+            "NA",
+            "n/a",
+            "#N/A",
+            "<NA>",
+            "null",
+            "NULL",
+            "None",
+            "\"\"",
+            " \"nan\" ",
+        ];
+        for word in missing {
+            assert_eq!(Cell::of(word.as_bytes(), false), Cell::Missing, "{word}");
+            assert_eq!(Cell::of(word.as_bytes(), true), Cell::Missing, "{word}");
         }
-        assert!(recognise(&rows("1,5, 2,5, 3,5")).unwrap_err().contains("commas stand both"));
+        for (word, comma, expected) in [
+            ("1.5", false, Cell::Number(1.5)),
+            ("\"1.5\"", false, Cell::Number(1.5)),
+            ("1,5", true, Cell::Number(1.5)),
+            ("1e400", false, Cell::Number(f64::INFINITY)),
+            ("1,5", false, Cell::Text),
+            ("1.5", true, Cell::Text),
+            ("1.234,5", true, Cell::Text),
+            ("1,234,5", true, Cell::Text),
+            ("-", false, Cell::Text),
+            ("nano", false, Cell::Text),
+            ("1.QNAN", false, Cell::Text),
+        ] {
+            assert_eq!(Cell::of(word.as_bytes(), comma), expected, "{word}");
+        }
     }
 
     #[test]
-    fn columns_are_found_by_name_and_anything_else_is_said() {
-        let found = columns(&names(b"// R G B \"Z\" X Y Classification\r")).unwrap();
-        assert_eq!((found.axes, found.class, found.rgb), ([4, 5, 3], Some(6), Some(RgbPlaces::Each([0, 1, 2]))));
-        let found = columns(&names(b"Easting [m];Northing [m];Height [m];Intensity;red;green")).unwrap();
-        assert_eq!(found, Places { intensity: Some(3), ..Places::of([0, 1, 2]) });
-        assert_eq!(columns(&names(b"X,Y,X")), None);
+    fn rows_are_read_by_their_cells() {
         let places = Places { class: Some(3), ..Places::of([2, 0, 1]) };
         let layout = RowLayout::new(places, Separator::Blanks, false);
-        assert_eq!(layout.parse(b"2 3 1 7 9 9").unwrap(), ([1.0, 2.0, 3.0], Some(7.0)));
-        assert!(layout.parse(b"1 2 3").unwrap_err().starts_with("expected 4 columns or more, found 3"));
-        assert!(layout.parse(b"1 a 3 4").unwrap_err().contains("a number in column 2, found \"a\""));
-        assert!(layout.parse(b"nan 1 inf 4").unwrap().0[1].is_nan());
-        let commas = RowLayout::new(Places::of([0, 1, 2]), Separator::Byte(b','), false);
-        assert!(commas.parse(b"1,2").is_err() && commas.parse(b"1,2,").is_err() && commas.parse(b"").is_err());
+        assert_eq!(layout.parse(b" 2\t3 1 7 9 9 ", None), Ok(([1.0, 2.0, 3.0], Some(7.0))));
+        let fault = |layout: &RowLayout, row: &str, cells| layout.parse(row.as_bytes(), cells).unwrap_err().reason;
+        assert!(fault(&layout, "1 2 3", None).starts_with("expected 4 columns or more, found 3"));
+        assert!(fault(&layout, "1 a 3 4", None).contains("a number in column 2, found \"a\""));
+        assert!(layout.parse(b"nan 1 inf 4", None).unwrap().0[1].is_nan());
+        assert_eq!(layout.parse(b"2 3 1 7 \"a b\"", Some(5)), Ok(([1.0, 2.0, 3.0], Some(7.0))));
+        for (row, found) in [("2 3 1 7", 4), ("2 3 1", 3), ("2 3 1 7 8 9", 6), ("2 3 1 7 a b", 6)] {
+            assert!(fault(&layout, row, Some(5)).starts_with(&format!("expected 5 columns, found {found}")), "{row}");
+        }
+        let commas = RowLayout::new(Places::of([1, 2, 3]), Separator::Byte(b','), false);
+        for row in
+            ["a,1,2,3", "\"a,b\",1,2,3", "\"a \"\"b\"\", c\" , 1 , 2 , \"3\" ", ",1,2,3,", ",1,2,3, ,", "5\",1,2,3"]
+        {
+            assert_eq!(commas.parse(row.as_bytes(), Some(4)), Ok(([1.0, 2.0, 3.0], None)), "{row}");
+        }
+        assert!(commas.parse(b"a,,,", Some(4)).unwrap().0.iter().all(|v| v.is_nan()));
+        for (row, reason) in [
+            ("a,1,2", "expected 4 columns, found 3"),
+            ("a,b,1,2,3", "expected a number in column 2, found \"b\""),
+            ("a,1,2,3,4", "expected 4 columns, found 5"),
+            ("\"a,1,2,3", "an opening quote without its end"),
+            ("a,1,2,\"3", "an opening quote without its end"),
+            ("\"a\"b,1,2,3", "text behind a closing quote"),
+            ("", "expected 4 columns, found 1"),
+        ] {
+            assert!(fault(&commas, row, Some(4)).starts_with(reason), "{row}: {}", fault(&commas, row, Some(4)));
+        }
+        let tabs = RowLayout::new(Places::of([1, 2, 3]), Separator::Byte(b'\t'), false);
+        for row in ["\t1\t2\t3\t9", "a b\t1 \t 2\t3\t"] {
+            assert_eq!(tabs.parse(row.as_bytes(), Some(5)), Ok(([1.0, 2.0, 3.0], None)), "{row}");
+        }
+        let german = RowLayout::new(Places::of([0, 1, 2]), Separator::Byte(b','), true);
+        assert_eq!(german.parse(b"1,\"2,5\",\"-3,5\"", Some(3)), Ok(([1.0, 2.5, -3.5], None)));
     }
 
     #[test]
@@ -405,17 +562,19 @@ mod tests {
             let places = Places { rgb, intensity: Some(5), ..Places::of([0, 2, 3]) };
             let layout = RowLayout::new(places, separator, false);
             let values = layout.with_values(ColourSource::Rgb).unwrap();
-            let (at, class, row) = values.parse(&of("1 20 2 3 10 0.5 30 rest")).unwrap();
+            let (at, class, row) = values.parse(&of("1 20 2 3 10 0.5 30 rest"), None).unwrap();
             assert_eq!((at, class), ([1.0, 2.0, 3.0], None));
             assert_eq!(values.value(&row.unwrap(), &Scale::BYTES), [10, 20, 30]);
             let intensity = layout.with_values(ColourSource::Intensity).unwrap();
-            let (_, _, row) = intensity.parse(&of("1 x 2 3 x 7 x")).unwrap();
+            let (_, _, row) = intensity.parse(&of("1 x 2 3 x 7 x"), None).unwrap();
             assert_eq!(intensity.value(&row.unwrap(), &Scale::WHOLE), [7, 0, 0]);
             for short in ["1 20 2 3 10 0.5", "1 20 2 3"] {
-                assert_eq!(values.parse(&of(short)).unwrap(), ([1.0, 2.0, 3.0], None, None), "{short}");
+                assert_eq!(values.parse(&of(short), None).unwrap(), ([1.0, 2.0, 3.0], None, None), "{short}");
             }
-            assert!(values.parse(&of("1 20 2")).unwrap_err().contains("expected 4 columns"));
-            assert!(values.parse(&of("1 20 2 3 10 0.5 red")).unwrap_err().contains("a number in column 7"));
+            let fault = |row: &str| values.parse(&of(row), None).unwrap_err().reason;
+            assert!(fault("1 20 2").contains("expected 4 columns"));
+            assert!(fault("1 20 2 3 10 0.5 red").contains("a number in column 7"));
+            assert_eq!(values.parse(&of("1 20 2 3 NA 0.5 30"), None).unwrap(), ([1.0, 2.0, 3.0], None, None));
             assert!(layout.with_values(ColourSource::Class).is_none());
         }
     }

@@ -1,22 +1,34 @@
 //! Clouds as text: XYZ, CSV, PTS, PTX.
 //!
 //! A [`Rows`] is a list of segments of rows. Plain text is cut into pieces of 4 MiB at line ends, which any number of
-//! threads parse; compressed text (gzip, zstd) is read by one. Formats that state how many rows belong to a cloud are read
-//! through once, to count lines, when they are opened.
+//! threads parse; compressed text (gzip, zstd) is read by one. PTX states how many rows belong to a cloud and is read
+//! through once, to count lines, when it is opened. Tables (XYZ, CSV, PTS) are not: [`decision`] looks at their first
+//! rows, and what their first line states is checked when all pieces are read ([`Tally`]).
 //!
 //! Sources: "Leica PTX / PTS format" as Cyclone writes it. PTX: columns, rows, four lines about the scanner, four rows of a
 //! matrix `M`; a point is `(x y z 1) · M`, and `0 0 0` means no return.
 
 mod decimal;
+mod decision;
+mod heading;
 mod layout;
 mod lines;
+mod tally;
 
 use super::values::{Channels, Kind, SAMPLE_PLACES, SAMPLE_POINTS, Sample, Scale};
-use super::{Cloud, Depth, Format, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
+use super::{Cloud, Depth, Opened, Opening, Piece, Pose, Source, Standpoint, Taker};
 use crate::colour::ColourSource;
-use crate::{Error, Parameter, Result};
-use layout::{Parsed, Places, RgbPlaces, RowLayout, ValueLayout, columns, is_numeric, names, recognise};
-use lines::is_word;
+use crate::input::columns::{TextColumn, TextLayout};
+use crate::input::losses::Findings;
+use crate::{Error, Monitor, Parameter, Result};
+use decision::{Beginning, Custom, Decision, decide, is_header};
+use heading::NameUnit;
+use layout::{Fault, Parsed, Places, RgbPlaces, RowLayout, Separator, ValueLayout};
+use lines::{Step, is_word};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use tally::{Count, Tally};
 
 pub(super) use decimal::short;
 pub(super) use lines::Lines;
@@ -29,6 +41,12 @@ const PIECE_BYTES: u64 = 4 << 20;
 const MOST_CLOUDS: usize = 1 << 16;
 /// Rows that are looked at to recognise a text.
 const LOOKED_AT: usize = 256;
+/// Comments before them.
+const MOST_COMMENTS: usize = 64;
+/// Name of the format of tables whose columns a user may name.
+const TABLE: &str = "text";
+/// Points that people are shown.
+const SHOWN_POINTS: usize = 3;
 
 /// Rows that belong together.
 #[derive(Debug, Clone)]
@@ -38,6 +56,8 @@ struct Segment {
     end: u64,
     /// About how many.
     rows: u64,
+    /// Cells of each row, if they are counted.
+    cells: Option<usize>,
     pose: Option<Pose>,
     station: Option<[f64; 3]>,
 }
@@ -45,7 +65,7 @@ struct Segment {
 impl Segment {
     /// Rows between two places, without a pose.
     fn plain(start: u64, end: u64, rows: u64) -> Self {
-        Self { start, end, rows, pose: None, station: None }
+        Self { start, end, rows, cells: None, pose: None, station: None }
     }
 }
 
@@ -60,6 +80,18 @@ pub(super) struct Rows {
     /// `0 0 0` means no return.
     zero_is_absent: bool,
     stated: u64,
+    /// Number of points in the first line, which only reading can check.
+    count: Option<Count>,
+    /// What was found in pieces, by their first byte.
+    found: Mutex<BTreeMap<u64, Tally>>,
+}
+
+/// What comes next in a piece.
+enum Next<'a> {
+    Row(&'a [u8]),
+    TooLong,
+    /// No row for a while.
+    Pause,
 }
 
 /// How rows are read with what is asked for.
@@ -71,11 +103,11 @@ struct Reading<'a> {
 
 impl Reading<'_> {
     #[inline]
-    fn parse(&self, row: &[u8]) -> Parsed<[u16; 3]> {
+    fn parse(&self, row: &[u8], cells: Option<usize>) -> Parsed<[u16; 3]> {
         match &self.values {
-            None => self.layout.parse(row).map(|(at, class)| (at, class, None)),
+            None => self.layout.parse(row, cells).map(|(at, class)| (at, class, None)),
             Some(values) => {
-                let (at, class, numbers) = values.parse(row)?;
+                let (at, class, numbers) = values.parse(row, cells)?;
                 Ok((at, class, numbers.map(|numbers| values.value(&numbers, &self.scale))))
             }
         }
@@ -83,62 +115,114 @@ impl Reading<'_> {
 }
 
 impl Rows {
-    #[inline]
-    fn take(
-        &self,
-        reading: &Reading<'_>,
-        of: &Segment,
-        row: &[u8],
-        lines: &Lines<'_>,
-        to: &mut Taker<'_>,
-    ) -> Result<()> {
-        let (at, class, value) = reading.parse(row).map_err(|reason| lines.error(reason))?;
-        if self.zero_is_absent && at == [0.0; 3] {
-            return to.absent();
+    /// No rows.
+    fn empty(format: &'static str, packing: Packing, layout: RowLayout, channels: Channels) -> Self {
+        Self {
+            format,
+            packing,
+            layout,
+            channels,
+            segments: Vec::new(),
+            zero_is_absent: false,
+            stated: 0,
+            count: None,
+            found: Mutex::default(),
         }
-        to.push(of.pose.map_or(at, |pose| pose.apply(at)), class, value)
     }
 
-    /// Hands the rows of a piece to `take`, each with the number of its segment, as long as that asks for more.
+    /// The point of a row, if that has a return, in the coordinates of the file; its class and its value.
+    #[inline]
+    fn point<V>(
+        &self,
+        of: &Segment,
+        (at, class, value): ([f64; 3], Option<f64>, V),
+    ) -> Option<([f64; 3], Option<f64>, V)> {
+        if self.zero_is_absent && at == [0.0; 3] {
+            return None;
+        }
+        Some((of.pose.map_or(at, |pose| pose.apply(at)), class, value))
+    }
+
+    /// An error at the row that `lines` handed out last.
+    #[cold]
+    fn row_error(&self, fault: Fault, lines: &Lines<'_>) -> Error {
+        match fault.is_width && self.format == TABLE {
+            true => lines.error(fault.reason).with_way_out(Parameter::Columns),
+            false => {
+                lines.error(format!("{}; fetch or write it again", fault.reason)).with_way_out(Parameter::Incomplete)
+            }
+        }
+    }
+
+    /// Whether a row states a number of points, as a PTS may do before each cloud.
+    fn count_in(&self, row: &[u8]) -> Option<u64> {
+        if self.count.is_some_and(|count| count.may_repeat) { whole_word(row) } else { None }
+    }
+
+    /// Hands what is in a piece to `take`, each with its place and the number of its segment, as long as that asks for more.
     fn each_row(
         &self,
         piece: &Piece,
         source: &Source,
-        mut take: impl FnMut(usize, &Segment, &[u8], &Lines<'_>) -> Result<bool>,
+        mut take: impl FnMut(u64, usize, Next<'_>, &Lines<'_>) -> Result<bool>,
     ) -> Result<()> {
-        if self.packing != Packing::Plain {
-            let mut lines = Lines::open(source, source.stamp().len(), self.packing)?;
-            let mut segments = self.segments.iter().enumerate().peekable();
-            while let Some(&(part, segment)) = segments.peek() {
-                let Some((at, line)) = lines.next_place()? else { break };
-                if at >= segment.end {
-                    // Rows of the next cloud follow behind its header.
-                    segments.next();
+        let is_packed = self.packing != Packing::Plain;
+        let mut part = piece.part;
+        let Some(first) = self.segments.get(part) else { return Ok(()) };
+        // A row belongs to the piece in which it begins.
+        let mut lines = match is_packed {
+            true => Lines::open(source, source.stamp().len(), self.packing, None)?,
+            false if piece.first == first.start => Lines::begin(source, piece.first),
+            false => Lines::begin_behind(source, piece.first - 1, piece.end)?,
+        };
+        let end = if is_packed { u64::MAX } else { piece.end };
+        while lines.position() < end {
+            let Some(step) = lines.step()? else { break };
+            let (at, next) = match step {
+                Step::Row(at, line) => (at, Next::Row(lines.at(line))),
+                Step::TooLong(at) => (at, Next::TooLong),
+                Step::Pause => (0, Next::Pause),
+            };
+            if let Next::Pause = next {
+                if take(at, part, next, &lines)? {
                     continue;
                 }
-                if at >= segment.start && !take(part, segment, lines.at(line), &lines)? {
-                    break;
-                }
+                break;
             }
-            return Ok(());
-        }
-        let Some(segment) = self.segments.get(piece.part) else { return Ok(()) };
-        // A row belongs to the piece in which it begins.
-        let mut lines = match piece.first == segment.start {
-            true => Lines::begin(source, piece.first),
-            false => {
-                let mut lines = Lines::begin(source, piece.first - 1);
-                lines.next()?;
-                lines
+            if at >= end {
+                break;
             }
-        };
-        while lines.position() < piece.end {
-            let Some((at, line)) = lines.next_place()? else { break };
-            if at >= piece.end || !take(piece.part, segment, lines.at(line), &lines)? {
+            // Rows of the next cloud follow behind its header.
+            while is_packed && self.segments.get(part).is_some_and(|segment| at >= segment.end) {
+                part += 1;
+            }
+            let Some(segment) = self.segments.get(part) else { break };
+            if at >= segment.start && !take(at, part, next, &lines)? {
                 break;
             }
         }
         Ok(())
+    }
+
+    /// Counts the rows of a piece, without looking into them.
+    fn count_rows(&self, piece: &Piece, source: &Source, monitor: &dyn Monitor) -> Result<Tally> {
+        let (mut tally, mut rows) = (Tally::default(), 0u64);
+        self.each_row(piece, source, |_, _, next, _| {
+            rows += 1;
+            if (rows.is_multiple_of(1 << 16) || matches!(next, Next::Pause)) && monitor.cancelled() {
+                return Err(Error::Interrupted);
+            }
+            match next {
+                Next::Row(row) => match self.count_in(row) {
+                    Some(stated) => tally.add_count(stated),
+                    None => tally.add_row(),
+                },
+                Next::TooLong => tally.add_row(),
+                Next::Pause => {}
+            }
+            Ok(true)
+        })?;
+        Ok(tally)
     }
 }
 
@@ -186,9 +270,10 @@ impl Cloud for Rows {
             let mut wanted = (0..places).map(at).peekable();
             for (_, piece) in self.pieces().enumerate().filter(|(number, _)| wanted.next_if_eq(number).is_some()) {
                 let mut left = rows;
-                self.each_row(&piece, file, |_, _, row, _| {
+                self.each_row(&piece, file, |_, part, next, _| {
                     // What is no row of numbers is refused where it is read in full.
-                    if let Ok((_, _, Some(numbers))) = values.parse(row) {
+                    let Next::Row(row) = next else { return Ok(false) };
+                    if let Ok((_, _, Some(numbers))) = values.parse(row, self.segments[part].cells) {
                         values.look(&numbers, &mut sample);
                     }
                     left -= 1;
@@ -207,18 +292,78 @@ impl Cloud for Rows {
     fn decode(&self, piece: &Piece, source: &Source, _: &mut Vec<u8>, taker: &mut Taker<'_>) -> Result<u64> {
         let (layout, scale) = (&self.layout, self.channels.scale());
         let reading = Reading { layout, values: taker.wanted().and_then(|source| layout.with_values(source)), scale };
-        self.each_row(piece, source, |part, segment, row, lines| {
+        let mut tally = Tally::default();
+        let done = self.each_row(piece, source, |at, part, next, lines| {
             taker.begin_cloud(part)?;
-            self.take(&reading, segment, row, lines, taker).map(|()| true)
-        })?;
-        Ok(0)
+            let segment = &self.segments[part];
+            let fault = match next {
+                Next::Row(row) => match reading.parse(row, segment.cells) {
+                    Ok(row) => {
+                        tally.add_row();
+                        match self.point(segment, row) {
+                            Some((at, class, value)) => taker.push(at, class, value)?,
+                            None => taker.absent()?,
+                        }
+                        return Ok(true);
+                    }
+                    // Rows without a return may end before the colours.
+                    Err(_)
+                        if self.zero_is_absent && self.layout.parse(row, None).is_ok_and(|row| row.0 == [0.0; 3]) =>
+                    {
+                        tally.add_row();
+                        return taker.absent().map(|()| true);
+                    }
+                    Err(fault) => match self.count_in(row) {
+                        Some(stated) => {
+                            tally.add_count(stated);
+                            return Ok(true);
+                        }
+                        None => fault,
+                    },
+                },
+                Next::TooLong => Fault::too_long(),
+                // So that whoever takes the points may end the work.
+                Next::Pause => return taker.flush().map(|()| true),
+            };
+            tally.add_row();
+            if !taker.lose()? {
+                return Err(self.row_error(fault, lines));
+            }
+            tally.add_fault(at, fault.reason);
+            Ok(true)
+        });
+        // Also of what comes before damage.
+        self.found.lock().unwrap_or_else(PoisonError::into_inner).insert(piece.first, tally);
+        done.map(|()| 0)
+    }
+
+    fn check(&self, findings: &mut Findings<'_>, monitor: &dyn Monitor) -> Result<()> {
+        let mut found = std::mem::take(&mut *self.found.lock().unwrap_or_else(PoisonError::into_inner));
+        let source = || Source::open(findings.path, None);
+        // An earlier run may have read a piece, but not whether there are as many as the first line states.
+        let missing = self.pieces().filter(|piece| self.count.is_some() && !found.contains_key(&piece.first));
+        for piece in missing.collect::<Vec<_>>() {
+            found.insert(piece.first, self.count_rows(&piece, &source()?, monitor)?);
+        }
+        if let Some(count) = self.count {
+            tally::check_count(count, found.values(), findings)?;
+        }
+        let (lost, first) = tally::faults(found.values());
+        if let Some((at, reason)) = first {
+            let line = lines::number_at(&source()?, self.packing, at)?;
+            let (rows, more) =
+                if lost == 1 { ("row", String::new()) } else { ("rows", ", the first of them".to_owned()) };
+            findings.lose(format!("{lost} {rows} left out{more}: {line}: {reason}"))?;
+        }
+        Ok(())
     }
 
     fn state(&self) -> Vec<u8> {
         let mut bytes: Vec<u8> = self.layout.bytes().collect();
         bytes.extend([self.zero_is_absent.into(), self.packing as u8]);
-        for Segment { start, end, pose, .. } in &self.segments {
-            bytes.extend([start, end].into_iter().flat_map(|v| v.to_le_bytes()));
+        for Segment { start, end, cells, pose, .. } in &self.segments {
+            let cells = cells.map_or(0, |cells| cells as u64);
+            bytes.extend([*start, *end, cells].into_iter().flat_map(u64::to_le_bytes));
             bytes.extend(pose.iter().flat_map(Pose::bytes));
         }
         bytes
@@ -238,93 +383,25 @@ impl Cloud for Rows {
     }
 }
 
-/// The lines of a text, which is not one in UTF-16, and its place behind a byte order mark.
+/// The lines of a text, behind its byte order mark.
 fn begin<'a>(opening: &Opening<'a, '_>) -> Result<(Lines<'a>, Packing)> {
     let packing = Packing::of(opening.source)?;
-    let start = opening.source.bytes_at(0, opening.bytes.min(2) as usize)?;
-    if matches!(start.as_deref(), Some([0xFF, 0xFE] | [0xFE, 0xFF])) {
-        return Err(opening.error("byte 0", "text in UTF-16; save it as UTF-8"));
-    }
-    Ok((Lines::open(opening.source, opening.bytes, packing)?, packing))
-}
-
-/// A row without the mark that some editors put before a text.
-fn without_mark(row: &[u8]) -> &[u8] {
-    row.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(row)
+    Ok((Lines::open(opening.source, opening.bytes, packing, Some(opening.monitor))?, packing))
 }
 
 /// XYZ, CSV and other text in rows.
 pub(super) fn open_rows(opening: &mut Opening<'_, '_>) -> Result<Opened> {
-    let (mut lines, packing) = begin(opening)?;
-    let (mut header, mut first, mut rows): (Option<Vec<u8>>, _, Vec<Vec<u8>>) = (None, None, Vec::new());
-    // Some write the number of points first.
-    let mut count: Option<u64> = None;
-    while rows.len() < LOOKED_AT {
-        let Some((at, line)) = lines.next()? else { break };
-        let marked = at == 0 && line.starts_with(b"\xEF\xBB\xBF");
-        let line = if marked { without_mark(line) } else { line };
-        let text = line.trim_ascii();
-        let is_comment = text.starts_with(b"#") || text.starts_with(b"//");
-        if text.is_empty() {
-            continue;
-        }
-        if is_comment {
-            if header.is_none() && first.is_none() && columns(&names(text)).is_some() {
-                header = Some(text.to_vec());
-            }
-        } else if first.is_none() && count.is_none() && is_word(text) && parse_whole(text).is_some() {
-            count = parse_whole(text);
-        } else if first.is_some() || is_numeric(text) {
-            first.get_or_insert(at + if marked { 3 } else { 0 });
-            rows.push(text.to_vec());
-        } else if header.is_none() {
-            header = Some(text.to_vec());
-        } else {
-            let line = text.to_vec();
-            return Err(lines.expected("numbers", &line));
-        }
-    }
-    let header = header.map(|header| names(&header)).unwrap_or_default();
-    let found = columns(&header);
-    let is_rgb = format_rgb(opening.source.path());
-    let places = match opening.columns {
-        Some(columns) => columns.places(),
-        None if header.is_empty() && is_rgb => {
-            Places { rgb: Some(RgbPlaces::Each([3, 4, 5])), ..Places::of([0, 1, 2]) }
-        }
-        None if header.is_empty() => Places::of([0, 1, 2]),
-        None => found.ok_or_else(|| {
-            let found = super::shown(header.join(",").as_bytes());
-            let reason = format!("expected columns named x, y and z, found {found}");
-            opening.error("header", reason).with_way_out(Parameter::Columns)
-        })?,
-    };
-    let (separator, decimal_comma) = recognise(&rows).map_err(|reason| opening.error("columns", reason))?;
-    let layout = RowLayout::new(places, separator, decimal_comma);
-    let channels = Channels::new(places.rgb.map(|_| Kind::Any), places.intensity.map(|_| Kind::Any));
-    let empty =
-        Rows { format: "text", packing, layout, channels, segments: Vec::new(), zero_is_absent: false, stated: 0 };
-    let layout = &empty.layout;
-    let Some(start) = first else {
-        if let Some(count) = count.filter(|&count| count > 0) {
-            opening.findings.lose(format!("its first line states {count} points, no lines follow"))?;
-        }
-        return Ok(Opened::new(empty));
-    };
-    if let Some(Err(reason)) = rows.first().map(|row| layout.parse(row)) {
-        return Err(opening.error("first row", reason).with_way_out(Parameter::Columns));
-    }
-    let end = if packing == Packing::Plain { opening.bytes } else { u64::MAX };
-    let mean = rows.iter().map(|row| row.len() as u64 + 1).sum::<u64>() / rows.len().max(1) as u64;
-    let rows = if rows.len() < LOOKED_AT { rows.len() as u64 } else { opening.bytes / mean.max(1) };
-    let named = opening.columns.map(|columns| columns.to_string().split(',').map(str::to_owned).collect());
-    let said = format!("read as text: {}", layout.describe(&named.unwrap_or(header)));
-    let segments = vec![Segment::plain(start, end, rows)];
-    Ok(Opened { said: Some(said), ..Opened::new(Rows { segments, ..empty }) })
+    let custom = if is_xyzrgb(opening.source.path()) { Custom::XyzRgb } else { Custom::Xyz };
+    open_table(opening, custom)
+}
+
+/// PTS: the number of points, then so many rows; maybe again.
+pub(super) fn open_pts(opening: &mut Opening<'_, '_>) -> Result<Opened> {
+    open_table(opening, Custom::Pts)
 }
 
 /// Whether the name says that red, green and blue follow the coordinates.
-fn format_rgb(path: &std::path::Path) -> bool {
+fn is_xyzrgb(path: &Path) -> bool {
     unpacked_name(path).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xyzrgb"))
 }
 
@@ -332,82 +409,167 @@ fn parse_whole(text: &[u8]) -> Option<u64> {
     std::str::from_utf8(text.trim_ascii()).ok()?.parse().ok()
 }
 
-/// PTS: the number of points, then so many rows; maybe again.
-pub(super) fn open_pts(opening: &mut Opening<'_, '_>) -> Result<Opened> {
-    let (mut lines, packing) = begin(opening)?;
-    let (mut segments, mut stated, mut row) = (Vec::new(), 0u64, None);
-    let first = lines.row()?;
-    let marked = first.as_ref().is_some_and(|row| without_mark(row).len() < row.len());
-    let mut next = first.map(|row| without_mark(&row).to_vec());
-    let mut uncounted = 0;
-    while let Some(line) = next {
-        let count = if is_word(&line) { parse_whole(&line) } else { None };
-        let start = match count {
-            Some(_) => lines.position(),
-            // Rows without a number of them before: from the beginning of this one.
-            None if segments.is_empty() && is_numeric(&line) && !is_word(&line) => {
-                uncounted = 1;
-                if marked { 3 } else { 0 }
+/// The whole number that is the only word of a row.
+fn whole_word(row: &[u8]) -> Option<u64> {
+    if is_word(row) { parse_whole(row) } else { None }
+}
+
+/// What stands before the rows of a table, and the first of them.
+#[derive(Default)]
+struct Start {
+    comments: Vec<Vec<u8>>,
+    /// The line that names columns, and its number.
+    header: Option<(Vec<u8>, u64)>,
+    count: Option<u64>,
+    /// Place of the first row, and the number of its line.
+    first: Option<(u64, u64)>,
+    rows: Vec<Vec<u8>>,
+    /// Whether these are all.
+    is_whole: bool,
+}
+
+impl Start {
+    fn read(lines: &mut Lines<'_>, custom: Custom) -> Result<Self> {
+        let mut start = Self::default();
+        while start.rows.len() < LOOKED_AT {
+            let Some((at, line)) = lines.next()? else {
+                start.is_whole = true;
+                break;
+            };
+            let Some(line) = line else {
+                // Behind the first row it is a bad row as any other.
+                if start.first.is_none() {
+                    return Err(lines.error(Fault::too_long().reason));
+                }
+                continue;
+            };
+            let text = line.trim_ascii();
+            let is_comment = text.starts_with(b"#") || text.starts_with(b"//");
+            if text.is_empty() || is_comment && start.first.is_some() {
+                continue;
             }
-            None => return Err(lines.expected("a number of points", &line)),
-        };
-        let most = count.unwrap_or(u64::MAX);
-        let mut rows = lines.count_rows(most, true, opening.monitor)? + uncounted;
-        if rows < count.unwrap_or(0) {
-            let number = segments.len() + 1;
-            let text = format!("cloud {number}: its first line states {most} points, {rows} lines follow");
-            opening.findings.lose(text)?;
+            if is_comment {
+                if start.comments.len() < MOST_COMMENTS && is_header(text) {
+                    start.comments.push(line.to_vec());
+                }
+                continue;
+            }
+            match whole_word(text) {
+                Some(count) if start.first.is_none() && start.count.is_none() => {
+                    start.count = Some(count);
+                    continue;
+                }
+                Some(_) if custom == Custom::Pts => continue,
+                _ => {}
+            }
+            let names = start.first.is_none() && is_header(text);
+            if start.first.is_some() || decision::is_row(text) && !names {
+                let line = line.to_vec();
+                start.first.get_or_insert((at, lines.number()));
+                start.rows.push(line);
+            } else if start.header.is_none() && (names || custom != Custom::Pts) {
+                let line = line.to_vec();
+                start.header = Some((line, lines.number()));
+            } else {
+                let what = if custom == Custom::Pts { "a number of points" } else { "numbers" };
+                let line = text.to_vec();
+                return Err(lines.expected(what, &line));
+            }
         }
-        // One that states fewer than it has goes on until the next.
-        let more = lines.count_rows(u64::MAX, true, opening.monitor)?;
-        if more > 0 {
-            let number = segments.len() + 1;
-            opening.findings.note(format!(
-                "cloud {number}: its first line states {most} points, {} lines follow; all are read",
-                rows + more
-            ));
-            rows += more;
-        }
-        stated = stated.saturating_add(rows);
-        check_clouds(segments.len(), opening)?;
-        segments.push(Segment::plain(start, lines.position(), rows));
-        if row.is_none() {
-            row = first_row(opening, packing, start)?;
-        }
-        next = lines.row()?;
+        Ok(start)
     }
-    let (layout, channels) = layout_of(opening, Format::Pts, row)?;
-    let zero_is_absent = false;
-    Ok(Opened::new(Rows { format: "PTS", packing, layout, channels, segments, zero_is_absent, stated }))
 }
 
-/// The first row from `start` on.
-fn first_row(opening: &Opening<'_, '_>, packing: Packing, start: u64) -> Result<Option<Vec<u8>>> {
-    let mut lines = Lines::open(opening.source, opening.bytes, packing)?;
-    while let Some((at, line)) = lines.next_row()? {
-        if at >= start {
-            return Ok(Some(without_mark(line).to_vec()));
+/// A table, whose rows may be preceded by their number and by names of columns.
+fn open_table(opening: &mut Opening<'_, '_>, custom: Custom) -> Result<Opened> {
+    let (mut lines, packing) = begin(opening)?;
+    let Start { comments, header, count, first, rows, is_whole } = Start::read(&mut lines, custom)?;
+    let format = if custom == Custom::Pts { "PTS" } else { TABLE };
+    let Some((start, first_line)) = first else {
+        if let Some(count) = count.filter(|&count| count > 0) {
+            opening.findings.lose(format!("its first line states {count} points, no lines follow"))?;
         }
-    }
-    Ok(None)
-}
-
-/// Columns 1 to 3, as the first row separates them, and those behind: `i`, `r g b`, or `i r g b`. A PTX may have clouds without colours;
-/// so all rows may end before theirs.
-fn layout_of(opening: &Opening<'_, '_>, format: Format, first: Option<Vec<u8>>) -> Result<(RowLayout, Channels)> {
-    let rows: Vec<Vec<u8>> = first.into_iter().collect();
-    let (separator, decimal_comma) = recognise(&rows).map_err(|reason| opening.error("columns", reason))?;
-    let count = rows.first().map_or(0, |row| separator.count(row));
-    let (intensity, rgb) = match count {
-        _ if format == Format::Ptx => (Some(3), Some([4, 5, 6])),
-        4 => (Some(3), None),
-        6 => (None, Some([3, 4, 5])),
-        7.. => (Some(3), Some([4, 5, 6])),
-        _ => (None, None),
+        if let Some((header, line)) = header.filter(|(header, _)| !is_header(header)) {
+            let reason = format!("expected columns named x, y and z, found {}", super::shown(header.trim_ascii()));
+            return Err(opening.error(format!("line {line}"), reason).with_way_out(Parameter::Columns));
+        }
+        let layout = RowLayout::new(Places::of([0, 1, 2]), Separator::Blanks, false);
+        return Ok(Opened::new(Rows::empty(format, packing, layout, Channels::new(None, None))));
     };
-    let places = Places { rgb: rgb.map(RgbPlaces::Each), intensity, ..Places::of([0, 1, 2]) };
-    let channels = Channels::new(rgb.map(|_| Kind::Custom), intensity.map(|_| Kind::Any));
-    Ok((RowLayout::new(places, separator, decimal_comma), channels))
+    // What a user names is a table of any kind.
+    let columns = opening.columns.filter(|_| custom != Custom::Pts);
+    let beginning =
+        Beginning { comments: &comments, header: header.as_ref().map(|(header, _)| &header[..]), rows: &rows };
+    let decided = decide(&beginning, columns, custom).map_err(|refusal| {
+        let line = header.as_ref().filter(|_| refusal.is_of_header).map_or(first_line, |header| header.1);
+        let at = format!("line {line}");
+        match custom {
+            Custom::Pts => {
+                let way_out = "give it the ending .txt and name its columns";
+                opening.error(at, format!("{}; {way_out}", refusal.reason))
+            }
+            _ => opening.error(at, refusal.reason).with_way_out(Parameter::Columns),
+        }
+    })?;
+    let Decision { layout, places, cells, names, units } = decided;
+    let kind = if custom == Custom::Pts && names.is_empty() { Kind::Custom } else { Kind::Any };
+    let channels = Channels::new(places.rgb.map(|_| kind), places.intensity.map(|_| Kind::Any));
+    let end = if packing == Packing::Plain { opening.bytes } else { u64::MAX };
+    let mean = rows.iter().map(|row| row.len() as u64 + 1).sum::<u64>() / rows.len().max(1) as u64;
+    let guess = if is_whole { rows.len() as u64 } else { opening.bytes / mean.max(1) };
+    // Of packed text and of several clouds, the first line or the guess may be far off.
+    let near = count.filter(|count| (guess / 2..=guess.saturating_mul(2)).contains(count));
+    let segment = Segment { cells, ..Segment::plain(start, end, near.unwrap_or(guess).max(1)) };
+    let text = text_layout(&layout, &places, &names, &rows, |row| layout.parse(row, cells).ok().map(|row| row.0));
+    let is_said = custom != Custom::Pts || !names.is_empty();
+    let said = is_said.then(|| format!("read as text: {text}"));
+    let may_repeat = custom == Custom::Pts;
+    let count = count.map(|stated| Count { stated: Some(stated), may_repeat });
+    let rows = Rows {
+        segments: vec![segment],
+        stated: count.and_then(|count| count.stated).unwrap_or(0),
+        count: count.or(may_repeat.then_some(Count { stated: None, may_repeat })),
+        ..Rows::empty(format, packing, layout, channels)
+    };
+    let mut opened = Opened { said, text: Some(text), ..Opened::new(rows) };
+    let length = |unit| match unit {
+        Some(NameUnit::Metres(metres)) => Some(metres),
+        _ => None,
+    };
+    opened.georeference.horizontal = length(units[0]).filter(|_| units[0] == units[1]);
+    opened.georeference.vertical = length(units[2]);
+    opened.georeference.degrees = units[0] == Some(NameUnit::Angle);
+    Ok(opened)
+}
+
+/// What people are shown of a layout: its columns and the first points.
+fn text_layout(
+    layout: &RowLayout,
+    places: &Places,
+    names: &[String],
+    rows: &[Vec<u8>],
+    point: impl Fn(&[u8]) -> Option<[f64; 3]>,
+) -> TextLayout {
+    let column = |holds, place: usize| TextColumn {
+        holds,
+        number: place + 1,
+        name: names.get(place).filter(|name| !name.is_empty()).cloned(),
+    };
+    let rgb = match places.rgb {
+        Some(RgbPlaces::Each([r, g, b])) => vec![("red", r), ("green", g), ("blue", b)],
+        None => Vec::new(),
+    };
+    let axes = ["x", "y", "z"].into_iter().zip(places.axes);
+    let class = places.class.map(|place| ("class", place));
+    let intensity = places.intensity.map(|place| ("intensity", place));
+    let all = axes.chain(class).chain(intensity).chain(rgb);
+    let points = rows.iter().filter_map(|row| point(row)).filter(|at| !at.iter().any(|v| v.is_nan()));
+    TextLayout {
+        separator: layout.separator().name(),
+        decimal_comma: layout.decimal_comma(),
+        columns: all.map(|(holds, place)| column(holds, place)).collect(),
+        first_points: points.take(SHOWN_POINTS).collect(),
+    }
 }
 
 fn check_clouds(clouds: usize, opening: &Opening<'_, '_>) -> Result<()> {
@@ -418,54 +580,129 @@ fn check_clouds(clouds: usize, opening: &Opening<'_, '_>) -> Result<()> {
     Ok(())
 }
 
+/// The header of a cloud of a PTX.
+struct PtxHead {
+    points: u64,
+    pose: Pose,
+    station: Option<[f64; 3]>,
+    /// Its numbers have decimal commas.
+    decimal_comma: bool,
+}
+
+/// Columns and rows of the next cloud of a PTX; goes on to it, if what comes next is none and that is allowed.
+fn ptx_size(lines: &mut Lines<'_>, may_seek: bool) -> Result<Option<[u64; 2]>> {
+    let mut columns = None;
+    while let Some(line) = lines.row()? {
+        match (columns, whole_word(&line)) {
+            (Some(columns), Some(rows)) => return Ok(Some([columns, rows])),
+            (None, Some(count)) => columns = Some(count),
+            (_, None) if may_seek => columns = None,
+            (None, None) => return Err(lines.expected("the number of columns of a cloud", &line)),
+            (Some(_), None) => return Err(lines.expected("the number of rows of a cloud", &line)),
+        }
+    }
+    match columns {
+        Some(_) if !may_seek => Err(lines.expected("the number of rows of a cloud", b"")),
+        _ => Ok(None),
+    }
+}
+
+fn ptx_head(lines: &mut Lines<'_>, [columns, rows]: [u64; 2]) -> Result<PtxHead> {
+    let (position, mut decimal_comma) = numbers(lines, 3)?;
+    for _ in 0..3 {
+        decimal_comma |= numbers(lines, 3)?.1;
+    }
+    let mut matrix = [[0.0; 3]; 4];
+    for (number, row) in matrix.iter_mut().enumerate() {
+        let (line, has_comma) = numbers(lines, 4)?;
+        decimal_comma |= has_comma;
+        row.copy_from_slice(&line[..3]);
+        if line[3] != if number == 3 { 1.0 } else { 0.0 } {
+            return Err(lines.error(format!("expected a matrix with the last column 0 0 0 1, found {}", line[3])));
+        }
+    }
+    let pose = Pose(matrix);
+    if !pose.is_finite() {
+        return Err(lines.error("the matrix has numbers that are not finite"));
+    }
+    let station = station(&position, &pose);
+    Ok(PtxHead { points: columns.saturating_mul(rows), pose, station, decimal_comma })
+}
+
 /// PTX: clouds with a header of ten lines each.
 pub(super) fn open_ptx(opening: &mut Opening<'_, '_>) -> Result<Opened> {
     let (mut lines, packing) = begin(opening)?;
-    let (mut segments, mut stated, mut first) = (Vec::new(), 0u64, None);
-    while let Some(line) = lines.row()? {
-        let line = without_mark(&line);
-        let Some(columns) = parse_whole(line).filter(|_| is_word(line)) else {
-            return Err(lines.expected("the number of columns of a cloud", line));
-        };
-        let line = lines.row()?.unwrap_or_default();
-        let Some(rows) = parse_whole(&line).filter(|_| is_word(&line)) else {
-            return Err(lines.expected("the number of rows of a cloud", &line));
-        };
-        let position = numbers(&mut lines, 3)?;
-        for _ in 0..3 {
-            numbers(&mut lines, 3)?;
-        }
-        let mut matrix = [[0.0; 3]; 4];
-        for (number, row) in matrix.iter_mut().enumerate() {
-            let line = numbers(&mut lines, 4)?;
-            row.copy_from_slice(&line[..3]);
-            if line[3] != if number == 3 { 1.0 } else { 0.0 } {
-                return Err(lines.error(format!("expected a matrix with the last column 0 0 0 1, found {}", line[3])));
+    let (mut segments, mut stated, mut sample, mut decimal_comma) = (Vec::new(), 0u64, Vec::new(), false);
+    let (mut may_seek, mut number) = (false, 0);
+    loop {
+        let size = match ptx_size(&mut lines, may_seek) {
+            Err(Error::Input { at, reason, .. }) if opening.findings.allow_incomplete => {
+                opening.findings.lose(format!("{at}: {reason}; rows up to the next cloud are left out"))?;
+                may_seek = true;
+                continue;
             }
-        }
-        let pose = Pose(matrix);
-        if !pose.is_finite() {
-            return Err(lines.error("the matrix has numbers that are not finite"));
-        }
-        let count = columns.saturating_mul(rows);
+            size => size?,
+        };
+        let Some(size) = size else { break };
+        number += 1;
+        let head = match ptx_head(&mut lines, size) {
+            Err(Error::Input { at, reason, .. }) if opening.findings.allow_incomplete => {
+                let points = size[0].saturating_mul(size[1]);
+                stated = stated.saturating_add(points);
+                opening.findings.lose(format!("cloud {number} of {points} points is left out: {at}: {reason}"))?;
+                may_seek = true;
+                continue;
+            }
+            head => head?,
+        };
+        may_seek = false;
+        let PtxHead { points, pose, station, .. } = head;
+        decimal_comma |= head.decimal_comma;
         let start = lines.position();
-        let found = lines.count_rows(count, true, opening.monitor)?;
-        stated = stated.saturating_add(count);
-        let number = segments.len() + 1;
-        if found < count {
-            opening.findings.lose(format!("cloud {number}: its header states {count} points, {found} lines follow"))?;
+        let wanted = if sample.is_empty() { LOOKED_AT } else { 1 };
+        let (found, first) = lines.keep_rows(points, true, wanted, opening.monitor)?;
+        stated = stated.saturating_add(points);
+        if found < points {
+            opening
+                .findings
+                .lose(format!("cloud {number}: its header states {points} points, {found} lines follow"))?;
         }
-        let station = station(&position, &pose);
         let pose = Some(pose).filter(|pose| *pose != Pose::IDENTITY);
         check_clouds(segments.len(), opening)?;
-        segments.push(Segment { pose, station, ..Segment::plain(start, lines.position(), found) });
-        if first.is_none() {
-            first = first_row(opening, packing, start)?;
+        segments.push((
+            Segment { pose, station, ..Segment::plain(start, lines.position(), found) },
+            first.first().cloned(),
+        ));
+        if sample.is_empty() {
+            sample = first;
         }
     }
-    let (layout, channels) = layout_of(opening, Format::Ptx, first)?;
-    let rows = Rows { format: "PTX", packing, layout, channels, segments, zero_is_absent: true, stated };
-    let mut opened = Opened::new(rows);
+    let mut layout = RowLayout::new(Custom::Ptx.places(7), Separator::Blanks, decimal_comma);
+    if !sample.is_empty() {
+        let beginning = Beginning { comments: &[], header: None, rows: &sample };
+        let decided = decide(&beginning, None, Custom::Ptx).map_err(|refusal| opening.error("rows", refusal.reason))?;
+        let has_points = sample.iter().any(|row| row.contains(&b'.'));
+        let decimal_comma = decided.layout.decimal_comma() || decimal_comma && !has_points;
+        layout = RowLayout::new(decided.places, decided.layout.separator(), decimal_comma);
+    }
+    // Intensity alone, or colours too; clouds may differ in that.
+    let cells = |row: Option<Vec<u8>>| {
+        let cells = row.and_then(|row| layout.separator().cells(&row).ok().map(|cells| cells.len()));
+        cells.filter(|cells| [4, 7].contains(cells))
+    };
+    let segments: Vec<Segment> =
+        segments.into_iter().map(|(segment, first)| Segment { cells: cells(first), ..segment }).collect();
+    let places = Custom::Ptx.places(7);
+    let channels = Channels::new(Some(Kind::Custom), Some(Kind::Any));
+    let rows = Rows { segments, zero_is_absent: true, stated, ..Rows::empty("PTX", packing, layout, channels) };
+    let first = rows.segments.iter().find(|segment| segment.rows > 0);
+    let point = |row: &[u8]| {
+        let (at, class) = rows.layout.parse(row, None).ok()?;
+        rows.point(first?, (at, class, ())).map(|(at, _, ())| at)
+    };
+    let shown = Places { rgb: places.rgb.filter(|_| first.is_some_and(|first| first.cells == Some(7))), ..places };
+    let text = text_layout(&rows.layout, &shown, &[], &sample, point);
+    let mut opened = Opened { text: Some(text), ..Opened::new(rows) };
     // By convention: Cyclone writes metres.
     opened.georeference.horizontal = Some(1.0);
     Ok(opened)
@@ -488,14 +725,25 @@ fn station(position: &[f64], pose: &Pose) -> Option<[f64; 3]> {
     }
 }
 
-/// The numbers of the next row, at least `least` of them.
-fn numbers(lines: &mut Lines<'_>, least: usize) -> Result<Vec<f64>> {
+/// The numbers of the next row, at least `least` of them, and whether they have decimal commas.
+fn numbers(lines: &mut Lines<'_>, least: usize) -> Result<(Vec<f64>, bool)> {
     let line = lines.row()?.unwrap_or_default();
     let text = String::from_utf8_lossy(&line);
-    let words = text.split([' ', '\t', ',', '\r']).filter(|word| !word.is_empty());
-    let numbers: Option<Vec<f64>> = words.map(|word| word.parse().ok()).collect();
+    let words: Vec<&str> = text.split_ascii_whitespace().collect();
+    // As many words with a comma each as numbers are expected: these are decimal.
+    let has_comma = |word: &&str| word.contains(',');
+    let is_decimal = words.len() == least
+        && words.iter().any(has_comma)
+        && !words.iter().any(|word| word.ends_with(',') || word.contains('.'));
+    let numbers: Option<Vec<f64>> = match is_decimal {
+        true => words.iter().map(|word| word.replace(',', ".").parse().ok()).collect(),
+        false => {
+            let words = words.iter().flat_map(|word| word.split([',', ';'])).filter(|word| !word.is_empty());
+            words.map(|word| word.parse().ok()).collect()
+        }
+    };
     match numbers.filter(|numbers| numbers.len() >= least) {
-        Some(numbers) => Ok(numbers),
+        Some(numbers) => Ok((numbers, is_decimal)),
         None => Err(lines.expected(&format!("{least} numbers of the header of a cloud"), &line)),
     }
 }
