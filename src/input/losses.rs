@@ -56,10 +56,9 @@ impl Findings<'_> {
 pub(super) struct Loss {
     pub not_finite: u64,
     pub missing: u64,
-    /// LAZ chunks that hold more than their points.
-    pub uneven: u64,
-    /// Pieces that could not be read to their end, and the reason of one.
+    /// Pieces that could not be read to their end, how many points of them were not, and the reason of one.
     pub damaged: u64,
+    pub unread: u64,
     pub reason: Option<String>,
     pub changed: bool,
 }
@@ -69,14 +68,14 @@ impl Loss {
         let counted = [
             (self.missing, "points are missing: the data end before them"),
             (self.not_finite, "points have a coordinate that is not finite or beyond 1e12 m"),
-            (self.uneven, "LAZ chunks hold more than the points that are counted for them, or are damaged"),
         ];
         let mut texts: Vec<String> =
             counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
         if let Some(reason) = &self.reason {
             let more =
                 if self.damaged > 1 { format!(" (and {} pieces more)", self.damaged - 1) } else { String::new() };
-            texts.push(format!("{reason}{more}"));
+            let lost = if self.unread > 0 { format!("; points lost: {}", self.unread) } else { String::new() };
+            texts.push(format!("{reason}{more}{lost}"));
         }
         if self.changed {
             texts.push("it was written to, cut or replaced while it was read".into());
