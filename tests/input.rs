@@ -782,7 +782,7 @@ fn a_count_in_a_layered_chunk_that_lies_is_refused() {
         let scan = Scan::new(4, format, points);
         let good = scan.laz(chunk);
         let places = chunk_places(&good, &scan, chunk);
-        let filled = places.windows(2).filter(|place| place[1] - place[0] > 4).next_back().unwrap();
+        let filled = places.windows(2).rfind(|place| place[1] - place[0] > 4).unwrap();
         let at = filled[0] + RECORD_BYTES[usize::from(format)];
         let held = u32::from_le_bytes(good[at..at + 4].try_into().unwrap());
         for count in [0, 1, held - 1, held + 1, u32::MAX] {
