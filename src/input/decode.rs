@@ -26,8 +26,8 @@ pub struct PointChunk {
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum ChunkSource {
     Records { first: u64 },
-    Chunk { index: usize, start: u64, len: u64, open: bool },
-    Stream { start: u64, len: u64, exact: bool },
+    Chunk { index: usize, start: u64, len: u64 },
+    Stream { start: u64, len: u64, table_at: Option<u64> },
     Cloud(cloud::Piece),
 }
 
@@ -60,20 +60,17 @@ impl InputSet {
                         }
                     }))
                 }
-                Content::Packed { body: Chunking::Stream { start, len, points, exact }, .. } => {
-                    let source = ChunkSource::Stream { start: *start, len: *len, exact: *exact };
-                    Box::new(
-                        (*points > 0 && *len > 0).then_some(PointChunk { file, points: *points, source }).into_iter(),
-                    )
+                Content::Packed { body: Chunking::Stream { start, len, points, table_at }, .. } => {
+                    let source = ChunkSource::Stream { start: *start, len: *len, table_at: *table_at };
+                    Box::new((*points > 0).then_some(PointChunk { file, points: *points, source }).into_iter())
                 }
-                Content::Packed { body: Chunking::Chunks { start, chunks, open }, .. } => {
+                Content::Packed { body: Chunking::Chunks { start, chunks }, .. } => {
                     let mut at = *start;
                     Box::new(chunks.iter().enumerate().filter_map(move |(index, chunk)| {
                         let (start, len) = (at, u64::from(chunk.bytes));
                         at += len;
-                        let open = *open && index + 1 == chunks.len();
                         let points = u64::from(chunk.points);
-                        let source = ChunkSource::Chunk { index, start, len, open };
+                        let source = ChunkSource::Chunk { index, start, len };
                         (points > 0 || len > 0).then_some(PointChunk { file, points, source })
                     }))
                 }
@@ -118,8 +115,8 @@ impl PointDecoder {
     /// may be empty, so that `sink` can end work of which nothing is kept.
     ///
     /// An error of `sink` ends the work and is returned. Points that are not there are counted, not an error. Damaged
-    /// compressed data are an error, after the points before the damage were handed on; where incomplete input is allowed
-    /// they are a loss that [`InputSet::check_complete`] tells.
+    /// compressed data are an error, after some points were handed on; where incomplete input is allowed
+    /// they are a loss that [`InputSet::check_complete`] tells, and of a damaged LAZ chunk no point is handed on.
     pub fn decode(
         &mut self,
         set: &InputSet,
@@ -155,7 +152,7 @@ impl PointDecoder {
                     loss.reason.get_or_insert(reason);
                 });
             }
-            return self.settle(set, piece, outcome.map(|missing| (missing, 0)), counts, refused);
+            return self.settle(set, piece, outcome, counts, refused);
         }
         let colour = set.options.colour;
         let field = colour.and_then(|source| file.field(source));
@@ -186,39 +183,37 @@ impl PointDecoder {
             source_ids: matches!(tag, Some(TagField::SourceId(_))),
             times: matches!(tag, Some(TagField::GpsTime(_))),
         };
-        let run = |packing, start, len, open, name| {
+        let run = |packing, start, len, stream, name| {
             let (points, memory_bytes) = (piece.points, set.options.memory_bytes);
-            PackedPoints { source, packing, start, len, points, open, wanted, memory_bytes, name }
+            PackedPoints { source, packing, start, len, points, stream, wanted, memory_bytes, name }
         };
-        let slab = &mut self.slab;
-        // Points decoded, and bytes left that hold something else.
+        let (slab, only_whole) = (&mut self.slab, set.options.allow_incomplete);
+        // How many points are not there.
         let outcome = match (&piece.source, &file.content) {
-            (ChunkSource::Chunk { index, start, len, open }, Content::Packed { packing, .. }) => {
-                let run = run(&**packing, *start, *len, *open, format!("LAZ chunk {index}"));
-                run.decode(false, slab, &mut take)
+            (ChunkSource::Chunk { index, start, len }, Content::Packed { packing, .. }) => {
+                let run = run(&**packing, *start, *len, None, format!("LAZ chunk {index}"));
+                run.decode(only_whole, slab, &mut take).map(|()| 0)
             }
-            (ChunkSource::Stream { start, len, exact }, Content::Packed { packing, .. }) => {
-                let run = run(&**packing, *start, *len, true, "LAZ points".into());
-                run.decode(true, slab, &mut take).map(|(done, left)| (done, if *exact { left } else { 0 }))
+            (ChunkSource::Stream { start, len, table_at }, Content::Packed { packing, .. }) => {
+                let run = run(&**packing, *start, *len, Some(*table_at), "LAZ points".into());
+                run.decode(only_whole, slab, &mut take).map(|()| 0)
             }
             (ChunkSource::Records { first }, _) => {
                 let start = file.points_at + first * record_bytes as u64;
-                las::read(source, start, piece.points, record_bytes, slab, &mut take).map(|done| (done, 0))
+                las::read(source, start, piece.points, record_bytes, slab, &mut take)
+                    .map(|done| piece.points.saturating_sub(done))
             }
             _ => return Err(of_another_set()),
         };
-        // The last chunk of a file whose header lies holds fewer points than fit; that is no loss.
-        let open = matches!(piece.source, ChunkSource::Chunk { open: true, .. });
-        let missing = |done| if open { 0 } else { piece.points.saturating_sub(done) };
-        self.settle(set, piece, outcome.map(|(done, left)| (missing(done), left)), counts, refused)
+        self.settle(set, piece, outcome, counts, refused)
     }
 
-    /// Notes what was lost: points that are not there and bytes that are too many, or what an error left unread.
+    /// Notes what was lost: points that are not there, or what an error left unread.
     fn settle(
         &mut self,
         set: &InputSet,
         piece: &PointChunk,
-        outcome: Result<(u64, u64)>,
+        outcome: Result<u64>,
         mut counts: PointCounts,
         refused: bool,
     ) -> Result<PointCounts> {
@@ -226,14 +221,13 @@ impl PointDecoder {
         let broken = counts.missing;
         self.lost = broken > 0;
         match outcome {
-            Ok((missing, left)) => {
+            Ok(missing) => {
                 counts.missing += missing;
-                if missing + counts.not_finite > 0 || left > 0 {
+                if missing + counts.not_finite > 0 {
                     self.lost = true;
                     set.losses.add(piece.file, |loss| {
                         loss.missing += missing;
                         loss.not_finite += counts.not_finite;
-                        loss.uneven += u64::from(left > 0);
                     });
                 }
             }

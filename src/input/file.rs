@@ -389,9 +389,8 @@ impl ScanFile {
     pub(crate) fn layout_hash(&self) -> u128 {
         let mut hash = Xxh3::new();
         hash.update(&self.hash().to_le_bytes());
-        if let Content::Packed { body: Chunking::Chunks { start, chunks, open }, .. } = &self.content {
+        if let Content::Packed { body: Chunking::Chunks { start, chunks }, .. } = &self.content {
             hash.update(&start.to_le_bytes());
-            hash.update(&[u8::from(*open)]);
             for chunk in chunks {
                 hash.update(&[chunk.bytes.to_le_bytes(), chunk.points.to_le_bytes()].concat());
             }

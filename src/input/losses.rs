@@ -72,11 +72,9 @@ impl Findings<'_> {
 pub(super) struct Loss {
     pub not_finite: u64,
     pub missing: u64,
-    /// LAZ chunks that hold more than their points.
-    pub uneven: u64,
-    /// Points in what cannot be read (pieces from their damage on, single records), pieces among that, and the reason of one.
-    pub unread: u64,
+    /// Points in what cannot be read (chunks, pieces from their damage on, single records), pieces among that, and the reason of one.
     pub damaged: u64,
+    pub unread: u64,
     pub reason: Option<String>,
     /// What the format found out, in words.
     pub told: Vec<String>,
@@ -88,7 +86,6 @@ impl Loss {
         let counted = [
             (self.missing, "points are missing: the data end before them"),
             (self.not_finite, "points have a coordinate that is not finite or beyond 1e12 m"),
-            (self.uneven, "LAZ chunks hold more than the points that are counted for them, or are damaged"),
         ];
         let mut texts: Vec<String> =
             counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();

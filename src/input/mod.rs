@@ -11,7 +11,7 @@
 //! Memory: a set holds about 300 bytes and the path of a file and 8 bytes a LAZ chunk (16 MiB for 10¹¹ points); a decoder 3 MiB, and
 //! for layered LAZ the compressed coordinates of one chunk (see [`InputOptions::memory_bytes`]), for `.zst` 8 MiB.
 //!
-//! Sources: "LAS Specification 1.4 - R15" and "LAS Specification 1.5" (ASPRS); LASzip as in the crate `laz`.
+//! Sources: "LAS Specification 1.4 - R15" and "LAS Specification 1.5" (ASPRS); LASzip: see `laz`.
 
 mod cloud;
 mod columns;
@@ -57,7 +57,6 @@ pub(crate) use self::convert::FARTHEST_M;
 pub use self::crs::projected_epsg;
 pub use self::decode::{PointChunk, PointDecoder};
 pub use self::file::ScanFile;
-pub use self::laz::quiet_decoder_panics;
 pub(crate) use self::losses::{incomplete, warn_incomplete};
 pub(crate) use self::source::{ReadLog, Reads};
 

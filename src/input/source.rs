@@ -1,4 +1,4 @@
-//! Positioned reading of one scan file, and a bounded window on it that the LAZ decoder can read and seek in.
+//! Positioned reading of one scan file, and a bounded window on it to read and seek in.
 //!
 //! In: a path. Out: bytes at offsets. Nothing here moves a shared file position, so several threads may read one file.
 //! Memory: one [`Window`] holds at most [`WINDOW_BYTES`].
@@ -144,8 +144,7 @@ impl Source {
 
 /// The bytes `start .. start + len` of a file as a stream of their own.
 ///
-/// Layers that the decoder skips by seeking are never read from the disk; the last byte of the window is its end of
-/// file, so damage in one LAZ chunk cannot run into the next.
+/// What is skipped by seeking is never read from the disk; the last byte of the window is its end of file.
 #[derive(Clone)]
 pub(super) struct Window<'a> {
     source: &'a Source,
@@ -201,7 +200,7 @@ impl Read for Window<'_> {
         Ok(n)
     }
 
-    // The arithmetic decoder asks for one byte at a time: this is its inner loop.
+    // Some decoders ask for one byte at a time: this is their inner loop.
     #[inline]
     fn read_exact(&mut self, out: &mut [u8]) -> io::Result<()> {
         match self.held.get(self.next..self.next + out.len()) {

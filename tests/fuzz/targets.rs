@@ -15,7 +15,7 @@ use slicewalk::bytes::testing::hold;
 use slicewalk::codec::{ColourBlock, ColourEncoder, Decoder, Encoder};
 use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
-use slicewalk::input::{InputOptions, InputSet, PointDecoder, quiet_decoder_panics};
+use slicewalk::input::{InputOptions, InputSet, PointDecoder};
 use slicewalk::mesh::{MeshOptions, MeshSet};
 use slicewalk::plan::Coding;
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
@@ -296,7 +296,6 @@ pub fn colours(bytes: &[u8]) -> Read {
 
 /// Opens any bytes as a LAS or LAZ file, as they are and behind a sound signature, and decodes what they seem to hold.
 pub fn scan(bytes: &[u8]) -> Read {
-    quiet_decoder_panics();
     let read = read_scan("laz", bytes);
     let mut signed = bytes.to_vec();
     if signed.len() > 24 {

@@ -214,7 +214,6 @@ fn main() -> ExitCode {
     if let Some(written) = describe_program(&arguments) {
         return written;
     }
-    slicewalk::input::quiet_decoder_panics();
     let signal = Arc::new(AtomicUsize::new(0));
     let terminal = Terminal::new("sliceconv", arguments.quiet, way_out, signal.clone());
     if let Err(error) = listen(&signal) {

@@ -5,7 +5,7 @@
 //! a place for every 128th of the range. Sources: A. Said, *Introduction to Arithmetic Coding: Theory and Practice*
 //! (HPL-2004-76); M. Isenburg, *LASzip: lossless compression of LiDAR data* (PE&RS 79(2), 2013).
 //!
-//! Bytes that no encoder wrote give other symbols, never a panic; they show where the data end too early or too late.
+//! Bytes that no encoder wrote give other symbols, never a panic; they show where the data end ([`Coder::is_at_end`]).
 
 use std::hint::select_unpredictable;
 
@@ -54,14 +54,27 @@ impl<'a> Coder<'a> {
         self.position
     }
 
-    pub fn range(&self) -> Range {
-        self.range
+    /// Where to [`resume`](Self::resume).
+    pub fn state(&self) -> (usize, Range) {
+        (self.position, self.range)
     }
 
     /// Bytes were taken that there are not.
     #[inline(always)]
     pub fn is_beyond(&self) -> bool {
         self.position > self.bytes.len()
+    }
+
+    /// Whether an encoder that wrote these symbols ends here. It adds a 256th or a 512th of the greatest range to where its own
+    /// begins, writes the upper one or two bytes of that, and zeros until the decoder has taken as many bytes as it wrote.
+    pub fn is_at_end(&self) -> bool {
+        let Range { value, length } = self.range;
+        let (most, written, zeros) = match length {
+            ..=0x0200_0000 => (1 << 23, 1 << 16, 2),
+            _ => (1 << 24, 1 << 24, 3),
+        };
+        let last = self.position.checked_sub(zeros).and_then(|from| self.bytes.get(from..self.position));
+        value <= most && value > most - written && last.is_some_and(|last| last.iter().all(|&byte| byte == 0))
     }
 
     #[inline(always)]

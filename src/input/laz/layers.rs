@@ -2,14 +2,13 @@
 //! other fields keep what the first point of the chunk has.
 //!
 //! In: the first point of a chunk and its layers, read as a whole. Out: records. Source: the items `POINT14` and `RGB14` of
-//! LASzip, versions 3 and 4, which differ in the colour that is expected where the scanner's channel changes.
+//! LASzip, versions 2 (a draft of 3), 3 and 4, which differ in the colour that is expected where the scanner's channel changes.
 
-use std::io;
 use std::ops::Range as Places;
 
-use super::Wanted;
 use super::coder::{Coder, Median, Model, Numbers, Range};
 use super::fields::{COLOUR_BYTES, Colours, Coordinates, Lazily, Times};
+use super::{Flaw, Wanted};
 
 /// Bytes of the point's own fields.
 pub(super) const POINT_BYTES: usize = 30;
@@ -27,7 +26,12 @@ const COLOURS: usize = 7;
 
 /// Whether there is a decoder of items of this version.
 pub(super) fn exist(version: u16) -> bool {
-    matches!(version, 3 | 4)
+    matches!(version, 2..=4)
+}
+
+/// Whether the layer of a chunk whose points it does not tell apart is whole: it is empty, or an encoder without symbols wrote it.
+pub(super) fn is_still(layer: &[u8]) -> bool {
+    layer.is_empty() || layer.len() == Coder::begin(layer, 0).position() && Coder::begin(layer, 0).is_at_end()
 }
 
 /// Places among all layers of those that are `wanted`; `colour` is that of the colours.
@@ -65,27 +69,35 @@ impl Layers {
             start..end
         });
         let coders = places.clone().map(|place| Coder::begin(&bytes[place], 0));
-        let reached = coders.map(|coder| (coder.position(), coder.range()));
+        let reached = coders.map(|coder| coder.state());
         Self { bytes, places, reached, points: Points::new(first, version, colour) }
     }
 
     /// Fills `records`, each of so many bytes, and counts those that are whole in `filled`.
-    pub fn next(&mut self, records: &mut [u8], record_bytes: usize, filled: &mut usize) -> io::Result<()> {
+    pub fn next(&mut self, records: &mut [u8], record_bytes: usize, filled: &mut usize) -> Result<(), Flaw> {
         let Self { bytes, places, reached, points } = self;
         let layer = |layer: usize| &bytes[places[layer].clone()];
         let present: [bool; WANTED] = std::array::from_fn(|n| n == XY || !layer(n).is_empty());
         let mut coders: [Coder; WANTED] = std::array::from_fn(|n| Coder::resume(layer(n), reached[n].0, reached[n].1));
         for record in records.chunks_exact_mut(record_bytes) {
             if !points.next(&mut coders, &present, record) {
-                return Err(io::ErrorKind::InvalidData.into());
+                return Err(Flaw::Strange);
             }
             if coders.iter().zip(present).any(|(coder, present)| present && coder.is_beyond()) {
-                return Err(io::ErrorKind::UnexpectedEof.into());
+                return Err(Flaw::Short);
             }
             *filled += 1;
         }
-        *reached = coders.map(|coder| (coder.position(), coder.range()));
+        *reached = coders.map(|coder| coder.state());
         Ok(())
+    }
+
+    /// Whether each layer ends behind the points decoded so far.
+    pub fn are_at_end(&self) -> bool {
+        self.places.iter().zip(self.reached).enumerate().all(|(n, (place, (position, range)))| {
+            let coder = Coder::resume(&self.bytes[place.clone()], position, range);
+            place.is_empty() && n != XY || position == place.len() && coder.is_at_end()
+        })
     }
 }
 
@@ -193,7 +205,7 @@ impl Points {
         channel.coordinates.write(last);
         record[..POINT_BYTES].copy_from_slice(last);
         if let Some(by_channel) = &mut self.colours {
-            // In version 3 a point whose channel is the one before's has colours as in channel 0.
+            // Before version 4 a point whose channel is the one before's has colours as in channel 0.
             let channel = if changed || self.version == 4 { self.channel } else { 0 };
             by_channel.next(present[COLOURS].then_some(colours), channel, record);
         }
@@ -298,8 +310,8 @@ impl ColoursByChannel {
         if is_new {
             self.last[channel] = self.last[before];
         }
-        // Version 3 goes on from the channel before if both were met: so do its writers.
-        let expected = if self.version == 3 && !is_new { before } else { channel };
+        // Before version 4 it goes on from the channel before if both were met: so do the writers.
+        let expected = if self.version != 4 && !is_new { before } else { channel };
         let last = &mut self.last[expected];
         if let Some(coder) = coder {
             *last = models.next(coder, *last);

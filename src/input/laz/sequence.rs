@@ -1,204 +1,294 @@
 //! Points of formats 0 to 5, whose fields lie in one compressed sequence: all are decoded to get at any.
 //!
-//! In: the bytes of a chunk or of a whole file, through a buffer of [`WINDOW_BYTES`]. Out: whole records. Source: the items
-//! `POINT10`, `GPSTIME11`, `RGB12` (each of version 2) and `BYTE` of LASzip.
+//! In: the bytes of a chunk or of a whole file. Out: whole records. Source: the items `POINT10`, `GPSTIME11`, `RGB12`, `BYTE` (each of
+//! version 2; those of version 1 are in [`version_one`]) and `WAVEPACKET13` of LASzip.
 
-use std::io;
-
-use laz::{LazItem, LazItemType};
-
-use super::coder::{Coder, MOST_STEP_BYTES, Median, Model, Numbers, Range};
+use super::coder::{Coder, MOST_STEP_BYTES, Median, Model, Numbers};
 use super::fields::{COLOUR_BYTES, Colours, Coordinates, Lazily, TIME_BYTES, Times};
-use crate::input::source::{Source, WINDOW_BYTES};
+use super::items::{self, Kind};
+use super::packed::PackedBytes;
+use super::wave_packets::{PACKET_BYTES, WavePackets};
+use super::{Flaw, version_one};
+use crate::input::source::Source;
 
 /// Bytes of the point's own fields.
-const POINT_BYTES: usize = 20;
+pub(super) const POINT_BYTES: usize = 20;
 
 /// What a record consists of, in this order: the point, then what else there is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Items {
+    /// All but wave packets are of LASzip's first version, not of the second.
+    version_one: bool,
     time: bool,
     colour: bool,
+    packet: bool,
     extra: usize,
 }
 
 impl Items {
-    /// What `items` say, if this decoder knows all of them.
-    pub fn of(items: &[LazItem]) -> Option<Self> {
-        let mut next = items.iter().map(|item| (item.item_type(), item.version())).peekable();
-        next.next_if_eq(&(LazItemType::Point10, 2))?;
-        let time = next.next_if_eq(&(LazItemType::GpsTime, 2)).is_some();
-        let colour = next.next_if_eq(&(LazItemType::RGB12, 2)).is_some();
-        let extra = match next.next() {
-            Some((LazItemType::Byte(count), 1 | 2)) => usize::from(count),
-            Some(_) => return None,
-            None => 0,
+    /// What `items` say, if there is a decoder of all of them together.
+    pub fn of(items: &[items::Item]) -> Option<Self> {
+        let version = items.first()?.version;
+        let mut next = items.iter().peekable();
+        let mut has = |kind: Kind| {
+            let known = if kind == Kind::WavePacket13 { 1..=2 } else { version..=version };
+            next.next_if(|item| item.kind == kind && known.contains(&item.version)).map(|item| item.bytes)
         };
-        next.next().is_none().then_some(Self { time, colour, extra })
+        has(Kind::Point10)?;
+        let [time, colour, packet] = [Kind::GpsTime11, Kind::RGB12, Kind::WavePacket13].map(|kind| has(kind).is_some());
+        let extra = has(Kind::Byte).unwrap_or(0);
+        let known = matches!(version, 1 | 2) && next.next().is_none();
+        known.then_some(Self { version_one: version == 1, time, colour, packet, extra })
     }
 
     fn record_bytes(self) -> usize {
-        POINT_BYTES + TIME_BYTES * usize::from(self.time) + COLOUR_BYTES * usize::from(self.colour) + self.extra
+        let others = [(self.time, TIME_BYTES), (self.colour, COLOUR_BYTES), (self.packet, PACKET_BYTES)];
+        let others = others.iter().filter(|(is_there, _)| *is_there).map(|(_, bytes)| bytes);
+        POINT_BYTES + others.sum::<usize>() + self.extra
     }
 
-    /// Most bytes that a record takes, packed.
+    /// Most bytes that a record takes, packed, with a chunk's beginning.
     fn most_packed_bytes(self) -> usize {
-        let steps = Point::MOST_STEPS + Times::MOST_STEPS + Colours::MOST_STEPS + self.extra;
+        let extra = Numbers::MOST_STEPS * self.extra;
+        let steps = Point::MOST_STEPS + Times::MOST_STEPS + Colours::MOST_STEPS + WavePackets::MOST_STEPS + extra;
         (steps * MOST_STEP_BYTES).max(self.record_bytes() + 4)
     }
 }
 
+/// Decoder of one item of each record.
+pub(super) trait Item {
+    /// What is expected after `first`.
+    fn new(first: &[u8]) -> Self;
+
+    /// The next `field`; whether its bytes are those of a writer.
+    fn next(&mut self, coder: &mut Coder, field: &mut [u8]) -> bool;
+}
+
 /// Decoder of the points at some place of a file, as one chunk or as several behind each other.
 pub(super) struct Sequence<'a> {
-    source: &'a Source,
+    bytes: PackedBytes<'a>,
     items: Items,
-    /// Place in the file of the first byte that is not held, and how many follow.
-    next: u64,
-    left: u64,
-    held: Vec<u8>,
-    /// Bytes that were read before those that are held.
-    before: u64,
-    /// Position in `held`.
-    position: usize,
-    range: Range,
-    fields: Option<Box<Fields>>,
-    /// Points of a chunk, and those that are left of the one at hand.
+    /// Made for the second point of each chunk: to begin them is dear.
+    fields: Option<Fields>,
+    /// Points of a chunk, of all chunks, and those of both that are left.
     chunk_points: u64,
-    points_left: u64,
+    points: u64,
+    left_of_chunk: u64,
+    left: u64,
+    first: Vec<u8>,
+    /// Points of chunks that ended where they should.
+    whole: u64,
 }
 
 impl<'a> Sequence<'a> {
-    /// A decoder of what lies in the `len` bytes from `start` on: chunks of so many points, or a single one (0).
-    pub fn new(source: &'a Source, items: Items, start: u64, len: u64, chunk_points: u64) -> Self {
+    /// A decoder of so many `points` in the `len` bytes from `start` on: chunks of `chunk_points`, the last of which may have fewer.
+    pub fn new(source: &'a Source, items: Items, (start, len): (u64, u64), points: u64, chunk_points: u64) -> Self {
         Self {
-            source,
+            bytes: PackedBytes::new(source, start, len),
             items,
-            next: start,
-            left: len,
-            held: Vec::new(),
-            before: 0,
-            position: 0,
-            range: Range::default(),
             fields: None,
-            chunk_points: if chunk_points == 0 { u64::MAX } else { chunk_points },
-            points_left: 0,
+            chunk_points,
+            points,
+            left_of_chunk: 0,
+            left: points,
+            first: vec![0; items.record_bytes()],
+            whole: 0,
         }
     }
 
     /// Bytes taken.
     pub fn position(&self) -> u64 {
-        self.before + self.position as u64
+        self.bytes.position()
     }
 
-    /// Fills `records` and counts those that are whole in `filled`.
-    pub fn next(&mut self, records: &mut [u8], filled: &mut usize) -> io::Result<()> {
+    /// Points of chunks that ended where they should.
+    pub fn whole(&self) -> u64 {
+        self.whole
+    }
+
+    /// Fills `records`, no more than are left, and counts those that are decoded in `filled`.
+    pub fn next(&mut self, records: &mut [u8], filled: &mut usize) -> Result<(), Flaw> {
         let mut records = records.chunks_exact_mut(self.items.record_bytes());
         let most = self.items.most_packed_bytes();
-        while records.len() > 0 {
-            if self.left > 0 && self.position + most > self.held.len() {
-                self.refill(most)?;
-            }
-            let Some(fields) = self.fields.as_mut().filter(|_| self.points_left > 0) else {
+        while records.len() > 0 && self.left > 0 {
+            self.bytes.hold(most)?;
+            if self.left_of_chunk == 0 {
                 self.first(records.next().unwrap_or_default())?;
                 *filled += 1;
-                continue;
-            };
-            let mut coder = Coder::resume(&self.held, self.position, self.range);
-            // Of what is held, or of all where nothing follows.
-            let end = if self.left > 0 { self.held.len() - most } else { self.held.len() };
-            let points = usize::try_from(self.points_left).unwrap_or(usize::MAX);
-            for record in records.by_ref().take(points) {
-                if !fields.next(&mut coder, record) {
-                    return Err(io::ErrorKind::InvalidData.into());
+            } else {
+                let fields = self.fields.get_or_insert_with(|| Fields::new(self.items, &self.first));
+                let end = self.bytes.reach(most);
+                let mut coder = self.bytes.coder();
+                let left = usize::try_from(self.left_of_chunk).unwrap_or(usize::MAX);
+                let before = *filled;
+                let some = records.by_ref().take(left);
+                match fields {
+                    Fields::One(fields) => fields.decode(some, &mut coder, end, filled)?,
+                    Fields::Two(fields) => fields.decode(some, &mut coder, end, filled)?,
                 }
-                if coder.is_beyond() {
-                    return Err(io::ErrorKind::UnexpectedEof.into());
-                }
-                *filled += 1;
-                self.points_left -= 1;
-                if coder.position() > end {
-                    break;
-                }
+                let done = (*filled - before) as u64;
+                (self.left_of_chunk, self.left) = (self.left_of_chunk - done, self.left - done);
+                let state = coder.state();
+                self.bytes.keep(state);
             }
-            (self.position, self.range) = (coder.position(), coder.range());
+            if self.left_of_chunk == 0 {
+                self.end_chunk()?;
+            }
         }
         Ok(())
     }
 
     /// The first point of a chunk lies there as it is.
-    fn first(&mut self, record: &mut [u8]) -> io::Result<()> {
-        let Some(first) = self.held.get(self.position..self.position + record.len() + 4) else {
-            return Err(io::ErrorKind::UnexpectedEof.into());
-        };
+    fn first(&mut self, record: &mut [u8]) -> Result<(), Flaw> {
+        let first = self.bytes.bytes(record.len() + 4).ok_or(Flaw::Short)?;
         record.copy_from_slice(&first[..record.len()]);
-        self.fields = Some(Box::new(Fields::new(self.items, record)));
-        self.points_left = self.chunk_points - 1;
-        let coder = Coder::begin(&self.held, self.position + record.len());
-        (self.position, self.range) = (coder.position(), coder.range());
+        self.first.copy_from_slice(record);
+        self.fields = None;
+        self.left_of_chunk = self.chunk_points.min(self.left) - 1;
+        self.left -= 1;
+        let state = self.bytes.begin(record.len()).state();
+        self.bytes.keep(state);
         Ok(())
     }
 
-    /// Holds at least `most` bytes from the position on, or all that there are.
-    fn refill(&mut self, most: usize) -> io::Result<()> {
-        self.before += self.position as u64;
-        self.held.drain(..self.position);
-        self.position = 0;
-        while self.left > 0 && self.held.len() < most {
-            let kept = self.held.len();
-            self.held.resize(kept + self.left.min(WINDOW_BYTES as u64) as usize, 0);
-            let read = self.source.fill(&mut self.held[kept..], self.next)?;
-            // A file that became shorter ends here.
-            self.left = if kept + read < self.held.len() { 0 } else { self.left - read as u64 };
-            self.held.truncate(kept + read);
-            self.next += read as u64;
+    fn end_chunk(&mut self) -> Result<(), Flaw> {
+        if !self.bytes.coder().is_at_end() {
+            return Err(Flaw::Uneven);
         }
+        self.whole = self.points - self.left;
         Ok(())
     }
 }
 
-struct Fields {
-    point: Point,
-    times: Option<Box<Times>>,
-    colours: Option<(Box<Colours>, [u8; COLOUR_BYTES])>,
-    extra: Vec<(u8, Model<256>)>,
+/// Decoders of the fields of all records of a chunk.
+enum Fields {
+    One(Box<FieldsOf<version_one::Point, version_one::Times, version_one::Colours, version_one::ExtraBytes>>),
+    Two(Box<FieldsOf<Point, Times, LastColour, ExtraBytes>>),
 }
 
 impl Fields {
     fn new(items: Items, first: &[u8]) -> Self {
+        match items.version_one {
+            true => Self::One(Box::new(FieldsOf::new(items, first))),
+            false => Self::Two(Box::new(FieldsOf::new(items, first))),
+        }
+    }
+}
+
+struct FieldsOf<P, T, C, E> {
+    point: P,
+    time: Option<Box<T>>,
+    colour: Option<Box<C>>,
+    packet: Option<Box<WavePackets>>,
+    extra: E,
+}
+
+impl<P: Item, T: Item, C: Item, E: Item> FieldsOf<P, T, C, E> {
+    fn new(items: Items, first: &[u8]) -> Self {
         let (point, rest) = first.split_at(POINT_BYTES);
         let (time, rest) = rest.split_at(if items.time { TIME_BYTES } else { 0 });
-        let (colour, extra) = rest.split_at(if items.colour { COLOUR_BYTES } else { 0 });
+        let (colour, rest) = rest.split_at(if items.colour { COLOUR_BYTES } else { 0 });
+        let (packet, extra) = rest.split_at(if items.packet { PACKET_BYTES } else { 0 });
         Self {
-            point: Point::new(point.first_chunk().copied().unwrap_or_default()),
-            times: time.first_chunk().map(|&time| Box::new(Times::new(i64::from_le_bytes(time), true))),
-            colours: colour.first_chunk().map(|&colour| (Box::new(Colours::new()), colour)),
-            extra: extra.iter().map(|&byte| (byte, Model::new(256))).collect(),
+            point: P::new(point),
+            time: items.time.then(|| Box::new(T::new(time))),
+            colour: items.colour.then(|| Box::new(C::new(colour))),
+            packet: items.packet.then(|| Box::new(WavePackets::new(packet))),
+            extra: E::new(extra),
         }
+    }
+
+    /// Decodes `records` until the coder is past `end`, and counts them in `filled`.
+    #[inline(always)]
+    fn decode<'r>(
+        &mut self,
+        records: impl Iterator<Item = &'r mut [u8]>,
+        coder: &mut Coder,
+        end: usize,
+        filled: &mut usize,
+    ) -> Result<(), Flaw> {
+        for record in records {
+            if !self.next(coder, record) {
+                return Err(Flaw::Strange);
+            }
+            if coder.is_beyond() {
+                return Err(Flaw::Short);
+            }
+            *filled += 1;
+            if coder.position() > end {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// The next record; whether its bytes are those of a writer.
     #[inline(always)]
     fn next(&mut self, coder: &mut Coder, record: &mut [u8]) -> bool {
-        let (point, rest) = record.split_at_mut(POINT_BYTES);
-        self.point.next(coder, point);
-        let mut rest = rest;
-        if let Some(times) = &mut self.times {
-            let (time, others) = rest.split_at_mut(TIME_BYTES);
-            let known;
-            (*coder, known) = times.next(*coder);
-            if !known {
-                return false;
-            }
-            time.copy_from_slice(&times.last().to_le_bytes());
+        let (point, mut rest) = record.split_at_mut(POINT_BYTES);
+        let mut known = self.point.next(coder, point);
+        if let Some(time) = &mut self.time {
+            let (field, others) = rest.split_at_mut(TIME_BYTES);
+            known &= time.next(coder, field);
             rest = others;
         }
-        if let Some((colours, last)) = &mut self.colours {
-            let (colour, others) = rest.split_at_mut(COLOUR_BYTES);
-            *last = colours.next(coder, *last);
-            colour.copy_from_slice(last);
+        if let Some(colour) = &mut self.colour {
+            let (field, others) = rest.split_at_mut(COLOUR_BYTES);
+            known &= colour.next(coder, field);
             rest = others;
         }
-        for (to, (last, model)) in rest.iter_mut().zip(&mut self.extra) {
+        if let Some(packet) = &mut self.packet {
+            let (field, others) = rest.split_at_mut(PACKET_BYTES);
+            known &= packet.next(coder, field);
+            rest = others;
+        }
+        known & self.extra.next(coder, rest)
+    }
+}
+
+impl Item for Times {
+    fn new(first: &[u8]) -> Self {
+        Times::new(first.first_chunk().map_or(0, |&time| i64::from_le_bytes(time)), true)
+    }
+
+    #[inline(always)]
+    fn next(&mut self, coder: &mut Coder, field: &mut [u8]) -> bool {
+        let known;
+        (*coder, known) = self.next(*coder);
+        field.copy_from_slice(&self.last().to_le_bytes());
+        known
+    }
+}
+
+struct LastColour {
+    colours: Colours,
+    last: [u8; COLOUR_BYTES],
+}
+
+impl Item for LastColour {
+    fn new(first: &[u8]) -> Self {
+        Self { colours: Colours::new(), last: first.first_chunk().copied().unwrap_or_default() }
+    }
+
+    #[inline(always)]
+    fn next(&mut self, coder: &mut Coder, field: &mut [u8]) -> bool {
+        self.last = self.colours.next(coder, self.last);
+        field.copy_from_slice(&self.last);
+        true
+    }
+}
+
+/// Each byte by its difference from the last one.
+struct ExtraBytes(Vec<(u8, Model<256>)>);
+
+impl Item for ExtraBytes {
+    fn new(first: &[u8]) -> Self {
+        Self(first.iter().map(|&byte| (byte, Model::new(256))).collect())
+    }
+
+    #[inline(always)]
+    fn next(&mut self, coder: &mut Coder, field: &mut [u8]) -> bool {
+        for (to, (last, model)) in field.iter_mut().zip(&mut self.0) {
             *last = last.wrapping_add(coder.symbol(model) as u8);
             *to = *last;
         }
@@ -208,12 +298,12 @@ impl Fields {
 
 /// Places in a point's own fields: intensity, flags (number and count of returns, direction and edge of the scan), class,
 /// angle, user data, source id.
-const INTENSITY: usize = 12;
-const FLAGS: usize = 14;
-const CLASS: usize = 15;
-const ANGLE: usize = 16;
-const USER: usize = 17;
-const SOURCE_ID: usize = 18;
+pub(super) const INTENSITY: usize = 12;
+pub(super) const FLAGS: usize = 14;
+pub(super) const CLASS: usize = 15;
+pub(super) const ANGLE: usize = 16;
+pub(super) const USER: usize = 17;
+pub(super) const SOURCE_ID: usize = 18;
 
 struct Point {
     /// All fields but the coordinates.
@@ -234,16 +324,14 @@ struct Point {
     angle: [Model<256>; 2],
 }
 
-impl Point {
-    const MOST_STEPS: usize = 5 + Coordinates::MOST_STEPS + 2 * Numbers::MOST_STEPS;
-
-    fn new(first: [u8; POINT_BYTES]) -> Self {
-        let mut last = first;
+impl Item for Point {
+    fn new(first: &[u8]) -> Self {
+        let mut last: [u8; POINT_BYTES] = first.first_chunk().copied().unwrap_or_default();
         // So do LASzip's writers: the intensity of the first point is nowhere expected.
         last[INTENSITY..INTENSITY + 2].fill(0);
         Self {
             last,
-            coordinates: Coordinates::new(&first),
+            coordinates: Coordinates::new(first),
             heights: [0; 8],
             intensities: [0; 16],
             steps: Default::default(),
@@ -258,7 +346,7 @@ impl Point {
     }
 
     #[inline(always)]
-    fn next(&mut self, coder: &mut Coder, record: &mut [u8]) {
+    fn next(&mut self, coder: &mut Coder, record: &mut [u8]) -> bool {
         let changes = coder.symbol(&mut self.changes);
         if changes & 32 != 0 {
             self.last[FLAGS] = self.flags.next(coder, usize::from(self.last[FLAGS]));
@@ -280,7 +368,13 @@ impl Point {
         self.coordinates.next_z(coder, &mut self.heights[number.abs_diff(count)], single);
         record.copy_from_slice(&self.last);
         self.coordinates.write(record);
+        true
     }
+}
+
+impl Point {
+    /// Those of version 1 take no more.
+    const MOST_STEPS: usize = 5 + Coordinates::MOST_STEPS + 3 * Numbers::MOST_STEPS;
 
     /// Apart from what most points need, with a decoder of its own, so that the other stays in registers.
     #[inline(never)]

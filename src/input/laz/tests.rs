@@ -1,18 +1,25 @@
 //! Our decoders against those of the crate `laz`: the same records from the same bytes, whole, cut and damaged.
 
-use std::io::Write;
+use std::io::{Cursor, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
+use laz::compressors::IntegerCompressorBuilder;
+use laz::encoders::ArithmeticEncoder;
+use laz::las::{gps, point0};
+use laz::models::ArithmeticModelBuilder;
 use laz::record::{
-    LayeredPointRecordCompressor, LayeredPointRecordDecompressor, RecordCompressor, RecordDecompressor,
-    SequentialPointRecordCompressor, SequentialPointRecordDecompressor,
+    FieldCompressor, LayeredPointRecordCompressor, LayeredPointRecordDecompressor, RecordCompressor,
+    RecordDecompressor, SequentialPointRecordCompressor, SequentialPointRecordDecompressor,
 };
 use laz::{DecompressionSelection, LazItem, LazItemRecordBuilder, LazItemType, LazVlr};
 use proptest::prelude::*;
 
+use super::Wanted;
+use super::items::{Item, LaszipRecord};
 use super::layers::{Layers, POINT_BYTES, places};
 use super::sequence::{Items, Sequence};
-use super::{Wanted, isolate, u32_at};
-use crate::input::source::{Source, Window};
+use crate::input::header::u32_at;
+use crate::input::source::Source;
 
 /// How a field of a record follows that of the one before.
 #[derive(Debug, Clone, Copy)]
@@ -40,6 +47,7 @@ fn fields(items: &[LazItem]) -> Vec<usize> {
     let of = |item: &LazItem| match item.item_type() {
         LazItemType::Point10 => vec![4, 4, 4, 2, 1, 1, 1, 1, 2],
         LazItemType::GpsTime => vec![8],
+        LazItemType::WavePacket13 => vec![1, 8, 4, 4, 4, 4, 4],
         LazItemType::RGB12 | LazItemType::RGB14 => vec![2, 2, 2],
         LazItemType::RGBNIR14 => vec![2, 2, 2, 2],
         LazItemType::Point14 => vec![4, 4, 4, 2, 1, 1, 1, 1, 2, 2, 8],
@@ -76,7 +84,28 @@ fn record_bytes(items: &[LazItem]) -> usize {
     items.iter().map(|item| usize::from(item.size())).sum()
 }
 
-fn old_items(time: bool, colour: bool, extra: u16) -> Vec<LazItem> {
+/// A LASzip record of `items`, as a program of that version of each would write it.
+fn laszip_record(compressor: u8, items: &[(LazItemType, u16)]) -> Vec<u8> {
+    let mut record = vec![0; 34];
+    record[0] = compressor;
+    record[12] = 1;
+    record[32] = items.len() as u8;
+    for &(kind, version) in items {
+        let mut builder = LazItemRecordBuilder::new();
+        builder.add_item(kind);
+        record.extend([kind.into(), builder.build()[0].size(), version].map(u16::to_le_bytes).as_flattened());
+    }
+    record
+}
+
+/// The items as ours reads them.
+fn own(items: &[LazItem]) -> Vec<Item> {
+    let items: Vec<_> = items.iter().map(|item| (item.item_type(), item.version())).collect();
+    let compressor = if items[0].0 == LazItemType::Point14 { 3 } else { 2 };
+    LaszipRecord::read(&laszip_record(compressor, &items)).unwrap().items
+}
+
+fn old_items(time: bool, colour: bool, packet: bool, extra: u16) -> Vec<LazItem> {
     let mut builder = LazItemRecordBuilder::new();
     builder.add_item(LazItemType::Point10);
     if time {
@@ -84,6 +113,9 @@ fn old_items(time: bool, colour: bool, extra: u16) -> Vec<LazItem> {
     }
     if colour {
         builder.add_item(LazItemType::RGB12);
+    }
+    if packet {
+        builder.add_item(LazItemType::WavePacket13);
     }
     if extra > 0 {
         builder.add_item(LazItemType::Byte(extra));
@@ -116,7 +148,8 @@ fn whole_by_laz<R>(decoder: &mut impl RecordDecompressor<R>, items: &[LazItem], 
     let mut records = vec![0; points * record_bytes(items)];
     let mut whole = 0;
     for record in records.chunks_exact_mut(record_bytes(items)) {
-        if !matches!(isolate(|| decoder.decompress_next(record)), Ok(Ok(()))) {
+        // Damage makes it panic.
+        if !matches!(catch_unwind(AssertUnwindSafe(|| decoder.decompress_next(record))), Ok(Ok(()))) {
             break;
         }
         whole += record.len();
@@ -126,15 +159,15 @@ fn whole_by_laz<R>(decoder: &mut impl RecordDecompressor<R>, items: &[LazItem], 
 }
 
 /// Whole records that `laz` finds, one chunk, and the bytes it took for them if all are whole.
-fn by_laz(source: &Source, items: &[LazItem], len: u64, points: usize) -> (Vec<u8>, Option<u64>) {
-    let mut decoder = SequentialPointRecordDecompressor::new(Window::new(source, 0, len));
+fn by_laz(packed: &[u8], items: &[LazItem], points: usize) -> (Vec<u8>, Option<u64>) {
+    let mut decoder = SequentialPointRecordDecompressor::new(Cursor::new(packed));
     decoder.set_fields_from(&items.to_vec()).unwrap();
     let records = whole_by_laz(&mut decoder, items, points);
     let all = records.len() == points * record_bytes(items);
     (records, all.then(|| decoder.get().position()))
 }
 
-/// Whole records that ours finds, asked for so many at a time, and the bytes it took for them if all are whole.
+/// Records that ours finds, asked for so many at a time, and the bytes it took for them if all chunks are whole.
 fn by_ours(
     source: &Source,
     items: &[LazItem],
@@ -143,7 +176,7 @@ fn by_ours(
     chunk_points: u64,
     at_a_time: usize,
 ) -> (Vec<u8>, Option<u64>) {
-    let mut decoder = Sequence::new(source, Items::of(items).unwrap(), 0, len, chunk_points);
+    let mut decoder = Sequence::new(source, Items::of(&own(items)).unwrap(), (0, len), points as u64, chunk_points);
     let mut records = vec![0; points * record_bytes(items)];
     let mut whole = 0;
     for slab in records.chunks_mut(at_a_time * record_bytes(items)) {
@@ -155,8 +188,7 @@ fn by_ours(
         }
     }
     records.truncate(whole);
-    let all = whole == points * record_bytes(items);
-    (records, all.then(|| decoder.position()))
+    (records, (decoder.whole() == points as u64).then(|| decoder.position()))
 }
 
 fn a_few(most: usize) -> impl Strategy<Value = Vec<Vec<Change>>> {
@@ -166,10 +198,10 @@ fn a_few(most: usize) -> impl Strategy<Value = Vec<Vec<Change>>> {
 proptest! {
     #[test]
     fn a_sequence_gives_back_what_was_packed(
-        changes in a_few(40), repeats in 1usize..60, time: bool, colour: bool, extra in 0u16..4,
+        changes in a_few(40), repeats in 1usize..60, time: bool, colour: bool, packet: bool, extra in 0u16..4,
         chunk_points in 1usize..900, at_a_time in 1usize..300
     ) {
-        let items = old_items(time, colour, extra);
+        let items = old_items(time, colour, packet, extra);
         let changes = vec![changes; repeats].concat();
         let packed = pack(&items, &records(&items, &changes), chunk_points);
         let (source, _file) = source(&packed);
@@ -181,10 +213,10 @@ proptest! {
 
     #[test]
     fn a_cut_or_damaged_sequence_gives_what_laz_finds_in_it(
-        changes in a_few(40), repeats in 1usize..30, time: bool, colour: bool, extra in 0u16..4,
+        changes in a_few(40), repeats in 1usize..30, time: bool, colour: bool, packet: bool, extra in 0u16..4,
         cut in 0.0f64..1.0, flips in proptest::collection::vec((0.0f64..1.0, 1u8..), 0..3)
     ) {
-        let items = old_items(time, colour, extra);
+        let items = old_items(time, colour, packet, extra);
         let changes = vec![changes; repeats].concat();
         let mut packed = pack(&items, &records(&items, &changes), usize::MAX / 100);
         for (at, bits) in &flips {
@@ -193,8 +225,8 @@ proptest! {
         }
         let (source, _file) = source(&packed);
         let len = ((1.0 - cut * cut) * packed.len() as f64) as u64;
-        let (ours, taken) = by_ours(&source, &items, len, changes.len(), 0, usize::MAX / 100);
-        let (theirs, taken_by_laz) = by_laz(&source, &items, len, changes.len());
+        let (ours, taken) = by_ours(&source, &items, len, changes.len(), changes.len() as u64, usize::MAX / 100);
+        let (theirs, taken_by_laz) = by_laz(&packed[..len as usize], &items, changes.len());
         // Where damage makes `laz` panic, ours goes on; nobody writes a time by more than four changes of its sequence.
         let shared = ours.len().min(theirs.len());
         prop_assert!(ours[..shared] == theirs[..shared]);
@@ -211,14 +243,14 @@ proptest! {
 /// More bytes than are held at once, chunks that end amid them.
 #[test]
 fn a_long_sequence_is_read_piece_by_piece() {
-    let items = old_items(true, true, 1);
+    let items = old_items(true, true, true, 1);
     let mut seed = 1u64;
     let mut random = || {
         seed = seed.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(0x1405_7b7e_f767_814f);
         seed >> 33
     };
     let changes: Vec<Vec<Change>> =
-        (0..60_000).map(|_| (0..14).map(|_| Change::Becomes(random() << 20 ^ random())).collect()).collect();
+        (0..60_000).map(|_| (0..21).map(|_| Change::Becomes(random() << 20 ^ random())).collect()).collect();
     let records = records(&items, &changes);
     let packed = pack(&items, &records, 25_000);
     assert!(packed.len() > 20 << 16);
@@ -231,25 +263,10 @@ fn a_long_sequence_is_read_piece_by_piece() {
 
 /// Points in layers, with RGB, or RGB and near infrared.
 fn new_items(version: u16, colour: Option<(LazItemType, u16)>, extra: u16) -> Vec<LazItem> {
-    let mut builder = LazItemRecordBuilder::new();
-    builder.add_item(LazItemType::Point14);
-    if let Some((colour, _)) = colour {
-        builder.add_item(colour);
-    }
-    if extra > 0 {
-        builder.add_item(LazItemType::Byte14(extra));
-    }
-    // The builder knows version 3 only, so the items go through a LASzip record.
-    let mut record = vec![0; 34];
-    record[0] = 3;
-    record[32] = builder.build().len() as u8;
-    for item in builder.build() {
-        let kind: u16 = item.item_type().into();
-        let of_colour = colour.filter(|(colour, _)| *colour == item.item_type());
-        let version = of_colour.map_or(version, |(_, version)| version);
-        record.extend([kind, item.size(), version].map(u16::to_le_bytes).as_flattened());
-    }
-    LazVlr::from_buffer(&record).unwrap().items().clone()
+    let extra = (extra > 0).then_some((LazItemType::Byte14(extra), version));
+    let items: Vec<_> = [(LazItemType::Point14, version)].into_iter().chain(colour).chain(extra).collect();
+    // Builders know version 3 only.
+    LazVlr::from_buffer(&laszip_record(3, &items)).unwrap().items().clone()
 }
 
 fn pack_layers(items: &[LazItem], records: &[u8]) -> Vec<u8> {
@@ -286,18 +303,17 @@ fn layers_by_laz(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usize
     whole_by_laz(&mut decoder, items, points)
 }
 
-/// The whole records that ours finds.
-fn layers_by_ours(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usize, at_a_time: usize) -> Vec<u8> {
+/// The whole records that ours finds, and whether all layers end behind the last.
+fn layers_by_ours(
+    packed: &[u8],
+    items: &[LazItem],
+    wanted: Wanted,
+    points: usize,
+    at_a_time: usize,
+) -> (Vec<u8>, bool) {
     let (first, rest) = packed.split_at(record_bytes(items));
     let colour = (items.get(1)).filter(|item| matches!(item.item_type(), LazItemType::RGB14 | LazItemType::RGBNIR14));
-    let layers: usize = (items.iter())
-        .map(|item| match item.item_type() {
-            LazItemType::Point14 => 9,
-            LazItemType::RGBNIR14 => 2,
-            LazItemType::Byte14(n) => usize::from(n),
-            _ => 1,
-        })
-        .sum();
+    let layers: usize = own(items).iter().map(Item::layers).sum();
     let size = |layer: usize| u32_at(rest, 4 + 4 * layer) as usize;
     let places = places(wanted, 9);
     let (mut bytes, mut sizes) = (Vec::new(), [0; 8]);
@@ -319,11 +335,11 @@ fn layers_by_ours(packed: &[u8], items: &[LazItem], wanted: Wanted, points: usiz
         let outcome = decoder.next(slab, first.len(), &mut filled);
         whole += filled * first.len();
         if outcome.is_err() {
-            break;
+            records.truncate(whole);
+            return (records, false);
         }
     }
-    records.truncate(whole);
-    records
+    (records, points == 1 || decoder.are_at_end())
 }
 
 fn colour() -> impl Strategy<Value = Option<(LazItemType, u16)>> {
@@ -357,9 +373,11 @@ proptest! {
             let at = layers_at + (at * packed.len().saturating_sub(layers_at) as f64) as usize;
             packed.get_mut(at).into_iter().for_each(|byte| *byte ^= bits);
         }
-        let ours = shown(&layers_by_ours(&packed, &items, wanted, changes.len(), at_a_time), &items, wanted);
+        let (ours, are_at_end) = layers_by_ours(&packed, &items, wanted, changes.len(), at_a_time);
+        let ours = shown(&ours, &items, wanted);
         let theirs = shown(&layers_by_laz(&packed, &items, wanted, changes.len()), &items, wanted);
         if flips.is_empty() {
+            prop_assert!(are_at_end);
             prop_assert_eq!(ours.len(), theirs.len());
             let all = Wanted { classes: true, intensity: true, rgb: wanted.rgb, source_ids: true, times: true };
             if bits & 0b11011 == 0b11011 {
@@ -379,12 +397,76 @@ proptest! {
 /// LASzip forgets the first point's intensity: one of 0 after it is no change.
 #[test]
 fn an_intensity_of_nothing_may_follow_the_first() {
-    let items = old_items(false, false, 0);
+    let items = old_items(false, false, false, 0);
     let row =
         |intensity| (0..9).map(|field| if field == 3 { Change::Becomes(intensity) } else { Change::Stays }).collect();
     let changes: Vec<Vec<Change>> = [7, 0, 0, 9, 9].map(row).into();
     let records = records(&items, &changes);
     let packed = pack(&items, &records, 5);
     let (source, _file) = source(&packed);
-    assert_eq!(by_ours(&source, &items, packed.len() as u64, 5, 0, 5).0, records);
+    assert_eq!(by_ours(&source, &items, packed.len() as u64, 5, 5, 5).0, records);
+}
+
+/// Points and times of version 1 by `laz`; its colours and extra bytes of that version are not LASzip's, so these are packed here.
+fn pack_version_one(records: &[u8], time: bool, colour: bool, extra: usize) -> Vec<u8> {
+    let len = 20 + 8 * usize::from(time) + 6 * usize::from(colour) + extra;
+    let (point_bytes, extra_at) = (20 + 8 * usize::from(time), len - extra);
+    let (first, others) = records.split_at(len);
+    let mut encoder = ArithmeticEncoder::new(first.to_vec());
+    let mut point = point0::v1::LasPoint0Compressor::default();
+    let mut times = gps::v1::LasGpsTimeCompressor::default();
+    let numbers = |contexts| IntegerCompressorBuilder::new().bits(8).contexts(contexts).build_initialized();
+    let mut changes = ArithmeticModelBuilder::new(64).build();
+    let (mut colours, mut bytes) = (numbers(6), numbers(extra.max(1) as u32));
+    point.compress_first(&mut Vec::new(), &first[..20]).unwrap();
+    if time {
+        times.compress_first(&mut Vec::new(), &first[20..28]).unwrap();
+    }
+    let mut last = first;
+    for record in others.chunks_exact(len) {
+        point.compress_with(&mut encoder, &record[..20]).unwrap();
+        if time {
+            times.compress_with(&mut encoder, &record[20..28]).unwrap();
+        }
+        let differ = |at: &usize| last[point_bytes + at] != record[point_bytes + at];
+        if colour {
+            let changed = (0..6).filter(differ).fold(0, |changed, at| changed | 1 << at);
+            encoder.encode_symbol(&mut changes, changed).unwrap();
+            for at in (0..6).filter(differ) {
+                let [before, now] = [last, record].map(|record| i32::from(record[point_bytes + at]));
+                colours.compress(&mut encoder, before, now, at as u32).unwrap();
+            }
+        }
+        for at in 0..extra {
+            let [before, now] = [last, record].map(|record| i32::from(record[extra_at + at]));
+            bytes.compress(&mut encoder, before, now, at as u32).unwrap();
+        }
+        last = record;
+    }
+    encoder.done().unwrap();
+    encoder.into_inner()
+}
+
+proptest! {
+    #[test]
+    fn a_sequence_of_the_first_version_gives_back_what_was_packed(
+        changes in a_few(40), repeats in 1usize..60, time: bool, colour: bool, extra in 0usize..4, at_a_time in 1usize..300
+    ) {
+        let kinds = [(true, LazItemType::Point10), (time, LazItemType::GpsTime), (colour, LazItemType::RGB12)];
+        let kinds = kinds.into_iter().chain([(extra > 0, LazItemType::Byte(extra as u16))]);
+        let listed: Vec<_> = kinds.filter(|(is_there, _)| *is_there).map(|(_, kind)| (kind, 1)).collect();
+        let items = LazVlr::from_buffer(&laszip_record(2, &listed)).unwrap().items().clone();
+        let changes = vec![changes; repeats].concat();
+        // `laz` takes differences of coordinates as if none overflowed.
+        let mut records = records(&items, &changes);
+        for record in records.chunks_exact_mut(record_bytes(&items)) {
+            record[..12].chunks_exact_mut(4).for_each(|number| number[3] &= 0x3F);
+        }
+        let packed = pack_version_one(&records, time, colour, extra);
+        let (source, _file) = source(&packed);
+        let len = packed.len() as u64;
+        let (ours, taken) = by_ours(&source, &items, len, changes.len(), changes.len() as u64, at_a_time);
+        prop_assert!(ours == records);
+        prop_assert_eq!(taken, Some(len));
+    }
 }

@@ -44,7 +44,6 @@ mod _slicewalk {
         if unsafe { ffi::PyInterpreterState_GetID(ffi::PyInterpreterState_Get()) } != 0 {
             return Err(PyImportError::new_err("no subinterpreter is supported"));
         }
-        slicewalk::input::quiet_decoder_panics();
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

@@ -148,7 +148,7 @@ mod tests {
     fn rows_are_compared_with_their_number_across_pieces() {
         let check = |stated: Option<u64>, pieces: &[Tally]| {
             let (path, allow_incomplete) = (Path::new("a"), true);
-            let mut findings = Findings { path, allow_incomplete, notes: Vec::new(), lost: Vec::new() };
+            let mut findings = Findings { path, allow_incomplete, notes: Vec::new(), lost: Vec::new(), points: 0 };
             check_count(Count { stated, may_repeat: true }, pieces.iter(), &mut findings).unwrap();
             findings.lost.into_iter().chain(findings.notes).collect::<Vec<_>>()
         };
