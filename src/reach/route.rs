@@ -208,7 +208,7 @@ impl Search {
             let to = to as usize;
             let weight = if !region.standing[to] {
                 3 * length
-            } else if f64::from(region.clearances[to]) < region.near_wall() {
+            } else if region.is_beside_end(to as u32) {
                 length + length / 50
             } else {
                 length
@@ -317,11 +317,6 @@ impl Region {
             }
         }
         largest.map(|(_, first)| first)
-    }
-
-    /// Clearance below which a place lies next to the end of the region (m).
-    fn near_wall(&self) -> f64 {
-        (self.body_pixels() + 1.2) * self.grid.frame.pixel_m()
     }
 
     /// Whether a body can walk straight from place `a` to place `b`; `each` gets the places near the line, in order.
