@@ -3,6 +3,8 @@
 #[path = "reach/coarse.rs"]
 mod coarse;
 mod common;
+#[path = "reach/ends.rs"]
+mod ends;
 #[path = "reach/flat.rs"]
 mod flat;
 #[path = "reach/leaks.rs"]
