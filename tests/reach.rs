@@ -5,6 +5,8 @@ mod coarse;
 mod common;
 #[path = "common/data.rs"]
 mod data;
+#[path = "reach/ends.rs"]
+mod ends;
 #[path = "reach/flat.rs"]
 mod flat;
 #[path = "reach/leaks.rs"]

@@ -20,7 +20,7 @@ const MOST_WIDENINGS: u32 = 4;
 
 /// The exact way along a coarse one.
 ///
-/// Memory: about 45 bytes for each standing place in 120 m of the corridor, and 16 KiB for each tile that it touches.
+/// Memory: about 53 bytes for each standing place in 120 m of the corridor, and 16 KiB for each tile that it touches.
 ///
 /// The way is exact in that every place of it was checked at full resolution. It is the shortest one within its corridor, piece by
 /// piece: a shorter one may lead elsewhere.

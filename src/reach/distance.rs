@@ -1,34 +1,121 @@
 //! Distance of each place from where its region ends.
 //!
-//! Each place knows the nearest pixel at which the region ends as an offset; neighbours pass theirs on, nearest first
-//! (Danielsson's vector distance transform, over links instead of a plane: a region may lie above itself).
+//! Each place knows the nearest pixel that ends its region as an offset; neighbours pass theirs on, nearest first (Danielsson's vector distance
+//! transform, over links instead of a plane: a region may lie above itself). That is a pixel with matter that stops the body, or one without
+//! ground that some footprint without any ground covers: what the footprint cannot span of a gap.
 
-use super::region::{NO_PLACE, WAYS};
+use super::pawn::{Grid, WAYS, gap};
+use super::region::NO_PLACE;
 use nalgebra::Point2;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-type Queue = BinaryHeap<Reverse<(u32, u32)>>;
+/// Where a step from a place leads nowhere.
+pub struct End {
+    pub place: u32,
+    /// From the place to the pixel of matter that stops the body, or to the middle of a footprint without ground (pixels).
+    pub offset: [i16; 2],
+    pub is_open: bool,
+}
 
-/// From each place to the nearest pixel beyond its region (pixels along x and y).
-pub fn nearest_ends(links: &[[u32; 4]]) -> Vec<[i16; 2]> {
-    let (mut offsets, mut queue) = (vec![[i16::MAX; 2]; links.len()], Queue::new());
-    for (place, links) in links.iter().enumerate() {
-        for (way, _) in WAYS.iter().zip(links).filter(|(_, link)| **link == NO_PLACE) {
-            offer(&mut offsets, &mut queue, place as u32, way.map(|v| v as i16));
+struct Spread<'a> {
+    links: &'a [[u32; 4]],
+    offsets: Vec<[i16; 2]>,
+    queue: BinaryHeap<(Reverse<u64>, u32)>,
+    /// Of each place the last open end that was spread over it.
+    seen: Vec<u32>,
+    /// Whether matter stops a step from it.
+    stopped: Vec<bool>,
+}
+
+impl Spread<'_> {
+    /// Takes an offset if it is shorter than the one that `place` has; of two of one length the lesser, so that the order does not show.
+    fn offer(&mut self, place: u32, offset: [i16; 2]) {
+        let key = |offset: [i16; 2]| (gap(offset.map(i32::from)), offset);
+        let own = &mut self.offsets[place as usize];
+        if key(offset) < key(*own) {
+            *own = offset;
+            self.queue.push((Reverse(key(offset).0), place));
         }
     }
-    while let Some(Reverse((distance, place))) = queue.pop() {
-        let [x, y] = offsets[place as usize];
-        if distance > square([x, y]) {
+
+    /// Neighbours that lead to a place and back, with the offset from them to it.
+    fn beside(&self, place: u32) -> impl Iterator<Item = (u32, [i32; 2])> + use<> {
+        let beside = self.links[place as usize];
+        let leads =
+            [0, 1, 2, 3].map(|way| beside[way] != NO_PLACE && self.links[beside[way] as usize][(way + 2) & 3] == place);
+        (0..4).filter(move |way| leads[*way]).map(move |way| (beside[way], WAYS[(way + 2) & 3]))
+    }
+
+    /// Offers the nearest pixel of a footprint without ground to the places whose gap to it is at most `reach`. Whether one of them is
+    /// stopped by matter.
+    fn open(&mut self, grid: &Grid, number: u32, end: &End, reach: u64) -> bool {
+        let mut is_stopped = false;
+        let mut places = vec![(end.place, end.offset.map(i32::from))];
+        self.seen[end.place as usize] = number;
+        while let Some((place, to)) = places.pop() {
+            let beyond = |rect: &[i32; 2]| [0, 1].map(|axis| to[axis] - to[axis].clamp(-rect[axis], rect[axis]));
+            let nearest = grid.rects.iter().map(beyond).min_by_key(|by| (gap(*by), *by));
+            let Some(by) = nearest.filter(|by| gap(*by) <= reach) else { continue };
+            self.offer(place, by.map(|by| by as i16));
+            is_stopped |= self.stopped[place as usize];
+            for (next, way) in self.beside(place) {
+                if std::mem::replace(&mut self.seen[next as usize], number) != number {
+                    places.push((next, [to[0] + way[0], to[1] + way[1]]));
+                }
+            }
+        }
+        is_stopped
+    }
+}
+
+/// Distance from the middle of each place to the nearest end (m).
+pub fn clearances(grid: &Grid, links: &[[u32; 4]], ends: &[End]) -> Vec<f32> {
+    let count = links.len();
+    let mut spread = Spread {
+        links,
+        offsets: vec![[i16::MAX; 2]; count],
+        queue: BinaryHeap::new(),
+        seen: vec![u32::MAX; count],
+        stopped: vec![false; count],
+    };
+    for end in ends.iter().filter(|end| !end.is_open) {
+        spread.offer(end.place, end.offset);
+        spread.stopped[end.place as usize] = true;
+    }
+    for (number, end) in (0..).zip(ends.iter().filter(|end| end.is_open)) {
+        // Where matter keeps the body away, what lies beyond may still be nearest.
+        if spread.open(grid, 2 * number, end, gap([1, 0])) {
+            spread.open(grid, 2 * number + 1, end, grid.corner);
+        }
+    }
+    // A place is as near to an end as one that it leads to, if that does not lead back.
+    let mut one_way: Vec<(u32, u32, [i32; 2])> = Vec::new();
+    for (place, own) in (0..).zip(links) {
+        for (way, &link) in own.iter().enumerate().filter(|(_, link)| **link != NO_PLACE) {
+            if links[link as usize][(way + 2) & 3] != place {
+                one_way.push((link, place, WAYS[way]));
+            }
+        }
+    }
+    one_way.sort_unstable();
+    while let Some((Reverse(key), place)) = spread.queue.pop() {
+        let [x, y] = spread.offsets[place as usize].map(i32::from);
+        if key > gap([x, y]) {
             continue;
         }
-        for (way, &link) in WAYS.iter().zip(&links[place as usize]).filter(|(_, link)| **link != NO_PLACE) {
-            let passed = [x.saturating_sub(way[0] as i16), y.saturating_sub(way[1] as i16)];
-            offer(&mut offsets, &mut queue, link, passed);
+        let first = one_way.partition_point(|(to, ..)| *to < place);
+        let from = one_way[first..].iter().take_while(|(to, ..)| *to == place).map(|(_, from, way)| (*from, *way));
+        for (next, way) in spread.beside(place).chain(from) {
+            let far = i32::from(i16::MAX);
+            spread.offer(next, [x + way[0], y + way[1]].map(|by| by.clamp(-far, far) as i16));
         }
     }
-    offsets
+    let metres = |offset: &[i16; 2]| match offset.map(i32::from) {
+        by if *offset != [i16::MAX; 2] => ((gap(by) as f64).sqrt() / 2.0 * grid.frame.pixel_m()) as f32,
+        _ => f32::INFINITY,
+    };
+    spread.offsets.iter().map(metres).collect()
 }
 
 /// Distance of a place from the line between two others (m).
@@ -38,17 +125,4 @@ pub fn to_line(at: Point2<f64>, [from, to]: [Point2<f64>; 2]) -> f64 {
     // A line of one place has no direction.
     let share = if share.is_finite() { share } else { 0.0 };
     (at - (from + along * share)).norm()
-}
-
-fn square([x, y]: [i16; 2]) -> u32 {
-    i32::from(x).pow(2).unsigned_abs() + i32::from(y).pow(2).unsigned_abs()
-}
-
-/// Takes `offset` if it is shorter than what `place` has; of two of one length the lesser, so that the order does not show.
-fn offer(offsets: &mut [[i16; 2]], queue: &mut Queue, place: u32, offset: [i16; 2]) {
-    let own = &mut offsets[place as usize];
-    if (square(offset), offset) < (square(*own), *own) {
-        *own = offset;
-        queue.push(Reverse((square(offset), place)));
-    }
 }

@@ -1,29 +1,41 @@
 //! Leaks: where a region ends although nothing is in the way.
 //!
 //! A pixel is *open* at a height if the body fits there and no matter lies under the middle of the feet within
-//! [`Pawn::max_drop`](super::Pawn::max_drop): it was not scanned, or it is deeper. The standing places next to open pixels
-//! are the rim. Rim places within two pixels of each other are one leak; from them the open pixels are flooded at the height of the rim:
+//! [`Pawn::max_drop`](super::Pawn::max_drop): it was not scanned, or it is deeper. A *rim* is made of the steps from standing places to open
+//! pixels, the *brinks*; those within two pixels of each other belong together. What one falls onto is decided at the rim: it is split where
+//! matter below ends, and where its depth changes by more than the climb height from one brink to the next. Stretches narrower than half of
+//! the pawn count as the longest one beside them.
 //!
-//! - **edge**: nothing was scanned below, and the open pixels go on to the end of the scan (or over more than 2¹⁶ pixels);
-//! - **hole**: they are closed in, and nothing was scanned below, or at least half of their border is floor;
+//! From each rim the open pixels are flooded at its height, to see whether they are closed in; open pixels that meet are one *gap*. One that
+//! goes on to the end of the scan, or over more than 2¹⁶ pixels, is not closed in. Each stretch of a rim is a leak:
+//!
+//! - **hole**: the gap is closed in, and nothing was scanned below the stretch, or at least half of the gap's border is floor; stretches of one
+//!   gap below which the same lies are one hole;
+//! - **edge**: the gap is not closed in, and nothing was scanned below the stretch;
 //! - **ledge**: all others: what is below is deeper than the pawn drops.
 //!
-//! What is narrower than half of the pawn is no leak: a walker passes over it, and a scan has many such gaps.
+//! A gap that is narrower than half of the pawn is no leak: a walker passes over it, and a scan has many such gaps.
 
-use super::region::{Region, WAYS, middle};
+use super::intervals::NONE;
+use super::pawn::WAYS;
+use super::region::{Region, middle};
 use super::standing::{Block, Kind, StandingPlaces};
-use super::{Needs, Stop, answer};
+use super::{Needs, answer};
 use crate::Result;
-use crate::query::{Aabb, Answer, top_under};
+use crate::query::Answer;
 use crate::store::PageSet;
-use nalgebra::{Point3, Vector3};
-use std::collections::{HashMap, HashSet, VecDeque};
+use nalgebra::Point3;
+use std::collections::HashMap;
 use std::ops::ControlFlow;
 
-/// Most open pixels that are looked at before a leak counts as an edge or a ledge.
+/// Most open pixels that are looked at before a gap counts as not closed in.
 const MOST_PIXELS: usize = 1 << 16;
-/// Rim places this near each other belong together (pixels).
+/// Brinks this near each other belong together (pixels).
 const TOGETHER: i32 = 2;
+/// Edge of a tile (pixels).
+const TILE: usize = 64;
+/// No number.
+const NOTHING: u32 = u32::MAX;
 
 /// What kind of leak it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,7 +68,7 @@ pub struct Leak {
     pub at: Point3<f64>,
     /// Its greatest extent along x or y: of a hole itself, else of its rim (m).
     pub width: f64,
-    /// How far down the next matter lies; `None` if nothing was scanned below (m).
+    /// How far below the rim the next matter lies: the middle one of all its depths; `None` if nothing was scanned below (m).
     pub drop: Option<f64>,
     /// What kind it is.
     pub kind: LeakKind,
@@ -74,10 +86,124 @@ enum There {
 }
 
 impl Region {
-    /// All leaks, by place (y, x, z). Needs pages around the rim, and in the tiles that the open pixels lie in.
+    /// All leaks, by place (y, x, z). Needs pages in the tiles that the open pixels lie in, and around them.
     /// Fails where more matter lies over one tile than any scan has ([`Error::Limit`](crate::Error::Limit)).
     pub fn leaks<S: PageSet>(&self, standing: &mut StandingPlaces, set: &S) -> Result<Answer<Vec<Leak>>> {
-        answer(Survey { region: self, standing, set, seen: HashMap::new() }.leaks())
+        let survey = Survey { region: self, standing, set, last: None, marks: Plane::new(NOTHING), gaps: Vec::new() };
+        answer(survey.leaks())
+    }
+}
+
+/// A value for each pixel of the tiles that were touched.
+struct Plane<T> {
+    numbers: HashMap<[i32; 2], usize>,
+    tiles: Vec<Box<[T]>>,
+    empty: T,
+    last: Option<([i32; 2], usize)>,
+}
+
+impl<T: Copy> Plane<T> {
+    fn new(empty: T) -> Self {
+        Self { numbers: HashMap::new(), tiles: Vec::new(), empty, last: None }
+    }
+
+    fn at(&mut self, pixel: [i32; 2]) -> &mut T {
+        let at = pixel.map(|pixel| pixel >> 6);
+        let number = match self.last {
+            Some((last, number)) if last == at => number,
+            _ => *self.numbers.entry(at).or_insert_with(|| {
+                self.tiles.push(vec![self.empty; TILE * TILE].into());
+                self.tiles.len() - 1
+            }),
+        };
+        self.last = Some((at, number));
+        &mut self.tiles[number][(((pixel[1] & 63) << 6) | (pixel[0] & 63)) as usize]
+    }
+}
+
+/// Sets that are joined.
+struct Sets(Vec<u32>);
+
+impl Sets {
+    fn new(count: usize) -> Self {
+        Self((0..count as u32).collect())
+    }
+
+    fn root(&mut self, mut item: u32) -> u32 {
+        while self.0[item as usize] != item {
+            let above = self.0[self.0[item as usize] as usize];
+            self.0[item as usize] = above;
+            item = above;
+        }
+        item
+    }
+
+    fn join(&mut self, a: u32, b: u32) {
+        let (a, b) = (self.root(a), self.root(b));
+        self.0[a.max(b) as usize] = a.min(b);
+    }
+
+    /// The members of each set, by their first.
+    fn members(&mut self) -> Vec<Vec<u32>> {
+        let mut members: Vec<Vec<u32>> = Vec::new();
+        let mut number_of: HashMap<u32, usize> = HashMap::new();
+        for item in 0..self.0.len() as u32 {
+            let number = *number_of.entry(self.root(item)).or_insert(members.len());
+            if number == members.len() {
+                members.push(Vec::new());
+            }
+            members[number].push(item);
+        }
+        members
+    }
+}
+
+/// A step of a rim.
+#[derive(Clone, Copy)]
+struct Brink {
+    place: u32,
+    way: usize,
+    /// How far down matter lies (quanta).
+    depth: Option<i32>,
+}
+
+/// Open pixels behind a rim.
+struct Gap {
+    level: i32,
+    /// With the depth of what is below; empty if it is not closed in.
+    pixels: Vec<([i32; 2], Option<i32>)>,
+    /// Border pixels with floor and with matter.
+    floor: usize,
+    matter: usize,
+    is_closed: bool,
+    /// Numbers of gaps that it meets.
+    meets: Vec<u32>,
+}
+
+/// Brinks that belong together.
+struct Stretch {
+    brinks: Vec<Brink>,
+    /// Number of its gap.
+    gap: u32,
+}
+
+/// The middle one of the depths; `None` if nothing lies below most of the brinks.
+fn depth_of(brinks: &[Brink]) -> Option<i32> {
+    let mut depths: Vec<i32> = brinks.iter().filter_map(|brink| brink.depth).collect();
+    depths.sort_unstable();
+    depths.get(depths.len() / 2).copied().filter(|_| 2 * depths.len() >= brinks.len())
+}
+
+impl Stretch {
+    fn depth(&self) -> Option<i32> {
+        depth_of(&self.brinks)
+    }
+
+    /// The least and the greatest depth.
+    fn depths(&self) -> Option<[i32; 2]> {
+        self.depth()?;
+        let depths = || self.brinks.iter().filter_map(|brink| brink.depth);
+        Some([depths().min()?, depths().max()?])
     }
 }
 
@@ -85,110 +211,192 @@ struct Survey<'a, S> {
     region: &'a Region,
     standing: &'a mut StandingPlaces,
     set: &'a S,
-    /// What has been found out about pixels at heights.
-    seen: HashMap<([i32; 2], i32), There>,
-}
-
-/// The open pixels behind a rim.
-struct Opening {
-    pixels: Vec<[i32; 2]>,
-    drops: Vec<Option<i32>>,
-    /// Border pixels with floor and with matter.
-    floor: usize,
-    matter: usize,
-    is_closed: bool,
+    /// The tile looked at last, and its number.
+    last: Option<([i32; 2], usize)>,
+    /// Of each pixel twice the number of the gap that was flooded there last, and one more on its border.
+    marks: Plane<u32>,
+    gaps: Vec<Gap>,
 }
 
 impl<S: PageSet> Survey<'_, S> {
-    fn leaks(&mut self) -> Needs<Vec<Leak>> {
-        // Pixels of holes and of openings that are none, with their heights.
-        let mut holes: HashMap<[i32; 2], i32> = HashMap::new();
-        let mut wide: HashMap<[i32; 2], i32> = HashMap::new();
-        let mut leaks: Vec<Leak> = Vec::new();
-        for rim in self.rims()? {
-            // At the height at which most of the rim lies: stairs have a rim at each tread.
-            let mut tops: Vec<i32> = rim.iter().map(|place| self.region.tops[*place as usize]).collect();
-            tops.sort_unstable();
-            let level = tops[tops.len() / 2];
-            let opening = self.opening(&rim, level, &wide)?;
-            let is_known = |pixel: &[i32; 2]| {
-                holes.get(pixel).is_some_and(|known| (known - level).abs() < self.standing.grid.height)
-            };
-            if opening.pixels.is_empty() || opening.pixels.iter().any(is_known) || self.is_narrow(&opening) {
+    fn leaks(mut self) -> Needs<Vec<Leak>> {
+        let brinks = self.brinks()?;
+        let mut stretches = Vec::new();
+        let mut rims = self.rims(&brinks);
+        // By height, so that marks of one storey are not hidden by those of another.
+        rims.sort_by_key(|(level, ..)| *level);
+        for (level, members, own) in rims {
+            let gap = self.gaps.len() as u32;
+            self.flood(level, members.iter().map(|brink| brinks[*brink as usize]).collect())?;
+            stretches.extend(own.into_iter().map(|brinks| Stretch { brinks, gap }));
+        }
+        let mut sets = Sets::new(self.gaps.len());
+        for gap in 0..self.gaps.len() {
+            self.gaps[gap].meets.iter().for_each(|other| sets.join(gap as u32, *other));
+        }
+        let mut stretches_of: HashMap<u32, Vec<Stretch>> = HashMap::new();
+        for stretch in stretches {
+            stretches_of.entry(sets.root(stretch.gap)).or_default().push(stretch);
+        }
+        let mut leaks = Vec::new();
+        for members in sets.members() {
+            let Some(stretches) = stretches_of.remove(&members[0]) else { continue };
+            let gap = self.joined(&members);
+            if gap.is_closed && (gap.pixels.is_empty() || self.is_narrow(&gap)) {
                 continue;
             }
-            let leak = self.leak(&rim, level, &opening)?;
-            let seen = if leak.kind == LeakKind::Hole { &mut holes } else { &mut wide };
-            seen.extend(opening.pixels.iter().map(|pixel| (*pixel, level)));
-            if leak.kind == LeakKind::Hole || leak.width >= self.standing.grid.pawn.body.half().min() {
-                leaks.push(leak);
+            let (holes, others): (Vec<Stretch>, Vec<Stretch>) = stretches
+                .into_iter()
+                .partition(|stretch| gap.is_closed && (gap.floor >= gap.matter || stretch.depth().is_none()));
+            for stretch in others {
+                let width = self.rim_width(&stretch)?;
+                if width >= self.standing.grid.pawn.body.half().min() {
+                    leaks.push(self.leak(&stretch, width, None));
+                }
+            }
+            let holes = self.alike(holes);
+            let is_one = holes.len() == 1;
+            for hole in holes {
+                let below = hole.depths();
+                let up = self.standing.grid.up;
+                let is_below = |depth: &Option<i32>| match (below, depth) {
+                    (Some([low, high]), Some(depth)) => (low - up..=high + up).contains(depth),
+                    (below, depth) => below.is_none() && depth.is_none(),
+                };
+                let all = gap.pixels.iter().filter(|(_, depth)| is_one || is_below(depth));
+                let pixels: Vec<[i32; 2]> = all.map(|(pixel, _)| *pixel).collect();
+                let extent = self.extent(pixels.iter().copied(), self.standing.grid.foot);
+                leaks.push(self.leak(&hole, extent[0].max(extent[1]), middle(&pixels, |pixel| *pixel)));
             }
         }
         leaks.sort_by(|a, b| a.at.y.total_cmp(&b.at.y).then(a.at.x.total_cmp(&b.at.x)).then(a.at.z.total_cmp(&b.at.z)));
         ControlFlow::Continue(leaks)
     }
 
-    /// Standing places next to open pixels, those near each other together.
-    fn rims(&mut self) -> Needs<Vec<Vec<u32>>> {
-        let mut rim: HashMap<[i32; 2], Vec<u32>> = HashMap::new();
-        let mut order = Vec::new();
+    fn brinks(&mut self) -> Needs<Vec<Brink>> {
+        let mut brinks = Vec::new();
         for place in 0..self.region.len() as u32 {
             let at = place as usize;
-            // A neighbour that can be stood on is no opening.
-            let is_inner = |link: &u32| self.region.standing.get(*link as usize).is_some_and(|standing| *standing);
-            if !self.region.standing[at] || self.region.links[at].iter().all(is_inner) {
+            // A neighbour that can be stood on is not open.
+            if !self.region.standing[at] || !self.region.is_beside_end(place) {
                 continue;
             }
-            let ([i, j], level) = (self.region.pixels[at], self.region.tops[at]);
-            for way in WAYS {
-                if matches!(self.there([i + way[0], j + way[1]], level)?, There::Open(_)) {
-                    rim.entry([i, j]).or_default().push(place);
-                    order.push(place);
-                    break;
+            for way in 0..WAYS.len() {
+                let brink = Brink { place, way, depth: None };
+                if let There::Open(depth) = self.there(self.beyond(&brink), self.region.tops[at])? {
+                    brinks.push(Brink { depth, ..brink });
                 }
             }
         }
-        let mut taken: HashSet<u32> = HashSet::new();
-        let mut rims = Vec::new();
-        for first in order {
-            if !taken.insert(first) {
-                continue;
-            }
-            let (mut own, mut next) = (vec![first], 0);
-            while next < own.len() {
-                let at = own[next] as usize;
-                next += 1;
-                let ([i, j], level) = (self.region.pixels[at], self.region.tops[at]);
-                for (x, y) in
-                    (i - TOGETHER..=i + TOGETHER).flat_map(|x| (j - TOGETHER..=j + TOGETHER).map(move |y| (x, y)))
-                {
-                    for &other in rim.get(&[x, y]).map_or(&[][..], Vec::as_slice) {
-                        let is_level = (self.region.tops[other as usize] - level).abs() <= self.standing.grid.up;
-                        if is_level && taken.insert(other) {
-                            own.push(other);
+        ControlFlow::Continue(brinks)
+    }
+
+    /// The open pixel of a brink.
+    fn beyond(&self, brink: &Brink) -> [i32; 2] {
+        let pixel = self.region.pixels[brink.place as usize];
+        [0, 1].map(|axis| pixel[axis] + WAYS[brink.way][axis])
+    }
+
+    /// The rims: of each its height, its brinks, and the brinks of its stretches. It is the height of most of it: stairs have a rim at
+    /// each tread.
+    fn rims(&self, brinks: &[Brink]) -> Vec<(i32, Vec<u32>, Vec<Vec<Brink>>)> {
+        let (mut rims, mut stretches) = (Sets::new(brinks.len()), Sets::new(brinks.len()));
+        let mut meets: Vec<[u32; 2]> = Vec::new();
+        let up = self.standing.grid.up;
+        let pixel_of = |brink: &Brink| self.region.pixels[brink.place as usize];
+        let top_of = |brink: &Brink| self.region.tops[brink.place as usize];
+        let mut firsts = Plane::new(NOTHING);
+        let mut next = vec![NOTHING; brinks.len()];
+        for (number, brink) in brinks.iter().enumerate() {
+            let [i, j] = pixel_of(brink);
+            let beyond = self.beyond(brink);
+            let around = (j - TOGETHER..=j + TOGETHER).flat_map(|y| (i - TOGETHER..=i + TOGETHER).map(move |x| [x, y]));
+            for pixel in around {
+                let mut other = *firsts.at(pixel);
+                while other != NOTHING {
+                    let before = &brinks[other as usize];
+                    let far = self.beyond(before);
+                    let is_near = (top_of(before) - top_of(brink)).abs() <= up
+                        && (0..2).all(|axis| (far[axis] - beyond[axis]).abs() <= TOGETHER)
+                        // On the other side of a beam.
+                        && before.way != (brink.way + 2) & 3;
+                    if is_near {
+                        rims.join(number as u32, other);
+                        let is_alike = match (before.depth, brink.depth) {
+                            (Some(a), Some(b)) => (a - b).abs() <= up,
+                            (a, b) => a == b,
+                        };
+                        if is_alike {
+                            stretches.join(number as u32, other);
+                        } else {
+                            meets.push([number as u32, other]);
                         }
                     }
+                    other = next[other as usize];
                 }
             }
-            rims.push(own);
+            let first = firsts.at([i, j]);
+            next[number] = std::mem::replace(first, number as u32);
         }
-        ControlFlow::Continue(rims)
+        self.join_narrow(brinks, &mut stretches, &meets);
+        let mut own: HashMap<u32, Vec<Vec<Brink>>> = HashMap::new();
+        for members in stretches.members() {
+            let of_stretch = members.iter().map(|brink| brinks[*brink as usize]).collect();
+            own.entry(rims.root(members[0])).or_default().push(of_stretch);
+        }
+        let rim = |members: Vec<u32>| {
+            let mut tops: Vec<i32> = members.iter().map(|brink| top_of(&brinks[*brink as usize])).collect();
+            tops.sort_unstable();
+            (tops[tops.len() / 2], own.remove(&members[0]).unwrap_or_default())
+        };
+        let members = rims.members();
+        let rims: Vec<_> = members.iter().cloned().map(rim).collect();
+        rims.into_iter().zip(members).map(|((level, own), members)| (level, members, own)).collect()
+    }
+
+    /// Joins stretches narrower than half of the pawn to each other and to the longest one that they meet, of several to the deepest.
+    fn join_narrow(&self, brinks: &[Brink], stretches: &mut Sets, meets: &[[u32; 2]]) {
+        let sizes = |stretches: &mut Sets| -> HashMap<u32, (bool, usize, i32)> {
+            let size = |members: Vec<u32>| {
+                let own: Vec<Brink> = members.iter().map(|brink| brinks[*brink as usize]).collect();
+                let extent = self.extent(own.iter().map(|brink| self.region.pixels[brink.place as usize]), 0);
+                let is_narrow = extent[0].max(extent[1]) < self.standing.grid.pawn.body.half().min();
+                (members[0], (is_narrow, own.len(), depth_of(&own).unwrap_or(i32::MAX)))
+            };
+            stretches.members().into_iter().map(size).collect()
+        };
+        let before = sizes(stretches);
+        for [a, b] in meets {
+            let [a, b] = [stretches.root(*a), stretches.root(*b)];
+            // Joined ones keep the name of the first.
+            if [a, b].iter().all(|root| before.get(root).is_some_and(|size| size.0)) {
+                stretches.join(a, b);
+            }
+        }
+        let after = sizes(stretches);
+        let mut longest: HashMap<u32, (usize, i32, u32)> = HashMap::new();
+        for meet in meets {
+            let roots = meet.map(|brink| stretches.root(brink));
+            for [own, other] in [roots, [roots[1], roots[0]]] {
+                if let (Some((true, ..)), Some(&(false, size, depth))) = (after.get(&own), after.get(&other)) {
+                    let longest = longest.entry(own).or_default();
+                    *longest = (*longest).max((size, depth, other));
+                }
+            }
+        }
+        longest.into_iter().for_each(|(own, (_, _, other))| stretches.join(own, other));
     }
 
     fn there(&mut self, pixel: [i32; 2], level: i32) -> Needs<There> {
-        if let Some(there) = self.seen.get(&(pixel, level)) {
-            return ControlFlow::Continue(*there);
-        }
-        let there = self.look(pixel, level)?;
-        self.seen.insert((pixel, level), there);
-        ControlFlow::Continue(there)
-    }
-
-    fn look(&mut self, pixel: [i32; 2], level: i32) -> Needs<There> {
         if !self.standing.grid.is_inside(pixel) {
             return ControlFlow::Continue(There::Outside);
         }
-        let tile = self.standing.tile(self.set, pixel)?;
+        let at = pixel.map(|pixel| pixel >> 6);
+        let tile = match self.last {
+            Some((last, tile)) if last == at => tile,
+            _ => self.standing.tile(self.set, pixel)?,
+        };
+        self.last = Some((at, tile));
         let grid = &self.standing.grid;
         let column: &[Block] = self.standing.tiles[tile].column(pixel);
         let (below, above) = column.split_at(column.partition_point(|block| block.top <= level + grid.up));
@@ -196,73 +404,95 @@ impl<S: PageSet> Survey<'_, S> {
         if above.first().is_some_and(|block| block.bottom - feet < grid.height) {
             return ControlFlow::Continue(There::Matter);
         }
-        if below.last().is_some_and(|block| level - block.top <= grid.drop && block.kind != Kind::Bridge) {
+        let Some(block) = below.last() else { return ControlFlow::Continue(There::Open(None)) };
+        if level - block.top <= grid.drop && block.kind != Kind::Bridge {
             return ControlFlow::Continue(There::Floor);
         }
-        let under = self.under_foot(pixel, level)?;
-        let is_deep = under.is_none_or(|drop| drop > self.standing.grid.drop);
-        ControlFlow::Continue(if is_deep { There::Open(under) } else { There::Floor })
-    }
-
-    /// How far below `level` the highest matter under the middle of the feet lies (quanta).
-    fn under_foot(&self, pixel: [i32; 2], level: i32) -> Needs<Option<i32>> {
-        let grid = &self.standing.grid;
-        let edge = (2.0 * f64::from(grid.foot) + 0.5) * grid.frame.pixel_m();
-        let at = Point3::new(grid.middle(pixel[0], 0), grid.middle(pixel[1], 1), 0.0);
-        // Sizes of a pixel, at places inside the set: it is a box.
-        let Ok(foot) = Aabb::standing(at, Vector3::new(edge, edge, 0.0)) else { return ControlFlow::Continue(None) };
-        // Down to the bottom of the set.
-        let depth = f64::from((level + grid.up).max(0) + 1) * grid.frame.quantum_m();
-        match top_under(self.set, &foot, grid.z(level + grid.up), depth) {
-            Answer::Known(top) => ControlFlow::Continue(top.map(|top| level - grid.level(top))),
-            Answer::NotLoaded(missing) => ControlFlow::Break(Stop::Missing(missing)),
-        }
+        let depth = (block.foot != NONE).then(|| level - block.foot);
+        let is_deep = depth.is_none_or(|depth| depth > grid.drop);
+        ControlFlow::Continue(if is_deep { There::Open(depth) } else { There::Floor })
     }
 
     /// Floods the open pixels at `level` next to a rim.
-    fn opening(&mut self, rim: &[u32], level: i32, wide: &HashMap<[i32; 2], i32>) -> Needs<Opening> {
-        let mut opening = Opening { pixels: Vec::new(), drops: Vec::new(), floor: 0, matter: 0, is_closed: true };
-        let mut seen: HashSet<[i32; 2]> = HashSet::new();
-        let near = |place: &&u32| (self.region.tops[**place as usize] - level).abs() <= self.standing.grid.up;
-        let mut queue: VecDeque<[i32; 2]> =
-            rim.iter().filter(near).map(|place| self.region.pixels[*place as usize]).collect();
-        let mut is_rim = queue.len();
-        while let Some([i, j]) = queue.pop_front() {
-            let from_rim = is_rim > 0;
-            is_rim = is_rim.saturating_sub(1);
-            for way in WAYS {
-                let to = [i + way[0], j + way[1]];
-                if seen.contains(&to) {
+    fn flood(&mut self, level: i32, rim: Vec<Brink>) -> Needs<()> {
+        let number = self.gaps.len() as u32;
+        let mut gap = Gap { level, pixels: Vec::new(), floor: 0, matter: 0, is_closed: true, meets: Vec::new() };
+        let up = self.standing.grid.up;
+        let is_level = |brink: &&Brink| (self.region.tops[brink.place as usize] - level).abs() <= up;
+        let mut open: Vec<[i32; 2]> = rim.iter().filter(is_level).map(|brink| self.beyond(brink)).collect();
+        let mut done = 0;
+        loop {
+            for to in std::mem::take(&mut open) {
+                let mark = *self.marks.at(to);
+                if mark >> 1 == number {
                     continue;
                 }
-                match self.there(to, level)? {
-                    There::Open(drop) => {
-                        seen.insert(to);
-                        opening.pixels.push(to);
-                        opening.drops.push(drop);
-                        queue.push_back(to);
-                        let is_wide = |known: &i32| (known - level).abs() < self.standing.grid.height;
-                        opening.is_closed &= !wide.get(&to).is_some_and(is_wide);
-                    }
-                    There::Outside => opening.is_closed = false,
-                    There::Floor if !from_rim => {
-                        seen.insert(to);
-                        opening.floor += 1;
-                    }
-                    There::Matter if !from_rim => {
-                        seen.insert(to);
-                        opening.matter += 1;
-                    }
-                    _ => {}
+                let there = self.there(to, level)?;
+                if there == There::Outside {
+                    gap.is_closed = false;
+                    continue;
                 }
+                let is_open = matches!(there, There::Open(_));
+                if let There::Open(depth) = there {
+                    let met = self.gaps.get((mark >> 1) as usize).filter(|_| mark & 1 == 0);
+                    if let Some(met) = met.filter(|met| (met.level - level).abs() < self.standing.grid.height) {
+                        gap.is_closed &= met.is_closed;
+                        if gap.meets.last() != Some(&(mark >> 1)) {
+                            gap.meets.push(mark >> 1);
+                        }
+                        continue;
+                    }
+                    gap.pixels.push((to, depth));
+                }
+                gap.floor += usize::from(there == There::Floor);
+                gap.matter += usize::from(there == There::Matter);
+                *self.marks.at(to) = 2 * number + u32::from(!is_open);
             }
-            opening.is_closed &= opening.pixels.len() <= MOST_PIXELS;
-            if !opening.is_closed {
-                // What lies farther off says nothing about the rim.
-                break;
+            gap.is_closed &= gap.pixels.len() <= MOST_PIXELS;
+            // What lies farther off says nothing about the rim.
+            let Some((pixel, _)) = gap.pixels.get(done).filter(|_| gap.is_closed) else { break };
+            open.extend(WAYS.map(|way| [pixel[0] + way[0], pixel[1] + way[1]]));
+            done += 1;
+        }
+        if !gap.is_closed {
+            gap.pixels = Vec::new();
+        }
+        self.gaps.push(gap);
+        ControlFlow::Continue(())
+    }
+
+    /// Gaps that meet, as one.
+    fn joined(&mut self, members: &[u32]) -> Gap {
+        let all = || members.iter().map(|gap| &self.gaps[*gap as usize]);
+        Gap {
+            level: self.gaps[members[0] as usize].level,
+            floor: all().map(|gap| gap.floor).sum(),
+            matter: all().map(|gap| gap.matter).sum(),
+            is_closed: all().all(|gap| gap.is_closed),
+            pixels: all().flat_map(|gap| gap.pixels.iter().copied()).collect(),
+            meets: Vec::new(),
+        }
+    }
+
+    /// Stretches of one gap below which the same lies, together.
+    fn alike(&self, stretches: Vec<Stretch>) -> Vec<Stretch> {
+        let mut sets = Sets::new(stretches.len());
+        let up = self.standing.grid.up;
+        let depths: Vec<Option<[i32; 2]>> = stretches.iter().map(Stretch::depths).collect();
+        for (a, b) in (0..stretches.len()).flat_map(|a| (0..a).map(move |b| (a, b))) {
+            let is_alike = match (depths[a], depths[b]) {
+                (Some(a), Some(b)) => a[0] - b[1] <= up && b[0] - a[1] <= up,
+                (a, b) => a == b,
+            };
+            if is_alike {
+                sets.join(a as u32, b as u32);
             }
         }
-        ControlFlow::Continue(opening)
+        let together = |members: Vec<u32>| Stretch {
+            brinks: members.iter().flat_map(|stretch| stretches[*stretch as usize].brinks.iter().copied()).collect(),
+            gap: stretches[members[0] as usize].gap,
+        };
+        sets.members().into_iter().map(together).collect()
     }
 
     /// Extent along x and y of pixels that widen by `beyond` on each side (m).
@@ -273,67 +503,64 @@ impl<S: PageSet> Survey<'_, S> {
                 (low[axis], high[axis]) = (low[axis].min(pixel[axis]), high[axis].max(pixel[axis]));
             }
         }
-        [0, 1].map(|axis| f64::from(high[axis] - low[axis] + 1 + 2 * beyond) * self.standing.grid.frame.pixel_m())
+        let pixels = |axis: usize| f64::from(high[axis].saturating_sub(low[axis]).saturating_add(1 + 2 * beyond));
+        [0, 1].map(|axis| pixels(axis) * self.standing.grid.frame.pixel_m())
     }
 
-    fn is_narrow(&self, opening: &Opening) -> bool {
-        if !opening.is_closed {
-            return false;
-        }
+    fn is_narrow(&self, gap: &Gap) -> bool {
         let pixel = self.standing.grid.frame.pixel_m();
-        let longest = self.extent(opening.pixels.iter().copied(), 0).into_iter().fold(0.0, f64::max);
-        let mean =
-            opening.pixels.len() as f64 * pixel * pixel / longest + 2.0 * f64::from(self.standing.grid.foot) * pixel;
+        let longest = self.extent(gap.pixels.iter().map(|(pixel, _)| *pixel), 0).into_iter().fold(0.0, f64::max);
+        let mean = gap.pixels.len() as f64 * pixel * pixel / longest + 2.0 * f64::from(self.standing.grid.foot) * pixel;
         mean < self.standing.grid.pawn.body.half().min()
     }
 
-    /// Extent of a rim; where it ends at matter the way goes on beside the middle of the pawn (m).
-    fn rim_width(&mut self, rim: &[u32]) -> Needs<f64> {
-        let at = |place: &u32| self.region.pixels[*place as usize];
-        let extent = self.extent(rim.iter().map(at), 0);
-        let axis = usize::from(extent[1] > extent[0]);
-        let mut beside = 0;
-        for (end, way) in [
-            (rim.iter().min_by_key(|place| at(place)[axis]), axis + 2),
-            (rim.iter().max_by_key(|place| at(place)[axis]), axis),
-        ] {
-            let Some(&end) = end else { continue };
-            let ([i, j], level) = (self.region.pixels[end as usize], self.region.tops[end as usize]);
-            if self.there([i + WAYS[way][0], j + WAYS[way][1]], level)? == There::Matter {
-                beside += self.standing.grid.half[axis];
+    /// Extent of a stretch; where it ends at matter the way goes on beside the middle of the pawn (m).
+    fn rim_width(&mut self, stretch: &Stretch) -> Needs<f64> {
+        let pixels: Vec<[i32; 2]> =
+            stretch.brinks.iter().map(|brink| self.region.pixels[brink.place as usize]).collect();
+        let extent = self.extent(pixels.iter().copied(), 0);
+        let mut width = 0.0f64;
+        for axis in (0..2).filter(|axis| extent[*axis] >= extent[1 - *axis]) {
+            let mut beside = 0;
+            let along = |pixel: &[i32; 2]| pixel[axis];
+            let ends = [pixels.iter().map(along).min(), pixels.iter().map(along).max()];
+            for (end, way) in ends.into_iter().zip([axis + 2, axis]) {
+                let mut is_matter = false;
+                for brink in
+                    stretch.brinks.iter().filter(|brink| Some(self.region.pixels[brink.place as usize][axis]) == end)
+                {
+                    let level = self.region.tops[brink.place as usize];
+                    is_matter |= self.there(self.beyond(&Brink { way, ..*brink }), level)? == There::Matter;
+                }
+                beside += if is_matter { self.standing.grid.half[axis] } else { 0 };
             }
+            width = width.max(extent[axis] + f64::from(beside) * self.standing.grid.frame.pixel_m());
         }
-        ControlFlow::Continue(extent[axis] + f64::from(beside) * self.standing.grid.frame.pixel_m())
+        ControlFlow::Continue(width)
     }
 
-    fn leak(&mut self, rim: &[u32], level: i32, opening: &Opening) -> Needs<Leak> {
-        let mut drops: Vec<i32> = opening.drops.iter().filter_map(|drop| *drop).collect();
-        let is_void = 2 * drops.len() < opening.drops.len();
-        let kind = match opening.is_closed {
-            true if is_void || opening.floor >= opening.matter => LeakKind::Hole,
-            false if is_void => LeakKind::Edge,
-            _ => LeakKind::Ledge,
-        };
-        let (width, at) = if kind == LeakKind::Hole {
-            let extent = self.extent(opening.pixels.iter().copied(), self.standing.grid.foot);
-            (extent[0].max(extent[1]), middle(&opening.pixels, |pixel| *pixel))
-        } else {
-            let pixel = |place: &u32| self.region.pixels[*place as usize];
-            (self.rim_width(rim)?, middle(rim, pixel).map(|place| pixel(&place)))
-        };
-        let [i, j] = at.unwrap_or_default();
-        // Of a large opening only what lies next to the rim says how deep one falls here.
-        if kind != LeakKind::Hole {
-            drops.truncate(rim.len().max(1));
-        }
-        drops.sort_unstable();
-        let drop = drops.get(drops.len() / 2).filter(|_| !is_void);
+    /// A leak at a stretch, or in the middle of its `hole`.
+    fn leak(&self, stretch: &Stretch, width: f64, hole: Option<[i32; 2]>) -> Leak {
+        let pixel = |brink: &Brink| self.region.pixels[brink.place as usize];
+        let [i, j] = hole.or_else(|| middle(&stretch.brinks, pixel).map(|brink| pixel(&brink))).unwrap_or_default();
+        let mut tops: Vec<i32> = stretch.brinks.iter().map(|brink| self.region.tops[brink.place as usize]).collect();
+        tops.sort_unstable();
         let grid = &self.standing.grid;
-        ControlFlow::Continue(Leak {
-            at: Point3::new(grid.middle(i, 0), grid.middle(j, 1), grid.z(level)),
+        let depth = stretch.depth();
+        let kind = match (hole, depth) {
+            (Some(_), _) => LeakKind::Hole,
+            (None, None) => LeakKind::Edge,
+            (None, Some(_)) => LeakKind::Ledge,
+        };
+        Leak {
+            at: Point3::new(
+                grid.middle(i, 0),
+                grid.middle(j, 1),
+                grid.z(tops.get(tops.len() / 2).copied().unwrap_or(0)),
+            ),
             width,
-            drop: drop.map(|drop| f64::from(*drop) * grid.frame.quantum_m()),
+            drop: depth.map(|depth| f64::from(depth) * grid.frame.quantum_m()),
             kind,
-        })
+        }
     }
 }

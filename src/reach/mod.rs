@@ -35,7 +35,7 @@
 //!
 //! # Memory
 //!
-//! [`StandingPlaces`] holds 16 KiB for each tile (64 × 64 pixels) that the search touches and 12 bytes for each place in it;
+//! [`StandingPlaces`] holds 16 KiB for each tile (64 × 64 pixels) that the search touches and 20 bytes for each place in it;
 //! [`Region`] holds 37 bytes for each place that it reaches; [`Search`] another 12. Pages are needed only while their tile is
 //! computed.
 

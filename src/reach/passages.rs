@@ -2,17 +2,23 @@
 //!
 //! The clearance of the places is a landscape whose peaks are the middles of rooms. Places are taken from the highest down; where
 //! two rooms meet that are both clearly wider than their meeting place, they stay apart (a watershed with a least
-//! prominence), else the smaller joins the larger. Each stretch along which two rooms touch is a passage, at its widest place.
+//! prominence), else the smaller joins the larger. Each stretch along which two rooms touch may be a passage, at its widest place.
+//!
+//! It is one if what it leads through separates the rooms: on both sides lies the same border of the region, so that no way leads around, or
+//! borders at least twice as long as the passage is wide. What stands free on open ground makes none: a pole, a pit, a rough patch.
 
-use super::region::{NO_PLACE, Region, WAYS, middle};
+use super::pawn::WAYS;
+use super::region::{NO_PLACE, Region, middle};
 use nalgebra::Point3;
 use std::collections::HashSet;
 
 /// A room is wider than its passages by this factor at least, and by so many pixels.
 const WIDER: f64 = 1.25;
 const WIDER_PIXELS: f64 = 2.0;
-/// Least area of a room (m²): smaller ones are niches.
+/// Least area of a room (m²); it is also at least the square of the passage's width. Smaller ones are niches.
 const LEAST_M2: f64 = 0.25;
+/// A border on one side alone is longer than the passage is wide, by this factor at least.
+const LONGER: f64 = 2.0;
 
 /// A narrow place between two wider ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,7 +71,7 @@ impl Region {
             };
             for &other in &beside[1..] {
                 let is_room = f64::from(rooms[other as usize].peak) >= f64::from(own) * WIDER + WIDER_PIXELS * pixel
-                    && self.area_of(rooms[other as usize].places) >= LEAST_M2;
+                    && self.area_of(rooms[other as usize].places) >= LEAST_M2.max((2.0 * f64::from(own)).powi(2));
                 if !is_room {
                     rooms[other as usize].parent = main;
                     rooms[main as usize].places += rooms[other as usize].places;
@@ -90,13 +96,14 @@ impl Region {
             |place: &u32| across(*place).any(|next| (clearance(*place), *place) < (clearance(next), next));
         let mut borders: Vec<u32> = (0..self.len() as u32).filter(is_narrower).collect();
         borders.sort_by(|a, b| clearance(*b).total_cmp(&clearance(*a)).then(a.cmp(b)));
+        let ends = Borders::new(self);
         let mut taken: HashSet<u32> = HashSet::new();
         let mut passages = Vec::new();
         for place in borders {
             if taken.contains(&place) {
                 continue;
             }
-            passages.push(self.passage(self.middle_of_its_level(place)));
+            passages.extend(self.passage(self.middle_of_its_level(place), &ends));
             // The rest of the stretch, on both of its sides.
             let mut open = vec![place];
             while let Some(place) = open.pop() {
@@ -126,23 +133,49 @@ impl Region {
         self.links[place as usize].iter().copied().filter(|link| *link != NO_PLACE)
     }
 
-    /// The clear width: from the nearest end of the region across the place to the end on the other side.
-    fn passage(&self, place: u32) -> Passage {
+    /// The passage at a place, if it is one. Its clear width leads from one end of the region across the place to the end on the other side.
+    fn passage(&self, place: u32, borders: &Borders) -> Option<Passage> {
+        let pixel = self.grid.frame.pixel_m();
+        let clear = |place: u32| f64::from(self.clearances[place as usize]) / pixel;
         // The narrowest of eight lines through the place.
-        let across = |[dx, dy]: [i32; 2]| {
-            let far = |sign: i32| {
-                let (mut at, mut steps) = (place, 0);
-                while let Some(next) = self.hop(at, [sign * dx, sign * dy]) {
-                    (at, steps) = (next, steps + 1);
+        let across = |by: [i32; 2]| {
+            let far = |by: [i32; 2]| {
+                let (mut at, mut steps, mut width) = (place, 0.0, clear(place));
+                while let Some(next) = self.hop(at, by) {
+                    (at, steps) = (next, steps + f64::from(by[0]).hypot(f64::from(by[1])));
+                    // Beyond it hangs the body alone.
+                    if width > 0.0 && clear(at) > 0.0 {
+                        width = steps + clear(at);
+                    }
                 }
-                steps
+                (width, self.end_beside(at, by))
             };
-            f64::from(far(1) + far(-1) + 1) * f64::from(dx).hypot(f64::from(dy))
+            let [(one, first), (other, last)] = [far(by), far(by.map(|v| -v))];
+            (one + other, [first, last])
         };
         let ways = [[1, 0], [0, 1], [1, 1], [1, -1], [2, 1], [1, 2], [2, -1], [1, -2]];
-        let narrowest = ways.into_iter().map(across).fold(f64::INFINITY, f64::min);
-        let width = (narrowest + 2.0 * self.body_pixels()) * self.grid.frame.pixel_m();
-        Passage { at: self.feet(place), width }
+        let (pixels, ends) = ways.into_iter().map(across).min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let [one, other] = ends.map(|end| end.and_then(|end| borders.number(end)));
+        let is_long = |border: Option<usize>| {
+            border.is_some_and(|border| borders.length(border, self.grid.half) >= LONGER * pixels)
+        };
+        let separates = one == other || is_long(one) && is_long(other);
+        separates.then(|| Passage { at: self.feet(place), width: pixels * pixel })
+    }
+
+    /// The step without a link that keeps a place from one a few pixels away.
+    fn end_beside(&self, place: u32, by: [i32; 2]) -> Option<(u32, usize)> {
+        let mut at = place;
+        for axis in 0..2 {
+            let way = if by[axis] > 0 { axis } else { axis + 2 };
+            for _ in 0..by[axis].abs() {
+                match self.links[at as usize][way] {
+                    NO_PLACE => return Some((at, way)),
+                    next => at = next,
+                }
+            }
+        }
+        None
     }
 
     /// The place a few pixels away, over links one axis after the other.
@@ -157,5 +190,66 @@ impl Region {
             go(middle, way(axes[1]), by[axes[1]].abs())
         };
         first([0, 1]).or_else(|| first([1, 0]))
+    }
+}
+
+/// The borders of a region: closed lines of steps that lead nowhere.
+struct Borders {
+    steps: Vec<(u32, usize)>,
+    border_of: Vec<usize>,
+    /// Of each border the least and the greatest pixel beyond it along x and y, and whether ground is missing there.
+    extents: Vec<([[i32; 2]; 2], bool)>,
+}
+
+impl Borders {
+    fn new(region: &Region) -> Self {
+        let links = &region.links;
+        let ways = |place: u32| (0..WAYS.len()).filter(move |way| links[place as usize][*way] == NO_PLACE);
+        let steps: Vec<(u32, usize)> =
+            (0..links.len() as u32).flat_map(|place| ways(place).map(move |way| (place, way))).collect();
+        let number = |step: (u32, usize)| steps.binary_search(&step).ok();
+        // Along the border, which lies to the right.
+        let next = |(place, way): (u32, usize)| {
+            let side = (way + 1) & 3;
+            let beside = links[place as usize][side];
+            if beside == NO_PLACE {
+                return number((place, side));
+            }
+            match links[beside as usize][way] {
+                NO_PLACE => number((beside, way)),
+                corner => number((corner, (way + 3) & 3)),
+            }
+        };
+        let mut border_of = vec![usize::MAX; steps.len()];
+        let mut extents: Vec<([[i32; 2]; 2], bool)> = Vec::new();
+        for first in 0..steps.len() {
+            let mut at = Some(first).filter(|first| border_of[*first] == usize::MAX);
+            if at.is_some() {
+                extents.push(([[i32::MAX; 2], [i32::MIN; 2]], false));
+            }
+            while let Some(step) = at.filter(|step| border_of[*step] == usize::MAX) {
+                border_of[step] = extents.len() - 1;
+                let (place, way) = steps[step];
+                let Some(([low, high], is_open)) = extents.last_mut() else { break };
+                for axis in 0..2 {
+                    let pixel = region.pixels[place as usize][axis] + WAYS[way][axis];
+                    (low[axis], high[axis]) = (low[axis].min(pixel), high[axis].max(pixel));
+                }
+                *is_open |= region.clearances[place as usize] == 0.0;
+                at = next((place, way));
+            }
+        }
+        Self { steps, border_of, extents }
+    }
+
+    fn number(&self, step: (u32, usize)) -> Option<usize> {
+        self.steps.binary_search(&step).ok().map(|step| self.border_of[step])
+    }
+
+    /// The extent along x or y of what ends the region there (pixels): the body keeps half of its width off matter, and hangs as far over gaps.
+    fn length(&self, border: usize, half: [i32; 2]) -> f64 {
+        let ([low, high], is_open) = self.extents[border];
+        let along = |axis: usize| high[axis] - low[axis] + 1 + if is_open { 2 } else { -2 } * half[axis];
+        f64::from(along(0).max(along(1)))
     }
 }

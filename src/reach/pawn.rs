@@ -4,6 +4,7 @@ use crate::frame::{Frame, PAGE_QUANTA};
 use crate::store::PageSet;
 use crate::walk::{Body, FLOOR_NEAR_M, pixels_beside};
 use crate::{Error, Parameter, Result};
+use std::sync::Arc;
 
 /// Lengths that differ by less are equal (pixels): rounding errors of `length / pixel`.
 const EQUAL: f64 = 1e-6;
@@ -12,6 +13,9 @@ const MOST_TILES: i64 = 1 << 24;
 const MOST_LAYERS: i64 = 1 << 16;
 /// Largest footprint (pixels to a side of the middle).
 const MOST_PIXELS: f64 = 512.0;
+
+/// The neighbours of a pixel, in the order of a place's links.
+pub(super) const WAYS: [[i32; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
 
 /// Who walks. All lengths in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,6 +61,10 @@ pub(super) struct Grid {
     pub rects: Vec<[i32; 2]>,
     /// Of all of them the widest.
     pub half: [i32; 2],
+    /// Gap to the farthest pixel at which the body can be stopped on a step.
+    pub corner: u64,
+    /// Pixels outside of the footprint with gaps up to that, nearest first.
+    pub around: Arc<[[i16; 2]]>,
     /// Along x and y, whether a body has left the pixels behind it when it meets a step: then it needs room for its head above the
     /// step on the pixels of the step's side alone.
     pub lets_go: [bool; 2],
@@ -100,15 +108,21 @@ impl Grid {
         // Where the scan lies in its tiles must not show: no place lies farther from matter than this.
         let margin = half.map(|half| i64::from((half + 64) / 64));
         let first = [0, 1].map(|axis| (i64::from(min[axis]) - margin[axis]).max(i64::from(i32::MIN)));
+        let ahead = pixels_beside(frame.pixel_m()).min(MOST_PIXELS as i32);
+        // At a corner of the footprint; what is nearest to its middle may lie straight ahead, but no farther off.
+        let corners = rects.iter().map(|[x, y]| gap([x + 1, *y]).max(gap([*x, y + 1])));
+        let corner = corners.max().unwrap_or(0);
         Ok(Self {
             frame,
             pawn,
+            corner,
+            around: around(&rects, half.map(|half| half + ahead + 1), corner).into(),
             origin: [first[0] as i32, first[1] as i32, min[2]],
             tiles: [0, 1].map(|axis| (i64::from(min[axis]) - first[axis] + extent[axis] + margin[axis]) as i32),
             half,
             lets_go,
             foot: half[0].min(half[1]).min(1),
-            ahead: pixels_beside(frame.pixel_m()).min(MOST_PIXELS as i32),
+            ahead,
             rects,
             // Rounded up, so that a body that fits has room for rounding errors.
             height: quanta(pawn.body.height()) + 1,
@@ -151,6 +165,23 @@ impl Grid {
     pub fn is_inside(&self, [i, j]: [i32; 2]) -> bool {
         i >= 0 && j >= 0 && i >> 6 < self.tiles[0] && j >> 6 < self.tiles[1]
     }
+}
+
+/// Gap between the middle of a pixel and another one `by` pixels away (half pixels, squared).
+pub(super) fn gap(by: [i32; 2]) -> u64 {
+    let along = |by: i32| (2 * u64::from(by.unsigned_abs())).saturating_sub(1);
+    along(by[0]).pow(2) + along(by[1]).pow(2)
+}
+
+/// Offsets of the pixels outside of a footprint with gaps of at most `corner`, as far as `widest`, nearest first.
+fn around(rects: &[[i32; 2]], widest: [i32; 2], corner: u64) -> Vec<[i16; 2]> {
+    let beside = |[x, y]: [i32; 2]| !rects.iter().any(|rect| x.abs() <= rect[0] && y.abs() <= rect[1]);
+    let mut around: Vec<[i32; 2]> = (-widest[0]..=widest[0])
+        .flat_map(|x| (-widest[1]..=widest[1]).map(move |y| [x, y]))
+        .filter(|by| gap(*by) <= corner && beside(*by))
+        .collect();
+    around.sort_unstable_by_key(|by| (gap(*by), *by));
+    around.into_iter().map(|by| by.map(|by| by as i16)).collect()
 }
 
 /// Whether a body has left the pixels behind it when its front meets the next pixel.

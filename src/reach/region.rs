@@ -1,7 +1,7 @@
 //! What can be reached on foot from one place.
 
-use super::distance::{nearest_ends, to_line};
-use super::pawn::{Grid, Pawn};
+use super::distance::{End, clearances, to_line};
+use super::pawn::{Grid, Pawn, WAYS};
 use super::route::LANDMARKS;
 use super::standing::{Kind, Spot, StandingPlaces, Step};
 use super::{Needs, answer};
@@ -14,8 +14,6 @@ use std::ops::ControlFlow;
 
 /// Of a link that leads nowhere.
 pub(super) const NO_PLACE: u32 = u32::MAX;
-/// The neighbours of a pixel, in the order of a place's links.
-pub(super) const WAYS: [[i32; 2]; 4] = [[1, 0], [0, 1], [-1, 0], [0, -1]];
 /// Steps between two looks at the monitor.
 const BETWEEN_LOOKS: usize = 1 << 14;
 
@@ -181,7 +179,7 @@ impl Flood {
             }
             let other = standing.tile(set, to)?;
             let (column, next) = (standing.tiles[tile].column(pixel), standing.tiles[other].column(to));
-            if let Step::To(reached) = standing.step(column, place, next, number & 1)
+            if let Step::To(reached) = standing.grid.step(column, place, next, number & 1)
                 && self.mark(standing, other, to, reached)
             {
                 self.open.push((to, reached));
@@ -275,12 +273,7 @@ impl Flood {
                 }
             }
         }
-        let tile_of = |pixel: [i32; 2]| {
-            let at = pixel.map(|pixel| pixel >> 6);
-            order.binary_search_by_key(&[at[1], at[0]], |tile| {
-                [standing.tiles[*tile].at[1], standing.tiles[*tile].at[0]]
-            })
-        };
+        let mut ends = Vec::new();
         for &tile in &order {
             let own = &standing.tiles[tile];
             for cell in 0..64 * 64 {
@@ -298,22 +291,23 @@ impl Flood {
                     let links = [0, 1, 2, 3].map(|number| {
                         let way = WAYS[number];
                         let to = [pixel[0] + way[0], pixel[1] + way[1]];
-                        let other = if (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6) {
-                            tile
-                        } else {
-                            match tile_of(to) {
-                                Ok(at) => order[at],
-                                Err(_) => return NO_PLACE,
-                            }
+                        let is_same = (to[0] >> 6, to[1] >> 6) == (pixel[0] >> 6, pixel[1] >> 6);
+                        // Where the flood has not looked, the region goes on.
+                        let Some(other) = (if is_same { Some(tile) } else { standing.known(to) }) else {
+                            return NO_PLACE;
                         };
                         let next = standing.tiles[other].column(to);
-                        match standing.step(column, place, next, number & 1) {
+                        let is_open = match standing.grid.step(column, place, next, number & 1) {
                             Step::To(reached) => {
-                                let cell = (((to[1] & 63) << 6) | (to[0] & 63)) as usize;
-                                numbers[other][standing.tiles[other].starts[cell] as usize + reached]
+                                let reached = standing.tiles[other].number(to, reached);
+                                let numbers = numbers.get(other).and_then(|numbers| numbers.get(reached));
+                                return numbers.copied().unwrap_or(NO_PLACE);
                             }
-                            _ => NO_PLACE,
-                        }
+                            step => step == Step::Open,
+                        };
+                        let offset = if is_open { way.map(|way| way as i16) } else { column[place].stop };
+                        ends.push(End { place: own, offset, is_open });
+                        NO_PLACE
                     });
                     for link in links.iter().filter(|link| **link != NO_PLACE) {
                         let rise = region.tops[*link as usize] - column[place].top;
@@ -325,7 +319,7 @@ impl Flood {
                 }
             }
         }
-        region.measure();
+        region.clearances = clearances(&standing.grid, &region.links, &ends);
         region.levels = region.levelled();
         region
     }
@@ -337,8 +331,9 @@ impl Flood {
 pub struct Place {
     /// Where the feet stand: the middle of a pixel, on the highest matter under the footprint (m).
     pub feet: Point3<f64>,
-    /// Distance from the middle of the feet to the nearest thing that the pawn cannot walk over, within a pixel: a wall, a ledge,
-    /// the end of the scan (m).
+    /// Distance from the middle of the feet to the nearest thing that the pawn cannot walk over, within a pixel (m): the matter that
+    /// stops its body, or ground beyond a ledge, a hole or the end of the scan. Gaps that its footprint spans do not count. Infinite
+    /// where nothing ends the region.
     pub clearance: f64,
 }
 
@@ -363,19 +358,10 @@ pub struct Region {
 }
 
 impl Region {
-    fn measure(&mut self) {
-        let beyond = self.body_pixels();
-        let pixel = self.grid.frame.pixel_m();
-        let clearance = |end: [i16; 2]| {
-            let pixels = f64::from(end[0]).hypot(f64::from(end[1])) - 0.5 + beyond;
-            (pixels * pixel) as f32
-        };
-        self.clearances = nearest_ends(&self.links).into_iter().map(clearance).collect();
-    }
-
-    /// How far the body reaches beyond the middle pixel (pixels).
-    pub(super) fn body_pixels(&self) -> f64 {
-        f64::from(self.grid.half[0].min(self.grid.half[1]))
+    /// Whether a place lies beside the end of the region, or beside a gap that the footprint spans.
+    pub(super) fn is_beside_end(&self, place: u32) -> bool {
+        let is_inner = |link: &u32| self.standing.get(*link as usize).is_some_and(|standing| *standing);
+        !self.links[place as usize].iter().all(is_inner)
     }
 
     /// The pawn.

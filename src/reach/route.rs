@@ -306,7 +306,7 @@ impl Search {
             let length = region.length(place, to, length);
             let weight = if !region.standing[to as usize] {
                 length + length / 25
-            } else if f64::from(region.clearances[to as usize]) < region.near_wall() {
+            } else if region.is_beside_end(to) {
                 length + length / 50
             } else {
                 length
@@ -466,11 +466,6 @@ impl Region {
             levels = (0..self.len() as u32).map(mean).collect();
         }
         levels
-    }
-
-    /// Clearance below which a place lies next to the end of the region (m).
-    fn near_wall(&self) -> f64 {
-        (self.body_pixels() + 1.2) * self.grid.frame.pixel_m()
     }
 
     /// Whether a body can walk straight from place `a` to place `b`; `each` gets the places near the line, in order.

@@ -1,7 +1,7 @@
 //! Standing places, tile by tile, and the steps between neighbours.
 
 use super::intervals::{Floors, Interval, Lists, NONE};
-use super::pawn::{Grid, Pawn};
+use super::pawn::{Grid, Pawn, WAYS, gap};
 use super::{Needs, answer};
 use crate::Result;
 use crate::query::Answer;
@@ -35,6 +35,10 @@ pub(super) struct Block {
     /// [`Grid::near`] for the lower edge of a step.
     floor: i16,
     pub kind: Kind,
+    /// Highest matter under the middle of the feet, no higher than the top; [`NONE`] without any.
+    pub foot: i32,
+    /// Where a step to a neighbour is stopped, the offset of the nearest pixel whose matter stops the body, else `[0, 0]`.
+    pub stop: [i16; 2],
 }
 
 /// All blocks of one tile.
@@ -199,18 +203,13 @@ impl StandingPlaces {
         self.tiles.push(tile);
         ControlFlow::Continue(self.tiles.len() - 1)
     }
+}
 
+impl Grid {
     /// Where the pawn gets from block `place` of `column` in the neighbouring pixel along an axis, with blocks `next`.
     pub(super) fn step(&self, column: &[Block], place: usize, next: &[Block], axis: usize) -> Step {
-        let (grid, from) = (&self.grid, column[place]);
-        // Climbing counts from the floor, so that no ledge is climbed in parts. An edge whose floor lies beyond is in the way.
-        let limit = match i32::from(from.floor) {
-            above if above > grid.near => from.top + above,
-            floor => from.top.max(from.top + floor + grid.up),
-        };
-        let highest = next.partition_point(|block| block.top <= limit).checked_sub(1).map(|at| &next[at]);
-        let is_too_high = |edge: &&Block| edge.top > from.top && edge.top + i32::from(edge.floor) > limit;
-        let limit = highest.filter(is_too_high).map_or(limit, |edge| edge.top - 1);
+        let (grid, from) = (self, column[place]);
+        let limit = grid.limit(&from, next);
         let (below, above) = next.split_at(next.partition_point(|block| block.top <= limit));
         let to = below.last();
         let level = to.map_or(from.top, |block| block.top.max(from.top));
@@ -230,32 +229,70 @@ impl StandingPlaces {
             _ => Step::To(below.len() - 1),
         }
     }
+
+    /// Height up to which a step from block `from` to a pixel with blocks `next` leads.
+    pub(super) fn limit(&self, from: &Block, next: &[Block]) -> i32 {
+        // Climbing counts from the floor, so that no ledge is climbed in parts. An edge whose floor lies beyond is in the way.
+        let limit = match i32::from(from.floor) {
+            above if above > self.near => from.top + above,
+            floor => from.top.max(from.top + floor + self.up),
+        };
+        let highest = next.partition_point(|block| block.top <= limit).checked_sub(1).map(|at| &next[at]);
+        let is_too_high = |edge: &&Block| edge.top > from.top && edge.top + i32::from(edge.floor) > limit;
+        highest.filter(is_too_high).map_or(limit, |edge| edge.top - 1)
+    }
 }
 
 /// The blocks of the tile `at`, or the pages that it takes.
 fn compute<S: PageSet>(set: &S, grid: &Grid, at: [i32; 2]) -> Needs<Tile> {
-    let ahead = grid.ahead;
-    let margin = grid.half.map(|half| half + ahead);
+    // A pixel more, for steps across the border of the tile.
+    let margin = grid.half.map(|half| half + grid.ahead + 1);
     let corner = [0, 1].map(|axis| at[axis] * TILE as i32 - margin[axis]);
     let size = margin.map(|margin| TILE + 2 * margin as usize);
     let (matter, floors) = Lists::read(set, grid, corner, size)?;
     let under = matter.under(&grid.rects, grid.half, grid.height);
-    let foot = matter.under(&[[grid.foot; 2]], margin, grid.height);
-    let (mut starts, mut blocks) = (Vec::with_capacity(TILE * TILE + 1), Vec::new());
+    let foot = matter.under(&[[grid.foot; 2]], margin.map(|margin| margin - 1), grid.height);
+    let mut columns = Columns::default();
+    for (y, x) in (0..TILE + 2).flat_map(|y| (0..TILE + 2).map(move |x| (y, x))) {
+        let own = under.at(x + grid.ahead as usize, y + grid.ahead as usize);
+        columns.blocks.extend(own.iter().map(|interval| judge(grid, interval, &floors, [x, y], foot.at(x, y))));
+        columns.starts.push(columns.blocks.len() as u32);
+    }
+    let (mut starts, mut blocks) = (Vec::with_capacity(TILE * TILE + 1), Vec::with_capacity(columns.blocks.len()));
     starts.push(0);
-    for y in 0..TILE {
-        for x in 0..TILE {
-            for interval in under.at(x + ahead as usize, y + ahead as usize) {
-                blocks.push(judge(grid, interval, &floors, [x, y], foot.at(x, y)));
-            }
-            starts.push(blocks.len() as u32);
+    for (y, x) in (1..=TILE).flat_map(|y| (1..=TILE).map(move |x| (y, x))) {
+        let column = columns.at(x, y);
+        for place in 0..column.len() {
+            let next = [columns.at(x + 1, y), columns.at(x, y + 1), columns.at(x - 1, y), columns.at(x, y - 1)];
+            let at = [x + margin[0] as usize - 1, y + margin[1] as usize - 1];
+            blocks.push(Block { stop: nearest_stop(grid, &matter, at, column, place, next), ..column[place] });
         }
+        starts.push(blocks.len() as u32);
     }
     ControlFlow::Continue(Tile { at, starts: starts.into(), blocks: blocks.into() })
 }
 
+/// Blocks of a tile and of the pixels around it.
+struct Columns {
+    starts: Vec<u32>,
+    blocks: Vec<Block>,
+}
+
+impl Default for Columns {
+    fn default() -> Self {
+        Self { starts: vec![0], blocks: Vec::new() }
+    }
+}
+
+impl Columns {
+    fn at(&self, x: usize, y: usize) -> &[Block] {
+        let cell = y * (TILE + 2) + x;
+        &self.blocks[self.starts[cell] as usize..self.starts[cell + 1] as usize]
+    }
+}
+
 fn judge(grid: &Grid, interval: &Interval, floors: &Floors, at: [usize; 2], foot: &[Interval]) -> Block {
-    let top = interval.top;
+    let Interval { bottom, top, .. } = *interval;
     // Under the footprint the highest floor is known.
     let floor = match interval.floor != NONE && top - interval.floor <= grid.near {
         true => Some(interval.floor),
@@ -269,11 +306,78 @@ fn judge(grid: &Grid, interval: &Interval, floors: &Floors, at: [usize; 2], foot
     };
     let is_edge = floor.is_some_and(|floor| floor > top + grid.near);
     let under_foot = foot.partition_point(|matter| matter.top <= top).checked_sub(1);
-    let kind = match under_foot {
+    let foot = under_foot.map_or(NONE, |matter| foot[matter].top);
+    let kind = match foot {
         _ if floor.is_none() => Kind::Refused,
-        Some(matter) if !is_edge && top - foot[matter].top <= grid.up => Kind::Standing,
+        foot if foot != NONE && !is_edge && top - foot <= grid.up => Kind::Standing,
         _ => Kind::Bridge,
     };
     let floor = floor.map_or(NO_FLOOR, |floor| (floor - top) as i16);
-    Block { bottom: interval.bottom, top, floor, kind }
+    Block { bottom, top, floor, kind, foot, stop: [0; 2] }
+}
+
+/// Offset of the nearest pixel of matter that stops a body on block `place` of the pixel `at` on a step to one of its neighbours; `[0, 0]`
+/// if none of these steps is stopped.
+fn nearest_stop(
+    grid: &Grid,
+    matter: &Lists,
+    at: [usize; 2],
+    column: &[Block],
+    place: usize,
+    next: [&[Block]; 4],
+) -> [i16; 2] {
+    let from = &column[place];
+    if from.kind == Kind::Refused {
+        return [0; 2];
+    }
+    let pixel = |by: [i32; 2]| {
+        let [x, y] = [0, 1].map(|axis| at[axis].wrapping_add_signed(by[axis] as isize));
+        matter.at(x, y)
+    };
+    let highest = from.top + grid.up;
+    let (mut nearest, mut is_wall) = ([0; 2], false);
+    // Takes a pixel if it is nearer and its matter stops the body; of two as near the lesser, so that the order does not show.
+    let mut offer = |by: [i32; 2], stops: &dyn Fn(&Interval) -> bool| {
+        let is_nearer = nearest == [0; 2] || (gap(by), by) < (gap(nearest), nearest);
+        if is_nearer && by != [0; 2] && pixel(by).iter().any(stops) {
+            nearest = by;
+        }
+    };
+    for (number, (way, next)) in WAYS.into_iter().zip(next).enumerate() {
+        let step = grid.step(column, place, next, number & 1);
+        if !matches!(step, Step::Blocked | Step::Refused) {
+            continue;
+        }
+        let limit = grid.limit(from, next);
+        let (below, above) = next.split_at(next.partition_point(|block| block.top <= limit));
+        let to = below.last();
+        let level = to.map_or(from.top, |block| block.top.max(from.top));
+        let is_in_the_way = |matter: &Interval| matter.top > limit && matter.bottom - level < grid.height;
+        if step == Step::Blocked
+            && above.first().is_some_and(|block| block.bottom - from.top < grid.height && block.top > highest)
+        {
+            is_wall = true;
+            continue;
+        }
+        // Steep ground, an edge too high above its floor, or a beam above a step.
+        for &[x, y] in &grid.rects {
+            for by in (-y..=y).flat_map(|y| (-x..=x).map(move |x| [x, y])) {
+                offer([by[0] + way[0], by[1] + way[1]], &|matter| match step {
+                    Step::Refused => to.is_some_and(|block| block.top == matter.top),
+                    _ => is_in_the_way(matter),
+                });
+                if step == Step::Blocked && level > from.top {
+                    offer(by, &|matter| matter.bottom > from.top && is_in_the_way(matter));
+                }
+            }
+        }
+    }
+    if is_wall {
+        let is_wall = |matter: &Interval| matter.top > highest && matter.bottom - from.top < grid.height;
+        let mut around = grid.around.iter().map(|by| by.map(i32::from));
+        if let Some(by) = around.find(|by| pixel(*by).iter().any(is_wall)) {
+            offer(by, &|_| true);
+        }
+    }
+    nearest.map(|by| by as i16)
 }
