@@ -107,8 +107,9 @@ impl<T: Copy> Plane<T> {
         Self { numbers: HashMap::new(), tiles: Vec::new(), empty, last: None }
     }
 
+    #[inline]
     fn at(&mut self, pixel: [i32; 2]) -> &mut T {
-        let at = pixel.map(|pixel| pixel >> 6);
+        let at = [pixel[0] >> 6, pixel[1] >> 6];
         let number = match self.last {
             Some((last, number)) if last == at => number,
             _ => *self.numbers.entry(at).or_insert_with(|| {
@@ -146,13 +147,14 @@ impl Sets {
     /// The members of each set, by their first.
     fn members(&mut self) -> Vec<Vec<u32>> {
         let mut members: Vec<Vec<u32>> = Vec::new();
-        let mut number_of: HashMap<u32, usize> = HashMap::new();
+        let mut number_of = vec![NOTHING; self.0.len()];
         for item in 0..self.0.len() as u32 {
-            let number = *number_of.entry(self.root(item)).or_insert(members.len());
-            if number == members.len() {
+            let number = &mut number_of[self.root(item) as usize];
+            if *number == NOTHING {
+                *number = members.len() as u32;
                 members.push(Vec::new());
             }
-            members[number].push(item);
+            members[*number as usize].push(item);
         }
         members
     }
@@ -294,7 +296,8 @@ impl<S: PageSet> Survey<'_, S> {
     /// The open pixel of a brink.
     fn beyond(&self, brink: &Brink) -> [i32; 2] {
         let pixel = self.region.pixels[brink.place as usize];
-        [0, 1].map(|axis| pixel[axis] + WAYS[brink.way][axis])
+        let way = WAYS[brink.way];
+        [pixel[0] + way[0], pixel[1] + way[1]]
     }
 
     /// The rims: of each its height, its brinks, and the brinks of its stretches. It is the height of most of it: stairs have a rim at
@@ -391,7 +394,7 @@ impl<S: PageSet> Survey<'_, S> {
         if !self.standing.grid.is_inside(pixel) {
             return ControlFlow::Continue(There::Outside);
         }
-        let at = pixel.map(|pixel| pixel >> 6);
+        let at = [pixel[0] >> 6, pixel[1] >> 6];
         let tile = match self.last {
             Some((last, tile)) if last == at => tile,
             _ => self.standing.tile(self.set, pixel)?,

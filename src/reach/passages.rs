@@ -97,13 +97,16 @@ impl Region {
         let mut borders: Vec<u32> = (0..self.len() as u32).filter(is_narrower).collect();
         borders.sort_by(|a, b| clearance(*b).total_cmp(&clearance(*a)).then(a.cmp(b)));
         let ends = Borders::new(self);
-        let mut taken: HashSet<u32> = HashSet::new();
+        let (mut taken, mut middles): (HashSet<u32>, HashSet<u32>) = Default::default();
         let mut passages = Vec::new();
         for place in borders {
             if taken.contains(&place) {
                 continue;
             }
-            passages.extend(self.passage(self.middle_of_its_level(place), &ends));
+            let middle = self.middle_of_its_level(place);
+            if self.standing[middle as usize] && middles.insert(middle) {
+                passages.extend(self.passage(middle, &ends));
+            }
             // The rest of the stretch, on both of its sides.
             let mut open = vec![place];
             while let Some(place) = open.pop() {
@@ -160,7 +163,8 @@ impl Region {
             border.is_some_and(|border| borders.length(border, self.grid.half) >= LONGER * pixels)
         };
         let separates = one == other || is_long(one) && is_long(other);
-        separates.then(|| Passage { at: self.feet(place), width: pixels * pixel })
+        // Where its middle hangs over the edge on both sides the body alone leads across, not ground.
+        (separates && pixels >= 1.0).then(|| Passage { at: self.feet(place), width: pixels * pixel })
     }
 
     /// The step without a link that keeps a place from one a few pixels away.

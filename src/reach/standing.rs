@@ -189,12 +189,12 @@ impl StandingPlaces {
 
     /// Number of the tile with `pixel`, if it is computed.
     pub(super) fn known(&self, pixel: [i32; 2]) -> Option<usize> {
-        self.numbers.get(&pixel.map(|pixel| pixel >> 6)).copied()
+        self.numbers.get(&[pixel[0] >> 6, pixel[1] >> 6]).copied()
     }
 
     /// Number of the tile with `pixel`, which lies in the set; computes it if need be.
     pub(super) fn tile<S: PageSet>(&mut self, set: &S, pixel: [i32; 2]) -> Needs<usize> {
-        let at = pixel.map(|pixel| pixel >> 6);
+        let at = [pixel[0] >> 6, pixel[1] >> 6];
         if let Some(&number) = self.numbers.get(&at) {
             return ControlFlow::Continue(number);
         }
