@@ -42,7 +42,7 @@ const UNREACHED: u32 = u32::MAX;
 const LEVEL_M: f64 = 0.6;
 const MOST_LEVELLED: i32 = 16;
 /// How often a way is searched again because the walker could not take a step of it.
-const MOST_SEARCHES: usize = 1 << 10;
+const MOST_SEARCHES: usize = 1 << 7;
 /// A walker that does not arrive in the time of the way, this many times over and so much longer (s), is lost.
 const PATIENCE: f64 = 2.0;
 const PATIENCE_S: f64 = 1.0;
@@ -211,8 +211,8 @@ impl Search {
                     return stop.answer();
                 }
                 ControlFlow::Continue(Ok(route)) => return Ok(Answer::Known(Some(route))),
-                ControlFlow::Continue(Err(step)) => {
-                    self.refused.insert(step);
+                ControlFlow::Continue(Err(steps)) => {
+                    self.refused.extend(steps);
                     searches = trial.searches + 1;
                     let next = match searches < MOST_SEARCHES {
                         true => self.trial(region, ends, searches, monitor)?,
@@ -566,8 +566,8 @@ fn straightened(region: &Region, way: &[u32]) -> Vec<usize> {
 }
 
 impl Trial {
-    /// Follows the way to its end: the route, or a step that the walker could not take.
-    fn follow<S: PageSet>(&mut self, set: &S, region: &Region) -> Needs<std::result::Result<Route, (u32, u32)>> {
+    /// Follows the way to its end: the route, or the steps that the walker could not take.
+    fn follow<S: PageSet>(&mut self, set: &S, region: &Region) -> Needs<std::result::Result<Route, Vec<(u32, u32)>>> {
         while let Some(&next) = self.next.last() {
             let [from, to] = [self.at, next].map(|at| self.way[at]);
             if let Some(walker) = walked(set, region, self.walker.clone(), to)? {
@@ -581,7 +581,16 @@ impl Trial {
             } else if next - self.at > 1 {
                 self.next.push(self.at.midpoint(next));
             } else {
-                return ControlFlow::Continue(Err((from, to)));
+                // What else of the way cannot be walked need not be found out search by search.
+                let mut refused = vec![(from, to)];
+                for pair in self.way[next..].windows(2) {
+                    let [from, to] = [pair[0], pair[1]];
+                    let Ok(walker) = Walker::new(*self.walker.config(), region.feet(from)) else { continue };
+                    if walked(set, region, walker, to)?.is_none() {
+                        refused.push((from, to));
+                    }
+                }
+                return ControlFlow::Continue(Err(refused));
             }
         }
         let points = std::mem::take(&mut self.points);

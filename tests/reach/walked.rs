@@ -276,7 +276,7 @@ fn moving_turning_and_mirroring_a_scene_moves_turns_and_mirrors_what_is_reached(
 #[test]
 fn the_walker_arrives_on_every_route_of_real_scans() {
     let Some(folder) = crate::data::folder() else { return };
-    let pairs = std::env::var("SLICEWALK_PAIRS").ok().and_then(|pairs| pairs.parse().ok()).unwrap_or(12);
+    let pairs = std::env::var("SLICEWALK_PAIRS").ok().and_then(|pairs| pairs.parse().ok()).unwrap_or(6);
     let low = |x: f64| Body::Box { x, y: x, height: 1.6 };
     let scans = [
         ("indoor_two_storey_zup.laz", 0.05, 1.0, low(0.5)),

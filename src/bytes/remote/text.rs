@@ -5,7 +5,7 @@ use std::error::Error;
 use url::{Position, Url};
 
 /// Characters of another's text that are printed.
-const LONGEST: usize = 200;
+const LONGEST: usize = 240;
 
 /// The address as messages print it: no user, no password, no query.
 pub(super) fn public_name(url: &Url) -> String {

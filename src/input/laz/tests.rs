@@ -457,10 +457,13 @@ proptest! {
         let listed: Vec<_> = kinds.filter(|(is_there, _)| *is_there).map(|(_, kind)| (kind, 1)).collect();
         let items = LazVlr::from_buffer(&laszip_record(2, &listed)).unwrap().items().clone();
         let changes = vec![changes; repeats].concat();
-        // `laz` takes differences of coordinates as if none overflowed.
+        // `laz` takes differences of coordinates, and small multiples of those of times, as if none overflowed.
         let mut records = records(&items, &changes);
         for record in records.chunks_exact_mut(record_bytes(&items)) {
             record[..12].chunks_exact_mut(4).for_each(|number| number[3] &= 0x3F);
+            if time {
+                record[23] &= 0x01;
+            }
         }
         let packed = pack_version_one(&records, time, colour, extra);
         let (source, _file) = source(&packed);

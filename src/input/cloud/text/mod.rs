@@ -115,6 +115,16 @@ impl Reading<'_> {
 }
 
 impl Rows {
+    /// Cells of a row that begins a cloud in a file of several, where their columns may differ: x, y, z; these with intensity; or with
+    /// intensity, red, green and blue. Six columns have the colours elsewhere, so they go with three alone.
+    fn other_width(&self, segment: &Segment, row: &[u8]) -> Option<usize> {
+        let found = self.layout.separator().cells(row).ok()?.len();
+        let fits =
+            |a: usize, b: usize| a == 3 && [3, 4, 6, 7].contains(&b) || [4, 7].contains(&a) && [4, 7].contains(&b);
+        segment.cells.filter(|cells| self.format == "PTS" && (fits(*cells, found) || fits(found, *cells)))?;
+        Some(found)
+    }
+
     /// No rows.
     fn empty(format: &'static str, packing: Packing, layout: RowLayout, channels: Channels) -> Self {
         Self {
@@ -293,12 +303,15 @@ impl Cloud for Rows {
         let (layout, scale) = (&self.layout, self.channels.scale());
         let reading = Reading { layout, values: taker.wanted().and_then(|source| layout.with_values(source)), scale };
         let mut tally = Tally::default();
+        // Cells of each row of the cloud at hand, if other than those of the first, and whether none of its rows is known.
+        let (mut width, mut is_first) = (None, self.count.is_some());
         let done = self.each_row(piece, source, |at, part, next, lines| {
             taker.begin_cloud(part)?;
             let segment = &self.segments[part];
             let fault = match next {
-                Next::Row(row) => match reading.parse(row, segment.cells) {
+                Next::Row(row) => match reading.parse(row, width.or(segment.cells)) {
                     Ok(row) => {
+                        is_first = false;
                         tally.add_row();
                         match self.point(segment, row) {
                             Some((at, class, value)) => taker.push(at, class, value)?,
@@ -315,10 +328,21 @@ impl Cloud for Rows {
                     }
                     Err(fault) => match self.count_in(row) {
                         Some(stated) => {
+                            (width, is_first) = (None, true);
                             tally.add_count(stated);
                             return Ok(true);
                         }
-                        None => fault,
+                        None => {
+                            let other = is_first.then(|| self.other_width(segment, row)).flatten();
+                            match other.map(|other| reading.parse(row, Some(other))) {
+                                Some(Ok((at, class, value))) => {
+                                    (width, is_first) = (other, false);
+                                    tally.add_row();
+                                    return taker.push(at, class, value).map(|()| true);
+                                }
+                                _ => fault,
+                            }
+                        }
                     },
                 },
                 Next::TooLong => Fault::too_long(),
