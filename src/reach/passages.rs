@@ -170,9 +170,9 @@ impl Region {
     /// The step without a link that keeps a place from one a few pixels away.
     fn end_beside(&self, place: u32, by: [i32; 2]) -> Option<(u32, usize)> {
         let mut at = place;
-        for axis in 0..2 {
-            let way = if by[axis] > 0 { axis } else { axis + 2 };
-            for _ in 0..by[axis].abs() {
+        for (axis, by) in by.into_iter().enumerate() {
+            let way = if by > 0 { axis } else { axis + 2 };
+            for _ in 0..by.abs() {
                 match self.links[at as usize][way] {
                     NO_PLACE => return Some((at, way)),
                     next => at = next,

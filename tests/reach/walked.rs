@@ -21,9 +21,12 @@ fn quanta(metres: f64) -> i64 {
     (metres / SIGMA * SLICE_QUANTA as f64).round() as i64
 }
 
-/// Spans by pixel: bottom and top (quanta), and whether it is an obstacle.
+/// Bottom and top (quanta), and whether it is an obstacle.
+type Solid = (i64, i64, bool);
+
+/// Spans by pixel.
 #[derive(Clone)]
-struct Scene(BTreeMap<(i64, i64), Vec<(i64, i64, bool)>>);
+struct Scene(BTreeMap<(i64, i64), Vec<Solid>>);
 
 impl Scene {
     fn rectangle(random: &mut Random, most: i64) -> [i64; 4] {
@@ -33,7 +36,7 @@ impl Scene {
     }
 
     /// Replaces what is in a rectangle; `None` leaves a hole.
-    fn fill(&mut self, [x, y, to_x, to_y]: [i64; 4], spans: impl Fn(i64, i64) -> Option<(i64, i64, bool)>) {
+    fn fill(&mut self, [x, y, to_x, to_y]: [i64; 4], spans: impl Fn(i64, i64) -> Option<Solid>) {
         for (i, j) in (x..to_x).flat_map(|i| (y..to_y).map(move |j| (i, j))) {
             self.0.remove(&(i, j));
             if let Some(span) = spans(i, j) {
@@ -137,7 +140,7 @@ impl Scene {
             let (i, j) = turned(at, turns, mirrored);
             let mut spans = spans.clone();
             spans.sort_unstable();
-            let span = |&(bottom, top, steep): &(i64, i64, bool)| Span::new(bottom as u32, top as u32, steep).unwrap();
+            let span = |&(bottom, top, steep): &Solid| Span::new(bottom as u32, top as u32, steep).unwrap();
             ((i + by[0], j + by[1]), spans.iter().map(span).collect())
         });
         flat::store(Frame::new(T, SIGMA).unwrap(), columns)

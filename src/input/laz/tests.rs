@@ -266,7 +266,7 @@ fn new_items(version: u16, colour: Option<(LazItemType, u16)>, extra: u16) -> Ve
     let extra = (extra > 0).then_some((LazItemType::Byte14(extra), version));
     let items: Vec<_> = [(LazItemType::Point14, version)].into_iter().chain(colour).chain(extra).collect();
     // Builders know version 3 only.
-    LazVlr::from_buffer(&laszip_record(3, &items)).unwrap().items().clone()
+    LazVlr::from_buffer(laszip_record(3, &items)).unwrap().items().clone()
 }
 
 fn pack_layers(items: &[LazItem], records: &[u8]) -> Vec<u8> {
@@ -455,7 +455,7 @@ proptest! {
         let kinds = [(true, LazItemType::Point10), (time, LazItemType::GpsTime), (colour, LazItemType::RGB12)];
         let kinds = kinds.into_iter().chain([(extra > 0, LazItemType::Byte(extra as u16))]);
         let listed: Vec<_> = kinds.filter(|(is_there, _)| *is_there).map(|(_, kind)| (kind, 1)).collect();
-        let items = LazVlr::from_buffer(&laszip_record(2, &listed)).unwrap().items().clone();
+        let items = LazVlr::from_buffer(laszip_record(2, &listed)).unwrap().items().clone();
         let changes = vec![changes; repeats].concat();
         // `laz` takes differences of coordinates, and small multiples of those of times, as if none overflowed.
         let mut records = records(&items, &changes);
