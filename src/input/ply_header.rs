@@ -7,7 +7,7 @@ use crate::text::shown;
 
 /// Longest header (bytes).
 pub(crate) const MOST_HEADER: usize = 1 << 20;
-/// What some editors put before text in UTF-8.
+/// Byte order mark of UTF-8.
 pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 /// Most elements, and most properties of one.
 const MOST_PARTS: usize = 1024;

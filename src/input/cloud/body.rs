@@ -91,7 +91,7 @@ impl Fold {
     }
 }
 
-/// What a walk over joined lines finds.
+/// Counts of a pass over joined lines.
 struct Walk {
     /// Whole points, and the place behind the last.
     held: u64,

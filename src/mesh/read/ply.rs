@@ -222,7 +222,7 @@ impl Body {
     }
 }
 
-/// What the elements at hand are.
+/// Kind of the current elements.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Kind {
     Faces,
