@@ -39,17 +39,6 @@ impl Classifier {
     }
 }
 
-/// How pages of an archive are coded. What is made of archives in another coding gets the default one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
-#[non_exhaustive]
-pub enum Coding {
-    /// One state, symbols in the order of the spans; every version reads it.
-    Adaptive,
-    /// Two states and bits as they are: decodes in about half the time. From version 1.5 on.
-    #[default]
-    Braided,
-}
-
 /// Which axis of the input points up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Up {
@@ -188,8 +177,6 @@ pub struct PlanOptions {
     pub up: Up,
     /// Points of these LAS classes are left out.
     pub exclude_classes: ClassSet,
-    /// How pages are coded; not part of the plan's identity.
-    pub coding: Coding,
 }
 
 impl Default for PlanOptions {
@@ -205,7 +192,6 @@ impl Default for PlanOptions {
             fill_holes: 0,
             up: Up::Z,
             exclude_classes: ClassSet::default(),
-            coding: Coding::default(),
         }
     }
 }
@@ -214,11 +200,6 @@ impl Plan {
     /// The plan of an archive on this grid with the default options.
     pub fn new(frame: Frame) -> Self {
         Self { frame, options: PlanOptions::default() }
-    }
-
-    /// The same grid and options, with pages in the default coding: what is made of archives of any version.
-    pub(crate) fn in_default_coding(&self) -> Self {
-        Self { options: PlanOptions { coding: Coding::default(), ..self.options.clone() }, ..*self }
     }
 
     /// How far heights may be moved outwards (quanta): what the tolerance holds of whole quanta, at most a slice.

@@ -11,7 +11,6 @@ mod tower;
 use heap::measured;
 use slicewalk::archive::Archive;
 use slicewalk::bytes::MemorySource;
-use slicewalk::plan::Coding;
 use slicewalk::store::{Loader, LoaderOptions, Next};
 use std::time::Duration;
 use tower::{Body, Random};
@@ -19,11 +18,9 @@ use tower::{Body, Random};
 /// The one test of this file: others would allocate beside it.
 #[test]
 fn the_heap_never_holds_more_than_the_budget() {
-    for coding in [Coding::Adaptive, Coding::Braided] {
-        let bytes = tower::tower_in(coding, 4.0, 60.0, 1);
-        for (budget, fetches) in [(1 << 20, 1), (2 << 20, 4), (4 << 20, 8)] {
-            stays_within(&bytes, budget, fetches);
-        }
+    let bytes = tower::tower(4.0, 60.0, 1);
+    for (budget, fetches) in [(1 << 20, 1), (2 << 20, 4), (4 << 20, 8)] {
+        stays_within(&bytes, budget, fetches);
     }
 }
 

@@ -36,7 +36,7 @@ fn json_on_standard_output_is_one_document_with_the_keys_of_the_contract() {
     assert_eq!(facts["slice_height"], 0.3);
     assert_eq!(facts["max_slope"], 45.0);
     assert_eq!(facts["tolerance"], 0.0);
-    assert_eq!(facts["format_version"], "1.5");
+    assert_eq!(facts["format_version"], "1.0");
     assert_eq!(facts["origin"].as_array().unwrap().len(), 3);
     for corner in ["min", "max"] {
         assert_eq!(facts["bounds"][corner].as_array().unwrap().len(), 3);
@@ -71,11 +71,11 @@ fn levels_are_made_on_demand_and_a_plan_decides_for_its_parts() {
         let header = slicewalk::archive::Archive::open(at.join("a.slices")).unwrap().header().clone();
         (header.version, header.bytes.levels > 0)
     };
-    assert_eq!(made(&[]), ((1, 5), false));
-    assert_eq!(made(&["--levels", "on", "--force"]), ((1, 5), true));
+    assert_eq!(made(&[]), ((1, 0), false));
+    assert_eq!(made(&["--levels", "on", "--force"]), ((1, 0), true));
     let plan = ["scan.las", "--write-plan", "p.json", "--pixel", "0.1", "--units", "m", "--levels", "on"];
     assert!(sliceconv(at, &plan).status.success());
-    assert_eq!(made(&["--plan", "p.json", "--shard", "1/1", "--force"]), ((1, 5), true));
+    assert_eq!(made(&["--plan", "p.json", "--shard", "1/1", "--force"]), ((1, 0), true));
     let out = sliceconv(at, &with(&["scan.las"], &["--plan", "p.json", "--levels", "off", "--force"]));
     assert_eq!(out.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&out.stderr).contains("--levels: contradicts the plan"));

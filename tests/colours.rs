@@ -111,7 +111,7 @@ fn voxels_have_the_colours_of_their_points_in_every_format_and_pages_are_those_w
             let options = [&["--colour", "rgb"], options].concat();
             let archive = convert(at, &[name], "a.slices", &options);
             let header = archive.header();
-            assert_eq!(header.version, (1, 5));
+            assert_eq!(header.version, (1, 0));
             assert_eq!(f64::from(header.colours.unwrap().plan.scale.high), greatest, "{name}");
             let sums = sums(&points, archive.frame(), |point| texture(eight_bits).at(point));
             let (found, count) = error_of(&archive, &sums, greatest);
@@ -258,7 +258,7 @@ fn intensity_and_class_are_grey_and_a_palette_and_zeros_count_as_none() {
     let said = converts(at, &["zero.las", "-o", "b.slices", "--pixel", "0.1", "--units", "m", "--colour", "auto"]);
     assert!(said.contains("no colours"), "{said}");
     let none = Archive::open(at.join("b.slices")).unwrap();
-    assert_eq!((none.header().colours, none.header().version), (None, (1, 5)));
+    assert_eq!((none.header().colours, none.header().version), (None, (1, 0)));
     assert!(ColourReader::new(&none).unwrap().is_none());
     for (arguments, word) in [
         (&["--colour", "rgb", "--colour-error", "-1"][..], "--colour-error"),

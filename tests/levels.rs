@@ -5,7 +5,7 @@ mod common;
 
 use common::forge::{Parts, pack, put, word};
 use common::random::Random;
-use common::{Pages, archive_coloured_by_place, archive_of, archive_with_levels, braided, key, page};
+use common::{Pages, archive_coloured_by_place, archive_of, archive_with_levels, key, page};
 use nalgebra::{Point3, Vector3};
 use slicewalk::archive::{
     Archive, ArchiveWriter, ColourReader, EncodedColours, Opened, Opening, PageEncoder, Shard, Totals, extract, merge,
@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 
 /// In the coding in which archives are written.
 fn plan() -> Plan {
-    braided(&common::plan())
+    common::plan()
 }
 
 /// Floors and walls in pages near and far; most are alike.

@@ -4,7 +4,7 @@ mod common;
 
 use common::forge::{Parts, put};
 use common::random::Random;
-use common::{Pages, archive_of, braided, key, page, read_all, render, scene};
+use common::{Pages, archive_of, key, page, read_all, render, scene};
 use proptest::prelude::*;
 use slicewalk::NoMonitor;
 use slicewalk::archive::{
@@ -22,7 +22,7 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// In the coding in which archives are written.
 fn plan() -> Plan {
-    braided(&common::plan())
+    common::plan()
 }
 
 fn archive(made: &(Pages, Totals)) -> Vec<u8> {

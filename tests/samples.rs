@@ -97,3 +97,23 @@ fn every_changed_byte_of_a_good_sample_is_found() {
         }
     }
 }
+
+#[test]
+fn the_worked_example_of_the_specification_is_a_sample() {
+    let spec = Path::new(env!("CARGO_MANIFEST_DIR")).join("spec/slice-archive.md");
+    let text = std::fs::read_to_string(spec).unwrap();
+    let mut bytes = Vec::new();
+    for line in text.lines().filter(|line| line.starts_with("0x")) {
+        let (offset, rest) = line.split_once(": ").unwrap();
+        assert_eq!(usize::from_str_radix(&offset[2..], 16).unwrap(), bytes.len(), "{line}");
+        let hex = rest.split("  ").next().unwrap().trim();
+        match hex.split_once(" times ") {
+            Some((count, byte)) => {
+                let byte = u8::from_str_radix(byte, 16).unwrap();
+                bytes.extend(std::iter::repeat_n(byte, count.parse().unwrap()));
+            }
+            None => bytes.extend(hex.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap())),
+        }
+    }
+    assert_eq!(bytes, std::fs::read(folder().join("two-pixels.slices")).unwrap());
+}

@@ -24,7 +24,7 @@ const UPLOADS: [&str; 3] = ["this_program_uploads", "--exact", "--nocapture"];
 
 fn content(len: usize) -> Vec<u8> {
     let mut bytes: Vec<u8> = (0..len).map(|at| ((at / 7) ^ (at >> 11)) as u8).collect();
-    bytes[..8].copy_from_slice(b"\x89SLIC\r\n\x1a");
+    bytes[..8].copy_from_slice(b"\x89SLA\r\n\x1a\n");
     bytes
 }
 

@@ -116,7 +116,6 @@ impl Catalog {
             first: leaf.first,
             end: self.leaves.get(index + 1).map(|next| next.first),
             pages: self.header.pages_offset()..self.header.colours_offset(),
-            coding: self.header.plan.options.coding,
         };
         let unpacked = self.unpack_leaf(leaf, stored).map_err(|violation| place.broken(violation));
         LeafEntries::new(unpacked?, place)

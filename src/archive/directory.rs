@@ -5,7 +5,6 @@
 
 use crate::codec::{ByteReader, Violation, put_varint, span_bits, span_from_bits, unzigzag, zigzag};
 use crate::frame::{MAX_INDEX, PAGE_SLICES, PageKey};
-use crate::plan::Coding;
 use crate::slice::{PageSize, Span};
 use crate::{Error, Result};
 use std::ops::Range;
@@ -198,8 +197,6 @@ pub(super) struct LeafPlace {
     pub end: Option<PageKey>,
     /// The pages section in the archive (bytes).
     pub pages: Range<u64>,
-    /// How the pages are coded.
-    pub coding: Coding,
 }
 
 impl LeafPlace {
@@ -357,7 +354,7 @@ impl Cursor {
         let at = self.given_paged;
         self.given_paged += 1;
         let len = self.lengths.varint(raw)?;
-        let longest = super::page::max_stored_page(leaf.coding) as u64;
+        let longest = super::page::MAX_STORED_PAGE as u64;
         if len <= super::page::LEADER as u64 || len > longest {
             let expected = format!("a page of {} to {longest} bytes", super::page::LEADER + 1);
             return Err(Violation::new("D6", expected, len));
@@ -470,7 +467,7 @@ pub(super) mod tests {
     }
 
     fn place(entries: u32, first: PageKey, pages_len: u64) -> LeafPlace {
-        LeafPlace { index: 3, offset: 9, entries, first, end: None, pages: 0..pages_len, coding: Coding::Braided }
+        LeafPlace { index: 3, offset: 9, entries, first, end: None, pages: 0..pages_len }
     }
 
     fn decode_leaf(raw: &[u8], entries: u32, first: PageKey, pages_len: u64) -> Result<Vec<PageEntry>> {

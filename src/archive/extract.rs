@@ -122,7 +122,7 @@ pub fn extract(
     let Metadata { crs, shard, units, noise, unknown, .. } = archive.metadata()?;
     let mut protected = Protected::default();
     protected.add_source(archive.source());
-    let plan = archive.plan().in_default_coding();
+    let plan = archive.plan().clone();
     let mut writer = ArchiveWriter::begin(output, &plan, Existing::replaced_if(overwrite), protected)?;
     let levels = header.levels.is_some();
     if levels {

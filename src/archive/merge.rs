@@ -141,7 +141,7 @@ fn join(
     let coarser = of.map(|of| coarser(of, first, last)).transpose()?;
     monitor.stage("merge", parts.iter().map(|part| part.header.pages.total()).sum(), "pages");
     let existing = if overwrite { Existing::Replace } else { Existing::KeepSame };
-    let plan = first.header.plan.in_default_coding();
+    let plan = first.header.plan.clone();
     let mut writer = ArchiveWriter::begin(output, &plan, existing, shards.iter().collect())?;
     if first.header.levels.is_some() {
         writer.set_levels();

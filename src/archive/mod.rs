@@ -65,10 +65,8 @@ pub use shard::{InputRead, MAX_SHARDS, Shard};
 pub use verify::{Finding, LISTED, VerifySummary};
 pub use writer::{ArchiveWriter, Totals};
 
-/// Latest version of the format that is read and written: major, minor. Archives state 1.5 with braided pages, as they have
-/// by default, else 1.4 with overview levels, else 1.3 with colours or a tolerance of a quantum or more, else 1.2 where holes
-/// are filled, and 1.0 without all that.
-pub const FORMAT_VERSION: (u16, u16) = (1, 5);
+/// Version of the format that is written, and the latest that is read: major, minor.
+pub const FORMAT_VERSION: (u16, u16) = (1, 0);
 
 #[cfg(test)]
 mod tests;

@@ -3,12 +3,12 @@
 use super::colours::EncodedColours;
 use super::directory::{Extent, PageEntry, Storage, key_in_grid};
 use super::head::hex;
-use super::levels::{CoarseSpan, LEVEL_STEPS, coarse};
+use super::levels::{CoarseSpan, coarse};
 use crate::Result;
 use crate::bytes::crc;
-use crate::codec::{Decoder, Encoder, LevelSteps, MAX_BODY, MAX_BRAIDED_BODY, Violation, coding_of};
+use crate::codec::{Decoder, Encoder, MAX_BODY, Violation};
 use crate::frame::{Frame, PageKey, TILE_PIXELS};
-use crate::plan::{Coding, Plan};
+use crate::plan::Plan;
 use crate::slice::{Inferred, Page, PageBounds, PageBuilder, PageSize, Span};
 use std::sync::Arc;
 use xxhash_rust::xxh3::xxh3_64;
@@ -21,15 +21,6 @@ pub(super) const LEVEL_MAGIC: [u8; 4] = *b"\x89LVL";
 pub(super) const LEADER: usize = 24;
 /// Greatest length of a page with its leader (bytes).
 pub(super) const MAX_STORED_PAGE: usize = LEADER + MAX_BODY;
-
-/// The same in an archive whose pages have this coding.
-pub(super) fn max_stored_page(coding: Coding) -> usize {
-    LEADER
-        + match coding {
-            Coding::Adaptive => MAX_BODY,
-            Coding::Braided => MAX_BRAIDED_BODY,
-        }
-}
 
 /// A page ready to be put into an archive.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -94,7 +85,7 @@ impl EncodedPage {
             bounds: page.bounds(),
             voxels: page.voxel_counts(),
             inferred: inferred.voxel_count(page),
-            coarse: levels.then(|| coarse(page, LEVEL_STEPS).into()),
+            coarse: levels.then(|| coarse(page).into()),
             colours: EncodedColours::default(),
         }
     }
@@ -103,11 +94,6 @@ impl EncodedPage {
         seal(&mut bytes);
         bytes.shrink_to_fit();
         Self { hash: xxh3_64(&bytes[LEADER..]), bytes, ..self }
-    }
-
-    /// How it is coded; `None` for a page that one span tells.
-    pub(super) fn coding(&self) -> Option<Coding> {
-        self.bytes.get(LEADER..).and_then(coding_of)
     }
 
     /// The bytes that decide whether two pages are equal.
@@ -163,7 +149,7 @@ impl PageEncoder {
     /// An encoder for pages of an archive with this grid and no tolerance, with its own scratch memory (about 2 MiB once used).
     pub fn new(frame: Frame) -> Self {
         Self {
-            encoder: Encoder::new(frame, 0).with_coding(Coding::default()),
+            encoder: Encoder::new(frame, 0),
             magic: MAGIC,
             levels: true,
             body: Vec::new(),
@@ -172,7 +158,7 @@ impl PageEncoder {
 
     /// An encoder for pages of an archive of this plan.
     pub fn of_plan(plan: &Plan) -> Self {
-        let encoder = Encoder::new(plan.frame, plan.tolerance_quanta()).with_coding(plan.options.coding);
+        let encoder = Encoder::new(plan.frame, plan.tolerance_quanta());
         Self { encoder, magic: MAGIC, levels: true, body: Vec::new() }
     }
 
@@ -182,36 +168,23 @@ impl PageEncoder {
         Self { levels, ..self }
     }
 
-    /// The page of another archive under `key`; see [`EncodedPage::copied`]. Encoded again where that archive has another coding.
-    pub(super) fn copied(&mut self, key: PageKey, bytes: &[u8], page: &Page, inferred: &Inferred) -> EncodedPage {
-        match bytes.get(LEADER..).and_then(coding_of) {
-            Some(coding) if coding != self.encoder.coding() => self.encode_inferred(key, page, inferred),
-            _ => EncodedPage::copied(key, bytes, page, inferred, self.levels),
-        }
+    /// The page of another archive under `key`; see [`EncodedPage::copied`].
+    pub(super) fn copied(&self, key: PageKey, bytes: &[u8], page: &Page, inferred: &Inferred) -> EncodedPage {
+        EncodedPage::copied(key, bytes, page, inferred, self.levels)
     }
 
     /// An encoder for pages of overview levels.
-    pub(super) fn of_levels(coding: Coding, steps: LevelSteps) -> Self {
-        Self {
-            encoder: Encoder::of_levels(steps).with_coding(coding),
-            magic: LEVEL_MAGIC,
-            levels: false,
-            body: Vec::new(),
-        }
+    pub(super) fn of_levels() -> Self {
+        Self { encoder: Encoder::of_levels(), magic: LEVEL_MAGIC, levels: false, body: Vec::new() }
     }
 
-    /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds, in its coding (rule P10).
+    /// Whether the page whose bytes with leader are `bytes` has the one encoding of `page`, which it holds (rule P10).
     pub(super) fn gives(&mut self, page: &Page, inferred: &Inferred, bytes: &[u8]) -> bool {
-        let Some(coding) = bytes.get(LEADER..).and_then(coding_of) else { return false };
         if !self.encoder.admits(page) {
             return false;
         }
         self.body.clear();
-        self.encoder.encode_as(coding, page, inferred, &mut self.body);
-        if self.body != bytes[LEADER..] && self.encoder.has_changed(coding) {
-            self.body.clear();
-            self.encoder.encode_as_before(page, inferred, &mut self.body);
-        }
+        self.encoder.encode_inferred(page, inferred, &mut self.body);
         self.body == bytes[LEADER..]
     }
 
@@ -234,9 +207,9 @@ impl PageEncoder {
 
     /// As [`encode_inferred`](Self::encode_inferred), with heights coarsened by up to the tolerance of the plan; some spans may
     /// become one: the page as it was encoded comes with it. It must hold matter.
-    pub fn encode_loose(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> (EncodedPage, Page) {
+    pub fn encode_lossy(&mut self, key: PageKey, page: &Page, inferred: &Inferred) -> (EncodedPage, Page) {
         let mut bytes = leader(self.magic, key);
-        let (page, inferred) = self.encoder.encode_loose(page, inferred, &mut bytes);
+        let (page, inferred) = self.encoder.encode_lossy(page, inferred, &mut bytes);
         let encoded = self.without_bytes(key, &page, &inferred);
         (if encoded.uniform.is_some() { encoded } else { encoded.with_bytes(bytes) }, page)
     }
@@ -261,8 +234,6 @@ fn uniform_span(page: &Page) -> Option<Span> {
 #[derive(Debug, Default)]
 pub struct PageDecoder {
     decoder: Decoder,
-    /// Coding of the archive's pages; any, if none is named.
-    coding: Option<Coding>,
     builder: PageBuilder,
     /// Whether inferred spans are left out.
     ignore_inferred: bool,
@@ -273,25 +244,19 @@ pub struct PageDecoder {
 }
 
 impl PageDecoder {
-    /// A decoder of pages in whatever coding, with its own scratch memory (about 200 KiB, more for pages of many spans).
+    /// A decoder with its own scratch memory (about 200 KiB, more for pages of many spans).
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// A decoder of pages of up to this size in `coding`, and in no other, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
-    pub fn for_size(coding: Coding, size: PageSize) -> Self {
-        let decoder = Decoder::for_spans(coding, size.words() as usize);
-        Self { decoder, coding: Some(coding), ..Self::default() }
+    /// A decoder of pages of up to this size, of which it has [`scratch_bytes`](Self::scratch_bytes) at most.
+    pub fn for_size(size: PageSize) -> Self {
+        Self { decoder: Decoder::for_spans(size.words() as usize), ..Self::default() }
     }
 
     /// Bytes of scratch memory of a decoder made [`for_size`](Self::for_size).
-    pub fn scratch_bytes(coding: Coding, size: PageSize) -> usize {
-        Decoder::scratch_bytes(coding, size.words() as usize) + PageBuilder::scratch_bytes(0)
-    }
-
-    /// Which coding the pages from now on must have, as the head of their archive says (rule P5).
-    pub fn set_coding(&mut self, coding: Coding) {
-        self.coding = Some(coding);
+    pub fn scratch_bytes(size: PageSize) -> usize {
+        Decoder::scratch_bytes(size.words() as usize) + PageBuilder::scratch_bytes(0)
     }
 
     /// Whether pages come without their inferred spans from now on; they then differ from what their entries say of slices and
@@ -321,7 +286,7 @@ impl PageDecoder {
             }
             Storage::Stored(extent) | Storage::Shared(extent) => {
                 check_key(entry, check_leader(extent, bytes)?)?;
-                self.decode_body(self.coding, bytes)?
+                self.decode_body(bytes)?
             }
         };
         check_entry(entry, page.slices(), page.size())?;
@@ -331,17 +296,17 @@ impl PageDecoder {
         Ok(page)
     }
 
-    /// The page whose leader and body are `bytes`, whatever its leader says; in this coding, or in any.
-    pub(super) fn decode_body(&mut self, coding: Option<Coding>, bytes: &[u8]) -> Result<Page, Violation> {
+    /// The page whose leader and body are `bytes`, whatever its leader says.
+    pub(super) fn decode_body(&mut self, bytes: &[u8]) -> Result<Page, Violation> {
         self.is_marked = true;
-        self.decoder.decode_as(coding, &bytes[LEADER..])
+        self.decoder.decode(&bytes[LEADER..])
     }
 
     /// The page that `bytes` are by their own word, without a directory entry that tells of it: its key and what it
     /// holds; `None` if they are no sound page.
     pub(super) fn salvage(&mut self, bytes: &[u8]) -> Option<(PageKey, Page)> {
         let key = own_key(bytes).filter(|&key| key_in_grid(key))?;
-        Some((key, self.decode_body(None, bytes).ok()?))
+        Some((key, self.decode_body(bytes).ok()?))
     }
 
     fn uniform(&mut self, span: Span) -> Page {

@@ -264,7 +264,6 @@ impl Archive {
     /// As [`page`](Self::page), with the scratch memory of `decoder`, for loading many.
     pub fn page_with(&self, entry: &PageEntry, decoder: &mut PageDecoder) -> Result<Page> {
         decoder.set_ignore_inferred(self.catalog.ignores_inferred());
-        decoder.set_coding(self.plan().options.coding);
         let mut bytes = std::mem::take(&mut decoder.bytes);
         bytes.clear();
         if let Some(extent) = entry.extent() {

@@ -81,7 +81,7 @@ pub fn recover(
             let reason = format!("is not the plan of {}, whose head is sound; leave it out", path.display());
             return Err(Error::parameter(Parameter::Plan, reason));
         }
-        (Some(plan), _) | (None, Some(plan)) => plan.in_default_coding(),
+        (Some(plan), _) | (None, Some(plan)) => plan.clone(),
         (None, None) => {
             let reason = "it is damaged, so grid and options are unknown";
             return Err(Error::input(path, "head", reason).with_way_out(Parameter::Plan));

@@ -57,7 +57,6 @@ impl Archive {
         let work = || {
             let (mut decoder, mut bytes, mut pages) = (PageDecoder::new(), Vec::new(), Vec::new());
             decoder.set_ignore_inferred(self.catalog().ignores_inferred());
-            decoder.set_coding(self.plan().options.coding);
             loop {
                 let number = next.fetch_add(1, Relaxed);
                 if number >= runs.len() {

@@ -433,11 +433,10 @@ impl Pass<'_> {
         let (decoder, encoder) = (&mut self.decoder, &mut self.encoder);
         let header = self.archive.header();
         let (wanted, fills) = (self.levels.is_some(), header.plan.options.fill_holes > 0);
-        let steps = header.level_steps();
         let mut spans = Vec::new();
         let mut check = || {
             check_key(entry, check_leader(extent, bytes)?)?;
-            let page = decoder.decode_body(Some(header.plan.options.coding), bytes)?;
+            let page = decoder.decode_body(bytes)?;
             check_entry(entry, page.slices(), page.size())?;
             if !fills && !decoder.inferred().is_empty() {
                 return Err(Violation::new("P13", "inferred matter only where holes are filled", "some"));
@@ -446,7 +445,7 @@ impl Pass<'_> {
                 return Err(Violation::new("P10", "the one encoding of its content", "another"));
             }
             if wanted {
-                spans = coarse(&page, steps);
+                spans = coarse(&page);
             }
             Facts::of(&page, decoder.inferred()).ok_or_else(|| Violation::new("P6", "matter in some pixel", "none"))
         };

@@ -113,10 +113,9 @@ impl ArchiveWriter {
     /// Starts an archive of `plan` that will be `output`.
     pub(crate) fn on(output: Output, plan: &Plan) -> Result<Self> {
         plan.options.check()?;
-        let (minor, features_required) = head::needs(plan, false, false);
         let counts = Header {
-            version: (FORMAT_VERSION.0, minor),
-            features_required,
+            version: FORMAT_VERSION,
+            features_required: if plan.options.fill_holes > 0 { head::INFERRED } else { 0 },
             features_optional: 0,
             file_len: 0,
             plan: plan.clone(),
@@ -165,8 +164,7 @@ impl ArchiveWriter {
     pub fn set_levels(&mut self) {
         debug_assert!(self.last.is_none(), "levels are of all pages");
         self.levels = Some(LevelWriter::new(&self.plan, self.output.files(), self.output.beside()));
-        self.counts.version.1 = head::needs(&self.plan, true, self.colours.is_some()).0;
-        self.counts.features_optional |= head::LEVELS | head::LEVEL_THIRDS;
+        self.counts.features_optional |= head::LEVELS;
         self.colour_levels();
     }
 
@@ -174,7 +172,6 @@ impl ArchiveWriter {
     pub fn set_colours(&mut self, plan: ColourPlan) {
         debug_assert!(self.last.is_none(), "every page says which colours it has");
         self.colours = Some(ColourWriter::new(plan, self.output.files(), self.output.beside()));
-        self.counts.version.1 = head::needs(&self.plan, self.levels.is_some(), true).0;
         self.counts.features_optional |= head::COLOURS;
         self.colour_levels();
     }
@@ -183,7 +180,6 @@ impl ArchiveWriter {
     fn colour_levels(&mut self) {
         if let (Some(levels), Some(colours)) = (&mut self.levels, &self.colours) {
             levels.set_colours(colours.plan);
-            self.counts.features_optional |= head::LEVEL_COLOURS;
         }
     }
 
@@ -237,9 +233,6 @@ impl ArchiveWriter {
         }
         if self.levels.is_some() && page.coarse.is_none() {
             return Err(Error::parameter(format!("page {key}"), "is encoded for an archive without overview levels"));
-        }
-        if page.coding().is_some_and(|coding| coding != self.plan.options.coding) {
-            return Err(Error::parameter(format!("page {key}"), "is coded otherwise than the plan says"));
         }
         let placed = Placed {
             storage: match page.uniform {

@@ -178,10 +178,6 @@ pub trait Coder {
     fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
     /// `bits` bits [1..=15] of equal probability.
     fn raw(&mut self, bits: u32, value: u32) -> u32;
-    /// What all symbols so far take, but for rounding (1/64 bit); 0 where that is not known.
-    fn cost(&mut self) -> u64 {
-        0
-    }
 }
 
 /// Writes symbols; reusable.
@@ -244,9 +240,11 @@ impl RansEncoder {
         out.extend(words[..length].iter().rev().flat_map(|word| word.to_le_bytes()));
     }
 
-    /// Replaces the first symbols by those of `other`.
-    pub fn replace_first(&mut self, other: &Self) {
-        self.slots[..other.slots.len()].copy_from_slice(&other.slots);
+    /// Length of all symbols so far but for rounding (1/64 bit).
+    pub fn cost(&mut self) -> u64 {
+        let (cost, counted) = self.cost;
+        self.cost = (cost + cost_of_all(&self.slots[counted..]), self.slots.len());
+        self.cost.0
     }
 
     #[inline]
@@ -276,12 +274,6 @@ impl Coder for RansEncoder {
         let shift = SCALE_BITS - bits;
         self.push((value << shift, 1 << shift));
         value
-    }
-
-    fn cost(&mut self) -> u64 {
-        let (cost, counted) = self.cost;
-        self.cost = (cost + cost_of_all(&self.slots[counted..]), self.slots.len());
-        self.cost.0
     }
 }
 

@@ -291,7 +291,7 @@ impl TakeAreas for PageMaker {
             let key = PageKey::from_column(column.column, layer);
             let (encoded, loose) = match is_loose {
                 true => {
-                    let (encoded, page) = encoder.encode_loose(key, page, &Inferred::NONE);
+                    let (encoded, page) = encoder.encode_lossy(key, page, &Inferred::NONE);
                     (encoded, Some(page))
                 }
                 false => (encoder.encode(key, page), None),

@@ -18,7 +18,7 @@
 
 mod target;
 
-pub(crate) use target::ARCHIVE_MAGIC;
+pub(crate) use target::{ARCHIVE_MAGIC, DRAFT_MAGIC};
 #[cfg(feature = "convert")]
 pub(crate) use target::PLAN_KEY;
 pub use target::{Existing, OutputKind, Protected, is_standard};

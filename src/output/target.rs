@@ -11,7 +11,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 /// First bytes of every slice archive (chapter 3).
-pub(crate) const ARCHIVE_MAGIC: [u8; 8] = *b"\x89SLIC\r\n\x1a";
+pub(crate) const ARCHIVE_MAGIC: [u8; 8] = *b"\x89SLA\r\n\x1a\n";
+/// First bytes of an archive that an unreleased version wrote.
+pub(crate) const DRAFT_MAGIC: [u8; 8] = *b"\x89SLIC\r\n\x1a";
 /// Key by which a plan file is known.
 pub(crate) const PLAN_KEY: &str = "slicewalk_plan";
 /// Within so many bytes of its beginning.
@@ -307,7 +309,7 @@ impl Content {
         };
         match start {
             [] => Self::Nothing,
-            start if start.starts_with(&ARCHIVE_MAGIC) => Self::Archive,
+            start if start.starts_with(&ARCHIVE_MAGIC) || start.starts_with(&DRAFT_MAGIC) => Self::Archive,
             _ if is_plan() => Self::Plan,
             _ => Self::Other,
         }

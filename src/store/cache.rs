@@ -288,7 +288,7 @@ impl Cache {
         let entries = || contents.iter().map(|&(content, _)| self.views.index.entry(content));
         // Without its inferred matter a page is built a second time.
         let whole = |entry: &PageEntry| if self.views.index.ignores_inferred() { entry.weight_bytes() } else { 0 };
-        let decoding = |entry: &PageEntry| PageDecoder::scratch_bytes(self.views.index.coding(), entry.size);
+        let decoding = |entry: &PageEntry| PageDecoder::scratch_bytes(entry.size);
         let scratch = entries().map(|entry| decoding(entry) + whole(entry)).max().unwrap_or(0);
         (bytes.end - bytes.start) as usize + scratch + entries().map(|entry| entry.weight_bytes()).sum::<usize>()
     }

@@ -14,7 +14,7 @@ use super::table::{KeyBounds, SlotTable, TileTable};
 use super::{PageSet, PageSlot};
 use crate::archive::{PageEntry, Storage};
 use crate::frame::{Frame, PageKey};
-use crate::plan::{Coding, Plan};
+use crate::plan::Plan;
 use crate::slice::Page;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -64,7 +64,6 @@ pub(super) struct Index {
     shift: u32,
     /// Number of each group's first page, and the number of all pages.
     groups: Box<[u32]>,
-    coding: Coding,
     /// Whether pages are decoded without inferred matter.
     ignores_inferred: bool,
 }
@@ -96,17 +95,12 @@ impl Index {
         }
         groups.push(first as u32);
         let (tiles, shift) = (TileTable::new(cells), size.trailing_zeros());
-        let (frame, coding) = (*frame, options.coding);
-        Self { frame, entries, keys, contents, tiles, shift, groups: groups.into(), coding, ignores_inferred }
+        let frame = *frame;
+        Self { frame, entries, keys, contents, tiles, shift, groups: groups.into(), ignores_inferred }
     }
 
     pub fn frame(&self) -> &Frame {
         &self.frame
-    }
-
-    /// How the pages are coded.
-    pub fn coding(&self) -> Coding {
-        self.coding
     }
 
     pub fn ignores_inferred(&self) -> bool {

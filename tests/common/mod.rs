@@ -14,7 +14,7 @@ use slicewalk::bytes::{ByteSource, MemorySource};
 use slicewalk::codec::ColourEncoder;
 use slicewalk::colour::{ColourPlan, ColourScale};
 use slicewalk::frame::{Frame, PageKey};
-use slicewalk::plan::{Classifier, Coding, Plan, PlanOptions};
+use slicewalk::plan::{Classifier, Plan, PlanOptions};
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
 use slicewalk::{Error, Result};
 use std::collections::BTreeMap;
@@ -25,14 +25,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Pages of an archive by key.
 pub type Pages = BTreeMap<PageKey, Page>;
 
-/// `plan` with braided pages.
-pub fn braided(plan: &Plan) -> Plan {
-    Plan { options: PlanOptions { coding: Coding::Braided, ..plan.options.clone() }, ..*plan }
-}
-
-/// Pixels of 0.1 m, slices of 0.3 m; adaptive pages, whatever the default, so that samples and golden archives keep their bytes.
+/// Pixels of 0.1 m, slices of 0.3 m.
 pub fn plan() -> Plan {
-    let options = PlanOptions { classifier: Classifier::Span, coding: Coding::Adaptive, ..PlanOptions::default() };
+    let options = PlanOptions { classifier: Classifier::Span, ..PlanOptions::default() };
     Plan { frame: Frame::new(0.1, 0.3).unwrap(), options }
 }
 
@@ -117,7 +112,7 @@ pub fn archive_with_colours(made: &(Pages, Totals), scale: ColourScale, error_mi
     })
 }
 
-/// The same, with braided pages, by the place of voxels alone, so that parts have the colours of the whole.
+/// The same, by the place of voxels alone, so that parts have the colours of the whole.
 pub fn archive_coloured_by_place(
     made: &(Pages, Totals),
     error_milli: u16,
@@ -125,7 +120,7 @@ pub fn archive_coloured_by_place(
     shard: Option<Shard>,
 ) -> Vec<u8> {
     let colours = ColourPlan { scale: ColourScale::of_rgb(255), error_milli };
-    archive_in_colour(&braided(&plan()), made, colours, levels, shard, |_, key, occupancy| {
+    archive_in_colour(&plan(), made, colours, levels, shard, |_, key, occupancy| {
         let mut random = Congruential(key.column() ^ key.layer as u64);
         let value = |(pixel, k): (usize, u32)| {
             let [x, y] = [(key.tx, pixel & 63), (key.ty, pixel >> 6)].map(|(t, p)| (64 * t + p as i32).rem_euclid(400));
@@ -165,12 +160,12 @@ pub fn archive_in_colour(
     std::fs::read(&target).unwrap()
 }
 
-/// One braided page with bytes, and many that share them: the bytes of the archive.
+/// One page with bytes, and many that share them: the bytes of the archive.
 pub fn sharing() -> Vec<u8> {
     let span = |at| Span::new(at, at + 40, at % 2 == 0).unwrap();
     let content = page((0..300).map(|at| ((at % 64, at / 64), vec![span(at)])));
     let pages = (0..5000).map(|layer| (key(0, 0, layer), content.clone())).collect();
-    archive_of(&braided(&plan()), &(pages, Totals::default()), None)
+    archive_of(&plan(), &(pages, Totals::default()), None)
 }
 
 /// A key.

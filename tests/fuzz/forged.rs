@@ -7,11 +7,10 @@ use super::script::Script;
 use super::{Read, encoded, page_of, read_archive, repair};
 use forge::{Parts, word};
 use slicewalk::codec::Unpacker;
-use slicewalk::plan::Coding;
 use std::sync::LazyLock;
 
 /// Sound archives of one leaf.
-const SOUND: [&[u8]; 9] = [
+const SOUND: [&[u8]; 7] = [
     include_bytes!("../../spec/samples/two-pixels.slices"),
     include_bytes!("seeds/archive/few"),
     include_bytes!("../../spec/samples/holes.slices"),
@@ -19,8 +18,6 @@ const SOUND: [&[u8]; 9] = [
     include_bytes!("seeds/archive/colours"),
     include_bytes!("../../spec/samples/units.slices"),
     include_bytes!("../../spec/samples/part.slices"),
-    include_bytes!("../../spec/samples/braided-two-pixels.slices"),
-    include_bytes!("seeds/archive/levels-braided"),
 ];
 /// Bytes before the body of a page.
 const LEADER: usize = 24;
@@ -94,9 +91,6 @@ fn replace_page(parts: &mut Parts, script: &mut Script) {
     let is_single = matches!(&pages(parts)[..], [only] if only.end == parts.pages.len()) && parts.leaf.len() > 14;
     let page = page_of(script);
     if is_single && page.span_count() > 0 {
-        // Bit 1 of the required features says how pages are coded.
-        let is_braided = parts.head.get(16).is_some_and(|features| features & 2 != 0);
-        let coding = if is_braided { Coding::Braided } else { Coding::Adaptive };
-        *parts = parts.with_page(&encoded(&page, coding));
+        *parts = parts.with_page(&encoded(&page));
     }
 }

@@ -17,7 +17,6 @@ use slicewalk::colour::ColourSource;
 use slicewalk::frame::Frame;
 use slicewalk::input::{InputOptions, InputSet, PointDecoder};
 use slicewalk::mesh::{MeshOptions, MeshSet};
-use slicewalk::plan::Coding;
 use slicewalk::slice::{Occupancy, Page, PageBuilder, Span};
 use std::cell::RefCell;
 use std::hash::{Hash, Hasher};
@@ -213,21 +212,16 @@ fn page_of(script: &mut Script) -> Page {
     builder.build()
 }
 
-const CODINGS: [Coding; 2] = [Coding::Adaptive, Coding::Braided];
-
 thread_local! {
     /// Scratch memory is made once, as in a conversion.
-    static ENCODERS: RefCell<[Encoder; 2]> = RefCell::new(CODINGS.map(|coding| {
-        Encoder::new(Frame::new(0.05, 0.15).expect("sizes of a grid"), 0).with_coding(coding)
-    }));
+    static ENCODER: RefCell<Encoder> = RefCell::new(Encoder::new(Frame::new(0.05, 0.15).expect("sizes of a grid"), 0));
     static DECODER: RefCell<Decoder> = RefCell::default();
     static COLOURS: RefCell<ColourEncoder> = RefCell::default();
 }
 
-fn encoded(page: &Page, coding: Coding) -> Vec<u8> {
+fn encoded(page: &Page) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let which = CODINGS.iter().position(|&other| other == coding).expect("one of both");
-    ENCODERS.with_borrow_mut(|encoders| encoders[which].encode(page, &mut bytes));
+    ENCODER.with_borrow_mut(|encoder| encoder.encode(page, &mut bytes));
     bytes
 }
 
@@ -239,20 +233,15 @@ pub fn page(bytes: &[u8]) -> Read {
 
 fn page_with(bytes: &[u8], decoder: &mut Decoder) -> Read {
     if let Ok(page) = decoder.decode(bytes) {
-        for coding in CODINGS {
-            assert_eq!(decoder.decode(&encoded(&page, coding)).as_ref(), Ok(&page));
-        }
+        assert_eq!(decoder.decode(&encoded(&page)).as_ref(), Ok(&page));
     }
     let page = page_of(&mut Script(bytes));
     if page.span_count() == 0 {
         return None;
     }
-    let coded = CODINGS.map(|coding| encoded(&page, coding));
-    for coded in &coded {
-        let decoded = decoder.decode(coded);
-        assert_eq!(decoded.as_ref(), Ok(&page));
-    }
-    Some(digest(coded.concat()))
+    let coded = encoded(&page);
+    assert_eq!(decoder.decode(&coded).as_ref(), Ok(&page));
+    Some(digest(coded))
 }
 
 /// The voxels of a page of walls and floor.

@@ -2,13 +2,13 @@
 
 use crate::common::forge::{Parts, put};
 use crate::common::{
-    Congruential, Pages, archive, archive_of, archive_with_colours, archive_with_levels, braided, key, page, plan,
+    Congruential, Pages, archive, archive_of, archive_with_colours, archive_with_levels, key, page, plan,
     scene, two_pixels,
 };
 use slicewalk::archive::{Archive, ArchiveWriter, InputRead, PageEncoder, Shard, Totals};
 use slicewalk::colour::ColourScale;
 use slicewalk::frame::Frame;
-use slicewalk::plan::{Classifier, Coding, Noise, Plan, PlanOptions, Up};
+use slicewalk::plan::{Classifier, Noise, Plan, PlanOptions, Up};
 use slicewalk::slice::{Inferred, Span};
 use slicewalk::unit::{LengthUnit, US_SURVEY_FOOT_M};
 use std::collections::BTreeMap;
@@ -17,7 +17,6 @@ use std::collections::BTreeMap;
 pub fn all() -> Vec<(&'static str, Vec<u8>)> {
     let (in_centimetres, slope) = centimetres();
     let (in_feet, pillars) = centimetres_cut();
-    let today = braided(&plan());
     vec![
         ("empty", archive(&Default::default())),
         ("two-pixels", archive(&two_pixels())),
@@ -26,17 +25,9 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("stairs", archive(&(stairs(), totals()))),
         ("crowded", archive(&(crowded(), totals()))),
         ("shared-and-uniform", archive(&scene())),
-        ("centimetres", archive_of(&in_centimetres, &(slope.clone(), totals()), None)),
-        ("braided-centimetres", archive_of(&braided(&in_centimetres), &(slope, totals()), None)),
-        ("braided-centimetres-cut", archive_of(&braided(&in_feet), &(pillars.clone(), totals()), None)),
-        ("braided-crowded", archive_of(&today, &(crowded(), totals()), None)),
-        ("braided-holes", holes(&today)),
-        ("braided-levels", archive_with_levels(&today, &(city(), totals()), None)),
-        ("braided-stairs", archive_of(&today, &(stairs(), totals()), None)),
-        ("braided-two-pixels", archive_of(&today, &two_pixels(), None)),
+        ("centimetres", archive_of(&in_centimetres, &(slope, totals()), None)),
         ("centimetres-cut", archive_of(&in_feet, &(pillars, totals()), None)),
         ("tolerance", tolerance()),
-        ("tolerance-1.0", include_bytes!("tolerance-1.0.bin").to_vec()),
         ("options", archive_of(&options(), &(floor(), totals_beyond()), None)),
         ("part", archive_of(&plan(), &(stairs(), totals_beyond()), Some(part()))),
         ("part-with-inputs", part_with_inputs()),
@@ -47,9 +38,7 @@ pub fn all() -> Vec<(&'static str, Vec<u8>)> {
         ("newer-minor-version", newer()),
         ("holes", holes(&plan())),
         ("levels", archive_with_levels(&plan(), &(city(), totals()), None)),
-        ("levels-1.1", include_bytes!("levels-1.1.bin").to_vec()),
         ("colours", archive_with_colours(&scene(), ColourScale::of_rgb(255), 2000, true)),
-        ("colours-1.3", include_bytes!("../golden/colours.slices").to_vec()),
         ("colours-exact", archive_with_colours(&two_pixels(), ColourScale::of_rgb(65_535), 0, false)),
         ("levels-of-one-page", archive_with_levels(&plan(), &two_pixels(), None)),
     ]
@@ -185,7 +174,7 @@ fn tolerance() -> Vec<u8> {
     let mut writer = ArchiveWriter::create(&target, &tolerant(), false).unwrap();
     let mut encoder = PageEncoder::of_plan(&tolerant());
     for (key, page) in floor() {
-        writer.put(key, encoder.encode_loose(key, &page, &Inferred::NONE).0).unwrap();
+        writer.put(key, encoder.encode_lossy(key, &page, &Inferred::NONE).0).unwrap();
     }
     let noise = Some(Noise { noise_m: 0.0203, regions: 1234, region_m: 0.25 });
     writer.finish(Totals { noise, ..totals_within(floor()) }).unwrap();
@@ -220,7 +209,6 @@ fn options() -> Plan {
         fill_holes: 0,
         up: Up::Y,
         exclude_classes: [7, 18, 255].into_iter().collect(),
-        coding: Coding::Adaptive,
     };
     Plan { frame: Frame::new(0.3048 / 7.0, 0.17).unwrap(), options }
 }

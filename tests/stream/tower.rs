@@ -7,7 +7,7 @@ use slicewalk::NoMonitor;
 use slicewalk::archive::{Archive, ArchiveWriter, PageEncoder, Totals};
 use slicewalk::bytes::ByteSource;
 use slicewalk::frame::{Frame, PAGE_QUANTA, PageKey};
-use slicewalk::plan::{Coding, Plan, PlanOptions};
+use slicewalk::plan::{Plan, PlanOptions};
 use slicewalk::query::Aabb;
 use slicewalk::slice::{PageBuilder, Span};
 use slicewalk::store::{Outlook, Store};
@@ -20,11 +20,6 @@ pub const FRAME_S: f64 = 1.0 / 60.0;
 /// `half` metres to each side, `height` metres high: a rough floor every 3 m with a shaft of 1.2 m in the middle, pillars
 /// and clutter. Pixels of 2 cm, slices of 6 cm: pages are 1.28 m wide and 3.84 m high.
 pub fn tower(half: f64, height: f64, seed: u64) -> Vec<u8> {
-    tower_in(Coding::default(), half, height, seed)
-}
-
-/// The same in this coding.
-pub fn tower_in(coding: Coding, half: f64, height: f64, seed: u64) -> Vec<u8> {
     let frame = Frame::new(0.02, 0.06).unwrap();
     let mut random = Random(seed);
     let pixels = (half / frame.pixel_m()) as i64;
@@ -76,7 +71,7 @@ pub fn tower_in(coding: Coding, half: f64, height: f64, seed: u64) -> Vec<u8> {
             pages.insert(PageKey { tx: tx as i32, ty: ty as i32, layer: layer as i32 }, builder.build());
         }
     }
-    let plan = Plan { frame, options: PlanOptions { coding, ..PlanOptions::default() } };
+    let plan = Plan { frame, options: PlanOptions::default() };
     let folder = tempfile::tempdir().unwrap();
     let target = folder.path().join("tower.slices");
     let mut writer = ArchiveWriter::create(&target, &plan, false).unwrap();

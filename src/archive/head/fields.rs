@@ -5,13 +5,13 @@ use super::super::colours::{ColourHead, LEAF_RECORD};
 use super::super::levels::{Levels, MAX_LEVELS, MAX_STORED_TABLE};
 use super::header::{Bounds, Header, Pages, Sections, Tiles, Voxels};
 use super::{
-    BRAIDED, BRAIDED_MINOR, COLOURS, COLOURS_MINOR, FIXED, FOOTER, INFERRED, INFERRED_END, INFERRED_MINOR, LEVELS,
-    LEVELS_END, LEVELS_MINOR, MAGIC, MAX_LEAF_ENTRIES, MAX_LEAVES, MAX_METADATA, hex,
+    COLOURS, FIXED, FOOTER, INFERRED, INFERRED_END, LEVELS, LEVELS_END, MAGIC, MAX_LEAF_ENTRIES, MAX_LEAVES,
+    MAX_METADATA, hex,
 };
 use crate::codec::{ByteReader, Violation};
 use crate::colour::{ColourPlan, ColourScale, ColourSource};
 use crate::frame::{Frame, MAX_INDEX};
-use crate::plan::{ClassSet, Classifier, Coding, Plan, PlanOptions, Up};
+use crate::plan::{ClassSet, Classifier, Plan, PlanOptions, Up};
 use crate::{Error, Result};
 use xxhash_rust::xxh3::xxh3_128;
 
@@ -33,7 +33,7 @@ pub(super) fn decode(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     if version.0 != FORMAT_VERSION.0 {
         return Err(unsupported(format!("slice archive format {}.{} (rule H4)", version.0, version.1)));
     }
-    let unknown = features_required & !(INFERRED | BRAIDED);
+    let unknown = features_required & !INFERRED;
     if unknown != 0 {
         let bits: Vec<_> = (0..64).filter(|bit| unknown >> bit & 1 == 1).map(|bit| bit.to_string()).collect();
         return Err(unsupported(format!("required archive feature {} (rule H5)", bits.join(", "))));
@@ -41,14 +41,9 @@ pub(super) fn decode(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
     if stated_len != file_len {
         return Err(at(Violation::new("H6", format!("{stated_len} bytes in the file"), file_len)));
     }
-    let coding = if features_required & BRAIDED != 0 { Coding::Braided } else { Coding::Adaptive };
     let mut rest = || -> Result<_, Violation> {
-        if coding == Coding::Braided && version.1 < BRAIDED_MINOR {
-            let expected = "braided pages in archives of version 1.5 or newer alone";
-            return Err(Violation::new("H7", expected, format!("version 1.{}", version.1)));
-        }
         let plan_hash = u128::from_le_bytes(reader.array()?);
-        let plan = decode_plan(&reader.array()?, plan_hash, coding)?;
+        let plan = decode_plan(&reader.array()?, plan_hash)?;
         let mut words = [0u64; 23];
         for word in &mut words {
             *word = reader.u64()?;
@@ -57,9 +52,10 @@ pub(super) fn decode(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
         let [has_bounds] = reader.array()?;
         let reserved = reader.take(FIXED - 325)?;
         reader = ByteReader::new(&[], "H2");
-        let (levels, levels_len) = decode_levels(version.1, features_optional, &reserved[..LEVELS_END])?;
-        let inferred = decode_inferred(version.1, features_required, &plan, &reserved[LEVELS_END..INFERRED_END])?;
-        let (colours, colours_len) = decode_colours(version.1, features_optional, &reserved[INFERRED_END..])?;
+        let is_known = version.1 <= FORMAT_VERSION.1;
+        let (levels, levels_len) = decode_levels(is_known, features_optional, &reserved[..LEVELS_END])?;
+        let inferred = decode_inferred(is_known, features_required, &plan, &reserved[LEVELS_END..INFERRED_END])?;
+        let (colours, colours_len) = decode_colours(is_known, features_optional, &reserved[INFERRED_END..])?;
         let Some(pages_len) = words[20].checked_sub(levels_len).and_then(|len| len.checked_sub(colours_len)) else {
             return Err(Violation::new("L1", format!("levels of at most {} bytes", words[20]), levels_len));
         };
@@ -110,9 +106,9 @@ pub(super) fn decode(covered: &[u8], file_len: u64) -> Result<(Header, usize)> {
 }
 
 /// What the reserved fields say of levels, and the length of their section (rules H10 and L1).
-fn decode_levels(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<Levels>, u64), Violation> {
-    let has_levels = minor >= LEVELS_MINOR && features & LEVELS != 0;
-    if !has_levels && minor <= FORMAT_VERSION.1 && reserved.iter().any(|&byte| byte != 0) {
+fn decode_levels(is_known: bool, features: u64, reserved: &[u8]) -> Result<(Option<Levels>, u64), Violation> {
+    let has_levels = features & LEVELS != 0;
+    if !has_levels && is_known && reserved.iter().any(|&byte| byte != 0) {
         return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
     }
     if !has_levels {
@@ -133,24 +129,23 @@ fn decode_levels(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<L
 }
 
 /// Number of inferred voxels by the reserved fields behind those of levels (rules H7 and H10).
-fn decode_inferred(minor: u16, features: u64, plan: &Plan, reserved: &[u8]) -> Result<u64, Violation> {
+fn decode_inferred(is_known: bool, features: u64, plan: &Plan, reserved: &[u8]) -> Result<u64, Violation> {
     let fills = features & INFERRED != 0;
-    if fills != (plan.options.fill_holes > 0) || fills && minor < INFERRED_MINOR {
-        let expected = "holes filled in archives of version 1.2 with the required feature 0, and in no others";
-        let found = format!("holes of {} pixels, version 1.{minor}, features {features:#x}", plan.options.fill_holes);
+    if fills != (plan.options.fill_holes > 0) {
+        let expected = "holes filled in archives with the required feature 0, and in no others";
+        let found = format!("holes of {} pixels, features {features:#x}", plan.options.fill_holes);
         return Err(Violation::new("H7", expected, found));
     }
-    if !fills && minor <= FORMAT_VERSION.1 && reserved.iter().any(|&byte| byte != 0) {
+    if !fills && is_known && reserved.iter().any(|&byte| byte != 0) {
         return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
     }
     if fills { ByteReader::new(reserved, "H2").u64() } else { Ok(0) }
 }
 
 /// What the last reserved fields say of colours, and the length of their section (rules H10 and K1).
-fn decode_colours(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<ColourHead>, u64), Violation> {
-    let has_colours = minor >= COLOURS_MINOR && features & COLOURS != 0;
-    if !has_colours {
-        if minor <= FORMAT_VERSION.1 && reserved.iter().any(|&byte| byte != 0) {
+fn decode_colours(is_known: bool, features: u64, reserved: &[u8]) -> Result<(Option<ColourHead>, u64), Violation> {
+    if features & COLOURS == 0 {
+        if is_known && reserved.iter().any(|&byte| byte != 0) {
             return Err(Violation::new("H10", "zeros in reserved fields", hex(reserved)));
         }
         return Ok((None, 0));
@@ -162,7 +157,7 @@ fn decode_colours(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<
     let [source, rest @ ..]: [u8; 6] = reader.array()?;
     let source = usize::from(source).checked_sub(1).and_then(|code| ColourSource::ALL.get(code).copied());
     match source {
-        Some(source) if low < high && (minor > FORMAT_VERSION.1 || rest == [0; 5]) => {
+        Some(source) if low < high && (!is_known || rest == [0; 5]) => {
             let plan = ColourPlan { scale: ColourScale { source, low, high }, error_milli };
             Ok((Some(ColourHead { plan, voxels, table_crc }), len))
         }
@@ -170,7 +165,7 @@ fn decode_colours(minor: u16, features: u64, reserved: &[u8]) -> Result<(Option<
     }
 }
 
-fn decode_plan(bytes: &[u8; 72], stated_hash: u128, coding: Coding) -> Result<Plan, Violation> {
+fn decode_plan(bytes: &[u8; 72], stated_hash: u128) -> Result<Plan, Violation> {
     let mut reader = ByteReader::new(bytes, "H7");
     let sizes = [reader.f64()?, reader.f64()?, reader.f64()?, reader.f64()?];
     let [classifier, flags] = reader.array()?;
@@ -194,7 +189,6 @@ fn decode_plan(bytes: &[u8; 72], stated_hash: u128, coding: Coding) -> Result<Pl
         fill_holes: flags >> 2,
         up,
         exclude_classes,
-        coding,
     };
     let plan = Plan { frame, options };
     plan.options.check().map_err(wrong)?;

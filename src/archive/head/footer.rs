@@ -6,7 +6,7 @@ use crate::bytes::crc;
 use crate::codec::Violation;
 
 /// Last bytes of an archive.
-pub(in crate::archive) const END_MAGIC: [u8; 8] = *b"\x89CILS\r\n\x1a";
+pub(in crate::archive) const END_MAGIC: [u8; 8] = *b"\x89ALS\r\n\x1a\n";
 
 /// The footer of an archive of `file_len` bytes whose head is `head`.
 pub(in crate::archive) fn encode_footer(file_len: u64, head: &[u8]) -> [u8; FOOTER] {

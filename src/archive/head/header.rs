@@ -2,8 +2,6 @@
 
 use super::super::colours::{ColourHead, LEAF_RECORD, LevelColours};
 use super::super::levels::Levels;
-use super::{LEVEL_COLOURS, LEVEL_COLOURS_MINOR, LEVEL_THIRDS, LEVEL_THIRDS_MINOR};
-use crate::codec::LevelSteps;
 use crate::plan::Plan;
 use crate::{Error, Result};
 
@@ -136,16 +134,9 @@ impl Header {
         Ok(())
     }
 
-    /// Steps that heights of the overview levels lie on.
-    pub(in crate::archive) fn level_steps(&self) -> LevelSteps {
-        let has_thirds = self.version.1 >= LEVEL_THIRDS_MINOR && self.features_optional & LEVEL_THIRDS != 0;
-        if has_thirds { LevelSteps::Thirds } else { LevelSteps::Fifths }
-    }
-
     /// Where the colours of the overview levels are told of; `None` if levels have none.
     pub(in crate::archive) fn level_colours(&self) -> Option<LevelColours> {
-        let has_colours = self.version.1 >= LEVEL_COLOURS_MINOR && self.features_optional & LEVEL_COLOURS != 0;
-        let (levels, colours) = (self.levels?, self.colours.filter(|_| has_colours)?);
+        let (levels, colours) = (self.levels?, self.colours?);
         let leaves = self.pages.total().div_ceil(u64::from(self.leaf_entries.max(1)));
         let end = self.levels_offset().saturating_sub(LEAF_RECORD as u64 * leaves);
         (levels.count > 0).then(|| LevelColours::new(levels.count, self.colours_offset(), end, colours.plan))

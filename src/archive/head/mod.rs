@@ -16,23 +16,9 @@ use crate::Result;
 use crate::bytes::crc;
 use crate::codec::Violation;
 use crate::colour::{ColourScale, ColourSource};
+use crate::output::DRAFT_MAGIC;
 pub(super) use crate::output::ARCHIVE_MAGIC as MAGIC;
-use crate::plan::{Coding, Plan};
-
-/// Minor version and required features of an archive of `plan`.
-pub(super) fn needs(plan: &Plan, levels: bool, colours: bool) -> (u16, u64) {
-    let (fills, braids) = (plan.options.fill_holes > 0, plan.options.coding == Coding::Braided);
-    let needed = [
-        (levels, LEVEL_THIRDS_MINOR),
-        (fills, INFERRED_MINOR),
-        (plan.tolerance_quanta() > 0, STEPS_MINOR),
-        (colours, COLOURS_MINOR),
-        (braids, BRAIDED_MINOR),
-    ];
-    let minor = needed.into_iter().filter(|(needs, _)| *needs).map(|(_, minor)| minor).max();
-    let features = [(fills, INFERRED), (braids, BRAIDED)];
-    (minor.unwrap_or(0), features.into_iter().filter(|(needs, _)| *needs).map(|(_, bit)| bit).sum())
-}
+use crate::Error;
 
 /// Greatest length of a head, and the length of one whose size was not known in advance (bytes).
 pub(super) const MAX_HEAD: usize = 16_384;
@@ -53,32 +39,12 @@ pub(super) const MAX_LEAF_ENTRIES: u32 = 1 << 20;
 pub(super) const MAX_METADATA: u64 = 1 << 20;
 /// Where the length of the archive lies in the head.
 const FILE_LEN: std::ops::Range<usize> = 32..40;
+/// Bit of `features_required`: holes were filled, so pages may hold inferred spans.
+pub(super) const INFERRED: u64 = 1;
 /// Bit of `features_optional`: the archive was written with overview levels.
 pub(super) const LEVELS: u64 = 1;
-/// Minor version from which the head tells of levels.
-const LEVELS_MINOR: u16 = 1;
-/// Bit of `features_optional`: heights of levels lie on coarser steps.
-pub(super) const LEVEL_THIRDS: u64 = 4;
-/// Minor version from which they may.
-const LEVEL_THIRDS_MINOR: u16 = 4;
-/// Bit of `features_optional`: with levels and colours, levels have colours.
-pub(super) const LEVEL_COLOURS: u64 = 8;
-/// Minor version from which they may.
-const LEVEL_COLOURS_MINOR: u16 = 4;
-/// Bit of `features_required`: holes were filled, so pages may hold inferred matter.
-pub(super) const INFERRED: u64 = 1;
-/// Minor version from which there is inferred matter.
-const INFERRED_MINOR: u16 = 2;
-/// Bit of `features_required`: pages are braided.
-pub(super) const BRAIDED: u64 = 2;
-/// Minor version from which they may be.
-const BRAIDED_MINOR: u16 = 5;
-/// Minor version from which coarsened heights may lie on steps of the tolerance.
-const STEPS_MINOR: u16 = 3;
-/// Bit of `features_optional`: the archive has colours.
+/// Bit of `features_optional`: the archive has colours, and so have its levels.
 pub(super) const COLOURS: u64 = 2;
-/// Minor version from which the head tells of colours.
-const COLOURS_MINOR: u16 = 3;
 /// Where the fields of levels end among those that were reserved first, and those of inferred matter.
 const LEVELS_END: usize = 19;
 const INFERRED_END: usize = LEVELS_END + 8;
@@ -162,6 +128,13 @@ pub(super) fn encode(header: &Header, leaves: &[Leaf]) -> Vec<u8> {
 /// Rule H1, of the first bytes of a file.
 pub(super) fn check_magic(bytes: &[u8]) -> Result<()> {
     let magic = &bytes[..bytes.len().min(MAGIC.len())];
+    if magic == DRAFT_MAGIC {
+        return Err(Error::Unsupported {
+            what: "slice archive written by an unreleased version (rule H1)".into(),
+            version: env!("CARGO_PKG_VERSION"),
+            way_out: "convert the scan again".into(),
+        });
+    }
     if magic != MAGIC {
         return Err(Violation::new("H1", format!("a slice archive, {}", hex(&MAGIC)), hex(magic)).at("head", 0));
     }

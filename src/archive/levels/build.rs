@@ -9,7 +9,6 @@
 use super::coarse::{CoarseSpan, above, coarse, is_sparse, on_slices};
 use super::colours::{CoarseColour, ColourRecord, VoxelSum, coarser};
 use crate::Result;
-use crate::codec::LevelSteps;
 use crate::colour::ColourSum;
 use crate::disk::{Files, Temporary};
 use crate::frame::{Frame, PageKey};
@@ -40,7 +39,6 @@ pub struct LevelBuilder {
     files: Files,
     beside: Option<PathBuf>,
     builder: PageBuilder,
-    steps: LevelSteps,
 }
 
 /// A level and what it takes to tell whether there is one.
@@ -63,9 +61,9 @@ impl Growing {
 }
 
 impl LevelBuilder {
-    /// No levels yet, over pages on the grid `frame`, with heights on `steps`; temporary files lie beside `target`, or where the system
+    /// No levels yet, over pages on the grid `frame`; temporary files lie beside `target`, or where the system
     /// has them.
-    pub fn new(frame: &Frame, steps: LevelSteps, files: &Files, target: Option<&Path>) -> Self {
+    pub fn new(frame: &Frame, files: &Files, target: Option<&Path>) -> Self {
         let most = (1..=MAX_LEVELS as u32).take_while(|&number| frame.coarser(number).is_some()).count();
         Self {
             levels: Vec::new(),
@@ -73,7 +71,6 @@ impl LevelBuilder {
             files: files.clone(),
             beside: target.map(Path::to_path_buf),
             builder: PageBuilder::default(),
-            steps,
         }
     }
 
@@ -136,9 +133,8 @@ impl LevelBuilder {
         let level = &mut self.levels[at];
         let Some(column) = level.column.take() else { return Ok(()) };
         let (mut spans, mut colours) = (std::mem::take(&mut level.spans), std::mem::take(&mut level.colours));
-        let steps = self.steps;
         let builder = std::mem::take(&mut self.builder);
-        let mut pages = Pages { builder, steps, layer: None, pixel: 0, below: 0, spans: Vec::new() };
+        let mut pages = Pages { builder, layer: None, pixel: 0, below: 0, spans: Vec::new() };
         let mut sums = LayerSums { sorted: colours.sorted()?, next: None };
         let mut sorted = spans.sorted()?;
         while let Some(record) = sorted.next()? {
@@ -165,7 +161,7 @@ impl LevelBuilder {
         sums: Vec<VoxelSum>,
         give: &mut Give<'_>,
     ) -> Result<()> {
-        let (spans, colours) = (coarse(&page, self.steps), coarser(&sums));
+        let (spans, colours) = (coarse(&page), coarser(&sums));
         let level = &mut self.levels[at];
         if level.exists() {
             for (key, page, sums) in level.held.drain(..) {
@@ -260,7 +256,6 @@ impl LayerSums<'_> {
 /// Makes pages of records in their order.
 struct Pages {
     builder: PageBuilder,
-    steps: LevelSteps,
     layer: Option<i32>,
     pixel: u32,
     /// Spans of the level below that the page in work joins.
@@ -306,11 +301,9 @@ impl Pages {
         let layer = self.layer.take();
         let page = layer.map(|layer| (layer, self.builder.build()));
         let below = std::mem::take(&mut self.below);
-        let page = page.map(|(layer, page)| match self.steps {
-            LevelSteps::Thirds if is_sparse(page.span_count() as u64, below) => {
-                (layer, on_slices(&page, &mut self.builder))
-            }
-            _ => (layer, page),
+        let page = page.map(|(layer, page)| {
+            let is_sparse = is_sparse(page.span_count() as u64, below);
+            (layer, if is_sparse { on_slices(&page, &mut self.builder) } else { page })
         });
         self.builder.clear();
         page

@@ -63,7 +63,6 @@ impl<'a> LevelCheck<'a> {
             colours: None,
         });
         let mut levels: Vec<_> = levels.collect();
-        let steps = archive.header().level_steps();
         let mut found = Vec::new();
         for level in &mut levels {
             match ColourCheck::of_level(&archive.level(level.number)?) {
@@ -73,11 +72,9 @@ impl<'a> LevelCheck<'a> {
                 Err(error) => found.push(error),
             }
         }
-        let coding = archive.plan().options.coding;
-        let (mut decoder, encoder) = (PageDecoder::new(), PageEncoder::of_levels(coding, steps));
-        decoder.set_coding(coding);
+        let (decoder, encoder) = (PageDecoder::new(), PageEncoder::of_levels());
         Ok(Self {
-            builder: LevelBuilder::new(archive.frame(), steps, &Files::current(), None),
+            builder: LevelBuilder::new(archive.frame(), &Files::current(), None),
             comparing: true,
             levels,
             scratch: Scratch { decoder, encoder, bytes: Vec::new(), found },

@@ -1,11 +1,11 @@
 //! What a level knows of the level below: 4 × 4 pixels as one, four slices as one, heights moved outwards.
 //!
 //! In: a page. Out: the spans that it gives to its page of the level above. All spans of 16 pixels go into one pixel; their
-//! bottoms go down and their tops up to thirds of a slice of the level (before version 1.4 to fifths); those that then share a
+//! bottoms go down and their tops up to thirds of a slice of the level; those that then share a
 //! slice or a height become one span, an obstacle if any of them is. So no matter is lost, and the result does not depend on
 //! any order. Pages in which few spans become one are [sparse](is_sparse), and their heights go on to whole slices.
 
-use crate::codec::LevelSteps;
+use crate::codec::LEVEL_STEP;
 use crate::frame::{PAGE_QUANTA, PAGE_SLICES, PageKey, SLICE_QUANTA};
 use crate::slice::{Page, PageBuilder, Span};
 
@@ -61,15 +61,7 @@ impl CoarseSpan {
 }
 
 /// The spans that `page` gives to the level above, by pixel and from below. Cost: one pass over its spans.
-pub fn coarse(page: &Page, steps: LevelSteps) -> Vec<CoarseSpan> {
-    match steps {
-        LevelSteps::Fifths => moved::<{ LevelSteps::Fifths.quanta() }>(page),
-        LevelSteps::Thirds => moved::<{ LevelSteps::Thirds.quanta() }>(page),
-    }
-}
-
-/// With bottoms moved down and tops moved up to multiples of so many quanta of the level.
-fn moved<const STEP: u32>(page: &Page) -> Vec<CoarseSpan> {
+pub fn coarse(page: &Page) -> Vec<CoarseSpan> {
     let mut out = Vec::new();
     for y in 0..PIXELS {
         for across in 0..PIXELS / 2 {
@@ -79,7 +71,7 @@ fn moved<const STEP: u32>(page: &Page) -> Vec<CoarseSpan> {
             }
             let mut cells = [Cell::default(), Cell::default()];
             for span in view.rows(y % 2 * 4, y % 2 * 4 + 3) {
-                cells[span.lane() as usize / 4].add::<STEP>(span.bottom(), span.top(), span.is_obstacle());
+                cells[span.lane() as usize / 4].add(span.bottom(), span.top(), span.is_obstacle());
             }
             for (side, cell) in (0..).zip(&cells) {
                 cell.give((y * PIXELS + across * 2 + side) as u8, &mut out);
@@ -104,9 +96,9 @@ struct Cell {
 }
 
 impl Cell {
-    fn add<const STEP: u32>(&mut self, bottom: u32, top: u32, obstacle: bool) {
-        const { assert!(SLICE.is_multiple_of(STEP)) };
-        let (bottom, top) = (bottom / (FACTOR * STEP) * STEP, top.div_ceil(FACTOR * STEP) * STEP);
+    fn add(&mut self, bottom: u32, top: u32, obstacle: bool) {
+        const STEP: u32 = FACTOR * LEVEL_STEP;
+        let (bottom, top) = (bottom / STEP * LEVEL_STEP, top.div_ceil(STEP) * LEVEL_STEP);
         let first = bottom / SLICE;
         let last = first.max(top.saturating_sub(1) / SLICE);
         let joined = ((1u32 << last) - (1 << first)) as u16;
@@ -207,8 +199,8 @@ mod tests {
 
     proptest! {
         #[test]
-        fn spans_join_by_the_rule_and_hold_all_matter(page in pages(), is_new: bool) {
-            let (steps, step) = if is_new { (LevelSteps::Thirds, 85.0) } else { (LevelSteps::Fifths, 51.0) };
+        fn spans_join_by_the_rule_and_hold_all_matter(page in pages()) {
+            let step = 85.0;
             let mut expected = Vec::new();
             for y in 0..PIXELS {
                 for x in 0..PIXELS {
@@ -222,7 +214,7 @@ mod tests {
                     }));
                 }
             }
-            let mut found = coarse(&page, steps);
+            let mut found = coarse(&page);
             prop_assert_eq!(found.iter().map(|span| usize::from(span.joined)).sum::<usize>(), page.span_count());
             prop_assert!(found.iter().all(|span| span.joined > 0));
             found.iter_mut().for_each(|span| span.joined = 0);

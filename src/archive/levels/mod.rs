@@ -68,12 +68,9 @@ pub(super) use writer::LevelWriter;
 use super::catalog::Catalog;
 use super::head::{self, Header, Leaf, MAX_LEAF_ENTRIES, MAX_LEAVES, Pages, Sections};
 use crate::bytes::crc;
-use crate::codec::{ByteReader, LevelSteps, Packer, Unpacker, Violation};
+use crate::codec::{ByteReader, Packer, Unpacker, Violation};
 use crate::frame::Frame;
 use std::ops::Range;
-
-/// Steps that heights of levels are written on.
-pub(super) const LEVEL_STEPS: LevelSteps = LevelSteps::Thirds;
 
 /// Where the levels of an archive are told of.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

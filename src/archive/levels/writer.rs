@@ -54,7 +54,7 @@ impl LevelWriter {
     /// Of an archive of `plan`; temporary files lie beside `target`.
     pub fn new(plan: &Plan, files: &Files, target: &Path) -> Self {
         let made = Made {
-            encoder: PageEncoder::of_levels(plan.options.coding, LEVEL_STEPS),
+            encoder: PageEncoder::of_levels(),
             colours: None,
             colour_encoder: ColourEncoder::default().for_levels(false),
             occupancy: Occupancy::default(),
@@ -62,7 +62,7 @@ impl LevelWriter {
             files: files.clone(),
             beside: target.to_path_buf(),
         };
-        Self { builder: LevelBuilder::new(&plan.frame, LEVEL_STEPS, files, Some(target)), made }
+        Self { builder: LevelBuilder::new(&plan.frame, files, Some(target)), made }
     }
 
     /// Gives levels colours of `plan`: before the first page.

@@ -280,7 +280,7 @@ impl<'a> Worker<'a> {
             }
             let (encoded, loose) = match self.is_loose {
                 true => {
-                    let (encoded, page) = self.encoder.encode_loose(key, page, &inferred);
+                    let (encoded, page) = self.encoder.encode_lossy(key, page, &inferred);
                     (encoded, Some(page))
                 }
                 false => (self.encoder.encode_inferred(key, page, &inferred), None),

@@ -8,7 +8,7 @@ use crate::info::noise_info;
 use crate::input::{StatedBounds, Units};
 use crate::mesh::MeshMode;
 use crate::output::{Existing, Output, OutputKind, PLAN_KEY, Protected};
-use crate::plan::{ClassSet, Classifier, Coding, Noise, Plan, PlanOptions, Up};
+use crate::plan::{ClassSet, Classifier, Noise, Plan, PlanOptions, Up};
 use crate::unit::{LengthUnit, UNIT_RANGE_M};
 use crate::{Error, Result};
 use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
@@ -294,7 +294,6 @@ fn from_json(Read { facts, inputs }: Read) -> Result<PlanFile, Wrong> {
         fill_holes,
         up: field(value, "up", "z or y", up)?,
         exclude_classes: field(value, "excluded_classes", "a list of classes from 0 to 255", classes)?,
-        coding: Coding::default(),
     };
     options.check().map_err(|error| Wrong::new("plan", format!("options within their limits, but {error}")))?;
     let plan = Plan { frame, options };
@@ -465,8 +464,7 @@ mod tests {
                 fill_holes: (drop_floaters % 46) as u8,
                 up: if flags.0 { Up::Y } else { Up::Z },
                 exclude_classes: ClassSet::from_words(classes),
-                coding: Coding::default(),
-            };
+                    };
             let plan = Plan { frame: Frame::new(pixel, slice).unwrap(), options };
             let units = units.map_or(Units::Auto, Units::Factor);
             let mesh = [MeshMode::Exact, MeshMode::Sampled { step_m: None }, MeshMode::Sampled { step_m: Some(pixel) }][rule];

@@ -65,7 +65,7 @@ INTERPRETER = 128 << 20
 _PASSING = 2
 _TICK = 0.2
 _LOOK = 2.0
-_ARCHIVE = b"\x89SLIC\r\n\x1a"
+_ARCHIVE = b"\x89SLA\r\n\x1a\n"
 
 
 class WorkerLostError(Error):

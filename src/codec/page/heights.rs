@@ -1,9 +1,9 @@
 //! Heights as symbols: a residual and how many bits say the rest of it.
 
 use super::BOUNDARY;
-use crate::codec::adaptive::{SLICE, fold};
-use crate::codec::braid::Strands;
-use crate::codec::lattice::{End, Lattice};
+use crate::codec::interleaved::Strands;
+use crate::codec::rows::{SLICE, fold};
+use crate::codec::step_grid::{End, StepGrid};
 
 /// Residuals that a symbol stands for: the least, and how many bits say which.
 pub struct Alphabet {
@@ -50,15 +50,15 @@ pub struct Given {
 
 impl Given {
     #[inline(always)]
-    pub fn of(lattice: &Lattice, height: u32, end: End) -> Self {
-        Self { height, step: lattice.index(height, end) }
+    pub fn of(grid: &StepGrid, height: u32, end: End) -> Self {
+        Self { height, step: grid.index(height, end) }
     }
 
     /// The symbol, and its bits, near step `expected`.
     #[inline(always)]
     pub fn symbol(&self, alphabet: &Alphabet, expected: i32) -> (u32, u32) {
         let Some((step, _)) = self.step else {
-            // Other heights all have steps, or the lattice would not be theirs.
+            // Other heights all have steps, or the grid would not be theirs.
             debug_assert!(self.height.is_multiple_of(SLICE), "no step for {}", self.height);
             return (BOUNDARY, self.height / SLICE);
         };
@@ -73,10 +73,10 @@ impl Given {
     }
 }
 
-/// A bit that says whether there is a lattice, then its step and phase: how many zeros end it, and the rest of its 40 bits.
-pub fn code_lattice(coder: &mut impl Strands, given: Lattice) -> Option<Lattice> {
+/// A bit that says whether there is a grid, then its step and phase: how many zeros end it, and the rest of its 40 bits.
+pub fn code_grid(coder: &mut impl Strands, given: StepGrid) -> Option<StepGrid> {
     if coder.raw(1, u32::from(!given.is_quanta())) == 0 {
-        return Some(Lattice::QUANTA);
+        return Some(StepGrid::QUANTA);
     }
     let mut number = |given: u64| {
         let zeros = coder.raw(6, given.trailing_zeros().min(40));
@@ -87,7 +87,7 @@ pub fn code_lattice(coder: &mut impl Strands, given: Lattice) -> Option<Lattice>
         let high_part = coder.raw(high, (given >> low) as u32);
         Some((u64::from(high_part) << low | u64::from(low_part)).checked_shl(zeros).unwrap_or(0))
     };
-    Lattice::new(number(given.step)?, number(given.phase)?)
+    StepGrid::new(number(given.step)?, number(given.phase)?)
 }
 
 #[cfg(test)]

@@ -132,7 +132,7 @@ pub trait Strands {
 
 /// Writes symbols; reusable.
 #[derive(Debug, Default)]
-pub struct BraidEncoder<L = Base> {
+pub struct InterleavedEncoder<L = Base> {
     lanes: L,
     /// First slot, strand (bit 15) and number of slots (from bit 16) of each symbol. What is decoded first is encoded last, so they wait here.
     symbols: Vec<u32>,
@@ -143,11 +143,11 @@ pub struct BraidEncoder<L = Base> {
     rest_bits: u32,
 }
 
-impl<L: Lanes> BraidEncoder<L> {
+impl<L: Lanes> InterleavedEncoder<L> {
     /// This one, for a processor with `lanes`.
-    pub fn with_lanes<M: Lanes>(self, lanes: M) -> BraidEncoder<M> {
+    pub fn with_lanes<M: Lanes>(self, lanes: M) -> InterleavedEncoder<M> {
         let Self { symbols, words, bytes, rest, rest_bits, .. } = self;
-        BraidEncoder { lanes, symbols, words, bytes, rest, rest_bits }
+        InterleavedEncoder { lanes, symbols, words, bytes, rest, rest_bits }
     }
 
     /// Forgets all symbols.
@@ -185,7 +185,7 @@ impl<L: Lanes> BraidEncoder<L> {
     }
 }
 
-impl<L: Lanes> Strands for BraidEncoder<L> {
+impl<L: Lanes> Strands for InterleavedEncoder<L> {
     const WRITES: bool = true;
 
     #[inline(always)]
@@ -218,7 +218,7 @@ impl<L: Lanes> Strands for BraidEncoder<L> {
 
 /// Reads symbols from bytes that nobody vouches for: reading beyond the end gives some symbols, and an error at the end.
 #[derive(Debug)]
-pub struct BraidDecoder<'a, L = Base> {
+pub struct InterleavedDecoder<'a, L = Base> {
     lanes: L,
     states: [u32; 2],
     bytes: &'a [u8],
@@ -229,8 +229,8 @@ pub struct BraidDecoder<'a, L = Base> {
     bits: usize,
 }
 
-impl<'a, L: Lanes> BraidDecoder<'a, L> {
-    /// Reads what [`BraidEncoder::finish`] wrote; fewer than 8 bytes or a state too low break `rule`.
+impl<'a, L: Lanes> InterleavedDecoder<'a, L> {
+    /// Reads what [`InterleavedEncoder::finish`] wrote; fewer than 8 bytes or a state too low break `rule`.
     pub fn new(bytes: &'a [u8], lanes: L, rule: &'static str) -> Result<Self, Violation> {
         let wrong = || Violation::new(rule, "two states of 4 bytes, 65536 or more each", bytes.len());
         let (states, _) = bytes.split_first_chunk::<STATES>().ok_or_else(wrong)?;
@@ -281,7 +281,7 @@ impl<'a, L: Lanes> BraidDecoder<'a, L> {
     }
 }
 
-impl<L: Lanes> Strands for BraidDecoder<'_, L> {
+impl<L: Lanes> Strands for InterleavedDecoder<'_, L> {
     const WRITES: bool = false;
 
     // A browser loads all code before the first picture; a copy for each place costs it more than the calls.
@@ -371,21 +371,21 @@ mod tests {
     proptest! {
         #[test]
         fn gives_back_all_symbols_and_ends_where_it_began(symbols in symbols()) {
-            let (mut encoder, mut bytes) = (BraidEncoder::<Base>::default(), Vec::new());
+            let (mut encoder, mut bytes) = (InterleavedEncoder::<Base>::default(), Vec::new());
             for _ in 0..2 {
                 bytes.clear();
                 encoder.clear();
                 run(&mut encoder, &symbols, |_, _| {});
                 encoder.finish(&mut bytes);
             }
-            let mut decoder = BraidDecoder::new(&bytes, Base, "P6").unwrap();
+            let mut decoder = InterleavedDecoder::new(&bytes, Base, "P6").unwrap();
             run(&mut decoder, &symbols, |symbol, value| match *symbol {
                 Symbol::Nibble(_, expected) | Symbol::Raw(_, expected) => assert_eq!(value, expected),
                 Symbol::Bit(_, expected) => assert_eq!(value != 0, expected),
             });
             prop_assert_eq!(decoder.finish("P6"), Ok(()));
             for changed in [[&bytes[..8], &[0], &bytes[8..]].concat(), [&bytes[..], &[0]].concat(), bytes[..bytes.len() - 1].to_vec()] {
-                let Ok(mut decoder) = BraidDecoder::new(&changed, Base, "P6") else { continue };
+                let Ok(mut decoder) = InterleavedDecoder::new(&changed, Base, "P6") else { continue };
                 run(&mut decoder, &symbols, |_, _| {});
                 prop_assert!(decoder.finish("P6").is_err());
             }
@@ -393,7 +393,7 @@ mod tests {
 
         #[test]
         fn random_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..100), symbols in symbols()) {
-            if let Ok(mut decoder) = BraidDecoder::new(&bytes, Base, "P6") {
+            if let Ok(mut decoder) = InterleavedDecoder::new(&bytes, Base, "P6") {
                 run(&mut decoder, &symbols, |symbol, value| match symbol {
                     Symbol::Nibble(..) => assert!(value < 16),
                     Symbol::Bit(..) => {}

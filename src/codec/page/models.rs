@@ -1,7 +1,7 @@
 //! What learns, and how it begins.
 
 use super::BOUNDARY;
-use crate::codec::braid::{Bit, Nibble};
+use crate::codec::interleaved::{Bit, Nibble};
 
 /// Weights around the most common symbol of a height, at 15.
 const SHAPE: [u16; 31] =

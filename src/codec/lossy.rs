@@ -10,9 +10,10 @@
 //! may be wider ones than they were chosen on. A page with many such ends may get narrow steps, which reach them; heights then
 //! follow what is expected, but for some first ones that stay as they are, so that no wider steps suit them all.
 
-use super::adaptive::{Candidates, Given, PIXELS, Rows, SLICE, Scratch, Traversal, choose, length_on, telling_heights};
-use super::lattice::{End, HeightsOf, LEAST_HEIGHTS, Lattice, ONE};
-use super::rans::{Coder, RansEncoder};
+use super::estimate::{Candidates, Given, Scratch, Traversal, choose, length_on};
+use super::rans::RansEncoder;
+use super::rows::{PIXELS, Rows, SLICE, telling_heights};
+use super::step_grid::{End, HeightsOf, LEAST_HEIGHTS, ONE, StepGrid};
 use crate::frame::{Frame, PAGE_QUANTA};
 use crate::slice::{Inferred, Page, PageBuilder, RowBuilder, Span};
 
@@ -40,7 +41,7 @@ struct Room {
 
 /// A page whose heights may be moved outwards; its memory is reused.
 #[derive(Debug, Default)]
-pub struct Loose {
+pub struct Lossy {
     /// Blocks with matter, and with matter in all pixels.
     blocks: (u64, u64),
     /// Per pixel, and one more: number of its first span.
@@ -58,7 +59,7 @@ pub struct Loose {
 
 /// A way to be tried, beside the shortest one so far and what that takes.
 struct Attempt<'a> {
-    loose: &'a Loose,
+    loose: &'a Lossy,
     shortest: Option<&'a (u64, RowCosts)>,
     costs: RowCosts,
     is_given_up: bool,
@@ -70,57 +71,57 @@ type RowCosts = [u64; PIXELS / 64 / ROWS as usize];
 /// Heights on steps, and their symbols.
 #[derive(Debug)]
 pub struct Tried {
-    pub lattice: Lattice,
+    pub grid: StepGrid,
     pub encoder: RansEncoder,
     pub spans: Vec<Span>,
 }
 
 impl Default for Tried {
     fn default() -> Self {
-        Self { lattice: Lattice::QUANTA, encoder: RansEncoder::default(), spans: Vec::new() }
+        Self { grid: StepGrid::QUANTA, encoder: RansEncoder::default(), spans: Vec::new() }
     }
 }
 
-impl Loose {
+impl Lossy {
     /// A page that takes few bytes and holds all matter of `page`: bottoms are up to `tolerance` (quanta) lower, tops as much
-    /// higher. Spans of one kind between which no gap is left become one. Returns the way it is encoded, too.
+    /// higher. Spans of one kind between which no gap is left become one. Returns the step grid that they lie on, too.
     pub fn simplify(
         &mut self,
         (of, steps): (&HeightsOf, &[u64]),
         (page, tolerance): (&Page, u32),
         scratch: &mut Scratch,
         builder: &mut RowBuilder,
-    ) -> (Page, &mut Tried) {
+    ) -> (Page, StepGrid) {
         self.set(page, tolerance);
         let mut shortest: Option<(u64, RowCosts)> = None;
-        for lattice in self.lattices(of, tolerance) {
+        for grid in self.grids(of, tolerance) {
             let before = shortest.as_ref().filter(|_| !self.is_cut);
-            let Some(costs) = self.try_on(lattice, before, scratch) else { continue };
+            let Some(costs) = self.try_on(grid, before, scratch) else { continue };
             let mut length = self.tried.encoder.cost();
             if self.is_cut {
                 // Other steps may be found in the heights than those they were chosen on.
                 let page = self.built(&self.tried, builder);
                 telling_heights(&page, &mut self.heights);
-                let lattice = Lattice::find_short(of, steps, &self.heights).unwrap_or(Lattice::QUANTA);
-                length = length_on(lattice, &page, scratch);
+                let grid = StepGrid::find_short(of, steps, &self.heights).unwrap_or(StepGrid::QUANTA);
+                length = length_on(grid, &page, scratch);
             }
             if shortest.is_none_or(|shortest| length < shortest.0) {
                 shortest = Some((length, costs));
                 std::mem::swap(&mut self.best, &mut self.tried);
             }
         }
-        (self.built(&self.best, builder), &mut self.best)
+        (self.built(&self.best, builder), self.best.grid)
     }
 
-    /// Chooses heights on `lattice`, and returns what its rows take; `None` if that is hopelessly more than those of the `shortest` way.
+    /// Chooses heights on `grid`, and returns what its rows take; `None` if that is hopelessly more than those of the `shortest` way.
     fn try_on(
         &mut self,
-        lattice: Lattice,
+        grid: StepGrid,
         shortest: Option<&(u64, RowCosts)>,
         scratch: &mut Scratch,
     ) -> Option<RowCosts> {
         let mut tried = std::mem::take(&mut self.tried);
-        tried.lattice = lattice;
+        tried.grid = grid;
         let mut attempt = Attempt { loose: self, shortest, costs: RowCosts::default(), is_given_up: false };
         choose(&mut attempt, &mut tried, scratch);
         let Attempt { costs, is_given_up, .. } = attempt;
@@ -194,11 +195,11 @@ impl Loose {
     }
 
     /// The steps that are tried.
-    fn lattices(&self, of: &HeightsOf, tolerance: u32) -> Vec<Lattice> {
+    fn grids(&self, of: &HeightsOf, tolerance: u32) -> Vec<StepGrid> {
         if self.heights.len() < LEAST_HEIGHTS || self.is_close || tolerance == 0 {
-            return vec![Lattice::QUANTA];
+            return vec![StepGrid::QUANTA];
         }
-        let own = Lattice::find(of, &[], &self.heights);
+        let own = StepGrid::find(of, &[], &self.heights);
         if let Some((own, most)) = own.and_then(|own| Some((own, together(own.step, tolerance)?))) {
             let on = |count: u64| {
                 let phases =
@@ -217,24 +218,24 @@ impl Loose {
                 (0..phases).map(|phase| (phase * step / phases) * ONE as u64 + ONE as u64 / 2),
             )
         };
-        let mut all: Vec<Lattice> = steps(tolerance).enumerate().filter_map(on).collect();
+        let mut all: Vec<StepGrid> = steps(tolerance).enumerate().filter_map(on).collect();
         if let (true, HeightsOf::Scan(frame), Some(wide)) = (self.is_cut, of, all.last()) {
             // Those of the tolerance end there, but steps that scans have are looked for, too.
-            let narrow = Lattice::steps_of_scans(frame).filter_map(|step| Lattice::new(step, 0)).last();
+            let narrow = StepGrid::steps_of_scans(frame).filter_map(|step| StepGrid::new(step, 0)).last();
             all.extend(narrow.filter(|narrow| narrow.step < wide.step));
         }
         all
     }
 
     /// Steps of this distance (1/2³² quantum) at the phase of `phases` that suits the heights best.
-    fn with_best_phase(&self, step: u64, phases: impl Iterator<Item = u64>) -> Option<Lattice> {
-        let lattices = phases.filter_map(|phase| Lattice::new(step, phase % step));
-        let all: Vec<Lattice> = lattices.collect();
+    fn with_best_phase(&self, step: u64, phases: impl Iterator<Item = u64>) -> Option<StepGrid> {
+        let grids = phases.filter_map(|phase| StepGrid::new(step, phase % step));
+        let all: Vec<StepGrid> = grids.collect();
         if all.len() < 2 {
             return all.first().copied();
         }
         let pairs = self.pairs();
-        all.into_iter().min_by_key(|lattice| pairs.iter().map(|pair| changes(lattice, pair)).sum::<u32>())
+        all.into_iter().min_by_key(|grid| pairs.iter().map(|pair| changes(grid, pair)).sum::<u32>())
     }
 
     /// Spans and those of the same number to the west of them, some hundred all over the page.
@@ -256,10 +257,10 @@ impl Loose {
     }
 }
 
-/// The `scanned` page, whose heights were chosen on a lattice, with the inferred spans of the `exact` one: on the lattice too,
+/// The `scanned` page, whose heights were chosen on a grid, with the inferred spans of the `exact` one: on the grid too,
 /// but where scanned matter has come to lie. One that this covers is left out.
 pub fn with_inferred(
-    (scanned, lattice): (&Page, Lattice),
+    (scanned, grid): (&Page, StepGrid),
     (exact, inferred): (&Page, &Inferred),
     tolerance: u32,
     builder: &mut PageBuilder,
@@ -283,8 +284,8 @@ pub fn with_inferred(
                 continue;
             }
             let lower =
-                lattice.at_or_above(span.bottom() + 1).checked_sub(1).map(|step| lattice.usual(step, End::Bottom));
-            let upper = lattice.usual(lattice.at_or_above(span.top().saturating_sub(1)), End::Top);
+                grid.at_or_above(span.bottom() + 1).checked_sub(1).map(|step| grid.usual(step, End::Bottom));
+            let upper = grid.usual(grid.at_or_above(span.top().saturating_sub(1)), End::Top);
             let within =
                 |height: i32, exact: u32| height as u32 + tolerance >= exact && height as u32 <= exact + tolerance;
             let bottom =
@@ -303,10 +304,10 @@ pub fn with_inferred(
 }
 
 /// How far two spans differ on steps, in bits about.
-fn changes(lattice: &Lattice, pair: &[Span; 2]) -> u32 {
+fn changes(grid: &StepGrid, pair: &[Span; 2]) -> u32 {
     let ends = pair.map(|span| {
-        let bottom = lattice.at_or_above(span.bottom() + 1) as i32 - 1;
-        (bottom, lattice.at_or_above(span.top().saturating_sub(1)) as i32 - bottom)
+        let bottom = grid.at_or_above(span.bottom() + 1) as i32 - 1;
+        (bottom, grid.at_or_above(span.top().saturating_sub(1)) as i32 - bottom)
     });
     let bits = |a: i32, b: i32| 2 * (u32::BITS - a.abs_diff(b).leading_zeros());
     let below = if ends[1].0 < 0 { BELOW } else { 0 };
@@ -337,7 +338,7 @@ pub fn all_steps(frame: &Frame, tolerance: u32) -> Vec<u64> {
     if tolerance == 0 {
         return Vec::new();
     }
-    let of_scans = Lattice::steps_of_scans(frame).filter_map(|step| Some((step, together(step, tolerance)?)));
+    let of_scans = StepGrid::steps_of_scans(frame).filter_map(|step| Some((step, together(step, tolerance)?)));
     let of_scans = of_scans.flat_map(|(step, most)| [most, most.div_ceil(2)].map(|count| (step, count)));
     let of_scans = of_scans.filter(|&(_, count)| count > 1).map(|(step, count)| step * count);
     let mut all: Vec<u64> = of_scans.chain(steps(tolerance).map(|step| u64::from(step) * ONE as u64)).collect();
@@ -359,11 +360,11 @@ struct Choices {
 }
 
 impl Choices {
-    fn of(lattice: &Lattice, end: End, (low, high): (u32, u32), expected: Option<i32>) -> Self {
+    fn of(grid: &StepGrid, end: End, (low, high): (u32, u32), expected: Option<i32>) -> Self {
         // The first step of the room and the last, by their usual heights.
         let up = if end == End::Top { 1 } else { 0 };
-        let first = lattice.at_or_above(low.saturating_sub(up));
-        let Some(last) = lattice.at_or_above(high + 1 - up).checked_sub(1).filter(|&last| first <= last) else {
+        let first = grid.at_or_above(low.saturating_sub(up));
+        let Some(last) = grid.at_or_above(high + 1 - up).checked_sub(1).filter(|&last| first <= last) else {
             // A slice boundary; or as it is, which the steps of a scan reach but for its rounding. In steps of the tolerance a height
             // beside a step would make it none of the page's.
             let (exact, border) = match end {
@@ -371,8 +372,8 @@ impl Choices {
                 End::Top => (low, low.next_multiple_of(SLICE)),
             };
             let height = if (low..=high).contains(&border) { border } else { exact };
-            let step = lattice.index(height, end);
-            let index = step.map_or_else(|| lattice.at_or_above(height), |step| step.0);
+            let step = grid.index(height, end);
+            let index = step.map_or_else(|| grid.at_or_above(height), |step| step.0);
             return Self { list: [(height, index, step); MOST_CHOICES], len: 1 };
         };
         let near = if end == End::Top { first } else { last };
@@ -384,7 +385,7 @@ impl Choices {
                 _ => ([near; MOST_CHOICES], 1),
             },
         };
-        Self { list: indices.map(|index| (lattice.usual(index, end) as u32, index, Some((index, 0)))), len }
+        Self { list: indices.map(|index| (grid.usual(index, end) as u32, index, Some((index, 0)))), len }
     }
 
     fn all(&self) -> &[Choice] {
@@ -426,23 +427,23 @@ impl<'a> Given<'a> for &mut Attempt<'a> {
         !self.is_given_up
     }
 
-    fn chosen<C>(&self, span: Span, at: (usize, usize), candidates: &Candidates, walk: &Traversal<'_, C>) -> Span {
+    fn chosen(&self, span: Span, at: (usize, usize), candidates: &Candidates, walk: &Traversal<'_>) -> Span {
         let number = self.loose.first[at.0] as usize + at.1;
         let room = self.loose.room[number];
         // The first heights, if there is much to choose from, are true to the scan.
         let is_free = number >= TRUE_SPANS;
-        let (lattice, thickness) = (&walk.lattice, candidates.thickness);
+        let (grid, thickness) = (&walk.grid, candidates.thickness);
         let with = |bottom: u32, top: u32| Span::new(bottom, top, span.is_obstacle()).unwrap_or(span);
-        if lattice.is_quanta() {
+        if grid.is_quanta() {
             let bottom = follow(candidates.bottom, room.bottom);
             return with(bottom, follow(bottom as i32 + thickness, room.top));
         }
         let (bottom_context, top_context) = (candidates.bottom_context(), candidates.thickness_context());
         let mut best = (u32::MAX, span);
-        let bottoms = Choices::of(lattice, End::Bottom, room.bottom, is_free.then_some(candidates.bottom));
+        let bottoms = Choices::of(grid, End::Bottom, room.bottom, is_free.then_some(candidates.bottom));
         for bottom in bottoms.all() {
             let expected = bottom.1 as i32 + thickness;
-            let tops = Choices::of(lattice, End::Top, room.top, is_free.then_some(expected));
+            let tops = Choices::of(grid, End::Top, room.top, is_free.then_some(expected));
             if bottoms.len == 1 && tops.len == 1 {
                 return with(bottom.0, tops.list[0].0);
             }
@@ -461,28 +462,21 @@ impl<'a> Given<'a> for &mut Attempt<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::adaptive::tests::pages;
-    use crate::codec::{Decoder, Encoder, MAX_BODY};
-    use crate::plan::Coding;
+    use crate::codec::{Decoder, Encoder, MAX_BODY, pages};
     use proptest::prelude::*;
 
     fn frame() -> Frame {
         Frame::new(0.05, 0.15).unwrap()
     }
 
-    /// Encodes `page` loosely, and requires that the result holds its matter and no more than the tolerance allows, in either coding.
+    /// Encodes `page` within the tolerance, and checks that the result holds all of it and no more than the tolerance allows.
     fn check(page: &Page, tolerance: u32) -> (Page, usize) {
-        let coded = [Coding::Adaptive, Coding::Braided].map(|coding| {
-            let mut encoder = Encoder::new(frame(), tolerance).with_coding(coding);
-            let (mut body, mut again) = (Vec::new(), Vec::new());
-            let (loose, _) = encoder.encode_loose(page, &Inferred::NONE, &mut body);
-            encoder.encode(&loose, &mut again);
-            assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
-            assert_eq!(Decoder::default().decode_as(Some(coding), &body).unwrap(), loose);
-            (loose, body.len())
-        });
-        let [(same, _), (loose, len)] = coded;
-        assert_eq!(loose, same);
+        let mut encoder = Encoder::new(frame(), tolerance);
+        let (mut body, mut again) = (Vec::new(), Vec::new());
+        let (loose, _) = encoder.encode_lossy(page, &Inferred::NONE, &mut body);
+        encoder.encode(&loose, &mut again);
+        assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
+        assert_eq!(Decoder::default().decode(&body).unwrap(), loose);
         for pixel in 0..PIXELS as u32 {
             let (px, py) = (pixel % 64, pixel / 64);
             let mut exact = page.column(px, py).iter().peekable();
@@ -504,7 +498,7 @@ mod tests {
             }
             assert!(exact.next().is_none());
         }
-        (loose, len)
+        (loose, body.len())
     }
 
     /// `page` with heights in steps of so many quanta, as far as its spans are apart then.
@@ -544,30 +538,28 @@ mod tests {
             }
             let mut builder = PageBuilder::default();
             let scanned = inferred.without(&page, &mut builder);
-            for coding in [Coding::Adaptive, Coding::Braided] {
-                let mut encoder = Encoder::new(frame(), tolerance).with_coding(coding);
-                let (mut body, mut again) = (Vec::new(), Vec::new());
-                let (loose, marks) = encoder.encode_loose(&page, &inferred, &mut body);
-                encoder.encode_inferred(&loose, &marks, &mut again);
-                prop_assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
-                let mut decoder = Decoder::default();
-                prop_assert_eq!(&decoder.decode_as(Some(coding), &body).unwrap(), &loose);
-                prop_assert_eq!(decoder.inferred(), &marks);
-                let alone = match scanned.span_count() {
-                    0 => scanned.clone(),
-                    _ => encoder.encode_loose(&scanned, &Inferred::NONE, &mut again).0,
-                };
-                prop_assert_eq!(marks.without(&loose, &mut builder), alone);
-                // Inferred matter lies in that of the page, or within the tolerance of where it was.
-                for (px, py, mask) in inferred.pixels() {
-                    let own = page.column(px, py).iter().enumerate().filter(|(at, _)| mask >> (at & 63) & 1 == 1);
-                    for (_, span) in own {
-                        let meets = |other: &&Span| other.meets(span.bottom(), span.top());
-                        prop_assert!(loose.column(px, py).iter().any(|other| meets(&other)), "{span:?}");
-                    }
+            let mut encoder = Encoder::new(frame(), tolerance);
+            let (mut body, mut again) = (Vec::new(), Vec::new());
+            let (loose, marks) = encoder.encode_lossy(&page, &inferred, &mut body);
+            encoder.encode_inferred(&loose, &marks, &mut again);
+            prop_assert!(body == again && body.len() <= MAX_BODY, "the one encoding");
+            let mut decoder = Decoder::default();
+            prop_assert_eq!(&decoder.decode(&body).unwrap(), &loose);
+            prop_assert_eq!(decoder.inferred(), &marks);
+            let alone = match scanned.span_count() {
+                0 => scanned.clone(),
+                _ => encoder.encode_lossy(&scanned, &Inferred::NONE, &mut again).0,
+            };
+            prop_assert_eq!(marks.without(&loose, &mut builder), alone);
+            // Inferred matter lies in that of the page, or within the tolerance of where it was.
+            for (px, py, mask) in inferred.pixels() {
+                let own = page.column(px, py).iter().enumerate().filter(|(at, _)| mask >> (at & 63) & 1 == 1);
+                for (_, span) in own {
+                    let meets = |other: &&Span| other.meets(span.bottom(), span.top());
+                    prop_assert!(loose.column(px, py).iter().any(|other| meets(&other)), "{span:?}");
                 }
-                prop_assert!(loose.span_count() <= page.span_count());
             }
+            prop_assert!(loose.span_count() <= page.span_count());
         }
     }
 
@@ -585,7 +577,7 @@ mod tests {
 
     fn exact_len(page: &Page) -> usize {
         let mut body = Vec::new();
-        Encoder::new(frame(), 0).with_coding(Coding::Adaptive).encode(page, &mut body);
+        Encoder::new(frame(), 0).encode(page, &mut body);
         body.len()
     }
 

@@ -7,12 +7,12 @@
 use crate::frame::{Frame, SLICE_QUANTA};
 use crate::slice::{Page, Span};
 
-/// Fractional bits of [`Lattice`]'s numbers.
+/// Fractional bits of [`StepGrid`]'s numbers.
 pub const FRACTION_BITS: u32 = 32;
 pub const ONE: i64 = 1 << FRACTION_BITS;
 /// How far a height may lie off its step (in 1/2³² quantum): coordinates were rounded, and so is the step.
 const SLACK: i64 = 1 << 14;
-/// Fewest heights from which a lattice saves more than the 10 bytes that it takes.
+/// Fewest heights from which a grid saves more than the 10 bytes that it takes.
 pub const LEAST_HEIGHTS: usize = 32;
 /// Steps looked for (m), coarse to fine: decimals of metres, feet and US survey feet, as LAS files are scaled.
 const STEPS_M: [f64; 14] = [
@@ -32,24 +32,8 @@ const STEPS_M: [f64; 14] = [
     0.0001,
 ];
 
-/// Steps that heights of overview levels lie on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LevelSteps {
-    /// Fifths of a slice, as before version 1.4. Pages of few heights do not say so.
-    Fifths,
-    /// Thirds of a slice; in a page that has none between slices, slices.
-    Thirds,
-}
-
-impl LevelSteps {
-    /// Height of a step (quanta).
-    pub const fn quanta(self) -> u32 {
-        match self {
-            Self::Fifths => SLICE_QUANTA as u32 / 5,
-            Self::Thirds => SLICE_QUANTA as u32 / 3,
-        }
-    }
-}
+/// Step of the heights of overview levels (quanta): a third of a slice. Heights of a page that has none between slices lie on slices.
+pub const LEVEL_STEP: u32 = SLICE_QUANTA as u32 / 3;
 
 /// What heights of a page are, and with that the steps that they may lie on.
 #[derive(Debug, Clone, Copy)]
@@ -57,25 +41,22 @@ pub enum HeightsOf {
     /// Of a scan on this grid.
     Scan(Frame),
     /// Of an overview level.
-    Level(LevelSteps),
+    Level,
 }
 
 impl HeightsOf {
-    /// Whether `page` has an encoding. Those of a scan and of older levels have, at worst with every quantum a step; levels on thirds
-    /// are coded with no other steps.
+    /// Returns whether `page` has an encoding. Every page of a scan has, at worst with every quantum as a step; heights of levels must
+    /// lie on thirds of a slice.
     pub fn admits(&self, page: &Page) -> bool {
-        let steps = match self {
-            Self::Level(steps @ LevelSteps::Thirds) => steps.quanta(),
-            Self::Level(LevelSteps::Fifths) | Self::Scan(_) => return true,
-        };
-        let on_step = |span: &Span| span.bottom().is_multiple_of(steps) && span.top().is_multiple_of(steps);
-        page.spans_of_blocks().all(|spans| spans.iter().all(on_step))
+        let on_step =
+            |span: &Span| span.bottom().is_multiple_of(LEVEL_STEP) && span.top().is_multiple_of(LEVEL_STEP);
+        matches!(self, Self::Scan(_)) || page.spans_of_blocks().all(|spans| spans.iter().all(on_step))
     }
 }
 
 /// Equally spaced heights above a page's floor: step `index` lies at `phase + index · step`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Lattice {
+pub struct StepGrid {
     /// Distance of steps (1/2³² quantum).
     pub step: u64,
     /// Height of step 0 (1/2³² quantum), below `step`.
@@ -91,25 +72,14 @@ pub enum End {
     Top,
 }
 
-impl Lattice {
+impl StepGrid {
     /// Every quantum is a step.
     pub const QUANTA: Self = Self { step: ONE as u64, phase: 0 };
 
-    /// The lattice of `step` and `phase`; `None` unless the step is 2 to 255 quanta and above the phase.
+    /// The grid of `step` and `phase`; `None` unless the step is 2 to 255 quanta and above the phase.
     pub fn new(step: u64, phase: u64) -> Option<Self> {
         ((2 * ONE as u64..=SLICE_QUANTA as u64 * ONE as u64).contains(&step) && phase < step)
             .then_some(Self { step, phase })
-    }
-
-    /// Whether all heights have the same steps on both, where that is seen at once: steps of whole quanta, begun within the same.
-    pub fn is_like(&self, other: &Self) -> bool {
-        let inside = |lattice: &Self| !lattice.phase.is_multiple_of(ONE as u64);
-        self == other
-            || self.step == other.step
-                && self.step.is_multiple_of(ONE as u64)
-                && self.phase >> FRACTION_BITS == other.phase >> FRACTION_BITS
-                && inside(self)
-                && inside(other)
     }
 
     /// Whether the steps are the quanta themselves.
@@ -153,7 +123,7 @@ impl Lattice {
         })
     }
 
-    /// The lattice of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page lie, else the coarsest of those
+    /// The grid of the first of `steps` (1/2³² quantum) on which all `heights` (quanta) of a page lie, else the coarsest of those
     /// that scans have; of a page of an overview level, that of the level, on which they lie if the level [admits](HeightsOf::admits) them.
     pub fn find(of: &HeightsOf, steps: &[u64], heights: &[(u32, End)]) -> Option<Self> {
         Self::find_with(of, steps, heights, |_, low, high| low + (high - low) / 2)
@@ -177,18 +147,18 @@ impl Lattice {
         heights: &[(u32, End)],
         phase: impl Fn(i64, i64, i64) -> i64,
     ) -> Option<Self> {
-        if let HeightsOf::Level(LevelSteps::Thirds) = of {
-            let step = if heights.is_empty() { SLICE_QUANTA as u32 } else { LevelSteps::Thirds.quanta() };
+        if let HeightsOf::Level = of {
+            let step = if heights.is_empty() { SLICE_QUANTA as u32 } else { LEVEL_STEP };
             return Self::new(u64::from(step) << FRACTION_BITS, 0);
         }
         if heights.len() < LEAST_HEIGHTS {
             return None;
         }
         let with_step = |step: u64| {
-            let lattice = Self::new(step, 0)?;
-            let (low, high) = lattice.phases_of(heights)?;
-            let step = lattice.step as i64;
-            Some(Self { phase: phase(step, low, high).rem_euclid(step) as u64, ..lattice })
+            let grid = Self::new(step, 0)?;
+            let (low, high) = grid.phases_of(heights)?;
+            let step = grid.step as i64;
+            Some(Self { phase: phase(step, low, high).rem_euclid(step) as u64, ..grid })
         };
         if let Some(found) = steps.iter().find_map(|&step| with_step(step)) {
             return Some(found);
@@ -199,7 +169,7 @@ impl Lattice {
         }
     }
 
-    /// Steps that scans have on this grid (1/2³² quantum), coarse to fine; some are out of the limits of a lattice.
+    /// Steps that scans have on this grid (1/2³² quantum), coarse to fine; some are out of the limits of a grid.
     pub fn steps_of_scans(frame: &Frame) -> impl Iterator<Item = u64> {
         let slice_m = frame.slice_m();
         STEPS_M.iter().map(move |step_m| (step_m * SLICE_QUANTA as f64 / slice_m * ONE as f64 + 0.5).floor() as u64)
@@ -253,24 +223,24 @@ mod tests {
             let points: Vec<f64> = steps.iter().map(|&n| offset + f64::from(n % count) * step).collect();
             let floor = frame.quantum_floor(offset) - 3;
             let heights = heights(&frame, &points, floor);
-            let lattice = Lattice::find(&HeightsOf::Scan(frame), &[], &heights).expect("a lattice");
+            let grid = StepGrid::find(&HeightsOf::Scan(frame), &[], &heights).expect("a grid");
             for &(height, end) in &heights {
-                let (index, off) = lattice.index(height, end).expect("a step");
-                prop_assert_eq!(lattice.usual(index, end) + off, height as i32);
+                let (index, off) = grid.index(height, end).expect("a step");
+                prop_assert_eq!(grid.usual(index, end) + off, height as i32);
             }
         }
 
         #[test]
         fn indices_are_inverse_to_heights(step in 2.0f64..255.0, phase in 0.0f64..1.0, height in 0u32..16320) {
             let step = (step * ONE as f64) as u64;
-            let lattice = Lattice::new(step, (phase * step as f64) as u64).unwrap();
-            let index = lattice.at_or_above(height);
-            let exact = |index: u32| lattice.phase + u64::from(index) * lattice.step;
+            let grid = StepGrid::new(step, (phase * step as f64) as u64).unwrap();
+            let index = grid.at_or_above(height);
+            let exact = |index: u32| grid.phase + u64::from(index) * grid.step;
             prop_assert!(exact(index) >= u64::from(height) << 32);
             prop_assert!(index == 0 || exact(index - 1) < u64::from(height) << 32);
             for end in [End::Bottom, End::Top] {
-                if let Some((index, off)) = lattice.index(height, end) {
-                    prop_assert_eq!(lattice.usual(index, end) + off, height as i32);
+                if let Some((index, off)) = grid.index(height, end) {
+                    prop_assert_eq!(grid.usual(index, end) + off, height as i32);
                     prop_assert!(off.abs() <= 1);
                 }
             }
@@ -291,10 +261,10 @@ mod tests {
             let points: Vec<_> = points.into_iter().filter(on_page).collect();
             let mut heights = heights(&frame, &points, floor);
             heights.retain(|(height, _)| height % SLICE_QUANTA as u32 != 0);
-            let Some(lattice) = Lattice::find(&HeightsOf::Scan(frame), &[], &heights) else { continue };
+            let Some(grid) = StepGrid::find(&HeightsOf::Scan(frame), &[], &heights) else { continue };
             found += 1;
             for &(height, end) in &heights {
-                assert!(lattice.index(height, end).is_some(), "{height} {end:?} of {pixel_m} m in layer {layer}");
+                assert!(grid.index(height, end).is_some(), "{height} {end:?} of {pixel_m} m in layer {layer}");
             }
         }
         assert!(found > 100, "{found} grids have steps");
@@ -309,7 +279,7 @@ mod tests {
         };
         let heights: Vec<_> = (0..200).map(|_| (next(), End::Bottom)).collect();
         let frame = Frame::new(0.05, 0.15).unwrap();
-        assert_eq!(Lattice::find(&HeightsOf::Scan(frame), &[], &heights), None);
-        assert_eq!(Lattice::find(&HeightsOf::Scan(frame), &[], &heights[..5]), None);
+        assert_eq!(StepGrid::find(&HeightsOf::Scan(frame), &[], &heights), None);
+        assert_eq!(StepGrid::find(&HeightsOf::Scan(frame), &[], &heights[..5]), None);
     }
 }

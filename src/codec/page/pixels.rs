@@ -2,7 +2,7 @@
 
 use super::models::Models;
 use crate::codec::Violation;
-use crate::codec::braid::{Bit, Strands};
+use crate::codec::interleaved::{Bit, Strands};
 use crate::slice::Page;
 
 /// Which pixels have matter, as a mask for each row.

@@ -1,5 +1,4 @@
-//! Model 3, `braided`: the spans of a page as [`super::adaptive`] foretells them, in an order and in symbols that take a processor a third of
-//! the time (specification, section 6.7).
+//! The page coding: spans predicted from their neighbours, in two interleaved streams of symbols (specification, chapter 6).
 //!
 //! First which pixels have matter, then pixel by pixel their spans. What four neighbours say is weighed for bottoms and thicknesses
 //! at once, and a height is one symbol and some bits as they are. One walk serves encoder and decoder, on each processor with what
@@ -10,19 +9,19 @@ mod models;
 mod near;
 mod pixels;
 
-use super::adaptive::{MAX_COLUMN, Rows, SLICE, unfold};
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
-use super::braid::Avx2;
-use super::braid::{Base, BraidDecoder, BraidEncoder, Lanes, Strands};
-use super::lattice::{End, Lattice};
+use super::interleaved::Avx2;
+use super::interleaved::{Base, InterleavedDecoder, InterleavedEncoder, Lanes, Strands};
+use super::rows::{MAX_COLUMN, Rows, SLICE, unfold};
+use super::step_grid::{End, StepGrid};
 use super::{MAX_PAGE_SPANS, Violation};
 use crate::slice::{Page, RowBuilder, Span};
-use heights::{ALPHABETS, Alphabet, Given, code_lattice};
+use heights::{ALPHABETS, Alphabet, Given, code_grid};
 use models::{Models, fresh};
 use near::{Seen, expected, pack};
 
 /// Greatest length of an encoding (bytes): states; of a span five symbols of at most a word, and 28 bits; of a pixel whether it has
-/// matter, and its spans in five symbols or fewer; of a block two symbols; of the lattice two numbers of 46 bits.
+/// matter, and its spans in five symbols or fewer; of a block two symbols; of the grid two numbers of 46 bits.
 pub const MAX_LEN: usize = 8 + MAX_PAGE_SPANS * (10 + 4) + 2 * (64 * 64 * (1 + 5) + 2 * 64) + 12;
 
 /// Symbol of a slice boundary; its bits are the number of the slice.
@@ -63,7 +62,7 @@ pub struct Scratch {
     rows: Box<[Row; 2]>,
     /// Per step, of bottoms and tops: 0, or 1 and how the height lay off the usual one when the step came last (1 above, 2 below).
     last_off: Box<[[u8; STEPS]; 2]>,
-    encoder: BraidEncoder,
+    encoder: InterleavedEncoder,
 }
 
 impl Scratch {
@@ -83,7 +82,7 @@ impl Default for Scratch {
             kinds: Box::new([0; 1 + 2 * ROW]),
             rows: Box::new([Row::EMPTY; 2]),
             last_off: Box::new([[0; STEPS]; 2]),
-            encoder: BraidEncoder::default(),
+            encoder: InterleavedEncoder::default(),
         }
     }
 }
@@ -130,7 +129,7 @@ impl Coded {
 /// What a walk codes spans with.
 struct Walk<'a, C> {
     coder: C,
-    lattice: Lattice,
+    grid: StepGrid,
     is_quanta: bool,
     alphabet: &'static Alphabet,
     models: &'a mut Models,
@@ -160,16 +159,16 @@ impl<C: Strands> Walk<'_, C> {
     #[cfg_attr(target_family = "wasm", inline(never))]
     #[cfg_attr(not(target_family = "wasm"), inline(always))]
     fn span(&mut self, near: [Seen; 4], kinds: u8, is_last: bool, given: Option<&Span>) -> Coded {
-        let Self { coder, lattice, alphabet, models, last_off, .. } = self;
+        let Self { coder, grid, alphabet, models, last_off, .. } = self;
         let expected = expected(near, self.last);
         // What is to be written, if something is.
         let [mut bottom_given, mut top_given] = [Given::default(); 2];
         let (mut bottom_symbol, mut top_symbol) = ((0, 0), (0, 0));
         if let Some(span) = given {
-            bottom_given = Given::of(lattice, span.bottom(), End::Bottom);
-            top_given = Given::of(lattice, span.top(), End::Top);
+            bottom_given = Given::of(grid, span.bottom(), End::Bottom);
+            top_given = Given::of(grid, span.top(), End::Top);
             bottom_symbol = bottom_given.symbol(alphabet, expected.low);
-            let step = bottom_given.step.map_or_else(|| lattice.at_or_above(span.bottom()), |step| step.0);
+            let step = bottom_given.step.map_or_else(|| grid.at_or_above(span.bottom()), |step| step.0);
             top_symbol = top_given.symbol(alphabet, step as i32 + expected.thick);
         }
         let of_bottom = coder.nibble::<0>(&mut models.bottom[expected.low_context & 15], bottom_symbol.0);
@@ -186,18 +185,18 @@ impl<C: Strands> Walk<'_, C> {
         if !self.is_quanta || of_bottom == BOUNDARY || of_top == BOUNDARY {
             // A boundary has no step to remember.
             let (mut bottom_place, mut top_place) = (bottom_step as usize & 0x3FFF, NO_STEP);
-            bottom = lattice.usual(bottom_step as u32, End::Bottom);
+            bottom = grid.usual(bottom_step as u32, End::Bottom);
             if of_bottom == BOUNDARY {
                 bottom = (bottom_residual * SLICE) as i32;
-                bottom_step = lattice.at_or_above(bottom as u32) as i32;
+                bottom_step = grid.at_or_above(bottom as u32) as i32;
                 bottom_place = NO_STEP;
                 top_step = top_of(bottom_step);
             }
             if of_top == BOUNDARY {
                 top = (top_residual * SLICE) as i32;
-                top_step = lattice.at_or_above(top as u32) as i32;
+                top_step = grid.at_or_above(top as u32) as i32;
             } else {
-                top = lattice.usual(top_step as u32, End::Top);
+                top = grid.usual(top_step as u32, End::Top);
                 top_place = top_step as usize & 0x3FFF;
             }
             if !self.is_quanta {
@@ -232,13 +231,13 @@ impl<C: Strands> Walk<'_, C> {
 #[inline(always)]
 fn walk<C: Strands>(
     mut coder: C,
-    lattice: Lattice,
+    grid: StepGrid,
     scratch: &mut Scratch,
     page: Option<&Page>,
     mut taker: impl Taker,
 ) -> Result<C, Violation> {
     let Scratch { models, fresh, seen, kinds, rows: row_pair, last_off, .. } = scratch;
-    let steps = usize::from(!lattice.is_quanta());
+    let steps = usize::from(!grid.is_quanta());
     (**models).clone_from(&fresh[steps]);
     if steps > 0 {
         last_off.iter_mut().for_each(|end| end.fill(0));
@@ -247,7 +246,7 @@ fn walk<C: Strands>(
     taker.begin(&rows);
     let mut given = page.map(Rows::of);
     let mut walk =
-        Walk { coder, lattice, is_quanta: steps == 0, alphabet: &ALPHABETS[steps], models, last_off, last: 0 };
+        Walk { coder, grid, is_quanta: steps == 0, alphabet: &ALPHABETS[steps], models, last_off, last: 0 };
     **row_pair = [Row::EMPTY; 2];
     for (py, &row) in rows.iter().enumerate() {
         let [even, odd] = &mut **row_pair;
@@ -339,28 +338,28 @@ impl Taker for &mut RowBuilder {
     }
 }
 
-/// Appends the encoding of `page` with heights on `lattice`, at most [`MAX_LEN`] bytes.
-pub fn encode(lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+/// Appends the encoding of `page` with heights on `grid`, at most [`MAX_LEN`] bytes.
+pub fn encode(grid: StepGrid, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
     #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
     if let Some(lanes) = Avx2::detect() {
         // SAFETY: the processor has what the function asks for.
-        return unsafe { encode_avx2(lanes, lattice, page, scratch, out) };
+        return unsafe { encode_avx2(lanes, grid, page, scratch, out) };
     }
-    encode_with(Base, lattice, page, scratch, out);
+    encode_with(Base, grid, page, scratch, out);
 }
 
 #[cfg(all(target_arch = "x86_64", not(slicewalk_portable)))]
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt")]
-fn encode_avx2(lanes: Avx2, lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
-    encode_with(lanes, lattice, page, scratch, out);
+fn encode_avx2(lanes: Avx2, grid: StepGrid, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+    encode_with(lanes, grid, page, scratch, out);
 }
 
 #[inline(always)]
-fn encode_with(lanes: impl Lanes, lattice: Lattice, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
+fn encode_with(lanes: impl Lanes, grid: StepGrid, page: &Page, scratch: &mut Scratch, out: &mut Vec<u8>) {
     let mut encoder = std::mem::take(&mut scratch.encoder).with_lanes(lanes);
     encoder.clear();
-    code_lattice(&mut encoder, lattice);
-    if let Ok(mut encoder) = walk(encoder, lattice, scratch, Some(page), ()) {
+    code_grid(&mut encoder, grid);
+    if let Ok(mut encoder) = walk(encoder, grid, scratch, Some(page), ()) {
         encoder.finish(out);
         scratch.encoder = encoder.with_lanes(Base);
     }
@@ -389,100 +388,8 @@ fn decode_with(
     scratch: &mut Scratch,
     builder: &mut RowBuilder,
 ) -> Result<(), Violation> {
-    let mut decoder = BraidDecoder::new(body, lanes, "P6")?;
-    let lattice = code_lattice(&mut decoder, Lattice::QUANTA)
+    let mut decoder = InterleavedDecoder::new(body, lanes, "P6")?;
+    let grid = code_grid(&mut decoder, StepGrid::QUANTA)
         .ok_or_else(|| Violation::new("P7", "steps of 2 to 255 quanta, above their phase", "others"))?;
-    walk(decoder, lattice, scratch, None, builder)?.finish("P6")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::codec::adaptive::tests::pages;
-    use crate::codec::{Decoder, Encoder, MAX_BODY};
-    use crate::frame::Frame;
-    use crate::plan::Coding;
-    use crate::slice::PageBuilder;
-    use proptest::prelude::*;
-
-    fn encoder() -> Encoder {
-        Encoder::new(Frame::new(0.05, 0.15).unwrap(), 0).with_coding(Coding::Braided)
-    }
-
-    fn encoded(page: &Page) -> Vec<u8> {
-        let mut body = Vec::new();
-        encoder().encode(page, &mut body);
-        body
-    }
-
-    /// `page` with heights on centimetres, as far as its spans are apart then.
-    fn in_centimetres(page: &Page) -> Page {
-        let mut builder = PageBuilder::default();
-        for (px, py, spans) in page.columns() {
-            let whole = |height: u32| height / 17 * 17;
-            let moved =
-                |s: &Span| Span::new(whole(s.bottom()), (whole(s.top()) + 1).min(16320), s.is_obstacle()).unwrap();
-            let spans: Vec<_> = spans.iter().map(moved).collect();
-            assert!(builder.set_column(px, py, &spans) || spans.len() > 1);
-        }
-        builder.build()
-    }
-
-    #[test]
-    fn the_largest_page_has_less_than_the_stated_length() {
-        let mut builder = PageBuilder::default();
-        for pixel in 0..64 * 64u32 {
-            let height = |k: u32| 255 * k + (pixel.wrapping_mul(2654435761).wrapping_mul(k + 1) >> 7) % 200;
-            let span = |k: u32| Span::new(height(k), height(k) + (pixel ^ k) % 50, (pixel ^ k).is_multiple_of(3));
-            let spans: Vec<_> = (0..64).map(|k| span(k).unwrap()).collect();
-            assert!(builder.set_column(pixel % 64, pixel / 64, &spans));
-        }
-        let page = builder.build();
-        let body = encoded(&page);
-        assert!(body.len() <= MAX_LEN, "{} bytes", body.len());
-        assert_eq!(Decoder::default().decode(&body).unwrap(), page);
-    }
-
-    proptest! {
-        #[test]
-        fn pages_round_trip(pages in proptest::collection::vec(pages(), 1..4), centimetres: bool) {
-            let (mut encoder, mut decoder) = (encoder(), Decoder::default());
-            for page in pages {
-                let page = if centimetres { in_centimetres(&page) } else { page };
-                prop_assume!(page.span_count() > 0);
-                let mut body = Vec::new();
-                encoder.encode(&page, &mut body);
-                prop_assert!(body.len() <= MAX_BODY && body == encoded(&page));
-                prop_assert_eq!(decoder.decode(&body).unwrap(), page);
-            }
-        }
-
-        #[test]
-        fn what_decodes_encodes_again(
-            page in pages(), centimetres: bool, flips in proptest::collection::vec(any::<(prop::sample::Index, u8)>(), 1..4)
-        ) {
-            let page = if centimetres { in_centimetres(&page) } else { page };
-            prop_assume!(page.span_count() > 0);
-            let mut body = encoded(&page);
-            for (at, value) in flips {
-                let place = at.index(body.len() - 1) + 1;
-                body[place] = value;
-            }
-            match Decoder::default().decode(&body) {
-                Ok(page) => {
-                    let again = encoded(&page);
-                    prop_assert_eq!(Decoder::default().decode(&again).unwrap(), page);
-                }
-                Err(violation) => prop_assert!(["P6", "P7", "P8"].contains(&violation.rule)),
-            }
-        }
-
-        #[test]
-        fn random_bytes_never_panic(mut body in proptest::collection::vec(any::<u8>(), 0..2000)) {
-            if let Some(first) = body.first_mut() {
-                *first = 3;
-            }
-            let _ = Decoder::default().decode(&body);
-        }
-    }
+    walk(decoder, grid, scratch, None, builder)?.finish("P6")
 }
